@@ -10,7 +10,7 @@
     twice = mixseq.load("walk.h5").sample(fps=48)
     mixseq.write("walk48.usdc", twice)
 
-Names are imported when they are first used, so that ``import mixseq`` is quick.
+Names are imported at first use, so that ``import mixseq`` is quick.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from mixseq.runtime.lazy import Facade, connect, forwarded
+from mixseq.runtime.lazy import connect, lazy_getattr
 from mixseq.version import __version__
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from mixseq_io.verification import Verification, verify
 
 
-_HOME = {
+_MODULES = {
     "Comparison": "mixseq.metrics",
     "Correspondence": "mixseq.retargeting.markers",
     "Curve": "mixseq.signals.curve",
@@ -131,18 +131,15 @@ __all__ = [
 ]
 
 
-_home = forwarded(__name__, _HOME)
+_find = lazy_getattr(__name__, _MODULES)
 
 
 def __getattr__(name: str) -> Any:
-    return import_module("mixseq.operations") if name == "operations" else _home(name)
+    return import_module("mixseq.operations") if name == "operations" else _find(name)
 
 
 connect(
-    Facade(
-        __getattr__,
-        lambda name, types: import_module("mixseq_io.path_arguments").argument_reader(name, types),
-    )
+    __getattr__, lambda name, types: import_module("mixseq_io.path_arguments").argument_reader(name, types)
 )
 
 

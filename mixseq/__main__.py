@@ -8,23 +8,23 @@ from types import FrameType
 from typing import NoReturn
 
 
-def _leave(number: int, frame: FrameType | None) -> NoReturn:
+def _exit(number: int, frame: FrameType | None) -> NoReturn:
     """Exit at once, as no work is under way."""
     if number == signal.SIGINT:
         os.write(2, b"mixseq: interrupted\n")
     os._exit(128 + number)
 
 
-def listen() -> None:
+def exit_on_signals() -> None:
     """Let Ctrl-C exit at once, until work begins."""
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) != signal.SIG_IGN:  # as in the background of a shell
-            signal.signal(number, _leave)
+            signal.signal(number, _exit)
 
 
 def main() -> None:
     """Run the command line."""
-    listen()
+    exit_on_signals()
     from mixseq.cli import main as run
 
     run()

@@ -1,4 +1,4 @@
-"""Names that users choose from, in Python and on the command line; cheap to import.
+"""Names of options in Python and on the command line; quick to import.
 
 Their implementations are in `mixseq.segmentation.METHODS`, `mixseq.spaces.making` and `mixseq.retargeting.transfer`.
 """
@@ -13,7 +13,7 @@ SPACES: tuple[SpaceName, ...] = get_args(SpaceName)
 
 PlacementName = Literal["anchored", "free"]
 PLACEMENTS: tuple[PlacementName, ...] = get_args(PlacementName)
-"""How parts are placed in the mixed space: by a pose each, or by lengths and angles."""
+"""Placements of parts in the mixed space: by a pose for each, or by edge lengths and dihedral angles."""
 
 SegmentationName = Literal["motion", "silhouettes", "spanning-tree"]
 SEGMENTATIONS: tuple[SegmentationName, ...] = get_args(SegmentationName)
@@ -21,19 +21,19 @@ SEGMENTATIONS: tuple[SegmentationName, ...] = get_args(SegmentationName)
 
 ProjectionName = Literal["steps", "dso"]
 PROJECTIONS: tuple[ProjectionName, ...] = get_args(ProjectionName)
-"""How the edge space finds meshes: in a few steps, or by Gauss-Newton until it converges."""
+"""Projections of the edge space to meshes: a few steps, or Gauss-Newton iteration until convergence."""
 
 PoseForm = Literal["modes", "keys"]
 POSE_FORMS: tuple[PoseForm, ...] = get_args(PoseForm)
-"""Key shapes of a model: mean and modes, or frames."""
+"""Key shapes of a model: mean and modes, or key frames."""
 
 TransferName = Literal["mixed", "gradients"]
 TRANSFERS: tuple[TransferName, ...] = get_args(TransferName)
-"""How motions are transferred: part by part and joint by joint, or by deformation gradients."""
+"""Methods of motion transfer: by parts and joints, or by deformation gradients."""
 
 OrderName = Literal["keep", "vertices", "free"]
 ORDERS: tuple[OrderName, ...] = get_args(OrderName)
-"""What keeps its order in a compressed file: vertices and faces, vertices only, or neither."""
+"""Elements that keep their order in a compressed file: vertices and faces, vertices only, or none."""
 
 StillName = Literal["draco", "plain", "none"]
 STILLS: tuple[StillName, ...] = get_args(StillName)

@@ -1,17 +1,17 @@
 """A walking fox: the sample animation of mixseq, made from a table of bones.
 
-The middle of a bone moves nearly rigidly and only the joints bend, so the fox is also a test case with known parts
+Bones move nearly rigidly and only the joints between them bend, so that the fox is also a test case with given parts
 (`part_of_vertex`).
 
 *Body.* The tapered flesh around the bones is blended into one closed surface. Surface nets (Gibson 1998) put one vertex
 into every grid cell that the surface crosses, and one quad around every grid edge that it crosses: the mesh is closed
-and oriented, and manifold if the shape is smooth at the scale of a cell. Relaxation evens the triangles out on the
-surface. At rest the fox stands on the plane ``y = 0``, faces ``+x``, and has its right side at ``+z``, in metres. A row
-of the table with a ``z`` of its own is the right one of a pair; the left one is its mirror.
+and oriented, and manifold if the shape is smooth at the scale of a cell. Relaxation evens the triangles out. At rest
+the fox stands on the plane ``y = 0``, faces ``+x``, and has its right side at ``+z``, in metres. A bone off the plane
+``z = 0`` is the right one of a pair, whose left one is its mirror image.
 
-*Walk.* Spine, head and tail swing by a table of harmonics (forward kinematics). Paws follow a path that is planted
-during stance, and the legs reach for them (inverse kinematics of two bones). The fox walks on the spot, as on a
-treadmill: a planted paw moves backwards at constant speed. Everything has period 1 in the phase.
+*Walk.* Spine, head and tail swing by a table of harmonics (forward kinematics). Paws follow a path that is fixed to the
+ground during stance, and legs follow by inverse kinematics of two bones. The fox walks on the spot, as on a treadmill:
+a paw on the ground moves backwards at constant speed. Everything has period 1 in the phase.
 """
 
 from __future__ import annotations
@@ -47,41 +47,41 @@ def polygonise(
 
 def surface_nets(values: Float) -> tuple[Float, Index]:
     """Return quads of the zero set of grid values: values ``(X, Y, Z)``; result ``(V, 3)``, ``(Q, 4)``."""
-    cuts, rings = [], []
+    crossings, quads_of_edges = [], []
     for axis in range(3):
         u, v = np.eye(3, dtype=np.int64)[[(axis + 1) % 3, (axis + 2) % 3]]
         count = values.shape[axis] - 1
         start = np.take(values, np.arange(count), axis=axis)
         end = np.take(values, np.arange(1, count + 1), axis=axis)
-        crossed = (start < 0) != (end < 0)
-        node = np.argwhere(crossed)
-        entry, leave = start[crossed], end[crossed]
-        # the four cells around the edge, counter-clockwise seen from its end; outwards is from - to +
-        ring = np.stack([node, node - u, node - u - v, node - v], axis=1)
-        rings.append(np.where((entry < 0)[:, None, None], ring, ring[:, ::-1]))
-        cuts.append(node + (entry / (entry - leave))[:, None] * np.eye(3)[axis])
-    corners = np.concatenate(rings)
+        is_crossed = (start < 0) != (end < 0)
+        node = np.argwhere(is_crossed)
+        start, end = start[is_crossed], end[is_crossed]
+        # The four cells around the edge, counter-clockwise seen from its end; outwards is from - to +.
+        cells = np.stack([node, node - u, node - u - v, node - v], axis=1)
+        quads_of_edges.append(np.where((start < 0)[:, None, None], cells, cells[:, ::-1]))
+        crossings.append(node + (start / (start - end))[:, None] * np.eye(3)[axis])
+    corners = np.concatenate(quads_of_edges)
     cells, vertex = np.unique(
         np.ravel_multi_index(tuple(np.moveaxis(corners, -1, 0)), values.shape), return_inverse=True
     )
     quads = vertex.reshape(-1, 4).astype(np.int64)
     points = np.zeros((len(cells), 3))
-    np.add.at(points, quads, np.concatenate(cuts)[:, None])
+    np.add.at(points, quads, np.concatenate(crossings)[:, None])
     return points / np.bincount(quads.ravel())[:, None], quads
 
 
 def triangulate(points: Float, quads: Index) -> Index:
     """Cut each quad ``(Q, 4)`` along its shorter diagonal into triangles ``(2Q, 3)``."""
     a, b, c, d = np.moveaxis(points[quads], 1, 0)
-    first = np.linalg.norm(a - c, axis=1) <= np.linalg.norm(b - d, axis=1)
-    halves = np.where(first[:, None], quads[:, [0, 1, 2, 0, 2, 3]], quads[:, [1, 2, 3, 1, 3, 0]])
-    return halves.reshape(-1, 3)
+    is_ac_shorter = np.linalg.norm(a - c, axis=1) <= np.linalg.norm(b - d, axis=1)
+    triangles = np.where(is_ac_shorter[:, None], quads[:, [0, 1, 2, 0, 2, 3]], quads[:, [1, 2, 3, 1, 3, 0]])
+    return triangles.reshape(-1, 3)
 
 
 def neighbour_mean(faces: Index, vertex_count: int) -> csr_array:
     """Return the matrix ``(V, V)`` that averages the values of a vertex's neighbours.
 
-    The mesh must be closed and oriented: then each neighbour follows the vertex in exactly one face.
+    The mesh must be closed and oriented, so that each neighbour follows the vertex in exactly one face.
     """
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     degree = np.bincount(start, minlength=vertex_count)
@@ -89,21 +89,21 @@ def neighbour_mean(faces: Index, vertex_count: int) -> csr_array:
 
 
 def relax(points: Float, faces: Index, implicit: Implicit, rounds: int) -> Float:
-    """Slide vertices ``(V, 3)`` towards the mean of their neighbours, along the surface."""
+    """Move vertices ``(V, 3)`` along the surface towards the mean of their neighbours."""
     mean = neighbour_mean(faces, len(points))
     for _ in range(rounds):
-        value, slope = _linearise(implicit, points)
+        value, gradient = _linearise(implicit, points)
         step = 0.6 * (mean @ points - points)
-        # the step that is closest to the wish and satisfies value + slope . step = 0
-        excess = (value + np.sum(slope * step, axis=1)) / np.sum(slope**2, axis=1)
-        points = points + step - excess[:, None] * slope
+        # The closest step that satisfies value + gradient . step = 0.
+        excess = (value + np.sum(gradient * step, axis=1)) / np.sum(gradient**2, axis=1)
+        points = points + step - excess[:, None] * gradient
     return points
 
 
-def _linearise(implicit: Implicit, points: Float, reach: float = 1e-5) -> tuple[Float, Float]:
+def _linearise(implicit: Implicit, points: Float, delta: float = 1e-5) -> tuple[Float, Float]:
     """Return value ``(V,)`` and gradient ``(V, 3)`` of the function, by central differences."""
-    ahead, behind = (implicit(points[:, None] + sign * reach * np.eye(3)) for sign in (1, -1))
-    return (ahead + behind).mean(axis=1) / 2, (ahead - behind) / (2 * reach)
+    ahead, behind = (implicit(points[:, None] + sign * delta * np.eye(3)) for sign in (1, -1))
+    return (ahead + behind).mean(axis=1) / 2, (ahead - behind) / (2 * delta)
 
 
 Vec3 = tuple[float, float, float]
@@ -113,8 +113,8 @@ Vec3 = tuple[float, float, float]
 class Bone:
     """A bone and its flesh, the hull of a ball at its head and a ball at its tail; lengths in metres.
 
-    Parents (empty for the root) come first in the table. `head` and `tail` (3,) are joint and far end at rest. `fillet`
-    is the width of the blend with earlier bones, which thickens the body by up to a quarter of that.
+    Parents (empty for the root) precede their children. `head` and `tail` (3,) are the joint and the far end at rest.
+    `fillet` is the width of the blend with earlier bones, which thickens the body by up to a quarter of it.
     """
 
     name: str
@@ -126,30 +126,30 @@ class Bone:
     fillet: float
 
 
-def _pairs(rows: Iterable[Bone]) -> tuple[Bone, ...]:
-    """Mirror every right bone; name the pair ``name.r`` and ``name.l``."""
+def _mirror_bones(right_bones: Iterable[Bone]) -> tuple[Bone, ...]:
+    """Mirror every bone off the plane ``z = 0``; name the pair ``name.r`` and ``name.l``."""
     bones: list[Bone] = []
     paired: set[str] = set()
-    for row in rows:
-        if row.head[2] == row.tail[2] == 0:
-            bones.append(row)
+    for bone in right_bones:
+        if bone.head[2] == bone.tail[2] == 0:
+            bones.append(bone)
             continue
-        paired.add(row.name)
+        paired.add(bone.name)
         for suffix, side in ((".r", 1.0), (".l", -1.0)):
             bones.append(
                 replace(
-                    row,
-                    name=row.name + suffix,
-                    parent=row.parent + suffix if row.parent in paired else row.parent,
-                    head=(row.head[0], row.head[1], side * row.head[2]),
-                    tail=(row.tail[0], row.tail[1], side * row.tail[2]),
+                    bone,
+                    name=bone.name + suffix,
+                    parent=bone.parent + suffix if bone.parent in paired else bone.parent,
+                    head=(bone.head[0], bone.head[1], side * bone.head[2]),
+                    tail=(bone.tail[0], bone.tail[1], side * bone.tail[2]),
                 )
             )
     return tuple(bones)
 
 
 # fmt: off
-BONES = _pairs((
+BONES = _mirror_bones((
     #    name            parent         head                    tail                    radii         fillet
     Bone("pelvis",       "",            (-0.25, 0.575, 0.000),  (-0.12, 0.580, 0.000),  0.112, 0.110, 0.00),
     Bone("belly",        "pelvis",      (-0.12, 0.580, 0.000),  ( 0.05, 0.580, 0.000),  0.110, 0.118, 0.01),
@@ -175,26 +175,27 @@ BONES = _pairs((
 ))
 # fmt: on
 
-NAMES = tuple(bone.name for bone in BONES)
-PARENTS = tuple(NAMES.index(bone.parent) if bone.parent else -1 for bone in BONES)
-HEADS: Float = np.array([bone.head for bone in BONES])
-TAILS: Float = np.array([bone.tail for bone in BONES])
-LENGTHS: Float = np.linalg.norm(TAILS - HEADS, axis=1)
-AXES: Float = (TAILS - HEADS) / LENGTHS[:, None]
+BONE_NAMES = tuple(bone.name for bone in BONES)
+BONE_PARENTS = tuple(BONE_NAMES.index(bone.parent) if bone.parent else -1 for bone in BONES)
+BONE_HEADS: Float = np.array([bone.head for bone in BONES])
+BONE_TAILS: Float = np.array([bone.tail for bone in BONES])
+BONE_LENGTHS: Float = np.linalg.norm(BONE_TAILS - BONE_HEADS, axis=1)
+BONE_AXES: Float = (BONE_TAILS - BONE_HEADS) / BONE_LENGTHS[:, None]
 
 
 def bone_distances(points: Float) -> Float:
     """Return the signed distance ``(..., B)`` from points ``(..., 3)`` to the flesh of every bone.
 
-    The hull of two balls is a cone with round ends. Of the balls along its axis, the nearest to a point lies off the
-    foot of the perpendicular by the slope of the cone, towards the thicker end.
+    The hull of two balls is a cone with round ends. The nearest ball along its axis is shifted from the foot of the
+    perpendicular by the slope of the cone, towards the thicker end.
     """
     radius = np.array([bone.head_radius for bone in BONES])
-    sine = (radius - np.array([bone.tail_radius for bone in BONES])) / LENGTHS
-    along = points @ AXES.T - np.sum(HEADS * AXES, axis=1)
-    squared = np.sum(points**2, axis=-1, keepdims=True) - 2 * points @ HEADS.T + np.sum(HEADS**2, axis=1)
+    sine = (radius - np.array([bone.tail_radius for bone in BONES])) / BONE_LENGTHS
+    along = points @ BONE_AXES.T - np.sum(BONE_HEADS * BONE_AXES, axis=1)
+    head_squares = np.sum(BONE_HEADS**2, axis=1)
+    squared = np.sum(points**2, axis=-1, keepdims=True) - 2 * points @ BONE_HEADS.T + head_squares
     across = np.sqrt(np.maximum(squared - along**2, 0))
-    ball = np.clip(along - across * (sine / np.sqrt(1 - sine**2)), 0, LENGTHS)
+    ball = np.clip(along - across * (sine / np.sqrt(1 - sine**2)), 0, BONE_LENGTHS)
     distances: Float = np.hypot(along - ball, across) - (radius - sine * ball)
     return distances
 
@@ -204,21 +205,21 @@ def body_distance(points: Float) -> Float:
     first, *others = np.moveaxis(bone_distances(points), -1, 0)
     body: Float = first
     for bone, other in zip(BONES[1:], others, strict=True):
-        # the quadratic smooth minimum of Quilez: exact where the two differ by more than the fillet's width
+        # Quadratic smooth minimum (Quilez), exact where the two differ by more than the fillet.
         overlap = np.maximum(bone.fillet - np.abs(body - other), 0)
         body = np.minimum(body, other) - overlap**2 / (4 * bone.fillet)
     return body
 
 
-DUTY = 0.64  # share of the cycle with a paw on the ground
-STEP = 0.30  # metres that the ground moves during that time
-LIFT = 0.062  # metres that a paw rises in the air
-SIDE = np.array([0.0, 0.0, 1.0])
+STANCE_FRACTION = 0.64  # of the cycle, with a paw on the ground
+STANCE_TRAVEL_METRES = 0.30  # of the ground during stance
+PAW_LIFT_METRES = 0.062
+SIDE_AXIS = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
 class Swing:
-    """A swinging joint: ``degrees * cos(2 pi (cycles * phase - delay))`` about ``axis``.
+    """A rotation of a bone: ``degrees * cos(2 pi (cycles * phase - delay))`` about ``axis``.
 
     About x a bone rolls, about y it yaws (positive turns the nose left), about z it pitches (positive raises the nose).
     """
@@ -232,7 +233,7 @@ class Swing:
 
 @dataclass(frozen=True)
 class Leg:
-    """A leg: its four bones, the phase at which its paw lands, and degrees that the pastern curls back in mid-air."""
+    """A leg: its four bones, the phase at which its paw lands, and degrees by which the pastern curls in mid-air."""
 
     upper: str
     lower: str
@@ -275,38 +276,39 @@ SWINGS = (
 )
 
 
-def pose(phase: Float) -> tuple[Float, Float]:
-    """Pose the skeleton: phase ``(T,)``; result ``(T, B, 3, 3)``, ``(T, B, 3)``."""
-    turns = np.tile(np.eye(3), (len(phase), len(NAMES), 1, 1))
+def pose_skeleton(phase: Float) -> tuple[Float, Float]:
+    """Pose the skeleton: phase ``(T,)``; rotations ``(T, B, 3, 3)``, heads ``(T, B, 3)``."""
+    swings = np.tile(np.eye(3), (len(phase), len(BONE_NAMES), 1, 1))
     for swing in SWINGS:
         angle = np.radians(swing.degrees) * np.cos(2 * np.pi * (swing.cycles * phase - swing.delay))
-        turns[:, NAMES.index(swing.bone)] @= _about("xyz".index(swing.axis), angle)
+        swings[:, BONE_NAMES.index(swing.bone)] @= _axis_rotations("xyz".index(swing.axis), angle)
 
-    rotations, heads = np.empty_like(turns), np.empty((len(phase), len(NAMES), 3))
-    rotations[:, 0] = turns[:, 0]
-    heads[:, 0] = HEADS[0] + _bob(phase)
-    for bone, parent in list(enumerate(PARENTS))[1:]:
-        rotations[:, bone] = rotations[:, parent] @ turns[:, bone]
-        heads[:, bone] = heads[:, parent] + rotations[:, parent] @ (HEADS[bone] - HEADS[parent])
+    rotations, heads = np.empty_like(swings), np.empty((len(phase), len(BONE_NAMES), 3))
+    rotations[:, 0] = swings[:, 0]
+    heads[:, 0] = BONE_HEADS[0] + _body_offset(phase)
+    for bone, parent in list(enumerate(BONE_PARENTS))[1:]:
+        rotations[:, bone] = rotations[:, parent] @ swings[:, bone]
+        heads[:, bone] = heads[:, parent] + rotations[:, parent] @ (BONE_HEADS[bone] - BONE_HEADS[parent])
     for leg in LEGS:
         _place_leg(leg, phase, rotations, heads)
     return rotations, heads
 
 
 def paw_path(phase: Float) -> tuple[Float, Float, Float]:
-    """Return the path of a paw that lands at phase 0: phase ``(T,)``; result ``(T,)``, ``(T,)``."""
+    """Return the path of a paw that lands at phase 0 ``(T,)``: forward offset, height and pitch ``(T,)``."""
     phase = phase % 1.0
-    air = np.clip((phase - DUTY) / (1 - DUTY), 0, 1)
-    # in the air a cubic that leaves and lands at the speed of the ground
-    overshoot = (1 - DUTY) / DUTY
+    air = np.clip((phase - STANCE_FRACTION) / (1 - STANCE_FRACTION), 0, 1)
+    # In the air a cubic that leaves and lands at the speed of the ground.
+    overshoot = (1 - STANCE_FRACTION) / STANCE_FRACTION
     swing = air**2 * (3 - 2 * air) * (1 + overshoot) - overshoot * air
-    forward = STEP * np.where(phase < DUTY, 0.5 - phase / DUTY, swing - 0.5)
-    height = LIFT * np.sin(np.pi * air**0.85) ** 2
+    stance = phase / STANCE_FRACTION
+    forward = STANCE_TRAVEL_METRES * np.where(phase < STANCE_FRACTION, 0.5 - stance, swing - 0.5)
+    height = PAW_LIFT_METRES * np.sin(np.pi * air**0.85) ** 2
     pitch = np.radians(14 * _bump(phase, 0.93, 0.07) - 48 * _bump(phase, 0.72, 0.18))
     return forward, height, pitch
 
 
-def _bob(phase: Float) -> Float:
+def _body_offset(phase: Float) -> Float:
     """Return the offset of the body ``(T, 3)``: down at each hind landing, towards the supporting leg."""
     once, twice = 2 * np.pi * phase, 4 * np.pi * phase
     return np.stack(
@@ -314,52 +316,54 @@ def _bob(phase: Float) -> Float:
     )
 
 
-def _about(axis: int, angle: Float) -> Float:
+def _axis_rotations(axis: int, angle: Float) -> Float:
     """Return rotations ``(T, 3, 3)`` about a coordinate axis by angles ``(T,)`` in radians."""
     return Rotation.from_rotvec(angle[:, None] * np.eye(3)[axis]).as_matrix()
 
 
 def _bump(phase: Float, centre: float, width: float) -> Float:
-    """Rise from 0 to 1 and back, smoothly, within ``width`` on either side of ``centre``."""
+    """Return a smooth bump of height 1 and half width ``width`` at phase ``centre``."""
     offset = (phase - centre + 0.5) % 1.0 - 0.5
     return np.where(np.abs(offset) < width, np.cos(np.pi / 2 * offset / width) ** 2, 0.0)
 
 
 def _place_leg(leg: Leg, phase: Float, rotations: Float, heads: Float) -> None:
-    """Write the pose of one leg's four bones, so that its paw follows the path."""
-    upper, lower, pastern, paw = (NAMES.index(name) for name in (leg.upper, leg.lower, leg.pastern, leg.paw))
+    """Write the poses of a leg's four bones, so that its paw follows its path."""
+    upper, lower, pastern, paw = map(BONE_NAMES.index, (leg.upper, leg.lower, leg.pastern, leg.paw))
+    rest, swing_fraction = BONE_HEADS, 1 - STANCE_FRACTION
     phase = (phase - leg.landing) % 1.0
     forward, height, pitch = paw_path(phase)
 
-    lean = np.arctan(forward / HEADS[upper, 1])
-    fold = np.radians(leg.curl) * _bump(phase, DUTY + 0.4 * (1 - DUTY), 0.5 * (1 - DUTY) + 0.04)
-    rotations[:, paw] = _about(2, pitch)
-    rotations[:, pastern] = _about(2, lean - fold)
-    toes = TAILS[paw] + np.stack([forward, height, 0 * phase], axis=1)
-    heads[:, paw] = toes - rotations[:, paw] @ (TAILS[paw] - HEADS[paw])
-    heads[:, pastern] = heads[:, paw] - rotations[:, pastern] @ (HEADS[paw] - HEADS[pastern])
+    lean = np.arctan(forward / rest[upper, 1])
+    bump = _bump(phase, STANCE_FRACTION + 0.4 * swing_fraction, 0.5 * swing_fraction + 0.04)
+    fold = np.radians(leg.curl) * bump
+    rotations[:, paw] = _axis_rotations(2, pitch)
+    rotations[:, pastern] = _axis_rotations(2, lean - fold)
+    toes = BONE_TAILS[paw] + np.stack([forward, height, 0 * phase], axis=1)
+    heads[:, paw] = toes - rotations[:, paw] @ (BONE_TAILS[paw] - rest[paw])
+    heads[:, pastern] = heads[:, paw] - rotations[:, pastern] @ (rest[paw] - rest[pastern])
 
-    heads[:, lower], side = _reach(heads[:, upper], heads[:, pastern], HEADS[[upper, lower, pastern]])
-    rotations[:, upper] = _turn(heads[:, lower] - heads[:, upper], HEADS[lower] - HEADS[upper], side)
-    rotations[:, lower] = _turn(heads[:, pastern] - heads[:, lower], HEADS[pastern] - HEADS[lower], side)
+    heads[:, lower], side = _solve_knee(heads[:, upper], heads[:, pastern], rest[[upper, lower, pastern]])
+    for bone, child in ((upper, lower), (lower, pastern)):
+        rotations[:, bone] = _align_bone(heads[:, child] - heads[:, bone], rest[child] - rest[bone], side)
 
 
-def _reach(hip: Float, ankle: Float, rest: Float) -> tuple[Float, Float]:
-    """Find the knee between hip and ankle ``(T, 3)``: rest ``(3, 3)``; result ``(T, 3)``, ``(T, 3)``."""
+def _solve_knee(hip: Float, ankle: Float, rest: Float) -> tuple[Float, Float]:
+    """Return knee and sideways axis ``(T, 3)`` between hip and ankle ``(T, 3)``: rest positions ``(3, 3)``."""
     thigh, shank = np.linalg.norm(np.diff(rest, axis=0), axis=1)
     span = np.linalg.norm(ankle - hip, axis=1, keepdims=True)
     down = (ankle - hip) / span
-    side = SIDE - (down @ SIDE)[:, None] * down
+    side = SIDE_AXIS - (down @ SIDE_AXIS)[:, None] * down
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     along = (thigh**2 - shank**2 + span**2) / (2 * span)
     aside = np.sqrt(np.maximum(thigh**2 - along**2, 0))
-    bend = np.sign(np.cross(rest[2] - rest[0], rest[1] - rest[0])[2])
-    return hip + along * down + bend * aside * np.cross(side, down), side
+    bend_sign = np.sign(np.cross(rest[2] - rest[0], rest[1] - rest[0])[2])
+    return hip + along * down + bend_sign * aside * np.cross(side, down), side
 
 
-def _turn(posed: Float, rest: Float, side: Float) -> Float:
-    """Return rotations ``(T, 3, 3)`` that take a bone's rest direction to the posed one, and +z to ``side``."""
-    return _frame(posed, side) @ np.swapaxes(_frame(rest[None], SIDE[None]), 1, 2)
+def _align_bone(posed: Float, rest: Float, side: Float) -> Float:
+    """Return rotations ``(T, 3, 3)`` that map a bone's rest direction to the posed one, and +z to ``side``."""
+    return _frame(posed, side) @ np.swapaxes(_frame(rest[None], SIDE_AXIS[None]), 1, 2)
 
 
 def _frame(along: Float, side: Float) -> Float:
@@ -370,8 +374,8 @@ def _frame(along: Float, side: Float) -> Float:
     return np.stack([along, across, np.cross(along, across)], axis=2)
 
 
-CELL = 0.0215  # metres, about the length of an edge
-SOFTNESS = 8  # steps of diffusion, each of which widens a joint by one ring of vertices
+CELL_METRES = 0.0215  # about the length of an edge
+WEIGHT_SMOOTHING_STEPS = 8  # each widens a joint by one ring of vertices
 
 
 def walk_cycle(frames: int = 48, fps: float = 24.0) -> MeshSequence:
@@ -396,19 +400,19 @@ def walk_cycle(frames: int = 48, fps: float = 24.0) -> MeshSequence:
     True
     """
     with one_blas_thread():
-        rest, faces, weights = _rest()
-        rotations, heads = pose(np.arange(frames) / frames)
-        # linear blend skinning: bone b takes a point x to rotation x + (head - rotation rest_head)
-        shifts = heads - np.einsum("tbij,bj->tbi", rotations, HEADS)
+        rest, faces, weights = _rest_mesh()
+        rotations, heads = pose_skeleton(np.arange(frames) / frames)
+        # Linear blend skinning: bone b maps a point x to rotation x + (head - rotation rest_head).
+        translations = heads - np.einsum("tbij,bj->tbi", rotations, BONE_HEADS)
         blended = np.einsum("vb,tbij->tvij", weights, rotations, optimize=True)
         points = np.einsum("tvij,vj->tvi", blended, rest) + np.einsum(
-            "vb,tbi->tvi", weights, shifts, optimize=True
+            "vb,tbi->tvi", weights, translations, optimize=True
         )
     return MeshSequence.from_arrays(points, faces, fps=fps, up_axis="Y", metres_per_unit=1.0, name="fox")
 
 
 def part_of_vertex() -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Tell which bone moves each vertex most.
+    """Return the bone with the largest skinning weight of each vertex.
 
     Returns
     -------
@@ -418,14 +422,14 @@ def part_of_vertex() -> tuple[NDArray[np.int64], tuple[str, ...]]:
         Names of the bones.
     """
     with one_blas_thread():
-        return np.argmax(_rest()[2], axis=1), NAMES
+        return np.argmax(_rest_mesh()[2], axis=1), BONE_NAMES
 
 
 @cache
-def _rest() -> tuple[Float, Index, Float]:
-    """Rest pose ``(V, 3)``, faces ``(F, 3)`` and skinning weights ``(V, B)``; read-only, as it is cached."""
+def _rest_mesh() -> tuple[Float, Index, Float]:
+    """Return rest pose ``(V, 3)``, faces ``(F, 3)`` and skinning weights ``(V, B)``, cached and read-only."""
     low, high = np.array([-1.05, -0.05, -0.24]), np.array([0.70, 1.08, 0.24])
-    points, faces = polygonise(body_distance, low, high, CELL)
+    points, faces = polygonise(body_distance, low, high, CELL_METRES)
     arrays = points, faces, skin_weights(points, faces)
     for array in arrays:
         array.flags.writeable = False
@@ -433,9 +437,9 @@ def _rest() -> tuple[Float, Index, Float]:
 
 
 def skin_weights(points: Float, faces: Index) -> Float:
-    """Return weights ``(V, B)`` of points ``(V, 3)``, faces ``(F, 3)``: nearest bones, diffused `SOFTNESS` edges."""
-    weights: Float = np.eye(len(NAMES))[np.argmin(bone_distances(points), axis=1)]
+    """Return skinning weights ``(V, B)`` of points ``(V, 3)``, faces ``(F, 3)``: nearest bones, smoothed."""
+    weights: Float = np.eye(len(BONE_NAMES))[np.argmin(bone_distances(points), axis=1)]
     mean = neighbour_mean(faces, len(points))
-    for _ in range(SOFTNESS):
+    for _ in range(WEIGHT_SMOOTHING_STEPS):
         weights = (weights + mean @ weights) / 2
     return weights

@@ -1,23 +1,23 @@
-"""The tree of errors.
+"""All errors and warnings of mixseq.
 
 ::
 
     MixseqError
     ├── InvalidSequenceError   points, faces or times that are not a mesh sequence
     ├── SegmentationError      a segmentation that does not fit the mesh or the request
-    ├── ReconstructionError    a point of the shape space that no mesh could be found for
+    ├── ReconstructionError    a point of the shape space for which no mesh was found
     ├── SettingsError          a setting outside its range, or two that exclude each other
     ├── FormatError            a file that cannot be read: wrong type, damaged, too new
     │   ├── AmbiguousError     a file with several candidates, where one must be chosen
     │   └── NoMeshError        a file without a mesh, or with none on its skeleton
     ├── OutputError            a file that cannot be written
     ├── ClusterError           workers that cannot be reached, do not fit, or were lost
-    │   └── GivenUpError       work over which several workers died
+    │   └── GivenUpError       a task that killed several workers
     └── MissingExtraError      an optional package or program that is not installed
 
-    MixseqWarning              data that a format cannot hold, or that was repaired
+    MixseqWarning              data that a format cannot hold, or that were repaired
 
-Messages name the file, frame, part or face, and the fix.
+Messages name the file, frame, part or face, and the cure.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class AmbiguousError(FormatError):
 
 
 class NoMeshError(FormatError):
-    """A file that is read as it should be, and has no mesh, or none on its skeleton."""
+    """A sound file that has no mesh, or none on its skeleton."""
 
 
 class OutputError(MixseqError):
@@ -64,7 +64,7 @@ class ClusterError(MixseqError):
 
 
 class GivenUpError(ClusterError):
-    """Work over which several workers died."""
+    """A task that killed several workers."""
 
 
 class MissingExtraError(MixseqError):

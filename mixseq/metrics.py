@@ -11,7 +11,7 @@ bounding box of A's first frame:
 - *volume error* of a frame: :math:`|\mathrm{vol}_B / \mathrm{vol}_A - 1|`
 
 Frames are compared in blocks, in float64, at any scale (`mixseq.mesh.measures`). Percentiles are exact, as the largest
-thousandth of all values is kept.
+thousandth of all values is stored.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from mixseq.compression.numbering import Renumbering, find_numbering, identity_numbering, object_vertex_counts
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.measures import Diagonal, dihedral_angles, edge_lengths, flat_faces, wrap
+from mixseq.mesh.measures import Diagonal, degenerate_faces, dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.polygons import match_triangles
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
@@ -35,13 +35,13 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames
 from mixseq.types import Float
 
-SAME_TIME = 1e-6
-"""Largest difference of equal times, as a fraction of a frame."""
+TIME_TOLERANCE_FRAMES = 1e-6
+"""Largest difference of equal times, in frames."""
 
-FLAT = 1e-6
-"""Height of a face relative to its longest side below which its normal is undefined."""
+DEGENERATE_HEIGHT_RATIO = 1e-6
+"""Height of a face relative to its longest side up to which its normal is undefined."""
 
-_BLOCK = 50_000  # vertices compared at once, some 40 MB of temporaries
+_MAX_BLOCK_VERTICES = 50_000  # in all frames of a block, about 40 MB of temporaries
 
 
 @dataclass(frozen=True)
@@ -133,31 +133,29 @@ def compare(a: Frames, b: Frames) -> Comparison:
     >>> round(error.edge_strain.max, 9), round(error.volume.max, 9), round(error.dihedral_degrees.max, 9)
     (0.1, 0.331, 0.0)
     """
-    a, _ = comparable(a, b.header)
+    a, _ = match_reference(a, b.header)
     header = a.header
     topology = Topology(header.faces, header.vertex_count)
     strains = RunningStatistics(header.frame_count * len(topology.edges))
     angles = RunningStatistics(header.frame_count * len(topology.hinges))
-    closed = not any(
-        len(edges)
-        for edges in (topology.boundary_edges, topology.non_manifold_edges, topology.inconsistent_edges)
-    )
-    squares = variation = 0.0
+    defects = topology.boundary_edges, topology.non_manifold_edges, topology.inconsistent_edges
+    is_closed = not any(len(edges) for edges in defects)
+    error_squares = variation_squares = 0.0
     unit = Diagonal(0.0, 0)
     largest: list[Float] = []
     volumes: list[Float] = []
-    for x, y in paired_blocks(a, b, max(1, _BLOCK // header.vertex_count)):
+    for x, y in paired_blocks(a, b, max(1, _MAX_BLOCK_VERTICES // header.vertex_count)):
         if not largest:
-            unit = Diagonal.of(x[0])
-        apart, x, y = (unit.shifted(lengths) for lengths in (x - y, x, y))
-        distances = np.einsum("tvi,tvi->tv", apart, apart)
-        squares += float(distances.sum())
-        variation += float(np.square(x - x.mean(axis=1, keepdims=True)).sum())
-        largest.append(np.sqrt(distances.max(axis=1)))
-        _gather_strains(strains, topology, x, y)
-        _gather_angles(angles, topology, x, y)
-        if closed:
-            volumes.append(np.stack([_volumes(x, header.faces), _volumes(y, header.faces)]))
+            unit = Diagonal.from_points(x[0])
+        difference, x, y = (unit.rescale(lengths) for lengths in (x - y, x, y))
+        squares = np.einsum("tvi,tvi->tv", difference, difference)
+        error_squares += float(squares.sum())
+        variation_squares += float(np.square(x - x.mean(axis=1, keepdims=True)).sum())
+        largest.append(np.sqrt(squares.max(axis=1)))
+        _add_strains(strains, topology, x, y)
+        _add_angles(angles, topology, x, y)
+        if is_closed:
+            volumes.append(np.stack([_signed_volumes(x, header.faces), _signed_volumes(y, header.faces)]))
 
     per_frame = np.concatenate(largest)
     worst = int(per_frame.argmax())
@@ -166,98 +164,100 @@ def compare(a: Frames, b: Frames) -> Comparison:
         frames=header.frame_count,
         vertices=header.vertex_count,
         diagonal=unit.length,
-        kg_percent=100 * _ratio(np.sqrt(squares), np.sqrt(variation)),
-        rms_error=_ratio(np.sqrt(squares / count), unit.fraction),
+        kg_percent=100 * _ratio(np.sqrt(error_squares), np.sqrt(variation_squares)),
+        rms_error=_ratio(np.sqrt(error_squares / count), unit.fraction),
         max_error=_ratio(per_frame[worst], unit.fraction),
         worst_frame=worst,
         worst_time=float(header.times[worst]),
         edge_strain=strains.result(),
         dihedral_degrees=angles.result(),
-        volume=_volume_error(np.concatenate(volumes, axis=1), unit.fraction) if closed else None,
+        volume=_volume_error(np.concatenate(volumes, axis=1), unit.fraction) if is_closed else None,
         per_frame_max=np.array([_ratio(value, unit.fraction) for value in per_frame]),
     )
 
 
-def shared_frames(a: SequenceHeader, b: SequenceHeader) -> NDArray[np.int64] | None:
+def match_frames(a: SequenceHeader, b: SequenceHeader) -> NDArray[np.int64] | None:
     """Return the frame indices ``(T,)`` of b at the times of a, or None if b lacks one of them."""
     after = np.clip(np.searchsorted(b.times, a.times), 1, max(b.frame_count - 1, 1))
     before = after - 1
     after = np.minimum(after, b.frame_count - 1)
-    nearer = np.abs(b.times[before] - a.times) <= np.abs(b.times[after] - a.times)
-    frames = np.where(nearer, before, after)
-    same = np.abs(b.times[frames] - a.times) <= SAME_TIME / a.fps
-    return frames if same.all() else None
+    is_before = np.abs(b.times[before] - a.times) <= np.abs(b.times[after] - a.times)
+    frames = np.where(is_before, before, after)
+    is_same = np.abs(b.times[frames] - a.times) <= TIME_TOLERANCE_FRAMES / a.fps
+    return frames if is_same.all() else None
 
 
-def comparable(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
-    """Return `a` with vertices in the order of `b`, and their renumbering.
+def match_reference(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
+    """Return the reference `a` with vertices in the order of `b`, and their renumbering.
 
-    Polygons may be in any order; vertices in the same one, or one of both in that of a compressed file. Raises
-    InvalidSequenceError if meshes or times differ.
+    Polygons may be in any order. Vertices may be renumbered by a compressed file. Raises InvalidSequenceError if meshes
+    or times differ.
     """
     header = a.header
-    for what, one, other in (
+    for what, count, other_count in (
         ("vertices", header.vertex_count, b.vertex_count),
         ("frames", header.frame_count, b.frame_count),
     ):
-        if one != other:
-            raise InvalidSequenceError(f"the reference has {one} {what}, the other sequence {other}")
-    found = _numbering(header, b)
-    if found is None:
-        found = identity_numbering(header.polygons, header.vertex_count)
+        if count != other_count:
+            raise InvalidSequenceError(f"the reference has {count} {what}, the other sequence {other_count}")
+    renumbering = _find_renumbering(header, b)
+    if renumbering is None:
+        renumbering = identity_numbering(header.polygons, header.vertex_count)
         try:
             match_triangles(header.polygons, b.polygons, ("the reference", "the other sequence"))
         except InvalidSequenceError as error:
             raise InvalidSequenceError(f"{error}; vertices must be in the same order") from None
-    apart = np.abs(header.times - b.times) > SAME_TIME / header.fps
-    if apart.any():
-        frame = int(apart.argmax())
+    differs = np.abs(header.times - b.times) > TIME_TOLERANCE_FRAMES / header.fps
+    if differs.any():
+        frame = int(differs.argmax())
         raise InvalidSequenceError(
             f"{header.frame_name(frame)} is at {header.times[frame]:.9g} s in the reference, at "
-            f"{b.times[frame]:.9g} s in the other sequence; sequences are compared at the same times"
+            f"{b.times[frame]:.9g} s in the other sequence; give sequences with the same times"
         )
-    return (a if found.order != "free" else found.renumber_frames(a)), found
+    return (a if renumbering.order != "free" else renumbering.renumber_frames(a)), renumbering
 
 
-def _numbering(a: SequenceHeader, b: SequenceHeader) -> Renumbering | None:
-    """Return the renumbering of the vertices of a mesh in another one, None if the meshes differ."""
-    found = find_numbering(b.polygons, a.polygons, object_vertex_counts(a))
-    if (
-        found is None
-        and (back := find_numbering(a.polygons, b.polygons, object_vertex_counts(b))) is not None
-    ):
-        found = replace(identity_numbering(a.polygons, a.vertex_count), vertices=back.inverse.vertices)
-    return found
+def _find_renumbering(a: SequenceHeader, b: SequenceHeader) -> Renumbering | None:
+    """Return the renumbering of the vertices of `a` in `b`, None if the meshes differ."""
+    renumbering = find_numbering(b.polygons, a.polygons, object_vertex_counts(a))
+    if renumbering is not None:
+        return renumbering
+    inverse = find_numbering(a.polygons, b.polygons, object_vertex_counts(b))
+    if inverse is None:
+        return None
+    return replace(identity_numbering(a.polygons, a.vertex_count), vertices=inverse.inverse.vertices)
 
 
 def paired_blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Float]]:
     """Yield the points of both in blocks ``(B, V, 3)`` of `size` frames, as float64."""
-    x, y = (chain.from_iterable(each.blocks(size)) for each in (a, b))
-    while frames := list(islice(x, size)):
-        others = list(islice(y, size))
-        if len(others) != len(frames):
-            raise InvalidSequenceError(
-                "the other sequence ends before the reference; its file is not complete"
-            )
-        yield np.stack(frames).astype(np.float64), np.stack(others).astype(np.float64)
+    x, y = (chain.from_iterable(sequence.blocks(size)) for sequence in (a, b))
+    while x_block := list(islice(x, size)):
+        y_block = list(islice(y, size))
+        if len(y_block) != len(x_block):
+            raise InvalidSequenceError("the other sequence ends before the reference; its file is incomplete")
+        yield np.stack(x_block).astype(np.float64), np.stack(y_block).astype(np.float64)
     if next(y, None) is not None:
-        raise InvalidSequenceError("the other sequence goes on after the reference ends; its header is wrong")
+        raise InvalidSequenceError(
+            "the other sequence has more frames than the reference; its header is wrong"
+        )
 
 
-def _gather_strains(strains: RunningStatistics, topology: Topology, x: Float, y: Float) -> None:
+def _add_strains(strains: RunningStatistics, topology: Topology, x: Float, y: Float) -> None:
     lengths = edge_lengths(x, topology.edges)
-    there = lengths > 0
-    strains.add(np.abs(edge_lengths(y, topology.edges)[there] / lengths[there] - 1))
+    defined = lengths > 0
+    strains.add(np.abs(edge_lengths(y, topology.edges)[defined] / lengths[defined] - 1))
 
 
-def _gather_angles(angles: RunningStatistics, topology: Topology, x: Float, y: Float) -> None:
-    flat = flat_faces(x, topology.faces, FLAT) | flat_faces(y, topology.faces, FLAT)
-    there = ~flat[:, topology.hinge_faces].any(axis=2)
-    turn = wrap(dihedral_angles(y, topology.hinges)[there] - dihedral_angles(x, topology.hinges)[there])
-    angles.add(np.degrees(np.abs(turn)))
+def _add_angles(angles: RunningStatistics, topology: Topology, x: Float, y: Float) -> None:
+    degenerate = np.logical_or(
+        *(degenerate_faces(z, topology.faces, DEGENERATE_HEIGHT_RATIO) for z in (x, y))
+    )
+    defined = ~degenerate[:, topology.hinge_faces].any(axis=2)
+    x_angles, y_angles = (dihedral_angles(z, topology.hinges)[defined] for z in (x, y))
+    angles.add(np.degrees(np.abs(wrap_angles(y_angles - x_angles))))
 
 
-def _volumes(points: Float, faces: NDArray[np.int32]) -> Float:
+def _signed_volumes(points: Float, faces: NDArray[np.int32]) -> Float:
     """Return signed volumes ``(B,)``, summed over tetrahedra of faces and centroid."""
     centred = points - points.mean(axis=1, keepdims=True)
     p, q, r = (centred[:, faces[:, corner]] for corner in range(3))
@@ -265,10 +265,10 @@ def _volumes(points: Float, faces: NDArray[np.int32]) -> Float:
 
 
 def _volume_error(volumes: Float, diagonal: float) -> VolumeError | None:
-    ours, theirs = volumes
-    if (np.abs(ours) <= 1e-12 * diagonal**3).any():
+    reference, other = volumes
+    if (np.abs(reference) <= 1e-12 * diagonal**3).any():
         return None
-    errors = np.abs(theirs / ours - 1)
+    errors = np.abs(other / reference - 1)
     return VolumeError(mean=float(errors.mean()), max=float(errors.max()))
 
 

@@ -1,4 +1,4 @@
-"""Types of arrays and paths for signatures, and evenly spaced indices."""
+"""Types of arrays and paths, and evenly spaced indices."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Float", "FloatArray", "Index", "IntArray", "Mask", "PathLike", "Single", "evenly"]
+__all__ = ["Float", "FloatArray", "Index", "Int32", "IntArray", "Mask", "PathLike", "Single", "evenly_spaced"]
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
 Index = NDArray[np.int64]
+Int32 = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 
 FloatArray = NDArray[np.floating[Any]]
@@ -25,6 +26,6 @@ PathLike = str | os.PathLike[str]
 """Path of a file."""
 
 
-def evenly(count: int, at_most: int) -> Index:
-    """Return at most `at_most` evenly spaced indices below `count`, with the first and the last."""
-    return np.unique(np.linspace(0, count - 1, min(count, at_most)).round().astype(np.int64))
+def evenly_spaced(count: int, max_count: int) -> Index:
+    """Return at most `max_count` evenly spaced indices below `count`, with the first and the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, max_count)).round().astype(np.int64))

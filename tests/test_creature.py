@@ -11,20 +11,20 @@ from threadpoolctl import threadpool_limits
 
 from mixseq import creature
 from mixseq.creature import (
+    BONE_HEADS,
+    BONE_NAMES,
+    BONE_PARENTS,
+    BONE_TAILS,
     BONES,
-    DUTY,
-    HEADS,
     LEGS,
-    NAMES,
-    PARENTS,
-    STEP,
-    TAILS,
+    STANCE_FRACTION,
+    STANCE_TRAVEL_METRES,
     body_distance,
     bone_distances,
     part_of_vertex,
     paw_path,
     polygonise,
-    pose,
+    pose_skeleton,
     walk_cycle,
 )
 from mixseq.sequence.sequence import MeshSequence
@@ -122,14 +122,14 @@ def test_edges_keep_their_length(fox: MeshSequence) -> None:
 
 
 def test_middle_of_each_limb_is_nearly_rigid(fox: MeshSequence) -> None:
-    rotations, heads = pose(np.arange(48) / 48)
+    rotations, heads = pose_skeleton(np.arange(48) / 48)
     part, names = part_of_vertex()
     for name in ("arm.l", "forearm.r", "thigh.l", "shank.r", "head", "tail3", "belly"):
         bone = names.index(name)
         # where its vertices are as seen from the bone: they hardly move
         offset = fox.points[:, part == bone] - heads[:, None, bone]
         local = np.einsum("tji,tvj->tvi", rotations[:, bone], offset)
-        along = local[0] @ (TAILS - HEADS)[bone] / np.sum((TAILS - HEADS)[bone] ** 2)
+        along = local[0] @ (BONE_TAILS - BONE_HEADS)[bone] / np.sum((BONE_TAILS - BONE_HEADS)[bone] ** 2)
         wobble = np.ptp(local, axis=0).max(axis=1)
         assert np.median(wobble[np.abs(along - 0.5) < 0.15]) < 0.01, name
 
@@ -144,12 +144,12 @@ def test_every_bone_has_vertices(fox: MeshSequence) -> None:
 def test_planted_paws_move_with_the_ground(fox: MeshSequence) -> None:
     part, names = part_of_vertex()
     phase = np.arange(48) / 48
-    speed = STEP / DUTY / 48  # metres per frame
+    speed = STANCE_TRAVEL_METRES / STANCE_FRACTION / 48  # metres per frame
     for leg in LEGS:
         paw = np.flatnonzero(part == names.index(leg.paw))
         sole = paw[np.argsort(fox.points[:, paw, 1].mean(axis=0))[:5]]
         # the heel rises in late stance, so look where the whole sole is down
-        flat = np.flatnonzero((phase - leg.landing) % 1.0 < 0.8 * DUTY)
+        flat = np.flatnonzero((phase - leg.landing) % 1.0 < 0.8 * STANCE_FRACTION)
         flat = flat[np.isin((flat + 1) % 48, flat)]
         steps = fox.points[(flat + 1) % 48][:, sole] - fox.points[flat][:, sole]
         assert np.abs(steps[..., 0] + speed).max() < 0.15 * speed
@@ -159,7 +159,7 @@ def test_planted_paws_move_with_the_ground(fox: MeshSequence) -> None:
 
 def test_walk_always_has_two_or_three_paws_down() -> None:
     phase = np.linspace(0, 1, 200, endpoint=False)
-    down = sum(((phase - leg.landing) % 1.0 < DUTY).astype(int) for leg in LEGS)
+    down = sum(((phase - leg.landing) % 1.0 < STANCE_FRACTION).astype(int) for leg in LEGS)
     assert set(np.unique(down)) <= {2, 3}
     assert [leg.paw for leg in LEGS] == ["hindpaw.l", "forepaw.l", "hindpaw.r", "forepaw.r"]
 
@@ -172,12 +172,12 @@ def test_paw_path_is_periodic_and_smooth() -> None:
 
 
 def test_bones_keep_their_length_and_stay_connected() -> None:
-    rotations, heads = pose(np.linspace(0, 1, 97))
+    rotations, heads = pose_skeleton(np.linspace(0, 1, 97))
     assert np.allclose(rotations @ np.swapaxes(rotations, 2, 3), np.eye(3))
     assert np.allclose(np.linalg.det(rotations), 1)
-    for bone, parent in list(enumerate(PARENTS))[1:]:
-        joint = heads[:, parent] + rotations[:, parent] @ (HEADS[bone] - HEADS[parent])
-        assert np.allclose(joint, heads[:, bone], atol=1e-9), NAMES[bone]
+    for bone, parent in list(enumerate(BONE_PARENTS))[1:]:
+        joint = heads[:, parent] + rotations[:, parent] @ (BONE_HEADS[bone] - BONE_HEADS[parent])
+        assert np.allclose(joint, heads[:, bone], atol=1e-9), BONE_NAMES[bone]
 
 
 def test_bone_distance_of_known_points() -> None:
@@ -191,8 +191,8 @@ def test_bone_distance_of_known_points() -> None:
 
 
 def test_body_encloses_every_bone() -> None:
-    assert body_distance(HEADS).max() < 0
-    assert body_distance(TAILS).max() < 0
+    assert body_distance(BONE_HEADS).max() < 0
+    assert body_distance(BONE_TAILS).max() < 0
 
 
 def test_polygonise_makes_a_sphere() -> None:
@@ -207,7 +207,7 @@ def test_polygonise_makes_a_sphere() -> None:
 
 def test_threads_do_not_matter() -> None:
     def made(threads: int) -> bytes:
-        creature._rest.cache_clear()
+        creature._rest_mesh.cache_clear()
         with threadpool_limits(threads):
             return walk_cycle(4).points.tobytes()
 

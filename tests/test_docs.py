@@ -297,7 +297,7 @@ def test_pages_name_no_folder_of_some_machine() -> None:
 
 
 def test_reference_has_what_all_commands_share() -> None:
-    described = section("docs/cli.md", "Options that several commands have")
+    described = section("docs/cli.md", "Common options")
     assert all(f"`{option.opts[0]} {option.metavar}` | all |" in described for option in main.shared)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from mixseq import metrics
 from mixseq.errors import InvalidSequenceError
-from mixseq.metrics import compare, shared_frames
+from mixseq.metrics import compare, match_frames
 from mixseq.runtime.low_memory import Statistics
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
@@ -118,8 +118,8 @@ def test_dihedral_angles_go_the_shorter_way_around() -> None:
 def test_volume(mesh: Callable[[], MeshSequence], volume: float) -> None:
     a = mesh()
     moved = a.points.astype(np.float64) @ rotation((1, 2, 3)).T + 50
-    assert metrics._volumes(moved, a.faces) == pytest.approx([volume])
-    assert metrics._volumes(a.points.astype(np.float64), a.faces[:, ::-1]) == pytest.approx([-volume])
+    assert metrics._signed_volumes(moved, a.faces) == pytest.approx([volume])
+    assert metrics._signed_volumes(a.points.astype(np.float64), a.faces[:, ::-1]) == pytest.approx([-volume])
 
 
 def test_volume_error_of_a_sheared_and_of_a_stretched_cube() -> None:
@@ -159,7 +159,7 @@ def test_a_flat_closed_mesh_has_no_volume() -> None:
 
 @pytest.mark.parametrize("block", [1, 100, 10**6])
 def test_worst_frame(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(metrics, "_BLOCK", block)
+    monkeypatch.setattr(metrics, "_MAX_BLOCK_VERTICES", block)
     a = bar(frames=7)
     points = a.points.copy()
     points[2, 11] += [0, 3e-3, 4e-3]
@@ -179,7 +179,7 @@ def test_blocks_do_not_matter(name: str, monkeypatch: pytest.MonkeyPatch) -> Non
     noise = np.random.default_rng(3).normal(size=a.points.shape) * 1e-3 * a.diagonal
     b = a.with_points((a.points + noise).astype(a.points.dtype))
     whole = compare(a, b)
-    monkeypatch.setattr(metrics, "_BLOCK", 1)
+    monkeypatch.setattr(metrics, "_MAX_BLOCK_VERTICES", 1)
     single = compare(a, b)
     assert single.per_frame_max.tolist() == whole.per_frame_max.tolist()
     assert single.kg_percent == pytest.approx(whole.kg_percent)
@@ -264,7 +264,7 @@ def _turned_face() -> MeshSequence:
             r"polygon 399 of the reference \(vertices \d+ \d+ \d+\) is not in the other sequence; vertices must be",
         ),
         (lambda: bar(frames=6), r"the reference has 5 frames, the other sequence 6"),
-        (_turned_face, r"polygon 7 of the reference \(.*\) is the other way round in the other sequence"),
+        (_turned_face, r"polygon 7 of the reference \(.*\) is flipped in the other sequence"),
         (
             lambda: MeshSequence.from_arrays(bar().points, bar().faces, times=[0, 0.1, 0.2, 0.31, 0.4]),
             r"frame 3 is at 0\.3 s in the reference, at 0\.31 s in the other",
@@ -287,16 +287,16 @@ def test_rounded_times_are_the_same() -> None:
 def test_shared_frames() -> None:
     slow = bar(frames=5).header
     fast = slow.with_times(np.arange(9) / 20 + 1e-9, fps=20)
-    chosen = shared_frames(slow, fast)
+    chosen = match_frames(slow, fast)
     assert chosen is not None
     assert chosen.tolist() == [0, 2, 4, 6, 8]
-    assert shared_frames(fast, slow) is None
-    assert shared_frames(slow, slow.with_times(np.arange(9) / 20 + 0.01)) is None
+    assert match_frames(fast, slow) is None
+    assert match_frames(slow, slow.with_times(np.arange(9) / 20 + 0.01)) is None
     one = slow.with_times([0.2])
-    found = shared_frames(one, slow)
+    found = match_frames(one, slow)
     assert found is not None
     assert found.tolist() == [2]
-    assert shared_frames(slow, one) is None
+    assert match_frames(slow, one) is None
 
 
 # As numbers -----------------------------------------------------------------------------------------------

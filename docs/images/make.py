@@ -22,7 +22,7 @@ from mixseq.cli.transfer import command as transfer_command
 from mixseq.compression.bitstream.compressed_sequence import decode_basis
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.creature import part_of_vertex, walk_cycle
-from mixseq.mesh.rotations import matrices
+from mixseq.mesh.rotations import rotvec_to_matrix
 from mixseq.operations import (
     blend,
     concatenate,
@@ -59,7 +59,7 @@ from mixseq.retargeting.transfer import Transfer, TransferSettings, plan_transfe
 from mixseq.segmentation.methods import METHODS
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-from mixseq.types import Float, Index, evenly
+from mixseq.types import Float, Index, evenly_spaced
 
 HERE = Path(__file__).parent
 MARKERS = HERE.parents[1] / "scripts" / "benchmarks" / "markers"
@@ -225,7 +225,7 @@ def leap_model() -> Model:
     """A leap of one second, on the spot."""
     slow = walk_cycle(frames=3 * FPS, fps=FPS)
     time = np.linspace(0, 1, FPS + 1)
-    turns = matrices(np.stack([0 * time, 0 * time, 0.5 * np.sin(2 * np.pi * time)], axis=1))
+    turns = rotvec_to_matrix(np.stack([0 * time, 0 * time, 0.5 * np.sin(2 * np.pi * time)], axis=1))
     points = np.einsum("tij,tvj->tvi", turns, slow.points[: FPS + 1])
     points[..., 1] += (0.5 * np.sin(np.pi * time) ** 2)[:, None]
     return mixseq.fit(mixseq.MeshSequence.from_arrays(points, slow.polygons, fps=FPS, name="leap"))
@@ -369,7 +369,7 @@ def sketched(path: Path) -> None:
 def transfer_fox(path: Path) -> None:
     """The walk on long legs."""
     made = plan_transfer(walk_cycle(frames=FPS, fps=FPS), long_legs())
-    frames = evenly(FPS, 5)[1:]
+    frames = evenly_spaced(FPS, 5)[1:]
     page, points = BytesIO(), np.concatenate(list(made.blocks()))
     transfer_sheet(page, made, frames, points[list(frames)], "The walk of the fox, on long legs")
     save(page, path, SHEET_WIDTH, 256)

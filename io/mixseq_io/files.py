@@ -30,7 +30,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from mixseq.errors import FormatError, OutputError, SettingsError
-from mixseq.runtime.interrupts import held, raise_swallowed
+from mixseq.runtime.interrupts import deferred_signals, raise_pending_signal
 
 MEMORY_LIMIT_VARIABLE = "MIXSEQ_READER_MEMORY"
 """Environment variable of the limit, in GiB."""
@@ -116,12 +116,12 @@ def temporary_prefix(folder: Path) -> Iterator[Path]:
     """Yield a unique path prefix in a folder; paths with it are deleted at the end."""
     claimed: list[tuple[Path, int]] = []
     try:
-        with held():  # a signal right after the claim would skip the cleanup
+        with deferred_signals():  # a signal right after the claim would skip the cleanup
             delete_leftovers(folder)
             claimed.append(_claim_prefix(folder))
         yield claimed[0][0]
     finally:
-        with held():
+        with deferred_signals():
             for prefix, descriptor in claimed:
                 names = [name for name in _temporary_names(folder) if name.startswith(prefix.name)]
                 _delete(folder, names)
@@ -226,8 +226,8 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
             if target.exists():
                 shutil.copymode(target, temporary)
             _flush(temporary)
-            raise_swallowed()
-            with held():
+            raise_pending_signal()
+            with deferred_signals():
                 temporary.replace(target)
         _flush_folder(target.parent)
 
@@ -249,8 +249,8 @@ def atomic_files(pattern: str | os.PathLike[str]) -> Iterator[Path]:
             for file in files:
                 _check_target(folder / file.name)
                 _flush(file)
-            raise_swallowed()
-            with held():
+            raise_pending_signal()
+            with deferred_signals():
                 for file in files:
                     file.replace(folder / file.name)
         _flush_folder(folder)
@@ -265,7 +265,7 @@ def atomic_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator
     """
     target = Path(os.path.realpath(path))
     with _translate_write_errors(target):
-        _check_parent(target)
+        _check_target(target, is_folder=True)
         with temporary_prefix(target.parent) as prefix:
             temporary = Path(f"{prefix}.new")
             temporary.mkdir()
@@ -273,8 +273,8 @@ def atomic_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator
             for file in temporary.iterdir():
                 _flush(file)
             _flush_folder(temporary)
-            raise_swallowed()
-            with held():
+            raise_pending_signal()
+            with deferred_signals():
                 if target.exists():
                     _exchange(temporary, target, own, Path(f"{prefix}.old"))
                 else:
@@ -302,14 +302,10 @@ def _exchange(source: Path, target: Path, own: Container[str], old: Path) -> Non
         raise
 
 
-def _check_target(target: Path) -> None:
+def _check_target(target: Path, is_folder: bool = False) -> None:
     """Raise an error for a target that cannot be replaced."""
-    if target.is_dir():
+    if target.is_dir() and not is_folder:
         raise OutputError(f"{target} is a folder; give the name of a file")
-    _check_parent(target)
-
-
-def _check_parent(target: Path) -> None:
     if not target.parent.is_dir():
         raise OutputError(f"{target}: the folder {target.parent} does not exist; make it first")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mixseq.errors import SettingsError
-from mixseq.sequence.frame_rates import exact_rate
+from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.isolation import import_function, open_isolated
@@ -68,7 +68,7 @@ class Format:
         """Open a file for reading; see `mixseq_io.open_sequence`."""
         self._check_options("read", self.read_options, options)
         if options.get("fps") is not None:
-            options["fps"] = exact_rate(options["fps"])
+            options["fps"] = snap_to_ntsc(options["fps"])
         if self.isolated:
             return open_isolated(self.reader, path, options)
         reader: SequenceReader = import_function(self.reader)(path, **options)

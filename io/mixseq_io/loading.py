@@ -57,22 +57,22 @@ def load(path: PathLike, *, max_memory: float | None = None) -> Model:
     """
     with memory_limit(max_memory):
         source = Path(path)
-        return _load_glb(source) if source.suffix.lower() == GLB_EXTENSION else _load_h5(source)
+        if source.suffix.lower() != GLB_EXTENSION:
+            return _load_h5(source)
+        from mixseq_io.coded.streams import decode_model, read_sequence
+        from mixseq_io.gltf.mesh_sequence import read_container
 
-
-def _load_glb(source: Path) -> Model:
-    from mixseq_io.coded.streams import decode_model, read_sequence
-    from mixseq_io.gltf.mesh_sequence import read_container
-
-    return decode_model(source, read_sequence(source, read_container(source)))
+        return decode_model(source, read_sequence(source, read_container(source)))
 
 
 def _load_h5(source: Path) -> Model:
-    if source.is_file() and source.stat().st_size and not _is_hdf5(source):
-        raise FormatError(
-            f"{source} is not a model, which is an HDF5 or GLB file; make one with mixseq encode"
-        )
     if source.is_file():
+        with source.open("rb") as stream:
+            signature = stream.read(len(HDF5_SIGNATURE))
+        if signature not in (HDF5_SIGNATURE, b""):
+            raise FormatError(
+                f"{source} is not a model, which is an HDF5 or GLB file; make one with mixseq encode"
+            )
         check_memory(source, source.stat().st_size, "the file itself")
     # Importing the decoder takes about as long as the worker needs to read the file.
     import_decoder = partial(import_module, "mixseq_io.coded.streams")
@@ -90,11 +90,6 @@ def _load_h5(source: Path) -> Model:
         from mixseq_io.hdf5.models import read_model
 
         return read_model(file)
-
-
-def _is_hdf5(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(len(HDF5_SIGNATURE)) == HDF5_SIGNATURE
 
 
 class ModelReader(SequenceReader):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import FormatError, InvalidSequenceError, OutputError, SettingsError
-from mixseq.sequence.frame_rates import NEAR
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
 from mixseq_io.reader import warn
 from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
@@ -68,9 +68,8 @@ def match_meshes(
         own_path = scene_mesh.path
         label = own_path or scene_mesh.name
         candidates = {own_path: unmatched[own_path]} if own_path in unmatched else unmatched
-        matching = {
-            name: found for name, mesh in candidates.items() if (found := match(scene_mesh, mesh)) is not None
-        }
+        results = {name: match(scene_mesh, mesh) for name, mesh in candidates.items()}
+        matching = {name: result for name, result in results.items() if result is not None}
         if len(matching) > 1:
             raise FormatError(
                 f"{path} has {len(matching)} meshes with the faces of {label!r}, {format_names(list(matching))}"
@@ -79,22 +78,21 @@ def match_meshes(
             reason = describe_difference(scene_mesh, *candidates.values()) if len(candidates) == 1 else ""
             problem = f"{path} has no mesh with the faces of {label!r}"
             raise FormatError(f"{problem}: {reason}" if reason else problem)
-        ((name, found),) = matching.items()
+        ((name, result),) = matching.items()
         del unmatched[name]
-        matches.append(found)
+        matches.append(result)
     return matches
 
 
 def is_retimed(header: SequenceHeader, sources: ArrayLike | None) -> bool:
     """Whether the times of the original in seconds, if given, differ from those of the frames."""
-    return sources is not None and not np.allclose(sources, header.times, rtol=0, atol=NEAR / header.fps)
+    return sources is not None and not np.allclose(
+        sources, header.times, rtol=0, atol=FRAME_TOLERANCE / header.fps
+    )
 
 
 def warn_of_unretimed_motion(
-    path: Path,
-    header: SequenceHeader,
-    spans: Mapping[str, tuple[float, float]],
-    sources: ArrayLike | None,
+    path: Path, header: SequenceHeader, spans: Mapping[str, tuple[float, float]], sources: ArrayLike | None
 ) -> None:
     """Warn of other animated objects, given their first and last times in s by name, that are out of step.
 

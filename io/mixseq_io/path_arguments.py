@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mixseq.errors import SettingsError
-from mixseq.sequence.frame_rates import exact_rate
+from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq_io.isolation import import_function
 from mixseq_io.registry import read
 
@@ -77,7 +77,7 @@ def _read_retiming(path: str, arguments: Arguments) -> Any:
 
     source_fps = next(iter(arguments.values())).header.fps
     fps = arguments.get("fps")
-    output_fps = source_fps if fps is None else exact_rate(float(fps), source_fps)
+    output_fps = source_fps if fps is None else snap_to_ntsc(float(fps), source_fps)
     return read_retiming(path, output_fps=output_fps, source_fps=source_fps)
 
 

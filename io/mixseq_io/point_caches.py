@@ -1,9 +1,8 @@
-r"""Point caches PC2 and MDD: positions of all frames in one binary file, with the faces in a mesh file beside.
+r"""Point caches PC2 and MDD: positions of all frames in one binary file, with the faces in a mesh file beside it.
 
-A cache ``walk.pc2`` belongs to ``walk.obj``, or another mesh file of that name, or the one of the option `mesh`, which
-gives the faces, the surface, the name, the units and the up axis; an OBJ has neither of the latter, so Y is up. Points
-are those of the cache, without any transform of the mesh's file. Written are the cache and ``<name>.obj`` with the
-first frame.
+A cache ``walk.pc2`` belongs to ``walk.obj``, or another mesh file of that name, or the one of the option `mesh`. That
+file has the faces, the surface, the name, the units and the up axis (an OBJ has neither of the latter, so Y is up). Its
+transforms are not applied to the points. The writer makes the cache and ``<name>.obj`` with the first frame.
 
 PC2 (3ds Max, Blender, Maya), little-endian:
 
@@ -31,7 +30,7 @@ times              float32, seconds, one per frame
 points             float32, x, y, z of all points, frame after frame
 =================  ===========================================================
 
-The frame rate is that of the median step. Times that are whole frames within float32 rounding become exactly that, in
+The frame rate is that of the median step. Times that are whole frames within float32 rounding are snapped to them in
 float64. MDD has no place for units, the up axis and velocities.
 
 Specification: http://rodolphe-vaillant.fr/?e=134
@@ -63,92 +62,85 @@ from mixseq_io.surfaces import lost_scale, warn_of_losses
 
 MeshPath = str | os.PathLike[str] | None
 
-# Not STL, which has no order of vertices.
-_MESHES = (".obj", ".ply", ".usdc", ".usda", ".usd", ".usdz", ".abc", ".glb", ".gltf", ".npz", ".h5", ".hdf5")
+_USD_EXTENSIONS = (".usdc", ".usda", ".usd", ".usdz")
+_MESH_EXTENSIONS = (".obj", ".ply", *_USD_EXTENSIONS, ".abc", ".glb", ".gltf", ".npz", ".h5", ".hdf5")
+"""Extensions of mesh files, most preferred first; STL has no order of vertices."""
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
-    """Start of a cache file: its size in bytes, byte order and number of points, times ``(T,)`` in s, rate or None."""
+class CacheHeader:
+    """Header of a cache file."""
 
-    size: int
-    order: str
-    points: int
-    times: NDArray[np.float64]
+    size: int  # bytes
+    byte_order: str  # "<" or ">"
+    point_count: int
+    times: NDArray[np.float64]  # (T,) in seconds
     fps: float | None
 
-    @property
-    def frame_size(self) -> int:
-        """Size of a frame in bytes."""
-        return 12 * self.points
 
-
-def _check_size(file: IO[bytes], start: int, frames: int, points: int) -> None:
-    """Check the numbers of frames and points against the file's size before anything is allocated."""
-    if frames < 1 or points < 1:
-        raise ValueError(f"it says that it has {frames} frames of {points} points")
-    size, needed = os.fstat(file.fileno()).st_size, start + 12 * frames * points
-    if size != needed:
-        raise ValueError(f"{frames} frames of {points} points need {needed} bytes, it has {size}")
+def _check_size(file: IO[bytes], header_size: int, frame_count: int, point_count: int) -> None:
+    """Check the counts against the file's size before anything is allocated."""
+    if frame_count < 1 or point_count < 1:
+        raise ValueError(f"its header has {frame_count} frames of {point_count} points")
+    size, expected = os.fstat(file.fileno()).st_size, header_size + 12 * frame_count * point_count
+    if size != expected:
+        raise ValueError(f"{frame_count} frames of {point_count} points need {expected} bytes, it has {size}")
 
 
 class _CacheReader(SequenceReader):
     def __init__(
-        self, path: Path, header: SequenceHeader, file: IO[bytes], start: Start, stack: ExitStack
+        self, path: Path, header: SequenceHeader, file: IO[bytes], cache: CacheHeader, stack: ExitStack
     ) -> None:
         super().__init__(path, header, stack)
-        self._file, self._start = file, start
+        self._file, self._cache = file, cache
 
     def _read(self, what: str, size: int) -> Iterator[FloatArray]:
-        start = self._start
-        for first in range(0, len(start.times), size):
-            count = min(size, len(start.times) - first)
+        cache = self._cache
+        frame_bytes = 12 * cache.point_count
+        for first in range(0, len(cache.times), size):
+            count = min(size, len(cache.times) - first)
             with translate_read_errors(self.path, "a point cache", ValueError):
-                self._file.seek(start.size + first * start.frame_size)
-                data = self._file.read(count * start.frame_size)
-                points = np.frombuffer(data, f"{start.order}f4").reshape(count, start.points, 3)
+                self._file.seek(cache.size + first * frame_bytes)
+                data = self._file.read(count * frame_bytes)
+                points = np.frombuffer(data, f"{cache.byte_order}f4").reshape(count, cache.point_count, 3)
             yield points.astype(np.float32, copy=False)
 
 
 def open_cache(
-    path: Path, kind: str, mesh: MeshPath, read_start: Callable[[IO[bytes]], Start]
+    path: Path, format_name: str, mesh: MeshPath, read_header: Callable[[IO[bytes]], CacheHeader]
 ) -> SequenceReader:
     """Open a point cache and its mesh."""
     with ExitStack() as stack:
-        with translate_read_errors(path, with_article(kind), ValueError):
+        with translate_read_errors(path, with_article(format_name), ValueError):
             file = stack.enter_context(path.open("rb"))
-            start = read_start(file)
-        mesh_path = _mesh_beside(path, kind) if mesh is None else Path(mesh)
-        header = _header_of_mesh(mesh_path)
-        if header.vertex_count != start.points:
+            cache = read_header(file)
+        mesh_path = _find_mesh(path, format_name) if mesh is None else Path(mesh)
+        header = _read_mesh_header(mesh_path)
+        if header.vertex_count != cache.point_count:
             raise FormatError(
-                f"{path} has {start.points} points, but its mesh {mesh_path} has {header.vertex_count} vertices; name "
-                "the mesh that it was made for with mesh=... (--mesh)"
+                f"{path} has {cache.point_count} points, but its mesh {mesh_path} has {header.vertex_count} vertices; "
+                "name the mesh that it was made for with mesh=... (--mesh)"
             )
         with prefix_errors(path):
-            timed = header.with_times(start.times, start.fps or header.fps)
-        return _CacheReader(path, timed, file, start, stack.pop_all())
+            timed_header = header.with_times(cache.times, cache.fps or header.fps)
+        return _CacheReader(path, timed_header, file, cache, stack.pop_all())
 
 
-def _mesh_beside(path: Path, kind: str) -> Path:
+def _find_mesh(path: Path, format_name: str) -> Path:
     """Return the first mesh file with the cache's name."""
-    places = dict.fromkeys([path, Path(os.path.realpath(path))])
-    for place in places:
-        beside = {
-            file.suffix.lower(): file
-            for file in place.parent.iterdir()
-            if file.stem == place.stem and file.is_file()
-        }
-        for extension in _MESHES:
-            if extension in beside:
-                return beside[extension]
+    for cache_path in dict.fromkeys([path, Path(os.path.realpath(path))]):
+        same_name = [file for file in cache_path.parent.iterdir() if file.stem == cache_path.stem]
+        meshes = {file.suffix.lower(): file for file in same_name if file.is_file()}
+        for extension in _MESH_EXTENSIONS:
+            if extension in meshes:
+                return meshes[extension]
     raise FormatError(
-        f"{path}: {with_article(kind)} has no faces, and there is no mesh beside it: none of "
-        f"{path.stem}{', '.join(_MESHES)}; name its mesh with mesh=... (--mesh)"
+        f"{path}: {with_article(format_name)} has no faces, and there is no mesh beside it: none of "
+        f"{path.stem}{', '.join(_MESH_EXTENSIONS)}; name its mesh with mesh=... (--mesh)"
     )
 
 
-def _header_of_mesh(path: Path) -> SequenceHeader:
+def _read_mesh_header(path: Path) -> SequenceHeader:
     from mixseq_io.registry import open_sequence  # which imports the formats, this one too
 
     with open_sequence(path) as reader:
@@ -157,74 +149,72 @@ def _header_of_mesh(path: Path) -> SequenceHeader:
 
 def write_cache(
     path: Path,
-    kind: str,
+    format_name: str,
     header: SequenceHeader,
     blocks: Iterable[FloatArray],
     velocities: Iterable[FloatArray] | None,
-    start: bytes,
-    order: str,
-    lost: Iterable[str],
+    cache_header: bytes,
+    byte_order: str,
+    losses: Iterable[str],
 ) -> None:
     """Write a point cache, and ``<name>.obj`` with the first frame beside it; both or none.
 
-    An existing OBJ is replaced only if it holds the same faces. `start` is the header in bytes, `order` the byte order
-    "<" or ">", `lost` the properties of the times that the format cannot hold; velocities are lost.
+    An existing OBJ is replaced only if it has the same faces. `byte_order` is "<" or ">"; `losses` are those of the
+    times, velocities are always lost.
     """
     target = Path(os.path.realpath(path))
     mesh = target.with_suffix(".obj")
-    _check_mesh_in_the_way(target, mesh, header)
-    warn_of_losses(
-        path, f"{kind} files", [*lost, *lost_scale(header, velocities is not None), *lost_in_obj(header)]
-    )
+    _check_existing_mesh(target, mesh, header)
+    all_losses = [*losses, *lost_scale(header, velocities is not None), *lost_in_obj(header)]
+    warn_of_losses(path, f"{format_name} files", all_losses)
     encode = obj_encoder(mesh, header)
     with atomic_files(target) as folder, (folder / target.name).open("wb") as file:
-        file.write(start)
-        _, numbered = validate_blocks(header, blocks, velocities)
-        for first, block, _ in numbered:
-            points = as_float32(block, first, kind, header=header)
+        file.write(cache_header)
+        _, frame_blocks = validate_blocks(header, blocks, velocities)
+        for first, block, _ in frame_blocks:
+            points = as_float32(block, first, format_name, header=header)
             if first == 0:
                 (folder / mesh.name).write_bytes(b"".join(encode(points[0], 0)))
-            file.write(points.astype(f"{order}f4", copy=False).tobytes())
+            file.write(points.astype(f"{byte_order}f4", copy=False).tobytes())
 
 
-def _check_mesh_in_the_way(path: Path, mesh: Path, header: SequenceHeader) -> None:
+def _check_existing_mesh(path: Path, mesh: Path, header: SequenceHeader) -> None:
     if not mesh.is_file():
         return
     try:
-        other = _header_of_mesh(mesh)
-        same = other.vertex_count == header.vertex_count and other.polygons.same_as(header.polygons)
+        existing = _read_mesh_header(mesh)
+        is_same = existing.vertex_count == header.vertex_count and existing.polygons.same_as(header.polygons)
     except MixseqError:
-        same = False
-    if not same:
+        is_same = False
+    if not is_same:
         raise OutputError(
-            f"{mesh} has the name of the mesh that goes with {path.name}, but holds another mesh; remove it, or choose "
-            "another name"
+            f"{mesh} has the name of the mesh of {path.name}, but is another mesh; remove it, or choose another name"
         )
 
 
-_MAGIC = b"POINTCACHE2\0"
-_PC2_HEADER = struct.Struct("<12siiffi")
-_FRAME_ERROR = 1e-3
-"""Largest unreported error of a time, in frames."""
+_PC2_MAGIC = b"POINTCACHE2\0"
+_PC2_STRUCT = struct.Struct("<12siiffi")
+_MAX_TIME_ERROR_FRAMES = 1e-3
+"""Largest error of a time without a warning."""
 
 
 def open_pc2(path: Path, mesh: MeshPath = None, fps: float = DEFAULT_FPS) -> SequenceReader:
     """Open a PC2 file."""
     if not (np.isfinite(fps) and fps > 0):
         raise SettingsError(f"fps is {fps}; a positive number is expected")
-    return open_cache(path, "PC2", mesh, partial(_read_pc2, fps=fps))
+    return open_cache(path, "PC2", mesh, partial(_read_pc2_header, fps=fps))
 
 
-def _read_pc2(file: IO[bytes], fps: float) -> Start:
-    data = file.read(_PC2_HEADER.size)
-    if len(data) < _PC2_HEADER.size or not data.startswith(_MAGIC):
+def _read_pc2_header(file: IO[bytes], fps: float) -> CacheHeader:
+    data = file.read(_PC2_STRUCT.size)
+    if len(data) < _PC2_STRUCT.size or not data.startswith(_PC2_MAGIC):
         raise ValueError("it does not begin with POINTCACHE2 and a header")
-    _, version, points, first, step, samples = _PC2_HEADER.unpack(data)
+    _, version, point_count, first, step, frame_count = _PC2_STRUCT.unpack(data)
     if version != 1:
         raise ValueError(f"its version is {version}, not 1")
-    _check_size(file, len(data), samples, points)
+    _check_size(file, len(data), frame_count, point_count)
     with np.errstate(all="ignore"):
-        return Start(len(data), "<", points, _seconds(first, step, samples, fps), fps)
+        return CacheHeader(len(data), "<", point_count, _even_times(first, step, frame_count, fps), fps)
 
 
 def write_pc2(
@@ -234,62 +224,60 @@ def write_pc2(
     velocities: Iterable[FloatArray] | None = None,
 ) -> None:
     """Write a PC2 file, and its mesh beside it; parameters and errors are those of `write_cache`."""
-    frames = header.times * header.fps
-    first, step = np.float32(frames[0]), np.float32(1)
-    lost = []
+    frame_numbers = header.times * header.fps
+    first, step = np.float32(frame_numbers[0]), np.float32(1)
+    losses = []
     if header.frame_count > 1:
-        step = np.float32((frames[-1] - frames[0]) / (header.frame_count - 1))
-        even = _seconds(float(first), float(step), header.frame_count, 1.0)
-        if np.abs(even - frames).max() > _FRAME_ERROR:
-            lost.append("uneven times (they are written as if they were even)")
+        step = np.float32((frame_numbers[-1] - frame_numbers[0]) / (header.frame_count - 1))
+        even_numbers = _even_times(float(first), float(step), header.frame_count, 1.0)
+        if np.abs(even_numbers - frame_numbers).max() > _MAX_TIME_ERROR_FRAMES:
+            losses.append("uneven times (even ones are written)")
         if header.fps != DEFAULT_FPS:
-            lost.append(f"{header.fps:g} frames per second (read it with fps={header.fps:g})")
-    start = _PC2_HEADER.pack(_MAGIC, 1, header.vertex_count, first, step, header.frame_count)
-    write_cache(path, "PC2", header, blocks, velocities, start, "<", lost)
+            losses.append(f"{header.fps:g} frames per second (read it with fps={header.fps:g})")
+    cache_header = _PC2_STRUCT.pack(_PC2_MAGIC, 1, header.vertex_count, first, step, header.frame_count)
+    write_cache(path, "PC2", header, blocks, velocities, cache_header, "<", losses)
 
 
-def _seconds(first: float, step: float, count: int, fps: float) -> NDArray[np.float64]:
+def _even_times(first: float, step: float, count: int, fps: float) -> NDArray[np.float64]:
     return (first + np.arange(count, dtype=np.float64) * step) / fps
 
 
-_MDD_HEADER = struct.Struct(">ii")
-_STEP_ERROR = 1e-2
-"""Relative error of a single step between rounded times."""
-_RATE_ERROR = 2e-4
-"""Relative error of a rate from rounded times; less than the gap between 24 and 23.976."""
+_MDD_STRUCT = struct.Struct(">ii")
+_MAX_STEP_ERROR_RATIO = 1e-2
+"""Largest relative error of a single step between rounded times."""
+_MAX_RATE_ERROR_RATIO = 2e-4
+"""Largest relative error of a rate from rounded times; less than the gap between 24 and 23.976."""
 
 
 def open_mdd(path: Path, mesh: MeshPath = None) -> SequenceReader:
     """Open an MDD file; parameters and errors are those of `mixseq_io.point_caches.open_cache`."""
-    return open_cache(path, "MDD", mesh, _read_mdd)
+    return open_cache(path, "MDD", mesh, _read_mdd_header)
 
 
-def _read_mdd(file: IO[bytes]) -> Start:
-    data = file.read(_MDD_HEADER.size)
-    if len(data) < _MDD_HEADER.size:
+def _read_mdd_header(file: IO[bytes]) -> CacheHeader:
+    data = file.read(_MDD_STRUCT.size)
+    if len(data) < _MDD_STRUCT.size:
         raise ValueError("it has no header")
-    frames, points = _MDD_HEADER.unpack(data)
-    size = len(data) + 4 * frames
-    _check_size(file, size, frames, points)
-    times = np.frombuffer(file.read(4 * frames), ">f4").astype(np.float64)
-    rate = _rate(times)
-    return Start(size, ">", points, snap_to_frames(times, rate) if rate else times, rate)
+    frame_count, point_count = _MDD_STRUCT.unpack(data)
+    header_size = len(data) + 4 * frame_count
+    _check_size(file, header_size, frame_count, point_count)
+    times = np.frombuffer(file.read(4 * frame_count), ">f4").astype(np.float64)
+    fps = _estimate_fps(times)
+    return CacheHeader(header_size, ">", point_count, snap_to_frames(times, fps) if fps else times, fps)
 
 
-def _rate(times: NDArray[np.float64]) -> float | None:
-    """Return the frame rate of float32 times ``(T,)``, a whole or NTSC rate if it is near enough; None if unknown."""
+def _estimate_fps(times: NDArray[np.float64]) -> float | None:
+    """Estimate the frame rate of float32 times ``(T,)``: the nearest whole or NTSC rate if close; None if unknown."""
     step = float(np.quantile(np.diff(times), 0.5, method="lower")) if times.size > 1 else 0.0
     if not (np.isfinite(step) and step > 0):
         return None
     span = float(times[-1] - times[0])
     if not (np.isfinite(span) and span > 0):
         return None  # non-increasing times are reported where they are used
-    overall = (
-        max(1, round(span / step)) / span
-    )  # more exact than one step, which is rounded, if steps are even
-    rate = overall if abs(overall * step - 1) < _STEP_ERROR else 1 / step
+    overall = max(1, round(span / step)) / span  # more exact than a rounded step if steps are even
+    rate = overall if abs(overall * step - 1) < _MAX_STEP_ERROR_RATIO else 1 / step
     for candidate in (round(rate), round(rate * 1.001) / 1.001):
-        if abs(candidate - rate) <= _RATE_ERROR * rate:
+        if abs(candidate - rate) <= _MAX_RATE_ERROR_RATIO * rate:
             return float(candidate)
     return rate
 
@@ -302,14 +290,15 @@ def write_mdd(
 ) -> None:
     """Write an MDD file, and its mesh beside it; parameters and errors are those of `write_cache`."""
     times = header.times.astype(np.float32)
-    together = np.flatnonzero(np.diff(times) <= 0)
-    if together.size:
+    is_equal = np.diff(times) <= 0
+    if is_equal.any():
+        frame = int(np.argmax(is_equal))
         raise InvalidSequenceError(
-            f"frames {together[0]} and {together[0] + 1} are both at {times[together[0]]:.9g} s in float32, which MDD "
-            "stores; write .npz or .h5"
+            f"frames {frame} and {frame + 1} are both at {times[frame]:.9g} s in float32, which MDD stores; write .npz "
+            "or .h5"
         )
-    rate = _rate(times.astype(np.float64))
-    same = rate is None or abs(rate - header.fps) <= _RATE_ERROR * header.fps
-    lost = [] if same else [f"{header.fps:g} frames per second"]
-    start = _MDD_HEADER.pack(header.frame_count, header.vertex_count) + times.astype(">f4").tobytes()
-    write_cache(path, "MDD", header, blocks, velocities, start, ">", lost)
+    stored_fps = _estimate_fps(times.astype(np.float64))
+    is_exact = stored_fps is None or abs(stored_fps - header.fps) <= _MAX_RATE_ERROR_RATIO * header.fps
+    losses = [] if is_exact else [f"{header.fps:g} frames per second"]
+    cache_header = _MDD_STRUCT.pack(header.frame_count, header.vertex_count) + times.astype(">f4").tobytes()
+    write_cache(path, "MDD", header, blocks, velocities, cache_header, ">", losses)

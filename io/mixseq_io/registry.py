@@ -12,7 +12,7 @@ import numpy as np
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
 from mixseq.runtime.public import public
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import MeshSequence, collect
+from mixseq.sequence.sequence import MeshSequence, join_blocks
 from mixseq.types import FloatArray, PathLike
 from mixseq_io.files import memory_limit
 from mixseq_io.format import HDF5_SIGNATURE, OPAQUE_PER_VERTEX, PER_VERTEX, Capabilities, Format
@@ -31,12 +31,8 @@ _FLATTEN_OPTION = "write a stand-alone file instead of one that builds on the or
 _SOURCES_OPTION = "times in the original that the frames show, if they differ from the frames' own"
 _ONTO_OPTION = "the file to build on, by default the original"
 
-_POINTS_AND_FACES_ONLY: dict[str, Any] = {
-    "hard_edges": False,
-    "face_sets": False,
-    "objects": False,
-    "materials": "no",
-}
+_BARE_MESH: dict[str, Any] = {"hard_edges": False, "face_sets": False, "objects": False, "materials": "no"}
+_TRIANGLES = _BARE_MESH | {"polygons": "triangles", "uvs": False}
 
 
 def _numbered_format(name: str, module: str, *signatures: bytes, **capabilities: Any) -> Format:
@@ -45,8 +41,8 @@ def _numbered_format(name: str, module: str, *signatures: bytes, **capabilities:
         name=name,
         extensions=(f".{name.lower()}",),
         capabilities=Capabilities(animation="a file per frame", times="no", **capabilities),
-        reader=f"mixseq_io.numbered.{module}:{name}.open",
-        writer=f"mixseq_io.numbered.{module}:{name}.write",
+        reader=f"mixseq_io.numbered.{module}:{name}_FORMAT.open",
+        writer=f"mixseq_io.numbered.{module}:{name}_FORMAT.write",
         read_options={"fps": _FPS_OPTION, "allow_gaps": _GAPS_OPTION},
         write_options={"start": _START_OPTION},
         signatures=signatures,
@@ -157,20 +153,10 @@ FORMATS: tuple[Format, ...] = (
         read_options={"mesh": _MESH_OPTION},
     ),
     _numbered_format("OBJ", "obj", points="all digits", colours=OPAQUE_PER_VERTEX),
-    _numbered_format("PLY", "ply", b"ply", points="float32, float64", **_POINTS_AND_FACES_ONLY),
+    _numbered_format("PLY", "ply", b"ply", points="float32, float64", **_BARE_MESH),
+    _numbered_format("STL", "stl_off", **_TRIANGLES, colours=False),
     _numbered_format(
-        "STL", "stl_off", polygons="triangles", uvs=False, colours=False, **_POINTS_AND_FACES_ONLY
-    ),
-    _numbered_format(
-        "OFF",
-        "stl_off",
-        b"OFF",
-        b"COFF",
-        polygons="triangles",
-        points="all digits",
-        uvs=False,
-        colours=PER_VERTEX,
-        **_POINTS_AND_FACES_ONLY,
+        "OFF", "stl_off", b"OFF", b"COFF", points="all digits", **_TRIANGLES, colours=PER_VERTEX
     ),
 )
 
@@ -274,7 +260,7 @@ def read(path: PathLike, **options: Any) -> MeshSequence:
     with open_sequence(path, **options) as reader:
         reader.check_total_memory()
         velocities = reader.velocity_blocks()
-        sequence = collect(reader.header, reader.blocks())
+        sequence = join_blocks(reader.header, reader.blocks())
         if velocities is None:
             return sequence
         return replace(sequence, velocities=np.concatenate(list(velocities)))

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixseq.errors import AmbiguousError, FormatError
 from mixseq.rigging.rigs import Morph, Skin
@@ -26,7 +25,7 @@ _ROUNDING_FRACTION = 4 * float(np.finfo(np.float32).eps)
 """Motion that counts as rounding, as a fraction of the largest magnitude."""
 
 
-def four_influences(skin: Skin) -> tuple[Index, NDArray[np.float32]]:
+def four_influences(skin: Skin) -> tuple[Index, Single]:
     """Return bones and float32 weights ``(V, 4)``: distinct, by falling weight, summing to 1, bone 0 for weight 0."""
     bones = skin.influences.copy()
     weights = skin.weights.copy()

@@ -1,4 +1,4 @@
-"""Skins, morphs and skeletons in files for engines and animators."""
+"""Write skins and morphs to glTF and USD files, and read skeletons and bind poses from them."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ if TYPE_CHECKING:
     from mixseq.sequence.sequence import MeshSequence
 
 
-GLTF = (".glb", ".gltf")
-USD = (".usd", ".usda", ".usdc", ".usdz")
-RIG_EXTENSIONS = (*GLTF, *USD)
-"""File extensions for skins and morphs."""
+GLTF_EXTENSIONS = (".glb", ".gltf")
+USD_EXTENSIONS = (".usd", ".usda", ".usdc", ".usdz")
+RIG_EXTENSIONS = (*GLTF_EXTENSIONS, *USD_EXTENSIONS)
+"""File extensions of skins, morphs and skeletons."""
 
-_LISTED = f"{', '.join(RIG_EXTENSIONS[:-1])} or {RIG_EXTENSIONS[-1]}"
+_EXTENSION_LIST = f"{', '.join(RIG_EXTENSIONS[:-1])} or {RIG_EXTENSIONS[-1]}"
 
 
 @public
 def write_rig(path: PathLike, rig: Skin | Morph) -> None:
-    """Write a skin or a morph, for engines and for animators.
+    """Write a skin or a morph to a glTF or USD file.
 
     glTF: ``.glb`` is binary, ``.gltf`` text with everything in it. USD: ``.usd`` and ``.usdc`` are binary, ``.usda``
-    is text, ``.usdz`` a package; a skin has a skeleton and blend shapes there (UsdSkel).
+    is text, ``.usdz`` a package; skins have a skeleton and blend shapes (UsdSkel).
 
-    Texture coordinates, hard edges and names of materials are written, and into USD the materials of the sequence's
+    Texture coordinates, hard edges and names of materials are written, in USD also the materials of the sequence's
     original USD file. Numbers are float32. The file appears when it is complete; `mixseq_io.read` reads it.
 
     Parameters
@@ -38,13 +38,13 @@ def write_rig(path: PathLike, rig: Skin | Morph) -> None:
     path : path-like
         The file.
     rig : Skin or Morph
-        Result of `mixseq.fit_skin` or `mixseq.fit_morph`. Keys are at its frames; ``rig.resampled`` moves them.
+        Result of `mixseq.fit_skin` or `mixseq.fit_morph`. Keys are at its frames; ``rig.resampled`` changes them.
 
     Raises
     ------
     OutputError
         If the name has another extension, the file cannot be written or would be too large, a skin for glTF has more
-        than 65535 bones, or USD does not know the up axis.
+        than 65535 bones, or USD does not support the up axis.
     TypeError
         If `rig` is something else.
     InvalidSequenceError
@@ -53,12 +53,12 @@ def write_rig(path: PathLike, rig: Skin | Morph) -> None:
     Warns
     -----
     MixseqWarning
-        If the format cannot hold something of the mesh, glTF shows it under a node that turns and scales it, times are
-        moved, or materials of USD are only names.
+        If the format does not support an attribute of the mesh, the mesh is under a node that rotates and scales it
+        (glTF), times are changed, or materials are only names (USD).
     """
     file = Path(path)
     check_rig_target(file)
-    if file.suffix.lower() in USD:
+    if file.suffix.lower() in USD_EXTENSIONS:
         from mixseq_io.usd.rigs import write_usd_rig
 
         write_usd_rig(file, rig)
@@ -76,20 +76,22 @@ def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
     layout = create_skinned_scene(rig) if isinstance(rig, Skin) else create_morphed_scene(rig)
     warn_of_changes(file, rig.header, standalone_losses(rig.header))
     with atomic_file(file) as temporary, open_buffer_writer(file, temporary, layout):
-        pass  # all of it is in the layout already
+        pass  # the layout has all data
 
 
 def check_rig_target(path: Path) -> None:
-    """Raise an error for a path that cannot hold a skin or a morph."""
+    """Raise for a path with another extension than those of rigs."""
     if path.suffix.lower() not in RIG_EXTENSIONS:
-        raise OutputError(f"{path}: skins and morphs are written as glTF or USD; end the name in {_LISTED}")
+        raise OutputError(
+            f"{path}: skins and morphs are written as glTF or USD; end the name in {_EXTENSION_LIST}"
+        )
 
 
 @public
 def read_skeleton(path: PathLike, name: str | None = None) -> Skeleton:
     """Read a skeleton: the joints of a glTF skin, or of a UsdSkel skeleton.
 
-    Joints are in their bind pose in world space, as are points of `mixseq_io.read`. Joints without a name are called
+    Joints are in their bind pose in world space, as points of `mixseq_io.read` are. Joints without a name are named
     ``joint_000`` and so on; repeated names get a number.
 
     Parameters
@@ -97,13 +99,13 @@ def read_skeleton(path: PathLike, name: str | None = None) -> Skeleton:
     path : path-like
         A ``.glb``, ``.gltf``, ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file. Its meshes are not read.
     name : str, optional
-        Which one, if there are several: name of the skin, or ``skin 0`` and so on without one; path or name of the
-        skeleton's prim. Skins of the same joints are one skeleton.
+        Name of the skeleton, if there are several: that of the skin, or ``skin 0`` and so on for skins without a name,
+        in glTF; path or name of the prim in USD. Skins of the same joints are one skeleton.
 
     Returns
     -------
     Skeleton
-        Pivots and axes of the bind pose, parents before children; scales of joints are left out.
+        Pivots and axes of the bind pose, parents before children, without the scales of joints.
 
     Raises
     ------
@@ -115,7 +117,7 @@ def read_skeleton(path: PathLike, name: str | None = None) -> Skeleton:
     file = Path(path)
     _check_skeleton_file(file)
     with prefix_errors(file):
-        if file.suffix.lower() in GLTF:
+        if file.suffix.lower() in GLTF_EXTENSIONS:
             from mixseq_io.gltf.reader import read_joints
 
             return read_joints(file, name)
@@ -126,9 +128,9 @@ def read_skeleton(path: PathLike, name: str | None = None) -> Skeleton:
 
 @public
 def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
-    """Read the meshes of a skeleton as they were when they were bound to it, as a sequence of one frame.
+    """Read the meshes of a skeleton in their bind pose, as a sequence of one frame.
 
-    Vertices are those of `mixseq_io.read`, placed around the joints of `read_skeleton`. Meshes below glTF joints are
+    Vertices are those of `mixseq_io.read`, in the space of the joints of `read_skeleton`. Meshes below glTF joints are
     included. glTF morph targets have their static weights, USD blend shapes are off.
 
     Parameters
@@ -145,22 +147,22 @@ def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
     AmbiguousError
         If there are several skeletons; the message names them.
     """
-    from mixseq.sequence.sequence import collect
+    from mixseq.sequence.sequence import join_blocks
 
     file = Path(path)
     _check_skeleton_file(file)
-    if file.suffix.lower() in GLTF:
+    if file.suffix.lower() in GLTF_EXTENSIONS:
         from mixseq_io.gltf.reader import open_gltf_bind_pose as open_bind_pose
     else:
         from mixseq_io.usd.reader import open_usd_bind_pose as open_bind_pose
     with open_bind_pose(file, name) as reader:
-        return collect(reader.header, reader.blocks())
+        return join_blocks(reader.header, reader.blocks())
 
 
 def _check_skeleton_file(file: Path) -> None:
-    """Raise an error for a file that cannot hold skeletons."""
+    """Raise for a file without skeletons, by its extension."""
     check_regular_file(file, "a file")
     if file.suffix.lower() not in RIG_EXTENSIONS:
         raise FormatError(
-            f"{file}: skeletons are read from glTF and USD; a file that ends in {_LISTED} is expected"
+            f"{file}: skeletons are read from glTF and USD; give a file that ends in {_EXTENSION_LIST}"
         )

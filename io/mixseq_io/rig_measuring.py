@@ -1,4 +1,4 @@
-r"""Errors of a file with a skin or a morph, compared with its original sequence.
+r"""Measure the errors of a file with a skin or a morph, compared with its original sequence.
 
 With the points :math:`x_t(v)` of the sequence, those of the file :math:`y_t(v)`, the centroid :math:`\bar x_t` of a
 frame and the diagonal :math:`D` of the first one:
@@ -24,37 +24,38 @@ from mixseq.types import IntArray
 from mixseq_io.gltf.codecs import compute_glb_size
 from mixseq_io.gltf.new_document import MorphFrameWriter, axis_conversion, create_scene
 from mixseq_io.registry import open_sequence
-from mixseq_io.rig_files import GLTF
+from mixseq_io.rig_files import GLTF_EXTENSIONS
 from mixseq_io.scene_meshes import split_meshes
 
 
 @dataclass(frozen=True)
 class RigErrors:
-    """Errors of a file: largest and root mean square distance in diagonals, and KG in percent."""
+    """Errors of a file with a rig."""
 
-    max_error: float
-    rms_error: float
+    max_error: float  # largest distance, in diagonals
+    rms_error: float  # root mean square distance, in diagonals
     kg_percent: float
 
 
 def measure_rig_file(path: Path, sequence: MeshSequence) -> RigErrors:
-    """Compare a written file with its sequence, at the times of its frames."""
-    gltf = path.suffix.lower() in GLTF
-    kept = _with_polygons(sequence.header) if gltf else np.arange(sequence.vertex_count)
-    turn = np.reshape(
-        axis_conversion(sequence.header).get("matrix", np.eye(4)) if gltf else np.eye(4), (4, 4)
-    )[:3, :3]
+    """Compare a written rig with its sequence, at the times of its frames."""
+    vertex_ids: IntArray = np.arange(sequence.vertex_count)
+    rotation = np.eye(3)
+    if path.suffix.lower() in GLTF_EXTENSIONS:
+        vertex_ids = _vertices_with_polygons(sequence.header)
+        matrix = axis_conversion(sequence.header).get("matrix", np.eye(4))
+        rotation = np.reshape(matrix, (4, 4))[:3, :3]  # columns in the file are rows here
     largest = squares = spread = 0.0
-    for points, shown in _pairs(path, sequence):
-        here = points[kept].astype(np.float64) @ turn  # columns of the file are rows here
-        square = np.square(shown - here).sum(axis=1)
-        largest = max(largest, float(square.max()))
-        squares += float(square.sum())
-        spread += float(np.square(here - here.mean(axis=0)).sum())
-    diagonal = bounding_diagonal(sequence.points[0][kept].astype(np.float64) @ turn)
+    for points, written in _frame_pairs(path, sequence):
+        expected = points[vertex_ids].astype(np.float64) @ rotation
+        squared_distances = np.square(written - expected).sum(axis=1)
+        largest = max(largest, float(squared_distances.max()))
+        squares += float(squared_distances.sum())
+        spread += float(np.square(expected - expected.mean(axis=0)).sum())
+    diagonal = bounding_diagonal(sequence.points[0][vertex_ids].astype(np.float64) @ rotation)
     return RigErrors(
         max_error=_ratio(np.sqrt(largest), diagonal),
-        rms_error=_ratio(np.sqrt(squares / (sequence.frame_count * len(kept))), diagonal),
+        rms_error=_ratio(np.sqrt(squares / (sequence.frame_count * len(vertex_ids))), diagonal),
         kg_percent=100 * _ratio(np.sqrt(squares), np.sqrt(spread)),
     )
 
@@ -66,26 +67,24 @@ def size_with_frame_targets(header: SequenceHeader) -> int:
     return compute_glb_size(layout)
 
 
-def _with_polygons(header: SequenceHeader) -> IntArray:
-    """Return the vertices ``(n,)`` of objects with polygons, since glTF has no others."""
-    vertices = np.arange(header.vertex_count)
-    return np.concatenate(
-        [vertices[mesh.vertices] for mesh in split_meshes(header) if mesh.polygons.counts.size]
-    )
+def _vertices_with_polygons(header: SequenceHeader) -> IntArray:
+    """Return the vertices ``(n,)`` of objects with polygons; glTF omits the others."""
+    vertices, meshes = np.arange(header.vertex_count), split_meshes(header)
+    return np.concatenate([vertices[mesh.vertices] for mesh in meshes if mesh.polygons.counts.size])
 
 
-def _pairs(path: Path, sequence: MeshSequence) -> Iterator[tuple[NDArray[np.floating], NDArray[np.float64]]]:
+def _frame_pairs(
+    path: Path, sequence: MeshSequence
+) -> Iterator[tuple[NDArray[np.floating], NDArray[np.float64]]]:
     """Yield the points ``(V, 3)`` of every frame, and those of the file at its time."""
     with open_sequence(path, prim="/") as reader:
-        there = reader.header.times
-        # The nearest: times are float32 in glTF, and a file that stands still has a single frame.
-        nearest = np.searchsorted((there[1:] + there[:-1]) / 2, sequence.times)
-        number = 0
-        for block in reader.blocks():
-            for shown in block:
-                for frame in np.flatnonzero(nearest == number):
-                    yield sequence.points[frame], shown.astype(np.float64)
-                number += 1
+        times = reader.header.times
+        # Nearest times, since glTF has float32 times, and static files a single frame.
+        nearest = np.searchsorted((times[1:] + times[:-1]) / 2, sequence.times)
+        file_frames = (points for block in reader.blocks() for points in block)
+        for file_frame, points in enumerate(file_frames):
+            for frame in np.flatnonzero(nearest == file_frame):
+                yield sequence.points[frame], points.astype(np.float64)
 
 
 def _ratio(value: float, unit: float) -> float:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 from mixseq.choices import STILLS, StillName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
-from mixseq.errors import MixseqWarning, OutputError, SettingsError
+from mixseq.errors import OutputError, SettingsError
 from mixseq.runtime.public import public
 from mixseq.signals.model import Model
 from mixseq.types import PathLike
@@ -15,6 +14,7 @@ from mixseq_io.coded.packing import pack
 from mixseq_io.hdf5.coded_files import write_container
 from mixseq_io.hdf5.datasets import create_h5
 from mixseq_io.hdf5.models import write_model
+from mixseq_io.reader import warn
 
 MODEL_EXTENSIONS = (".h5", ".hdf5", ".glb")
 
@@ -51,32 +51,22 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
             f"{target}: models are HDF5 or GLB files; end the name in {' or '.join(MODEL_EXTENSIONS)}"
         )
     if target.suffix.lower() == ".glb":
-        _save_glb(target, model, still)
-    elif isinstance(model, CompressedSequence):
-        with create_h5(target) as (file, _):
-            write_container(file, pack(model))
-    else:
-        _save_h5(target, model)
+        from mixseq_io.gltf.mesh_sequence import write_sequence
 
-
-def _save_glb(target: Path, model: Model | CompressedSequence, still: StillName) -> None:
-    from mixseq_io.gltf.mesh_sequence import write_sequence
-
-    if not isinstance(model, CompressedSequence):
-        raise OutputError(
-            f"{target}: a .glb holds compressed models; compress the sequence with mixseq.compress(sequence, "
-            "max_error=1e-3), or mixseq encode --max-error"
-        )
-    write_sequence(target, model, still)
-
-
-def _save_h5(target: Path, model: Model) -> None:
-    if model.residual_layer is not None:
-        warnings.warn(
+        if not isinstance(model, CompressedSequence):
+            raise OutputError(
+                f"{target}: a .glb holds compressed models; compress the sequence with mixseq.compress(sequence, "
+                "max_error=1e-3), or mixseq encode --max-error"
+            )
+        write_sequence(target, model, still)
+        return
+    if isinstance(model, Model) and model.residual_layer is not None:
+        warn(
             f"{target}: the residual layer of a compressed model is not stored with signals; frames may be off by more "
-            "than its bound",
-            MixseqWarning,
-            stacklevel=3,
+            "than its bound"
         )
     with create_h5(target) as (file, _):
-        write_model(file, model)
+        if isinstance(model, CompressedSequence):
+            write_container(file, pack(model))
+        else:
+            write_model(file, model)

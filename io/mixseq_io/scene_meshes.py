@@ -16,8 +16,8 @@ import numpy as np
 
 from mixseq.compression.numbering import find_numbering
 from mixseq.errors import AmbiguousError, FormatError
-from mixseq.mesh.polygons import PolygonMatch, Polygons, matched
-from mixseq.mesh.surface import NO_UV, WHITE, CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq.mesh.polygons import PolygonMatch, Polygons, match_polygons
+from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, Index, IntArray
 from mixseq_io.reader import warn
@@ -138,14 +138,13 @@ def snap_to_frames(times: Float, fps: float) -> Float:
     Examples
     --------
     >>> rounded = np.array([0, 1 / 24, 49 / 48, 1.05], np.float32).astype(np.float64)
-    >>> on_grid(rounded, 48).tolist() == [0, 1 / 24, 49 / 48, rounded[3]]
+    >>> snap_to_frames(rounded, 48).tolist() == [0, 1 / 24, 49 / 48, rounded[3]]
     True
     """
     with np.errstate(all="ignore"):  # non-finite times are reported where they are used
         nearest = np.rint(times * fps) / fps
-        rounding = 2 * np.spacing(np.maximum(np.abs(times), _MIN_ROUNDING_TIME).astype(np.float32)).astype(
-            np.float64
-        )
+        late = np.maximum(np.abs(times), _MIN_ROUNDING_TIME).astype(np.float32)
+        rounding = 2 * np.spacing(late).astype(np.float64)
         snapped = np.where(np.abs(nearest - times) <= rounding, nearest, times)
         return snapped if (np.diff(snapped) > 0).all() else times
 
@@ -197,7 +196,7 @@ class SceneMesh:
         """
         read = stored if order is None else Polygons(stored.counts, stored.indices[order])
         renumbered = self.with_vertex_order_of(read)
-        match = None if renumbered is None else matched(read, renumbered.polygons)
+        match = None if renumbered is None else match_polygons(read, renumbered.polygons)
         if renumbered is None or match is None:
             return None
         return renumbered, match if order is None else PolygonMatch(match.polygons, match.corners[order])
@@ -206,17 +205,14 @@ class SceneMesh:
 def join_meshes(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:
     """Join meshes into one, their vertices concatenated."""
     vertex_starts = np.cumsum([0, *(mesh.vertex_count for mesh in meshes)])
-    polygons = Polygons(
-        np.concatenate([mesh.polygons.counts for mesh in meshes]),
-        np.concatenate(
-            [mesh.polygons.indices + start for mesh, start in zip(meshes, vertex_starts, strict=False)]
-        ),
-    )
+    indices = [mesh.polygons.indices + start for mesh, start in zip(meshes, vertex_starts, strict=False)]
+    counts = [mesh.polygons.counts for mesh in meshes]
+    polygons = Polygons(np.concatenate(counts), np.concatenate(indices))
     polygon_starts = np.cumsum([0, *(len(mesh.polygons.counts) for mesh in meshes)])
     subdivision = Counter(mesh.subdivision for mesh in meshes).most_common(1)[0][0]
     surface = Surface(
-        uvs=_join_values(meshes, [mesh.uvs for mesh in meshes], NO_UV),
-        colours=_join_values(meshes, [mesh.colours for mesh in meshes], WHITE),
+        uvs=_join_values(meshes, [mesh.uvs for mesh in meshes], DEFAULT_UV),
+        colours=_join_values(meshes, [mesh.colours for mesh in meshes], DEFAULT_COLOUR),
         hard_edges=_join_hard_edges(meshes),
         face_sets=tuple(
             FaceSet(face_set.name, face_set.polygons + start, face_set.material)
@@ -249,7 +245,7 @@ def _join_values(
     for mesh, own in zip(meshes, of_meshes, strict=True):
         if own is None:
             own = CornerValues(np.array([default]), np.zeros(mesh.polygons.indices.size, dtype=np.int32))
-        welded = own.welded(mesh.polygons.indices)
+        welded = own.weld(mesh.polygons.indices)
         values.append(welded.values)
         indices.append(welded.indices + count)
         count += len(welded.values)
@@ -295,8 +291,8 @@ def split_meshes(header: SequenceHeader) -> list[SceneMesh]:
                 path=each.path,
                 vertices=slice(vertex, vertex + each.vertex_count),
                 polygons=own,
-                uvs=_restrict_values(surface.uvs, corners, NO_UV if is_joined else ()),
-                colours=_restrict_values(surface.colours, corners, WHITE if is_joined else ()),
+                uvs=_restrict_values(surface.uvs, corners, DEFAULT_UV if is_joined else ()),
+                colours=_restrict_values(surface.colours, corners, DEFAULT_COLOUR if is_joined else ()),
                 hard_edges=hard_edges,
                 face_sets=tuple(_restrict_face_sets(surface.face_sets, polygon, end)),
                 subdivision=scheme,

@@ -38,10 +38,10 @@ from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.measures import Diagonal
-from mixseq.mesh.surface import WHITE, CornerValues, FaceSet, MeshObject, Origin, Surface
-from mixseq.sequence.frame_rates import NEAR
+from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
-from mixseq.types import Float, FloatArray, IntArray
+from mixseq.types import Float, FloatArray, Index, IntArray, Single
 from mixseq_io.reader import warn
 
 VISIBLE_ERROR_DIAGONALS = 1e-4
@@ -66,7 +66,7 @@ class RoundingMonitor:
             points = np.asarray(block)
             if points.dtype == np.float32 or not points.size:
                 continue
-            diagonal = diagonal or Diagonal.of(points[0])
+            diagonal = diagonal or Diagonal.from_points(points[0])
             for start in range(0, len(points), _FRAMES_PER_MEASUREMENT):
                 self._update(points[start : start + _FRAMES_PER_MEASUREMENT], first + start, diagonal)
             first += len(points)
@@ -77,7 +77,7 @@ class RoundingMonitor:
         if bound < VISIBLE_ERROR_DIAGONALS * diagonal.length:
             return
         with np.errstate(over="ignore", under="ignore"):
-            errors: Float = diagonal.shifted(points - points.astype(np.float32))
+            errors: Float = diagonal.rescale(points - points.astype(np.float32))
             errors = np.sqrt(np.square(errors).sum(axis=2).max(axis=1)) / (diagonal.fraction or 1.0)
         if errors.max() > self.error:
             self.error, self.frame = float(errors.max()), first + int(errors.argmax())
@@ -107,12 +107,11 @@ def ensure_alpha(colours: FloatArray) -> FloatArray:
 
 def scale_text_colours(numbers: FloatArray) -> FloatArray:
     """Scale colours of text files to 0 to 1: divided by 255 if the largest number is above 16, else unchanged."""
-    return numbers / (
-        LARGEST_BYTE if numbers[np.isfinite(numbers)].max(initial=0) > _MAX_LINEAR_COLOUR else 1
-    )
+    largest = numbers[np.isfinite(numbers)].max(initial=0)
+    return numbers / (LARGEST_BYTE if largest > _MAX_LINEAR_COLOUR else 1)
 
 
-def bytes_to_colours(values: NDArray[np.uint8]) -> NDArray[np.float32]:
+def bytes_to_colours(values: NDArray[np.uint8]) -> Single:
     """Return bytes as float32 from 0 to 1."""
     return (values / np.float32(LARGEST_BYTE)).astype(np.float32)
 
@@ -138,7 +137,7 @@ def format_vertex_colours(header: SequenceHeader, channels: int) -> list[str]:
     colours, vertices = header.surface.colours, header.polygons.indices
     if colours is None:
         return []
-    values = clip_to_unit(colours.at_vertices(vertices, header.vertex_count, WHITE)[:, :channels])
+    values = clip_to_unit(colours.at_vertices(vertices, header.vertex_count, DEFAULT_COLOUR)[:, :channels])
     return ["".join(f" {channel!s}".removesuffix(".0") for channel in colour) for colour in values]
 
 
@@ -164,7 +163,10 @@ def lost_times(header: SequenceHeader, first_number: float) -> list[str]:
     lost = []
     if header.fps != DEFAULT_FPS:
         lost.append(f"{header.fps:g} frames per second")
-    if not np.abs(header.times * header.fps - (first_number + np.arange(header.frame_count))).max() <= NEAR:
+    if (
+        not np.abs(header.times * header.fps - (first_number + np.arange(header.frame_count))).max()
+        <= FRAME_TOLERANCE
+    ):
         lost.append("the times of the frames")
     return lost
 
@@ -260,12 +262,9 @@ def surface_to_arrays(surface: Surface) -> Arrays:
     if surface.uvs is not None:
         arrays |= {"uv_values": surface.uvs.values, "uv_indices": surface.uvs.indices}
     if surface.colours is not None:
-        values = surface.colours.values
-        exact = colours_to_exact_bytes(values)
-        arrays |= {
-            "colour_values": values if exact is None else exact,
-            "colour_indices": surface.colours.indices,
-        }
+        values, exact = surface.colours.values, colours_to_exact_bytes(surface.colours.values)
+        arrays |= {"colour_values": values if exact is None else exact}
+        arrays |= {"colour_indices": surface.colours.indices}
     if surface.hard_edges is not None:
         arrays["creases"] = surface.hard_edges
     sets = surface.face_sets
@@ -278,12 +277,11 @@ def surface_to_arrays(surface: Surface) -> Arrays:
         }
     objects = surface.objects
     if objects:
+        sizes = [(each.vertex_count, each.polygon_count) for each in objects]
         arrays |= {
             "object_names": np.array([each.name for each in objects]),
             "object_paths": np.array([each.path for each in objects]),
-            "object_sizes": np.array(
-                [(each.vertex_count, each.polygon_count) for each in objects], dtype=np.int32
-            ),
+            "object_sizes": np.array(sizes, dtype=np.int32),
         }
     if len(set(surface.subdivisions)) > 1:
         arrays["object_subdivisions"] = np.array(surface.subdivisions)
@@ -362,7 +360,7 @@ def _read_objects(arrays: Mapping[str, NDArray[Any]]) -> tuple[MeshObject, ...]:
     )
 
 
-def _read_integers(arrays: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.int64]:
+def _read_integers(arrays: Mapping[str, NDArray[Any]], name: str) -> Index:
     array = arrays[name]
     if array.dtype.kind not in "iu":
         raise InvalidSequenceError(f"{name} of the surface are {array.dtype}; integers are expected")

@@ -18,9 +18,9 @@ from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.compression.numbering import Renumbering
 from mixseq.errors import FormatError
 from mixseq.mesh.measures import Diagonal
-from mixseq.mesh.polygons import matched
-from mixseq.metrics import comparable, paired_blocks
-from mixseq.runtime.progress import Progress, silent
+from mixseq.mesh.polygons import match_polygons
+from mixseq.metrics import match_reference, paired_blocks
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, LazyFrames, check_frames
@@ -58,15 +58,15 @@ def compressed_sizes(path: Path) -> dict[str, int]:
     container = read_container(path)
     index = read_index(path, container)
     still = mesh_sequence.overhead_size(path) if mesh_sequence.is_glb(path) else 0
-    total, connectivity = path.stat().st_size, index.ground["connectivity"].size
+    total, connectivity = path.stat().st_size, index.header["connectivity"].size
     return {
         "total": total,
         "connectivity": connectivity,
         "still": still,
         "container": total - len(container.streams) - still,
         "signals": len(container.streams) - connectivity,
-        "uvs": index.ground["uvs"].size if "uvs" in index.ground else 0,
-        "surface": index.ground["surface"].size,
+        "uvs": index.header["uvs"].size if "uvs" in index.header else 0,
+        "surface": index.header["surface"].size,
         "index": index.size,
     }
 
@@ -125,7 +125,7 @@ class Verification:
 
 
 @public
-def verify(path: PathLike, original: Frames | None = None, progress: Progress = silent) -> Verification:
+def verify(path: PathLike, original: Frames | None = None, progress: Progress = no_progress) -> Verification:
     """Check the checksums of a compressed model, that its frames decode to finite points, and its error bound.
 
     Parameters
@@ -159,7 +159,7 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
         uv_bound=parameters.uv_error,
     )
     if original is not None:
-        original, renumbering = comparable(original, header)
+        original, renumbering = match_reference(original, header)
         uv_error = None if parameters.uv_error is None else _uv_error(original.header, header)
         return replace(verification, **_measure_errors(original, frames, renumbering), uv_error=uv_error)
     for _ in frames.blocks(FRAMES_PER_BLOCK):
@@ -186,11 +186,11 @@ def _measure_errors(original: Frames, frames: Frames, renumbering: Renumbering) 
     unit = Diagonal(0.0, 0)
     for x, y in paired_blocks(original, frames, FRAMES_PER_BLOCK):
         if first_frame == 0:
-            unit = Diagonal.of(x[0])
+            unit = Diagonal.from_points(x[0])
         with np.errstate(over="ignore"):  # overflow counts as an infinite distance
-            squared = np.square(unit.shifted(x - y)).sum(axis=2)
+            squared = np.square(unit.rescale(x - y)).sum(axis=2)
             squared_sum += float(squared.sum())
-            variation += float(np.square(unit.shifted(x - x.mean(axis=1, keepdims=True))).sum())
+            variation += float(np.square(unit.rescale(x - x.mean(axis=1, keepdims=True))).sum())
         if squared.max() > worst:
             worst = float(squared.max())
             frame, vertex = np.unravel_index(squared.argmax(), squared.shape)
@@ -207,7 +207,7 @@ def _measure_errors(original: Frames, frames: Frames, renumbering: Renumbering) 
 def _uv_error(original: SequenceHeader, header: SequenceHeader) -> float | None:
     """Return the largest difference of texture coordinates at corners, None if they cannot be compared."""
     original_uvs, uvs = original.surface.uvs, header.surface.uvs
-    match = matched(original.polygons, header.polygons)
+    match = match_polygons(original.polygons, header.polygons)
     if original_uvs is None or uvs is None or match is None:
         return None
     differences = original_uvs.at_corners.astype(np.float64) - uvs.at_corners[match.corners]

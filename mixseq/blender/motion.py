@@ -113,7 +113,7 @@ class Placement:
     def conversion(self, header: SequenceHeader) -> UnitConversion:
         """Return the rotation and scale from the model's coordinates to Blender's."""
         placed = replace(header, up_axis=self.up_axis, metres_per_unit=self.scale)
-        return UnitConversion.of(placed, BLENDER_UP_AXIS, 1.0)
+        return UnitConversion.from_header(placed, BLENDER_UP_AXIS, 1.0)
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class Motion:
 
     def points(self, time: float) -> Single:
         """Return the vertices ``(V, 3)``, in Blender's axes and units, at a time in seconds."""
-        points = self._conversion.values(self.model(self.clamp_time(time)))
+        points = self._conversion.convert(self.model(self.clamp_time(time)))
         return np.ascontiguousarray(points, np.float32)
 
 
@@ -174,7 +174,7 @@ def find_placement(model: Model, points: Float, frame_count: int = 9) -> tuple[s
 
     def distance(candidate: tuple[str, Placement]) -> float:
         name, placement = candidate
-        convert = placement.conversion(header).values
+        convert = placement.conversion(header).convert
         return min(float(np.abs(convert(pose[vertices[name]]) - points).max()) for pose in poses)
 
     return min(product(names, placements), key=distance)

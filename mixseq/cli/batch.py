@@ -30,11 +30,11 @@ from mixseq.cli.formats import as_markdown
 from mixseq.cli.group import format_bytes, print_table, printable, progress_bar, say
 from mixseq.cli.lengths import in_diagonals
 from mixseq.errors import FormatError, GivenUpError, MixseqError, MixseqWarning, OutputError, SettingsError
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.version import __version__
 
 if TYPE_CHECKING:
-    from mixseq.runtime.cluster import Cluster
+    from mixseq.runtime.cluster import ClusterExecutor
     from mixseq.runtime.parallel import Executor
 
 
@@ -418,13 +418,13 @@ def in_turn(workers: Executor, progress: Progress) -> Work:
     return work
 
 
-def on_cluster(cluster: Cluster, progress: Progress) -> Work:
+def on_cluster(cluster: ClusterExecutor, progress: Progress) -> Work:
     """Return a function that encodes assets on a cluster, each by one worker."""
 
     def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
         pending = list(assets)
         progress(0, len(pending), "encoding assets")
-        for done, item in enumerate(cluster.as_done(encode_asset, settings, pending), start=1):
+        for done, item in enumerate(cluster.as_completed(encode_asset, settings, pending), start=1):
             yield item
             progress(done, len(pending), "encoding assets")
 
@@ -436,7 +436,7 @@ def _naming(place: str, progress: Progress) -> Progress:
 
 
 def encode_asset(
-    settings: Settings, asset: Asset, workers: Executor | None = None, progress: Progress = silent
+    settings: Settings, asset: Asset, workers: Executor | None = None, progress: Progress = no_progress
 ) -> Entry:
     """Encode an asset, decode and compare it, then move the model into place; errors are recorded in the entry."""
     try:
@@ -460,9 +460,9 @@ def encode_asset(
 
 
 def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress: Progress) -> dict[str, Any]:
-    from mixseq.runtime.parallel import serially
+    from mixseq.runtime.parallel import serial_executor
 
-    mapped = workers or serially
+    mapped = workers or serial_executor
     reading = options_of(asset.source, settings["reading"])
     fitting = {name: value for name, value in settings.items() if name not in ("reading", "aim")}
     unfinished = asset.target.parent / UNFINISHED_FOLDER
@@ -534,7 +534,7 @@ def command(
         raise SettingsError("--exact, --tolerance and --rank exclude each other; give one of them")
     if out.exists() and not out.is_dir():
         raise OutputError(f"{out} is a file; give the name of a folder")
-    from mixseq.runtime.cluster import Cluster
+    from mixseq.runtime.cluster import ClusterExecutor
 
     read_with = {
         name: str(value.resolve()) if isinstance(value, Path) else value for name, value in reading.items()
@@ -550,7 +550,9 @@ def command(
     except OSError as error:
         raise OutputError(f"cannot make the folder {out}: {error.strerror}; choose another one") from error
     with workers as mapped, progress_bar(quiet) as progress:
-        work = on_cluster(mapped, progress) if isinstance(mapped, Cluster) else in_turn(mapped, progress)
+        work = (
+            on_cluster(mapped, progress) if isinstance(mapped, ClusterExecutor) else in_turn(mapped, progress)
+        )
         report = run(assets, settings, earlier, out.resolve(), work, force)
     results = report.of(assets)
     if not quiet:

@@ -13,7 +13,7 @@ from mixseq.cli.files import check_options, counted, options_of, select_frames
 from mixseq.cli.group import print_json, print_table, progress_bar, say
 from mixseq.cli.lengths import length_text
 from mixseq.errors import MixseqWarning
-from mixseq.sequence.frame_rates import frame_text, number_at
+from mixseq.sequence.frame_rates import format_frame, time_to_number
 
 if TYPE_CHECKING:
     from mixseq.metrics import Comparison
@@ -53,7 +53,7 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
         )
         result = mixseq.compare(frames, shared)
     if as_json:
-        number = number_at(result.worst_time, a.header.fps)
+        number = time_to_number(result.worst_time, a.header.fps)
         left_out = b.header.frame_count - result.frames
         print_json(
             {"reference": str(reference), "other": str(other), "left_out": left_out}
@@ -68,11 +68,11 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
 
 def at_times_of(a: Frames, b: Frames) -> Frames:
     """Return b at the times of a, if b has more frames and those among them; else b itself."""
-    from mixseq.metrics import shared_frames
+    from mixseq.metrics import match_frames
     from mixseq.sequence.sequence import LazyFrames
 
     more = b.header.frame_count > a.header.frame_count
-    frames = shared_frames(a.header, b.header) if more else None
+    frames = match_frames(a.header, b.header) if more else None
     if frames is None:
         return b
     indices = sorted(set(frames.tolist()))
@@ -98,7 +98,7 @@ def _rows(result: Comparison, header: SequenceHeader) -> list[tuple[str, str]]:
         ("KG error", f"{result.kg_percent:.4g} %"),
         ("rms error", length_text(result.rms_error, diagonal)),
         ("max error", length_text(result.max_error, diagonal)),
-        ("worst frame", f"{frame_text(result.worst_time, header.fps)} at {result.worst_time:g} s"),
+        ("worst frame", f"{format_frame(result.worst_time, header.fps)} at {result.worst_time:g} s"),
         ("edge strain", _statistics(result.edge_strain, " %", 100)),
         ("dihedral error", _statistics(result.dihedral_degrees, " degrees")),
         ("volume error", f"{volume.mean:.4g} mean, {volume.max:.4g} max" if volume else "no volume"),

@@ -15,7 +15,7 @@ from mixseq.cli import files, options
 from mixseq.cli.group import announce, format_bytes, print_table, progress_bar
 from mixseq.cli.lengths import in_diagonals, length_text
 from mixseq.errors import MixseqWarning, NoMeshError, SettingsError
-from mixseq.sequence.frame_rates import exact_rate, rate_text
+from mixseq.sequence.frame_rates import format_rate, snap_to_ntsc
 
 if TYPE_CHECKING:
     from mixseq.rigging.rigs import Morph, Skin
@@ -86,12 +86,13 @@ def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
 def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[str, str]]:
     """Return table rows of a written file's contents and its distance from the sequence."""
     from mixseq.rigging.rigs import Skin
-    from mixseq_io.rig_files import GLTF
+    from mixseq_io.rig_files import GLTF_EXTENSIONS
     from mixseq_io.rig_measuring import measure_rig_file, size_with_frame_targets
 
     measured, diagonal = measure_rig_file(path, sequence), sequence.diagonal * sequence.metres_per_unit
     first, last = rig.header.times[[0, -1]]
-    frames = f"{rig.header.frame_count:,} from {first:g} to {last:g} s at {rate_text(rig.header.fps)} frames per second"
+    rate = format_rate(rig.header.fps)
+    frames = f"{rig.header.frame_count:,} from {first:g} to {last:g} s at {rate} frames per second"
     table = [
         ("keys", frames),
         *([("bones", f"{rig.bone_count}")] if isinstance(rig, Skin) else []),
@@ -100,7 +101,7 @@ def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[st
         ("rms error", length_text(measured.rms_error, diagonal)),
         ("KG error", f"{measured.kg_percent:.4g} %"),
     ]
-    if path.suffix.lower() in GLTF:
+    if path.suffix.lower() in GLTF_EXTENSIONS:
         size = format_bytes(size_with_frame_targets(sequence.header))
         table.append(("every frame", f"would be {size} as a morph target each"))
     return table
@@ -256,7 +257,7 @@ def _frames_to_fit(
     source: Path, frame_options: Mapping[str, Any], progress: Progress, workers: Executor
 ) -> MeshSequence:
     """Decode the chosen frames of a model into memory, or read a sequence."""
-    from mixseq.sequence.sequence import collect
+    from mixseq.sequence.sequence import join_blocks
 
     named_as_model = source.suffix.lower() in files.MODEL_EXTENSIONS and not source.is_file()
     if not (files.is_model(source) or named_as_model):
@@ -268,7 +269,7 @@ def _frames_to_fit(
         return files.read_sequence(source, {}, progress)
     model = mixseq.load(source)
     header = _header_of_frames(model, **frame_options)
-    return collect(header, model.blocks(header.times, progress=progress, workers=workers))
+    return join_blocks(header, model.blocks(header.times, progress=progress, workers=workers))
 
 
 def _header_of_frames(
@@ -309,7 +310,7 @@ def _range(model: Model, fps: float | None, start: float | None, end: float | No
     if fps is not None:
         for time in (first, last):
             model.header_at([time], fps)  # raises an error if frames cannot be counted
-        rate = exact_rate(fps, model.header.fps)
+        rate = snap_to_ntsc(fps, model.header.fps)
         return model.header_at(frame_times(first, last, rate), rate)
     model.clip_times([first, last])
     times = model.times[(model.times >= first - slack) & (model.times <= last + slack)]

@@ -22,7 +22,7 @@ from mixseq.cli import options
 from mixseq.cli.group import printable
 from mixseq.errors import OutputError, SettingsError
 from mixseq.runtime.progress import Progress
-from mixseq.sequence.frame_rates import frames_text, number_at, rate_text
+from mixseq.sequence.frame_rates import format_frames, format_rate, time_to_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -52,12 +52,12 @@ def is_model(path: Path) -> bool:
 
 def read_sequence(path: Path, reading: Mapping[str, Any], progress: Progress) -> MeshSequence:
     """Read a sequence into memory, reporting progress."""
-    from mixseq.sequence.sequence import collect
+    from mixseq.sequence.sequence import join_blocks
 
     with mixseq.open_sequence(path, **reading) as reader:
         reader.check_total_memory()
         frames = reader.header.frame_count
-        return collect(reader.header, counted(reader.blocks(), frames, f"reading {path.name}", progress))
+        return join_blocks(reader.header, counted(reader.blocks(), frames, f"reading {path.name}", progress))
 
 
 def counted(blocks: Iterable[FloatArray], frames: int, what: str, progress: Progress) -> Iterator[FloatArray]:
@@ -91,10 +91,10 @@ def decoded(model: Model, progress: Progress, workers: Executor) -> LazyFrames:
 def time_rows(header: SequenceHeader) -> list[tuple[str, str]]:
     """Return table rows about the written frames."""
     first, last = (float(time) for time in header.times[[0, -1]])
-    numbers = (number_at(time, header.fps) for time in (first, last))
+    numbers = (time_to_number(time, header.fps) for time in (first, last))
     return [
-        ("frames", frames_text(header.frame_count, *numbers)),
-        ("time", f"{first:g} to {last:g} s at {rate_text(header.fps)} frames per second"),
+        ("frames", format_frames(header.frame_count, *numbers)),
+        ("time", f"{first:g} to {last:g} s at {format_rate(header.fps)} frames per second"),
     ]
 
 
@@ -141,12 +141,12 @@ def write_sequence(
     options = {
         name: value for name, value in writing.items() if name not in ("convert_axes", "convert_units")
     }
-    conversion = UnitConversion.of(header, writing.get("convert_axes"), writing.get("convert_units"))
+    conversion = UnitConversion.from_header(header, writing.get("convert_axes"), writing.get("convert_units"))
     mixseq.write_blocks(
         path,
-        conversion.header(header),
-        conversion.blocks(blocks),
-        None if velocities is None else conversion.blocks(velocities),
+        conversion.convert_header(header),
+        map(conversion.convert, blocks),
+        None if velocities is None else map(conversion.convert, velocities),
         **options,
         **extra,
     )

@@ -34,8 +34,8 @@ from typing import Any
 import click
 
 from mixseq.errors import MixseqError, MixseqWarning, SettingsError
-from mixseq.runtime.interrupts import unwinding
-from mixseq.runtime.progress import Progress, silent, warnings_heard
+from mixseq.runtime.interrupts import signals_as_exceptions
+from mixseq.runtime.progress import Progress, forward_warnings, no_progress
 
 _CONTROL_CHARACTERS = re.compile(
     "[\x00-\x1f\x7f-\x9f"  # C0, DEL and C1
@@ -124,7 +124,7 @@ def format_bytes(count: float) -> str:
 def progress_bar(quiet: bool) -> Iterator[Progress]:
     """Show the progress of work, if stderr is a terminal."""
     if quiet or not sys.stderr.isatty():
-        yield silent
+        yield no_progress
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
@@ -303,7 +303,7 @@ class LazyGroup(click.Group):
 def exit_code(run: Callable[[], object]) -> int:
     """Run a command, report its errors and warnings, and return the exit code of the process."""
     try:
-        with _warnings_in_one_line(), unwinding():
+        with _warnings_in_one_line(), signals_as_exceptions():
             result = run()
         return result if isinstance(result, int) else 0
     except MixseqError as error:
@@ -341,5 +341,5 @@ def _say(message: str) -> None:
 def _warnings_in_one_line() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("always", MixseqWarning)
-        with warnings_heard(lambda text: _say(f"warning: {text}"), instead=True):
+        with forward_warnings(lambda text: _say(f"warning: {text}"), replace=True):
             yield

@@ -12,7 +12,7 @@ from mixseq.cli import options
 from mixseq.cli.compressed import coding_facts, coding_rows
 from mixseq.cli.files import is_model
 from mixseq.cli.group import format_bytes, print_json, print_table
-from mixseq.sequence.frame_rates import frames_text, number_at, rate_text
+from mixseq.sequence.frame_rates import format_frames, format_rate, time_to_number
 
 if TYPE_CHECKING:
     from mixseq.sequence.header import SequenceHeader
@@ -69,8 +69,8 @@ def _mesh(header: SequenceHeader, diagonal: float) -> dict[str, Any]:
         "polygons": len(header.polygons.counts),
         "triangles": len(header.faces),
         "frames": header.frame_count,
-        "first_frame": number_at(header.times[0], header.fps),
-        "last_frame": number_at(header.times[-1], header.fps),
+        "first_frame": time_to_number(header.times[0], header.fps),
+        "last_frame": time_to_number(header.times[-1], header.fps),
         "first_time": float(header.times[0]),
         "last_time": float(header.times[-1]),
         "fps": header.fps,
@@ -148,9 +148,9 @@ def _rows(facts: dict[str, Any]) -> Rows:
         ("vertices", f"{facts['vertices']:,}"),
         ("polygons", f"{facts['polygons']:,}"),
         ("triangles", f"{facts['triangles']:,}"),
-        ("frames", frames_text(facts["frames"], facts["first_frame"], facts["last_frame"])),
+        ("frames", format_frames(facts["frames"], facts["first_frame"], facts["last_frame"])),
         ("time", f"{facts['first_time']:g} to {facts['last_time']:g} s"),
-        ("rate", f"{rate_text(facts['fps'])} frames per second"),
+        ("rate", f"{format_rate(facts['fps'])} frames per second"),
         ("up", facts["up_axis"]),
         ("units", f"{facts['metres_per_unit']:g} m"),
         ("diagonal", f"{facts['diagonal']:.6g}"),

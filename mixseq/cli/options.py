@@ -20,7 +20,7 @@ from mixseq.choices import PLACEMENTS, PROJECTIONS, SEGMENTATIONS, SPACES
 from mixseq.cli.group import environment
 from mixseq.cli.lengths import parse_length
 from mixseq.errors import SettingsError
-from mixseq.sequence.frame_rates import NEAR, number_text, time_of
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_number, number_to_time
 
 if TYPE_CHECKING:
     from mixseq.runtime.parallel import Executor
@@ -200,7 +200,7 @@ class FrameChoice:
         chosen = np.zeros(header.frame_count, dtype=bool)
         for first, last in self.ranges:
             self._check(header, first, last)
-            within = (numbers >= first - NEAR) & (numbers <= last + NEAR)
+            within = (numbers >= first - FRAME_TOLERANCE) & (numbers <= last + FRAME_TOLERANCE)
             if not within.any():
                 header.index_of(first)
             chosen |= within
@@ -212,14 +212,17 @@ class FrameChoice:
             raise SettingsError("--frames is one range here, such as 1005-1010")
         ((first, last),) = self.ranges
         self._check(header, first, last)
-        return time_of(first, header.fps), time_of(last, header.fps)
+        return number_to_time(first, header.fps), number_to_time(last, header.fps)
 
     def _check(self, header: SequenceHeader, *numbers: int) -> None:
-        low, high = header.times[0] * header.fps - NEAR, header.times[-1] * header.fps + NEAR
+        low, high = (
+            header.times[0] * header.fps - FRAME_TOLERANCE,
+            header.times[-1] * header.fps + FRAME_TOLERANCE,
+        )
         for number in numbers:
             if not low <= number <= high:
                 raise SettingsError(
-                    f"there is no frame {number_text(number)}; frames are {header.frame_numbers}"
+                    f"there is no frame {format_number(number)}; frames are {header.frame_numbers}"
                 )
 
 
@@ -232,18 +235,18 @@ def _angles(text: str) -> tuple[float, float]:
 
 
 def _unit(text: str) -> float:
-    from mixseq.sequence.sequence import metres_of
+    from mixseq.sequence.sequence import parse_unit
 
-    return metres_of(text)
+    return parse_unit(text)
 
 
 @contextmanager
 def thread_limit(count: int | None) -> Iterator[Executor]:
     """Set the number of threads meanwhile, also for code without the executor."""
-    from mixseq.runtime.parallel import on_threads
+    from mixseq.runtime.parallel import thread_executor
 
     with environment(**({} if count is None else {"MIXSEQ_THREADS": str(count)})):
-        yield on_threads()
+        yield thread_executor()
 
 
 def _workers(threads: int | None = None, cluster: str | None = None) -> AbstractContextManager[Executor]:
@@ -251,7 +254,7 @@ def _workers(threads: int | None = None, cluster: str | None = None) -> Abstract
         return thread_limit(threads)
     if threads is not None:
         raise SettingsError("--threads and --cluster exclude each other; a cluster has threads of its own")
-    from mixseq.runtime.cluster import cluster as connected
+    from mixseq.runtime.cluster import connect_to_cluster as connected
 
     return connected(cluster)
 

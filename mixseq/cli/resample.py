@@ -12,7 +12,7 @@ from mixseq.cli.files import Claim, is_model, overwriting, time_rows, write_sequ
 from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.cli.lengths import in_diagonals
 from mixseq.errors import SettingsError
-from mixseq.sequence.frame_rates import exact_rate, span_text
+from mixseq.sequence.frame_rates import format_span, snap_to_ntsc
 
 if TYPE_CHECKING:
     from mixseq.operations.resampling import Resampling
@@ -112,7 +112,7 @@ def command(
         retiming = None
         if keys is not None:
             own = model.header.fps
-            outputs, sources = keys.in_seconds(own if rate is None else exact_rate(rate, own), own).T
+            outputs, sources = keys.in_seconds(own if rate is None else snap_to_ntsc(rate, own), own).T
             retiming = Retiming.through(outputs, sources, smooth=not linear)
         planned = plan(model, rate, start, end, speed, reverse, retiming)
         if velocities:
@@ -151,7 +151,7 @@ def _rows(planned: Resampling) -> list[tuple[str, str]]:
     sources = planned.sources
     begin, end, low, high = sources[0], sources[-1], sources.min(), sources.max()
     beyond = f", between {low:g} and {high:g} s" if low < min(begin, end) or high > max(begin, end) else ""
-    rows = [*time_rows(header), ("source", f"{span_text(begin, end, planned.model.header.fps)}{beyond}")]
+    rows = [*time_rows(header), ("source", f"{format_span(begin, end, planned.model.header.fps)}{beyond}")]
     negligible = 1e-3 / header.fps  # smaller ones are rounding errors
     why = f"; frames are at whole multiples of 1/{header.fps:g} s"
     if first - retiming.start > negligible:

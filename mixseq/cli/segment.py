@@ -94,11 +94,11 @@ def command(
     if picture_file is not None:
         check_picture(picture_file)
     with progress_bar(quiet) as progress, mixseq.open_sequence(path, **reading) as reader:
-        from mixseq.segmentation.joints import frames_to_look_at
-        from mixseq.sequence.sequence import frame_store
+        from mixseq.segmentation.joints import sample_frame_ids
+        from mixseq.sequence.sequence import load_frames
 
-        frames = frame_store(reader, progress)
-        points = frames.points[frames_to_look_at(len(frames.points))]
+        frames = load_frames(reader, progress)
+        points = frames.points[sample_frame_ids(len(frames.points))]
         if method_name in _LABEL_METHODS:
             choice = replace(labels, label_source="skeleton") if method_name == "skeleton" else labels
             parts_of_faces = split_into_connected(reader.header, choice.read(reader, reading))

@@ -17,7 +17,7 @@ from mixseq.choices import TRANSFERS
 from mixseq.cli import files, options
 from mixseq.cli.group import announce, print_json, print_table, progress_bar
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
-from mixseq.runtime.progress import warnings_heard
+from mixseq.runtime.progress import forward_warnings
 
 if TYPE_CHECKING:
     from mixseq.choices import TransferName
@@ -197,10 +197,10 @@ def _percent(share: float) -> str:
 
 def _frames_to_draw(transferred: Transfer, frame: int, rest_file: Path | None) -> list[int]:
     """Choose frames for the picture, without the rest, which is always drawn."""
-    from mixseq.types import evenly
+    from mixseq.types import evenly_spaced
 
     count = transferred.header.frame_count
-    chosen = [int(each) for each in evenly(count, MAX_PICTURE_COLUMNS)]
+    chosen = [int(each) for each in evenly_spaced(count, MAX_PICTURE_COLUMNS)]
     return [each for each in chosen if rest_file is not None or each != frame % count] or chosen
 
 
@@ -329,7 +329,7 @@ def command(
     with (
         workers as work,
         progress_bar(quiet) as progress,
-        warnings_heard(notes.append),
+        forward_warnings(notes.append),
         _open_source(source, reading) as source_motion,
     ):
         import numpy as np
@@ -338,7 +338,7 @@ def command(
         from mixseq.retargeting.report import TransferMeter
         from mixseq.retargeting.sources import prepare_source
         from mixseq.retargeting.transfer import TransferSettings, plan_transfer
-        from mixseq.sequence.sequence import collect
+        from mixseq.sequence.sequence import join_blocks
         from mixseq_io.files import atomic_file
         from mixseq_io.text.maps import read_map, to_correspondence, write_map
         from mixseq_io.text.markers import read_contacts, read_markers
@@ -378,7 +378,7 @@ def command(
         points: list[FloatArray] = []
         blocks = _record_frames(meter.measure_blocks(transferred.blocks(progress, work)), shown, points)
         if as_model:
-            mixseq.save(out, with_shapes(model, collect(transferred.header, blocks)))
+            mixseq.save(out, with_shapes(model, join_blocks(transferred.header, blocks)))
         else:
             files.write_sequence(out, transferred.header, blocks, None, writing)
         report = meter.report()

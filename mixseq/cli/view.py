@@ -32,8 +32,8 @@ from mixseq.cli.files import (
 from mixseq.cli.group import announce, needed, progress_bar, say
 from mixseq.cli.lengths import in_diagonals
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
-from mixseq.runtime.interrupts import answered
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.interrupts import acknowledge_signal
+from mixseq.runtime.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from mixseq.pictures.colours import SceneColours
@@ -184,12 +184,12 @@ def _opened(
     """Open models, and read sequences."""
     from mixseq.pictures.colours import SceneColours, check_original
     from mixseq.pictures.scene import Scene
-    from mixseq.sequence.sequence import frame_store
+    from mixseq.sequence.sequence import load_frames
 
     with ExitStack() as stack:
         items, original = scene_items(files, _names(files), against, reading, stack)
         scene = Scene(tuple(item.with_random_access(progress) for item in items), fps).validated()
-        stored = None if original is None else frame_store(original, progress)
+        stored = None if original is None else load_frames(original, progress)
     if stored is not None:
         check_original(scene, stored)
     return SceneColours(scene, stored)
@@ -216,7 +216,7 @@ def _run(
         try:
             _wait(running.address, browser)
         finally:
-            answered()  # later saves are intentional
+            acknowledge_signal()  # later saves are intentional
             for name, model in running.session.unsaved.items():
                 kept = _free_name(Path(f"{Path(name).stem}-unsaved.h5"))
                 mixseq.save(kept, model)
@@ -251,7 +251,7 @@ def _has_screen() -> bool:
 
 def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> str:
     """Write an edited model, as a model or as a sequence; return a message with its name and the files it needs."""
-    from mixseq.runtime.parallel import on_threads
+    from mixseq.runtime.parallel import thread_executor
     from mixseq_io.numbered.files import find_numbered_files
 
     for source in sources:
@@ -262,7 +262,7 @@ def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> s
         if path.suffix.lower() in MODEL_EXTENSIONS:
             mixseq.save(path, model)
         else:
-            write_frames(path, model, model.header, False, {}, silent, on_threads())
+            write_frames(path, model, model.header, False, {}, no_progress, thread_executor())
     except OSError as error:
         raise OutputError(f"{path}: {error.strerror or error}") from None
     return f"{path.name} in {path.parent}{needed(path)}"
@@ -297,7 +297,7 @@ def _set_markers(
         try:
             _wait(running.address, browser)
         finally:
-            answered()  # later saves are intentional
+            acknowledge_signal()  # later saves are intentional
             if running.session.has_changes:
                 kept = _free_name(path.with_stem(f"{path.stem}-unsaved"))
                 write_markers(kept, running.session.marking.markers)

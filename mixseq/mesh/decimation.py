@@ -1,16 +1,16 @@
 """Decimate a mesh by half-edge collapses of least quadric error (Garland and Heckbert 1997).
 
-A collapse moves a vertex v onto a neighbour u, so that remaining vertices are vertices of the mesh. Its cost is the
-area-weighted squared distance of u from the planes of all faces that v and u stand for, plus `SPACING` times the area
-that v stands for times its squared distance to u, which keeps vertices evenly spread where the surface is flat in this
+A collapse moves a vertex v onto a neighbour u, so that the result is a subset of the vertices. Its cost is the
+area-weighted squared distance of u from the planes of all faces that were merged into v and u, plus `SPACING_WEIGHT`
+times the area of v times its squared distance to u. That keeps vertices evenly spread where the surface is flat in this
 frame. Collapses are refused that change the topology (the link condition), flip a face or make a sliver. Vertices of
-edges with three or more faces stay; the border shrinks along itself only.
+non-manifold edges stay; the border is only simplified along itself.
 
-Libraries (fast-simplification, Open3D) make new vertices of least error, which are known in one frame only.
+Libraries (fast-simplification, Open3D) make new vertices of least error, which have positions in one frame only.
 
-The faces of a vertex are a chain of corners ``3 f + k``; collapsing joins two chains. A heap holds half-edges
-``v -> u`` with the times of the last changes around both ends: older entries are skipped. Refused collapses may be
-allowed later, so passes over all half-edges are repeated until one changes nothing.
+The faces of a vertex are a linked list of corners ``3 f + k``; a collapse joins two lists. A heap holds half-edges
+``v -> u`` with the versions of both ends, and outdated entries are skipped. Refused collapses may become valid later,
+so passes over all half-edges are repeated until one changes nothing.
 """
 
 from __future__ import annotations
@@ -34,93 +34,93 @@ def _normal(x: Float, a: int, b: int, c: int) -> tuple[float, float, float]:
 
 
 @compiled
-def _square(x: Float, a: int, b: int) -> float:
+def _squared_length(x: Float, a: int, b: int) -> float:
     """Return the squared distance of two vertices."""
     return float((x[a, 0] - x[b, 0]) ** 2 + (x[a, 1] - x[b, 1]) ** 2 + (x[a, 2] - x[b, 2]) ** 2)
 
 
 @compiled
-def _shape(x: Float, a: int, b: int, c: int) -> float:
+def _roundness(x: Float, a: int, b: int, c: int) -> float:
     """Return the roundness of a triangle: 1 for an equilateral one, 0 for a line."""
     n0, n1, n2 = _normal(x, a, b, c)
-    sides = _square(x, a, b) + _square(x, b, c) + _square(x, c, a)
+    sides = _squared_length(x, a, b) + _squared_length(x, b, c) + _squared_length(x, c, a)
     return 2.0 * math.sqrt(3.0 * (n0 * n0 + n1 * n1 + n2 * n2)) / max(sides, 1e-300)
 
 
 @compiled
 def _cost(x: Float, quadrics: Float, areas: Float, spacing: float, v: int, u: int) -> float:
-    """Return the area-weighted squared distances of u from the planes of v, plus `spacing` times that of v."""
+    """Return the area-weighted squared distances of u from the planes of v and u, plus the spacing term."""
     p = np.array([x[u, 0], x[u, 1], x[u, 2], 1.0])
     total = 0.0
     for i in range(4):
         for j in range(4):
             total += p[i] * (quadrics[v, i, j] + quadrics[u, i, j]) * p[j]
-    return float(max(total, 0.0) + spacing * areas[v] * _square(x, v, u))
+    return float(max(total, 0.0) + spacing * areas[v] * _squared_length(x, v, u))
 
 
 @compiled
-def _allowed(
-    x: Float, faces: Index, gone: Mask, first: Index, after: Index, border: Mask, v: int, u: int,
-    turn: float, round_: float,
+def _is_valid_collapse(
+    x: Float, faces: Index, removed: Mask, first: Index, following: Index, border: Mask, v: int, u: int,
+    min_cosine: float, min_roundness: float,
 ) -> bool:  # fmt: skip
-    """Return whether v may collapse to u: the topology stays, no face flips or becomes a sliver."""
+    """Return whether v may collapse onto u: the topology stays, and no face flips or becomes a sliver."""
     shared = 0
-    of_v = set()
-    of_u = set()
+    v_neighbours = set()
+    u_neighbours = set()
     c = first[u]
     while c >= 0:
         f, k = c // 3, c % 3
-        if not gone[f]:
-            of_u.add(faces[f, (k + 1) % 3])
-            of_u.add(faces[f, (k + 2) % 3])
-        c = after[c]
+        if not removed[f]:
+            u_neighbours.add(faces[f, (k + 1) % 3])
+            u_neighbours.add(faces[f, (k + 2) % 3])
+        c = following[c]
     c = first[v]
     while c >= 0:
         f, k = c // 3, c % 3
-        if not gone[f]:
+        if not removed[f]:
             a, b = faces[f, (k + 1) % 3], faces[f, (k + 2) % 3]
-            of_v.add(a)
-            of_v.add(b)
+            v_neighbours.add(a)
+            v_neighbours.add(b)
             if a == u or b == u:
                 shared += 1
-                # The third vertex of a face that goes must have another face.
+                # The third vertex of a removed face must have another face.
                 t = b if a == u else a
-                others = 0
+                remaining = 0
                 d = first[t]
                 while d >= 0:
-                    others += not gone[d // 3]
-                    d = after[d]
-                if others < 2:
+                    remaining += not removed[d // 3]
+                    d = following[d]
+                if remaining < 2:
                     return False
-        c = after[c]
+        c = following[c]
     if shared == 0 or (border[v] and shared != 1):
         return False
     common = 0
-    for a in of_v:
-        common += a in of_u
+    for a in v_neighbours:
+        common += a in u_neighbours
     if common != shared:  # the link condition (Dey et al. 1999)
         return False
     c = first[v]
     while c >= 0:
         f, k = c // 3, c % 3
         a, b = faces[f, (k + 1) % 3], faces[f, (k + 2) % 3]
-        if not gone[f] and a != u and b != u:
-            if a in of_u and b in of_u:  # u may have a face with both already
+        if not removed[f] and a != u and b != u:
+            if a in u_neighbours and b in u_neighbours:  # u may already have a face with both
                 d = first[u]
                 while d >= 0:
                     g, l = d // 3, d % 3  # noqa: E741
                     s, t = faces[g, (l + 1) % 3], faces[g, (l + 2) % 3]
-                    if not gone[g] and ((s == a and t == b) or (s == b and t == a)):
+                    if not removed[g] and ((s == a and t == b) or (s == b and t == a)):
                         return False
-                    d = after[d]
+                    d = following[d]
             n0, n1, n2 = _normal(x, v, a, b)
             m0, m1, m2 = _normal(x, u, a, b)
             sizes = math.sqrt((n0 * n0 + n1 * n1 + n2 * n2) * (m0 * m0 + m1 * m1 + m2 * m2))
-            if n0 * m0 + n1 * m1 + n2 * m2 < turn * sizes:
+            if n0 * m0 + n1 * m1 + n2 * m2 < min_cosine * sizes:
                 return False
-            if _shape(x, u, a, b) < min(round_, _shape(x, v, a, b)):
+            if _roundness(x, u, a, b) < min(min_roundness, _roundness(x, v, a, b)):
                 return False
-        c = after[c]
+        c = following[c]
     return True
 
 
@@ -134,71 +134,75 @@ def collapse(
     border: Mask,
     count: int,
     spacing: float,
-    turn: float,
-    round_: float,
+    min_cosine: float,
+    min_roundness: float,
 ) -> Mask:
     """Collapse half-edges of faces ``(m, 3)``, in place, until `count` vertices are left; mark removed faces."""
     n, m = len(x), len(faces)
     first, last = np.full(n, -1), np.full(n, -1)
-    after = np.full(3 * m, -1)
-    gone, alive = np.zeros(m, np.bool_), np.zeros(n, np.bool_)
-    stamp = np.zeros(n, np.int64)
+    following = np.full(3 * m, -1)
+    removed, alive = np.zeros(m, np.bool_), np.zeros(n, np.bool_)
+    version = np.zeros(n, np.int64)
     for c in range(3 * m):
         v = faces[c // 3, c % 3]
         if first[v] < 0:
             first[v] = c
         else:
-            after[last[v]] = c
+            following[last[v]] = c
         last[v] = c
         alive[v] = True
-    left = 0
+    remaining = 0
     for v in range(n):
-        left += alive[v]
+        remaining += alive[v]
 
     changed = True
-    while left > count and changed:
+    while remaining > count and changed:
         changed = False
         heap = [(0.0, 0, 0, 0, 0) for _ in range(0)]
         for f in range(m):
-            if not gone[f]:
+            if not removed[f]:
                 for k in range(3):
                     a, b = faces[f, k], faces[f, (k + 1) % 3]
                     for v, u in ((a, b), (b, a)):
                         if not locked[v] and v != u:
-                            heap.append((_cost(x, quadrics, areas, spacing, v, u), v, u, stamp[v], stamp[u]))
+                            heap.append(
+                                (_cost(x, quadrics, areas, spacing, v, u), v, u, version[v], version[u])
+                            )
         heapq.heapify(heap)
-        while left > count and len(heap) > 0:
-            _, v, u, old_v, old_u = heapq.heappop(heap)
-            if not (alive[v] and alive[u]) or stamp[v] != old_v or stamp[u] != old_u:
+        while remaining > count and len(heap) > 0:
+            _, v, u, v_version, u_version = heapq.heappop(heap)
+            if not (alive[v] and alive[u]) or version[v] != v_version or version[u] != u_version:
                 continue
-            if not _allowed(x, faces, gone, first, after, border, v, u, turn, round_):
+            if not _is_valid_collapse(
+                x, faces, removed, first, following, border, v, u, min_cosine, min_roundness
+            ):
                 continue
             c = first[v]
             while c >= 0:
                 f, k = c // 3, c % 3
                 if faces[f, (k + 1) % 3] == u or faces[f, (k + 2) % 3] == u:
-                    gone[f] = True
+                    removed[f] = True
                 else:
                     faces[f, k] = u
-                c = after[c]
-            after[last[u]] = first[v]
-            # Relink the chain without the faces that went.
+                c = following[c]
+            following[last[u]] = first[v]
+            # Relink the list without the removed faces.
             c, end, start = first[u], -1, -1
             while c >= 0:
-                if not gone[c // 3]:
+                if not removed[c // 3]:
                     if end < 0:
                         start = c
                     else:
-                        after[end] = c
+                        following[end] = c
                     end = c
-                c = after[c]
-            after[end] = -1
+                c = following[c]
+            following[end] = -1
             first[u], last[u] = start, end
             quadrics[u] += quadrics[v]
             areas[u] += areas[v]
             alive[v] = False
-            stamp[u] += 1
-            left -= 1
+            version[u] += 1
+            remaining -= 1
             changed = True
             c = first[u]
             while c >= 0:
@@ -206,28 +210,23 @@ def collapse(
                 for w in (faces[f, (k + 1) % 3], faces[f, (k + 2) % 3]):
                     if not locked[u]:
                         heapq.heappush(
-                            heap, (_cost(x, quadrics, areas, spacing, u, w), u, w, stamp[u], stamp[w])
+                            heap, (_cost(x, quadrics, areas, spacing, u, w), u, w, version[u], version[w])
                         )
                     if not locked[w]:
                         heapq.heappush(
-                            heap, (_cost(x, quadrics, areas, spacing, w, u), w, u, stamp[w], stamp[u])
+                            heap, (_cost(x, quadrics, areas, spacing, w, u), w, u, version[w], version[u])
                         )
-                c = after[c]
-    return gone
+                c = following[c]
+    return removed
 
 
-SPACING = 0.02
-"""Weight of even spacing against distance from the surface."""
-
-TURN = 0.2
-"""Least cosine of the angle by which a face may rotate."""
-
-ROUND = 0.15
-"""Least roundness of a face (1: equilateral), unless it was less round before."""
+SPACING_WEIGHT = 0.02  # of even spacing against distance from the surface
+MIN_ROTATION_COSINE = 0.2  # of the rotation of a face's normal by a collapse
+MIN_ROUNDNESS = 0.15  # of a face after a collapse (1: equilateral), unless it was less round before
 
 
 def decimate(points: Float, faces: Index, count: int, keep: Index | None = None) -> tuple[Index, Index]:
-    """Decimate a mesh ``(n, 3), (m, 3)`` to `count` vertices, keeping some: vertices ``(c,)``, faces ``(f, 3)``."""
+    """Decimate a mesh ``(n, 3), (m, 3)`` to `count` vertices including `keep`: vertices ``(c,)``, faces ``(f, 3)``."""
     topology = Topology(faces, len(points))
     locked, border = np.zeros((2, len(points)), dtype=bool)
     border[topology.edges[topology.boundary_edges]] = True
@@ -237,33 +236,34 @@ def decimate(points: Float, faces: Index, count: int, keep: Index | None = None)
     locked[faces[(faces == np.roll(faces, 1, axis=1)).any(axis=1)]] = True
     x = points - points.mean(axis=0)
     areas, quadrics = _quadrics(x, topology)
-    left = np.array(faces, dtype=np.int64)
-    gone = collapse(x, left, quadrics, areas, locked, border, count, SPACING, TURN, ROUND)
-    kept = np.unique(left[~gone])
-    return kept, np.searchsorted(kept, left[~gone])
+    collapsed = np.array(faces, dtype=np.int64)
+    settings = SPACING_WEIGHT, MIN_ROTATION_COSINE, MIN_ROUNDNESS
+    removed = collapse(x, collapsed, quadrics, areas, locked, border, count, *settings)
+    vertices = np.unique(collapsed[~removed])
+    return vertices, np.searchsorted(vertices, collapsed[~removed])
 
 
 def _quadrics(x: Float, topology: Topology) -> tuple[Float, Float]:
-    """Return vertex areas ``(n,)``, and quadrics ``(n, 4, 4)`` of planes; upright planes keep the border."""
+    """Return vertex areas ``(n,)`` and quadrics ``(n, 4, 4)`` of faces, and of upright planes at the border."""
     faces = topology.faces.astype(np.int64)
     a, b, c = (x[corner] for corner in faces.T)
     normals = np.cross(b - a, c - a)
-    size = np.linalg.norm(normals, axis=1)
-    unit = normals / np.maximum(size, np.finfo(np.float64).tiny)[:, None]
-    areas = np.bincount(faces.reshape(-1), np.repeat(size / 6.0, 3), minlength=len(x))
+    double_areas = np.linalg.norm(normals, axis=1)
+    unit_normals = normals / np.maximum(double_areas, np.finfo(np.float64).tiny)[:, None]
+    areas = np.bincount(faces.reshape(-1), np.repeat(double_areas / 6.0, 3), minlength=len(x))
 
     face_of_edge = np.empty(len(topology.edges), dtype=np.int64)
     face_of_edge[topology.face_edges] = np.arange(len(faces))[:, None]
     ends = topology.edges[topology.boundary_edges]
     along = x[ends[:, 1]] - x[ends[:, 0]]
-    upright = np.cross(along, unit[face_of_edge[topology.boundary_edges]])
-    length = np.linalg.norm(upright, axis=1)
-    upright /= np.maximum(length, np.finfo(np.float64).tiny)[:, None]
+    upright = np.cross(along, unit_normals[face_of_edge[topology.boundary_edges]])
+    lengths = np.linalg.norm(upright, axis=1)
+    upright /= np.maximum(lengths, np.finfo(np.float64).tiny)[:, None]
 
     quadrics = np.zeros((len(x), 4, 4))
     for corners, plane, weight in (
-        (faces, _planes(unit, a), size / 2.0),
-        (ends, _planes(upright, x[ends[:, 0]]), length**2),
+        (faces, _planes(unit_normals, a), double_areas / 2.0),
+        (ends, _planes(upright, x[ends[:, 0]]), lengths**2),
     ):
         squares = weight[:, None, None] * plane[:, :, None] * plane[:, None, :]
         for corner in corners.T:

@@ -1,8 +1,8 @@
-r"""Measures of a mesh: its diagonal, lengths, dihedral angles, areas, volume, and normals of corners.
+r"""Measures of a mesh: diagonal, edge lengths, dihedral angles, areas, volume, and normals of corners.
 
 The diagonal of a bounding box is the unit of lengths and errors, at any scale. Squares of lengths below 1e-154 or above
-1e154 overflow double precision, so exponents are shifted before squaring; results are bitwise equal wherever squares
-fit anyway.
+1e154 do not fit into double precision, so lengths are scaled by a power of two before squaring. Other results are
+bitwise equal to those without scaling.
 
 For a hinge with edge ``ab`` and opposite vertices ``c`` (first face) and ``d`` (second face), with
 ``e = b - a``, ``n1 = e x (c - a)`` and ``n2 = (d - a) x e``, the dihedral angle is
@@ -12,9 +12,8 @@ For a hinge with edge ``ab`` and opposite vertices ``c`` (first face) and ``d`` 
 in radians in (-pi, pi]: 0 where flat, positive where the surface is convex under the orientation of the first
 face (a -> b -> c counter-clockwise seen from outside).
 
-The normal of a group of corners, which belongs to the surface (`mixseq.mesh.surface.Surface.hard_edges`), is the
-normalised sum over its corners of the vector areas of their polygons, :math:`\frac12 \sum x_i \times x_{i+1}` over the
-corners of each, of an n-gon too, planar or not.
+The normal of a group of corners (`mixseq.mesh.surface.Surface.hard_edges`) is the normalised sum of the vector areas of
+their polygons, each :math:`\frac12 \sum x_i \times x_{i+1}` over its corners, planar or not.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ from mixseq.types import Float, FloatArray, IntArray
 class Diagonal:
     """The diagonal of the bounding box of a frame, ``fraction * 2**exponent``."""
 
-    fraction: float  # from 0.5 to 2, or 0 if all points are one
-    exponent: int  # the power of two
+    fraction: float  # from 0.5 to 2, or 0 if all points coincide
+    exponent: int
 
     @classmethod
-    def of(cls, points: FloatArray) -> Diagonal:
+    def from_points(cls, points: FloatArray) -> Diagonal:
         """Measure the bounding box of points ``(V, 3)``."""
         low, high = (
             np.asarray(corner, dtype=np.float64) for corner in (points.min(axis=0), points.max(axis=0))
@@ -54,8 +53,8 @@ class Diagonal:
         with np.errstate(over="ignore"):
             return float(np.ldexp(self.fraction, self.exponent))
 
-    def shifted(self, lengths: FloatArray) -> Float:
-        """Return lengths divided by ``2**exponent``, which brings those near the diagonal near `fraction`."""
+    def rescale(self, lengths: FloatArray) -> Float:
+        """Return lengths divided by ``2**exponent``: a length equal to the diagonal becomes `fraction`."""
         with np.errstate(over="ignore", under="ignore"):
             return np.asarray(np.ldexp(lengths, -self.exponent), dtype=np.float64)
 
@@ -66,41 +65,43 @@ def vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
     first = np.repeat(starts, polygons.counts)
     step = np.arange(polygons.indices.size) - first
     following = first + (step + 1) % np.repeat(polygons.counts, polygons.counts)
-    # About the polygon's first corner, not the origin: far from it the products would cancel.
-    centre = points[:, polygons.indices[first]].astype(np.float64)
-    here = points[:, polygons.indices] - centre
-    there = points[:, polygons.indices[following]] - centre
-    return np.add.reduceat(np.cross(here, there), starts, axis=1) / 2
+    # About the polygon's first corner, as products about a distant origin would cancel.
+    origin = points[:, polygons.indices[first]].astype(np.float64)
+    corners = points[:, polygons.indices] - origin
+    next_corners = points[:, polygons.indices[following]] - origin
+    return np.add.reduceat(np.cross(corners, next_corners), starts, axis=1) / 2
 
 
-def shared_normals(
+def corner_normals(
     points: FloatArray, polygons: Polygons, groups: IntArray | None = None
 ) -> NDArray[np.float32]:
-    """Return one normal ``(T, G, 3)`` per group ``(sum of counts,)`` of corners: points ``(T, V, 3)``."""
-    of_corner = polygons.indices if groups is None else groups
-    count = points.shape[1] if groups is None else int(of_corner.max(initial=-1)) + 1
-    areas = (_of_triangles if polygons.only_triangles else vector_areas)(points, polygons)
-    of_polygon = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
+    """Return one normal ``(T, G, 3)`` per group ``(sum of counts,)`` of corners, or vertex: points ``(T, V, 3)``."""
+    group_of_corner = polygons.indices if groups is None else groups
+    count = points.shape[1] if groups is None else int(group_of_corner.max(initial=-1)) + 1
+    areas = (_triangle_vector_areas if polygons.only_triangles else vector_areas)(points, polygons)
+    polygon_of_corner = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
     sums = np.zeros((len(points), count, 3))
     for frame, total in enumerate(sums):
         for axis in range(3):
-            total[:, axis] = np.bincount(of_corner, areas[frame, of_polygon, axis], minlength=count)
+            total[:, axis] = np.bincount(
+                group_of_corner, areas[frame, polygon_of_corner, axis], minlength=count
+            )
     lengths = np.linalg.norm(sums, axis=2, keepdims=True)
     up = np.array([0.0, 0.0, 1.0])
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(lengths > 0, sums / lengths, up).astype(np.float32)
 
 
-def _of_triangles(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
-    """Return `vector_areas` of triangles, except for the signs of zeros: of three products two are zero."""
+def _triangle_vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
+    """Return `vector_areas` of triangles by one of three products, as two are zero; signs of zeros may differ."""
     a, b, c = polygons.triangles.T
     origin = points[:, a].astype(np.float64)
     return np.asarray(np.cross(points[:, b] - origin, points[:, c] - origin) / 2)
 
 
-def hard_edges_of_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np.int32] | None:
-    """Group corners of each vertex by equal authored normals ``(sum of counts, 3)``: groups ``(sum of counts,)``."""
-    # To three digits: exporters recompute normals of one vertex face by face.
+def hard_edges_from_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np.int32] | None:
+    """Group the corners of each vertex by equal normals ``(sum of counts, 3)``; None if all edges are smooth."""
+    # Rounded to three digits, as exporters recompute normals of one vertex face by face.
     keys = np.column_stack([polygons.indices, np.rint(normals * 1e3).astype(np.int64)])
     groups = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
     if groups.max(initial=-1) + 1 == np.unique(polygons.indices).size:
@@ -108,13 +109,10 @@ def hard_edges_of_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np
     return groups.astype(np.int32)
 
 
-_TURN = 2.0 * np.pi
+_FULL_TURN = 2.0 * np.pi
 
-SHORTEST = 1e-6
-"""Least length of an edge, relative to its typical length."""
-
-NO_LENGTH = 1e-12
-"""Length in diagonals below which edges have no direction, and no weight."""
+MIN_EDGE_LENGTH_RATIO = 1e-6  # least length of an edge relative to its typical length
+MIN_DIRECTED_LENGTH = 1e-12  # in diagonals; shorter edges have no direction and no weight
 
 
 def edge_lengths(points: FloatArray, edges: IntArray) -> Float:
@@ -124,14 +122,14 @@ def edge_lengths(points: FloatArray, edges: IntArray) -> Float:
 
 
 def length_weights(typical: Float) -> Float:
-    """Return the weights ``(e,)`` of lengths: inverse typical ones, 0 below `NO_LENGTH`."""
-    return np.divide(1.0, typical, out=np.zeros_like(typical), where=typical > NO_LENGTH)
+    """Return weights ``(e,)`` of edge lengths: inverse typical lengths, 0 up to `MIN_DIRECTED_LENGTH`."""
+    return np.divide(1.0, typical, out=np.zeros_like(typical), where=typical > MIN_DIRECTED_LENGTH)
 
 
-def sound_lengths(lengths: Float, weights: Float) -> Float:
-    """Raise lengths to `SHORTEST`: overshooting curves can have lengths of zero or less."""
-    shortest = np.divide(SHORTEST, weights, out=np.zeros_like(weights), where=weights > 0)
-    return np.maximum(lengths, shortest)
+def clamp_lengths(lengths: Float, weights: Float) -> Float:
+    """Clamp lengths from below by `MIN_EDGE_LENGTH_RATIO`, as overshooting curves can be zero or negative."""
+    least = np.divide(MIN_EDGE_LENGTH_RATIO, weights, out=np.zeros_like(weights), where=weights > 0)
+    return np.maximum(lengths, least)
 
 
 def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:
@@ -151,23 +149,23 @@ def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:
     length = np.sqrt(np.einsum("...i,...i->...", e, e))
     sine = np.einsum("...i,...i->...", np.cross(n1, n2), e)
     cosine = np.einsum("...i,...i->...", n1, n2)
-    # Scaling both by |e| instead of dividing keeps an edge of length zero finite.
+    # Both are multiplied by |e|, which avoids a division by zero.
     return np.asarray(np.arctan2(sine, cosine * length), dtype=np.float64)
 
 
-def flat_faces(points: FloatArray, faces: IntArray, height: float) -> NDArray[np.bool_]:
-    """Mark the faces ``(..., F)`` that are lower than `height` times their longest side."""
+def degenerate_faces(points: FloatArray, faces: IntArray, height_ratio: float) -> NDArray[np.bool_]:
+    """Mark the faces ``(..., F)`` with a height of at most `height_ratio` times their longest side."""
     corners = points[..., faces, :]
     sides = np.roll(corners, -1, axis=-2) - corners
     longest = np.einsum("...ki,...ki->...k", sides, sides).max(axis=-1)
     double_area = np.linalg.norm(np.cross(sides[..., 0, :], sides[..., 1, :]), axis=-1)
-    return np.asarray(double_area <= height * longest)
+    return np.asarray(double_area <= height_ratio * longest)
 
 
-def summed(values: FloatArray, places: IntArray, count: int) -> Float:
-    """Sum values ``(m, k)`` at their places ``(m,)`` to ``(count, k)``, in order."""
-    sums = [np.bincount(places, column, minlength=count) for column in values.T]
-    return np.stack(sums, axis=1).astype(np.float64)  # without any places they are integers
+def scatter_add(values: FloatArray, indices: IntArray, count: int) -> Float:
+    """Sum values ``(m, k)`` with equal indices ``(m,)``, in order: ``(count, k)``."""
+    sums = [np.bincount(indices, column, minlength=count) for column in values.T]
+    return np.stack(sums, axis=1).astype(np.float64)  # without values they are integers
 
 
 def triangle_areas(points: FloatArray, faces: IntArray) -> Float:
@@ -176,7 +174,7 @@ def triangle_areas(points: FloatArray, faces: IntArray) -> Float:
     return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
-def volume(points: FloatArray, faces: IntArray) -> float:
+def signed_volume(points: FloatArray, faces: IntArray) -> float:
     """Return the signed volume of points ``(n, 3)`` about their mean, over faces ``(m, 3)``."""
     x = points - points.mean(axis=0)
     a, b, c = (x[corner] for corner in faces.T)
@@ -184,25 +182,25 @@ def volume(points: FloatArray, faces: IntArray) -> float:
 
 
 def volume_gradient(points: FloatArray, faces: IntArray) -> Float:
-    """Return the derivatives ``(n, 3)`` of `volume`; they add up to zero."""
+    """Return the derivatives ``(n, 3)`` of `signed_volume`; they add up to zero."""
     x = points - points.mean(axis=0)
     a, b, c = (x[corner] for corner in faces.T)
-    pulls = np.concatenate([np.cross(b, c), np.cross(c, a), np.cross(a, b)]) / 6.0
-    gradient = summed(pulls, faces.T.reshape(-1), len(x))
+    corner_gradients = np.concatenate([np.cross(b, c), np.cross(c, a), np.cross(a, b)]) / 6.0
+    gradient = scatter_add(corner_gradients, faces.T.reshape(-1), len(x))
     return np.asarray(gradient - gradient.mean(axis=0))
 
 
-def wrap(angles: FloatArray) -> Float:
+def wrap_angles(angles: FloatArray) -> Float:
     """Map angles to (-pi, pi]."""
-    return np.asarray(np.pi - np.mod(np.pi - angles, _TURN), dtype=np.float64)
+    return np.asarray(np.pi - np.mod(np.pi - angles, _FULL_TURN), dtype=np.float64)
 
 
 def unwrap_angles(angles: FloatArray, reference: FloatArray | None = None) -> Float:
-    """Add whole turns to angles ``(T, H)``: each is within half a turn of the frame before, or of the reference."""
+    """Make angles ``(T, H)`` continuous by adding whole turns, from a reference ``(H,)`` on."""
     result = np.array(angles, dtype=np.float64)
     previous = reference
-    for frame in result:  # one by one, so that a frame is the same in any block
+    for frame in result:  # one by one, so that results do not depend on blocks
         if previous is not None:
-            frame -= _TURN * np.round((frame - previous) / _TURN)
+            frame -= _FULL_TURN * np.round((frame - previous) / _FULL_TURN)
         previous = frame
     return result

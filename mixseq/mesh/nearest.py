@@ -1,11 +1,11 @@
 """Exact closest points of a triangle mesh, its self-intersections, and attachments of its disconnected pieces.
 
-Closest points may be limited to where the mesh faces the same way. `trimesh.proximity.closest_point` supports no
-directions, needs rtree, and takes 17 times as long (from one frame of horse_gallop to another, 8431 points, with
-building the tree; distances differ by 3e-6 diagonals at most).
+Closest points may be limited to triangles that face the same way as the query. `trimesh.proximity.closest_point`
+supports no directions, needs rtree, and takes 17 times as long (from one frame of horse_gallop to another, 8431 points,
+with building the tree; distances differ by 3e-6 diagonals at most).
 
 Every piece but the first, such as eyes, teeth and shoes, is attached at one vertex to one vertex of another piece: the
-nearest of those attached already, as in the shortest spanning tree (Prim 1957). Pieces that follow a leader are
+nearest of those attached already, as in the minimum spanning tree (Prim 1957). Pieces that follow a leader are
 attached to it.
 """
 
@@ -18,166 +18,157 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.box_tree import BoxTree, corners_of, unit_normals
+from mixseq.mesh.box_tree import BoxTree, triangle_corners, unit_normals
 from mixseq.types import Float, FloatArray, Index, IntArray
 
-TOUCH = 1e-12
+CONTACT_TOLERANCE = 1e-12
 """Depths and lengths up to this, in diagonals of the mesh's bounding box, are contact."""
 
 
 def self_intersections(points: FloatArray, faces: IntArray) -> Index:
     """Find pairs ``(k, 2)`` of triangles ``(F, 3)`` of points ``(V, 3)`` that cross and have no common corner.
 
-    Each has corners on both sides of the other's plane, and they share a segment longer than `TOUCH`. Contact, overlap
-    in one plane, and triangles without area do not count. Vertices at the same place, as at seams, are common corners.
+    Each has corners on both sides of the other's plane, and they share a segment longer than `CONTACT_TOLERANCE`.
+    Contact, overlap in one plane, and triangles without area do not count. Vertices with equal positions, as at seams,
+    are common corners.
     """
     from mixseq.mesh.box_tree import crossing_pairs
 
-    corners = corners_of(points, faces)
-    tree = BoxTree.of(corners)
-    sizes = tree.boxes[1, 3:] - tree.boxes[1, :3]
-    least = TOUCH * float(np.sqrt(sizes @ sizes)) if len(corners) else 0.0
+    corners = triangle_corners(points, faces)
+    tree = BoxTree.from_triangles(corners)
+    extent = tree.boxes[1, 3:] - tree.boxes[1, :3]
+    tolerance = CONTACT_TOLERANCE * float(np.sqrt(extent @ extent)) if len(corners) else 0.0
     order = tree.order
-    arrays = corners[order], unit_normals(corners)[order], _places(corners)[order]
+    arrays = corners[order], unit_normals(corners)[order], _position_ids(corners)[order]
     pairs = np.empty((len(corners), 2), dtype=np.int64)
-    count = crossing_pairs(*arrays, order, tree.firsts, tree.boxes, least, pairs)
+    count = crossing_pairs(*arrays, order, tree.leaf_starts, tree.boxes, tolerance, pairs)
     if count > len(pairs):
         pairs = np.empty((count, 2), dtype=np.int64)
-        crossing_pairs(*arrays, order, tree.firsts, tree.boxes, least, pairs)
+        crossing_pairs(*arrays, order, tree.leaf_starts, tree.boxes, tolerance, pairs)
     pairs = pairs[:count]
     return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
 
 
-def _places(corners: Float) -> Index:
-    """Number the positions ``(F, 3)`` of corners, equal ones alike."""
-    flat = corners.reshape(-1, 3)
-    order = np.lexsort(flat.T)
-    new = (np.diff(flat[order], axis=0, prepend=np.nan) != 0).any(axis=1)
-    result = np.empty(len(flat), dtype=np.int64)
-    result[order] = np.cumsum(new)
-    return result.reshape(-1, 3)
+def _position_ids(corners: Float) -> Index:
+    """Number the distinct positions ``(F, 3)`` of corners ``(F, 3, 3)``."""
+    positions = corners.reshape(-1, 3)
+    order = np.lexsort(positions.T)
+    is_new = (np.diff(positions[order], axis=0, prepend=np.nan) != 0).any(axis=1)
+    ids = np.empty(len(positions), dtype=np.int64)
+    ids[order] = np.cumsum(is_new)
+    return ids.reshape(-1, 3)
 
 
-ROUNDING = 1e-12  # of cosines, so that angles of 0 and 180 degrees count what they should
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Closest points of a mesh."""
-
-    faces: Index  # (n,) their triangles; -1 where there is none: no triangle faces the same way, or the mesh is empty
-    weights: Float  # (n, 3) their barycentric coordinates, in [0, 1] and adding to one; 0 where there is none
-    distances: Float  # (n,) their distances from the queries, in the unit of the points; infinite where there is none
+COSINE_TOLERANCE = 1e-12  # so that limits of 0 and 180 degrees include equal and opposite directions
 
 
 @dataclass(frozen=True, eq=False)
-class Nearest:
+class ClosestPoints:
+    """Closest points of a mesh; queries without one have triangle -1, weights 0 and an infinite distance."""
+
+    faces: Index  # (n,) their triangles
+    weights: Float  # (n, 3) their barycentric coordinates, in [0, 1] and adding to one
+    distances: Float  # (n,) their distances from the queries, in the unit of the points
+
+
+@dataclass(frozen=True, eq=False)
+class ClosestPointQuery:
     """Closest-point queries on a triangle mesh."""
 
     tree: BoxTree  # boxes around the triangles
     # (F, 3, 3) corners of the triangles, in the order of the tree, and those of a triangle by x, y, z: triangles that
     # share a side run along it the same way, seams or not, and compute the same bits, so that ties are ties.
     corners: Float
-    sorting: (
-        Index  # (F, 3) which corner of triangle f (in the mesh's order) comes first, second, third in that
-    )
+    corner_order: Index  # (F, 3) corners of every triangle in that order, triangles in the order of the mesh
     normals: Float  # (F, 3) unit normals in the order of the tree, NaN where a triangle has no area
-    bounds: Float  # (2 L, 6) least and largest x, y, z of the normals in every node of the tree
+    normal_bounds: Float  # (2 L, 6) least and largest x, y, z of the normals in every node of the tree
+    face_ids: Index | None  # (F,) triangles of the mesh that are searched, None for all
 
     @classmethod
-    def of(cls, points: FloatArray, faces: IntArray) -> Nearest:
-        """Prepare the mesh of triangles ``(F, 3)`` of points ``(V, 3)``."""
-        corners = corners_of(points, faces)
-        tree = BoxTree.of(corners)
-        sorting = np.lexsort((corners[..., 2], corners[..., 1], corners[..., 0]), axis=-1)
-        by_place = np.take_along_axis(corners, sorting[..., None], axis=1)[tree.order]
+    def from_mesh(
+        cls, points: FloatArray, faces: IntArray, face_ids: Index | None = None
+    ) -> ClosestPointQuery:
+        """Prepare queries on the triangles ``(F, 3)`` of points ``(V, 3)``, or on those with `face_ids` ``(n,)``."""
+        corners = triangle_corners(points, faces if face_ids is None else faces[face_ids])
+        tree = BoxTree.from_triangles(corners)
+        corner_order = np.lexsort((corners[..., 2], corners[..., 1], corners[..., 0]), axis=-1)
+        sorted_corners = np.take_along_axis(corners, corner_order[..., None], axis=1)[tree.order]
         normals = unit_normals(corners)
-        return cls(tree, by_place, sorting, normals[tree.order], tree.bounds(normals))
+        return cls(
+            tree, sorted_corners, corner_order, normals[tree.order], tree.node_bounds(normals), face_ids
+        )
 
     def query(
         self, queries: FloatArray, normals: FloatArray | None = None, largest_angle: float = 90.0
-    ) -> Found:
-        """Find closest points to queries ``(n, 3)``, optionally within `largest_angle` degrees of normals ``(n, 3)``.
-
-        Without a point within the angle the face is -1.
-        """
+    ) -> ClosestPoints:
+        """Find closest points to queries ``(n, 3)``, optionally within an angle in degrees from normals ``(n, 3)``."""
         from mixseq.mesh.box_tree import closest
 
-        queries = _directions_or_points(queries, "queries")
-        facing = np.empty((0, 3))
+        queries = _check_vectors(queries, "queries")
+        directions = np.empty((0, 3))
         if normals is not None:
-            facing = _directions_or_points(normals, "normals")
-            if len(facing) != len(queries):
+            directions = _check_vectors(normals, "normals")
+            if len(directions) != len(queries):
                 raise SettingsError(
-                    f"there are {len(queries)} queries and {len(facing)} normals; give as many"
+                    f"there are {len(queries)} queries and {len(directions)} normals; give as many"
                 )
-            lengths = np.sqrt(np.einsum("ni,ni->n", facing, facing))[:, None]
-            facing = facing / np.where(lengths > 0, lengths, np.nan)
+            lengths = np.sqrt(np.einsum("ni,ni->n", directions, directions))[:, None]
+            directions = directions / np.where(lengths > 0, lengths, np.nan)
         if not 0 <= largest_angle <= 180:
             raise SettingsError(f"the largest angle is {largest_angle}; give degrees from 0 to 180")
-        cosine = float(np.cos(np.radians(largest_angle))) - ROUNDING
-        count = len(queries)
-        faces, by_place, squares = np.empty(count, np.int64), np.empty((count, 3)), np.empty(count)
-        tree = self.tree
-        closest(
-            self.corners,
-            self.normals,
-            tree.order,
-            tree.firsts,
-            tree.boxes,
-            self.bounds,
-            queries,
-            facing,
-            cosine,
-            faces,
-            by_place,
-            squares,
-        )
+        min_cosine = float(np.cos(np.radians(largest_angle))) - COSINE_TOLERANCE
+        count, tree = len(queries), self.tree
+        faces, sorted_weights, squares = np.empty(count, np.int64), np.empty((count, 3)), np.empty(count)
+        arrays = self.corners, self.normals, tree.order, tree.leaf_starts, tree.boxes, self.normal_bounds
+        closest(*arrays, queries, directions, min_cosine, faces, sorted_weights, squares)
         weights = np.zeros((count, 3))
-        some = np.flatnonzero(faces >= 0)
-        weights[some[:, None], self.sorting[faces[some]]] = np.maximum(by_place[some], 0.0)
-        return Found(faces, weights, np.sqrt(squares))
+        hits = np.flatnonzero(faces >= 0)
+        weights[hits[:, None], self.corner_order[faces[hits]]] = np.maximum(sorted_weights[hits], 0.0)
+        if self.face_ids is not None:
+            faces[hits] = self.face_ids[faces[hits]]
+        return ClosestPoints(faces, weights, np.sqrt(squares))
 
 
-def _directions_or_points(values: FloatArray, what: str) -> Float:
-    # A copy: read-only arrays would be compiled for again.
-    result = np.array(values, dtype=np.float64, order="C")
+def _check_vectors(vectors: FloatArray, what: str) -> Float:
+    """Return a copy of vectors ``(n, 3)``; raise SettingsError for another shape or values that are not finite."""
+    # A copy, since numba compiles once more for read-only arrays.
+    result = np.array(vectors, dtype=np.float64, order="C")
     if result.ndim != 2 or result.shape[1] != 3:
         raise SettingsError(f"{what} have the shape {result.shape}; give (n, 3)")
-    broken = ~np.isfinite(result).all(axis=1)
-    if broken.any():
-        raise SettingsError(f"{what}[{int(broken.argmax())}] is not finite; give finite {what}")
+    infinite = ~np.isfinite(result).all(axis=1)
+    if infinite.any():
+        raise SettingsError(f"{what}[{int(infinite.argmax())}] is not finite; give finite {what}")
     return result
 
 
 @dataclass(frozen=True, eq=False)
 class Attachments:
-    """A tree of pieces: each but the root is attached to another one at a vertex."""
+    """A tree of pieces: each but the root is attached to another one, its holder, at a vertex."""
 
-    root: int  # the piece that holds all others
-    pieces: Index  # (n,) the others, each after its holder
-    own: Index  # (n,) the vertex by which each is held
-    other: Index  # (n,) the vertex of the holder
-    holders: Index  # (n,) the piece of that vertex
+    root: int  # the piece without a holder
+    pieces: Index  # (n,) attached pieces, each after its holder
+    vertices: Index  # (n,) attached vertex of each
+    holder_vertices: Index  # (n,) vertex of the holder to which it is attached
+    holders: Index  # (n,) piece of that vertex
 
     def __len__(self) -> int:
         return len(self.pieces)
 
 
-def attach(pieces: Sequence[Index], points: Float, leaders: Index) -> Attachments:
+def attach_pieces(pieces: Sequence[Index], points: Float, leaders: Index) -> Attachments:
     """Attach every piece of a mesh ``(V, 3)`` but the largest to another one, or to its leader ``(V,)``."""
-    led = np.array([bool((leaders[each] != each).all()) for each in pieces])
-    sizes = np.array([np.linalg.norm(np.ptp(points[each], axis=0)) for each in pieces])
-    root = int(np.argmax(np.where(led, -1.0, sizes)))
-    free = [number for number in range(len(pieces)) if number != root and not led[number]]
+    is_led = np.array([bool((leaders[vertices] != vertices).all()) for vertices in pieces])
+    diagonals = np.array([np.linalg.norm(np.ptp(points[vertices], axis=0)) for vertices in pieces])
+    root = int(np.argmax(np.where(is_led, -1.0, diagonals)))
+    free = [piece for piece in range(len(pieces)) if piece != root and not is_led[piece]]
     rows = _spanning_tree(pieces, points, root, free)
-    home = np.full(len(points), -1, dtype=np.int64)
-    for number in np.flatnonzero(~led)[::-1].tolist():
-        home[pieces[number]] = number
-    for number in np.flatnonzero(led).tolist():
-        other = int(leaders[pieces[number][0]])
-        near = np.linalg.norm(points[pieces[number]] - points[other], axis=1).argmin()
-        rows.append((number, int(pieces[number][near]), other, int(home[other])))
+    piece_of_vertex = np.full(len(points), -1, dtype=np.int64)
+    for piece in np.flatnonzero(~is_led)[::-1].tolist():
+        piece_of_vertex[pieces[piece]] = piece
+    for piece in np.flatnonzero(is_led).tolist():
+        leader = int(leaders[pieces[piece][0]])
+        nearest = np.linalg.norm(points[pieces[piece]] - points[leader], axis=1).argmin()
+        rows.append((piece, int(pieces[piece][nearest]), leader, int(piece_of_vertex[leader])))
     table = np.array(rows, dtype=np.int64).reshape(-1, 4)
     return Attachments(root, *table.T)
 
@@ -185,23 +176,24 @@ def attach(pieces: Sequence[Index], points: Float, leaders: Index) -> Attachment
 def _spanning_tree(
     pieces: Sequence[Index], points: Float, root: int, free: list[int]
 ) -> list[tuple[int, int, int, int]]:
-    """Return rows of piece, own vertex, other vertex, holder."""
+    """Return rows of piece, vertex, holder vertex and holder."""
     if not free:
         return []
-    vertices = np.concatenate([pieces[number] for number in free])
-    owner = np.repeat(free, [len(pieces[number]) for number in free])
-    distance = np.full(len(vertices), np.inf)
-    other = np.zeros((2, len(vertices)), dtype=np.int64)
+    vertices = np.concatenate([pieces[piece] for piece in free])
+    owners = np.repeat(free, [len(pieces[piece]) for piece in free])
+    distances = np.full(len(vertices), np.inf)
+    holder_vertices, holders = np.zeros((2, len(vertices)), dtype=np.int64)
     rows: list[tuple[int, int, int, int]] = []
     newest = root
     while len(vertices):
-        found, nearest = map(np.asarray, cKDTree(points[pieces[newest]]).query(points[vertices]))
-        closer = found < distance
-        distance[closer] = found[closer]
-        other[0, closer], other[1, closer] = pieces[newest][nearest[closer]], newest
-        first = int(distance.argmin())
-        newest = int(owner[first])
-        rows.append((newest, int(vertices[first]), int(other[0, first]), int(other[1, first])))
-        rest = owner != newest
-        vertices, owner, distance, other = vertices[rest], owner[rest], distance[rest], other[:, rest]
+        to_newest, nearest = map(np.asarray, cKDTree(points[pieces[newest]]).query(points[vertices]))
+        closer = to_newest < distances
+        distances[closer] = to_newest[closer]
+        holder_vertices[closer], holders[closer] = pieces[newest][nearest[closer]], newest
+        first = int(distances.argmin())
+        newest = int(owners[first])
+        rows.append((newest, int(vertices[first]), int(holder_vertices[first]), int(holders[first])))
+        rest = owners != newest
+        vertices, owners, distances = vertices[rest], owners[rest], distances[rest]
+        holder_vertices, holders = holder_vertices[rest], holders[rest]
     return rows

@@ -1,4 +1,4 @@
-"""The polygons of a mesh, their triangulation, and the correspondence of those of two meshes with the same vertices.
+"""The polygons of a mesh, their triangulation, and their matching with those of a mesh with the same vertices.
 
 Programs keep the order of vertices but may reorder polygons (Blender groups faces of OBJ files by material) and rotate
 their corners. A polygon is therefore identified by the directed cycle of its vertices.
@@ -18,7 +18,7 @@ from mixseq.errors import InvalidSequenceError
 from mixseq.types import Index, IntArray
 
 
-def frozen(array: NDArray[Any]) -> NDArray[Any]:
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
     """Return a read-only view of an array, for frozen dataclasses."""
     view = array.view()
     view.flags.writeable = False
@@ -52,8 +52,8 @@ class Polygons:
             raise InvalidSequenceError(
                 f"polygon corner counts add up to {int(counts.sum())} but {indices.size} corners are given"
             )
-        object.__setattr__(self, "counts", frozen(counts))
-        object.__setattr__(self, "indices", frozen(indices))
+        object.__setattr__(self, "counts", read_only(counts))
+        object.__setattr__(self, "indices", read_only(indices))
 
     @classmethod
     def from_triangles(cls, faces: ArrayLike) -> Polygons:
@@ -75,7 +75,7 @@ class Polygons:
         [[0, 1, 2], [0, 2, 3], [3, 2, 4]]
         """
         if self.only_triangles:
-            return frozen(self.indices.reshape(-1, 3))
+            return read_only(self.indices.reshape(-1, 3))
         starts = np.cumsum(self.counts) - self.counts
         per_polygon = self.counts - 2
         first = np.repeat(starts, per_polygon)
@@ -83,7 +83,7 @@ class Polygons:
             np.cumsum(per_polygon) - per_polygon, per_polygon
         )
         corners = np.stack([first, first + step + 1, first + step + 2], axis=1)
-        return np.asarray(frozen(self.indices[corners]), dtype=np.int32)
+        return np.asarray(read_only(self.indices[corners]), dtype=np.int32)
 
     @property
     def only_triangles(self) -> bool:
@@ -95,10 +95,8 @@ class Polygons:
         return np.array_equal(self.counts, other.counts) and np.array_equal(self.indices, other.indices)
 
 
-def reversed_corners(counts: IntArray, *, keep_first: bool) -> NDArray[np.intp]:
-    """Return corner indices that reverse every polygon, an involution: new corner ``c`` is old ``order[c]``.
-
-    Shapes: counts ``(P,)``.
+def reversed_winding(counts: IntArray, *, keep_first: bool) -> NDArray[np.intp]:
+    """Return the order of corners that reverses polygons with counts ``(P,)``: new corner ``c`` is old ``order[c]``.
 
     Examples
     --------
@@ -115,7 +113,7 @@ def reversed_corners(counts: IntArray, *, keep_first: bool) -> NDArray[np.intp]:
 
 
 def as_indices(values: ArrayLike, what: str) -> NDArray[np.int32]:
-    """Return whole numbers as int32; InvalidSequenceError with the name `what` for other types or ranges."""
+    """Return whole numbers as int32; raise InvalidSequenceError about `what` for other types or ranges."""
     array = np.asarray(values)
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise InvalidSequenceError(f"{what} have type {array.dtype}; integers are expected")
@@ -126,93 +124,95 @@ def as_indices(values: ArrayLike, what: str) -> NDArray[np.int32]:
 
 @dataclass(frozen=True, eq=False)
 class PolygonMatch:
-    """Indices of the corresponding polygons and corners in another mesh."""
+    """Indices of corresponding polygons and corners."""
 
     polygons: Index
     corners: Index
 
 
-def matched(ours: Polygons, theirs: Polygons) -> PolygonMatch | None:
-    """Return the polygons and corners of `theirs` for those of `ours`, None if the meshes differ."""
-    if ours.same_as(theirs):
-        return PolygonMatch(np.arange(len(ours.counts)), np.arange(ours.indices.size))
-    own, other = in_canonical_order(ours), in_canonical_order(theirs)
+def match_polygons(first: Polygons, second: Polygons) -> PolygonMatch | None:
+    """Return the polygons and corners of `second` for those of `first`, None if the meshes differ."""
+    if first.same_as(second):
+        return PolygonMatch(np.arange(len(first.counts)), np.arange(first.indices.size))
+    a, b = canonical_order(first), canonical_order(second)
     if not (
-        np.array_equal(ours.counts[own.polygons], theirs.counts[other.polygons])
-        and np.array_equal(ours.indices[own.corners], theirs.indices[other.corners])
+        np.array_equal(first.counts[a.polygons], second.counts[b.polygons])
+        and np.array_equal(first.indices[a.corners], second.indices[b.corners])
     ):
         return None
-    polygons, corners = np.empty_like(own.polygons), np.empty_like(own.corners)
-    polygons[own.polygons] = other.polygons
-    corners[own.corners] = other.corners
+    polygons, corners = np.empty_like(a.polygons), np.empty_like(a.corners)
+    polygons[a.polygons], corners[a.corners] = b.polygons, b.corners
     return PolygonMatch(polygons, corners)
 
 
-def in_canonical_order(polygons: Polygons) -> PolygonMatch:
-    """Return polygon and corner indices in an order that depends on cycles only.
+def canonical_order(polygons: Polygons) -> PolygonMatch:
+    """Return polygons and corners in an order that depends only on the vertex cycles.
 
-    Polygons are sorted by size, then lexicographically; each begins at its lexicographically first rotation.
+    Polygons are sorted by size, then lexicographically; each starts with its lexicographically first rotation.
     """
     cycles = [_cycles(polygons, size) for size in np.unique(polygons.counts).tolist()]
-    none = [np.zeros(0, dtype=np.int64)]
+    empty = [np.zeros(0, dtype=np.int64)]
     return PolygonMatch(
-        np.concatenate(none + [number for number, _ in cycles]),
-        np.concatenate(none + [corners.reshape(-1) for _, corners in cycles]),
+        np.concatenate(empty + [polygon_ids for polygon_ids, _ in cycles]),
+        np.concatenate(empty + [corners.reshape(-1) for _, corners in cycles]),
     )
 
 
 def _cycles(polygons: Polygons, size: int) -> tuple[Index, Index]:
     """Return the polygons ``(m,)`` of a size and their corners ``(m, size)`` in canonical order."""
-    number = np.flatnonzero(polygons.counts == size)
-    starts = (np.cumsum(polygons.counts) - polygons.counts)[number]
+    polygon_ids = np.flatnonzero(polygons.counts == size)
+    starts = (np.cumsum(polygons.counts) - polygons.counts)[polygon_ids]
     corners = starts[:, None] + np.arange(size)
-    rows = polygons.indices[corners]
-    turn = np.argmin(rows, axis=1)
-    # A vertex that a polygon has twice, because it was welded, leaves it open which is first.
-    for row in np.flatnonzero((rows == rows.min(axis=1, keepdims=True)).sum(axis=1) > 1).tolist():
-        turn[row] = min(range(size), key=lambda first: np.roll(rows[row], -first).tolist())
-    corners = np.take_along_axis(corners, (turn[:, None] + np.arange(size)) % size, axis=1)
+    vertices = polygons.indices[corners]
+    first = np.argmin(vertices, axis=1)
+    # Welded polygons may have their lowest vertex twice; then the whole rotations are compared.
+    for row in np.flatnonzero((vertices == vertices.min(axis=1, keepdims=True)).sum(axis=1) > 1).tolist():
+        first[row] = min(range(size), key=lambda start: np.roll(vertices[row], -start).tolist())
+    corners = np.take_along_axis(corners, (first[:, None] + np.arange(size)) % size, axis=1)
     order = np.lexsort(polygons.indices[corners].T[::-1])
-    return number[order], corners[order]
+    return polygon_ids[order], corners[order]
 
 
-def match_triangles(ours: Polygons, theirs: Polygons, names: tuple[str, str]) -> Index:
-    """Return triangles ``(F,)`` of the other mesh, within equal polygons; InvalidSequenceError if they differ."""
-    if np.array_equal(ours.triangles, theirs.triangles):
-        return np.arange(len(ours.triangles))
-    found = matched(ours, theirs)
-    if found is not None:
-        own, other = (np.cumsum(each.counts - 2) - each.counts + 2 for each in (ours, theirs))
-        sizes = ours.counts - 2
-        within = np.arange(len(ours.triangles)) - np.repeat(own, sizes)
-        return np.asarray(np.repeat(other[found.polygons], sizes) + within, dtype=np.int64)
-    found = matched(*(Polygons.from_triangles(each.triangles) for each in (ours, theirs)))
-    if found is None:
-        raise InvalidSequenceError(difference(ours, theirs, names))
-    return found.polygons
+def match_triangles(first: Polygons, second: Polygons, names: tuple[str, str]) -> Index:
+    """Return the triangles ``(F,)`` of `second` for those of `first`; InvalidSequenceError if the meshes differ."""
+    if np.array_equal(first.triangles, second.triangles):
+        return np.arange(len(first.triangles))
+    match = match_polygons(first, second)
+    if match is not None:
+        first_starts, second_starts = (
+            np.cumsum(mesh.counts - 2) - mesh.counts + 2 for mesh in (first, second)
+        )
+        sizes = first.counts - 2
+        offsets = np.arange(len(first.triangles)) - np.repeat(first_starts, sizes)
+        return np.asarray(np.repeat(second_starts[match.polygons], sizes) + offsets, dtype=np.int64)
+    match = match_polygons(*(Polygons.from_triangles(mesh.triangles) for mesh in (first, second)))
+    if match is None:
+        raise InvalidSequenceError(describe_difference(first, second, names))
+    return match.polygons
 
 
-def difference(ours: Polygons, theirs: Polygons, names: tuple[str, str]) -> str:
+def describe_difference(first: Polygons, second: Polygons, names: tuple[str, str]) -> str:
     """Describe the first polygon that one of two meshes lacks, "" if there is none."""
-    for one, other, (name, beside) in ((ours, theirs, names), (theirs, ours, names[::-1])):
-        left = Counter(_keys(other))
-        for polygon, key in enumerate(_keys(one)):
-            left[key] -= 1
-            if left[key] < 0:
-                start = int(one.counts[:polygon].sum())
-                vertices = one.indices[start : start + int(one.counts[polygon])].tolist()
-                turned = _key(vertices[::-1]) in left and left[_key(vertices[::-1])] > 0
-                there = "the other way round in" if turned else "not in"
-                return f"polygon {polygon} of {name} (vertices {' '.join(map(str, vertices))}) is {there} {beside}"
+    for mesh, other, (name, other_name) in ((first, second, names), (second, first, names[::-1])):
+        unmatched = Counter(_cycle_keys(other))
+        for polygon, key in enumerate(_cycle_keys(mesh)):
+            unmatched[key] -= 1
+            if unmatched[key] < 0:
+                start = int(mesh.counts[:polygon].sum())
+                vertices = mesh.indices[start : start + int(mesh.counts[polygon])].tolist()
+                relation = "flipped in" if unmatched.get(_cycle_key(vertices[::-1]), 0) > 0 else "not in"
+                corners = " ".join(map(str, vertices))
+                return f"polygon {polygon} of {name} (vertices {corners}) is {relation} {other_name}"
     return ""
 
 
-def _keys(polygons: Polygons) -> list[tuple[int, ...]]:
+def _cycle_keys(polygons: Polygons) -> list[tuple[int, ...]]:
     ends = np.cumsum(polygons.counts)[:-1]
-    return [_key(each.tolist()) for each in np.split(polygons.indices, ends)]
+    return [_cycle_key(vertices.tolist()) for vertices in np.split(polygons.indices, ends)]
 
 
-def _key(vertices: list[int]) -> tuple[int, ...]:
-    least = min(vertices)
-    rotations = (vertices[first:] + vertices[:first] for first, each in enumerate(vertices) if each == least)
-    return tuple(min(rotations))
+def _cycle_key(vertices: list[int]) -> tuple[int, ...]:
+    """Return the lexicographically first rotation of a polygon."""
+    lowest = min(vertices)
+    starts = (start for start, vertex in enumerate(vertices) if vertex == lowest)
+    return tuple(min(vertices[start:] + vertices[:start] for start in starts))

@@ -1,8 +1,8 @@
-"""Rigid motions: nearest rotations, the best motion between two point sets, and the mean shape of many.
+"""Rigid motions: nearest rotations, best motions between point sets, and mean shapes.
 
-A nearest rotation needs two singular triplets only: with u_1, u_2 and v_1, v_2 those of the two largest singular
-values, it is ``u_1 v_1^T + u_2 v_2^T + (u_1 x u_2) (v_1 x v_2)^T``, for any size and sign of the third one. They
-come from one-sided Jacobi rotations, which are accurate also for small singular values.
+A nearest rotation needs two singular triplets only: with the singular vectors u_1, u_2 and v_1, v_2 of the two largest
+singular values, it is ``u_1 v_1^T + u_2 v_2^T + (u_1 x u_2) (v_1 x v_2)^T``, for any size and sign of the third one.
+They come from one-sided Jacobi rotations, which are accurate also for small singular values.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ import numpy as np
 from mixseq.runtime.jit import compiled
 from mixseq.types import Float, FloatArray
 
-SWEEPS = 30
-ORTHOGONAL = 1e-15
-PAIRS = ((0, 1), (0, 2), (1, 2))
+MAX_JACOBI_SWEEPS = 30
+ORTHOGONALITY_TOLERANCE = 1e-15
+ROW_PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 @compiled
 def _orthogonalise(a: Float, v: Float) -> None:
-    """Rotate the rows of a, and those of v with them, until they are orthogonal."""
-    for _ in range(SWEEPS):
-        turned = False
+    """Apply Jacobi rotations to the rows of a, and to those of v, until those of a are orthogonal."""
+    for _ in range(MAX_JACOBI_SWEEPS):
+        changed = False
         for pair in range(3):
-            p, q = PAIRS[pair]
+            p, q = ROW_PAIRS[pair]
             pp = a[p, 0] * a[p, 0] + a[p, 1] * a[p, 1] + a[p, 2] * a[p, 2]
             qq = a[q, 0] * a[q, 0] + a[q, 1] * a[q, 1] + a[q, 2] * a[q, 2]
             pq = a[p, 0] * a[q, 0] + a[p, 1] * a[q, 1] + a[p, 2] * a[q, 2]
-            if pq == 0.0 or abs(pq) <= ORTHOGONAL * math.sqrt(pp * qq):
+            if pq == 0.0 or abs(pq) <= ORTHOGONALITY_TOLERANCE * math.sqrt(pp * qq):
                 continue
-            turned = True
+            changed = True
             zeta = (qq - pp) / (2.0 * pq)
             t = math.copysign(1.0 / (abs(zeta) + math.sqrt(1.0 + zeta * zeta)), zeta)
             c = 1.0 / math.sqrt(1.0 + t * t)
@@ -42,13 +42,13 @@ def _orthogonalise(a: Float, v: Float) -> None:
                 a[p, i], a[q, i] = c * x - s * y, s * x + c * y
                 x, y = v[p, i], v[q, i]
                 v[p, i], v[q, i] = c * x - s * y, s * x + c * y
-        if not turned:
+        if not changed:
             return
 
 
 @compiled
-def nearest(matrices: Float, held: float) -> Float:
-    """Return the rotations ``(N, 3, 3)`` nearest to matrices."""
+def nearest_rotation_kernel(matrices: Float, min_ratio: float) -> Float:
+    """Return nearest rotations ``(N, 3, 3)``, of a slightly shifted matrix below a ratio of singular values."""
     result = np.empty_like(matrices)
     a, v = np.empty((3, 3)), np.empty((3, 3))
     sizes, u, w = np.empty(3), np.empty(3), np.empty(3)
@@ -75,7 +75,7 @@ def nearest(matrices: Float, held: float) -> Float:
             second = (first + 1) % 3
             if sizes[(first + 2) % 3] > sizes[second]:
                 second = (first + 2) % 3
-            if bias > 0.0 or sizes[second] > held * sizes[first]:
+            if bias > 0.0 or sizes[second] > min_ratio * sizes[first]:
                 break
             bias = 1e-6 * sizes[first] if sizes[first] > 0.0 else 1.0
         for i in range(3):
@@ -89,45 +89,44 @@ def nearest(matrices: Float, held: float) -> Float:
             size = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
             if size > 0.5:
                 break
-            for i in range(3):  # a second value of zero: any direction across the first
+            for i in range(3):  # a second value of zero: any direction perpendicular to the first
                 w[i] = 0.0
             w[0 if abs(u[0]) < 0.6 else 1] = 1.0
         for i in range(3):
             w[i] /= size
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
-            across = u[j] * w[k] - u[k] * w[j]
+            u_cross_w = u[j] * w[k] - u[k] * w[j]
             for m in range(3):
                 l, o = (m + 1) % 3, (m + 2) % 3  # noqa: E741
-                turned_across = v[first, l] * v[second, o] - v[first, o] * v[second, l]
-                result[n, i, m] = u[i] * v[first, m] + w[i] * v[second, m] + across * turned_across
+                v_cross = v[first, l] * v[second, o] - v[first, o] * v[second, l]
+                result[n, i, m] = u[i] * v[first, m] + w[i] * v[second, m] + u_cross_w * v_cross
     return result
 
 
-_POINTS = 1 << 12  # points per block, in all frames
-_FRAMES = 256  # compared at once with all frames
+POINTS_PER_BLOCK = 1 << 12  # of `mean_shape`, in all frames
+FRAMES_PER_BLOCK = 256  # of `largest_rotation`, compared with all frames
 
 
 def nearest_rotations(matrices: FloatArray) -> Float:
     """Return the rotations ``(..., 3, 3)`` nearest to the given matrices in the Frobenius norm."""
-    return _nearest(np.asarray(matrices, dtype=np.float64), held=-1.0)
+    return _nearest(matrices, min_ratio=-1.0)
 
 
 def aligning_rotations(covariances: FloatArray) -> Float:
     """Find the rotations ``(..., 3, 3)`` of best rigid motions from the covariances ``sum w t s^T`` of point sets.
 
-    These are the nearest rotations. Where points on a line leave a rotation undetermined, the one closest to the
-    identity is taken, by a term too small to matter elsewhere.
+    These are the nearest rotations. Where points on a line leave a rotation undetermined, it is the one closest to the
+    identity.
     """
-    return _nearest(np.asarray(covariances, dtype=np.float64), held=1e-10)
+    return _nearest(covariances, min_ratio=1e-10)
 
 
-def _nearest(matrices: Float, held: float) -> Float:
-
+def _nearest(matrices: FloatArray, min_ratio: float) -> Float:
     if not np.isfinite(matrices).all():
         raise np.linalg.LinAlgError("a matrix with an entry that is not finite has no nearest rotation")
-    flat = np.ascontiguousarray(matrices).reshape(-1, 3, 3)
-    return np.asarray(nearest(flat, held)).reshape(matrices.shape)
+    flat = np.ascontiguousarray(matrices, dtype=np.float64).reshape(-1, 3, 3)
+    return np.asarray(nearest_rotation_kernel(flat, min_ratio)).reshape(matrices.shape)
 
 
 def kabsch(source: FloatArray, target: FloatArray, weights: FloatArray | None = None) -> tuple[Float, Float]:
@@ -143,7 +142,7 @@ def kabsch(source: FloatArray, target: FloatArray, weights: FloatArray | None = 
     return rotation, translation
 
 
-def transform(points: FloatArray, rotation: FloatArray, translation: FloatArray) -> Float:
+def transform_points(points: FloatArray, rotation: FloatArray, translation: FloatArray) -> Float:
     """Apply ``x -> R x + t`` to points ``(..., N, 3)``."""
     return np.asarray(points @ np.swapaxes(rotation, -1, -2) + translation[..., None, :], dtype=np.float64)
 
@@ -153,37 +152,38 @@ def mean_shape(points: FloatArray, sweeps: int = 50, tolerance: float = 1e-10) -
     count = points.shape[1]
     centres = points.mean(axis=1, dtype=np.float64)
 
-    def centred() -> Iterator[tuple[slice, Float]]:
-        for start in range(0, count, _POINTS):
-            some = slice(start, start + _POINTS)
-            yield some, (points[:, some] - centres[:, None]).swapaxes(1, 2).reshape(3 * len(points), -1)
+    def centred_blocks() -> Iterator[tuple[slice, Float]]:
+        for start in range(0, count, POINTS_PER_BLOCK):
+            block = slice(start, start + POINTS_PER_BLOCK)
+            yield block, (points[:, block] - centres[:, None]).swapaxes(1, 2).reshape(3 * len(points), -1)
 
     products = np.zeros((3 * len(points), 3 * len(points)))
-    for _, block in centred():
+    for _, block in centred_blocks():
         products += block @ block.T
 
-    def size(sums: Float) -> float:  # of the point set that is a sum of the frames
-        return float(np.sqrt(max(np.sum(sums * (products @ sums)), 0.0)))
+    def norm(coefficients: Float) -> float:  # of a linear combination of the frames
+        return float(np.sqrt(max(np.sum(coefficients * (products @ coefficients)), 0.0)))
 
     mean = np.eye(3 * len(points), 3)  # the first frame
     for _ in range(sweeps):
         covariances = (mean.T @ products).reshape(3, -1, 3).swapaxes(0, 1)
         updated = np.swapaxes(aligning_rotations(covariances), 1, 2).reshape(-1, 3) / len(points)
-        change = size(updated - mean)
+        change = norm(updated - mean)
         mean = updated
-        if change <= tolerance * size(mean):
+        if change <= tolerance * norm(mean):
             break
     mean = mean @ aligning_rotations(products[:3] @ mean).T
     shape = np.empty((count, 3))
-    for some, block in centred():
-        shape[some] = block.T @ mean
+    for point_ids, block in centred_blocks():
+        shape[point_ids] = block.T @ mean
     return shape
 
 
-def bend(first: FloatArray, second: FloatArray) -> float:
-    """Return the largest relative rotation of two moving bodies ``(T, 3, 3)`` between two frames, in degrees."""
+def largest_rotation(first: FloatArray, second: FloatArray) -> float:
+    """Return the largest rotation of two bodies ``(T, 3, 3)`` relative to each other between frames, in degrees."""
     relative = np.ascontiguousarray(np.swapaxes(first, 1, 2) @ second)
     flat = relative.reshape(-1, 9)
-    # Traces of all pairs of frames, some frames at a time: there may be many.
-    lowest = min((flat[start : start + _FRAMES] @ flat.T).min() for start in range(0, len(flat), _FRAMES))
-    return float(np.degrees(np.arccos(np.clip((lowest - 1.0) / 2.0, -1.0, 1.0))))
+    # Traces of all pairs of frames, in blocks to bound memory.
+    blocks = np.split(flat, range(FRAMES_PER_BLOCK, len(flat), FRAMES_PER_BLOCK))
+    least_trace = min((block @ flat.T).min() for block in blocks)
+    return float(np.degrees(np.arccos(np.clip((least_trace - 1.0) / 2.0, -1.0, 1.0))))

@@ -1,12 +1,12 @@
 r"""Rotations as unit quaternions, rotation vectors and matrices, continuous along a sequence.
 
 A *quaternion* :math:`q = (w, x, y, z)` with :math:`|q| = 1` is the rotation by the angle :math:`2 \arccos w` about
-:math:`(x, y, z)`, and so is :math:`-q`. Along a sequence the sign is the nearest to the frame before. Then normalised
-sums of quaternions are rotations in between, for any number of turns, without branches or singularities.
+:math:`(x, y, z)`, and so is :math:`-q`. Along a sequence the sign is the closest to the previous frame. Then normalised
+sums of quaternions are intermediate rotations, for any number of turns, without branches or singularities.
 
 A *rotation vector* :math:`t u` is the rotation by the angle t about the unit axis u. The logarithm has many branches,
-:math:`(t + 2 \pi k) u`; along a sequence the branch is the closest to the frame before, so that a body that turns twice
-has a vector of length :math:`4 \pi`, and vectors can be combined linearly.
+:math:`(t + 2 \pi k) u`; along a sequence the branch is the closest to the previous frame, so that a body that turns
+twice has a vector of length :math:`4 \pi`, and vectors can be combined linearly.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from mixseq.types import Float, FloatArray
 
 
-def quaternions(rotations: FloatArray) -> Float:
+def matrix_to_quat(rotations: FloatArray) -> Float:
     """Return the unit quaternions ``(..., 4)``, w >= 0, of rotation matrices ``(..., 3, 3)``."""
     from scipy.spatial.transform import Rotation
 
@@ -25,9 +25,9 @@ def quaternions(rotations: FloatArray) -> Float:
     return np.asarray(signed.reshape(*rotations.shape[:-2], 4))
 
 
-def rotations_of(quaternions: FloatArray) -> Float:
-    """Return the rotation matrices ``(..., 3, 3)`` of quaternions ``(..., 4)``, which are normalised first."""
-    w, x, y, z = np.moveaxis(normalised(quaternions), -1, 0)
+def quat_to_matrix(quaternions: FloatArray) -> Float:
+    """Return the rotation matrices ``(..., 3, 3)`` of quaternions ``(..., 4)`` of any length."""
+    w, x, y, z = np.moveaxis(normalise_quat(quaternions), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -36,14 +36,14 @@ def rotations_of(quaternions: FloatArray) -> Float:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def normalised(quaternions: FloatArray) -> Float:
-    """Return quaternions ``(..., 4)`` of unit length; zero stays."""
+def normalise_quat(quaternions: FloatArray) -> Float:
+    """Normalise quaternions ``(..., 4)`` to unit length; zero stays zero."""
     norms = np.linalg.norm(quaternions, axis=-1, keepdims=True)
     return np.asarray(quaternions / np.where(norms > 0, norms, 1.0), dtype=np.float64)
 
 
-def product(first: FloatArray, second: FloatArray) -> Float:
-    """Return the quaternions ``(..., 4)`` of composed rotations, the second one first."""
+def quat_multiply(first: FloatArray, second: FloatArray) -> Float:
+    """Return the products ``(..., 4)`` of quaternions: rotations by the second one, then the first one."""
     w, x, y, z = np.moveaxis(np.asarray(first, dtype=np.float64), -1, 0)
     a, b, c, d = np.moveaxis(np.asarray(second, dtype=np.float64), -1, 0)
     return np.stack(
@@ -57,13 +57,13 @@ def product(first: FloatArray, second: FloatArray) -> Float:
     )
 
 
-def inverse(quaternions: FloatArray) -> Float:
-    """Return the inverse rotations of unit quaternions ``(..., 4)``."""
+def quat_conjugate(quaternions: FloatArray) -> Float:
+    """Return the conjugates of quaternions ``(..., 4)``, the inverse rotations of unit quaternions."""
     return np.asarray(quaternions * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
-def powers(quaternions: FloatArray, exponents: FloatArray) -> Float:
-    """Return unit quaternions ``(..., 4)`` with their angles, of at most half a turn, times exponents ``(...)``."""
+def quat_power(quaternions: FloatArray, exponents: FloatArray) -> Float:
+    """Return powers of unit quaternions ``(..., 4)``: angles of at most half a turn times exponents ``(...)``."""
     q = np.asarray(quaternions, dtype=np.float64)
     q = np.where(q[..., :1] <= 0, -q, q)
     sine = np.linalg.norm(q[..., 1:], axis=-1)
@@ -73,35 +73,37 @@ def powers(quaternions: FloatArray, exponents: FloatArray) -> Float:
     return np.concatenate([np.cos(exponents * half)[..., None], ratio[..., None] * q[..., 1:]], axis=-1)
 
 
-def exponentials(vectors: FloatArray) -> Float:
-    """Return the quaternions ``(..., 4)`` of rotation vectors ``(..., 3)``: a whole turn more changes the sign."""
+def rotvec_to_quat(vectors: FloatArray) -> Float:
+    """Return the quaternions ``(..., 4)`` of rotation vectors ``(..., 3)``; another whole turn changes the sign."""
     half = np.linalg.norm(vectors, axis=-1, keepdims=True) / 2
     return np.concatenate([np.cos(half), np.sinc(half / np.pi) / 2 * vectors], axis=-1)
 
 
-def continued(quaternions: FloatArray, reference: FloatArray | None = None) -> Float:
-    """Return quaternions ``(T, ..., 4)`` with continuous signs, from a reference ``(..., 4)`` on."""
+def align_quat_signs(quaternions: FloatArray, reference: FloatArray | None = None) -> Float:
+    """Make the signs of quaternions ``(T, ..., 4)`` continuous, from a reference ``(..., 4)`` on."""
     q = np.array(quaternions, dtype=np.float64)
-    before = q[:1] if reference is None else np.asarray(reference)[None]
-    cosines = np.einsum("t...i,t...i->t...", q, np.concatenate([before, q[:-1]]))
+    start = q[:1] if reference is None else np.asarray(reference)[None]
+    cosines = np.einsum("t...i,t...i->t...", q, np.concatenate([start, q[:-1]]))
     return q * np.cumprod(np.where(cosines < 0, -1.0, 1.0), axis=0)[..., None]
 
 
-def spins(quaternions: FloatArray, rates: FloatArray) -> Float:
-    r"""Return the angular velocities ``(..., 3)`` of quaternions and rates ``(..., 4)``, in the world's axes.
+def angular_velocities(quaternions: FloatArray, derivatives: FloatArray) -> Float:
+    r"""Return the angular velocities ``(..., 3)`` of quaternions and their derivatives ``(..., 4)``, in world axes.
 
     .. math:: \omega = 2\, \mathrm{Im}(\dot q\, \bar q) / |q|^2
     """
     squares = np.einsum("...i,...i->...", quaternions, quaternions)[..., None]
     return np.asarray(
-        2.0 * product(rates, inverse(quaternions))[..., 1:] / np.where(squares > 0, squares, 1.0)
+        2.0
+        * quat_multiply(derivatives, quat_conjugate(quaternions))[..., 1:]
+        / np.where(squares > 0, squares, 1.0)
     )
 
 
-_TURN = 2.0 * np.pi
+FULL_TURN = 2.0 * np.pi
 
 
-def matrices(vectors: FloatArray) -> Float:
+def rotvec_to_matrix(vectors: FloatArray) -> Float:
     """Return the rotation matrices ``(..., 3, 3)`` of rotation vectors ``(..., 3)`` (exponential map)."""
     from scipy.spatial.transform import Rotation
 
@@ -109,7 +111,7 @@ def matrices(vectors: FloatArray) -> Float:
     return np.asarray(flat.reshape(*vectors.shape[:-1], 3, 3), dtype=np.float64)
 
 
-def vectors(rotations: FloatArray) -> Float:
+def matrix_to_rotvec(rotations: FloatArray) -> Float:
     """Return the shortest rotation vectors ``(..., 3)`` of matrices ``(..., 3, 3)`` (logarithm)."""
     from scipy.spatial.transform import Rotation
 
@@ -117,14 +119,14 @@ def vectors(rotations: FloatArray) -> Float:
     return np.asarray(flat.reshape(*rotations.shape[:-2], 3), dtype=np.float64)
 
 
-def continuous_vectors(rotations: FloatArray, reference: FloatArray | None = None) -> Float:
-    """Return continuous rotation vectors ``(T, ..., 3)`` of matrices, the first near a reference ``(..., 3)``."""
-    return unwrap(vectors(rotations), reference)
+def continuous_rotvec(rotations: FloatArray, reference: FloatArray | None = None) -> Float:
+    """Return continuous rotation vectors ``(T, ..., 3)`` of matrices, from a reference ``(..., 3)`` on."""
+    return unwrap_rotvec(matrix_to_rotvec(rotations), reference)
 
 
-def unwrap(shortest: FloatArray, reference: FloatArray | None = None) -> Float:
+def unwrap_rotvec(vectors: FloatArray, reference: FloatArray | None = None) -> Float:
     """Make rotation vectors ``(T, ..., 3)`` of any branch continuous, from a reference ``(..., 3)`` on."""
-    result = np.array(shortest, dtype=np.float64)
+    result = np.array(vectors, dtype=np.float64)
     previous = reference
     for frame in range(len(result)):
         if previous is not None:
@@ -137,13 +139,13 @@ def _nearest_branch(vector: Float, previous: FloatArray) -> Float:
     """Return the closest of all ``vector + 2 pi k axis`` to `previous`."""
     angle = np.linalg.norm(vector, axis=-1, keepdims=True)
     previous_angle = np.linalg.norm(previous, axis=-1, keepdims=True)
-    # Where the rotation is the identity its axis is free: go on along the axis of the frame before.
+    # The axis of the identity is undetermined: use the axis of the previous frame.
     fallback = np.divide(previous, previous_angle, out=np.zeros_like(vector), where=previous_angle > 0)
     axis = np.where(angle > 1e-12, vector / np.where(angle > 0, angle, 1.0), fallback)
     along = np.sum(previous * axis, axis=-1, keepdims=True)
-    return np.asarray(vector + _TURN * np.round((along - angle) / _TURN) * axis, dtype=np.float64)
+    return np.asarray(vector + FULL_TURN * np.round((along - angle) / FULL_TURN) * axis, dtype=np.float64)
 
 
-def turned(matrices: FloatArray, vectors: FloatArray) -> Float:
-    """Return vectors ``(..., 3)``, each multiplied by its matrix ``(..., 3, 3)``; leading dimensions broadcast."""
+def rotate_vectors(matrices: FloatArray, vectors: FloatArray) -> Float:
+    """Multiply vectors ``(..., 3)`` by matrices ``(..., 3, 3)``; leading dimensions broadcast."""
     return np.asarray(np.einsum("...ij,...j->...i", matrices, vectors))

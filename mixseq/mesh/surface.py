@@ -1,7 +1,6 @@
 """Mesh data besides faces: texture coordinates, colours, hard edges, face sets, and joined objects.
 
-It takes no part in computations, and is carried from file to file with the textures and materials of a character.
-Formats name it differently:
+It is not used in computations, but written with the textures and materials of a character. Formats have other names:
 
 ====================  ========================  =====================  ==========================
 here                  USD                       Alembic                glTF
@@ -23,15 +22,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.polygons import Polygons, as_indices, frozen
+from mixseq.mesh.polygons import Polygons, as_indices, read_only
 from mixseq.types import FloatArray, Index, IntArray
 
 SUBDIVISIONS = ("none", "catmullClark", "loop", "bilinear")
 
-NO_UV = (0.0, 0.0)
-"""Texture coordinates of corners that have none, in meshes where others have some."""
-WHITE = (1.0, 1.0, 1.0, 1.0)
-"""Colour (RGBA) of corners that have none, in meshes where others have one."""
+DEFAULT_UV = (0.0, 0.0)  # of corners without texture coordinates, in meshes that have some
+DEFAULT_COLOUR = (1.0, 1.0, 1.0, 1.0)  # RGBA, of corners without a colour, in meshes that have some
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,14 +41,14 @@ class CornerValues:
     def __post_init__(self) -> None:
         with np.errstate(over="ignore"):
             values = np.ascontiguousarray(self.values, dtype=np.float32)
-        object.__setattr__(self, "values", frozen(values))
-        object.__setattr__(self, "indices", _flat(self.indices, "values of corners"))
+        object.__setattr__(self, "values", read_only(values))
+        object.__setattr__(self, "indices", _as_flat_indices(self.indices, "values of corners"))
         if values.ndim != 2:
             raise InvalidSequenceError(f"values of corners have shape {values.shape}; (n, k) is expected")
 
     @classmethod
-    def of_corners(cls, values: FloatArray) -> CornerValues:
-        """Make them from the values ``(sum of counts, k)`` of all corners; equal values become one row."""
+    def from_corners(cls, values: FloatArray) -> CornerValues:
+        """Store the values ``(sum of counts, k)`` of all corners, with one row for equal values."""
         rows, indices = np.unique(values, axis=0, return_inverse=True)
         return cls(rows, indices.reshape(-1))
 
@@ -60,42 +57,42 @@ class CornerValues:
         """Values ``(sum of counts, k)``, one per corner."""
         return self.values[self.indices]
 
-    def taken(self, corners: IntArray) -> CornerValues:
-        """Return the values of the given corners, in their order."""
+    def select(self, corners: IntArray) -> CornerValues:
+        """Return the values of some corners, in their order."""
         return CornerValues(self.values, self.indices[corners])
 
     def at_vertices(self, vertices: IntArray, count: int, default: Sequence[float]) -> NDArray[np.float32]:
-        """Return the values ``(count, k)`` of vertices at their first corners; vertex of every corner ``(n,)``."""
+        """Return the values ``(count, k)`` of vertices at their first corners: vertex of every corner ``(n,)``."""
         values = np.tile(np.asarray(default, dtype=np.float32), (count, 1))
         values[vertices[::-1]] = self.at_corners[::-1]
         return values
 
     def one_per_vertex(self, vertices: IntArray) -> bool:
-        """Whether all corners of a vertex have the same value, or nan; vertex of every corner ``(n,)``."""
+        """Return whether all corners of a vertex have equal values or nan: vertex of every corner ``(n,)``."""
         default = np.zeros(self.values.shape[1])
-        own = self.at_vertices(vertices, int(vertices.max(initial=-1)) + 1, default.tolist())
-        return np.array_equal(own[vertices], self.at_corners, equal_nan=True)
+        values = self.at_vertices(vertices, int(vertices.max(initial=-1)) + 1, default.tolist())
+        return np.array_equal(values[vertices], self.at_corners, equal_nan=True)
 
-    def welded(self, vertices: IntArray) -> CornerValues:
-        """Return the values with bitwise equal rows at a vertex merged; vertex of every corner ``(n,)``.
+    def weld(self, vertices: IntArray) -> CornerValues:
+        """Merge rows that are bitwise equal at a vertex: vertex of every corner ``(n,)``.
 
-        Rows shared by several vertices stay shared, so the number of rows never grows.
+        Rows shared by several vertices stay shared, so that the number of rows never grows.
         """
         from scipy.sparse import coo_array, csgraph
 
         bits = self.at_corners.view(np.int32)
         keys = np.column_stack([vertices, bits])
         order = np.lexsort(keys.T)
-        equal = (keys[order[1:]] == keys[order[:-1]]).all(axis=1)
-        one, other = (self.indices[some[equal]] for some in (order[:-1], order[1:]))
-        if np.array_equal(one, other):
+        is_equal = (keys[order[1:]] == keys[order[:-1]]).all(axis=1)
+        first, second = (self.indices[corners[is_equal]] for corners in (order[:-1], order[1:]))
+        if np.array_equal(first, second):
             return self
-        rows = len(self.values)
-        pairs = coo_array((np.ones(len(one)), (one, other)), shape=(rows, rows))
+        count = len(self.values)
+        pairs = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
         _, labels = csgraph.connected_components(pairs, directed=False)
-        _, first, row = np.unique(labels, return_index=True, return_inverse=True)
-        kept = np.sort(first)
-        return CornerValues(self.values[kept], np.searchsorted(kept, first[row])[self.indices])
+        _, first_row, component = np.unique(labels, return_index=True, return_inverse=True)
+        rows = np.sort(first_row)
+        return CornerValues(self.values[rows], np.searchsorted(rows, first_row[component])[self.indices])
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +105,7 @@ class FaceSet:
 
     def __post_init__(self) -> None:
         object.__setattr__(
-            self, "polygons", frozen(np.unique(_flat(self.polygons, "polygons of a face set")))
+            self, "polygons", read_only(np.unique(_as_flat_indices(self.polygons, "polygons of a face set")))
         )
 
 
@@ -125,7 +122,7 @@ class MeshObject:
 
 @dataclass(frozen=True)
 class Origin:
-    """The source file of a sequence, into which a writer of the same format may write new points."""
+    """The source file of a sequence, to which a writer of the same format may add new points."""
 
     format: str
     path: str
@@ -149,7 +146,7 @@ class Surface:
         object.__setattr__(self, "face_sets", tuple(self.face_sets))
         object.__setattr__(self, "objects", tuple(self.objects))
         if self.hard_edges is not None:
-            object.__setattr__(self, "hard_edges", _flat(self.hard_edges, "hard edges"))
+            object.__setattr__(self, "hard_edges", _as_flat_indices(self.hard_edges, "hard edges"))
         for scheme in {self.subdivision: None} | dict.fromkeys(self.subdivisions):
             if scheme not in SUBDIVISIONS:
                 raise InvalidSequenceError(
@@ -159,32 +156,32 @@ class Surface:
     @property
     def subdivisions(self) -> tuple[str, ...]:
         """Subdivision schemes of the objects, or of the mesh if it has no objects."""
-        own = tuple(
-            self.subdivision if each.subdivision is None else each.subdivision for each in self.objects
+        schemes = (part.subdivision for part in self.objects)
+        return tuple(self.subdivision if scheme is None else scheme for scheme in schemes) or (
+            self.subdivision,
         )
-        return own or (self.subdivision,)
 
     def __repr__(self) -> str:
-        held = {
+        fields = {
             "uvs": self.uvs is not None and str(len(self.uvs.values)),
             "colours": self.colours is not None and str(len(self.colours.values)),
             "hard_edges": self.hard_edges is not None and "yes",
-            "face_sets": self.face_sets and [each.name for each in self.face_sets],
-            "objects": self.objects and [each.path or each.name for each in self.objects],
-            "subdivision": any(each != "none" for each in self.subdivisions)
+            "face_sets": self.face_sets and [face_set.name for face_set in self.face_sets],
+            "objects": self.objects and [part.path or part.name for part in self.objects],
+            "subdivision": any(scheme != "none" for scheme in self.subdivisions)
             and ", ".join(map(repr, dict.fromkeys(self.subdivisions))),
             "origin": self.origin is not None and repr(self.origin.path),
         }
-        return f"Surface({', '.join(f'{name}={value}' for name, value in held.items() if value)})"
+        return f"Surface({', '.join(f'{name}={value}' for name, value in fields.items() if value)})"
 
     def check(self, polygons: Polygons, vertex_count: int) -> None:
         """Raise InvalidSequenceError if the data do not fit the mesh."""
         corners = polygons.indices.size
-        for what, on, width in (("texture coordinates", self.uvs, 2), ("colours", self.colours, 4)):
-            if on is not None:
-                _check_corners(what, on.indices, corners, len(on.values))
-                if on.values.shape[1] != width:
-                    raise InvalidSequenceError(f"{what} have shape {on.values.shape}, not (n, {width})")
+        for what, data, width in (("texture coordinates", self.uvs, 2), ("colours", self.colours, 4)):
+            if data is not None:
+                _check_corners(what, data.indices, corners, len(data.values))
+                if data.values.shape[1] != width:
+                    raise InvalidSequenceError(f"{what} have shape {data.values.shape}, not (n, {width})")
         if self.hard_edges is not None:
             _check_corners("hard edges", self.hard_edges, corners, None)
         for face_set in self.face_sets:
@@ -198,16 +195,16 @@ class Surface:
             _check_objects(self.objects, polygons, vertex_count)
 
 
-def by_first_use(numbers: IntArray) -> Index:
-    """Renumber to 0, 1, 2, ... in the order of first occurrence, as only equality matters in hard edges."""
-    _, first, number = np.unique(numbers, return_index=True, return_inverse=True)
+def renumber_by_first_use(labels: IntArray) -> Index:
+    """Renumber labels to 0, 1, 2, ... in the order of their first use."""
+    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=np.int64)
     rank[np.argsort(first)] = np.arange(len(first))
-    return rank[number.reshape(-1)]
+    return rank[inverse.reshape(-1)]
 
 
-def _flat(indices: ArrayLike, what: str) -> IntArray:
-    return frozen(as_indices(indices, what).reshape(-1))
+def _as_flat_indices(indices: ArrayLike, what: str) -> IntArray:
+    return read_only(as_indices(indices, what).reshape(-1))
 
 
 def _check_corners(what: str, indices: IntArray, corners: int, limit: int | None) -> None:
@@ -220,17 +217,17 @@ def _check_corners(what: str, indices: IntArray, corners: int, limit: int | None
 
 
 def _check_objects(objects: tuple[MeshObject, ...], polygons: Polygons, vertex_count: int) -> None:
-    counts = np.array([(each.vertex_count, each.polygon_count) for each in objects])
+    counts = np.array([(part.vertex_count, part.polygon_count) for part in objects])
     if (counts < 0).any() or counts.sum(axis=0).tolist() != [vertex_count, len(polygons.counts)]:
         vertices, faces = counts.sum(axis=0).tolist()
         raise InvalidSequenceError(
             f"the objects have {vertices} vertices and {faces} polygons, the mesh {vertex_count} and "
             f"{len(polygons.counts)}"
         )
-    last = np.cumsum(counts[:, 0])
-    of_polygon = np.repeat(np.arange(len(objects)), counts[:, 1])
-    of_corner = np.repeat(of_polygon, polygons.counts)
-    astray = np.searchsorted(last, polygons.indices, side="right") != of_corner
-    if astray.any():
-        name = objects[of_corner[int(np.argmax(astray))]].name
+    object_of_polygon = np.repeat(np.arange(len(objects)), counts[:, 1])
+    object_of_corner = np.repeat(object_of_polygon, polygons.counts)
+    object_of_vertex = np.searchsorted(np.cumsum(counts[:, 0]), polygons.indices, side="right")
+    is_wrong = object_of_vertex != object_of_corner
+    if is_wrong.any():
+        name = objects[object_of_corner[int(np.argmax(is_wrong))]].name
         raise InvalidSequenceError(f"a polygon of the object {name!r} uses vertices of another object")

@@ -1,9 +1,9 @@
 """Connectivity of a triangle mesh: edges, hinges, adjacency, components and defects.
 
-All results follow from the faces, independent of vertex positions, and are computed once on first use.
+All results depend only on the faces and are computed once, at first use.
 
-A *hinge* is an edge together with two faces that meet in it. A non-manifold edge with k faces has k - 1 hinges, chained
-in the order of the faces, so that lengths and hinge angles determine the shape of non-manifold meshes too.
+A *hinge* is an edge with two of its faces. A non-manifold edge with k faces has k - 1 hinges, between consecutive
+faces, so that lengths and hinge angles also determine the shape of non-manifold meshes.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ class Topology(PickledWithoutCaches):
         keys = np.minimum(start, end) * np.int64(self.vertex_count) + np.maximum(start, end)
         order = np.argsort(keys, kind="stable")
         keys = keys[order]
-        first = np.diff(keys, prepend=-1) != 0
+        is_first = np.diff(keys, prepend=-1) != 0
         edge_of_side = np.empty_like(order)
-        edge_of_side[order] = np.cumsum(first) - 1
-        return np.stack(np.divmod(keys[first], self.vertex_count), axis=1), edge_of_side
+        edge_of_side[order] = np.cumsum(is_first) - 1
+        return np.stack(np.divmod(keys[is_first], self.vertex_count), axis=1), edge_of_side
 
     @property
     def _sides(self) -> tuple[Index, Index]:
@@ -81,20 +81,20 @@ class Topology(PickledWithoutCaches):
         """Sides ``(H, 2)``, numbered face by face, of every hinge in its two faces."""
         edge_of_side = self._sorted_edges[1]
         order = np.argsort(edge_of_side, kind="stable")
-        same, face = np.diff(edge_of_side[order]) == 0, order // 3
-        together = same & (face[1:] != face[:-1])
-        return np.stack([order[:-1][together], order[1:][together]], axis=1)
+        face = order // 3
+        is_hinge = (np.diff(edge_of_side[order]) == 0) & (face[1:] != face[:-1])
+        return np.stack([order[:-1][is_hinge], order[1:][is_hinge]], axis=1)
 
     @cached_property
     def hinges(self) -> Index:
         """Hinges ``(H, 4)`` as vertices a, b, c, d: edge ab, opposite vertices c (first face) and d."""
         return self.hinges_at(slice(None))
 
-    def hinges_at(self, some: Index | slice) -> Index:
+    def hinges_at(self, hinge_ids: Index | slice) -> Index:
         """Return some of the `hinges` ``(h, 4)``, to save memory on large meshes."""
-        # The first face gives the direction a -> b, so the angle's sign follows that face's orientation.
-        first, second = self._hinge_sides[some].T
-        corners = first, _next(first), _next(_next(first)), _next(_next(second))
+        # The direction a -> b is that of the first face, whose orientation determines the sign of the angle.
+        first, second = self._hinge_sides[hinge_ids].T
+        corners = first, _next_side(first), _next_side(_next_side(first)), _next_side(_next_side(second))
         return np.stack([self.faces.reshape(-1)[corner] for corner in corners], axis=1, dtype=np.int64)
 
     @cached_property
@@ -173,20 +173,19 @@ class Topology(PickledWithoutCaches):
         }
 
 
-def _next(sides: Index) -> Index:
+def _next_side(sides: Index) -> Index:
     """Return the next side in the same face, whose first corner is the second one of the side."""
     return np.where(sides % 3 == 2, sides - 2, sides + 1)
 
 
 def _symmetric(pairs: Index, count: int) -> sparse.csr_array:
     """Return the symmetric matrix ``(count, count)`` with ones at pairs ``(n, 2)`` and their transposes."""
-    places = (
-        np.concatenate([pairs[:, ::-1], pairs]).astype(np.int32).T
-    )  # of sorted pairs: rows come out sorted
-    return sparse.coo_array((np.ones(2 * len(pairs)), tuple(places)), shape=(count, count)).tocsr()
+    # In this order rows are sorted if the pairs are.
+    indices = np.concatenate([pairs[:, ::-1], pairs]).astype(np.int32).T
+    return sparse.coo_array((np.ones(2 * len(pairs)), tuple(indices)), shape=(count, count)).tocsr()
 
 
-def connected(count: int, pairs: IntArray) -> Index:
+def connected_components(count: int, pairs: IntArray) -> Index:
     """Return the connected component ``(count,)`` of each of ``count`` nodes, by pairs ``(n, 2)``."""
     graph = sparse.coo_array(
         (np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count)
@@ -194,25 +193,25 @@ def connected(count: int, pairs: IntArray) -> Index:
     return csgraph.connected_components(graph, directed=False)[1].astype(np.int64)
 
 
-def vertices_of(topology: Topology, faces: Mask) -> Mask:
+def mark_face_vertices(topology: Topology, faces: Mask) -> Mask:
     """Mark the vertices ``(V,)`` of the marked faces ``(F,)``."""
     marked = np.zeros(topology.vertex_count, dtype=bool)
     marked[topology.faces[faces]] = True
     return marked
 
 
-def vertices_near(topology: Topology, vertices: Mask, rings: int) -> Mask:
+def dilate_vertices(topology: Topology, vertices: Mask, rings: int) -> Mask:
     """Mark the vertices ``(V,)`` at most `rings` edges from a marked one."""
-    near = vertices.copy()
-    ring = np.flatnonzero(near)
+    marked = vertices.copy()
+    ring = np.flatnonzero(marked)
     for _ in range(rings):
-        beside = topology.vertex_adjacency[ring].indices
-        ring = np.unique(beside[~near[beside]])
-        near[ring] = True
-    return near
+        neighbours = topology.vertex_adjacency[ring].indices
+        ring = np.unique(neighbours[~marked[neighbours]])
+        marked[ring] = True
+    return marked
 
 
-def hinges_inside(topology: Topology, faces: Mask) -> Index:
+def interior_hinges(topology: Topology, faces: Mask) -> Index:
     """Return the indices of hinges between two of the marked faces ``(F,)``, ascending."""
     first, second = topology.hinge_faces.T
     return np.flatnonzero(faces[first] & faces[second])
@@ -221,30 +220,29 @@ def hinges_inside(topology: Topology, faces: Mask) -> Index:
 def face_patches(topology: Topology, faces: Mask) -> NDArray[np.int64]:
     """Number the hinge-connected patches ``(F,)`` of the marked faces, in order of their first face; -1 elsewhere."""
     patch = np.full(len(topology.faces), -1, dtype=np.int64)
-    chosen = np.flatnonzero(faces)
-    pairs = topology.hinge_faces[hinges_inside(topology, faces)]
-    patch[chosen] = connected(len(chosen), np.searchsorted(chosen, pairs))
+    face_ids = np.flatnonzero(faces)
+    pairs = topology.hinge_faces[interior_hinges(topology, faces)]
+    patch[face_ids] = connected_components(len(face_ids), np.searchsorted(face_ids, pairs))
     return patch
 
 
 def split_labels(topology: Topology, labels: IntArray) -> NDArray[np.int64]:
     """Number the hinge-connected patches ``(F,)`` of equal labels 0, 1, ..., label by label."""
-    together = labels[topology.hinge_faces[:, 0]] == labels[topology.hinge_faces[:, 1]]
-    patch = connected(len(labels), topology.hinge_faces[together])
+    is_inside = labels[topology.hinge_faces[:, 0]] == labels[topology.hinge_faces[:, 1]]
+    patch = connected_components(len(labels), topology.hinge_faces[is_inside])
     first = np.unique(patch, return_index=True)[1]
     number = np.empty(len(first), dtype=np.int64)
     number[np.lexsort((first, labels[first]))] = np.arange(len(first))
     return number[patch]
 
 
-def spread(topology: Topology, depth: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Propagate values ``(V,)`` over edges with a decrement of one: ``max_b (depth_b - hops(v, b))``, at least 0."""
+def propagate_depth(topology: Topology, depth: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Propagate values ``(V,)`` along edges, one less per edge: ``max_b (depth_b - hops(v, b))``, at least 0."""
     result = np.maximum(depth, 0)
     for _ in range(int(result.max(initial=0)) - 1):
-        first, second = (result > 1)[topology.edges.T]
-        i, j = topology.edges[first | second].T
-        grown = result.copy()
-        np.maximum.at(grown, i, result[j] - 1)
-        np.maximum.at(grown, j, result[i] - 1)
-        result = grown
+        i, j = topology.edges[(result > 1)[topology.edges].any(axis=1)].T
+        updated = result.copy()
+        np.maximum.at(updated, i, result[j] - 1)
+        np.maximum.at(updated, j, result[i] - 1)
+        result = updated
     return result

@@ -1,11 +1,11 @@
-r"""A triangle mesh in one pose: areas, normals, closest points, and triangles as matrices, also without area.
+r"""A triangle mesh in one pose: areas, normals, and triangles as matrices, also without area.
 
-All follow a rigid motion of the vertices, except normals of vertices on one line, whose rotation about it is undefined.
-As matrices triangles are two sides, and a fourth vertex along the normal (Sumner and Popović 2004),
+All are equivariant under rigid motions, except normals of vertices on one line, whose rotation about it is undefined.
+The matrix of a triangle is two sides and a fourth vertex along the normal (Sumner and Popović 2004),
 
 .. math:: D = [e_1, e_2, n / \sqrt{|n|}], \qquad n = e_1 \times e_2 .
 
-The root scales the fourth vertex with the triangle. Triangles without area get a fourth vertex too, and are replaced
+The root scales the fourth vertex with the triangle. Triangles without area also get a fourth vertex, and are replaced
 by triangles with area where an inverse is needed.
 """
 
@@ -16,124 +16,125 @@ from functools import cached_property
 
 import numpy as np
 
-from mixseq.mesh.measures import summed
-from mixseq.mesh.nearest import Found, Nearest
+from mixseq.mesh.measures import scatter_add
 from mixseq.mesh.topology import Topology
 from mixseq.types import Float, Index, Mask
 
-FLAT = 1e-4
-"""Ratio of height to longest side below which a triangle has no area: in single precision its normal is random."""
+DEGENERATE_HEIGHT_RATIO = 1e-4
+"""Ratio of height to longest side up to which a triangle has no area: in single precision its normal is random."""
 
-CANCELLED = 1e-6
-"""Ratio of the sum of face normals to the sum of their lengths below which a vertex has no normal."""
+CANCELLED_NORMAL_RATIO = 1e-6
+"""Ratio of the length of the sum of face normals to the sum of their lengths up to which a vertex has no normal."""
 
 
-def unit(vectors: Float) -> Float:
-    """Return vectors ``(..., 3)`` scaled to length 1; zero vectors stay zero."""
+def normalise(vectors: Float) -> Float:
+    """Normalise vectors ``(..., 3)``; zero vectors stay zero."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0))
 
 
-def across(directions: Float) -> Float:
-    """Return a unit vector perpendicular to each direction ``(n, 3)``, the same one for its opposite."""
-    least = np.abs(directions).argmin(axis=1)
-    axis = np.eye(3)[least]
-    return unit(axis - unit(directions) * np.sum(axis * unit(directions), axis=1, keepdims=True))
+def perpendicular(directions: Float) -> Float:
+    """Return a unit vector perpendicular to each direction ``(n, 3)``, the same for opposite directions."""
+    axis = np.eye(3)[np.abs(directions).argmin(axis=1)]
+    return normalise(
+        axis - normalise(directions) * np.sum(axis * normalise(directions), axis=1, keepdims=True)
+    )
 
 
-def face_normals(x: Float, faces: Index) -> Float:
-    """Return normals ``(F, 3)`` of faces, twice as long as their areas; zero without area, see `FLAT`."""
+def area_normals(x: Float, faces: Index) -> Float:
+    """Return normals ``(F, 3)`` of faces, twice their areas long; zero below `DEGENERATE_HEIGHT_RATIO`."""
     corners = x[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     longest = np.square(np.roll(corners, -1, axis=1) - corners).sum(axis=2).max(axis=1)
-    normals[np.linalg.norm(normals, axis=1) <= FLAT * longest] = 0.0
+    normals[np.linalg.norm(normals, axis=1) <= DEGENERATE_HEIGHT_RATIO * longest] = 0.0
     return np.asarray(normals)
 
 
 def vertex_normals(x: Float, faces: Index, edges: Index) -> Float:
     """Return unit normals ``(n, 3)`` of vertices: area-weighted sums over faces ``(F, 3)``.
 
-    Without one, the mean of neighbours along edges ``(E, 2)``; zero if no connected vertex has a normal.
+    Vertices without a normal get the mean of neighbours along edges ``(E, 2)``; zero if no connected vertex has one.
     """
-    of_faces = face_normals(x, faces)
-    sums = summed(np.repeat(of_faces, 3, axis=0), faces.reshape(-1), len(x))
-    sizes = np.repeat(np.linalg.norm(of_faces, axis=1), 3)
-    whole = np.bincount(faces.reshape(-1), sizes, minlength=len(x))
-    normals = np.where((np.linalg.norm(sums, axis=1) > CANCELLED * whole)[:, None], unit(sums), 0.0)
+    normals_of_corners = np.repeat(area_normals(x, faces), 3, axis=0)
+    sums = scatter_add(normals_of_corners, faces.reshape(-1), len(x))
+    lengths = np.bincount(faces.reshape(-1), np.linalg.norm(normals_of_corners, axis=1), minlength=len(x))
+    is_defined = np.linalg.norm(sums, axis=1) > CANCELLED_NORMAL_RATIO * lengths
+    normals = np.where(is_defined[:, None], normalise(sums), 0.0)
     starts, ends = np.concatenate([edges, edges[:, ::-1]]).T
     missing = np.flatnonzero(~normals.any(axis=1))
     while missing.size:
-        into = np.isin(starts, missing)
-        found = unit(summed(normals[ends[into]], starts[into], len(x)))
-        normals[missing] = found[missing]
-        still = missing[~found[missing].any(axis=1)]
-        if still.size == missing.size:
+        is_missing = np.isin(starts, missing)
+        means = normalise(scatter_add(normals[ends[is_missing]], starts[is_missing], len(x)))
+        normals[missing] = means[missing]
+        remaining = missing[~means[missing].any(axis=1)]
+        if remaining.size == missing.size:
             break
-        missing = still
+        missing = remaining
     return normals
 
 
-def completed(rows: Float, faces: Index, edges: Index) -> Float:
-    """Return matrices D ``(F, 3, 3)`` of faces of rows ``(n, 3)``: sides 01, 02 and fourth vertices, in columns.
+def triangle_matrices(x: Float, faces: Index, edges: Index) -> Float:
+    """Return matrices D ``(F, 3, 3)`` of faces of points ``(n, 3)``: sides 01, 02 and fourth vertices, in columns.
 
-    The fourth vertex of a face without area is across its longest side, by the normals of its vertices.
+    The fourth vertex of a face without area is perpendicular to its longest side, by the normals of its vertices.
     """
-    corners = rows[faces]
-    normals = face_normals(rows, faces)
+    corners = x[faces]
+    normals = area_normals(x, faces)
     areas = np.linalg.norm(normals, axis=1)
-    flat = np.flatnonzero(areas == 0)
-    if flat.size:
-        _, longest, length = _longest(corners[flat])
-        around = vertex_normals(rows, faces, edges)[faces[flat]].sum(axis=1)
-        upright = around - longest * np.sum(around * longest, axis=1, keepdims=True)
-        has = np.linalg.norm(upright, axis=1) > FLAT * np.linalg.norm(around, axis=1)
-        normals[flat] = np.where(has[:, None], unit(upright), across(longest))
-        areas[flat] = FLAT * length**2
-    fourth = unit(normals) * np.sqrt(areas)[:, None]
+    degenerate = np.flatnonzero(areas == 0)
+    if degenerate.size:
+        _, longest, length = _longest_sides(corners[degenerate])
+        means = vertex_normals(x, faces, edges)[faces[degenerate]].sum(axis=1)
+        upright = means - longest * np.sum(means * longest, axis=1, keepdims=True)
+        has_normal = np.linalg.norm(upright, axis=1) > DEGENERATE_HEIGHT_RATIO * np.linalg.norm(means, axis=1)
+        normals[degenerate] = np.where(has_normal[:, None], normalise(upright), perpendicular(longest))
+        areas[degenerate] = DEGENERATE_HEIGHT_RATIO * length**2
+    fourth = normalise(normals) * np.sqrt(areas)[:, None]
     return np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], fourth], axis=2)
 
 
-def with_area(triangles: Float) -> Float:
+def replace_degenerate(triangles: Float) -> Float:
     """Replace D ``(F, 3, 3)`` of triangles without area by equilateral ones on their longest sides.
 
-    Fourth directions stay. Triangles that are points get the mean size of the others.
+    Directions of fourth vertices stay. Triangles that are points get the mean size of the others.
     """
     first, second, fourth = (triangles[:, :, column] for column in range(3))
     corners = np.stack([np.zeros_like(first), first, second], axis=1)
-    normals = face_normals(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
-    flat = np.flatnonzero(~normals.any(axis=1))
-    longest, along, length = _longest(corners)
-    usual = length[length > 0].mean() if length.any() else 1.0
-    side = np.where(length > 0, length, usual)[flat, None]
-    along = np.where(along[flat].any(axis=1, keepdims=True), along[flat], [1.0, 0.0, 0.0])
-    upright = np.where(fourth[flat].any(axis=1, keepdims=True), unit(fourth[flat]), across(along))
+    normals = area_normals(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+    degenerate = np.flatnonzero(~normals.any(axis=1))
+    longest, along, length = _longest_sides(corners)
+    mean_length = length[length > 0].mean() if length.any() else 1.0
+    side = np.where(length > 0, length, mean_length)[degenerate, None]
+    along, fourth = along[degenerate], fourth[degenerate]
+    along = np.where(along.any(axis=1, keepdims=True), along, [1.0, 0.0, 0.0])
+    upright = np.where(fourth.any(axis=1, keepdims=True), normalise(fourth), perpendicular(along))
 
-    chosen = np.arange(len(flat))
-    corners = np.zeros((len(flat), 3, 3))
-    corners[chosen, (longest[flat] + 1) % 3] = side * along
-    corners[chosen, (longest[flat] + 2) % 3] = side * (along / 2 + np.cross(upright, along) * np.sqrt(0.75))
+    rows, start = np.arange(len(degenerate)), longest[degenerate]
+    corners = np.zeros((len(degenerate), 3, 3))
+    corners[rows, (start + 1) % 3] = side * along
+    corners[rows, (start + 2) % 3] = side * (along / 2 + np.cross(upright, along) * np.sqrt(0.75))
     result = triangles.copy()
-    result[flat, :, 0] = corners[:, 1] - corners[:, 0]
-    result[flat, :, 1] = corners[:, 2] - corners[:, 0]
-    result[flat, :, 2] = upright * side * np.sqrt(np.sqrt(0.75))
+    result[degenerate, :, 0] = corners[:, 1] - corners[:, 0]
+    result[degenerate, :, 1] = corners[:, 2] - corners[:, 0]
+    result[degenerate, :, 2] = upright * side * np.sqrt(np.sqrt(0.75))
     return result
 
 
-def _longest(corners: Float) -> tuple[Index, Float, Float]:
+def _longest_sides(corners: Float) -> tuple[Index, Float, Float]:
     """Return longest sides ``(F,)`` of triangles ``(F, 3, 3)``, their directions ``(F, 3)`` and lengths ``(F,)``."""
     sides = np.roll(corners, -1, axis=1) - corners
     lengths = np.linalg.norm(sides, axis=2)
     longest = lengths.argmax(axis=1)
-    chosen = np.arange(len(corners)), longest
-    return longest, unit(sides[chosen]), lengths[chosen]
+    indices = np.arange(len(corners)), longest
+    return longest, normalise(sides[indices]), lengths[indices]
 
 
 @dataclass(frozen=True, eq=False)
 class TriangleMesh:
     """A triangle mesh in one pose."""
 
-    points: Float  # (V, 3) vertices
-    topology: Topology  # its faces
+    points: Float  # (V, 3)
+    topology: Topology
 
     @cached_property
     def faces(self) -> Index:
@@ -146,7 +147,7 @@ class TriangleMesh:
         return float(np.linalg.norm(np.ptp(self.points[self.faces.reshape(-1)], axis=0)))
 
     @cached_property
-    def vectors(self) -> Float:
+    def vector_areas(self) -> Float:
         """Vector areas ``(F, 3)`` of the triangles."""
         a, b, c = (self.points[self.faces[:, k]] for k in range(3))
         return np.asarray(np.cross(b - a, c - a) / 2)
@@ -154,12 +155,12 @@ class TriangleMesh:
     @cached_property
     def face_areas(self) -> Float:
         """Areas ``(F,)`` of the triangles."""
-        return np.asarray(np.linalg.norm(self.vectors, axis=1))
+        return np.asarray(np.linalg.norm(self.vector_areas, axis=1))
 
     @cached_property
     def face_normals(self) -> Float:
         """Unit normals ``(F, 3)``; zero where a triangle has no area."""
-        return unit(self.vectors)
+        return normalise(self.vector_areas)
 
     @cached_property
     def centroids(self) -> Float:
@@ -175,7 +176,9 @@ class TriangleMesh:
     @cached_property
     def vertex_normals(self) -> Float:
         """Unit normals ``(V, 3)``, area-weighted means of the triangles'; zero where there is none."""
-        return unit(summed(np.repeat(self.vectors, 3, axis=0), self.faces.reshape(-1), len(self.points)))
+        return normalise(
+            scatter_add(np.repeat(self.vector_areas, 3, axis=0), self.faces.reshape(-1), len(self.points))
+        )
 
     @cached_property
     def squared_lengths(self) -> Float:
@@ -194,20 +197,19 @@ class TriangleMesh:
         """Return points ``(n, 3)`` of triangles ``(n,)`` with barycentric weights ``(n, 3)``."""
         return np.asarray(np.einsum("nk,nkc->nc", weights, self.points[self.faces[faces]]))
 
-    def nearest_by_component(self, vertices: Index, among: Index) -> Index:
-        """Return one of vertices `among` ``(m,)`` for each vertex ``(n,)``: the nearest to its whole component."""
+    def nearest_by_component(self, vertices: Index, candidates: Index) -> Index:
+        """Return the candidate ``(m,)`` for each vertex ``(n,)`` that is nearest to its connected component."""
         from scipy.spatial import cKDTree
 
-        found = cKDTree(self.points[among]).query(self.points[vertices])
-        distances, places = (np.asarray(each) for each in found)
+        distances, nearest = map(np.asarray, cKDTree(self.points[candidates]).query(self.points[vertices]))
         component = self.topology.component_of_vertex[vertices]
         order = np.lexsort((distances, component))
-        components, nearest = np.unique(component[order], return_index=True)
-        own = np.searchsorted(components, component)
-        return np.asarray(among[places[order[nearest[own]]]])
+        components, first = np.unique(component[order], return_index=True)
+        closest = order[first[np.searchsorted(components, component)]]
+        return np.asarray(candidates[nearest[closest]])
 
     def leaders(self, matched: Mask) -> Index:
-        """Return the leader of every vertex, where some ``(V,)`` are matched and lead themselves.
+        """Return the leader ``(V,)`` of every vertex: matched vertices ``(V,)`` lead themselves.
 
         Others follow the nearest matched vertex of their component; components without one follow a single vertex.
         """
@@ -215,32 +217,13 @@ class TriangleMesh:
 
         leaders = np.arange(len(self.points))
         component = self.topology.component_of_vertex
-        partly = np.isin(component, component[matched])
-        near, unmatched = np.flatnonzero(matched), np.flatnonzero(partly & ~matched)
-        if unmatched.size:
-            # A fourth coordinate keeps components apart: further than anything is in the other three.
-            apart = component * (2 * float(np.linalg.norm(np.ptp(self.points, axis=0))) or 1.0)
-            places = np.column_stack([self.points, apart])
-            leaders[unmatched] = near[cKDTree(places[near]).query(places[unmatched])[1]]
-        whole = np.flatnonzero(~partly)
-        leaders[whole] = self.nearest_by_component(whole, near)
+        has_match = np.isin(component, component[matched])
+        candidates, followers = np.flatnonzero(matched), np.flatnonzero(has_match & ~matched)
+        if followers.size:
+            # A fourth coordinate separates components by more than the diagonal.
+            offset = component * (2 * float(np.linalg.norm(np.ptp(self.points, axis=0))) or 1.0)
+            x = np.column_stack([self.points, offset])
+            leaders[followers] = candidates[cKDTree(x[candidates]).query(x[followers])[1]]
+        unmatched = np.flatnonzero(~has_match)
+        leaders[unmatched] = self.nearest_by_component(unmatched, candidates)
         return leaders
-
-
-@dataclass(frozen=True, eq=False)
-class ClosestPoints:
-    """Closest-point queries on some triangles of a mesh."""
-
-    mesh: TriangleMesh  # the mesh
-    triangles: Index  # (n,) searched triangles of it
-
-    @cached_property
-    def _nearest(self) -> Nearest:
-        return Nearest.of(self.mesh.points, self.mesh.faces[self.triangles])
-
-    def query(self, points: Float, normals: Float | None = None, largest_angle: float = 90.0) -> Found:
-        """Find closest points to ``(n, 3)``, facing as normals ``(n, 3)``; triangles are numbered as in the mesh."""
-        found = self._nearest.query(points, normals, largest_angle)
-        return Found(
-            np.where(found.faces >= 0, self.triangles[found.faces], -1), found.weights, found.distances
-        )

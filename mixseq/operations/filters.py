@@ -29,7 +29,14 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.rotations import exponentials, inverse, normalised, product, rotations_of, vectors
+from mixseq.mesh.rotations import (
+    matrix_to_rotvec,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    rotvec_to_quat,
+)
 from mixseq.operations.sections import merge_sites, strictly_between
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import Seconds
@@ -76,9 +83,8 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
     scaled = replace(model, time=_scale_about_mean(model, model.time, gains))
     if modes is not None:
         return scaled
-    return replace(
-        scaled, correction=_scale_about_mean(model, model.correction, np.full(model.correction.dim, gain))
-    )
+    gains = np.full(model.correction.dim, gain)
+    return replace(scaled, correction=_scale_about_mean(model, model.correction, gains))
 
 
 def _scale_about_mean(model: Model, curve: Curve, gains: Float) -> Curve:
@@ -139,16 +145,16 @@ class SteadyRotation:
     @classmethod
     def fit(cls, space: ShapeSpace, placement: Curve) -> SteadyRotation:
         """Fit the mean angular velocity to a placement, from knot to knot."""
-        rotations = normalised(space.unpack_placements(placement.values).rotations)
-        turns = vectors(rotations_of(product(rotations[1:], inverse(rotations[:-1]))))
+        rotations = normalise_quat(space.unpack_placements(placement.values).rotations)
+        turns = matrix_to_rotvec(quat_to_matrix(quat_multiply(rotations[1:], quat_conjugate(rotations[:-1]))))
         duration = placement.end - placement.start
         return cls(space, turns.sum(axis=0) / (duration if duration > 0 else 1.0))
 
     def apply(self, times: Float, placements: Float, sign: float) -> Float:
         """Add the steady rotation to placements ``(N, P)`` at times ``(N,)``, or remove it with the sign -1."""
         rotations, centres = self.space.unpack_placements(placements)
-        steady = exponentials(sign * times[:, None, None] * self.rates)
-        return self.space.pack_placements(Poses(product(steady, rotations), centres))
+        steady = rotvec_to_quat(sign * times[:, None, None] * self.rates)
+        return self.space.pack_placements(Poses(quat_multiply(steady, rotations), centres))
 
 
 def smooth_curve(curve: Curve, frames: Float, seconds: float, steady: SteadyRotation | None = None) -> Curve:
@@ -158,9 +164,7 @@ def smooth_curve(curve: Curve, frames: Float, seconds: float, steady: SteadyRota
     min_step = 1e-6 * (ends[1] - ends[0]) / len(times)
     times = np.append(times[:-1][np.diff(times) > min_step], ends[1])
     if len(times) < MIN_SMOOTHED_VALUES:
-        raise SettingsError(
-            f"{len(times)} frames and knots cannot be smoothed; {MIN_SMOOTHED_VALUES} or more are needed"
-        )
+        raise SettingsError(f"{len(times)} frames and knots; smoothing needs {MIN_SMOOTHED_VALUES} or more")
     if not curve.dim:
         return curve
     steps = np.diff(times)

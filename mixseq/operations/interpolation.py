@@ -23,12 +23,12 @@ from mixseq.choices import PlacementName, SegmentationName, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.runtime.parallel import Executor, on_threads, one_blas_thread
-from mixseq.runtime.progress import Progress, Stages, silent
+from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
+from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
 from mixseq.segmentation.methods import MethodSettings
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, FrameStore, MeshSequence, check_frames, frame_store
+from mixseq.sequence.sequence import Frames, FrameStore, MeshSequence, check_frames, load_frames
 from mixseq.shells.gauss_newton import ShellReport
 from mixseq.signals.detail import encode_sequence
 from mixseq.spaces.base import ShapeSpace
@@ -104,7 +104,7 @@ class PoseInterpolator(PickledWithoutCaches):
         parts: int | ArrayLike | None = None,
         joint_width: int = MixedSettings.joint_width,
         pose_ids: ArrayLike | None = None,
-        progress: Progress = silent,
+        progress: Progress = no_progress,
         workers: Executor | None = None,
         **settings: Unpack[SpaceOptions],
     ) -> PoseInterpolator:
@@ -118,18 +118,17 @@ class PoseInterpolator(PickledWithoutCaches):
         missing = ids[(ids < 0) | (ids >= count)]
         if missing.size:
             raise SettingsError(f"there is no pose {missing[0]}; poses are 0 to {count - 1}")
-        stages = Stages(progress, 2 + SPACE_STAGES, count)
-        executor = workers or on_threads()
+        stages = StagedProgress(progress, 2 + SPACE_STAGES, count)
+        executor = workers or thread_executor()
         with one_blas_thread():
-            frames = frame_store(poses, stages.at(0))
+            frames = load_frames(poses, stages.at(0))
             if isinstance(making, MixedSettings):
                 topology = Topology(frames.header.faces, frames.header.vertex_count)
                 making = replace(making, parts=segment_faces(frames, making, topology), purpose="blends")
             blended = FrameStore(frames.header.with_times(np.arange(len(ids))), frames.points[ids])
             shape_space = make_space(blended, space, making, executor, stages.at(1, SPACE_STAGES))
-            encoded = encode_sequence(
-                blended, shape_space, workers=executor, progress=stages.at(1 + SPACE_STAGES)
-            )
+            encoding = stages.at(1 + SPACE_STAGES)
+            encoded = encode_sequence(blended, shape_space, workers=executor, progress=encoding)
             vectors = np.concatenate([encoded.shapes[:], encoded.placement], axis=1)
             vectors = np.pad(vectors, ((0, 0), (0, shape_space.correction_dim)))
         return cls(frames.header, shape_space, vectors)
@@ -146,7 +145,7 @@ class PoseInterpolator(PickledWithoutCaches):
         return points[0], reports
 
     def iterate_blends(
-        self, weights: ArrayLike, progress: Progress = silent, workers: Executor | None = None
+        self, weights: ArrayLike, progress: Progress = no_progress, workers: Executor | None = None
     ) -> Iterator[Float]:
         """Yield the points ``(V, 3)`` of blends with weights ``(m, n)``, each row of sum one."""
         try:
@@ -154,8 +153,8 @@ class PoseInterpolator(PickledWithoutCaches):
         except (TypeError, ValueError) as error:
             raise SettingsError("weights are not a table of numbers, with a row for every blend") from error
         rows = [normalise_weights(row, len(self.vectors)) for row in np.atleast_1d(table)]
-        self.space.prepared()
-        executor = workers or on_threads()
+        self.space.precompute()
+        executor = workers or thread_executor()
         for done, points in enumerate(executor(PoseInterpolator.blend, self, rows), start=1):
             yield points
             progress(done, len(rows), "blending poses")
@@ -170,7 +169,7 @@ def interpolate(
     placement: PlacementName = MixedSettings.placement,
     parts: int | ArrayLike | None = None,
     joint_width: int = MixedSettings.joint_width,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
     **settings: Unpack[SpaceOptions],
 ) -> Float:

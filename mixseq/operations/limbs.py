@@ -34,14 +34,14 @@ from scipy.sparse import csgraph
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.rotations import (
-    continuous_vectors,
-    exponentials,
-    inverse,
-    normalised,
-    product,
-    rotations_of,
-    turned,
-    unwrap,
+    continuous_rotvec,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    rotate_vectors,
+    rotvec_to_quat,
+    unwrap_rotvec,
 )
 from mixseq.operations.filters import check_gain
 from mixseq.operations.sections import (
@@ -95,11 +95,11 @@ class Limb:
         all_times, ids = np.unique(np.concatenate([knots, times]), return_inverse=True)
         poses = part_poses(model, all_times)
         from_parent, from_part = self._pivots
-        rotations = rotations_of(poses.rotations)
+        rotations = quat_to_matrix(poses.rotations)
         to_parent = np.swapaxes(rotations[:, self.parent], -1, -2)
-        turns = continuous_vectors(to_parent @ rotations[:, self.part])
+        turns = continuous_rotvec(to_parent @ rotations[:, self.part])
         pivots = rotations[:, self.part] @ from_part + poses.centres[:, self.part]
-        gaps = turned(to_parent, pivots - poses.centres[:, self.parent]) - from_parent
+        gaps = rotate_vectors(to_parent, pivots - poses.centres[:, self.parent]) - from_parent
         return np.concatenate([turns, gaps], axis=1)[ids[len(knots) :]]
 
     def corrections(self, model: Model, times: Float, joint_pose: Float) -> Float:
@@ -109,21 +109,23 @@ class Limb:
         """
         old_joint_pose, poses = self.joint_pose(model, times), part_poses(model, times)
         from_parent, from_part = self._pivots
-        base = normalised(poses.rotations[:, self.parent])
-        change = product(exponentials(joint_pose[:, :3]), inverse(exponentials(old_joint_pose[:, :3])))
-        turn = product(product(base, change), inverse(base))
+        base = normalise_quat(poses.rotations[:, self.parent])
+        old, new = (rotvec_to_quat(pose[:, :3]) for pose in (old_joint_pose, joint_pose))
+        change = quat_multiply(new, quat_conjugate(old))
+        turn = quat_multiply(quat_multiply(base, change), quat_conjugate(base))
         rotations, centres = poses.rotations.copy(), poses.centres.copy()
-        rotations[:, self.part_mask] = product(turn[:, None], rotations[:, self.part_mask])
-        parent, part = (rotations_of(rotations[:, number]) for number in (self.parent, self.part))
-        centre = turned(parent, from_parent + joint_pose[:, 3:]) + centres[:, self.parent] - part @ from_part
+        rotations[:, self.part_mask] = quat_multiply(turn[:, None], rotations[:, self.part_mask])
+        parent, part = (quat_to_matrix(rotations[:, number]) for number in (self.parent, self.part))
+        pivot = rotate_vectors(parent, from_parent + joint_pose[:, 3:]) + centres[:, self.parent]
+        centre = pivot - part @ from_part
         relative = centres[:, self.part_mask] - centres[:, [self.part]]
-        centres[:, self.part_mask] = turned(rotations_of(turn)[:, None], relative) + centre[:, None]
+        centres[:, self.part_mask] = rotate_vectors(quat_to_matrix(turn)[:, None], relative) + centre[:, None]
         targets = np.concatenate([array.reshape(len(times), -1) for array in (rotations, centres)], axis=1)
         corrections = self.space.pose_corrections(blend_key_poses(model, times), targets)
         turns, reference = (
             array.reshape(len(array), 2, -1, 3)[:, 0] for array in (corrections, model.correction(times[:1]))
         )
-        turns[:] = unwrap(turns, reference[0])
+        turns[:] = unwrap_rotvec(turns, reference[0])
         return corrections
 
     def joint_weights(self) -> Float:
@@ -170,9 +172,7 @@ def find_limb(model: Model, part: int) -> Limb:
     """Return the limb of a part; raise SettingsError for missing parts and roots."""
     space, count = as_mixed(model.space), len(model.decomposition.parts)
     if space.placement == "free":
-        raise SettingsError(
-            "the free placement ignores poses of parts; fit a model with placement='anchored'"
-        )
+        raise SettingsError("the free placement ignores poses of parts; fit with placement='anchored'")
     if not 0 <= part < count:
         raise SettingsError(f"there is no part {part}; the model has {count}, from 0 on")
     parents = space.articulation.parents
@@ -229,7 +229,7 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     check_gain(gain)
     mean = limb.joint_pose(model, model.times).mean(axis=0)
     sites = model_sites(model, model.start, model.end)
-    correction = _edit_joint_pose(model, limb, sites, lambda _, joint_pose: mean + gain * (joint_pose - mean))
+    correction = _edit_joint(model, limb, sites, lambda _, joint_pose: mean + gain * (joint_pose - mean))
     return replace(model, correction=correction, shapes=_scale_joint_shapes(model, limb, gain))
 
 
@@ -275,10 +275,8 @@ def hold(
     first, last = max(start - fade, model.start), min(end + fade, model.end)
     knots = np.concatenate([np.linspace(start - fade, start, 4), np.linspace(end, end + fade, 4)])
     sites = model_sites(model, first, last, knots)
-    held_pose = limb.joint_pose(model, np.array([time]))
-    correction = _edit_joint_pose(
-        model, limb, sites, lambda times, pose: pose + weight(times) * (held_pose - pose)
-    )
+    held = limb.joint_pose(model, np.array([time]))
+    correction = _edit_joint(model, limb, sites, lambda times, pose: pose + weight(times) * (held - pose))
     extended, to_limb_modes = _add_limb_modes(model, limb)
     held_point = model.time([time])
 
@@ -294,7 +292,7 @@ def hold(
     )
 
 
-def _edit_joint_pose(model: Model, limb: Limb, sites: Float, edit: JointPoseEdit) -> Curve:
+def _edit_joint(model: Model, limb: Limb, sites: Float, edit: JointPoseEdit) -> Curve:
     """Return the correction of all parts with an edited joint pose of a limb, from the first to the last site."""
 
     def correction(times: Float) -> Float:
@@ -303,9 +301,8 @@ def _edit_joint_pose(model: Model, limb: Limb, sites: Float, edit: JointPoseEdit
     joint_pose = limb.joint_pose(model, sites)
     turn_steps = np.diff(edit(sites, joint_pose)[:, :3] - joint_pose[:, :3], axis=0)
     count = 1 + int(np.abs(turn_steps).max(initial=0.0) / MAX_TURN_STEP_RADIANS)
-    return interpolate_adaptively(
-        correction, subdivide(sites, count), SIGNAL_TOLERANCE, correction_norm(model)
-    )
+    sites = subdivide(sites, count)
+    return interpolate_adaptively(correction, sites, SIGNAL_TOLERANCE, correction_norm(model))
 
 
 def _splice(model: Model, curve: Curve, inside: Curve) -> Curve:
@@ -324,9 +321,6 @@ def _splice(model: Model, curve: Curve, inside: Curve) -> Curve:
         sections.append(CurveSection(curve, last, model.end))
         seams.append(Seam(last - inside.times[-3], fraction_before=1.0))
     return join_curves(sections, seams)
-
-
-# Joints ---------------------------------------------------------------------------------------------------
 
 
 def _scale_joint_shapes(model: Model, limb: Limb, gain: float) -> Float:

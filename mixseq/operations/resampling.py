@@ -16,11 +16,11 @@ from mixseq.errors import SettingsError
 from mixseq.operations.retiming import Retiming
 from mixseq.operations.sections import TIME_TOLERANCE_FRAMES
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.frame_rates import exact_rate
-from mixseq.sequence.header import MOST_FRAMES, SequenceHeader
-from mixseq.sequence.sequence import Frames, MeshSequence, collect
+from mixseq.sequence.frame_rates import snap_to_ntsc
+from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
+from mixseq.sequence.sequence import Frames, MeshSequence, join_blocks
 from mixseq.signals.decoding import FRAMES_PER_BLOCK
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
@@ -38,13 +38,13 @@ class Resampling:
     slopes: Float  # (N,) seconds of the source per second of the output at every frame; negative backwards
 
     def blocks(
-        self, size: int = FRAMES_PER_BLOCK, progress: Progress = silent, workers: Executor | None = None
+        self, size: int = FRAMES_PER_BLOCK, progress: Progress = no_progress, workers: Executor | None = None
     ) -> Iterator[Float]:
         """Decode the frames in blocks of points ``(B, V, 3)`` with ``B <= size``, see `Model.blocks`."""
         return self.model.blocks(self.sources, size, progress, workers)
 
     def moving_blocks(
-        self, size: int = FRAMES_PER_BLOCK, progress: Progress = silent, workers: Executor | None = None
+        self, size: int = FRAMES_PER_BLOCK, progress: Progress = no_progress, workers: Executor | None = None
     ) -> Iterator[tuple[Float, Float]]:
         """Decode the frames with velocities: yield points and units per second of the output, ``(B, V, 3)`` each."""
         done = 0
@@ -72,7 +72,7 @@ def plan(
         raise SettingsError(
             "a retiming sets the range, the speed and the direction; leave out start, end, speed and reverse"
         )
-    rate = model.header.fps if fps is None else exact_rate(float(fps), model.header.fps)
+    rate = model.header.fps if fps is None else snap_to_ntsc(float(fps), model.header.fps)
     times = _frame_times(retiming.start, retiming.end, rate, TIME_TOLERANCE_FRAMES / model.header.fps)
     retimed = np.clip(times, retiming.start, retiming.end)
     try:
@@ -92,10 +92,10 @@ def _frame_times(start: float, end: float, fps: float, slack: float) -> Float:
         raise SettingsError(
             f"no frame of {fps:g} frames per second is from {start:g} to {end:g} s; give another range or more fps"
         )
-    if last - first >= MOST_FRAMES:
+    if last - first >= MAX_FRAME_COUNT:
         raise SettingsError(
             f"{start:g} to {end:g} s at {fps:g} frames per second are {last - first + 1:.3g} frames, more than "
-            f"{MOST_FRAMES:,}; give fewer fps or more speed"
+            f"{MAX_FRAME_COUNT:,}; give fewer fps or more speed"
         )
     return np.asarray(np.arange(int(first), int(last) + 1) / fps)
 
@@ -111,7 +111,7 @@ def resample(
     retiming: Retiming | None = None,
     *,
     velocities: bool = False,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> MeshSequence:
     """Sample a motion at another rate, speed or direction.
 
@@ -161,6 +161,6 @@ def resample(
     model = source if isinstance(source, Model) else fit(source, exact=True, progress=progress)
     planned = plan(model, fps, start, end, speed, reverse, retiming)
     if not velocities:
-        return collect(planned.header, planned.blocks(progress=progress))
+        return join_blocks(planned.header, planned.blocks(progress=progress))
     points, rates = zip(*planned.moving_blocks(progress=progress), strict=True)
     return MeshSequence.from_header(planned.header, np.concatenate(points), np.concatenate(rates))

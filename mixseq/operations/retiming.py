@@ -100,10 +100,8 @@ class Retiming:
             )
         if not (np.isfinite(x).all() and np.isfinite(y).all() and (np.diff(x) > 0).all()):
             raise SettingsError("the times of a retiming must be finite, and its output times increase")
-        if (
-            np.diff(x).min() < MIN_KNOT_SPACING
-            or max(np.abs(x).max(), np.abs(y).max()) > 1 / MIN_KNOT_SPACING
-        ):
+        largest = max(np.abs(x).max(), np.abs(y).max())
+        if np.diff(x).min() < MIN_KNOT_SPACING or largest > 1 / MIN_KNOT_SPACING:
             raise SettingsError(
                 f"the output times of a retiming must be {MIN_KNOT_SPACING:g} s apart or more, and no time beyond "
                 f"{1 / MIN_KNOT_SPACING:g} s"
@@ -349,9 +347,8 @@ def read_retiming_keys(path: str | os.PathLike[str]) -> RetimingKeys:
         points = list(_csv_points(file, lines))
     for before, point in zip([None, *points], points, strict=False):
         if not (np.isfinite(point.output) and np.isfinite(point.source)):
-            raise FormatError(
-                f"{file}, {point.location}: the times {point.output:g}, {point.source:g} are not finite"
-            )
+            times = f"{point.output:g}, {point.source:g}"
+            raise FormatError(f"{file}, {point.location}: the times {times} are not finite")
         if before is not None and point.output <= before.output:
             raise FormatError(
                 f"{file}, {point.location}: the output time {point.output:g} is not after {before.output:g} of "

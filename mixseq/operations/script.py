@@ -22,7 +22,7 @@ gives times and durations in frames of the edited model (`mixseq.sequence.frame_
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from inspect import Parameter, signature
@@ -34,7 +34,7 @@ import numpy as np
 
 from mixseq.errors import FormatError, MixseqError, SettingsError
 from mixseq.operations.retiming import RetimingKeys, Unit, check_unit, parse_toml, read_retiming_keys
-from mixseq.sequence.frame_rates import time_of
+from mixseq.sequence.frame_rates import number_to_time
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -199,7 +199,7 @@ def _read_keys(value: Any, folder: Path, readers: Readers) -> RetimingKeys:
 
 
 def _number_in_seconds(value: float, fps: float, unit: Unit) -> float:
-    return time_of(value, fps) if unit == "frames" else value
+    return number_to_time(value, fps) if unit == "frames" else value
 
 
 def _weight_in_seconds(value: float | Curve, fps: float, unit: Unit) -> float | Curve:
@@ -258,19 +258,19 @@ class Edit:
     number: int  # number of its table in the script, from 1 on
     operation: str
     arguments: Mapping[str, Any]  # values of the parameters, files read
-    time_conversions: Mapping[str, ToSeconds] = field(default_factory=dict)  # by parameter
     unit: Unit = "seconds"  # unit of the times
 
     def __call__(self, model: Model) -> Model:
         """Return the edited model; errors name the edit."""
-        arguments = dict(self.arguments)
-        for name, to_seconds in self.time_conversions.items():
-            arguments[name] = to_seconds(arguments[name], model.header.fps, self.unit)
+        function, arguments = load_operation(self.operation), dict(self.arguments)
+        for key in script_keys(function).values():
+            name = key.parameter
+            if key.to_seconds is not None and name in arguments:
+                arguments[name] = key.to_seconds(arguments[name], model.header.fps, self.unit)
         try:
-            edited: Model = load_operation(self.operation)(model, **arguments)
+            return function(model, **arguments)
         except MixseqError as error:
             raise type(error)(f"edit {self.number} ({self.operation}): {error}") from error
-        return edited
 
 
 def read_script(path: Path, readers: Readers) -> list[Edit]:
@@ -285,16 +285,10 @@ def read_script(path: Path, readers: Readers) -> list[Edit]:
     unit = check_unit(script.pop("unit", None), f"{path}") or "seconds"
     tables = script.pop("edit", [])
     if script:
-        raise SettingsError(
-            f"{path}: the key {next(iter(script))!r} is outside the tables [[edit]]; move it into one"
-        )
+        raise SettingsError(f"{path}: {next(iter(script))!r} is outside the tables [[edit]]; move it there")
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables) or not tables:
-        raise SettingsError(
-            f"{path} has no edits; write each as a table [[edit]] with operation = and its settings"
-        )
-    return [
-        _make_edit(number, table, path.parent, readers, unit) for number, table in enumerate(tables, start=1)
-    ]
+        raise SettingsError(f"{path} has no edits; write each as a table [[edit]] with operation = and keys")
+    return [_make_edit(number, table, path.parent, readers, unit) for number, table in enumerate(tables, 1)]
 
 
 def load_operation(operation: str) -> Callable[..., Model]:
@@ -310,9 +304,7 @@ def _make_edit(number: int, table: Mapping[str, Any], folder: Path, readers: Rea
         raise SettingsError(f"{where} has no key 'operation'; it is one of {', '.join(OPERATIONS)}")
     operation = table["operation"]
     if operation not in list(OPERATIONS):
-        raise SettingsError(
-            f"{where}: there is no operation {operation!r}; use one of {', '.join(OPERATIONS)}"
-        )
+        raise SettingsError(f"{where}: unknown operation {operation!r}; use one of {', '.join(OPERATIONS)}")
     where = f"{where} ({operation})"
     keys = script_keys(load_operation(operation))
     arguments = {}
@@ -321,7 +313,7 @@ def _make_edit(number: int, table: Mapping[str, Any], folder: Path, readers: Rea
             continue
         if name not in keys:
             known = f"its keys are {', '.join(keys)}" if keys else "it has none"
-            raise SettingsError(f"{where}: there is no key {name!r}; {known}")
+            raise SettingsError(f"{where}: unknown key {name!r}; {known}")
         try:
             arguments[keys[name].parameter] = keys[name].read(value, folder, readers)
         except WrongTypeError:
@@ -331,9 +323,4 @@ def _make_edit(number: int, table: Mapping[str, Any], folder: Path, readers: Rea
     for name, key in keys.items():
         if key.is_required and key.parameter not in arguments:
             raise SettingsError(f"{where}: the key {name!r} is missing; {key.expected} is expected")
-    conversions = {
-        key.parameter: key.to_seconds
-        for key in keys.values()
-        if key.to_seconds is not None and key.parameter in arguments
-    }
-    return Edit(number, operation, arguments, conversions, unit)
+    return Edit(number, operation, arguments, unit)

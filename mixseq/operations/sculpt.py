@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
-from mixseq.mesh.polygons import Polygons, difference
+from mixseq.mesh.polygons import Polygons, describe_difference
 from mixseq.operations.sections import (
     breakpoints,
     fade_window,
@@ -107,7 +107,8 @@ def check_edited_points(points: ArrayLike | MeshSequence, header: SequenceHeader
         if points.vertex_count == header.vertex_count:
             edges, expected = _edges(points.polygons), _edges(header.polygons)
             if not (edges <= expected or expected <= edges):  # either mesh may be triangulated
-                details = difference(points.polygons, header.polygons, ("the edited mesh", "the model"))
+                names = ("the edited mesh", "the model")
+                details = describe_difference(points.polygons, header.polygons, names)
                 raise InvalidSequenceError(
                     f"the edited mesh has other edges than the model, {details}; export it again with the vertex "
                     "order kept"
@@ -234,9 +235,6 @@ def _add_key_shape(model: Model, difference: Float, weight: Curve) -> Model:
     )
 
 
-# Weights --------------------------------------------------------------------------------------------------
-
-
 def _window_weight(model: Model, time: float, start: float | None, end: float | None) -> Curve:
     """Return the weight of a window as an exact cubic spline."""
     first = None if start is None else snap_time(model, start, "start")
@@ -264,11 +262,10 @@ def _similarity_weight(model: Model, time: float, radius: float) -> Curve:
         return Curve(sites, np.ones((len(sites), 1)))
 
     def weight(times: Float) -> Float:
-        return np.asarray(np.exp(-0.5 * np.square(norm(model.time(times) - edited_point) / scale))[:, None])
+        distances = norm(model.time(times) - edited_point)
+        return np.asarray(np.exp(-0.5 * np.square(distances / scale))[:, None])
 
-    return interpolate_adaptively(
-        weight, sites, WEIGHT_TOLERANCE, lambda deviations: np.abs(deviations[:, 0])
-    )
+    return interpolate_adaptively(weight, sites, WEIGHT_TOLERANCE, lambda errors: np.abs(errors[:, 0]))
 
 
 def _weight_sites(model: Model, knots: Float) -> Float:

@@ -28,8 +28,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.rotations import continuous_vectors, exponentials, inverse, normalised, product, rotations_of
-from mixseq.sequence.frame_rates import seconds_meant, span_text
+from mixseq.mesh.rotations import (
+    continuous_rotvec,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    rotvec_to_quat,
+)
+from mixseq.sequence.frame_rates import format_span, hint_frame_number
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import DeviationNorm, max_norm
 from mixseq.signals.model import Model
@@ -46,9 +53,8 @@ def centre_columns(space: ShapeSpace) -> Index:
 
 def align_quaternion_signs(space: ShapeSpace, placement: Curve, time: float, reference: Float) -> Curve:
     """Flip quaternion signs of a placement so that it continues a reference ``(P,)`` at a time."""
-    after, before = (
-        space.unpack_placements(vectors).rotations[0] for vectors in (placement([time]), reference[None])
-    )
+    before = space.unpack_placements(reference[None]).rotations[0]
+    after = space.unpack_placements(placement([time])).rotations[0]
     signs = np.where(np.einsum("gi,gi->g", after, before) < 0, -1.0, 1.0)
     if (signs > 0).all():
         return placement
@@ -65,11 +71,11 @@ def blend_placements(space: ShapeSpace, a: Float, b: Float, weight: Float) -> Fl
     """Blend placements ``(N, P)`` with the weight ``(N, 1)`` of b."""
     first, second = space.unpack_placements(a), space.unpack_placements(b)
     norm_a, norm_b = (np.linalg.norm(poses.rotations, axis=2, keepdims=True) for poses in (first, second))
-    rotation_a, rotation_b = (normalised(poses.rotations) for poses in (first, second))
+    rotation_a, rotation_b = (normalise_quat(poses.rotations) for poses in (first, second))
     weight = weight[:, :, None]
     # the shortest turn at the first time, continued from there
-    turns = continuous_vectors(rotations_of(product(inverse(rotation_a), rotation_b)))
-    rotations = product(rotation_a, exponentials(weight * turns)) * lerp(norm_a, norm_b, weight)
+    turns = continuous_rotvec(quat_to_matrix(quat_multiply(quat_conjugate(rotation_a), rotation_b)))
+    rotations = quat_multiply(rotation_a, rotvec_to_quat(weight * turns)) * lerp(norm_a, norm_b, weight)
     return space.pack_placements(Poses(rotations, lerp(first.centres, second.centres, weight)))
 
 
@@ -159,9 +165,8 @@ def fade_window(times: Float, rise: tuple[float, float] | None, fall: tuple[floa
 def smoothstep(times: Float, start: float, end: float) -> Float:
     """Return the C2 step ``(N,)`` from 0 at `start` to 1 at `end`, of three cubics of equal length."""
     x = np.clip((times - start) / (end - start), 0.0, 1.0) * 3.0
-    return np.asarray(
-        (x**3 - 3.0 * np.maximum(x - 1.0, 0.0) ** 3 + 3.0 * np.maximum(x - 2.0, 0.0) ** 3) / 6.0
-    )
+    cubics = x**3 - 3.0 * np.maximum(x - 1.0, 0.0) ** 3 + 3.0 * np.maximum(x - 2.0, 0.0) ** 3
+    return np.asarray(cubics / 6.0)
 
 
 def shape_norm(model: Model, metric: Float | None = None) -> DeviationNorm:
@@ -286,9 +291,6 @@ class _SeamOffset(NamedTuple):
         return np.asarray(ramps**3 @ self.coefficients)
 
 
-# Models ---------------------------------------------------------------------------------------------------
-
-
 def map_times(model: Model, offset: float, scale: float = 1.0) -> Model:
     """Map times t of a model to ``scale * t + offset``; a negative scale reverses it."""
     times = scale * model.times + offset
@@ -372,21 +374,17 @@ def merge_frame_times(sections: Sequence[ModelSection]) -> Float:
     return frames if len(frames) else np.array([start, end])
 
 
-# Times ----------------------------------------------------------------------------------------------------
-
-
 def snap_time(model: Model, time: float, name: str = "time") -> float:
     """Snap a time to the nearest end, frame or knot of a model within rounding."""
     slack = TIME_TOLERANCE_FRAMES / model.header.fps
     if not model.start - slack <= time <= model.end + slack:
         fps = model.header.fps
         raise SettingsError(
-            f"{name} is {time:g} s; the model is from {span_text(model.start, model.end, fps)}, give a time within"
-            f"{seconds_meant(time, model.start, model.end, fps)}"
+            f"{name} is {time:g} s; the model is from {format_span(model.start, model.end, fps)}, give a time within"
+            f"{hint_frame_number(time, model.start, model.end, fps)}"
         )
-    targets = np.concatenate(
-        [[model.start, model.end], model.times, *(curve.times for curve in model.curves)]
-    )
+    knots = (curve.times for curve in model.curves)
+    targets = np.concatenate([[model.start, model.end], model.times, *knots])
     nearest = float(targets[np.abs(targets - time).argmin()])
     return nearest if abs(nearest - time) <= slack else float(time)
 

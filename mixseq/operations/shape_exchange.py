@@ -17,11 +17,18 @@ import numpy as np
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.rigid import nearest_rotations
-from mixseq.mesh.rotations import continued, inverse, normalised, product, quaternions, rotations_of
+from mixseq.mesh.rotations import (
+    align_quat_signs,
+    matrix_to_quat,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+)
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import silent
+from mixseq.runtime.progress import no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, frame_store
+from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, load_frames
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import encode_sequence
 from mixseq.signals.model import Model
@@ -109,7 +116,7 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
                 f"{keys.header.name!r} has {count} frames; {len(model.shapes)} are expected, one per key shape of "
                 f"{model.header.name!r}: transfer the poses that key_poses makes"
             )
-        frames = frame_store(keys, silent)
+        frames = load_frames(keys, no_progress)
         second = as_mixed(make_space(frames))
         encoded = encode_sequence(frames, second)
         shapes, placements, header = np.asarray(encoded.shapes[:]), encoded.placement, keys.header
@@ -121,7 +128,8 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
     before = first.unpack_placements(model.placement(_key_times(model)))
     rotation, shift = _mean_motion(before, second.unpack_placements(placements))
     poses = first.unpack_placements(model.placement.values)
-    moved_poses = Poses(continued(product(normalised(poses.rotations), rotation)), poses.centres + shift)
+    rotations = quat_multiply(normalise_quat(poses.rotations), rotation)
+    moved_poses = Poses(align_quat_signs(rotations), poses.centres + shift)
     return Model(
         header.with_times(model.header.times, model.header.fps),
         second,
@@ -140,5 +148,6 @@ def _key_times(model: Model) -> Float:
 
 def _mean_motion(before: Poses, after: Poses) -> tuple[Float, Float]:
     """Return the mean rotations ``(B, 4)`` and shifts ``(B, 3)`` between poses of bodies ``(K, B)``."""
-    turns = rotations_of(product(inverse(normalised(before.rotations)), normalised(after.rotations)))
-    return quaternions(nearest_rotations(turns.sum(axis=0))), (after.centres - before.centres).mean(axis=0)
+    a, b = (normalise_quat(poses.rotations) for poses in (before, after))
+    turns = quat_to_matrix(quat_multiply(quat_conjugate(a), b))
+    return matrix_to_quat(nearest_rotations(turns.sum(axis=0))), (after.centres - before.centres).mean(axis=0)

@@ -160,9 +160,7 @@ def _curve_through(curve: ArrayLike, duration: float) -> Curve:
     """Interpolate the points of a curve by a spline, parametrised by chord length."""
     points = np.asarray(curve, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or not len(points):
-        raise SettingsError(
-            f"the drawn curve has shape {points.shape}; (N, 2) is expected, with at least one point"
-        )
+        raise SettingsError(f"the drawn curve has shape {points.shape}; (N, 2) is expected, with N > 0")
     if not np.isfinite(points).all():
         number = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
         raise SettingsError(f"point {number} of the drawn curve is not finite")

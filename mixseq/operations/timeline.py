@@ -37,7 +37,6 @@ from mixseq.sequence.frame_rates import Seconds
 from mixseq.sequence.header import UP_AXES
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-from mixseq.spaces.base import ShapeSpace
 from mixseq.types import Float
 
 SITES_PER_KNOT = 8
@@ -119,7 +118,10 @@ def ground_position(model: Model) -> Curve:
         )
     ground_mask = np.array([axis != model.header.up_axis for axis in UP_AXES])
     centres = model.placement.values[:, columns]
-    return Curve(model.placement.times, np.einsum("g,mgi->mi", _part_weights(space), centres) * ground_mask)
+    # the weight of a quaternion in the space is twice the radius of gyration
+    diameters = space.weights[space.shape_dim :][: 4 * space.rotation_count].reshape(-1, 4)[:, 0]
+    weights = np.square(diameters) / np.square(diameters).sum()
+    return Curve(model.placement.times, np.einsum("g,mgi->mi", weights, centres) * ground_mask)
 
 
 def ground_displacement(model: Model, start: float, end: float) -> Float:
@@ -146,12 +148,6 @@ def ground_drift(
     integrand = Curve(sites, weight_rate(sites) * (position_a(sites) - position_b(sites)))
     integral = integrand.spline.antiderivative()
     return lambda times: np.asarray(integral(times) - integral(start))
-
-
-def _part_weights(space: ShapeSpace) -> Float:
-    """Return weights ``(g,)`` of sum 1; a quaternion's weight in the space is twice the radius of gyration."""
-    diameters = space.weights[space.shape_dim :][: 4 * space.rotation_count].reshape(-1, 4)[:, 0]
-    return np.asarray(np.square(diameters) / np.square(diameters).sum())
 
 
 MAX_REPETITIONS = 10_000

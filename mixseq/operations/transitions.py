@@ -103,12 +103,8 @@ def _key_weight_signal(model: Model, start: int, count: int) -> Curve:
 
 
 def _same_shapes(first: Model, second: Model) -> bool:
-    pairs = (
-        (first.shapes, second.shapes),
-        (first.pose.offset, second.pose.offset),
-        (first.pose.matrix, second.pose.matrix),
-    )
-    return all(a is b or np.array_equal(a, b) for a, b in pairs)
+    arrays = ((model.shapes, model.pose.offset, model.pose.matrix) for model in (first, second))
+    return all(a is b or np.array_equal(a, b) for a, b in zip(*arrays, strict=True))
 
 
 def _check_meshes(first: Model, second: Model) -> None:
@@ -117,7 +113,7 @@ def _check_meshes(first: Model, second: Model) -> None:
         raise InvalidSequenceError(
             f"{a.name!r} has {a.vertex_count} vertices, {b.name!r} {b.vertex_count}; two models of one mesh are needed"
         )
-    if a.faces.shape != b.faces.shape or not np.array_equal(a.faces, b.faces):
+    if not np.array_equal(a.faces, b.faces):
         raise InvalidSequenceError(
             f"the faces of {a.name!r} and {b.name!r} differ; two models of one mesh, with the same order of vertices "
             "and faces, are needed"
@@ -194,9 +190,7 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
     at = snap_time(a, at, "at")
     for name, remaining in (("first", a.end - at), ("second", b.end - b.start)):
         if duration > remaining + TIME_TOLERANCE_FRAMES / a.header.fps:
-            raise SettingsError(
-                f"duration is {duration:g} s; the {name} model has {remaining:g} s from there on"
-            )
+            raise SettingsError(f"duration is {duration:g} s; the {name} model has {remaining:g} s left")
     b = map_times(b, at - b.start)
     end = min(snap_time(b, at + duration), a.end, b.end)
     if not end - at > TIME_TOLERANCE_FRAMES / a.header.fps:
@@ -251,7 +245,13 @@ def blend(a: Model, b: Model, weight: float | Curve) -> Model:
     sections = align_part_quaternions([ModelSection(a, a.start, start), ModelSection(b, start, b.end)])
     a, b = (section.model for section in sections)
     if isinstance(weight, Curve):
-        _check_weight(weight, start, end, TIME_TOLERANCE_FRAMES / a.header.fps)
+        if weight.dim != 1:
+            raise SettingsError(f"weight is a curve of {weight.dim} coordinates; one is expected")
+        slack = TIME_TOLERANCE_FRAMES / a.header.fps
+        if weight.start > start + slack or weight.end < end - slack:
+            raise SettingsError(
+                f"weight is a curve from {weight.start:g} to {weight.end:g} s; {start:g} to {end:g} s are expected"
+            )
         limits = np.clip([start, end], weight.start, weight.end)
         count = 1 if np.ptp(weight.values) == 0 else SITES_PER_BLENDED_KNOT
         knots = breakpoints(weight)
@@ -259,15 +259,6 @@ def blend(a: Model, b: Model, weight: float | Curve) -> Model:
     if not np.isfinite(weight):
         raise SettingsError(f"weight is {weight}; a number is expected")
     return _blend_interval(a, b, start, end, lambda times: np.full((len(times), 1), float(weight)))
-
-
-def _check_weight(weight: Curve, start: float, end: float, slack: float) -> None:
-    if weight.dim != 1:
-        raise SettingsError(f"weight is a curve of {weight.dim} coordinates; one is expected")
-    if weight.start > start + slack or weight.end < end - slack:
-        raise SettingsError(
-            f"weight is a curve from {weight.start:g} to {weight.end:g} s; {start:g} to {end:g} s are expected"
-        )
 
 
 def _smooth_step(times: Float, start: float, end: float) -> Float:

@@ -20,7 +20,7 @@ from mixseq.errors import OutputError, SettingsError
 from mixseq.pictures.colours import INK_COLOUR
 from mixseq.pictures.page import DOTS_PER_INCH, Target, import_matplotlib
 from mixseq.pictures.scene import Limits
-from mixseq.sequence.frame_rates import frames_between, number_at
+from mixseq.sequence.frame_rates import format_frame_range, time_to_number
 from mixseq.signals.model import Model
 from mixseq.types import Float, IntArray
 
@@ -112,9 +112,7 @@ _CHART_STYLE = {
 def chart_style() -> Iterator[None]:
     """Use the style of charts inside the block, independent of the user's matplotlib settings."""
     with import_matplotlib("style").context(["default", _CHART_STYLE]), warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", "Glyph .* missing from", UserWarning
-        )  # names of meshes may be in any script
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)  # names in any script
         yield
 
 
@@ -154,7 +152,7 @@ def log_axis(ax: Axes, values: Float, min_decades: int = 2) -> None:
 
 def time_axis(ax: Axes, start: float, end: float, fps: float | None = None) -> None:
     """Label the x axis with time, and with frame numbers if a rate is given; leave a margin for dots."""
-    ax.set_xlabel("time (s)" if fps is None else f"time (s), {frames_between(start, end, fps)}")
+    ax.set_xlabel("time (s)" if fps is None else f"time (s), {format_frame_range(start, end, fps)}")
     if end > start:
         ax.set_xlim(start - 0.01 * (end - start), end + 0.01 * (end - start))
 
@@ -174,7 +172,7 @@ MAX_LABELLED_FRAMES = 10
 MAX_COORDINATES = 5
 """Number of coordinates drawn over time, those of largest movement."""
 
-_EMBEDDING_INCHES = 4.5
+_CHART_INCHES = 4.5
 """Approximate length of the embedding's longer side."""
 
 RANK_TOLERANCE = 1e-13
@@ -184,10 +182,9 @@ RANK_TOLERANCE = 1e-13
 def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> None:
     """Draw the time signal in the plane of its first two principal directions (paper, Figure 18)."""
     count = len(model.times)
-    first = round(number_at(model.times[0], model.header.fps))
-    labelled = (
-        round_frames(count, MAX_LABELLED_FRAMES, first) if frames is None else check_frames(frames, count)
-    )
+    first = round(time_to_number(model.times[0], model.header.fps))
+    default = round_frames(count, MAX_LABELLED_FRAMES, first)
+    labelled = default if frames is None else check_frames(frames, count)
     curve, dots = model.embedding(dense_times(model)), model.embedding(model.times)
     x, y = dots.T
     ax.plot(*curve.T, color=FAINT_COLOUR, linewidth=1.2, zorder=2)
@@ -202,9 +199,8 @@ def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) 
 
     ends = {0: "start", count - 1: "end"} if count > 1 else {}
     texts = [f"{model.header.frame_number(frame)} {ends.get(frame, '')}".strip() for frame in labelled]
-    offsets = label_offsets(
-        dots[labelled], texts, curve, limits, max(right - left, top - bottom) / _EMBEDDING_INCHES
-    )
+    inch = max(right - left, top - bottom) / _CHART_INCHES
+    offsets = label_offsets(dots[labelled], texts, curve, limits, inch)
     for frame, text, offset in zip(labelled, texts, offsets, strict=True):
         ax.annotate(
             text, dots[frame], offset, textcoords="offset points", ha="center", va="center", fontsize=8

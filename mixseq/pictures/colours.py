@@ -33,8 +33,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixseq.choices import COLOURS, Colour
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import edge_lengths, wrap
-from mixseq.mesh.surface import WHITE
+from mixseq.mesh.measures import edge_lengths, wrap_angles
+from mixseq.mesh.surface import DEFAULT_COLOUR
 from mixseq.mesh.topology import Topology
 from mixseq.pictures.scene import Scene, SceneItem, check_start_times, is_same_mesh
 from mixseq.segmentation.joints import Decomposition
@@ -51,7 +51,7 @@ INK_COLOUR = "#3a3a3a"
 FIRST_HUE, LAST_HUE = 90.0, 330.0
 """Range of part hues in degrees of OKLCH, from straw to mauve, equally far from the red of the joints at 30."""
 
-FIRST_PART_HUE_FRACTION = 0.3
+FIRST_HUE_FRACTION = 0.3
 """Position of the first part's hue in that range."""
 
 GOLDEN_RATIO_STEP = 0.61803
@@ -91,9 +91,7 @@ def viridis() -> Float:
 
 def part_colours(count: int) -> Float:
     """Return muted, distinguishable, cool colours ``(count, 3)``: hues by the golden ratio, varied lightness."""
-    fraction = np.asarray(
-        (FIRST_PART_HUE_FRACTION + GOLDEN_RATIO_STEP * np.arange(count)) % 1.0, dtype=np.float64
-    )
+    fraction = (FIRST_HUE_FRACTION + GOLDEN_RATIO_STEP * np.arange(count, dtype=np.float64)) % 1.0
     hue = FIRST_HUE + (LAST_HUE - FIRST_HUE) * fraction
     lightness = np.resize([0.78, 0.68, 0.85], count)
     return _oklch(lightness, 0.085, hue)
@@ -171,7 +169,7 @@ class Curvature:
     def __call__(self, points: FloatArray) -> Float:
         """Return changes ``(V,)`` in degrees, 0 to 180, of points ``(V, 3)``."""
         angles, is_defined = _hinge_angles(points, self.faces, self.hinges, self.hinge_faces, self.signs)
-        change = np.where(is_defined & self.is_defined, np.abs(wrap(angles - self.angles)), 0.0)
+        change = np.where(is_defined & self.is_defined, np.abs(wrap_angles(angles - self.angles)), 0.0)
         return np.degrees(_vertex_means(change, self.hinges, len(points)))
 
 
@@ -234,7 +232,9 @@ MAX_PALETTE_COLOURS = 256
 def own_colours(header: SequenceHeader) -> tuple[ByteArray, Index]:
     """Return a palette ``(n, 3)`` and entries ``(V,)`` of the mesh's own colours, each vertex by its first corner."""
     assert header.surface.colours is not None
-    linear = header.surface.colours.at_vertices(header.polygons.indices, header.vertex_count, WHITE)[:, :3]
+    linear = header.surface.colours.at_vertices(header.polygons.indices, header.vertex_count, DEFAULT_COLOUR)[
+        :, :3
+    ]
     vertex_colours = np.rint(255 * srgb(np.clip(np.nan_to_num(linear), 0, 1))).astype(np.uint8)
     colours, entries, counts = np.unique(vertex_colours, axis=0, return_inverse=True, return_counts=True)
     if len(colours) <= MAX_PALETTE_COLOURS:

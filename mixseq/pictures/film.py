@@ -33,8 +33,8 @@ from mixseq.pictures.scene import (
     shared_limits,
     to_y_up,
 )
-from mixseq.runtime.parallel import Executor, on_threads, one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, FrameStore
@@ -88,7 +88,7 @@ def film(
     shown: Sequence[SceneItem],
     settings: FilmSettings | None = None,
     against: Frames | FrameStore | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> None:
     """Make a film of meshes side by side, as .mp4 (by ffmpeg), .gif or .webp; the file is replaced when complete.
@@ -100,7 +100,7 @@ def film(
     file_format = film_format(target)
     check_film(file_format, settings.size, settings.fps)
     check_shown(shown, settings, against)
-    executor = workers or on_threads()
+    executor = workers or thread_executor()
     items = tuple(item.with_random_access(progress) for item in shown)
     scene = Scene(items, settings.fps, settings.seconds)
     times, fps = scene.times, scene.fps

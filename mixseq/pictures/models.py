@@ -39,9 +39,9 @@ from mixseq.pictures.colours import (
 from mixseq.pictures.page import Target, draw_mesh, error_map, import_matplotlib
 from mixseq.pictures.scene import Limits, View, aspect_ratio, resolve_view, to_y_up
 from mixseq.pictures.sheets import opposite_views, views_aspect
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import Decomposition
-from mixseq.sequence.frame_rates import frame_text
+from mixseq.sequence.frame_rates import format_frame
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.model import Model
 from mixseq.types import Float, FloatArray, Index, IntArray
@@ -69,7 +69,7 @@ class VertexErrors:
 
 
 def vertex_errors(
-    model: Model, original: MeshSequence, frames: Sequence[int] = (), progress: Progress = silent
+    model: Model, original: MeshSequence, frames: Sequence[int] = (), progress: Progress = no_progress
 ) -> VertexErrors:
     """Compare a model with its original at the original's times."""
     if not np.array_equal(model.header.faces, original.faces):
@@ -113,7 +113,7 @@ def draw_frame_errors(
         )
         drawn.append(np.array([tolerance]))
     worst = errors.worst
-    number = f"{worst}" if fps is None else frame_text(times[worst], fps)
+    number = f"{worst}" if fps is None else format_frame(times[worst], fps)
     ax.plot(
         times[worst],
         largest[worst],
@@ -311,7 +311,7 @@ def plot_model(
     tolerance: float | None = None,
     camera: tuple[float, float] | None = None,
     file_format: Format | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> None:
     """Draw a model, as PNG or SVG.
 

@@ -174,17 +174,10 @@ def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limit
     size = bounding_diagonal(world) or 1.0
     centre = world[faces].mean(axis=1)
     darkness = 0.25 + np.exp((floor - centre[:, 1]) / (0.05 * size))
-    area = (
-        np.abs(area_normals(world, faces)[:, 1]) / 4
-    )  # of the horizontal projection, for the half that faces down
-    projected = (centre * [1, 0, 1] + [0, floor, 0]) @ view.rotation.T
-    cover = np.histogram2d(
-        projected[:, 1],
-        projected[:, 0],
-        bins=shape,
-        range=[[bottom, top], [left, right]],
-        weights=area * darkness,
-    )[0]
+    area = np.abs(area_normals(world, faces)[:, 1]) / 4  # horizontal projection of the lower half
+    x, y, _ = ((centre * [1, 0, 1] + [0, floor, 0]) @ view.rotation.T).T
+    bounds = [[bottom, top], [left, right]]
+    cover = np.histogram2d(y, x, bins=shape, range=bounds, weights=area * darkness)[0]
 
     foreshortening = max(np.sin(np.radians(view.elevation)), 0.05)  # of the ground on the screen
     blur = 0.019 * size / pixel * [foreshortening, 1]

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from mixseq.errors import SettingsError
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import Decomposition
-from mixseq.sequence.frame_rates import exact_rate
+from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import UP_AXES, SequenceHeader
-from mixseq.sequence.sequence import Frames, FrameStore, block_size, frame_store
+from mixseq.sequence.sequence import Frames, FrameStore, block_size, load_frames
 from mixseq.signals.model import Model
-from mixseq.types import Float, FloatArray, Index, Single, evenly
+from mixseq.types import Float, FloatArray, Index, Single, evenly_spaced
 
 Limits = tuple[float, float, float, float]
 """Screen rectangle: left, right, bottom and top, in units of the points."""
@@ -155,7 +155,7 @@ def film_times(
     headers: Sequence[SequenceHeader], fps: float | None = None, seconds: float | None = None
 ) -> tuple[Float, float]:
     """Return the frame times ``(N,)`` of a film, in seconds since the first frame of the meshes, and its frame rate."""
-    rate = headers[0].fps if fps is None else exact_rate(fps, headers[0].fps)
+    rate = headers[0].fps if fps is None else snap_to_ntsc(fps, headers[0].fps)
     period = max(_period(header) for header in headers)
     duration = seconds or period or STILL_FILM_SECONDS
     frame_count = duration * rate
@@ -223,7 +223,7 @@ class SceneItem:
         """Parts and joints of a model that has them, else None."""
         return self.model.space.segmentation if self.model is not None else None
 
-    def with_random_access(self, progress: Progress = silent) -> SceneItem:
+    def with_random_access(self, progress: Progress = no_progress) -> SceneItem:
         """Return the item, with a streamed sequence copied to a frame store."""
         return self if self.model is not None else replace(self, motion=self._frame_store(progress))
 
@@ -249,7 +249,7 @@ class SceneItem:
             yield self._frame_store().points[frames[start : start + size]]
 
     def decode(
-        self, elapsed: Float, progress: Progress = silent, workers: Executor | None = None
+        self, elapsed: Float, progress: Progress = no_progress, workers: Executor | None = None
     ) -> DecodedItem:
         """Decode the poses of a film with frames at elapsed times ``(N,)``, each distinct one once."""
         if self.model is None:
@@ -263,9 +263,9 @@ class SceneItem:
             start += len(block)
         return DecodedItem(self.header, poses, pose_of_frame.astype(np.int64))
 
-    def _frame_store(self, progress: Progress = silent) -> FrameStore:
+    def _frame_store(self, progress: Progress = no_progress) -> FrameStore:
         assert not isinstance(self.motion, Model)
-        return self.motion if isinstance(self.motion, FrameStore) else frame_store(self.motion, progress)
+        return self.motion if isinstance(self.motion, FrameStore) else load_frames(self.motion, progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,7 +335,7 @@ class Scene:
 
     def sample_frames(self, max_count: int) -> Sequence[int]:
         """Return evenly spaced frames, at most `max_count`, including the first."""
-        return [int(frame) for frame in evenly(self.count, max_count)]
+        return [int(frame) for frame in evenly_spaced(self.count, max_count)]
 
 
 def is_same_mesh(one: SequenceHeader, other: SequenceHeader) -> bool:

@@ -21,7 +21,7 @@ from mixseq.pictures.scene import (
     to_y_up,
     widen_to_aspect,
 )
-from mixseq.sequence.frame_rates import frame_text
+from mixseq.sequence.frame_rates import format_frame
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, IntArray
@@ -230,7 +230,7 @@ def _draw_rows(rows: list[_Row], title: str) -> Sheet:
             draw_mesh(ax, points, first.faces, *options)
             if row.show_times:
                 time = float(row.sequence.times[frame])
-                title_text = f"frame {frame_text(time, first.fps)}, {time:.3f} s"
+                title_text = f"frame {format_frame(time, first.fps)}, {time:.3f} s"
                 ax.set_title(title_text, fontsize=9, color=INK_COLOUR, pad=2)
     return sheet
 

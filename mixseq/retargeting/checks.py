@@ -49,13 +49,10 @@ from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Markers
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.types import Float, FloatArray, Index, IntArray
+from mixseq.types import Float, FloatArray, Index
 
-MIN_VOLUME_RATIO = 1e-9
-"""Smallest volume of a component relative to its cubed diagonal; smaller volumes are rounding."""
-
-MAX_NAMED_COMPONENTS = 4
-"""Largest number of components named in a message."""
+MIN_VOLUME_RATIO = 1e-9  # of a component, to its cubed diagonal; smaller volumes are rounding
+MAX_NAMED_COMPONENTS = 4  # largest number of components named in a message
 
 _FLIP_ADVICE = "turn its triangles over (faces[:, ::-1]; in a modelling program: flip the normals)"
 
@@ -74,9 +71,8 @@ class Orientation:
         return int(np.sign(self.areas @ self.signs))
 
 
-def find_orientation(points: FloatArray, faces: IntArray) -> Orientation:
-    """Find the orientation of the components of points ``(V, 3)`` and triangles ``(F, 3)``."""
-    mesh = TriangleMesh(np.asarray(points, np.float64), Topology(faces, len(points)))
+def find_orientation(mesh: TriangleMesh) -> Orientation:
+    """Find the orientation of the components of a mesh."""
     component_of_face = mesh.topology.component_of_face
     count = int(component_of_face.max(initial=-1)) + 1
     corners = mesh.points[mesh.faces]
@@ -86,7 +82,7 @@ def find_orientation(points: FloatArray, faces: IntArray) -> Orientation:
     # Volumes are taken about the centres of the bounding boxes, against rounding.
     a, b, c = np.moveaxis(corners - ((lower_bounds + upper_bounds) / 2)[component_of_face, None], 1, 0)
     volumes = np.bincount(component_of_face, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6, count)
-    vector_areas = [np.bincount(component_of_face, mesh.vectors[:, axis], count) for axis in range(3)]
+    vector_areas = [np.bincount(component_of_face, mesh.vector_areas[:, axis], count) for axis in range(3)]
     diagonals = np.linalg.norm(upper_bounds - lower_bounds, axis=1)
     uncertainty = np.linalg.norm(vector_areas, axis=0) * diagonals / 6 + MIN_VOLUME_RATIO * diagonals**3
     signs = np.where(np.abs(volumes) > uncertainty, np.sign(volumes), 0).astype(np.int64)
@@ -95,43 +91,34 @@ def find_orientation(points: FloatArray, faces: IntArray) -> Orientation:
     return Orientation(first_faces, areas, signs)
 
 
-def check_orientation(
-    source_points: FloatArray,
-    source_faces: IntArray,
-    target_points: FloatArray,
-    target_faces: IntArray,
-) -> None:
-    """Raise if one of two closed meshes is inside out: points ``(V, 3)``; faces ``(F, 3)``."""
-    source, target = (
-        find_orientation(source_points, source_faces),
-        find_orientation(target_points, target_faces),
-    )
-    if source.sign * target.sign == -1:
-        side = "target" if target.sign < 0 else "source"
+def check_orientation(source: TriangleMesh, target: TriangleMesh) -> None:
+    """Raise if one of two closed meshes is inside out, and warn of inverted components of the target."""
+    source_sign, orientation = find_orientation(source).sign, find_orientation(target)
+    if source_sign * orientation.sign == -1:
+        side = "target" if orientation.sign < 0 else "source"
         raise SettingsError(f"the {side} is inside out, its volume is negative; {_FLIP_ADVICE}")
-    inverted = np.flatnonzero(target.signs * target.sign == -1)
+    inverted = orientation.faces[orientation.signs * orientation.sign == -1]
     if inverted.size:
-        names = ", ".join(
-            f"that of triangle {face}" for face in target.faces[inverted[:MAX_NAMED_COMPONENTS]]
-        )
+        names = ", ".join(f"that of triangle {face}" for face in inverted[:MAX_NAMED_COMPONENTS])
         more = len(inverted) - MAX_NAMED_COMPONENTS
         suffix = f" and {more} more" if more > 0 else ""
         warnings.warn(
-            f"{len(inverted)} of {len(target.faces)} components of the target are inside out ({names}{suffix}); "
+            f"{len(inverted)} of {len(orientation.faces)} components of the target are inside out ({names}{suffix}); "
             "flip their normals, unless they are cavities",
             MixseqWarning,
             stacklevel=2,
         )
 
 
-def check_facing(
-    registered: FloatArray, source_faces: IntArray, target_points: FloatArray, target_faces: IntArray
-) -> None:
-    """Raise if a target ``(V', 3)`` faces away from the source ``(V, 3)`` fitted to it, and one of them is open."""
-    source, target = find_orientation(registered, source_faces), find_orientation(target_points, target_faces)
-    if source.sign * target.sign != 0:
+def check_facing(registered: TriangleMesh, target: TriangleMesh) -> None:
+    """Raise if most of a target faces away from the registered source, and one of them is open."""
+    from mixseq.mesh.nearest import ClosestPointQuery
+
+    if find_orientation(registered).sign * find_orientation(target).sign != 0:
         return  # `check_orientation` decides
-    share = _opposite_area_share(registered, source_faces, target_points, target_faces)
+    closest = ClosestPointQuery.from_mesh(registered.points, registered.faces).query(target.centroids)
+    is_opposite = np.einsum("fi,fi->f", registered.face_normals[closest.faces], target.face_normals) < 0
+    share = float(target.face_areas[is_opposite].sum() / max(target.face_areas.sum(), np.finfo(float).tiny))
     if share > 0.5:
         raise SettingsError(
             f"{100 * share:.0f} % of the target's area faces away from the source that was fitted to it: one of them "
@@ -139,48 +126,17 @@ def check_facing(
         )
 
 
-def _opposite_area_share(
-    registered: FloatArray, source_faces: IntArray, target_points: FloatArray, target_faces: IntArray
-) -> float:
-    """Return the share of a target's area with normals opposite to those of the closest source triangles."""
-    from mixseq.mesh.nearest import Nearest
-
-    fitted = TriangleMesh(np.asarray(registered, np.float64), Topology(source_faces, len(registered)))
-    target = TriangleMesh(np.asarray(target_points, np.float64), Topology(target_faces, len(target_points)))
-    closest = Nearest.of(fitted.points, fitted.faces).query(target.centroids)
-    is_opposite = np.einsum("fi,fi->f", fitted.face_normals[closest.faces], target.face_normals) < 0
-    return float(target.face_areas[is_opposite].sum() / max(target.face_areas.sum(), np.finfo(float).tiny))
-
-
-SPLINE_SLACK = 0.05
-"""Slack of the splines, in root mean square distances from the centre; results hardly depend on it from 0 to 0.2."""
-
-_MIN_SUPPORT_RATIO = 1e-9
-"""Smallest diagonal entry of B, relative to their mean, for a prediction by the other markers."""
-
-MIN_COMPARED_MARKERS = 8
-"""Smallest number of markers that are compared with each other."""
-
-MAX_EXCHANGED_DISTANCE_RATIO = 0.5
-"""Largest distance of exchanged markers from their predictions, relative to that before the exchange."""
-
-MIN_EXCHANGED_DISTANCE_MEDIANS = 2.5
-"""Smallest distance of markers before an exchange, in medians of all markers."""
-
-MIN_WRONG_MARKER_DISTANCE, MIN_WRONG_MARKER_SURPRISE = 0.5, 5.0
-"""Smallest distance of a wrong marker, in root mean square distances from the centre, and surprise, in medians."""
-
-MAX_REPORTED_MARKERS = 20
-"""Largest number of reported exchanges, and of reported wrong markers."""
-
-ROUNDING_DISTANCE = 1e-6
-"""Largest distance that counts as rounding, in root mean square distances from the centre."""
-
-MAX_GROUP_MARKER_SHARE = 0.25
-"""Largest number of markers in a group, relative to all markers."""
-
-MAX_GROUP_SIZE_RATIO = 2.5
-"""Largest ratio of the sizes of two exchanged groups."""
+SPLINE_SLACK = 0.05  # in root mean square distances from the centre; results hardly change from 0 to 0.2
+_MIN_SUPPORT_RATIO = 1e-9  # of a diagonal entry of B to their mean, for a prediction by the others
+MIN_COMPARED_MARKERS = 8  # smallest number of markers that are compared with each other
+MAX_EXCHANGED_DISTANCE_RATIO = 0.5  # of distances from predictions, exchanged to unchanged
+MIN_EXCHANGED_DISTANCE_MEDIANS = 2.5  # of unchanged markers, in medians of all markers
+MIN_WRONG_MARKER_DISTANCE = 0.5  # in root mean square distances from the centre
+MIN_WRONG_MARKER_SURPRISE = 5.0  # in medians of all markers
+MAX_REPORTED_MARKERS = 20  # largest number of reported exchanges, and of reported wrong markers
+ROUNDING_DISTANCE = 1e-6  # largest rounding error, in root mean square distances from the centre
+MAX_GROUP_MARKER_SHARE = 0.25  # largest number of markers in a group, relative to all markers
+MAX_GROUP_SIZE_RATIO = 2.5  # largest ratio of the sizes of two exchanged groups
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,26 +265,14 @@ def find_exchanged_groups(
     return best
 
 
-MIN_MARKERS = 4
-"""Smallest number of markers: four determine an affine map."""
-
-FLAT_EXTENT_RATIO = 0.01
-"""Largest ratio of extents of markers on a line or a plane."""
-
-MAX_MIRRORED_RESIDUAL_RATIO = 0.5
-"""Largest residual of the best reflection of mirrored markers, relative to that of the best rotation."""
-
-MIN_ROTATION_RESIDUAL = 0.01
-"""Smallest residual of the best rotation of mirrored markers; flat markers have less."""
-
-MAX_COMPARED_MARKERS = 1000
-"""Largest number of markers that are compared with each other."""
-
-MAX_EXCHANGED_GROUP_DISTANCE_RATIO, MAX_GROUPED_MARKERS = 0.7, 200
-"""As `MAX_EXCHANGED_DISTANCE_RATIO`, for two groups; largest number of markers that are grouped."""
-
-MAX_NAMED_MARKERS = 6
-"""Largest number of markers named in a message."""
+MIN_MARKERS = 4  # smallest number of markers: four determine an affine map
+FLAT_EXTENT_RATIO = 0.01  # largest ratio of extents of markers on a line or a plane
+MAX_MIRRORED_RESIDUAL_RATIO = 0.5  # of the best reflection of mirrored markers, to the best rotation
+MIN_ROTATION_RESIDUAL = 0.01  # of mirrored markers; that of flat markers is smaller
+MAX_COMPARED_MARKERS = 1000  # largest number of markers that are compared with each other
+MAX_EXCHANGED_GROUP_DISTANCE_RATIO = 0.7  # of distances from predictions, exchanged to unchanged
+MAX_GROUPED_MARKERS = 200  # largest number of markers that are grouped
+MAX_NAMED_MARKERS = 6  # largest number of markers named in a message
 
 
 @dataclass(frozen=True, eq=False)

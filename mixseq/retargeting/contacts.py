@@ -42,19 +42,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.mesh.rotations import turned
+from mixseq.mesh.rotations import rotate_vectors
 from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_ratio, solve_limbs
 from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.parts import PartPoses, assign_vertices_to_parts
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import blocks_of
+from mixseq.sequence.sequence import iterate_blocks
 from mixseq.types import Float, FloatArray, Index, Mask
 
-FAST_SPEED_PERCENTILE = 95.0
-"""Percentile of speeds used as the fast speed of a contact, robust against outliers."""
+FAST_SPEED_PERCENTILE = 95.0  # of speeds of a contact, robust against outliers
 
 
 @dataclass(frozen=True)
@@ -140,17 +139,10 @@ def axis_index(up: str) -> int:
 HermiteKnot = tuple[int, Float, Float]
 """Frame, value and slope per frame."""
 
-MIN_SHIFT_PERIOD_SECONDS = 0.5
-"""Shortest period of the body's shift."""
-
-SHIFT_DECAY_SECONDS = 2.0
-"""Decay time of the body's shift while no foot is on the ground."""
-
-BODY_HEIGHT_WEIGHT = 0.05
-r"""Weight :math:`\gamma` of the body's height, relative to a foot on the ground."""
-
-MAX_FADE_SECONDS = 0.25
-"""Longest blend of a contact before and after a stance."""
+MIN_SHIFT_PERIOD_SECONDS = 0.5  # shortest period of the body's shift
+SHIFT_DECAY_SECONDS = 2.0  # decay time of the body's shift while no foot is on the ground
+BODY_HEIGHT_WEIGHT = 0.05  # gamma, of the body's height, relative to a foot on the ground
+MAX_FADE_SECONDS = 0.25  # longest blend of a contact before and after a stance
 
 
 def anchor_offsets(paths: Float, stances: Sequence[Sequence[Stance]], negligible: float) -> Float:
@@ -172,13 +164,11 @@ def solve_body_shift(
     from scipy.sparse.linalg import splu
 
     count = offsets.shape[1]
-    numbered_stances = [
-        (group, stance) for group, contact_stances in enumerate(stances) for stance in contact_stances
-    ]
-    lengths = [stance.stop - stance.start for _, stance in numbered_stances]
-    frames = np.concatenate([np.arange(stance.start, stance.stop) for _, stance in numbered_stances])
-    contact_ids = np.repeat([group for group, _ in numbered_stances], lengths)
-    stance_ids = np.repeat(np.arange(len(numbered_stances)), lengths)
+    numbered = [(group, stance) for group, found in enumerate(stances) for stance in found]
+    lengths = [stance.stop - stance.start for _, stance in numbered]
+    frames = np.concatenate([np.arange(stance.start, stance.stop) for _, stance in numbered])
+    contact_ids = np.repeat([group for group, _ in numbered], lengths)
+    stance_ids = np.repeat(np.arange(len(numbered)), lengths)
     stance_offsets = offsets[contact_ids, frames]
 
     def selection_matrix(columns: Index, size: int) -> sparse.csr_array:
@@ -191,15 +181,14 @@ def solve_body_shift(
     beta = alpha / (fps * SHIFT_DECAY_SECONDS) ** 2
     smoothness = alpha * curvature.T @ curvature + beta * differences.T @ differences
     body_rows = selection_matrix(frames, count)
-    ground_rows = sparse.hstack([body_rows, -selection_matrix(stance_ids, len(numbered_stances))])
+    ground_rows = sparse.hstack([body_rows, -selection_matrix(stance_ids, len(numbered))])
     # Along the ground body and anchors may shift together: the first frame is fixed, and the mean removed afterwards.
     gauge = sparse.coo_array(([1.0], ([0], [0])), shape=(count, count))
-    ground_smoothness = sparse.block_diag(
-        [smoothness + gauge, sparse.coo_array((len(numbered_stances), len(numbered_stances)))]
-    )
+    stance_count = len(numbered)
+    ground_smoothness = sparse.block_diag([smoothness + gauge, sparse.coo_array(2 * (stance_count,))])
 
     ground = np.arange(3) != axis
-    shift, anchors = np.zeros((count, 3)), np.zeros((len(numbered_stances), 3))
+    shift, anchors = np.zeros((count, 3)), np.zeros((len(numbered), 3))
     ground_system = ground_rows.T @ ground_rows + ground_smoothness
     ground_solution = splu(ground_system.tocsc()).solve(ground_rows.T @ stance_offsets[:, ground])
     ground_solution -= ground_solution[:count].mean(axis=0)
@@ -251,8 +240,7 @@ def _hermite(frames: Index, start: HermiteKnot, stop: HermiteKnot) -> Float:
     return np.asarray(a + s * s * (3 - 2 * s) * (b - a) + slope_terms)
 
 
-MIN_SLIDE_DIAGONALS = 1e-9
-"""Offset below which contacts are left unchanged, in diagonals."""
+MIN_SLIDE_DIAGONALS = 1e-9  # offset below which contacts are left unchanged, in diagonals
 
 
 @dataclass(frozen=True)
@@ -354,10 +342,8 @@ def _report_groups(
     residuals: Float,
     diagonal: float,
 ) -> tuple[GroupReport, ...]:
-    def slide(path: Float, contact_stances: Sequence[Stance]) -> float:
-        lengths = [
-            np.linalg.norm(np.diff(path[each.frames], axis=0), axis=1).sum() for each in contact_stances
-        ]
+    def slide(path: Float, found: Sequence[Stance]) -> float:
+        lengths = [np.linalg.norm(np.diff(path[each.frames], axis=0), axis=1).sum() for each in found]
         return float(sum(lengths)) / diagonal
 
     rows = zip(contacts, stances, before, after, residuals.tolist(), strict=True)
@@ -382,14 +368,12 @@ def plant_contacts(
     header: SequenceHeader,
     contacts: Mapping[str, ArrayLike],
     workers: Executor,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> PlantedTransfer:
     """Find poses in which contacts ``(k,)`` are fixed while those of the source, with frames ``(T, V, 3)``, rest."""
     gradients = method.gradients
     target, source = gradients.target, gradients.source
-    vertices = {
-        name: _check_contact_vertices(name, given, header.vertex_count) for name, given in contacts.items()
-    }
+    vertices = {name: _check_vertices(name, given, header.vertex_count) for name, given in contacts.items()}
     part_of_vertex = assign_vertices_to_parts(method.parts.target, target.topology)
     source_contacts, target_contacts = (
         [Contact(name, rest[ids], part_of_vertex[ids]) for name, ids in vertices.items()]
@@ -402,7 +386,7 @@ def plant_contacts(
     vertex_ids = np.concatenate(list(vertices.values()))
     shared = method, vertex_ids, part_of_vertex[vertex_ids]
     rotations, centres, paths, local_points, done_count = [], [], [], [], 0
-    for poses, block_path, block_local_points in workers(_measure_contacts, shared, blocks_of(points)):
+    for poses, block_path, block_local_points in workers(_measure_contacts, shared, iterate_blocks(points)):
         rotations.append(poses.rotations)
         centres.append(poses.centres)
         paths.append(block_path)
@@ -433,6 +417,7 @@ def _measure_contacts(
 ) -> tuple[PartPoses, Float, Float]:
     """Return part poses for frames ``(B, V, 3)``, contact vertices on the source, and in the target's rest space."""
     method, vertices, parts = shared
+    correspondence = method.gradients.correspondence
     poses, local_points = [], []
     for points in block:
         deformed = method.deform_by_gradients(points)
@@ -440,19 +425,14 @@ def _measure_contacts(
         poses.append(method.transfer_poses(points, deformed_poses))
         # In rest space, since a paw may bend although it is one part with its leg.
         inverse_rotations = np.swapaxes(deformed_poses.rotations[parts], 1, 2)
-        arms = turned(inverse_rotations, deformed[vertices] - deformed_poses.centres[parts])
+        arms = rotate_vectors(inverse_rotations, deformed[vertices] - deformed_poses.centres[parts])
         local_points.append(arms + method.rest_shapes.centres[parts])
-    source_path = np.stack(
-        [method.gradients.correspondence.interpolate(points)[vertices] for points in block]
-    )
-    return (
-        PartPoses(*(np.stack(values) for values in zip(*poses, strict=True))),
-        source_path,
-        np.stack(local_points),
-    )
+    source_path = np.stack([correspondence.interpolate(points)[vertices] for points in block])
+    block_poses = PartPoses(*(np.stack(values) for values in zip(*poses, strict=True)))
+    return block_poses, source_path, np.stack(local_points)
 
 
-def _check_contact_vertices(name: str, vertices: ArrayLike, count: int) -> Index:
+def _check_vertices(name: str, vertices: ArrayLike, count: int) -> Index:
     vertices = np.asarray(vertices)
     if vertices.ndim != 1 or not vertices.size or not np.issubdtype(vertices.dtype, np.integer):
         raise SettingsError(f"contact '{name}' is no list of vertices; give at least one vertex number")

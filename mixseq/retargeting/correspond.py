@@ -15,15 +15,13 @@ from mixseq.retargeting.markers import Correspondence, Markers, Pairing, pair_co
 from mixseq.retargeting.matching import CorrespondenceQuality, MatchingSettings, assess, match
 from mixseq.retargeting.registration import RegistrationSettings, register
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import MeshSequence
 
-MIN_MARKED_AREA_SHARE = 0.5
-"""Smallest share of a mesh's area in components with markers, without a warning."""
-
-MAX_FILLED_FACE_SHARE, MAX_FLIPPED_FACE_SHARE = 0.05, 0.01
-"""Largest shares of target triangles without a match, and of flipped ones; tested pairs have < 0.01 and 0."""
+MIN_MARKED_AREA_SHARE = 0.5  # smallest share of a mesh's area in components with markers, without a warning
+MAX_FILLED_FACE_SHARE = 0.05  # of target triangles without a match; tested pairs have less than 0.01
+MAX_FLIPPED_FACE_SHARE = 0.01  # of flipped target triangles; tested pairs have none
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,7 @@ def correspond(
     markers: Markers,
     rest: int = 0,
     settings: CorrespondenceSettings | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Correspondence:
     """Find a dense correspondence of two meshes from a few markers.
 
@@ -86,7 +84,7 @@ def correspond_and_assess(
     markers: Markers,
     rest: int = 0,
     settings: CorrespondenceSettings | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> tuple[Correspondence, CorrespondenceQuality]:
     """Find the correspondence of `correspond`, and its quality."""
     settings = CorrespondenceSettings() if settings is None else settings
@@ -95,10 +93,10 @@ def correspond_and_assess(
     check_markers(markers, source_mesh.points, target_mesh.points, source_mesh.topology, target_mesh.topology)
     pairings = pair_components(source_mesh.topology, target_mesh.topology, markers)
     _check_areas(source_mesh, target_mesh, pairings)
-    check_orientation(source_mesh.points, source_mesh.faces, target_mesh.points, target_mesh.faces)
-    points = register(source_mesh, target_mesh, pairings, markers, settings.registration, progress).points
-    check_facing(points, source_mesh.faces, target_mesh.points, target_mesh.faces)
+    check_orientation(source_mesh, target_mesh)
+    points = register(source_mesh, target_mesh, pairings, markers, settings.registration, progress)
     registered = TriangleMesh(points, source_mesh.topology)
+    check_facing(registered, target_mesh)
     matches = match(registered, target_mesh, pairings, settings.matching)
     quality = assess(registered, target_mesh, pairings, markers, matches, settings.matching)
     _warn_of_poor_matches(quality, matches.correspondence)

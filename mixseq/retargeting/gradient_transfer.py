@@ -23,7 +23,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.nearest import Attachments, attach
+from mixseq.mesh.nearest import Attachments, attach_pieces
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
@@ -48,12 +48,12 @@ class GradientTransfer(PickledWithoutCaches):
     @cached_property
     def attachments(self) -> Attachments:
         """Attachments of the target's pieces to each other."""
-        return attach(self.target.pieces.vertices, self.target.reference, self.correspondence.leaders)
+        return attach_pieces(self.target.pieces.vertices, self.target.reference, self.correspondence.leaders)
 
     @cached_property
     def _holder_means(self) -> sparse.csr_array:
         """Matrix ``(n, F)`` of means over the source triangles around the vertices that pieces are attached to."""
-        return self.averaging_matrix(self.attachments.other)
+        return self.averaging_matrix(self.attachments.holder_vertices)
 
     @cached_property
     def _follower_means(self) -> tuple[Index, sparse.csr_array]:
@@ -83,10 +83,8 @@ class GradientTransfer(PickledWithoutCaches):
 
     def source_gradients(self, points: FloatArray) -> Float:
         """Return deformation gradients ``(F, 3, 3)`` of the source's triangles in a frame ``(V, 3)``."""
-        return (
-            self.source.complete_triangles(points.astype(np.float64) / self.source.scale)
-            @ self.source.inverse_triangles
-        )
+        triangles = self.source.complete_triangles(points.astype(np.float64) / self.source.scale)
+        return triangles @ self.source.inverse_triangles
 
     def transfer_frame(self, points: FloatArray) -> Float:
         """Return the target ``(V', 3)`` for a frame ``(V, 3)`` of the source."""
@@ -112,19 +110,18 @@ class GradientTransfer(PickledWithoutCaches):
         displacement = displacements[root_vertices].mean(axis=0)
         placed = piece_vertices.copy()
         root = pieces.row_slices[attachments.root]
-        placed[root] += (
-            rest[root_vertices].mean(axis=0) + linear_map @ displacement - piece_vertices[root].mean(axis=0)
-        )
+        root_centre = rest[root_vertices].mean(axis=0) + linear_map @ displacement
+        placed[root] += root_centre - piece_vertices[root].mean(axis=0)
 
-        own_rows = pieces.find_rows(attachments.pieces, attachments.own)
-        holder_rows = pieces.find_rows(attachments.holders, attachments.other)
+        own_rows = pieces.find_rows(attachments.pieces, attachments.vertices)
+        holder_rows = pieces.find_rows(attachments.holders, attachments.holder_vertices)
         gaps = correspondence.interpolate(np.stack([self.source.reference, points / self.source.scale]))
-        gaps = gaps[:, attachments.own] - gaps[:, attachments.other]
-        gaps[:, ~correspondence.matched[attachments.own]] = 0.0
+        gaps = gaps[:, attachments.vertices] - gaps[:, attachments.holder_vertices]
+        gaps[:, ~correspondence.matched[attachments.vertices]] = 0.0
         for attachment, piece in enumerate(attachments.pieces):
             rotation = holder_rotations[attachment]
             gap_change = linear_map @ (gaps[1, attachment] - rotation @ gaps[0, attachment])
-            rest_arm = rest[attachments.own[attachment]] - rest[attachments.other[attachment]]
+            rest_arm = rest[attachments.vertices[attachment]] - rest[attachments.holder_vertices[attachment]]
             arm = self.alignment.rotate_matrices(rotation) @ rest_arm
             goal = placed[holder_rows[attachment]] + arm + gap_change
             placed[pieces.row_slices[piece]] += goal - placed[own_rows[attachment]]

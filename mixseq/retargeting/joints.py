@@ -30,9 +30,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.rigid import kabsch, nearest_rotations
-from mixseq.mesh.rotations import turned
+from mixseq.mesh.rotations import rotate_vectors
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.gradient_transfer import GradientTransfer, average_matrices, normalise_rows
 from mixseq.segmentation.joints import Decomposition, Joint
@@ -54,24 +54,24 @@ class SolvedJoints:
         joints = tuple(joint for joint in decomposition.joints if joint.free.any())
         return cls(joints, tuple(Patch.from_joint(topology, joint, ~joint.free) for joint in joints))
 
+    @property
+    def _systems(self) -> list[tuple[Joint, Patch]]:
+        return list(zip(self.joints, self.patches, strict=True))
+
     @cached_property
     def edge_ids(self) -> Index:
         """Mesh ids ``(E',)`` of the edges at free vertices."""
-        return _concatenate(
-            [j.edge_ids[p.free_edge_mask] for j, p in zip(self.joints, self.patches, strict=True)]
-        )
+        return _concatenate([joint.edge_ids[patch.free_edge_mask] for joint, patch in self._systems])
 
     @cached_property
     def hinge_ids(self) -> Index:
         """Mesh ids ``(H',)`` of the hinges with a free vertex."""
-        return _concatenate(
-            [j.hinge_ids[p.free_hinge_mask] for j, p in zip(self.joints, self.patches, strict=True)]
-        )
+        return _concatenate([joint.hinge_ids[patch.free_hinge_mask] for joint, patch in self._systems])
 
     @cached_property
     def vertices(self) -> Index:
         """Mesh ids ``(F,)`` of the free vertices."""
-        return _concatenate([j.vertices[p.free_ids] for j, p in zip(self.joints, self.patches, strict=True)])
+        return _concatenate([joint.vertices[patch.free_ids] for joint, patch in self._systems])
 
     @cached_property
     def edge_slices(self) -> list[slice]:
@@ -91,14 +91,12 @@ class SolvedJoints:
     def vertex_spacing(self, lengths: Float) -> Float:
         """Return the mean length ``(F,)`` of the edges at every free vertex, from lengths ``(E',)``."""
         sums, counts = np.zeros((2, len(self.vertices)))
-        for patch, edge_slice, vertex_slice in zip(
-            self.patches, self.edge_slices, self.vertex_slices, strict=True
-        ):
+        for patch, edges, free in zip(self.patches, self.edge_slices, self.vertex_slices, strict=True):
             edge_vertices = patch.free_index[patch.edges[patch.free_edge_mask]]
             for vertices in edge_vertices.T:
                 is_free = vertices >= 0
-                np.add.at(sums[vertex_slice], vertices[is_free], lengths[edge_slice][is_free])
-                np.add.at(counts[vertex_slice], vertices[is_free], 1.0)
+                np.add.at(sums[free], vertices[is_free], lengths[edges][is_free])
+                np.add.at(counts[free], vertices[is_free], 1.0)
         return np.asarray(sums / counts)
 
 
@@ -197,16 +195,13 @@ class JointSolver:
     def solve(self, frame: JointFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Return the mesh ``(V, 3)`` of a frame, with means of shared vertices, and a report for every joint."""
         points = self._pose_parts(frame)
-        relative_rotations, relative_translations = self._relative_motions(
-            frame.rotations, frame.translations
-        )
+        rotations, translations = self._relative_motions(frame.rotations, frame.translations)
         reports, joints = [], self.joints
         slices = zip(joints.edge_slices, joints.hinge_slices, joints.vertex_slices, strict=True)
         systems = zip(joints.joints, joints.patches, slices, self._skins, strict=True)
         for joint, patch, (edges, hinges, free), skin in systems:
-            guess = skin.deform(relative_rotations, relative_translations) + turned(
-                frame.rotations[skin.main_part], frame.offsets[free]
-            )
+            offsets = rotate_vectors(frame.rotations[skin.main_part], frame.offsets[free])
+            guess = skin.deform(rotations, translations) + offsets
             rebuilt, report = rebuild_patch(
                 patch,
                 frame.lengths[edges],
@@ -226,19 +221,17 @@ class JointSolver:
 
         Offsets are in the axes of the main part of a vertex, and rotate with the body.
         """
-        relative_rotations, relative_translations = self._relative_motions(rotations, translations)
+        motions = self._relative_motions(rotations, translations)
         offsets = np.zeros((len(self.joints.vertices), 3))
         for vertex_slice, skin in zip(self.joints.vertex_slices, self._skins, strict=True):
-            differences = points[self.joints.vertices[vertex_slice]] - skin.deform(
-                relative_rotations, relative_translations
-            )
-            offsets[vertex_slice] = turned(np.swapaxes(rotations[skin.main_part], 1, 2), differences)
+            differences = points[self.joints.vertices[vertex_slice]] - skin.deform(*motions)
+            offsets[vertex_slice] = rotate_vectors(np.swapaxes(rotations[skin.main_part], 1, 2), differences)
         return offsets
 
     def _pose_parts(self, frame: JointFrame) -> Float:
         """Return the vertices ``(V, 3)`` of the posed parts: means of shared vertices, zero without a part."""
         part, vertex, copy_counts = self._part_rows
-        positions = turned(frame.rotations[part], frame.part_vertices) + frame.translations[part]
+        positions = rotate_vectors(frame.rotations[part], frame.part_vertices) + frame.translations[part]
         sums = [np.bincount(vertex, column, minlength=len(copy_counts)) for column in positions.T]
         return np.stack(sums, axis=1) / copy_counts[:, None]
 
@@ -246,7 +239,7 @@ class JointSolver:
         """Return the motions ``x -> R x + t`` of the parts from the reference frame."""
         reference_rotations, reference_centres = self._reference_poses
         relative_rotations = rotations @ np.swapaxes(reference_rotations, 1, 2)
-        return relative_rotations, translations - turned(relative_rotations, reference_centres)
+        return relative_rotations, translations - rotate_vectors(relative_rotations, reference_centres)
 
 
 class JointMetrics(Protocol):
@@ -287,7 +280,8 @@ class EdgewiseMetrics:
         lengths, angles, target_lengths, target_angles = self._rest
         current_lengths = edge_lengths(points, self._edges)
         ratios = np.divide(current_lengths, lengths, out=np.ones_like(current_lengths), where=lengths > 0)
-        return target_lengths * ratios, target_angles + wrap(dihedral_angles(points, self._hinges) - angles)
+        angle_changes = wrap_angles(dihedral_angles(points, self._hinges) - angles)
+        return target_lengths * ratios, target_angles + angle_changes
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,13 +302,9 @@ class GradientMetrics:
         corners = self._topology.faces[self._faces]
         vertices, vertex_rows = np.unique(corners, return_inverse=True)
         face_rows = np.repeat(np.arange(len(corners)), 3)
-        corner_means = sparse.coo_array(
-            (np.ones(len(face_rows)), (face_rows, vertex_rows.reshape(-1))),
-            shape=(len(corners), len(vertices)),
-        )
-        return normalise_rows(
-            corner_means.tocsr() @ self.gradients.averaging_matrix(vertices.astype(np.int64))
-        )
+        entries = np.ones(len(face_rows)), (face_rows, vertex_rows.reshape(-1))
+        corner_means = sparse.coo_array(entries, shape=(len(corners), len(vertices))).tocsr()
+        return normalise_rows(corner_means @ self.gradients.averaging_matrix(vertices.astype(np.int64)))
 
     @property
     def _topology(self) -> Topology:
@@ -325,11 +315,9 @@ class GradientMetrics:
         """Incident pairs of joint faces and joint edges, as rows of `_faces` and of the edges."""
         edges = self._topology.face_edges[self._faces]
         order = np.argsort(self.joints.edge_ids, kind="stable")
-        sorted_ids = self.joints.edge_ids[order]
-        positions = np.searchsorted(sorted_ids, edges)
-        is_stored = (positions < len(sorted_ids)) & (
-            sorted_ids[np.minimum(positions, len(sorted_ids) - 1)] == edges
-        )
+        ids = self.joints.edge_ids[order]
+        positions = np.searchsorted(ids, edges)
+        is_stored = (positions < len(ids)) & (ids[np.minimum(positions, len(ids) - 1)] == edges)
         return np.nonzero(is_stored)[0], order[positions[is_stored]]
 
     @cached_property
@@ -347,7 +335,7 @@ class GradientMetrics:
         rest, edges = self.gradients.target.reference, self._topology.edges[self.joints.edge_ids]
         face_rows, edge_rows = self._edge_faces
         edge_vectors = rest[edges[:, 1]] - rest[edges[:, 0]]
-        face_lengths = np.linalg.norm(turned(gradients[face_rows], edge_vectors[edge_rows]), axis=1)
+        face_lengths = np.linalg.norm(rotate_vectors(gradients[face_rows], edge_vectors[edge_rows]), axis=1)
         face_counts = np.bincount(edge_rows, minlength=len(edges))
         lengths = np.bincount(edge_rows, face_lengths, minlength=len(edges)) / np.maximum(face_counts, 1)
         return lengths, self._bend_angles(gradients)
@@ -358,17 +346,19 @@ class GradientMetrics:
         rotations = nearest_rotations(gradients)
         stretches = np.swapaxes(rotations, 1, 2) @ gradients
         mean_rotations = nearest_rotations(average_matrices(self._face_weights, rotations))
-        return self.gradients.alignment.rotate_matrices(
-            mean_rotations @ average_matrices(self._face_weights, stretches)
-        )
+        mean_stretches = average_matrices(self._face_weights, stretches)
+        return self.gradients.alignment.rotate_matrices(mean_rotations @ mean_stretches)
 
     def _bend_angles(self, gradients: Float) -> Float:
         rest = self.gradients.target.reference
         a, b, c, d = (rest[corner] for corner in self._topology.hinges[self.joints.hinge_ids].T)
         first, second = (gradients[side] for side in self._hinge_faces.T)
-        first_edge, second_edge = turned(first, b - a), turned(second, b - a)
-        n1, n2 = np.cross(first_edge, turned(first, c - a)), np.cross(turned(second, d - a), second_edge)
+        first_edge, second_edge = rotate_vectors(first, b - a), rotate_vectors(second, b - a)
+        n1, n2 = (
+            np.cross(first_edge, rotate_vectors(first, c - a)),
+            np.cross(rotate_vectors(second, d - a), second_edge),
+        )
         axis = first_edge + second_edge
         sine = np.einsum("hi,hi->h", np.cross(n1, n2), axis)
         cosine = np.einsum("hi,hi->h", n1, n2) * np.linalg.norm(axis, axis=1)
-        return np.asarray(self._rest_angles + wrap(np.arctan2(sine, cosine) - self._rest_angles))
+        return np.asarray(self._rest_angles + wrap_angles(np.arctan2(sine, cosine) - self._rest_angles))

@@ -27,7 +27,7 @@ Hanafusa 1986) solve, with the remaining e,
 
 The second term of the damping bounds the second derivative of :math:`\tfrac12 |e|^2`, which Gauss-Newton omits, and
 vanishes with e. The number of steps is fixed, so that rotations depend smoothly on moves. With the chosen
-:math:`\delta`, :math:`\mu`, f and l joints of a leg accelerate by at most four times as much as its end.
+:math:`\delta`, :math:`\mu`, f and l joints of a leg have at most four times the acceleration of its end.
 
 The residual moves, again :math:`e_g`, lengthen the limbs: the joint above part k opens by :math:`\tau_k`, the smallest
 with :math:`\sum_{k \in g} \tau_k = e_g`, which distributes the stretch of one limb evenly. With pivots q, a child k of
@@ -49,7 +49,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.rotations import matrices, turned
+from mixseq.mesh.rotations import rotate_vectors, rotvec_to_matrix
 from mixseq.types import Float, FloatArray, Index
 
 
@@ -100,22 +100,21 @@ class ArticulatedBody:
             cause = "no part" if part < 0 else f"part {part}, which is not connected to the root"
             raise SettingsError(f"vertices of contact '{name}' follow {cause}; choose vertices of a foot")
         chains = [self._chain(part) for part in parts]
-        common_count = 0
-        while all(
-            len(chain) > common_count and chain[common_count] == chains[0][common_count] for chain in chains
-        ):
-            common_count += 1
-        if not common_count and parts != [self.root]:
+        common = 0
+        while all(len(chain) > common and chain[common] == chains[0][common] for chain in chains):
+            common += 1
+        if not common and parts != [self.root]:
             raise SettingsError(
                 f"vertices of contact '{name}' are on several limbs (parts {', '.join(map(str, parts))}); "
                 "give one contact for each foot"
             )
-        return chains[0][:common_count]
+        return chains[0][:common]
 
     def gaps(self, rotations: Float, centres: Float) -> Float:
         """Return the gaps ``(n, 3)`` of pairs at their pivots: rotations, centres ``(p, 3, 3), (p, 3)``."""
         first, second = (
-            turned(rotations[part], self.pivots - self.centres[part]) + centres[part] for part in self.pairs.T
+            rotate_vectors(rotations[part], self.pivots - self.centres[part]) + centres[part]
+            for part in self.pairs.T
         )
         return np.asarray(first - second)
 
@@ -129,7 +128,7 @@ class ArticulatedBody:
         """Return the positions ``(T, k, 3)`` of rest points ``(k, 3)`` that follow parts ``(k,)``."""
         part_ids = np.asarray(parts, dtype=np.int64)
         arms = np.asarray(points, dtype=np.float64).reshape(-1, 3) - self.centres[part_ids]
-        return turned(rotations[:, part_ids], arms) + centres[:, part_ids]
+        return rotate_vectors(rotations[:, part_ids], arms) + centres[:, part_ids]
 
     def contact_path(
         self, contact: Contact, rotations: Float, centres: Float, frames: Index | slice = slice(None)
@@ -138,7 +137,7 @@ class ArticulatedBody:
         if contact.local_points is None:
             return self.pose_points(contact.points, contact.parts, rotations, centres)
         arms = contact.local_points[frames] - self.centres[contact.parts]
-        return turned(rotations[:, contact.parts], arms) + centres[:, contact.parts]
+        return rotate_vectors(rotations[:, contact.parts], arms) + centres[:, contact.parts]
 
     def _chain(self, part: int) -> tuple[int, ...]:
         chain: list[int] = []
@@ -177,14 +176,9 @@ def leg_ratio(
     return target_length / source_length
 
 
-STRAIGHT_LIMB_TOLERANCE = 0.02
-r"""The number :math:`\delta`: a leg of two equal bones, bent by 23 degrees, shortens by rotation alone."""
-
-DAMPING_RATIO = 0.01
-r"""The number :math:`\mu`: damping relative to the squared length of a limb."""
-
-SOLVER_STEPS = 20
-"""Number of damped least-squares steps."""
+STRAIGHT_LIMB_TOLERANCE = 0.02  # delta: equal bones bent by 23 degrees shorten by rotation alone
+DAMPING_RATIO = 0.01  # mu: damping relative to the squared length of a limb
+SOLVER_STEPS = 20  # number of damped least-squares steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,9 +188,7 @@ class LimbMotion:
     rotations: Float  # (T, p, 3, 3) rotations of all parts
     centres: Float  # (T, p, 3) centres of all parts
     limb_rotations: Float  # (T, k, 3, 3) rotations of the limbs' parts, in the world's axes
-    residual_moves: (
-        Float  # (T, g, 3) moves left by rotations: stretches of limbs, errors of contacts on the root
-    )
+    residual_moves: Float  # (T, g, 3) moves left by rotations: stretches of limbs
 
 
 def solve_limbs(
@@ -260,8 +252,8 @@ def _forward_kinematics(
         pivot = body.pose_points(body.pivot(part), [part], rotations, centres)[:, 0]
         # Adding differences keeps frames without rotations exactly.
         change = result_centres[:, parent] - centres[:, parent] + stretch
-        change += turned(parent_rotation - identity, pivot - centres[:, parent])
-        change += turned(rotation - identity, centres[:, part] - pivot)
+        change += rotate_vectors(parent_rotation - identity, pivot - centres[:, parent])
+        change += rotate_vectors(rotation - identity, centres[:, part] - pivot)
         result_centres[:, part] += change
         result_rotations[:, part] = rotation @ rotations[:, part]
     return result_rotations, result_centres
@@ -272,36 +264,31 @@ def rotate_limbs(levers: Float, moves: Float, compliance: Float) -> tuple[Float,
 
     Shapes: levers ``(N, g, k, 3)``; moves ``(N, g, 3)``; compliance ``(k,)``.
     """
-    count, limb_count, part_count, _ = levers.shape
+    count, limbs, parts, _ = levers.shape
     lengths = np.linalg.norm(levers, axis=3).sum(axis=2)
     lengths = np.where(lengths > 0, lengths, 1.0)  # a contact on the root has no limb
-    rotations, rotated_levers = np.tile(np.eye(3), (count, part_count, 1, 1)), levers
+    rotations, rotated = np.tile(np.eye(3), (count, parts, 1, 1)), levers
     goals = _reachable_moves(_mobility(levers, compliance), moves, lengths)
-    achieved, diagonal = np.zeros_like(moves), np.arange(3 * limb_count)
+    achieved, diagonal = np.zeros_like(moves), np.arange(3 * limbs)
     for _ in range(SOLVER_STEPS):
         residuals = goals - achieved
         damping = DAMPING_RATIO * lengths**2 + np.linalg.norm(residuals, axis=2) * lengths
-        system = _mobility(rotated_levers, compliance)
+        system = _mobility(rotated, compliance)
         system[:, diagonal, diagonal] += np.repeat(damping, 3, axis=1)
-        multipliers = np.linalg.solve(system, residuals.reshape(count, -1, 1)).reshape(
-            count, limb_count, 1, 3
-        )
-        rotations = (
-            matrices(compliance[:, None] * np.cross(rotated_levers, multipliers).sum(axis=1)) @ rotations
-        )
-        rotated_levers = np.einsum("nkij,ngkj->ngki", rotations, levers)
-        achieved = (rotated_levers - levers).sum(axis=2)
+        multipliers = np.linalg.solve(system, residuals.reshape(count, -1, 1)).reshape(count, limbs, 1, 3)
+        steps = rotvec_to_matrix(compliance[:, None] * np.cross(rotated, multipliers).sum(axis=1))
+        rotations = steps @ rotations
+        rotated = np.einsum("nkij,ngkj->ngki", rotations, levers)
+        achieved = (rotated - levers).sum(axis=2)
     return rotations, moves - achieved
 
 
 def _mobility(levers: Float, compliance: Float) -> Float:
     """Return the matrices A ``(N, 3g, 3g)``."""
-    count, limb_count, *_ = levers.shape
+    count, limbs, *_ = levers.shape
     dots = np.einsum("k,ngki,nhki->ngh", compliance, levers, levers)
     products = np.einsum("k,nhki,ngkj->ngihj", compliance, levers, levers)
-    return np.asarray(np.einsum("ngh,ij->ngihj", dots, np.eye(3)) - products).reshape(
-        count, 3 * limb_count, -1
-    )
+    return np.asarray(np.einsum("ngh,ij->ngihj", dots, np.eye(3)) - products).reshape(count, 3 * limbs, -1)
 
 
 def _reachable_moves(mobility: Float, moves: Float, lengths: Float) -> Float:

@@ -24,8 +24,9 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.errors import SettingsError
+from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.topology import Topology
-from mixseq.mesh.triangle_mesh import ClosestPoints, TriangleMesh
+from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing
 from mixseq.types import Float, FloatArray, Index, IntArray, Mask
 
@@ -92,7 +93,7 @@ def match(
     distances = np.full(len(queries), np.inf)
     searches = [
         (
-            ClosestPoints(registered, pairing.source_faces),
+            ClosestPointQuery.from_mesh(registered.points, registered.faces, pairing.source_faces),
             np.concatenate([pairing.target_vertices, vertex_count + pairing.target_faces]),
         )
         for pairing in pairings
@@ -141,7 +142,10 @@ def assess(
     covered_area = 0.0
     for pairing in pairings:
         face_ids = pairing.source_faces
-        search, normals = ClosestPoints(target, pairing.target_faces), registered.face_normals[face_ids]
+        search, normals = (
+            ClosestPointQuery.from_mesh(target.points, target.faces, pairing.target_faces),
+            registered.face_normals[face_ids],
+        )
         closest = search.query(registered.centroids[face_ids], normals, settings.largest_angle)
         is_near = closest.distances <= settings.largest_distance * diagonal
         covered_area += float(registered.face_areas[face_ids[is_near]].sum())
@@ -149,9 +153,8 @@ def assess(
     if not distances.size:
         distances = np.zeros(1)  # no match: coverages are zero
     is_mapped = correspondence.faces >= 0
-    cosines = np.einsum(
-        "fc,fc->f", target.face_normals[is_mapped], registered.face_normals[correspondence.faces[is_mapped]]
-    )
+    source_normals = registered.face_normals[correspondence.faces[is_mapped]]
+    cosines = np.einsum("fc,fc->f", target.face_normals[is_mapped], source_normals)
     first_corners = target.faces[:, 0]
     followers = first_corners[~correspondence.matched[first_corners]]
     marker_offsets = registered.points[markers.source] - target.points[markers.target]
@@ -198,8 +201,7 @@ def _nearest_sources(graph: sparse.csr_array, sources: Index) -> Index:
 RestMesh = tuple[FloatArray, IntArray]
 """Points ``(V, 3)`` and triangles ``(F, 3)`` of a mesh at rest."""
 
-WEIGHT_SUM_TOLERANCE = 1e-3
-"""Largest deviation of sums of barycentric weights from one; weights are normalised."""
+WEIGHT_SUM_TOLERANCE = 1e-3  # of sums of barycentric weights, which are normalised
 
 
 def from_vertices(vertices: ArrayLike, source: RestMesh, target: RestMesh) -> Correspondence:
@@ -276,18 +278,16 @@ def _locate_vertices(triangles: Index, source: TriangleMesh, target: TriangleMes
     """Return corners and weights ``(V', 3)`` of target vertices from the source triangles around them ``(F',)``."""
     vertex_count = len(target.points)
     mapped_faces = np.flatnonzero(triangles >= 0)
-    vertex_of_corner = target.faces[mapped_faces].reshape(-1)
+    vertices = target.faces[mapped_faces].reshape(-1)
     face_of_corner, source_faces = np.repeat(mapped_faces, 3), np.repeat(triangles[mapped_faces], 3)
-    corner_counts = np.bincount(vertex_of_corner, minlength=vertex_count)
+    corner_counts = np.bincount(vertices, minlength=vertex_count)
     weights = np.zeros((vertex_count, 3))
     areas = target.face_areas[face_of_corner] + 1e-12 * target.diagonal**2  # means need a positive total area
-    total_areas = np.bincount(vertex_of_corner, areas, vertex_count)
+    total_areas = np.bincount(vertices, areas, vertex_count)
     sums = np.zeros((2, vertex_count, 3))
     for k in range(3):
-        sums[0, :, k] = np.bincount(vertex_of_corner, areas * source.centroids[source_faces, k], vertex_count)
-        sums[1, :, k] = np.bincount(
-            vertex_of_corner, areas * source.face_normals[source_faces, k], vertex_count
-        )
+        sums[0, :, k] = np.bincount(vertices, areas * source.centroids[source_faces, k], vertex_count)
+        sums[1, :, k] = np.bincount(vertices, areas * source.face_normals[source_faces, k], vertex_count)
     matched_vertices = np.flatnonzero(corner_counts > 0)
     mean_points, normals = sums[:, matched_vertices] / total_areas[matched_vertices, None]
     closest, barycentric = _closest_facing(source, mean_points, normals)
@@ -295,7 +295,7 @@ def _locate_vertices(triangles: Index, source: TriangleMesh, target: TriangleMes
     corners[matched_vertices], weights[matched_vertices] = source.faces[closest], barycentric
     source_corners, corner_index = source.faces[source_faces], np.tile(np.arange(3), len(mapped_faces))
     equal_corners = source.faces[source_faces, corner_index]
-    shared_vertices = _shared_vertices(vertex_of_corner, source_corners, equal_corners, corner_counts)
+    shared_vertices = _shared_vertices(vertices, source_corners, equal_corners, corner_counts)
     has_shared = shared_vertices >= 0
     corners[has_shared], weights[has_shared] = shared_vertices[has_shared, None], [1.0, 0.0, 0.0]
     return corners, weights
@@ -372,9 +372,7 @@ def _find_equal_triangles(source: Index, queries: Index) -> Index:
 
 def _closest_facing(source: TriangleMesh, points: Float, normals: Float) -> tuple[Index, Float]:
     """Return the closest triangles, and weights in them, that face the same way, or any if there are none."""
-    from mixseq.mesh.nearest import Nearest
-
-    nearest = Nearest.of(source.points, source.faces)
+    nearest = ClosestPointQuery.from_mesh(source.points, source.faces)
     closest = nearest.query(points, normals)
     faces, weights = closest.faces.copy(), closest.weights.copy()
     unmatched = np.flatnonzero(faces < 0)

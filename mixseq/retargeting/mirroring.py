@@ -37,32 +37,15 @@ from mixseq.retargeting.suggestions import (
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.types import Float, FloatArray, Index
 
-PAIR_BONUS = 0.04
-"""The bonus p of an exchanged pair, in roots of the area."""
-
-MIN_EXTREMITIES = 4
-"""Smallest number of prominent extremities of a body with two sides."""
-
-MAX_EXCHANGE_COST = 0.15
-"""Largest cost of an exchange of similar sides; tested bodies have 0.03 to 0.09."""
-
-REFINEMENT_ROUNDS = 3
-"""Number of rounds in which far-apart points replace the extremities."""
-
-WEIGHT_RADIUS = 0.4
-"""Radius of the weights of far-apart points, in roots of the area."""
-
-MAX_ROUND_TRIP_DISTANCE = 0.06
-"""Largest distance of a point from its double mirror image, in roots of the area."""
-
-MIN_PARTNER_DISTANCE = 0.08
-"""Smallest distance of a point from its partner, in roots of the area; nearer points are in the middle."""
-
-NEIGHBOURHOOD_RINGS = 2
-"""Number of rings of vertices around a point from which its mirror map is fitted."""
-
-MIN_NORMAL_COSINE = 0.5
-"""Smallest cosine between the normal of a partner and the mirrored normal."""
+PAIR_BONUS = 0.04  # the bonus p of an exchanged pair, in roots of the area
+MIN_EXTREMITIES = 4  # smallest number of prominent extremities of a body with two sides
+MAX_EXCHANGE_COST = 0.15  # largest cost of an exchange of similar sides; tested bodies have 0.03 to 0.09
+REFINEMENT_ROUNDS = 3  # number of rounds in which far-apart points replace the extremities
+WEIGHT_RADIUS = 0.4  # radius of the weights of far-apart points, in roots of the area
+MAX_ROUND_TRIP_DISTANCE = 0.06  # of a point from its double mirror image, in roots of the area
+MIN_PARTNER_DISTANCE = 0.08  # in roots of the area; nearer points are in the middle
+NEIGHBOURHOOD_RINGS = 2  # number of rings of vertices around a point from which its mirror map is fitted
+MIN_NORMAL_COSINE = 0.5  # smallest cosine between the normal of a partner and the mirrored normal
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,13 +22,7 @@ import numpy as np
 from mixseq.mesh.measures import length_weights
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer
-from mixseq.retargeting.joints import (
-    EdgewiseMetrics,
-    GradientMetrics,
-    JointFrame,
-    JointMetrics,
-    JointSolver,
-)
+from mixseq.retargeting.joints import EdgewiseMetrics, GradientMetrics, JointFrame, JointMetrics, JointSolver
 from mixseq.retargeting.limbs import ArticulatedBody
 from mixseq.retargeting.parts import (
     PartCorrespondence,
@@ -41,7 +35,13 @@ from mixseq.retargeting.parts import (
 from mixseq.retargeting.sources import Alignment
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.low_memory import LargeArray
-from mixseq.segmentation.joints import Decomposition, Watched, decompose, frames_to_look_at, observe
+from mixseq.segmentation.joints import (
+    Decomposition,
+    PartShapes,
+    decompose,
+    measure_part_motion,
+    sample_frame_ids,
+)
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.types import Float, FloatArray, Index
@@ -128,28 +128,24 @@ class MixedTransfer(PickledWithoutCaches):
 
     def transfer_poses(self, points: FloatArray, deformed_poses: PartPoses) -> PartPoses:
         """Return poses of the target's parts for a frame ``(V, 3)``, from the poses of the target by gradients."""
-        _, source_poses = self._source_rest_shapes.register(
-            points.astype(np.float64) / self.gradients.source.scale
-        )
-        rotations, centres = (values[self.parts.source_parts] for values in source_poses)
-        source_gaps = self._alignment.map_vectors(self.source_body.gaps(rotations, centres))
+        source_points = points.astype(np.float64) / self.gradients.source.scale
+        _, source_poses = self._source_rest_shapes.register(source_points)
+        source_rotations, source_centres = (values[self.parts.source_parts] for values in source_poses)
+        source_gaps = self._alignment.map_vectors(self.source_body.gaps(source_rotations, source_centres))
         root = self.body.root
-        travel = self._alignment.map_vectors(centres[root] - self.source_body.centres[root])
+        travel = self._alignment.map_vectors(source_centres[root] - self.source_body.centres[root])
         gaps = self._pivot_solver.limit_gaps(source_gaps, self.body.gaps(*deformed_poses))
         root_centre = self.body.centres[root] + self.stride_ratio * travel
-        return PartPoses(
-            deformed_poses.rotations,
-            self._pivot_solver.solve_centres(deformed_poses.rotations, gaps, root_centre),
-        )
+        rotations = deformed_poses.rotations
+        return PartPoses(rotations, self._pivot_solver.solve_centres(rotations, gaps, root_centre))
 
     def transfer_frame(self, points: FloatArray, poses: PartPoses | None = None) -> Float:
         """Return the target ``(V', 3)`` for a frame ``(V, 3)`` of the source, optionally with given part poses."""
         deformed = self.deform_by_gradients(points)
         part_vertices, deformed_poses = self.rest_shapes.register(deformed)
         poses = self.transfer_poses(points, deformed_poses) if poses is None else poses
-        lengths, angles = self.joint_metrics.lengths_and_angles(
-            points.astype(np.float64) / self.gradients.source.scale
-        )
+        source_points = points.astype(np.float64) / self.gradients.source.scale
+        lengths, angles = self.joint_metrics.lengths_and_angles(source_points)
         frame = JointFrame(
             lengths=lengths,
             angles=angles,
@@ -184,9 +180,9 @@ def mixed_transfer(
 ) -> MixedTransfer:
     """Prepare a transfer by parts ``(F,)`` and joints of the source, from all of its frames ``(T, V, 3)``."""
     source, target = gradients.source, gradients.target
-    samples = points[frames_to_look_at(len(points))]
-    watched = Watched.of(source.topology, part_of_face, source.reference[None])
-    observed = observe(watched, np.concatenate([source.reference[None] * source.scale, samples]))
+    samples = points[sample_frame_ids(len(points))]
+    watched = PartShapes.from_labels(source.topology, part_of_face, source.reference[None])
+    observed = measure_part_motion(watched, np.concatenate([source.reference[None] * source.scale, samples]))
     decomposition = decompose(source.topology, part_of_face, joint_width, observed)
     if _is_same_mesh(gradients):
         parts = PartCorrespondence(decomposition, decomposition, np.arange(len(decomposition.parts)))
@@ -210,9 +206,8 @@ def _is_same_mesh(gradients: GradientTransfer) -> bool:
         return False
     is_own_corner = correspondence.corners == np.arange(len(correspondence.corners))[:, None]
     own_weights = np.where(is_own_corner, correspondence.weights, 0.0).sum(axis=1)
-    return bool(
-        np.allclose(own_weights, 1.0) and np.array_equal(correspondence.faces, np.arange(len(target.faces)))
-    )
+    is_own_face = np.array_equal(correspondence.faces, np.arange(len(target.faces)))
+    return bool(np.allclose(own_weights, 1.0) and is_own_face)
 
 
 def _part_areas(space: GradientSpace, decomposition: Decomposition) -> Float:

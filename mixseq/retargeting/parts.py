@@ -30,24 +30,21 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.measures import flat_faces
+from mixseq.mesh.measures import degenerate_faces
 from mixseq.mesh.nearest import Attachments
-from mixseq.mesh.topology import Topology, split_labels, vertices_of
+from mixseq.mesh.topology import Topology, mark_face_vertices, split_labels
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer
 from mixseq.retargeting.limbs import ArticulatedBody
 from mixseq.retargeting.markers import Correspondence
 from mixseq.segmentation.elements import Boundaries
-from mixseq.segmentation.joints import FLAT, Decomposition, Observed, decompose
+from mixseq.segmentation.joints import DEGENERATE_HEIGHT_RATIO, Decomposition, PartMotion, decompose
 from mixseq.shells.solvers import Factor, factorise
 from mixseq.spaces.pieces import register_parts
 from mixseq.types import Float, Index, IntArray
 
-MIN_REGION_AREA_RATIO = 0.1
-"""Smallest area of a region relative to the largest region of its label; smaller ones are merged into neighbours."""
-
-MIN_CORE_VERTEX_RATIO = 0.1
-"""Smallest share of its vertices that a part keeps; joints get more free vertices than in `segmentation.joints`."""
+MIN_REGION_AREA_RATIO = 0.1  # to the largest region of a label; smaller regions are merged
+MIN_CORE_VERTEX_RATIO = 0.1  # share of its vertices that a part keeps; lower than in `segmentation.joints`
 
 
 class PartPoses(NamedTuple):
@@ -107,7 +104,7 @@ def transfer_parts(
     labels = merge_small_regions(topology, labels, TriangleMesh(rest, topology).face_areas)
     parts = split_labels(topology, labels)
     source_parts = labels[np.unique(parts, return_index=True)[1]]
-    observed = Observed(rotations[:, source_parts], flat_faces(rest, faces, FLAT))
+    observed = PartMotion(rotations[:, source_parts], degenerate_faces(rest, faces, DEGENERATE_HEIGHT_RATIO))
     decomposition = decompose(topology, parts, joint_width, observed, core=MIN_CORE_VERTEX_RATIO)
     faceless_count = len(decomposition.parts) - len(source_parts)  # vertices without faces follow part 0
     source_parts = np.append(source_parts, np.zeros(faceless_count, dtype=np.int64))
@@ -154,15 +151,12 @@ def assign_vertices_to_parts(decomposition: Decomposition, topology: Topology) -
     """Return a part ``(V,)`` for every vertex: the first of its faces, or the last part without faces."""
     part_of_vertex = np.full(topology.vertex_count, len(decomposition.parts) - 1, dtype=np.int64)
     for part in range(int(decomposition.part_of_face.max(initial=-1)), -1, -1):
-        part_of_vertex[vertices_of(topology, decomposition.part_of_face == part)] = part
+        part_of_vertex[mark_face_vertices(topology, decomposition.part_of_face == part)] = part
     return part_of_vertex
 
 
-MIN_BOUNDARY_LENGTH_RATIO = 1e-3
-"""Smallest length of a boundary in weights, relative to the longest."""
-
-MAX_GAP_CORRECTION_RADII = 1.2
-r"""Limit :math:`\rho` of the distance from gaps by gradients, in boundary radii; chosen on three animal pairs."""
+MIN_BOUNDARY_LENGTH_RATIO = 1e-3  # smallest length of a boundary in weights, relative to the longest
+MAX_GAP_CORRECTION_RADII = 1.2  # the factor rho, in boundary radii; chosen on three animal pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,8 +171,8 @@ class Pivots:
     def from_decomposition(cls, gradients: GradientTransfer, decomposition: Decomposition) -> Pivots:
         """Find the pivots of a target."""
         attachments = gradients.attachments
-        boundaries = Boundaries.of(gradients.target.topology, decomposition.part_of_face)
-        ends = ((attachments.pieces, attachments.own), (attachments.holders, attachments.other))
+        boundaries = Boundaries.from_labels(gradients.target.topology, decomposition.part_of_face)
+        ends = (attachments.pieces, attachments.vertices), (attachments.holders, attachments.holder_vertices)
         attached_parts = np.stack(
             [_parts_at_vertices(gradients, decomposition, pieces, vertices) for pieces, vertices in ends],
             axis=1,
@@ -187,7 +181,7 @@ class Pivots:
 
     def points(self, points: Float) -> Float:
         """Return pivots ``(n, 3)`` of a target ``(V', 3)``: middles of boundaries, and attached vertices."""
-        return np.concatenate([self.boundaries.middles(points), points[self.attachments.own]])
+        return np.concatenate([self.boundaries.middles(points), points[self.attachments.vertices]])
 
     def boundary_sizes(self, points: Float) -> tuple[Float, Float]:
         """Return lengths ``(n,)`` and root mean square radii ``(n,)`` of the boundaries; attachments have 0."""

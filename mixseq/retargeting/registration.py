@@ -39,19 +39,17 @@ import numpy as np
 from scipy import sparse
 
 from mixseq.errors import SettingsError
+from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.topology import Topology
-from mixseq.mesh.triangle_mesh import ClosestPoints, TriangleMesh
-from mixseq.retargeting.markers import Markers, Pairing, Similarity, fit_similarity
-from mixseq.runtime.progress import Progress, silent
+from mixseq.mesh.triangle_mesh import TriangleMesh
+from mixseq.retargeting.markers import Markers, Pairing, fit_similarity
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.shells.solvers import Analysis, analyse
 from mixseq.types import Float, Index
 
-_EDGE_WEIGHT_BOUNDS = 0.05, 20.0
-"""Range of an edge's area by half its squared length, 0.6 in a regular mesh; it limits the influence of slivers."""
-
-_MIN_VERTEX_AREA_RATIO = 1e-6
-"""Smallest area about a vertex, relative to the mean; it determines the maps of components without area."""
+_EDGE_WEIGHT_BOUNDS = 0.05, 20.0  # limits the influence of slivers; regular meshes have 0.6
+_MIN_VERTEX_AREA_RATIO = 1e-6  # to the mean; it determines the maps of components without area
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,8 +155,7 @@ def _difference_rows(
     return sparse.coo_array((values, entries), (row_count, size)).tocsr()
 
 
-_MARKER_ONLY_ROUNDS = 3
-"""Number of minimisations with markers alone, which update the similarities."""
+_MARKER_ONLY_ROUNDS = 3  # number of minimisations with markers alone, which update the similarities
 
 
 @dataclass(frozen=True)
@@ -188,26 +185,15 @@ class RegistrationSettings:
             raise SettingsError(f"the largest angle is {self.largest_angle}; give degrees from 0 to 180")
 
 
-@dataclass(frozen=True, eq=False)
-class Registration:
-    """A source deformed onto a target."""
-
-    points: Float  # (V, 3) deformed vertices of the source, in the target's unit
-    similarity: Similarity  # initial similarity
-    residuals: (
-        Float  # (steps * rounds,) root mean square distances to closest points, in diagonals of the target
-    )
-
-
 def register(
     source: TriangleMesh,
     target: TriangleMesh,
     pairings: tuple[Pairing, ...],
     markers: Markers,
     settings: RegistrationSettings | None = None,
-    progress: Progress = silent,
-) -> Registration:
-    """Deform a source onto a target in a similar pose, with closest points between paired components."""
+    progress: Progress = no_progress,
+) -> Float:
+    """Return the vertices ``(V, 3)`` of a source deformed onto a target in a similar pose, by paired components."""
     settings = RegistrationSettings() if settings is None else settings
     similarity = fit_similarity(source.points[markers.source], target.points[markers.target])
     # Centred, in diagonals of the target, against rounding far from the origin.
@@ -222,18 +208,15 @@ def register(
     for round_id in range(_MARKER_ONLY_ROUNDS):
         progress(round_id, round_count, "registering")
         points, maps = energy.minimise(settings.stiffest, maps, [data_term.markers])
-    residuals = []
     stiffnesses = np.geomspace(settings.stiffest, settings.softest, settings.steps)
     radii = np.linspace(settings.largest_distance, settings.last_distance, settings.steps)
     for round_id in range(refinement_rounds):
         progress(_MARKER_ONLY_ROUNDS + round_id, round_count, "registering")
         step = round_id // settings.rounds
-        constraints, residual = data_term.constraints(points, settings.largest_angle, float(radii[step]))
+        constraints = data_term.constraints(points, settings.largest_angle, float(radii[step]))
         points, maps = energy.minimise(float(stiffnesses[step]), maps, constraints)
-        residuals.append(residual)
     progress(round_count, round_count, "registering")
-    registered = _move_unfitted_vertices(aligned, data_term.vertices, points, maps)
-    return Registration(registered * diagonal + centre, similarity, np.array(residuals))
+    return np.asarray(_move_unfitted_vertices(aligned, data_term.vertices, points, maps) * diagonal + centre)
 
 
 def _move_unfitted_vertices(source: TriangleMesh, vertices: Index, points: Float, maps: Float) -> Float:
@@ -293,9 +276,10 @@ class DataTerm:
         return cls(vertices, mesh, target, local_pairings, marker_constraints)
 
     @cached_property
-    def _target_searches(self) -> list[ClosestPoints]:
+    def _target_searches(self) -> list[ClosestPointQuery]:
         """Closest-point queries on the target for every pairing."""
-        return [ClosestPoints(self.target, pairing.target_faces) for pairing in self.pairings]
+        points, faces, query = self.target.points, self.target.faces, ClosestPointQuery.from_mesh
+        return [query(points, faces, pairing.target_faces) for pairing in self.pairings]
 
     @cached_property
     def _areas(self) -> tuple[Float, Float]:
@@ -303,13 +287,11 @@ class DataTerm:
         source_areas, target_areas = self.mesh.vertex_areas, self.target.vertex_areas
         return source_areas / source_areas.sum(), target_areas / target_areas.sum()
 
-    def constraints(
-        self, points: Float, largest_angle: float, radius: float
-    ) -> tuple[list[SoftConstraints], float]:
-        """Return the constraints of points ``(n, 3)``, markers and closest points both ways, and their residual."""
+    def constraints(self, points: Float, largest_angle: float, radius: float) -> list[SoftConstraints]:
+        """Return the constraints of points ``(n, 3)``: markers, and closest points both ways."""
         deformed, target = TriangleMesh(points, self.mesh.topology), self.target
         source_areas, target_areas = self._areas
-        constraints, squares, total = [self.markers], 0.0, 0.0
+        constraints = [self.markers]
         for pairing, target_search in zip(self.pairings, self._target_searches, strict=True):
             vertices = pairing.source_vertices
             closest = target_search.query(points[vertices], deformed.vertex_normals[vertices], largest_angle)
@@ -317,15 +299,13 @@ class DataTerm:
             goals = target.points_on(closest.faces[near], closest.weights[near])
             corners, weights = vertices[near][:, None], source_areas[vertices[near]]
             constraints.append(SoftConstraints(corners, np.ones((len(near), 1)), goals, weights))
-            squares += float(np.sum(weights * closest.distances[near] ** 2))
-            total += float(np.sum(weights))
 
-            vertices, source_search = pairing.target_vertices, ClosestPoints(deformed, pairing.source_faces)
-            closest = source_search.query(
-                target.points[vertices], target.vertex_normals[vertices], largest_angle
-            )
+            vertices = pairing.target_vertices
+            source_search = ClosestPointQuery.from_mesh(deformed.points, deformed.faces, pairing.source_faces)
+            normals = target.vertex_normals[vertices]
+            closest = source_search.query(target.points[vertices], normals, largest_angle)
             near = np.flatnonzero(closest.distances <= radius)
             corners, goals = deformed.faces[closest.faces[near]], target.points[vertices[near]]
             weights = target_areas[vertices[near]]
             constraints.append(SoftConstraints(corners, closest.weights[near], goals, weights))
-        return constraints, float(np.sqrt(squares / total)) if total > 0 else 0.0
+        return constraints

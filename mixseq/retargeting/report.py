@@ -27,17 +27,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.measures import edge_lengths, flat_faces
+from mixseq.mesh.measures import degenerate_faces, edge_lengths
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer, gradient_transfer
 from mixseq.retargeting.transfer import Transfer
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import bounding_diagonal, check_block
-from mixseq.types import Float, FloatArray, Index, Mask, evenly
+from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,7 @@ def _area_share(face_mask: NDArray[np.bool_], areas: Float) -> float:
     return float(areas[face_mask].sum() / total_area) if total_area > 0 else float(face_mask.mean())
 
 
-FLAT_TRIANGLE_RATIO = 1e-3
-"""Largest ratio of height to longest side of flat triangles."""
+FLAT_TRIANGLE_RATIO = 1e-3  # largest ratio of height to longest side of flat triangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,11 +118,9 @@ class ExpectedTriangles:
     def from_transfer(cls, transfer: Transfer) -> ExpectedTriangles:
         """Prepare the expected triangles of a transfer by any method."""
         topology = Topology(transfer.header.faces, transfer.header.vertex_count)
-        source = transfer.source
-        gradients = gradient_transfer(
-            source.topology, source.rest, topology, transfer.target, transfer.correspondence
-        )
-        return cls(gradients, transfer.target, source.rest)
+        source, target = transfer.source, transfer.target
+        gradients = gradient_transfer(source.topology, source.rest, topology, target, transfer.correspondence)
+        return cls(gradients, target, source.rest)
 
     @property
     def topology(self) -> Topology:
@@ -143,7 +140,7 @@ class ExpectedTriangles:
     @cached_property
     def flat(self) -> Mask:
         """Target triangles ``(F',)`` that are flat at rest."""
-        return flat_faces(self.rest, self.topology.faces, FLAT_TRIANGLE_RATIO)
+        return degenerate_faces(self.rest, self.topology.faces, FLAT_TRIANGLE_RATIO)
 
     @cached_property
     def _rest_sides(self) -> Float:
@@ -185,7 +182,7 @@ class ExpectedTriangles:
 
     def newly_flat(self, y: Float) -> Mask:
         """Mark triangles ``(F',)`` that are flat in a frame ``(V', 3)``, but not at rest."""
-        return np.asarray(flat_faces(y, self.topology.faces, FLAT_TRIANGLE_RATIO) & ~self.flat)
+        return np.asarray(degenerate_faces(y, self.topology.faces, FLAT_TRIANGLE_RATIO) & ~self.flat)
 
 
 def _edge_vectors(points: Float, faces: NDArray[Any]) -> Float:
@@ -246,8 +243,7 @@ class Smoothness:
         return self.rms / self.source_rms if self.source_rms > 0 else None
 
 
-MAX_INTERSECTION_FRAMES = 8
-"""Largest number of frames in which self-intersections are counted."""
+MAX_INTERSECTION_FRAMES = 8  # largest number of frames in which self-intersections are counted
 
 
 @dataclass(frozen=True)
@@ -313,7 +309,7 @@ class TransferReport:
 def measure_transfer(
     transfer: Transfer,
     blocks: Iterable[FloatArray] | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> TransferReport:
     """Measure a transfer, in blocks ``(B, V', 3)`` of its frames."""
@@ -334,7 +330,7 @@ class TransferMeter:
         self._strain, self._excess = (RunningStatistics(self._frame_count * edges) for _ in range(2))
         self._source_strain = RunningStatistics(self._frame_count * source_edges)
         self._accelerations = Acceleration(), Acceleration()
-        self._intersection_frames = tuple(evenly(self._frame_count, MAX_INTERSECTION_FRAMES).tolist())
+        self._intersection_frames = tuple(evenly_spaced(self._frame_count, MAX_INTERSECTION_FRAMES).tolist())
         self._intersections: list[tuple[int, int]] = []
         self._turned_over: list[int] = []
         self._flat: list[int] = []

@@ -22,16 +22,15 @@ from mixseq.mesh.polygons import match_triangles
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
-from mixseq.runtime.progress import Progress, silent
-from mixseq.segmentation.joints import frames_to_look_at
+from mixseq.runtime.progress import Progress, no_progress
+from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.segmentation.methods import segment, segment_by_labels
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence, check_frames, frame_store
+from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence, check_frames, load_frames
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index
 
-MAX_EDGE_LENGTH_DEVIATION = 0.05
-"""Largest relative difference of edge lengths (median) for which a rest mesh is not scaled to the motion."""
+MAX_EDGE_LENGTH_DEVIATION = 0.05  # median relative difference for which rest meshes are not scaled
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +47,7 @@ class SourceMotion:
         """Return the part ``(F,)`` of every triangle: given, or found from the motion."""
         if not (self.parts is None or isinstance(self.parts, int | np.integer)):
             return segment_by_labels(self.parts, self.topology)
-        samples = self.points[frames_to_look_at(len(self.points))]
+        samples = self.points[sample_frame_ids(len(self.points))]
         poses = np.concatenate([self.rest[None], samples])
         return segment(poses, self.topology, "motion", None if self.parts is None else int(self.parts))
 
@@ -57,7 +56,7 @@ def prepare_source(
     source: Frames | Model,
     rest: int | MeshSequence = 0,
     parts: int | ArrayLike | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> SourceMotion:
     """Prepare a sequence or a model as the source of transfers."""
     if isinstance(source, Model):
@@ -67,7 +66,7 @@ def prepare_source(
         source = LazyFrames(model.header_at(), lambda size: model.blocks(model.times, size))
     else:
         check_frames(source)
-    frames = frame_store(source, progress)
+    frames = load_frames(source, progress)
     header = frames.header
     topology = Topology(header.faces, header.vertex_count)
     if isinstance(rest, MeshSequence):
@@ -102,18 +101,15 @@ def _scaled_rest_shape(
             f"{error}; give the same mesh, with its vertices in the same order"
         ) from None
     shape = rest.points[0].astype(np.float64)
-    samples = points[frames_to_look_at(len(points))].astype(np.float64)
+    samples = points[sample_frame_ids(len(points))].astype(np.float64)
     rest_lengths, lengths = edge_lengths(shape, topology.edges), edge_lengths(samples, topology.edges)
     has_length = rest_lengths > 0
     ratio = float(np.median(lengths[:, has_length] / rest_lengths[has_length])) if has_length.any() else 1.0
     return np.asarray(shape if abs(ratio - 1.0) <= MAX_EDGE_LENGTH_DEVIATION else shape * ratio)
 
 
-MAX_QUARTER_TURN_RATIO = 1.5
-"""Largest root mean square distance of an accepted quarter turn, relative to that of the best rotation."""
-
-MIN_EXTENT_RATIO = 1e-12
-"""Smallest radius of points, relative to their largest coordinate; smaller radii are rounding."""
+MAX_QUARTER_TURN_RATIO = 1.5  # of root mean square distances, to those of the best rotation
+MIN_EXTENT_RATIO = 1e-12  # of radii, to the largest coordinate; smaller radii are rounding
 
 
 @dataclass(frozen=True, eq=False)

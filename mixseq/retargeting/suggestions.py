@@ -51,8 +51,7 @@ from mixseq.segmentation.silhouettes import Diffusion
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, IntArray
 
-COARSE_VERTEX_COUNT = 2500
-"""Number of vertices of coarse surfaces; the ears of a horse have about 20."""
+COARSE_VERTEX_COUNT = 2500  # number of vertices of coarse surfaces; the ears of a horse have about 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,20 +119,12 @@ class CoarseSurface:
         return sparse.csr_array((lengths[order][first], (edges[:, 0], edges[:, 1])), shape=2 * (len(x),))
 
 
-DISTANCE_SAMPLES = 100
-"""Number of samples of the mean distance."""
-
-MIN_PROMINENCE = 0.004
-"""Smallest prominence of an extremity, in roots of the area; ears have 0.006 to 0.05."""
-
-HEAT_TIMES = np.geomspace(0.002, 0.1, 6)
-"""Times of heat kernel signatures, in units of the area: from ears to limbs."""
-
-EXTREMITY_FALL, MAX_EXTREMITY_RADIUS = 0.01, 0.25
-"""Decrease of the mean distance at the end of an extremity, and its largest radius, in roots of the area."""
-
-SIGNATURE_EIGENVECTORS = 80
-"""Number of eigenvectors of signatures; others have decayed at the first of the times."""
+DISTANCE_SAMPLES = 100  # number of samples of the mean distance
+MIN_PROMINENCE = 0.004  # smallest prominence of an extremity, in roots of the area; ears have 0.006 to 0.05
+HEAT_TIMES = np.geomspace(0.002, 0.1, 6)  # of signatures, in units of the area: from ears to limbs
+EXTREMITY_FALL = 0.01  # decrease of the mean distance within an extremity, in roots of the area
+MAX_EXTREMITY_RADIUS = 0.25  # in roots of the area
+SIGNATURE_EIGENVECTORS = 80  # number of eigenvectors; others have decayed at the first time
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,9 +183,8 @@ def find_maxima(values: Float, surface: CoarseSurface) -> tuple[Index, Float]:
     maxima: list[tuple[int, float]] = []
     for vertex in np.argsort(-values, kind="stable").tolist():
         neighbours = adjacency.indices[adjacency.indptr[vertex] : adjacency.indptr[vertex + 1]]
-        peaks = sorted(
-            {int(peak) for peak in peak_of_vertex[neighbours] if peak >= 0}, key=lambda peak: -values[peak]
-        )
+        neighbour_peaks = {int(peak) for peak in peak_of_vertex[neighbours] if peak >= 0}
+        peaks = sorted(neighbour_peaks, key=lambda peak: -values[peak])
         highest = peaks[0] if peaks else vertex
         members_of_peak.setdefault(highest, []).append(vertex)
         peak_of_vertex[vertex] = highest
@@ -208,35 +198,17 @@ def find_maxima(values: Float, surface: CoarseSurface) -> tuple[Index, Float]:
     return np.array([vertex for vertex, _ in maxima]), np.array([prominence for _, prominence in maxima])
 
 
-MIN_LIMB_PROMINENCE = 0.1
-"""Smallest prominence of limbs, tail and head; tested bodies have 0.15 and more, ears less than 0.06."""
-
-MAX_MATCHED_EXTREMITIES = 8
-"""Largest number of prominent extremities; all of their triples are tried."""
-
-UNMATCHED_COST = 0.5
-"""Cost of an unmatched extremity."""
-
-MAX_TRIPLE_DISTANCE_DIFFERENCE = 0.5
-"""Largest difference of distances between two matched triples."""
-
-MIN_SURE_MARGIN = 0.1
-"""Smallest margin of a suggested pair."""
-
-MAX_MEAN_PAIR_COST = 0.4
-"""Largest mean cost of the pairs of two similar bodies; horse and camel have 0.26."""
-
-MAX_MINOR_PAIR_COST, MIN_NEXT_COST_RATIO = 0.18, 1.25
-"""Largest cost of a less prominent pair, and smallest cost of the next best partner relative to it."""
-
-MAX_SHARP_RADIUS = 0.08
-"""Largest radius of a suggested extremity; the tip of others is not well defined."""
-
-GUIDANCE_RADIUS = 0.3
-"""Distance over which prominent extremities guide less prominent ones."""
-
-SIGNATURE_WEIGHT = 0.2
-"""Weight of signature differences in costs."""
+MIN_LIMB_PROMINENCE = 0.1  # of limbs, tail and head; tested bodies have 0.15 and more, ears up to 0.06
+MAX_MATCHED_EXTREMITIES = 8  # largest number of prominent extremities; all of their triples are tried
+UNMATCHED_COST = 0.5  # cost of an unmatched extremity
+MAX_TRIPLE_DISTANCE_DIFFERENCE = 0.5  # largest difference of distances between two matched triples
+MIN_SURE_MARGIN = 0.1  # smallest margin of a suggested pair
+MAX_MEAN_PAIR_COST = 0.4  # largest mean cost of the pairs of two similar bodies; horse and camel have 0.26
+MAX_MINOR_PAIR_COST = 0.18  # largest cost of a less prominent pair
+MIN_NEXT_COST_RATIO = 1.25  # of the next best partner of a less prominent pair
+MAX_SHARP_RADIUS = 0.08  # largest radius of a suggested extremity; the tip of others is not well defined
+GUIDANCE_RADIUS = 0.3  # distance over which prominent extremities guide less prominent ones
+SIGNATURE_WEIGHT = 0.2  # weight of signature differences in costs
 
 
 Matching = tuple[tuple[int, int], ...]
@@ -306,9 +278,8 @@ def _match_from_triples(
     except SettingsError:  # opposite orientations
         return None
     point_distances = np.linalg.norm(mapped[:, None] - second.points[second_ids], axis=2)
-    rows, columns = linear_sum_assignment(
-        point_distances + _distance_differences(first, second, ids, triples)
-    )
+    costs = point_distances + _distance_differences(first, second, ids, triples)
+    rows, columns = linear_sum_assignment(costs)
     return tuple(zip(first_ids[rows].tolist(), second_ids[columns].tolist(), strict=True))
 
 
@@ -335,9 +306,8 @@ def _matching_cost(first: Extremities, second: Extremities, pairs: Matching) -> 
 def _match_minor(first: Extremities, second: Extremities, pairs: list[ExtremityPair]) -> list[ExtremityPair]:
     """Match less prominent extremities that are clearly each other's best partners."""
     a, b = np.array([(pair.first, pair.second) for pair in pairs]).T
-    first_rest, second_rest = (
-        np.setdiff1d(np.arange(len(body.points)), paired) for body, paired in ((first, a), (second, b))
-    )
+    first_rest = np.setdiff1d(np.arange(len(first.points)), a)
+    second_rest = np.setdiff1d(np.arange(len(second.points)), b)
     if not (len(first_rest) and len(second_rest)):
         return []
     similarity = fit_similarity(first.points[a], second.points[b])
@@ -366,14 +336,9 @@ def _guided_positions(first: Extremities, similarity: Similarity, paired_ids: In
     return np.asarray(mapped + weights @ (goals - mapped[paired_ids]) / weights.sum(axis=1, keepdims=True))
 
 
-MIN_EXAMINED_MARKERS = 10
-"""Smallest number of markers for a registration with meaningful residuals."""
-
-TRIAL_VERTEX_COUNT = 1200
-"""Number of vertices of the decimated meshes of an examination."""
-
+MIN_EXAMINED_MARKERS = 10  # smallest number of markers for a registration with meaningful residuals
+TRIAL_VERTEX_COUNT = 1200  # number of vertices of the decimated meshes of an examination
 STIFF_SETTINGS = CorrespondenceSettings(RegistrationSettings(softest=1e-2, steps=5))
-"""Settings of the registration of an examination."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -381,9 +346,7 @@ class Examination:
     """Results of `examine_markers`."""
 
     suspicions: tuple[Suspicion, ...] = ()  # markers inconsistent with the others
-    residuals: Float | None = (
-        None  # (n,) distances of a stiff registration from the markers, in target diagonals
-    )
+    residuals: Float | None = None  # (n,) distances of a stiff registration from the markers, in diagonals
     coverage: float = 0.0  # share of the target's area that is covered by the registration
     refusal: str = ""  # error of the registration; empty otherwise
 
@@ -404,9 +367,7 @@ def examine_markers(source: MeshSequence, target: MeshSequence, markers: Markers
     target_ids, coarse_target = _decimate_mesh(y, target.faces, np.unique(markers.target))
     coarse = Markers(np.searchsorted(source_ids, markers.source), np.searchsorted(target_ids, markers.target))
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", MixseqWarning
-        )  # suspicions are returned, and stiff maps have poor matches
+        warnings.simplefilter("ignore", MixseqWarning)  # stiff registrations have poor matches
         try:
             _, quality = correspond_and_assess(coarse_source, coarse_target, coarse, settings=STIFF_SETTINGS)
         except SettingsError as error:

@@ -19,11 +19,11 @@ from mixseq.retargeting.matching import CorrespondenceQuality, RestMesh
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.retargeting.parts import PartCorrespondence, PartPoses
 from mixseq.retargeting.sources import SourceMotion, prepare_source
-from mixseq.runtime.parallel import Executor, on_threads, one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, MeshSequence, block_size, check_frames, collect
+from mixseq.sequence.sequence import Frames, MeshSequence, block_size, check_frames, join_blocks
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.signals.model import Model
 from mixseq.types import Float, FloatArray
@@ -81,9 +81,9 @@ class Transfer:
         """Report on the contacts."""
         return ContactReport() if self.planted is None else self.planted.report
 
-    def blocks(self, progress: Progress = silent, workers: Executor | None = None) -> Iterator[Float]:
+    def blocks(self, progress: Progress = no_progress, workers: Executor | None = None) -> Iterator[Float]:
         """Yield the target's points in blocks ``(B, V', 3)``, from the first frame to the last."""
-        done_count, frame_count, run = 0, len(self.source.points), workers or on_threads()
+        done_count, frame_count, run = 0, len(self.source.points), workers or thread_executor()
         size = block_size(max(self.source.header.vertex_count, self.header.vertex_count))
         slices = [slice(start, start + size) for start in range(0, frame_count, size)]
         frames, planted = (self.source.points[block] for block in slices), self.planted
@@ -116,34 +116,30 @@ def plan_transfer(
     source: Frames | Model | SourceMotion,
     target: Frames,
     settings: TransferSettings | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> Transfer:
     """Prepare a transfer to a target without making frames; raises what `transfer` raises."""
     settings = settings or TransferSettings()
     check_frames(target)
     with one_blas_thread():
-        motion = (
-            source
-            if isinstance(source, SourceMotion)
-            else prepare_source(source, settings.rest, settings.parts, progress)
-        )
+        if not isinstance(source, SourceMotion):
+            source = prepare_source(source, settings.rest, settings.parts, progress)
         rest = next(iter(target.blocks(1)))[0].astype(np.float64)
         topology = Topology(target.header.faces, target.header.vertex_count)
-        correspondence, quality = _find_correspondence(motion, rest, target.header, settings, progress)
-        gradients = gradient_transfer(motion.topology, motion.rest, topology, rest, correspondence)
-        header = target.header.with_times(motion.header.times, motion.header.fps)
+        correspondence, quality = _find_correspondence(source, rest, target.header, settings, progress)
+        gradients = gradient_transfer(source.topology, source.rest, topology, rest, correspondence)
+        header = target.header.with_times(source.header.times, source.header.fps)
         if settings.method == "gradients":
-            return Transfer(header, motion, rest, correspondence, gradients, quality)
+            return Transfer(header, source, rest, correspondence, gradients, quality)
         progress(0, 1, "finding parts")
         shell = settings.shell or ShellSettings()
-        mixed = mixed_transfer(gradients, motion.points, motion.part_of_face(), settings.joint_width, shell)
+        mixed = mixed_transfer(gradients, source.points, source.part_of_face(), settings.joint_width, shell)
         if not settings.contacts:
-            return Transfer(header, motion, rest, correspondence, mixed, quality)
-        planted = plant_contacts(
-            mixed, motion.points, header, settings.contacts, workers or on_threads(), progress
-        )
-        return Transfer(header, motion, rest, correspondence, planted.method, quality, planted)
+            return Transfer(header, source, rest, correspondence, mixed, quality)
+        run = workers or thread_executor()
+        planted = plant_contacts(mixed, source.points, header, settings.contacts, run, progress)
+        return Transfer(header, source, rest, correspondence, planted.method, quality, planted)
 
 
 def _find_correspondence(
@@ -186,7 +182,7 @@ def transfer(
     parts: int | ArrayLike | None = None,
     joint_width: int = 3,
     shell: ShellSettings | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> MeshSequence:
     """Move a mesh as another one moves.
@@ -248,4 +244,4 @@ def transfer(
     """
     settings = TransferSettings(markers, mapping, method, rest, contacts, parts, joint_width, shell)
     prepared = plan_transfer(source, target, settings, progress, workers)
-    return collect(prepared.header, prepared.blocks(progress, workers))
+    return join_blocks(prepared.header, prepared.blocks(progress, workers))

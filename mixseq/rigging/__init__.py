@@ -1,5 +1,5 @@
 """Skins and morph targets fitted to sequences, for game engines.
 
-`rigs` holds the rigs, `bones` weights and motions, `bone_tree` joints, `decomposition` whole skins. `fitting` has
-`fit_skin` and `fit_morph`, `low_rank` parts of few basis vectors.
+`rigs` has the rigs, `bones` skinning weights, `bone_tree` joints and motions, `decomposition` whole skins, `fitting`
+the functions `fit_skin` and `fit_morph`, `low_rank` parts of few basis vectors.
 """

@@ -1,38 +1,37 @@
-r"""The tree of bones, and motions of bones in it.
+r"""Trees of bones with joints, and the motions of bones in a tree.
 
-*The joint of two bones.* Of points p of the rest shape, the one that both move most alike minimises
+*The joint of two bones* is the point p of the rest shape where their motions differ least. It minimises
 
 .. math:: \sum_t |M_{ta} \tilde p - M_{tb} \tilde p|^2 + \mu T\, |p - p_0|^2 = \tilde p^T S_{ab}\, \tilde p + \dots,
           \quad S_{ab} = \sum_t (M_{ta} - M_{tb})^T (M_{ta} - M_{tb}),
 
-with :math:`\mu = 0.01`: a joint that never turns stays at :math:`p_0`, the middle of the contact, and a hinge stays
-next to it on its axis. The minimum, :math:`g_{ab}`, is the separation of the joint (root mean square).
+with :math:`\mu = 0.01`: a joint that never turns is at :math:`p_0`, the middle of the contact, and a hinge next to it
+on its axis. The minimum, :math:`g_{ab}`, is the separation of the joint (root mean square).
 
-*The tree* joins all bones by the pairs of least separation; pairs without contact are only used to connect components
-of the mesh. Its root is the bone with the fewest joints to the others, weighted by their vertices: the trunk of an
-animal.
+*The tree* is the minimum spanning tree of separations; pairs without contact only connect components of the mesh. Its
+root is the bone of least mean depth, weighted by vertices: the trunk of an animal.
 
 *Motions.* Given weights, they minimise :math:`\sum_v |x_t(v) - \sum_b w_{vb} M_{tb} \tilde r_v|^2` in every frame. The
 joint of bone b with its parent a is the point :math:`p_b` of the rest shape, and both take it to the same place:
 :math:`c_{tb} = M_{ta} \tilde p_b` and :math:`M_{tb} \tilde r = R_{tb} (r - p_b) + c_{tb}`. Roots have translations of
 their own, and so have *sliding* joints; free bones (Le and Deng 2012) are roots. With rows :math:`\rho_v` of all
 :math:`w_{vb} \tilde r_v` and the motions transposed and stacked to :math:`M_t`, the residual of a vertex is
-:math:`x_t(v) - M_t^T \rho_v`. In each unknown alone it has a closed solution; unknowns are solved in turn:
+:math:`x_t(v) - M_t^T \rho_v`. It is minimised by coordinate descent, with closed solutions for
 
 *Rotations.* Points follow :math:`R_{tb} u_v` with :math:`u_v = U_b \rho_v`: those of the bone, :math:`w_{vb}(r_v -
-p_b)`, and for each child c the joint, :math:`p_c - p_b`, times the weights of c and all below it. The length of
+p_b)`, and for each child c the joint, :math:`p_c - p_b`, times the weights of the subtree of c. The length of
 :math:`u_v` is constant, so the best rotation is the nearest to
 :math:`\sum_v (x_t - M_t^T \rho_v + R_{tb} u_v)\, u_v^T`.
 
-*Translations* of roots and sliding joints move all below: :math:`\delta_t = \sum_v h_v (x_t - M_t^T \rho_v) / \sum_v
-h_v^2` with :math:`h_v = H_b \rho_v`, the sum of the weights of b and all below it. Such bones turn about the point
-where :math:`\sum_v h_v u_v = 0`, so that rotation and translation together are the best.
+*Translations* of roots and sliding joints move the subtree: :math:`\delta_t = \sum_v h_v (x_t - M_t^T \rho_v) / \sum_v
+h_v^2` with :math:`h_v = H_b \rho_v`, the sum of the weights of the subtree of b. Such bones turn about the point where
+:math:`\sum_v h_v u_v = 0`, so that rotation and translation are independent.
 
-*Joints* may be fitted too: :math:`p_b + d` moves all below by :math:`(R_{ta} - R_{tb})\, d`, a problem of least squares
-in three unknowns.
+*Joints* may be fitted too: :math:`p_b + d` moves the subtree by :math:`(R_{ta} - R_{tb})\, d`, a linear least-squares
+problem in three unknowns.
 
-All of it follows from the sums :math:`K_{bc} = \sum_v w_{vb} w_{vc} \tilde r_v \tilde r_v^T` and
-:math:`L_{tb} = \sum_v w_{vb} \tilde r_v x_t(v)^T`, so that the cost of a sweep over the bones does not depend on the
+With the sums :math:`K_{bc} = \sum_v w_{vb} w_{vc} \tilde r_v \tilde r_v^T` and
+:math:`L_{tb} = \sum_v w_{vb} \tilde r_v x_t(v)^T` the cost of a sweep over the bones does not depend on the number of
 vertices. It updates :math:`E = L - K M`. The constants were chosen empirically.
 """
 
@@ -48,228 +47,224 @@ from mixseq.mesh.rigid import aligning_rotations
 from mixseq.rigging.bones import Binding
 from mixseq.types import Float, Index, Mask
 
-SWEEPS = 10
-"""Number of sweeps over the bones between two rounds of weights."""
-
-_ROTATION_STIFFNESS = 1e-9
-"""Pull of a rotation towards the one before, relative to its moment: fixes rotations of collinear points."""
-
-_STIFFNESS = 1e-6
-"""Pull of a given bone towards the one above, in vertices one diagonal away: fixes bones that move hardly anything."""
-
-_JOINT_HELD = 1e-2
-"""Pull of a joint towards its position, relative to a turn by one radian in all frames."""
+SWEEPS_PER_ROUND = 10  # number of sweeps over the bones in a fit of motions
+_ROTATION_STIFFNESS = 1e-9  # of the previous rotation, relative to its moment, for collinear points
+_PARENT_STIFFNESS = 1e-6  # of the parent's rotation, for given bones that hardly move
+_JOINT_STIFFNESS = 1e-2  # of the previous position, relative to turns by one radian in all frames
 
 
 @dataclass(frozen=True, eq=False)
 class Joints:
-    """Parents, positions and sliding of joints."""
+    """Joints of bones with their parents."""
 
-    parents: Index  # (B,) the bone above each, which stands before it; -1 for roots
-    pivots: Float  # (B, 3) joints with the parents, in the rest shape; pivots of roots
-    sliding: Mask  # (B,) whether the joint has a translation of its own; roots have
+    parents: Index  # (B,) parent of every bone, before its children; -1 for roots
+    pivots: Float  # (B, 3) joints with the parents, or pivots of roots, in the rest shape
+    sliding: Mask  # (B,) whether the bone has translations of its own, as roots have
 
     @classmethod
-    def loose(cls, count: int) -> Joints:
-        """Return free bones that turn about the origin."""
+    def free(cls, count: int) -> Joints:
+        """Return roots that turn about the origin."""
         return cls(np.full(count, -1), np.zeros((count, 3)), np.ones(count, dtype=bool))
 
-    def below(self) -> Mask:
-        """Return ``(B, B)`` whether a bone (column) is another (row) or below it."""
-        found = np.eye(len(self.parents), dtype=bool)
+    def descendants(self) -> Mask:
+        """Return a mask ``(B, B)`` of the bones (columns) in the subtree of each bone (rows)."""
+        descendants = np.eye(len(self.parents), dtype=bool)
         for bone in range(len(self.parents) - 1, -1, -1):
             if self.parents[bone] >= 0:
-                found[self.parents[bone]] |= found[bone]
-        return found
+                descendants[self.parents[bone]] |= descendants[bone]
+        return descendants
+
+    def moves_vertices(self, binding: Binding) -> Mask:
+        """Return a mask ``(B,)`` of the bones with vertices in their subtree."""
+        is_used = np.isin(np.arange(len(self.parents)), binding.influences[binding.weights > 0])
+        return np.asarray((self.descendants() & is_used).any(axis=1))
 
 
-def attached(motions: Float, joints: Joints) -> Float:
-    """Return transposed motions ``(B, 4, 3T)``, translated to connect joints that do not slide."""
-    result = motions.copy()
+def attach_joints(motions: Float, joints: Joints) -> Float:
+    """Translate transposed motions ``(B, 4, 3T)`` to connect the joints that do not slide."""
+    attached = motions.copy()
     for bone, parent in enumerate(joints.parents.tolist()):
         if not joints.sliding[bone]:
             pivot = joints.pivots[bone]
-            result[bone, 3] = pivot @ (result[parent, :3] - result[bone, :3]) + result[parent, 3]
-    return result
+            attached[bone, 3] = pivot @ (attached[parent, :3] - attached[bone, :3]) + attached[parent, 3]
+    return attached
 
 
-def move(
+def fit_motions(
     tracks: Float, binding: Binding, motions: Float, joints: Joints, fit_pivots: bool = True
 ) -> tuple[Float, Joints]:
-    """Fit the motions of bones, and their joints: tracks ``(V, 3T)``; motions ``(B, 4, 3T)``; result ``(B, 4, 3T)``."""
-    used = np.isin(np.arange(len(motions)), binding.influences[binding.weights > 0])
-    # Bones with parents that move no vertex, directly or by a bone below.
-    idle = np.flatnonzero(~(joints.below() & used).any(axis=1) & (joints.parents >= 0))
-    stiffness = 0.0 if fit_pivots else _STIFFNESS
-    fit = _Fit(tracks, binding, attached(_following(motions, joints, idle), joints), joints, stiffness)
-    for _ in range(SWEEPS):
+    """Fit the motions ``(B, 4, 3T)`` of bones, and their joints, to tracks ``(V, 3T)``."""
+    idle_bones = np.flatnonzero(~joints.moves_vertices(binding) & (joints.parents >= 0))
+    start = attach_joints(_follow_parents(motions, joints, idle_bones), joints)
+    fit = _MotionFit(tracks, binding, start, joints, 0.0 if fit_pivots else _PARENT_STIFFNESS)
+    for _ in range(SWEEPS_PER_ROUND):
         for bone in range(len(motions)):
-            fit.turn(bone)
+            fit.fit_rotations(bone)
             if joints.sliding[bone]:
-                fit.slide(bone)
+                fit.fit_translations(bone)
         if fit_pivots:
             for bone in np.flatnonzero(~joints.sliding).tolist():
-                fit.shift_joint(bone)
+                fit.fit_joint(bone)
     fitted = replace(joints, pivots=fit.pivots)
-    return attached(_following(fit.motions, joints, idle), fitted), fitted
+    return attach_joints(_follow_parents(fit.motions, joints, idle_bones), fitted), fitted
 
 
-def _following(motions: Float, joints: Joints, idle: Index) -> Float:
-    """Return motions with those of idle bones replaced by those of the bones above."""
-    result = motions.copy()
+def _follow_parents(motions: Float, joints: Joints, idle: Index) -> Float:
+    """Replace the motions of idle bones by those of their parents."""
+    following = motions.copy()
     for bone in idle.tolist():
-        result[bone] = result[joints.parents[bone]]
-    return result
+        following[bone] = following[joints.parents[bone]]
+    return following
 
 
-class _Fit:
-    """State of the coordinate descent: motions, joints, and E."""
+class _MotionFit:
+    """State of the coordinate descent: motions, joints, and the residual E."""
 
     def __init__(
-        self, tracks: Float, binding: Binding, motions: Float, joints: Joints, stiffness: float
+        self, tracks: Float, binding: Binding, motions: Float, joints: Joints, parent_stiffness: float
     ) -> None:
-        bones = len(motions)
-        rows = binding.matrix(bones)
+        bone_count = len(motions)
+        rows = binding.matrix(bone_count)
         self.products = np.asarray((rows.T @ rows).todense())
         self.motions, self.pivots = motions.copy(), joints.pivots.copy()
-        self.left = np.asarray(rows.T @ tracks) - self.products @ self.motions.reshape(4 * bones, -1)
-        self.parents, self.sliding, self.below = joints.parents, joints.sliding, joints.below()
-        self.stiffness = stiffness
+        self.residual = np.asarray(rows.T @ tracks) - self.products @ self.motions.reshape(4 * bone_count, -1)
+        self.parents, self.sliding, self.descendants = joints.parents, joints.sliding, joints.descendants()
+        self.parent_stiffness = parent_stiffness
 
-    def turn(self, bone: int) -> None:
-        """Fit the rotations of a bone, which carry all below it."""
-        bones = len(self.motions)
-        arms = np.zeros((3, bones, 4))
+    def fit_rotations(self, bone: int) -> None:
+        """Fit the rotations of a bone, which move its subtree."""
+        bone_count = len(self.motions)
+        arms = np.zeros((3, bone_count, 4))
         arms[:, bone, :3], arms[:, bone, 3] = np.eye(3), -self.pivots[bone]
         for child in np.flatnonzero(self.parents == bone).tolist():
-            arms[:, self.below[child], 3] += (self.pivots[child] - self.pivots[bone])[:, None]
+            arms[:, self.descendants[child], 3] += (self.pivots[child] - self.pivots[bone])[:, None]
         lever = arms.reshape(3, -1)  # U
         if self.sliding[bone]:
-            lever -= self._middle(bone, lever)[:, None] * self._all_below(bone)
-        pulled = self.products @ lever.T
-        spread = lever @ pulled
-        size = float(np.trace(spread))
-        if size <= _ROTATION_STIFFNESS**2:
+            lever -= self._rotation_centre(bone, lever)[:, None] * self._subtree_lever(bone)
+        products = self.products @ lever.T
+        moments = lever @ products
+        moment = float(np.trace(moments))
+        if moment <= _ROTATION_STIFFNESS**2:
             return
-        before = self.motions[bone, :3]
-        seen = (lever @ self.left + spread @ before).reshape(3, -1, 3).transpose(1, 2, 0)
-        above = self.motions[self.parents[bone], :3] if self.parents[bone] >= 0 else before
-        held = _ROTATION_STIFFNESS * size * before + self.stiffness * above
-        turns = seen + held.reshape(3, -1, 3).transpose(1, 2, 0)
-        after = aligning_rotations(turns).transpose(2, 0, 1).reshape(3, -1)
-        self._move(lever, pulled, after - before)
+        current = self.motions[bone, :3]
+        targets = (lever @ self.residual + moments @ current).reshape(3, -1, 3).transpose(1, 2, 0)
+        parent_rotations = self.motions[self.parents[bone], :3] if self.parents[bone] >= 0 else current
+        stiffness_terms = _ROTATION_STIFFNESS * moment * current + self.parent_stiffness * parent_rotations
+        covariances = targets + stiffness_terms.reshape(3, -1, 3).transpose(1, 2, 0)
+        fitted = aligning_rotations(covariances).transpose(2, 0, 1).reshape(3, -1)
+        self._apply(lever, products, fitted - current)
 
-    def slide(self, bone: int) -> None:
-        """Fit the translations of a bone, which carry all below it."""
-        seen, weight = self.seen_below(bone)
+    def fit_translations(self, bone: int) -> None:
+        """Fit the translations of a bone, which move its subtree."""
+        residual, weight = self.subtree_residual(bone)
         if weight > _ROTATION_STIFFNESS:
-            lever = self._all_below(bone)
-            self._move(lever[None], (self.products @ lever)[:, None], seen[None] / weight)
+            lever = self._subtree_lever(bone)
+            self._apply(lever[None], (self.products @ lever)[:, None], residual[None] / weight)
 
-    def shift_joint(self, bone: int) -> None:
-        """Fit the position of a joint, where its bone and the one above agree best."""
-        seen, weight = self.seen_below(bone)
-        # D, transposed.
-        apart = (self.motions[self.parents[bone], :3] - self.motions[bone, :3]).reshape(3, -1, 3)
-        normal = weight * (np.einsum("ati,bti->ab", apart, apart) + _JOINT_HELD * apart.shape[1] * np.eye(3))
+    def fit_joint(self, bone: int) -> None:
+        """Fit the position of a joint, which moves the subtree of its bone."""
+        residual, weight = self.subtree_residual(bone)
         if weight <= _ROTATION_STIFFNESS:
             return
-        step = np.linalg.solve(normal, np.einsum("ati,ti->a", apart, seen.reshape(-1, 3)))
+        # Transposed differences of the rotations of parent and bone.
+        d = (self.motions[self.parents[bone], :3] - self.motions[bone, :3]).reshape(3, -1, 3)
+        normal = weight * (np.einsum("ati,bti->ab", d, d) + _JOINT_STIFFNESS * d.shape[1] * np.eye(3))
+        step = np.linalg.solve(normal, np.einsum("ati,ti->a", d, residual.reshape(-1, 3)))
         self.pivots[bone] += step
-        lever = self._all_below(bone)
-        self._move(lever[None], (self.products @ lever)[:, None], (step @ apart.reshape(3, -1))[None])
+        lever = self._subtree_lever(bone)
+        self._apply(lever[None], (self.products @ lever)[:, None], (step @ d.reshape(3, -1))[None])
 
-    def seen_below(self, bone: int) -> tuple[Float, float]:
-        """Return the summed residual ``(3T,)`` of a bone and all below it, and its weight."""
-        lever = self._all_below(bone)
-        return lever @ self.left, float(lever @ self.products @ lever)
+    def subtree_residual(self, bone: int) -> tuple[Float, float]:
+        """Return the summed residual ``(3T,)`` of the subtree of a bone, and its weight."""
+        lever = self._subtree_lever(bone)
+        return lever @ self.residual, float(lever @ self.products @ lever)
 
-    def _middle(self, bone: int, lever: Float) -> Float:
+    def _rotation_centre(self, bone: int, lever: Float) -> Float:
         """Return sum h_v u_v / sum h_v^2 ``(3,)``, for the lever U of the rotations of a bone."""
-        along = self.products @ self._all_below(bone)
-        return lever @ along / max(float(self._all_below(bone) @ along), _ROTATION_STIFFNESS)
+        products = self.products @ self._subtree_lever(bone)
+        return lever @ products / max(float(self._subtree_lever(bone) @ products), _ROTATION_STIFFNESS)
 
-    def _all_below(self, bone: int) -> Float:
+    def _subtree_lever(self, bone: int) -> Float:
         lever = np.zeros((len(self.motions), 4))  # H
-        lever[self.below[bone], 3] = 1.0
+        lever[self.descendants[bone], 3] = 1.0
         return lever.reshape(-1)
 
-    def _move(self, lever: Float, pulled: Float, change: Float) -> None:
+    def _apply(self, lever: Float, products: Float, change: Float) -> None:
         self.motions += (lever.T @ change).reshape(self.motions.shape)
-        self.left -= pulled @ change
+        self.residual -= products @ change
 
 
 _PIVOT_DAMPING = 1e-2
-_TOUCH = 0.02  # share of the lighter bone's own weight; chosen empirically
-_FAR = 1.0  # separation of a joint without contact, in diagonals
+_MIN_CONTACT_RATIO = 0.02  # smallest shared weight of bones in contact, relative to the lighter bone
+_NO_CONTACT_SEPARATION = 1.0  # separation that is added without contact, in diagonals
 
 
-def bone_tree(faces: Index, binding: Binding, motions: Float) -> tuple[Index, Joints]:
-    """Find the tree of bones: faces ``(F, 3)``; motions ``(B, 4, 3T)``; result ``(B,)``."""
-    bones, frames = len(motions), motions.shape[2] // 3
-    weights = _weights(binding, bones)
-    mass = np.asarray(weights.sum(axis=0), dtype=np.float64).reshape(-1)
-    touch, middles = _contacts(faces, weights, binding.rest, mass)
-    flat = motions.reshape(4 * bones, -1)
-    products = (flat @ flat.T).reshape(bones, 4, bones, 4).swapaxes(1, 2)
-    own = products[np.arange(bones), np.arange(bones)]
-    apart = own[:, None] + own[None] - products - products.swapaxes(0, 1)  # S
+def build_bone_tree(faces: Index, binding: Binding, motions: Float) -> tuple[Index, Joints]:
+    """Find the tree of bones with motions ``(B, 4, 3T)``; return their order ``(B,)``, parents first, and joints."""
+    bone_count, frame_count = len(motions), motions.shape[2] // 3
+    weights = _weight_matrix(binding, bone_count)
+    masses = np.asarray(weights.sum(axis=0), dtype=np.float64).reshape(-1)
+    is_touching, middles = _contacts(faces, weights, binding.rest, masses)
+    flat = motions.reshape(4 * bone_count, -1)
+    products = (flat @ flat.T).reshape(bone_count, 4, bone_count, 4).swapaxes(1, 2)
+    squares = products[np.arange(bone_count), np.arange(bone_count)]
+    differences = squares[:, None] + squares[None] - products - products.swapaxes(0, 1)  # S
     pivots = np.linalg.solve(
-        apart[..., :3, :3] + _PIVOT_DAMPING * frames * np.eye(3),
-        (_PIVOT_DAMPING * frames * middles - apart[..., :3, 3])[..., None],
+        differences[..., :3, :3] + _PIVOT_DAMPING * frame_count * np.eye(3),
+        (_PIVOT_DAMPING * frame_count * middles - differences[..., :3, 3])[..., None],
     )[..., 0]
-    whole = np.concatenate([pivots, np.ones((bones, bones, 1))], axis=2)
-    gaps = np.sqrt(np.maximum(np.einsum("abi,abij,abj->ab", whole, apart, whole), 0) / frames)
-    costs = np.triu(1 + gaps + _FAR * ~touch, 1)  # a sparse graph has no edges of zero cost
-    tree = minimum_spanning_tree(costs)
-    links = np.asarray((tree + tree.T).todense()) > 0
-    order, parents = _from_root(links, mass)
-    above = np.where(parents < 0, np.arange(bones), order[parents])
-    places = pivots[order, above]
-    places[0] = middles[order[0], order[0]]
-    return order, Joints(parents, places, parents < 0)
+    homogeneous = np.concatenate([pivots, np.ones((bone_count, bone_count, 1))], axis=2)
+    squared = np.einsum("abi,abij,abj->ab", homogeneous, differences, homogeneous)
+    separations = np.sqrt(np.maximum(squared, 0) / frame_count)
+    costs = 1 + separations + _NO_CONTACT_SEPARATION * ~is_touching  # edges of a graph have positive costs
+    tree = minimum_spanning_tree(np.triu(costs, 1))
+    order, parents = _order_from_root(sparse.csr_array(tree + tree.T), masses)
+    parent_bones = np.where(parents < 0, np.arange(bone_count), order[parents])
+    joint_positions = pivots[order, parent_bones]
+    joint_positions[0] = middles[order[0], order[0]]
+    return order, Joints(parents, joint_positions, parents < 0)
 
 
-def _weights(binding: Binding, bones: int) -> sparse.csr_array:
+def _weight_matrix(binding: Binding, bone_count: int) -> sparse.csr_array:
     vertices = np.repeat(np.arange(len(binding.rest)), binding.weights.shape[1])
     entries = (binding.weights.reshape(-1), (vertices, binding.influences.reshape(-1)))
-    return sparse.csr_array(entries, shape=(len(binding.rest), bones))
+    return sparse.csr_array(entries, shape=(len(binding.rest), bone_count))
 
 
-def _contacts(faces: Index, weights: sparse.csr_array, rest: Float, mass: Float) -> tuple[Mask, Float]:
-    """Return contacts ``(B, B)`` of bones, and their middles ``(B, B, 3)``; without contact, of the lighter bone."""
+def _contacts(faces: Index, weights: sparse.csr_array, rest: Float, masses: Float) -> tuple[Mask, Float]:
+    """Return contacts ``(B, B)`` of bones, and their middles ``(B, B, 3)``, or centres of the lighter bones."""
     corners = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     edges = sparse.csr_array((np.ones(len(corners)), corners.T), (len(rest), len(rest)))
-    near = weights + (edges + edges.T).minimum(1) @ weights  # a vertex touches its neighbours' bones
-    shared = np.asarray((weights.T @ near).todense())
-    middles = np.stack(
-        [np.asarray((weights.T @ (near * rest[:, [axis]])).todense()) for axis in range(3)], axis=2
-    )
+    ring_weights = weights + (edges + edges.T).minimum(1) @ weights  # with those of neighbours
+    shared = np.asarray((weights.T @ ring_weights).todense())
+    moments = [weights.T @ (ring_weights * rest[:, [axis]]) for axis in range(3)]
+    middles = np.stack([np.asarray(moment.todense()) for moment in moments], axis=2)
     shared, middles = shared + shared.T, middles + middles.swapaxes(0, 1)
-    own = np.diag(shared)
-    touch = shared > _TOUCH * np.minimum(own[:, None], own[None])
-    centres = np.asarray(weights.T @ rest) / mass[:, None]
-    lighter = np.where((mass[:, None] < mass[None])[..., None], centres[:, None], centres[None])
-    touching = (touch & ~np.eye(len(mass), dtype=bool))[..., None]
-    return touch, np.where(touching, middles / np.maximum(shared, 1e-300)[..., None], lighter)
+    own_weights = np.diag(shared)
+    is_touching = shared > _MIN_CONTACT_RATIO * np.minimum(own_weights[:, None], own_weights[None])
+    centres = np.asarray(weights.T @ rest) / masses[:, None]
+    lighter_centres = np.where((masses[:, None] < masses[None])[..., None], centres[:, None], centres[None])
+    has_middle = (is_touching & ~np.eye(len(masses), dtype=bool))[..., None]
+    return is_touching, np.where(has_middle, middles / np.maximum(shared, 1e-300)[..., None], lighter_centres)
 
 
-def _from_root(links: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], mass: Float) -> tuple[Index, Index]:
-    """Return the bones, parents first, and the places of their parents in that order."""
-    bones = len(mass)
+def _order_from_root(links: sparse.csr_array, masses: Float) -> tuple[Index, Index]:
+    """Return the bones ``(B,)`` of a tree, parents first, and the positions of their parents in that order."""
+    bone_count = len(masses)
 
-    def walk(root: int) -> tuple[Index, Index]:
-        order, above = breadth_first_order(sparse.csr_array(links), root, directed=False)
-        place = np.empty(bones, dtype=np.int64)
-        place[order] = np.arange(bones)
-        above = above[order]
-        return order.astype(np.int64), np.where(above < 0, -1, place[np.maximum(above, 0)]).astype(np.int64)
+    def order_from(root: int) -> tuple[Index, Index]:
+        order, predecessors = breadth_first_order(links, root, directed=False)
+        positions = np.empty(bone_count, dtype=np.int64)
+        positions[order] = np.arange(bone_count)
+        predecessors = predecessors[order]
+        parents = np.where(predecessors < 0, -1, positions[np.maximum(predecessors, 0)])
+        return order.astype(np.int64), parents.astype(np.int64)
 
     def depth(root: int) -> float:
-        order, parents = walk(root)
-        depths = np.zeros(bones)
-        for place, parent in enumerate(parents.tolist()):
-            depths[place] = 0 if parent < 0 else depths[parent] + 1
-        return float(depths @ mass[order])
+        order, parents = order_from(root)
+        depths = np.zeros(bone_count)
+        for position, parent in enumerate(parents.tolist()):
+            depths[position] = 0 if parent < 0 else depths[parent] + 1
+        return float(depths @ masses[order])
 
-    return walk(min(range(bones), key=depth))
+    return order_from(min(range(bone_count), key=depth))

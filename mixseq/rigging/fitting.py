@@ -2,7 +2,7 @@ r"""Fit a skin or morph targets to a sequence, in the units of the file: the few
 
 *Principal shapes.* Of displacements X ``(T, 3V)``, with :math:`X X^T = U \Lambda U^T`, the targets are rows of
 :math:`U^T X` and the weights columns of U (Alexa and Mueller 2000). The first M of them approximate X best in the sum
-of squares, and all of them exactly. Targets are scaled to a largest weight of one: a target has its displayed size.
+of squares, and all of them exactly. Targets are scaled to a largest weight of one.
 
 *Correctives.* The residual of a skin, :math:`e_t(v)`, is pulled back to the rest pose, before skinning, by the weighted
 mean of its bones' rotations, :math:`A_t(v) = \sum_b w_{vb} R_{tb}` (as in pose-space deformation, Lewis et al. 2000):
@@ -14,16 +14,16 @@ with :math:`\mu = 10^{-6}`. Means of rotations that differ by nearly half a turn
 largest weight, and the targets compensate. Both values were chosen empirically. The targets are the principal shapes
 of :math:`\delta`, and the error is measured after skinning.
 
-*The number of bones.* Rough fits of free bones, in a few rounds, give the error as a function of their number; a full
-fit at one number calibrates them all. The predicted number is fitted, and then one a tenth smaller, which mostly fails.
-Free bones with a clearly too large error are not built into a tree, which reduces it a little at best.
+*The number of bones.* Rough fits of free bones, in a few rounds, give the error as a function of their number; full
+fits calibrate them. The predicted number is fitted, and then one a tenth smaller, which mostly fails. Free bones with a
+far too large error are not connected to a tree, which hardly reduces it.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, lru_cache
 
 import numpy as np
@@ -31,86 +31,86 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.rigging.bones import Centred
-from mixseq.rigging.decomposition import ROUGH, FreeBones, fit_free_bones, fit_to_skeleton, skin_of_tree
-from mixseq.rigging.rigs import INFLUENCES, Morph, Skeleton, Skin, rotation_matrices
+from mixseq.rigging.decomposition import (
+    ROUGH_FIT_ROUNDS,
+    FreeBones,
+    fit_free_bones,
+    fit_to_skeleton,
+    fit_tree_skin,
+)
+from mixseq.rigging.rigs import BONES_PER_VERTEX, Morph, Skeleton, Skin, rotation_matrices
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames
 from mixseq.types import Float
 
-_DAMPING = 1e-6
-_COLLAPSED = 0.04
-_RANK = 1e-14  # variances below this, relative to the largest, are rounding
-
-
-@dataclass(frozen=True, eq=False)
-class Targets:
-    """Displacements as a sum of targets."""
-
-    shapes: Float  # (M, V, 3) the targets
-    weights: Float  # (T, M) weights of the targets
-    error: float  # largest remaining distance, in the units of the displacements
+_PULLBACK_DAMPING = 1e-6
+_MIN_ROTATION_DETERMINANT = 0.04
+_MIN_VARIANCE_RATIO = 1e-14  # to the largest variance; smaller ones are rounding
 
 
 def principal_shapes(displacements: Float) -> tuple[Float, Float]:
-    """Return all targets ``(M, V, 3)`` and weights ``(T, M)``, the most important first."""
+    """Return all targets ``(M, V, 3)`` and weights ``(T, M)`` of displacements ``(T, V, 3)``, by variance."""
     frames = len(displacements)
     flat = displacements.reshape(frames, -1)
     variances, directions = np.linalg.eigh(flat @ flat.T)
-    kept = np.flatnonzero(variances > _RANK * max(variances[-1], 0.0))[::-1]
-    weights = directions[:, kept]
-    if kept.size == 0:
+    components = np.flatnonzero(variances > _MIN_VARIANCE_RATIO * max(variances[-1], 0.0))[::-1]
+    weights = directions[:, components]
+    if components.size == 0:
         return np.zeros((0, *displacements.shape[1:])), np.zeros((frames, 0))
-    # The sign is that of the largest weight, so that it does not depend on the library.
-    largest = weights[np.abs(weights).argmax(axis=0), np.arange(kept.size)]
+    # The largest weight is positive, whatever signs the library returns.
+    largest = weights[np.abs(weights).argmax(axis=0), np.arange(components.size)]
     shapes = (weights * largest).T @ flat
     return shapes.reshape(-1, *displacements.shape[1:]), weights / largest
 
 
 def fit_targets(
-    displacements: Float, bound: float | None, most: int | None, shown: Callable[[int, Float], Float]
-) -> Targets:
-    """Fit the fewest targets that bring all displacements ``(T, V, 3)`` within a bound, or as many as allowed."""
+    displacements: Float, bound: float | None, max_targets: int | None, measure: Callable[[int, Float], Float]
+) -> tuple[Float, Float, float]:
+    """Fit the fewest targets ``(M, V, 3)`` and weights ``(T, M)`` to displacements ``(T, V, 3)`` within a bound.
+
+    Distances are measured from the residuals ``(V, 3)`` of a frame. The largest one is returned, too.
+    """
     shapes, weights = principal_shapes(displacements)
-    most = len(shapes) if most is None else min(most, len(shapes))
-    left = displacements.copy()
+    max_targets = len(shapes) if max_targets is None else min(max_targets, len(shapes))
+    residuals = displacements.copy()
 
     def error() -> float:
-        return max(float(shown(frame, rest).max()) for frame, rest in enumerate(left))
+        return max(float(measure(frame, each).max()) for frame, each in enumerate(residuals))
 
     count = 0
-    reached = error()
-    while count < most and (bound is None or reached > bound):
-        left -= weights[:, count, None, None] * shapes[count]
+    error_reached = error()
+    while count < max_targets and (bound is None or error_reached > bound):
+        residuals -= weights[:, count, None, None] * shapes[count]
         count += 1
-        if bound is not None or count == most:
-            reached = error()
-    return Targets(shapes[:count], weights[:, :count], reached)
+        if bound is not None or count == max_targets:
+            error_reached = error()
+    return shapes[:count], weights[:, :count], error_reached
 
 
-def fit_correctives(skin: Skin, points: Float, bound: float, most: int) -> tuple[Skin, float]:
-    """Add corrective targets until every vertex of points ``(T, V, 3)`` is within a bound, or there are `most`."""
-    turns = rotation_matrices(skin.rotations)
-    bare = replace(
+def fit_correctives(skin: Skin, points: Float, bound: float, max_targets: int) -> tuple[Skin, float]:
+    """Fit the fewest corrective targets for points ``(T, V, 3)`` within a bound, and return the error."""
+    rotations = rotation_matrices(skin.rotations)
+    without_targets = replace(
         skin,
-        weights=_without_collapse(skin, turns),
+        weights=_prevent_collapse(skin, rotations),
         targets=skin.targets[:0],
         target_weights=skin.target_weights[:, :0],
     )
     displacements = np.empty_like(points)
-    for frame, block in enumerate(bare.blocks(1)):
-        a = _mean_rotations(bare, turns[frame])
-        normal = np.swapaxes(a, 1, 2) @ a + _DAMPING * np.eye(3)
-        right = np.einsum("vji,vj->vi", a, points[frame] - block[0])
-        displacements[frame] = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    for frame, block in enumerate(without_targets.blocks(1)):
+        mean_rotations = _mean_rotations(without_targets, rotations[frame])
+        normal = np.swapaxes(mean_rotations, 1, 2) @ mean_rotations + _PULLBACK_DAMPING * np.eye(3)
+        right_side = np.einsum("vji,vj->vi", mean_rotations, points[frame] - block[0])
+        displacements[frame] = np.linalg.solve(normal, right_side[:, :, None])[:, :, 0]
 
-    def shown(frame: int, left: Float) -> Float:
-        moved = np.einsum("vij,vj->vi", _mean_rotations(bare, turns[frame]), left)
-        return np.asarray(np.linalg.norm(moved, axis=1))
+    def measure_distances(frame: int, residual: Float) -> Float:
+        skinned = np.einsum("vij,vj->vi", _mean_rotations(without_targets, rotations[frame]), residual)
+        return np.asarray(np.linalg.norm(skinned, axis=1))
 
-    targets = fit_targets(displacements, bound, most, shown)
-    fitted = replace(bare, targets=targets.shapes, target_weights=targets.weights)
+    shapes, weights, _ = fit_targets(displacements, bound, max_targets, measure_distances)
+    fitted = replace(without_targets, targets=shapes, target_weights=weights)
     error = max(
         float(np.linalg.norm(block[0] - points[frame], axis=1).max())
         for frame, block in enumerate(fitted.blocks(1))
@@ -118,91 +118,93 @@ def fit_correctives(skin: Skin, points: Float, bound: float, most: int) -> tuple
     return fitted, error
 
 
-def _without_collapse(skin: Skin, turns: Float) -> Float:
-    """Return the weights, with only one bone for vertices where the mean rotation is nearly singular."""
-    volume = np.full(len(skin.rest), np.inf)
-    for turn in turns:
-        np.minimum(volume, np.linalg.det(_mean_rotations(skin, turn)), out=volume)
-    one = np.eye(1, INFLUENCES)
-    return np.where(volume[:, None] < _COLLAPSED, one, skin.weights)
+def _prevent_collapse(skin: Skin, rotations: Float) -> Float:
+    """Return the weights, with a single bone for vertices where the mean rotation is nearly singular."""
+    determinants = np.full(len(skin.rest), np.inf)
+    for frame_rotations in rotations:
+        np.minimum(determinants, np.linalg.det(_mean_rotations(skin, frame_rotations)), out=determinants)
+    single = np.eye(1, BONES_PER_VERTEX)
+    return np.where(determinants[:, None] < _MIN_ROTATION_DETERMINANT, single, skin.weights)
 
 
-def _mean_rotations(skin: Skin, turns: Float) -> Float:
+def _mean_rotations(skin: Skin, rotations: Float) -> Float:
     """Return weighted means ``(V, 3, 3)`` of the rotations ``(B, 3, 3)`` of a frame."""
     means = np.zeros((len(skin.rest), 3, 3))
-    for column in range(INFLUENCES):
-        means += skin.weights[:, column, None, None] * turns[skin.influences[:, column]]
+    for column in range(BONES_PER_VERTEX):
+        means += skin.weights[:, column, None, None] * rotations[skin.influences[:, column]]
     return means
 
 
-MOST_BONES = 128
-"""Largest number of bones that is tried; constants here were chosen empirically."""
+MAX_BONES = 128
+"""Largest number of bones for an error; constants here were chosen empirically."""
 
-_FIRST = 8
-_CLOSE = 10  # the count may be too large by 1 / _CLOSE
-_CONVERGED = 0.8  # assumed ratio of errors of full to rough fits, before the first full one
-_GUESSED = 4  # fits at numbers predicted by rough fits; then bisection
-_NEARER = 1.2  # largest error of free bones, relative to the target, that a tree may reduce enough; 1.13 was observed
-_NONE = 1e-300
+_FIRST_BONE_COUNT = 8
+_COUNT_PRECISION_DIVISOR = 10  # of the number of bones
+_INITIAL_ERROR_RATIO = 0.8  # of full to rough fits, before the first full fit
+_MAX_PREDICTED_FITS = 4  # fits of predicted numbers of bones, before bisection
+_MAX_TREE_GAIN = 1.2  # ratio by which a tree may reduce the error of free bones; 1.13 was observed
+_TINY_NUMBER = 1e-300
 
 
-def fewest_bones(
-    roughly: Callable[[int], float],
-    free: Callable[[int], float],
-    hung: Callable[[int], tuple[Skin, float]],
-    wanted: float,
-    most: int,
+def fit_fewest_bones(
+    rough_error: Callable[[int], float],
+    free_error: Callable[[int], float],
+    fit_tree: Callable[[int], tuple[Skin, float]],
+    target_error: float,
+    max_count: int,
 ) -> tuple[Skin, float]:
-    """Return a skin with the fewest bones that reaches an error, to within a tenth, and its error."""
-    few, enough, left, tries = 0, most + 1, _CONVERGED, 0
+    """Fit a skin of the fewest bones, to within a tenth, for an error; return it with its error."""
+    too_few, enough, error_ratio, fit_count = 0, max_count + 1, _INITIAL_ERROR_RATIO, 0
     best: tuple[Skin, float] | None = None
-    tried: tuple[Skin, float] | None = None
-    while few < most and (best is None or enough - few > _margin(enough)):
-        last = enough - _margin(enough) if best else most
-        promising = _promising(roughly, few, last, wanted / max(left, _NONE))
-        count = min(last, max(promising, few + (1 if best else _margin(few))))
-        if tries >= _GUESSED:
-            count = (few + enough) // 2 if best else min(2 * few, most)
-        tries += 1
-        error = free(count)
-        tried = hung(count) if error <= _NEARER * wanted else None
-        left = (tried[1] if tried else error) / max(roughly(count), _NONE)
-        if tried and tried[1] <= wanted:
-            best, enough = tried, count
+    fit: tuple[Skin, float] | None = None
+    while too_few < max_count and (best is None or enough - too_few > _count_margin(enough)):
+        largest = enough - _count_margin(enough) if best else max_count
+        rough_target = target_error / max(error_ratio, _TINY_NUMBER)
+        predicted = _predict_count(rough_error, too_few, largest, rough_target)
+        count = min(largest, max(predicted, too_few + (1 if best else _count_margin(too_few))))
+        if fit_count >= _MAX_PREDICTED_FITS:
+            count = (too_few + enough) // 2 if best else min(2 * too_few, max_count)
+        fit_count += 1
+        free_bones_error = free_error(count)
+        fit = fit_tree(count) if free_bones_error <= _MAX_TREE_GAIN * target_error else None
+        error_ratio = (fit[1] if fit else free_bones_error) / max(rough_error(count), _TINY_NUMBER)
+        if fit and fit[1] <= target_error:
+            best, enough = fit, count
         else:
-            few = count
-    return best or tried or hung(most)
+            too_few = count
+    return best or fit or fit_tree(max_count)
 
 
-def _margin(count: int) -> int:
-    return 1 + count // _CLOSE
+def _count_margin(count: int) -> int:
+    return 1 + count // _COUNT_PRECISION_DIVISOR
 
 
-def _promising(roughly: Callable[[int], float], few: int, most: int, wanted: float) -> int:
-    """Return the number of bones above `few` with a sufficient rough fit, to within a tenth; `most` if none has."""
-    count = min(max(_FIRST, few + 1), most)
-    while roughly(count) > wanted:
-        if count == most:
-            return most
-        few, count = count, min(2 * count, most)
-    while count - few > _margin(count):
-        middle = (few + count) // 2
-        if roughly(middle) <= wanted:
+def _predict_count(rough_error: Callable[[int], float], too_few: int, limit: int, target: float) -> int:
+    """Return the fewest bones, to within a tenth, with a rough fit for an error; `limit` if there are none."""
+    count = min(max(_FIRST_BONE_COUNT, too_few + 1), limit)
+    while rough_error(count) > target:
+        if count == limit:
+            return limit
+        too_few, count = count, min(2 * count, limit)
+    while count - too_few > _count_margin(count):
+        middle = (too_few + count) // 2
+        if rough_error(middle) <= target:
             count = middle
         else:
-            few = middle
+            too_few = middle
     return count
 
 
-def errors(skin: Skin, sequence: Centred) -> tuple[float, float]:
+def measure_errors(skin: Skin, sequence: Centred) -> tuple[float, float]:
     r"""Return the largest distance from a sequence in diagonals, and the KG error in percent.
 
     .. math:: KG = 100 \frac{\lVert y - x \rVert_F}{\lVert x - \bar x \rVert_F}
     """
     largest = squares = spread = 0.0
-    for frame, shown in enumerate(skin.blocks(1)):
-        off = np.square(shown[0] - sequence.points[frame]).sum(axis=1)
-        largest, squares = max(largest, float(off.max())), squares + float(off.sum())
+    for frame, block in enumerate(skin.blocks(1)):
+        squared_distances = np.square(block[0] - sequence.points[frame]).sum(axis=1)
+        largest = max(largest, float(squared_distances.max()))
+        squares += float(squared_distances.sum())
         spread += float(np.square(sequence.points[frame] - sequence.centres[frame]).sum())
     return float(np.sqrt(largest)) / sequence.diagonal, 100 * float(np.sqrt(squares / (spread or 1.0)))
 
@@ -214,20 +216,20 @@ def fit_skin(
     correctives: float | None = None,
     max_targets: int = 32,
     rounds: int = 60,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     *,
     skeleton: Skeleton | None = None,
     bind_pose: MeshSequence | None = None,
     max_error: float | None = None,
     kg: float | None = None,
 ) -> Skin:
-    """Fit bones, at most four weights a vertex, and corrective targets to a sequence.
+    """Fit bones, at most four skinning weights a vertex, and corrective targets to a sequence.
 
-    Bones form a tree and turn about the joints to their parents. Joints that would cost more than a tenth of the error
-    slide as well: their translations have keys (see `mixseq.rigging.decomposition`).
+    Bones form a tree and turn about the joints with their parents. Joints that would increase the error by more than a
+    tenth slide as well: their translations have keys (see `mixseq.rigging.decomposition`).
 
-    Bones of a given skeleton keep their names, parents and rest positions, and the mesh keeps the shape in which it is
-    bound to them; weights and motions are fitted. Only roots slide, so that bones keep their lengths.
+    With a skeleton, bones keep their names, parents and rest positions, and the mesh keeps its bind shape; weights and
+    motions are fitted. Only roots slide, so that bones keep their lengths.
 
     Parameters
     ----------
@@ -235,18 +237,18 @@ def fit_skin(
         The animation; all of it is held in memory as float64.
     bones : int, or (F,) int array_like, optional
         Largest number of bones, or the initial bone of every triangle. By default the near-rigid parts found by motion
-        segmentation, which is what an animator would expect; more bones are more accurate.
+        segmentation, as an animator would expect; more bones are more accurate.
     correctives : float, optional
-        Largest distance of a vertex from the sequence, in diagonals, for corrective morph targets. None makes no
-        targets. With targets, vertices between bones that fold onto each other follow only one of them.
+        Largest distance of a vertex from the sequence, in diagonals, for corrective morph targets. By default there are
+        no targets. With targets, vertices between bones that fold onto each other follow one of them.
     max_targets : int
         Largest number of targets.
     rounds : int
-        Largest number of rounds of weights and motions; they end earlier when they gain little.
+        Largest number of fits of weights and motions; they end earlier if they gain little.
     progress : callable
         Called with the progress.
     skeleton : Skeleton, optional
-        The bones, from `mixseq.read_skeleton`, instead of those that are found.
+        Given bones, from `mixseq.read_skeleton`.
     bind_pose : MeshSequence, optional
         The mesh bound to the skeleton, from `mixseq.read_bind_pose`, in one frame, with the vertices of the sequence;
         unit and up axis are converted, and with them those of the skeleton. Without it the skeleton must match the
@@ -260,9 +262,9 @@ def fit_skin(
     Returns
     -------
     Skin
-        The rest shape of found bones is fitted too, and stays near the first frame; bones without vertices on them or
-        below are removed. Bones of a given skeleton that move nothing keep their rest pose relative to their parents.
-        Weights of a vertex decrease; unused ones are zero, of bone zero.
+        Without a skeleton, the rest shape is fitted too, near the first frame, and bones that move no vertices are
+        removed. With a skeleton, bones that move no vertices keep their rest pose relative to their parents. Weights of
+        a vertex decrease; unused ones are zero, of bone zero.
 
     Raises
     ------
@@ -270,8 +272,8 @@ def fit_skin(
         If it is no sequence, or the bind pose has other vertices.
     SettingsError
         If `bones` is no whole number between one and the number of triangles, an error is not positive, `max_targets`
-        or `rounds` is negative, more than one of `bones`, `skeleton`, `max_error` and `kg` is given, or the skeleton
-        does not stand in its mesh, or that has another size than the sequence.
+        or `rounds` is negative, more than one of `bones`, `skeleton`, `max_error` and `kg` is given, the skeleton is
+        not in its mesh, or the bind pose has another size than the sequence.
     SegmentationError
         If there is not one label for every triangle.
 
@@ -287,21 +289,21 @@ def fit_skin(
     _check_count("rounds", rounds)
     _check_error("max_error", max_error)
     _check_error("kg", kg, "percent, such as 0.5")
-    _check_ways({"bones": bones, "skeleton": skeleton, "max_error": max_error, "kg": kg}, bind_pose)
-    centred = Centred.of(sequence)
+    _check_bone_settings({"bones": bones, "skeleton": skeleton, "max_error": max_error, "kg": kg}, bind_pose)
+    centred = Centred.from_sequence(sequence)
     with one_blas_thread():
         if skeleton is not None:
             skin = fit_to_skeleton(centred, skeleton, bind_pose, rounds, progress)
         else:
 
-            def told(done: int) -> None:
-                progress(done, 2 * rounds + 1, "fitting weights and bones")
+            def report(round_id: int) -> None:
+                progress(round_id, 2 * rounds + 1, "fitting weights and bones")
 
             if max_error is None and kg is None:
-                free = fit_free_bones(centred, bones, rounds, told)
-                skin = skin_of_tree(centred, free, rounds, lambda done: told(rounds + done))
+                free = fit_free_bones(centred, bones, rounds, report)
+                skin = fit_tree_skin(centred, free, rounds, lambda done: report(rounds + done))
             else:
-                skin = _reaching(centred, max_error, kg, rounds, told)
+                skin = _fit_to_error(centred, max_error, kg, rounds, report)
         if correctives is None:
             return skin
         progress(2 * rounds, 2 * rounds + 1, "fitting correctives")
@@ -317,9 +319,9 @@ def fit_morph(
     sequence: Frames,
     max_error: float | None = None,
     max_targets: int | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Morph:
-    """Fit a base shape and morph targets to a sequence: its mean and its principal shapes.
+    """Fit morph targets to a sequence: its mean and its principal shapes.
 
     Parameters
     ----------
@@ -328,7 +330,7 @@ def fit_morph(
     max_error : float, optional
         Largest distance of a vertex, in diagonals; the fewest targets are made.
     max_targets : int, optional
-        Largest number of targets. Without either the fit is exact, with at most one target less than frames.
+        Largest number of targets. Without either the fit is exact, with fewer targets than frames.
     progress : callable
         Called with the progress.
 
@@ -347,57 +349,61 @@ def fit_morph(
     check_frames(sequence)
     _check_error("max_error", max_error)
     _check_count("max_targets", max_targets)
-    held = Centred.of(sequence)
+    centred = Centred.from_sequence(sequence)
     progress(0, 1, "fitting targets")
     with one_blas_thread():
-        base = held.points.mean(axis=0)
-        bound = None if max_error is None else max_error * held.diagonal
-        off = held.points - base
-        targets = fit_targets(off, bound, max_targets, lambda _, left: np.linalg.norm(left, axis=1))
-    _warn_if_missed(targets.error / held.diagonal, max_error, len(targets.shapes), "max_error", "max_targets")
+        base = centred.points.mean(axis=0)
+        bound = None if max_error is None else max_error * centred.diagonal
+        displacements = centred.points - base
+        shapes, weights, error = fit_targets(
+            displacements, bound, max_targets, lambda _, each: np.linalg.norm(each, axis=1)
+        )
+    _warn_if_missed(error / centred.diagonal, max_error, len(shapes), "max_error", "max_targets")
     progress(1, 1, "fitting targets")
-    return Morph(held.header, base, targets.shapes, targets.weights)
+    return Morph(centred.header, base, shapes, weights)
 
 
-def _reaching(
-    sequence: Centred, max_error: float | None, kg: float | None, rounds: int, told: Callable[[int], None]
+def _fit_to_error(
+    sequence: Centred, max_error: float | None, kg: float | None, rounds: int, report: Callable[[int], None]
 ) -> Skin:
     """Fit the fewest bones for an error."""
-    which, wanted = (0, max_error) if kg is None else (1, kg)
-    assert wanted is not None, "one of them is given"
+    index, target_error = (0, max_error) if kg is None else (1, kg)
+    assert target_error is not None, "one of them is given"
 
     @cache
-    def roughly(count: int) -> float:
-        return fit_free_bones(sequence, count, ROUGH, told).errors[which]
+    def rough_error(count: int) -> float:
+        return fit_free_bones(sequence, count, ROUGH_FIT_ROUNDS, report).errors[index]
 
     @lru_cache(1)
-    def free(count: int) -> FreeBones:
-        return fit_free_bones(sequence, count, rounds, told)
+    def free_bones(count: int) -> FreeBones:
+        return fit_free_bones(sequence, count, rounds, report)
 
-    def hung(count: int) -> tuple[Skin, float]:
-        skin = skin_of_tree(sequence, free(count), rounds, lambda done: told(rounds + done))
-        return skin, errors(skin, sequence)[which]
+    def fit_tree(count: int) -> tuple[Skin, float]:
+        skin = fit_tree_skin(sequence, free_bones(count), rounds, lambda done: report(rounds + done))
+        return skin, measure_errors(skin, sequence)[index]
 
-    most = min(MOST_BONES, len(sequence.header.faces))
-    skin, reached = fewest_bones(roughly, lambda count: free(count).errors[which], hung, wanted, most)
-    if reached > wanted:
+    max_count = min(MAX_BONES, len(sequence.header.faces))
+    skin, reached = fit_fewest_bones(
+        rough_error, lambda count: free_bones(count).errors[index], fit_tree, target_error, max_count
+    )
+    if reached > target_error:
         unit = "diagonals" if kg is None else "% (KG)"
         warnings.warn(
-            f"{skin.bone_count} bones reach an error of {reached:.3g} {unit}, not {wanted:g}; correctives take it "
-            "further, and a morph is for what has no limbs",
+            f"{skin.bone_count} bones reach an error of {reached:.3g} {unit}, not {target_error:g}; add correctives, "
+            "or fit a morph if the mesh has no limbs",
             MixseqWarning,
             stacklevel=4,
         )
     return skin
 
 
-def _check_ways(ways: dict[str, object], bind_pose: MeshSequence | None) -> None:
-    """Raise an error for several settings of the bones, and for a bind pose without a skeleton."""
-    given = [name for name, value in ways.items() if value is not None]
+def _check_bone_settings(settings: dict[str, object], bind_pose: MeshSequence | None) -> None:
+    """Raise for several settings of the bones, and for a bind pose without a skeleton."""
+    given = [name for name, value in settings.items() if value is not None]
     if len(given) > 1:
-        raise SettingsError(f"{given[0]} and {given[1]} both tell which bones there are; give one of them")
+        raise SettingsError(f"{given[0]} and {given[1]} both choose the bones; give one of them")
     if bind_pose is not None and given != ["skeleton"]:
-        raise SettingsError("bind_pose is the mesh that is bound to a skeleton; give that, too")
+        raise SettingsError("bind_pose is the mesh that is bound to a skeleton; give the skeleton, too")
 
 
 def _check_error(name: str, value: float | None, expected: str = "diagonals, such as 1e-3") -> None:
@@ -410,10 +416,10 @@ def _check_count(name: str, value: int | None) -> None:
         raise SettingsError(f"{name} is {value}; a number that is not negative is expected")
 
 
-def _warn_if_missed(reached: float, wanted: float | None, count: int, setting: str, cure: str) -> None:
-    if wanted is not None and reached > wanted:
+def _warn_if_missed(reached: float, bound: float | None, count: int, setting: str, cure: str) -> None:
+    if bound is not None and reached > bound:
         warnings.warn(
-            f"{count} targets reach an error of {reached:.3g} diagonals, not {wanted:g} as {setting} asks; "
+            f"{count} targets reach an error of {reached:.3g} diagonals, not the {bound:g} of {setting}; "
             f"allow more {cure}",
             MixseqWarning,
             stacklevel=4,

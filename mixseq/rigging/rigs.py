@@ -8,7 +8,7 @@ motion of the bones in the world, :math:`R_{tb}` about the pivot that is then at
 
 and those of roots are relative to the world. Sums along the tree lead back, parents first.
 
-*Linear blend skinning.* A vertex follows at most four bones, and the rest shape may be corrected before:
+*Linear blend skinning.* A vertex has at most four bones, and morph targets may correct the rest shape before:
 
 .. math::
 
@@ -17,8 +17,7 @@ and those of roots are relative to the world. Sums along the tree lead back, par
 
 *Morph targets.* :math:`x_t(v) = x_0(v) + \sum_m w_{tm} d_m(v)`.
 
-Both stream their frames as a `mixseq.sequence.sequence.MeshSequence` does, so that `mixseq.compare` and writers take
-them.
+Both yield blocks of frames as a `mixseq.sequence.sequence.MeshSequence` does, for `mixseq.compare` and for writers.
 """
 
 from __future__ import annotations
@@ -32,37 +31,37 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.mesh.polygons import frozen
+from mixseq.mesh.polygons import read_only
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
 
-INFLUENCES = 4
-"""Largest number of bones of a vertex: that of engines and the core of glTF 2.0."""
+BONES_PER_VERTEX = 4
+"""Number of skinning weights of a vertex, as in engines and in the core of glTF 2.0."""
 
-_SUM = 1e-6  # tolerance of sums of weights and lengths of quaternions
-_MISS = 1e-3  # share of a frame: tolerance of typed times at the first and last frame
+_UNIT_TOLERANCE = 1e-6  # of sums of weights and lengths of quaternions
+_TIME_TOLERANCE_FRAMES = 1e-3  # of times before the first and after the last frame, in frames
 
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Bones in a tree; the formulas are at the head of this module.
+    """Tree of bones.
 
     Attributes
     ----------
     names : tuple of str
-        B different names.
+        Unique names of B bones.
     parents : (B,) int64
-        The bone above each, which stands before it; -1 for roots.
+        Parent of every bone, before its children; -1 for roots.
     pivots : (B, 3) float64
-        Joints in the rest shape, in the file's units.
+        Joints at rest, in the file's units.
     axes : (B, 4) float64
-        Axes of the joints at rest: unit quaternions x, y, z, w from them to the world.
+        Rotations from the axes of the joints at rest to the world: unit quaternions x, y, z, w.
 
     Raises
     ------
     InvalidSequenceError
-        If there is no bone, arrays do not fit each other, a name is empty or occurs twice, a parent does not stand
-        before its child, a number is not finite, or a quaternion is no unit quaternion.
+        If there is no bone, shapes do not match, a name is empty or occurs twice, a parent is not before its child, a
+        number is not finite, or a quaternion has another length than one.
     """
 
     names: tuple[str, ...]
@@ -74,24 +73,26 @@ class Skeleton:
         object.__setattr__(self, "names", tuple(self.names))
         count = len(self.names)
         if not count:
-            raise InvalidSequenceError("a skeleton has no bones; one at least is expected")
-        twice = [name for name, times in Counter(self.names).items() if not name or times > 1]
-        if twice:
-            raise InvalidSequenceError(f"the name {twice[0]!r} of a bone is empty or occurs twice; rename it")
+            raise InvalidSequenceError("a skeleton has no bones; at least one is expected")
+        invalid = [name for name, uses in Counter(self.names).items() if not name or uses > 1]
+        if invalid:
+            raise InvalidSequenceError(
+                f"the name {invalid[0]!r} of a bone is empty or occurs twice; rename it"
+            )
         parents = np.asarray(self.parents, dtype=np.int64)
         if parents.shape != (count,):
             raise InvalidSequenceError(f"parents have shape {parents.shape}; ({count},) is expected")
-        object.__setattr__(self, "parents", frozen(parents))
-        early = (parents < -1) | (parents >= np.arange(count))
-        if early.any():
-            bone = int(np.argmax(early))
+        object.__setattr__(self, "parents", read_only(parents))
+        is_early = (parents < -1) | (parents >= np.arange(count))
+        if is_early.any():
+            bone = int(np.argmax(is_early))
             raise InvalidSequenceError(
                 f"the parent of bone {bone} is {parents[bone]}; a bone before it, or -1 for none, is expected"
             )
-        _take(self, "pivots", (count, 3))
-        _take(self, "axes", (count, 4))
+        _set_array(self, "pivots", (count, 3))
+        _set_array(self, "axes", (count, 4))
         lengths = np.linalg.norm(self.axes, axis=1)
-        if (np.abs(lengths - 1) > _SUM).any():
+        if (np.abs(lengths - 1) > _UNIT_TOLERANCE).any():
             bone = int(np.argmax(np.abs(lengths - 1)))
             raise InvalidSequenceError(
                 f"the axes of bone {self.names[bone]!r} have length {lengths[bone]:g}; unit quaternions are expected"
@@ -99,7 +100,7 @@ class Skeleton:
 
     @classmethod
     def from_pivots(cls, pivots: FloatArray) -> Skeleton:
-        """Return bones without parents, with the axes of the world, named ``bone_000`` and so on: pivots ``(B, 3)``."""
+        """Return bones ``bone_000`` ... without parents at pivots ``(B, 3)``, with the axes of the world."""
         count = len(pivots)
         names = tuple(f"bone_{bone:03d}" for bone in range(count))
         axes = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
@@ -111,32 +112,36 @@ class Skeleton:
         return len(self.names)
 
     def local_rest(self) -> LocalMotion:
-        """Return the rest joints, relative to their parents: rotations ``(B, 4)``, translations ``(B, 3)``."""
-        still = np.tile([0.0, 0.0, 0.0, 1.0], (1, self.bone_count, 1))
-        rest = self.to_local(still, self.pivots[None])
+        """Return rotations ``(B, 4)`` and translations ``(B, 3)`` of the joints at rest, relative to their parents."""
+        identity = np.tile([0.0, 0.0, 0.0, 1.0], (1, self.bone_count, 1))
+        rest = self.to_local(identity, self.pivots[None])
         return LocalMotion(rest.rotations[0], rest.translations[0])
 
     def to_local(self, rotations: Float, translations: Float) -> LocalMotion:
-        """Return a motion of the world, R ``(T, B, 4)`` and c ``(T, B, 3)``, relative to the parents."""
-        turned, places = np.empty_like(rotations), np.array(translations)
-        here = [Rotation.from_quat(rotations[:, b]) * self._axes(b) for b in range(self.bone_count)]
-        for b, a in enumerate(self.parents.tolist()):
-            turned[:, b] = (here[b] if a < 0 else here[a].inv() * here[b]).as_quat()
-            if a >= 0:
-                places[:, b] = here[a].apply(translations[:, b] - translations[:, a], inverse=True)
-        return LocalMotion(turned, places)
+        """Return a motion in the world, R ``(T, B, 4)`` and c ``(T, B, 3)``, relative to the parents."""
+        local_rotations, local_translations = np.empty_like(rotations), np.array(translations)
+        world = [Rotation.from_quat(rotations[:, bone]) * self._axes(bone) for bone in range(self.bone_count)]
+        for bone, parent in enumerate(self.parents.tolist()):
+            if parent < 0:
+                local_rotations[:, bone] = world[bone].as_quat()
+                continue
+            local_rotations[:, bone] = (world[parent].inv() * world[bone]).as_quat()
+            offsets = translations[:, bone] - translations[:, parent]
+            local_translations[:, bone] = world[parent].apply(offsets, inverse=True)
+        return LocalMotion(local_rotations, local_translations)
 
     def to_world(self, local: LocalMotion) -> tuple[Float, Float]:
         """Return R ``(T, B, 4)`` and c ``(T, B, 3)`` of a motion relative to the parents."""
-        turned, places = np.empty_like(local.rotations), np.array(local.translations)
-        here: list[Rotation] = []
-        for b, a in enumerate(self.parents.tolist()):
-            own = Rotation.from_quat(local.rotations[:, b])
-            here.append(own if a < 0 else here[a] * own)
-            if a >= 0:
-                places[:, b] = places[:, a] + here[a].apply(local.translations[:, b])
-            turned[:, b] = (here[b] * self._axes(b).inv()).as_quat()
-        return turned, places
+        rotations, translations = np.empty_like(local.rotations), np.array(local.translations)
+        world: list[Rotation] = []
+        for bone, parent in enumerate(self.parents.tolist()):
+            rotation = Rotation.from_quat(local.rotations[:, bone])
+            world.append(rotation if parent < 0 else world[parent] * rotation)
+            if parent >= 0:
+                offsets = world[parent].apply(local.translations[:, bone])
+                translations[:, bone] = translations[:, parent] + offsets
+            rotations[:, bone] = (world[bone] * self._axes(bone).inv()).as_quat()
+        return rotations, translations
 
     def _axes(self, bone: int) -> Rotation:
         return Rotation.from_quat(self.axes[bone])
@@ -146,17 +151,13 @@ class Skeleton:
 class LocalMotion:
     """Rotations and translations of joints relative to their parents, and of roots to the world."""
 
-    rotations: (
-        Float  # (..., B, 4) unit quaternions x, y, z, w, from the axes of the joint to those of its parent
-    )
-    translations: (
-        Float  # (..., B, 3) joints in the axes of their parents, from their joints on, in the file's units
-    )
+    rotations: Float  # (..., B, 4) unit quaternions x, y, z, w, from joint axes to parent axes
+    translations: Float  # (..., B, 3) joints in the axes of their parents, relative to their joints
 
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """A mesh that follows moving bones; the formula is at the head of this module.
+    """Mesh that is skinned to moving bones, optionally with morph targets.
 
     Attributes
     ----------
@@ -165,25 +166,25 @@ class Skin:
     rest : (V, 3) float64
         Rest shape r, in the file's units.
     skeleton : Skeleton
-        The bones: their names and tree, and the pivots p about which they turn, in the rest shape.
+        Bones, with pivots p in the rest shape.
     rotations : (T, B, 4) float64
-        R, in the world: unit quaternions x, y, z, w; along the frames without jumps of sign.
+        Rotations R in the world: unit quaternions x, y, z, w, without sign flips between frames.
     translations : (T, B, 3) float64
-        Positions of the pivots, c, in the world.
+        Positions c of the pivots in the world.
     influences : (V, 4) int64
         Bone of every weight.
     weights : (V, 4) float64
-        Not negative, rows add to one.
+        Skinning weights w, not negative; rows add to one.
     targets : (M, V, 3) float64
-        Displacements d of the rest shape, added before skinning.
+        Morph targets d: displacements of the rest shape before skinning.
     target_weights : (T, M) float64
         Weights a of the targets.
 
     Raises
     ------
     InvalidSequenceError
-        If arrays do not fit each other, a bone does not exist, a weight is negative, or weights or quaternions do not
-        have the length one.
+        If shapes do not match, a bone does not exist, a weight is negative, weights do not add to one, or a quaternion
+        has another length than one.
     """
 
     header: SequenceHeader
@@ -197,34 +198,35 @@ class Skin:
     target_weights: Float
 
     def __post_init__(self) -> None:
-        t, v, b, m = (self.header.frame_count, self.header.vertex_count, self.bone_count, len(self.targets))
-        _take(self, "rest", (v, 3))
-        _take(self, "rotations", (t, b, 4))
-        _take(self, "translations", (t, b, 3))
-        _take(self, "weights", (v, INFLUENCES))
-        _take(self, "targets", (m, v, 3))
-        _take(self, "target_weights", (t, m))
-        object.__setattr__(self, "influences", frozen(np.asarray(self.influences, dtype=np.int64)))
-        if self.influences.shape != (v, INFLUENCES):
+        t, v, b, m = self.header.frame_count, self.header.vertex_count, self.bone_count, len(self.targets)
+        _set_array(self, "rest", (v, 3))
+        _set_array(self, "rotations", (t, b, 4))
+        _set_array(self, "translations", (t, b, 3))
+        _set_array(self, "weights", (v, BONES_PER_VERTEX))
+        _set_array(self, "targets", (m, v, 3))
+        _set_array(self, "target_weights", (t, m))
+        object.__setattr__(self, "influences", read_only(np.asarray(self.influences, dtype=np.int64)))
+        if self.influences.shape != (v, BONES_PER_VERTEX):
             raise InvalidSequenceError(
-                f"influences have shape {self.influences.shape}; ({v}, {INFLUENCES}) is expected"
+                f"influences have shape {self.influences.shape}; ({v}, {BONES_PER_VERTEX}) is expected"
             )
-        outside = (self.influences < 0) | (self.influences >= b)
-        if outside.any():
-            vertex, column = np.argwhere(outside)[0]
+        is_outside = (self.influences < 0) | (self.influences >= b)
+        if is_outside.any():
+            vertex, column = np.argwhere(is_outside)[0]
             raise InvalidSequenceError(
                 f"vertex {vertex} follows bone {self.influences[vertex, column]}, but bones are 0 to {b - 1}"
             )
-        off = (self.weights < 0).any(axis=1) | (np.abs(self.weights.sum(axis=1) - 1) > _SUM)
-        if off.any():
-            vertex = int(np.argmax(off))
+        sums = self.weights.sum(axis=1)
+        is_invalid = (self.weights < 0).any(axis=1) | (np.abs(sums - 1) > _UNIT_TOLERANCE)
+        if is_invalid.any():
+            vertex = int(np.argmax(is_invalid))
             raise InvalidSequenceError(
                 f"the weights of vertex {vertex} are {self.weights[vertex].tolist()}; "
                 "numbers that are not negative and add to one are expected"
             )
         lengths = np.linalg.norm(self.rotations, axis=2)
-        if (np.abs(lengths - 1) > _SUM).any():
-            frame, bone = np.argwhere(np.abs(lengths - 1) > _SUM)[0]
+        if (np.abs(lengths - 1) > _UNIT_TOLERANCE).any():
+            frame, bone = np.argwhere(np.abs(lengths - 1) > _UNIT_TOLERANCE)[0]
             raise InvalidSequenceError(
                 f"frame {frame}: the quaternion of bone {bone} has length {lengths[frame, bone]:g}; "
                 "unit quaternions are expected"
@@ -237,16 +239,13 @@ class Skin:
 
     @property
     def pivots(self) -> Float:
-        """Points p ``(B, 3)`` about which the bones turn, in the rest shape."""
+        """Pivots p ``(B, 3)`` of the bones in the rest shape."""
         return self.skeleton.pivots
 
     def local_motion(self) -> LocalMotion:
-        """Return joints relative to their parents: rotations ``(T, B, 4)`` and translations ``(T, B, 3)``.
-
-        Rotations have no jumps of sign along the frames.
-        """
-        found = self.skeleton.to_local(self.rotations, self.translations)
-        return replace(found, rotations=remove_sign_flips(found.rotations))
+        """Return rotations ``(T, B, 4)``, without sign flips, and translations ``(T, B, 3)`` relative to parents."""
+        local = self.skeleton.to_local(self.rotations, self.translations)
+        return replace(local, rotations=remove_sign_flips(local.rotations))
 
     def blocks(self, size: int = 16) -> Iterator[Float]:
         """Iterate over the points in blocks ``(n, V, 3)`` of at most `size` frames."""
@@ -259,17 +258,17 @@ class Skin:
         return np.concatenate(list(self.blocks()))
 
     def resampled(self, times: ArrayLike, fps: float | None = None) -> Skin:
-        """Return the same skin at other times.
+        """Resample the skin at other times, interpolating keys as engines do.
 
-        Relative to their parents, bones turn at a constant rate from frame to frame, by the shorter way (spherical
-        linear interpolation, Shoemake 1985); joints and weights of targets are linear, as engines interpolate keys.
+        Rotations relative to the parents have spherical linear interpolation (Shoemake 1985); joints and weights of
+        targets are linear.
 
         Parameters
         ----------
         times : (n,) array_like
-            Seconds, increasing, between the first and the last frame.
+            Increasing times between the first and the last frame, in seconds.
         fps : float, optional
-            Frames per second of the time line; that of the header if not given.
+            Frame rate; that of the header if not given.
 
         Raises
         ------
@@ -279,44 +278,43 @@ class Skin:
             If times do not increase.
         """
         header = self.header.with_times(times, fps)
-        before, after, share = _between(self.header, header.times)
+        before, after, fraction = _bracket_times(self.header, header.times)
         local = self.local_motion()
         p, q = local.rotations[before], local.rotations[after]
         q = q * np.where(np.sum(p * q, axis=2, keepdims=True) < 0, -1.0, 1.0)
-        moved = LocalMotion(
-            _slerp(p, q, share[:, None, None]), _mixed(local.translations, before, after, share)
-        )
-        rotations, translations = self.skeleton.to_world(moved)
+        rotations = _slerp(p, q, fraction[:, None, None])
+        translations = _interpolate(local.translations, before, after, fraction)
+        rotations, translations = self.skeleton.to_world(LocalMotion(rotations, translations))
         return replace(
             self,
             header=header,
             rotations=remove_sign_flips(rotations),
             translations=translations,
-            target_weights=_mixed(self.target_weights, before, after, share),
+            target_weights=_interpolate(self.target_weights, before, after, fraction),
         )
 
     def _frame(self, frame: int) -> Float:
-        """Return the points ``(V, 3)`` of a frame, each moved by the weighted mean of its bones' matrices."""
-        turn = rotation_matrices(self.rotations[frame])
-        shift = self.translations[frame] - np.einsum("bij,bj->bi", turn, self.pivots)
-        motions = np.concatenate([turn, shift[:, :, None]], axis=2)
+        """Return the points ``(V, 3)`` of a frame by linear blend skinning."""
+        rotations = rotation_matrices(self.rotations[frame])
+        offsets = self.translations[frame] - np.einsum("bij,bj->bi", rotations, self.pivots)
+        motions = np.concatenate([rotations, offsets[:, :, None]], axis=2)
         shape = self.rest + np.einsum("m,mvi->vi", self.target_weights[frame], self.targets)
         blended = np.zeros((len(shape), 3, 4))
-        for column in range(INFLUENCES):
+        for column in range(BONES_PER_VERTEX):
             blended += self.weights[:, column, None, None] * motions[self.influences[:, column]]
         return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], shape) + blended[:, :, 3])
 
 
 @dataclass(frozen=True, eq=False)
 class Morph:
-    """A mesh that is a sum of shapes; the formula is at the head of this module.
+    """Mesh with morph targets (blend shapes).
 
     Attributes
     ----------
     header : SequenceHeader
         Mesh and times.
     base : (V, 3) float64
-        The shape to which targets are added, in the file's units.
+        Base shape, in the file's units.
     targets : (M, V, 3) float64
         Displacements of the base.
     weights : (T, M) float64
@@ -325,7 +323,7 @@ class Morph:
     Raises
     ------
     InvalidSequenceError
-        If arrays do not fit each other.
+        If shapes do not match.
     """
 
     header: SequenceHeader
@@ -335,23 +333,23 @@ class Morph:
 
     def __post_init__(self) -> None:
         t, v, m = self.header.frame_count, self.header.vertex_count, len(self.targets)
-        _take(self, "base", (v, 3))
-        _take(self, "targets", (m, v, 3))
-        _take(self, "weights", (t, m))
+        _set_array(self, "base", (v, 3))
+        _set_array(self, "targets", (m, v, 3))
+        _set_array(self, "weights", (t, m))
 
     def blocks(self, size: int = 16) -> Iterator[Float]:
         """Iterate over the points in blocks ``(n, V, 3)`` of at most `size` frames."""
         flat = self.targets.reshape(len(self.targets), self.base.size)
         for start in range(0, self.header.frame_count, size):
-            moved = self.weights[start : start + size] @ flat
-            yield self.base + moved.reshape(-1, *self.base.shape)
+            displacements = self.weights[start : start + size] @ flat
+            yield self.base + displacements.reshape(-1, *self.base.shape)
 
     def points(self) -> Float:
         """Return all frames ``(T, V, 3)``."""
         return np.concatenate(list(self.blocks()))
 
     def resampled(self, times: ArrayLike, fps: float | None = None) -> Morph:
-        """Return the same morph at other times; weights are interpolated linearly.
+        """Resample the morph at other times, by linear interpolation of weights.
 
         Raises
         ------
@@ -361,9 +359,8 @@ class Morph:
             If times do not increase.
         """
         header = self.header.with_times(times, fps)
-        return replace(
-            self, header=header, weights=_mixed(self.weights, *_between(self.header, header.times))
-        )
+        weights = _interpolate(self.weights, *_bracket_times(self.header, header.times))
+        return replace(self, header=header, weights=weights)
 
 
 def rotation_matrices(quaternions: FloatArray) -> Float:
@@ -378,7 +375,7 @@ def rotation_matrices(quaternions: FloatArray) -> Float:
 
 
 def remove_sign_flips(quaternions: FloatArray) -> Float:
-    """Choose signs of quaternions ``(T, ..., 4)``, w >= 0 at first, then near the one before, for interpolation."""
+    """Choose signs of quaternions ``(T, ..., 4)`` for interpolation: first w >= 0, then next to the previous frame."""
     q = np.array(quaternions, dtype=np.float64)
     flips = np.ones(q.shape[:-1])
     flips[:1] = np.where(q[:1, ..., 3] < 0, -1.0, 1.0)
@@ -386,45 +383,45 @@ def remove_sign_flips(quaternions: FloatArray) -> Float:
     return np.asarray(q * np.cumprod(flips, axis=0)[..., None])
 
 
-def _slerp(p: Float, q: Float, share: Float) -> Float:
-    """Interpolate unit quaternions p to q, less than half a turn of the four-sphere apart, by a share of the way."""
-    # The angle from chords, which is accurate for small angles too.
-    angle = 2 * np.arctan2(
-        np.linalg.norm(p - q, axis=-1, keepdims=True), np.linalg.norm(p + q, axis=-1, keepdims=True)
-    )
+def _slerp(p: Float, q: Float, fraction: Float) -> Float:
+    """Interpolate spherically from unit quaternions p to q, which are less than half a turn apart."""
+    # The angle follows from chords, which is accurate for small angles.
+    chord, sum_length = (np.linalg.norm(each, axis=-1, keepdims=True) for each in (p - q, p + q))
+    angle = 2 * np.arctan2(chord, sum_length)
     sine = np.sin(angle)
-    straight = sine < 1e-8
-    safe = np.where(straight, 1.0, sine)
-    first = np.where(straight, 1 - share, np.sin((1 - share) * angle) / safe)
-    second = np.where(straight, share, np.sin(share * angle) / safe)
-    turned = first * p + second * q
-    return np.asarray(turned / np.linalg.norm(turned, axis=-1, keepdims=True))
+    is_small = sine < 1e-8
+    safe_sine = np.where(is_small, 1.0, sine)
+    first = np.where(is_small, 1 - fraction, np.sin((1 - fraction) * angle) / safe_sine)
+    second = np.where(is_small, fraction, np.sin(fraction * angle) / safe_sine)
+    blended = first * p + second * q
+    return np.asarray(blended / np.linalg.norm(blended, axis=-1, keepdims=True))
 
 
-def _between(header: SequenceHeader, times: Float) -> tuple[Index, Index, Float]:
-    """Return the frames before and after every time, and the share of the way from one to the other."""
-    own, slack = header.times, _MISS / header.fps
-    if len(times) and (times[0] < own[0] - slack or times[-1] > own[-1] + slack):
+def _bracket_times(header: SequenceHeader, times: Float) -> tuple[Index, Index, Float]:
+    """Return the frames before and after every time, and the fraction between them."""
+    frame_times, tolerance = header.times, _TIME_TOLERANCE_FRAMES / header.fps
+    if len(times) and (times[0] < frame_times[0] - tolerance or times[-1] > frame_times[-1] + tolerance):
         raise SettingsError(
             f"times from {times[0]:g} s to {times[-1]:g} s leave those of the frames, "
-            f"{own[0]:g} s to {own[-1]:g} s; ask for times between them"
+            f"{frame_times[0]:g} s to {frame_times[-1]:g} s; give times between them"
         )
-    before = np.clip(np.searchsorted(own, times, side="right") - 1, 0, max(len(own) - 2, 0))
-    after = np.minimum(before + 1, len(own) - 1)
-    span = np.where(after > before, own[after] - own[before], 1.0)
-    return before, after, np.clip((times - own[before]) / span, 0.0, 1.0)
+    last = max(len(frame_times) - 2, 0)
+    before = np.clip(np.searchsorted(frame_times, times, side="right") - 1, 0, last)
+    after = np.minimum(before + 1, len(frame_times) - 1)
+    span = np.where(after > before, frame_times[after] - frame_times[before], 1.0)
+    return before, after, np.clip((times - frame_times[before]) / span, 0.0, 1.0)
 
 
-def _mixed(values: Float, before: Index, after: Index, share: Float) -> Float:
-    share = share.reshape(-1, *[1] * (values.ndim - 1))
-    return np.asarray((1 - share) * values[before] + share * values[after])
+def _interpolate(values: Float, before: Index, after: Index, fraction: Float) -> Float:
+    fraction = fraction.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray((1 - fraction) * values[before] + fraction * values[after])
 
 
-def _take(rig: object, name: str, shape: tuple[int, ...]) -> None:
-    """Replace an array of a rig by a read-only one of float64; raise an error for another shape."""
+def _set_array(rig: object, name: str, shape: tuple[int, ...]) -> None:
+    """Replace an array of a rig by a read-only float64 array; raise for another shape."""
     array = np.ascontiguousarray(getattr(rig, name), dtype=np.float64)
     if array.shape != shape:
         raise InvalidSequenceError(f"{name} have shape {array.shape}; {shape} is expected")
     if not np.isfinite(array).all():
         raise InvalidSequenceError(f"{name} have entries that are not finite")
-    object.__setattr__(rig, name, frozen(array))
+    object.__setattr__(rig, name, read_only(array))

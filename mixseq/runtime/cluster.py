@@ -1,8 +1,7 @@
-"""An executor on the workers of a cluster, with dask.distributed (extra ``dask``): a given one, or one started here.
+"""An executor on the workers of a cluster, with dask.distributed (extra ``dask``): existing or local.
 
-Results and their order are those of `mixseq.runtime.parallel.serially`, also if a worker dies. Every task carries its
-input, including the shared object, so that the scheduler can resend it; *scattered* data would be lost with its worker
-[1]_.
+Results and their order are those of `serial_executor`, also if a worker dies. Every task carries its input, including
+the shared object, so that the scheduler can resend it; *scattered* data would be lost with its worker [1]_.
 
 References
 ----------
@@ -37,8 +36,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-class Cluster:
-    """An `Executor` on the workers of a cluster; made by `cluster`."""
+class ClusterExecutor:
+    """An `Executor` on the workers of a cluster; made by `connect_to_cluster`."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -47,98 +46,97 @@ class Cluster:
         self, function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
     ) -> Iterator[Result]:
         """Yield ``function(shared, item)`` in the order of the items, which are consumed as workers become free."""
-        ahead: deque[Any] = deque()
+        pending: deque[Any] = deque()
         submit = self._prepare(function, shared)
-        many = 2 * self._threads()
+        max_pending = 2 * self._thread_count()
         try:
             for item in items:
-                ahead.append(submit(item))
-                if len(ahead) > many:
-                    yield _result(ahead.popleft())
-            while ahead:
-                yield _result(ahead.popleft())
+                pending.append(submit(item))
+                if len(pending) > max_pending:
+                    yield _result(pending.popleft())
+            while pending:
+                yield _result(pending.popleft())
         finally:
-            self._cancel(ahead)
+            self._cancel(pending)
 
-    def as_done(
+    def as_completed(
         self, function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
     ) -> Iterator[tuple[Item, Callable[[], Result]]]:
-        """Yield every item when it is done, in any order, with a function that returns or raises its result.
+        """Yield every item when it is done, in any order, and a function that returns or raises its result.
 
-        For long work that may kill its worker, with a small shared object. As dask blames all tasks of a dead worker,
-        workers get only what they work on. Tasks that dask gave up are retried once at the end, each alone.
+        For long tasks that may kill their worker, with a small shared object. Dask blames all tasks of a dead worker,
+        so a worker gets one task per thread. Tasks that dask gave up are retried once at the end, one at a time.
         """
-        suspects = []
-        for item, future in self._as_done(function, shared, items, self._threads):
-            if _given_up(future):
+        suspects, killed = [], dask_module("distributed").KilledWorker
+        for item, future in self._submit_items(function, shared, items, self._thread_count):
+            if future.status == "error" and isinstance(future.exception(), killed):
                 suspects.append(item)
             else:
                 yield item, partial(_result, future)
-        for item, future in self._as_done(function, shared, suspects, lambda: 1):
+        for item, future in self._submit_items(function, shared, suspects, lambda: 1):
             yield item, partial(_result, future)
 
-    def _as_done(
+    def _submit_items(
         self,
         function: Callable[[Shared, Item], Result],
         shared: Shared,
         items: Iterable[Item],
-        most: Callable[[], int],
+        max_pending: Callable[[], int],
     ) -> Iterator[tuple[Item, Any]]:
-        """Yield items with their futures as they are done, with at most `most` under way."""
-        dumps, name = dask_module("distributed.protocol.pickle").dumps, _name(function)
-        waiting = iter(items)
-        ahead: dict[Any, Item] = {}
-        done = dask_module("distributed").as_completed(loop=self._client.loop)
+        """Yield items with their futures as they are done, with at most `max_pending()` at a time."""
+        dumps, name = dask_module("distributed.protocol.pickle").dumps, _task_name(function)
+        remaining = iter(items)
+        pending: dict[Any, Item] = {}
+        completed = dask_module("distributed").as_completed(loop=self._client.loop)
         try:
             while True:
-                free = most() - len(ahead)  # asked again each time, as workers come and go
-                for item in islice(waiting, max(0, free)):
-                    with _connected():
+                free = max_pending() - len(pending)  # workers come and go
+                for item in islice(remaining, max(0, free)):
+                    with _convert_errors():
                         work = dumps((function, shared, item))
                         future = self._client.submit(_apply_alone, work, key=f"{name}-{uuid4()}")
-                    ahead[future] = item
-                    done.add(future)
-                if not ahead:
+                    pending[future] = item
+                    completed.add(future)
+                if not pending:
                     return
-                future = next(done)
-                yield ahead.pop(future), future
+                future = next(completed)
+                yield pending.pop(future), future
         finally:
-            self._cancel(ahead)
+            self._cancel(pending)
 
-    def _threads(self) -> int:
-        """Return the current number of worker threads, at least 1, as workers may come back."""
-        with _connected():
+    def _thread_count(self) -> int:
+        """Return the current number of worker threads, at least 1, as lost workers may return."""
+        with _convert_errors():
             threads: dict[str, int] = self._client.nthreads()
         return max(1, sum(threads.values()))
 
     def _cancel(self, futures: Iterable[Any]) -> None:
-        """Cancel futures; errors of a lost connection are ignored, to keep the original error."""
-        with suppress(ClusterError), _connected():
+        """Cancel futures; a lost connection is ignored, to keep the original error."""
+        with suppress(ClusterError), _convert_errors():
             self._client.cancel(list(futures))
 
     def _prepare(self, function: Callable[..., Any], shared: object) -> Callable[[Any], Any]:
         """Return a function that submits an item."""
-        # Pickled here, so that dask does not look for tasks in what it carries.
-        dumps, name = dask_module("distributed.protocol.pickle").dumps, _name(function)
-        with _connected():
-            call = self._client.submit(_call, dumps((function, shared)), key=f"{name}-call-{uuid4()}")
+        # Pickled here, so that dask does not search the arguments for tasks.
+        dumps, name = dask_module("distributed.protocol.pickle").dumps, _task_name(function)
+        with _convert_errors():
+            call = self._client.submit(_bind, dumps((function, shared)), key=f"{name}-call-{uuid4()}")
             workers = sorted(self._client.nthreads())
-        # In turn: left to itself dask keeps quick tasks where what is shared already is. Others help if one is gone.
-        # If there are none just now, whichever comes does the work.
+        # In turn, as dask would keep quick tasks on the workers that have the shared object; any worker if one is gone.
         turns = cycle([{"workers": worker, "allow_other_workers": True} for worker in workers] or [{}])
 
         def submit(item: object) -> Any:
-            with _connected():
+            with _convert_errors():
                 return self._client.submit(_apply, call, dumps(item), key=f"{name}-{uuid4()}", **next(turns))
 
         return submit
 
 
-_LOST = "the connection to the scheduler of the cluster was lost; start again"
+_CONNECTION_LOST = "the connection to the scheduler of the cluster was lost; start again"
 
 
 @contextmanager
-def _connected() -> Iterator[None]:
+def _convert_errors() -> Iterator[None]:
     """Convert dask's connection errors to ClusterError."""
     closed = (
         dask_module("distributed.client").ClosedClientError,
@@ -147,15 +145,15 @@ def _connected() -> Iterator[None]:
     try:
         yield
     except (*closed, CancelledError, ConnectionError, TimeoutError):
-        raise ClusterError(_LOST) from None
+        raise ClusterError(_CONNECTION_LOST) from None
 
 
-def _name(function: Callable[..., Any]) -> str:
-    """Return the name of tasks, by which dask groups those of similar duration."""
+def _task_name(function: Callable[..., Any]) -> str:
+    """Return the common name of the tasks of a function, by which dask estimates their duration."""
     return f"mixseq-{getattr(function, '__name__', 'work')}"
 
 
-def _call(pickled: bytes) -> Callable[[Any], Any]:
+def _bind(pickled: bytes) -> Callable[[Any], Any]:
     """Bind the function to the shared object on a worker; other workers copy it from there."""
     function, shared = pickle.loads(pickled)
     return partial(function, shared)
@@ -173,22 +171,16 @@ def _apply_alone(work: bytes) -> Any:
         return function(shared, item)
 
 
-def _given_up(future: Any) -> bool:
-    return future.status == "error" and isinstance(
-        future.exception(), dask_module("distributed").KilledWorker
-    )
-
-
 def _result(future: Any) -> Any:
     distributed = dask_module("distributed")
     try:
         return future.result()
     except distributed.KilledWorker:
         raise GivenUpError(
-            "several workers died over the same piece of work, which was given up; they may have too little memory"
+            "several workers died while they did the same task, which was given up; they may need more memory"
         ) from None
     except (CancelledError, distributed.client.ClosedClientError, distributed.comm.CommClosedError):
-        raise ClusterError(_LOST) from None
+        raise ClusterError(_CONNECTION_LOST) from None
 
 
 def dask_module(module: str) -> Any:
@@ -201,86 +193,91 @@ def dask_module(module: str) -> Any:
         ) from error
 
 
-PATIENCE = 10.0
-"""Seconds to wait for a scheduler to answer, and for it to have workers."""
+CONNECT_TIMEOUT_SECONDS = 10.0
+"""Time in which a scheduler must answer, and have workers."""
 
-_ONE_THREAD = dict.fromkeys(
+_ONE_THREAD_VARIABLES = dict.fromkeys(
     ("MIXSEQ_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
 
 
 @contextmanager
-def cluster(address: str) -> Iterator[Cluster]:
+def connect_to_cluster(address: str) -> Iterator[ClusterExecutor]:
     """Connect to a cluster, or start a local one, for the duration of the block."""
-    processes = _local_processes(address)
-    distributed = dask_module("distributed")  # first: it brings the settings, of which we change one
-    # Items may be blocks of frames: large, but never many at once, which is all that dask warns about.
+    process_count = _local_process_count(address)
+    distributed = dask_module(
+        "distributed"
+    )  # first, as its import sets the configuration that is changed here
+    # No warning about large tasks: items may be blocks of frames, of which few are sent at a time.
     unwarned = dask_module("dask.config").set({"distributed.admin.large-graph-warning-threshold": "1 TiB"})
     with unwarned, distributed.utils.silence_logging_cmgr(logging.CRITICAL):
-        if processes:
-            with _local(processes) as started, distributed.Client(started, set_as_default=False) as client:
-                yield Cluster(client)
+        if process_count:
+            with (
+                _local(process_count) as started,
+                distributed.Client(started, set_as_default=False) as client,
+            ):
+                yield ClusterExecutor(client)
         else:
             _check_scheduler(address)
             with distributed.Client(address, set_as_default=False) as client:
                 _check_workers(client, address)
-                yield Cluster(client)
+                yield ClusterExecutor(client)
 
 
-def _local_processes(address: str) -> int:
+def _local_process_count(address: str) -> int:
     """Return N of ``local:N``, 0 for other addresses."""
     if address.partition(":")[0] != "local":
         return 0
-    number = re.fullmatch(r"local:([1-9]\d{0,3})", address)
-    if not number:
+    match = re.fullmatch(r"local:([1-9]\d{0,3})", address)
+    if not match:
         raise SettingsError(
-            f"the cluster {address!r} is none; give local:N for N processes here, or tcp://host:8786"
+            f"{address!r} is no cluster; give local:N for N processes on this machine, or tcp://host:8786"
         )
-    return int(number[1])
+    return int(match[1])
 
 
 @contextmanager
-def _local(processes: int) -> Iterator[Any]:
+def _local(process_count: int) -> Iterator[Any]:
     """Start workers on this machine, with temporary files removed afterwards."""
     with (
         TemporaryDirectory(prefix="mixseq-", ignore_cleanup_errors=True) as folder,
         dask_module("dask.config").set({"temporary-directory": folder}),
-        _local_cluster(processes, folder) as started,
+        _local_cluster(process_count, folder) as started,
     ):
         yield started
 
 
-def _local_cluster(processes: int, folder: str) -> Any:
+def _local_cluster(process_count: int, folder: str) -> Any:
     with _ignoring_interrupts():
         try:
             return dask_module("distributed").LocalCluster(
-                n_workers=processes,
+                n_workers=process_count,
                 threads_per_worker=1,
                 processes=True,
-                dashboard_address="127.0.0.1:0",  # the scheduler insists on a port
+                dashboard_address="127.0.0.1:0",  # the scheduler requires a port
                 scheduler_kwargs={"dashboard": False},
                 silence_logs=logging.CRITICAL,
-                memory_limit=None,  # a worker is not killed for using the memory that there is
+                memory_limit=None,  # dask would kill workers above a limit
                 local_directory=folder,
-                env=_ONE_THREAD,
+                env=_ONE_THREAD_VARIABLES,
             )
         except RuntimeError as error:
             raise ClusterError(
-                f"no processes could be started ({error}); scripts need `if __name__ == '__main__':` around their work"
+                f"no processes could be started ({error}); put the work under `if __name__ == '__main__':`"
             ) from error
 
 
 @contextmanager
 def _ignoring_interrupts() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C on the terminal; the main process ends them."""
+    """Let processes that are started ignore Ctrl-C on the terminal; the main process ends them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, handler)
 
 
 def _check_scheduler(address: str) -> None:
@@ -288,7 +285,7 @@ def _check_scheduler(address: str) -> None:
 
     async def identity() -> None:
         async with dask_module("distributed").rpc(address) as scheduler:
-            await asyncio.wait_for(scheduler.identity(), PATIENCE)
+            await asyncio.wait_for(scheduler.identity(), CONNECT_TIMEOUT_SECONDS)
 
     try:
         asyncio.run(identity())
@@ -301,20 +298,21 @@ def _check_scheduler(address: str) -> None:
 def _check_workers(client: Any, address: str) -> None:
     """Raise ClusterError if there are no workers, or one has another version of mixseq."""
 
-    def installed() -> str:  # not a function of this module, which workers without mixseq could not load
+    def installed() -> str:  # local, as workers without mixseq cannot load a function of this module
         from mixseq.version import __version__ as version
 
         return version
 
     try:
-        client.wait_for_workers(1, timeout=PATIENCE)
+        client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_SECONDS)
     except TimeoutError:
         raise ClusterError(
             f"the cluster at {address} has no workers; start some with `dask worker {address}`"
         ) from None
     for worker, version in client.run(installed, on_error="return").items():
         if version != __version__:
-            there = "no mixseq" if isinstance(version, Exception) else f"mixseq {version}"
+            installed_there = "no mixseq" if isinstance(version, Exception) else f"mixseq {version}"
             raise ClusterError(
-                f"the worker {worker} has {there}, we have {__version__}; install mixseq=={__version__} there"
+                f"the worker {worker} has {installed_there}, this machine {__version__}; "
+                f"install mixseq=={__version__} on the worker"
             )

@@ -1,10 +1,11 @@
-"""Signals that end work by an exception, with cleanup, and that no library swallows.
+"""Signals that end work by an exception, with cleanup, even if a library swallows the exception.
 
 Python raises a handler's exception at any point. Inside a C library that called Python (an import, a callback) it may
 be dropped: USD drops interrupts during ``import pxr``; HDF5 crashes on one in its file. So signals are deferred until
-imports and `unbroken` functions return, raised again if swallowed, and checked before a file gets its final name. This
-is for programs such as the command line; in the library the caller handles signals.
+imports and `uninterrupted` functions return, raised again if swallowed, and checked before a file gets its final name.
 An error raised while a deferred signal unwinds does not replace the signal.
+
+This is for programs such as the command line; in the library the caller handles signals.
 """
 
 from __future__ import annotations
@@ -18,119 +19,117 @@ from contextlib import contextmanager
 from types import CodeType, FrameType, FunctionType
 from typing import Any, NoReturn, TypeVar, cast
 
-ENDING = [
-    signal.SIGINT,
-    signal.SIGTERM,
-    *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else []),
-]  # Windows: not
-_LATER = 0.1  # seconds
-_PATIENCE = 50  # times that an import, or an unbroken function, is waited for
+HANDLED_SIGNALS = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
 
-_unbroken: set[CodeType] = set()
+_RETRY_SECONDS = 0.1
+_MAX_RETRIES = 50  # while an import or an uninterrupted function runs
+
+_uninterrupted: set[CodeType] = set()
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-_arrived: int | None = None
+_pending: int | None = None
 """The signal that ends the work, from its arrival until the end of the work."""
 
 
 @contextmanager
-def unwinding() -> Iterator[None]:
+def signals_as_exceptions() -> Iterator[None]:
     """Let signals end the block by an exception: `KeyboardInterrupt`, or `SystemExit` with the code 128 + number."""
-    global _arrived
+    global _pending
     if threading.current_thread() is not threading.main_thread():
-        yield  # signals are the main thread's
+        yield  # only the main thread receives signals
         return
-    again: list[threading.Timer] = []
+    retries: list[threading.Timer] = []
 
-    def come_again(number: int) -> None:
-        again.append(threading.Timer(_LATER, os.kill, (os.getpid(), number)))
-        again[-1].daemon = True
-        again[-1].start()
+    def resend(number: int) -> None:
+        retries.append(threading.Timer(_RETRY_SECONDS, os.kill, (os.getpid(), number)))
+        retries[-1].daemon = True
+        retries[-1].start()
 
-    def leave(number: int, frame: FrameType | None) -> None:
-        global _arrived
-        _arrived = number
-        if _must_wait(frame) and len(again) < _PATIENCE:
-            come_again(number)
+    def handle(number: int, frame: FrameType | None) -> None:
+        global _pending
+        _pending = number
+        if _is_deferred(frame) and len(retries) < _MAX_RETRIES:
+            resend(number)
         else:
-            _end(number)
+            _raise(number)
 
-    def swallowed(usual: Callable[..., None], kind: type[BaseException], *arguments: Any) -> None:
-        """Send the signal again if its exception was raised where a C library called Python, and is dropped."""
+    def resend_swallowed(hook: Callable[..., None], kind: type[BaseException], *arguments: Any) -> None:
+        """Send the signal again if its exception was dropped where a C library called Python."""
         if issubclass(kind, SystemExit | KeyboardInterrupt):
-            come_again(signal.SIGINT if issubclass(kind, KeyboardInterrupt) else signal.SIGTERM)
+            resend(signal.SIGINT if issubclass(kind, KeyboardInterrupt) else signal.SIGTERM)
         else:
-            usual(*arguments)
+            hook(*arguments)
 
     hooks = sys.unraisablehook, sys.excepthook
-    # One that is ignored stays so, as under nohup, or in the background of a shell.
-    before = {number: signal.getsignal(number) for number in ENDING}
-    handled = [number for number in ENDING if before[number] not in (signal.SIG_IGN, None)]
+    # Ignored signals stay ignored, as under nohup or in the background of a shell.
+    handlers = {number: signal.getsignal(number) for number in HANDLED_SIGNALS}
+    handled = [number for number in HANDLED_SIGNALS if handlers[number] not in (signal.SIG_IGN, None)]
     for number in handled:
-        signal.signal(number, leave)
-    sys.unraisablehook = lambda told: swallowed(hooks[0], told.exc_type, told)
-    sys.excepthook = lambda kind, *rest: swallowed(hooks[1], kind, kind, *rest)
+        signal.signal(number, handle)
+    sys.unraisablehook = lambda event: resend_swallowed(hooks[0], event.exc_type, event)
+    sys.excepthook = lambda kind, *rest: resend_swallowed(hooks[1], kind, kind, *rest)
     try:
         yield
     except Exception:
-        raise_swallowed()
+        raise_pending_signal()
         raise
     finally:
-        for timer in again:
+        for timer in retries:
             timer.cancel()
         sys.unraisablehook, sys.excepthook = hooks
         for number in handled:
-            signal.signal(number, before[number])
-        _arrived = None
+            signal.signal(number, handlers[number])
+        _pending = None
 
 
-def unbroken(function: _Function) -> _Function:
+def uninterrupted(function: _Function) -> _Function:
     """Defer signals to the end of a function called by a C library, where exceptions would be lost."""
-    _unbroken.add(cast("FunctionType", function).__code__)
+    _uninterrupted.add(cast("FunctionType", function).__code__)
     return function
 
 
 @contextmanager
-def held() -> Iterator[None]:
+def deferred_signals() -> Iterator[None]:
     """Defer signals to the end of the block."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] = []
-    before = {number: signal.getsignal(number) for number in ENDING}
-    handled = [number for number in ENDING if callable(before[number])]
+    received: list[int] = []
+    handlers = {number: signal.getsignal(number) for number in HANDLED_SIGNALS}
+    handled = [number for number in HANDLED_SIGNALS if callable(handlers[number])]
     for number in handled:
-        signal.signal(number, lambda number, _: came.append(number))
+        signal.signal(number, lambda number, _: received.append(number))
     try:
         yield
     finally:
         for number in handled:
-            signal.signal(number, before[number])
-    if came:
-        signal.raise_signal(came[0])
+            signal.signal(number, handlers[number])
+    if received:
+        signal.raise_signal(received[0])
 
 
-def raise_swallowed() -> None:
+def raise_pending_signal() -> None:
     """Raise the exception of a signal that was swallowed."""
-    if _arrived is not None and threading.current_thread() is threading.main_thread():
-        _end(_arrived)
+    if _pending is not None and threading.current_thread() is threading.main_thread():
+        _raise(_pending)
 
 
-def answered() -> None:
+def acknowledge_signal() -> None:
     """Mark the signal as handled: the remaining work is intended."""
-    global _arrived
-    _arrived = None
+    global _pending
+    _pending = None
 
 
-def _end(number: int) -> NoReturn:
+def _raise(number: int) -> NoReturn:
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     raise SystemExit(128 + number)
 
 
-def _must_wait(frame: FrameType | None) -> bool:
+def _is_deferred(frame: FrameType | None) -> bool:
+    """Return whether an import or an `uninterrupted` function is on the stack."""
     while frame is not None:
-        if frame.f_code in _unbroken or frame.f_code.co_filename.startswith("<frozen importlib"):
+        if frame.f_code in _uninterrupted or frame.f_code.co_filename.startswith("<frozen importlib"):
             return True
         frame = frame.f_back
     return False

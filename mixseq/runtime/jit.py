@@ -1,23 +1,23 @@
 """Inner loops, compiled by numba on first call and cached on disk.
 
 Compiled functions release the interpreter's lock and add in source order, so results are bitwise independent of the
-number of threads. Division by zero gives infinity, as in NumPy. Without an entry point for C they compile in about two
-thirds of the time.
+number of threads. Division by zero gives infinity, as in NumPy. Leaving out the entry point for C saves a third of the
+compile time.
 
 If the cache on disk is damaged, or cannot be written, functions are compiled again, with a warning.
 
-Signals are deferred while functions are loaded, saved and return results: numba does not check whether the Python
-code it calls failed, llvmlite frees twice what was interrupted, and a file half written would stay.
+Signals are deferred while functions are loaded, saved and return results: numba ignores exceptions of the Python code
+it calls, llvmlite frees memory twice after an interrupt, and a partly written file would stay.
 """
 
 from __future__ import annotations
 
-import pickle
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any, TypeVar, cast
 
 import numba
@@ -27,27 +27,27 @@ from numba.core.serialize import _numba_unpickle
 from numba.core.types import unliteral
 
 from mixseq.errors import MixseqWarning
-from mixseq.runtime.interrupts import unbroken
+from mixseq.runtime.interrupts import uninterrupted
 
-unbroken(_numba_unpickle)
+uninterrupted(_numba_unpickle)
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_NUMBA_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
-_DAMAGE = (pickle.UnpicklingError, EOFError, AttributeError, ImportError, LookupError, TypeError, ValueError)
-"""Exceptions raised by damaged pickles."""
+_PICKLE_ERRORS = (UnpicklingError, EOFError, AttributeError, ImportError, LookupError, TypeError, ValueError)
+"""Errors of damaged pickles."""
 
 
 def compiled(function: Function) -> Function:
     """Compile a function of arrays and numbers."""
-    made = numba.njit(**_OPTIONS)(function)
-    if made is function:  # NUMBA_DISABLE_JIT
+    dispatcher = numba.njit(**_NUMBA_OPTIONS)(function)
+    if dispatcher is function:  # NUMBA_DISABLE_JIT
         return function
-    made.get_call_template = partial(_as_any_number, made.get_call_template)
-    with suppress(RuntimeError):  # there is no folder to keep it in: it is compiled in every run
-        made._cache = _Cache(function)  # type: ignore[no-untyped-call]
-    return cast(Function, made)
+    dispatcher.get_call_template = partial(_unliteral_template, dispatcher.get_call_template)
+    with suppress(RuntimeError):  # no folder for the cache: compiled in every run
+        dispatcher._cache = _Cache(function)  # type: ignore[no-untyped-call]
+    return cast(Function, dispatcher)
 
 
 def inlined(function: Function) -> Function:
@@ -55,85 +55,85 @@ def inlined(function: Function) -> Function:
     return cast(Function, numba.njit(inline="always", error_model="numpy")(function))
 
 
-def joined(function: Function) -> Function:
+def force_inlined(function: Function) -> Function:
     """Compile a function that LLVM inlines into its callers: faster than `inlined`, and faster to compile.
 
     Arguments keep their types. LLVM assumes that signed sums and products do not overflow; use `numpy.uint64` for
     intended overflow.
     """
-    made = numba.njit(forceinline=True, **_OPTIONS)(function)
-    if made is not function:  # NUMBA_DISABLE_JIT
-        made.get_call_template = partial(_as_any_number, made.get_call_template)
-    return cast(Function, made)
+    dispatcher = numba.njit(forceinline=True, **_NUMBA_OPTIONS)(function)
+    if dispatcher is not function:  # NUMBA_DISABLE_JIT
+        dispatcher.get_call_template = partial(_unliteral_template, dispatcher.get_call_template)
+    return cast(Function, dispatcher)
 
 
-def _as_any_number(find: Callable[..., Any], arguments: Any, keywords: Mapping[str, Any]) -> Any:
-    """Return the version of a function for variable numbers; for literals numba would compile one version each."""
-    plain: Callable[[Any], Any] = unliteral
-    return find(tuple(map(plain, arguments)), {name: plain(each) for name, each in keywords.items()})
+def _unliteral_template(find: Callable[..., Any], arguments: Any, keywords: Mapping[str, Any]) -> Any:
+    """Return the call template for variable numbers, as numba compiles one version for each literal."""
+    variable: Callable[[Any], Any] = unliteral
+    return find(tuple(map(variable, arguments)), {name: variable(value) for name, value in keywords.items()})
 
 
-class _Kept(CompileResultCacheImpl):
+class _CompactCacheImpl(CompileResultCacheImpl):
     """The cached form of a function, without the *environments* of numba's own functions.
 
-    Those create Python objects, which is unused here. Loading them imports numba's modules and SciPy's linear algebra:
-    half the time until a compressed file is open.
+    They create Python objects, which is unused here, but loading them imports numba's modules and SciPy's linear
+    algebra, which takes half of the time to open a compressed file.
     """
 
-    def reduce(self, made: Any) -> tuple[Any, ...]:
+    def reduce(self, overload: Any) -> tuple[Any, ...]:
         """Return the arguments for a pickle."""
-        *rest, environments = super().reduce(made)  # type: ignore[no-untyped-call]
-        return (*rest, tuple(each for each in environments if not _is_of_numba(each)))
+        *rest, environments = super().reduce(overload)  # type: ignore[no-untyped-call]
+        return (*rest, tuple(entry for entry in environments if not _is_from_numba(entry)))
 
 
-def _is_of_numba(environment: Any) -> bool:
+def _is_from_numba(environment: Any) -> bool:
     return str(environment.globals["__name__"]).startswith("numba.")
 
 
 class _Cache(FunctionCache):
-    """numba's cache of compiled functions, with errors turned into recompilation."""
+    """numba's cache of compiled functions, which recompiles them on errors."""
 
-    _impl_class = _Kept
+    _impl_class = _CompactCacheImpl
 
-    @unbroken
+    @uninterrupted
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Return a compiled function or None, without numba's `refresh`, which loads compilers in 0.25 s."""
+        """Return a compiled function or None, without numba's `refresh`, which loads compilers for 0.25 s."""
         try:
             rtsys.initialize(target)
             return self._load_overload(signature, target)  # type: ignore[no-untyped-call]
         except OSError as error:
-            self._give_up(error)
-        except _DAMAGE:
-            _tell(
-                f"what is kept of compiled functions in {self.cache_path} is damaged; they are compiled again"
+            self._disable(error)
+        except _PICKLE_ERRORS:
+            _warn_once(
+                f"the cache of compiled functions in {self.cache_path} is damaged; they are compiled again"
             )
             try:
                 Path(self._cache_file._index_path).unlink(missing_ok=True)
             except OSError as error:
-                self._give_up(error)
+                self._disable(error)
         return None
 
-    @unbroken
-    def save_overload(self, signature: Any, made: Any) -> None:
+    @uninterrupted
+    def save_overload(self, signature: Any, overload: Any) -> None:
         """Save a compiled function."""
         try:
-            super().save_overload(signature, made)  # type: ignore[no-untyped-call]
+            super().save_overload(signature, overload)  # type: ignore[no-untyped-call]
         except OSError as error:
-            self._give_up(error)
+            self._disable(error)
 
-    def _give_up(self, error: OSError) -> None:
+    def _disable(self, error: OSError) -> None:
         self.disable()  # type: ignore[no-untyped-call]
-        _tell(
-            f"compiled functions cannot be kept in {self.cache_path} ({error.strerror or error}), so they are "
-            "compiled in every run; NUMBA_CACHE_DIR names another folder"
+        _warn_once(
+            f"compiled functions cannot be saved in {self.cache_path} ({error.strerror or error}), so they are "
+            "compiled in every run; set NUMBA_CACHE_DIR to another folder"
         )
 
 
-_told: set[str] = set()
+_warned: set[str] = set()
 
 
-def _tell(message: str) -> None:
+def _warn_once(message: str) -> None:
     kind = message.partition(" in ")[0]
-    if kind not in _told:
-        _told.add(kind)
+    if kind not in _warned:
+        _warned.add(kind)
         warnings.warn(message, MixseqWarning, stacklevel=2)

@@ -1,71 +1,70 @@
 """Work at first use: cached results of dataclasses, and packages whose names are imported when they are needed.
 
-Caches are computed ahead of threads that share an object, and left out of pickles.
+Caches are computed before threads share an object, and left out of pickles.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import fields
 from importlib import import_module
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, Self, TypeVar
 
-Made = TypeVar("Made")
+Instance = TypeVar("Instance")
 
 
 class PickledWithoutCaches:
     """A dataclass that is pickled as its fields, without cached properties, which may be large or not picklable."""
 
-    def constants(self) -> Iterable[object]:
+    def cached_values(self) -> Iterable[object]:
         """Return the cached results, such as factored matrices."""
         return ()
 
-    def prepared(self) -> Self:
-        """Compute all `constants` recursively, before threads share the object, and return it."""
-        for each in self.constants():
-            if isinstance(each, PickledWithoutCaches):
-                each.prepared()
+    def precompute(self) -> Self:
+        """Compute all `cached_values` recursively, before threads share the object, and return it."""
+        for value in self.cached_values():
+            if isinstance(value, PickledWithoutCaches):
+                value.precompute()
         return self
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return _made, (type(self), {field.name: getattr(self, field.name) for field in fields(self)})  # type: ignore[arg-type]
+        from dataclasses import fields  # slow to import
+
+        return _from_fields, (type(self), {field.name: getattr(self, field.name) for field in fields(self)})  # type: ignore[arg-type]
 
 
-def _made(kind: Callable[..., Made], settings: dict[str, Any]) -> Made:
-    return kind(**settings)
+def _from_fields(cls: Callable[..., Instance], values: dict[str, Any]) -> Instance:
+    return cls(**values)
 
 
-def forwarded(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` of a package, with the modules of its names from `homes`."""
+def lazy_getattr(package: str, modules: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return the ``__getattr__`` of a package that imports names from their `modules` at first use."""
 
     def find(name: str) -> Any:
-        if name not in homes:
+        if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        found = getattr(import_module(homes[name]), name)
-        setattr(sys.modules[package], name, found)
-        return found
+        value = getattr(import_module(modules[name]), name)
+        setattr(sys.modules[package], name, value)
+        return value
 
     return find
 
 
-class Facade(NamedTuple):
-    """The top package: its public names, and readers of files for arguments."""
+FindName = Callable[[str], Any]
+ArgumentReader = Callable[[str, Collection[str]], Callable[[str, Mapping[str, Any]], Any] | None]
 
-    find: Callable[[str], Any]
-    """Return a public object by its name; raises AttributeError."""
-    argument_reader: Callable[[str, Collection[str]], Callable[[str, Mapping[str, Any]], Any] | None]
-    """Return the reader for an argument by its name and type names: a function of a path and the other arguments."""
+_connected: list[tuple[FindName, ArgumentReader]] = []
 
 
-_facade: list[Facade] = []
+def connect(find_name: FindName, argument_reader: ArgumentReader) -> None:
+    """Set the functions of the package `mixseq` that lower modules use without importing it.
+
+    The first returns a public object by its name, or raises AttributeError. The second returns the reader for an
+    argument by its name and type names: a function of a path and the other arguments.
+    """
+    _connected[:] = [(find_name, argument_reader)]
 
 
-def connect(facade: Facade) -> None:
-    """Set the facade that `connected` returns."""
-    _facade[:] = [facade]
-
-
-def connected() -> Facade:
-    """Return the facade set by the package `mixseq`, which lower modules do not import."""
-    return _facade[0]
+def connected() -> tuple[FindName, ArgumentReader]:
+    """Return the functions set by `connect`."""
+    return _connected[0]

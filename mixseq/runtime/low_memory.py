@@ -1,14 +1,14 @@
-"""Arrays that may be larger than memory: written by rows, read by rows or columns.
+"""Arrays that may be larger than memory, written by rows and read by rows or columns, and running statistics.
 
-Fitting reads all frames at a few coordinates (the Gram matrix), or all coordinates of a few frames. Small arrays are in
-memory, large ones on disk in tiles, so that both are read in long runs:
+Fitting reads a few coordinates of all frames (the Gram matrix), or all coordinates of a few frames. Small arrays are in
+memory, large ones in tiles on disk, so that both ways read long runs of bytes:
 
 >>> array = new_large_array((3, 2))
 >>> array[0:3] = np.arange(6).reshape(3, 2)
 >>> [block.sum(axis=0).tolist() for _, block in column_blocks(array)]
 [[6.0, 9.0]]
 
-`RunningStatistics` of streamed values keep the largest ones only.
+`RunningStatistics` of streamed values store only the largest ones.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from numpy.typing import DTypeLike, NDArray
 from mixseq.errors import OutputError
 from mixseq.types import Float
 
-IN_MEMORY = 1 << 28
-"""Size in bytes up to which arrays are in memory."""
+MAX_BYTES_IN_MEMORY = 1 << 28
+"""Arrays up to this size are in memory, larger ones on disk."""
 
-_COLUMNS = 1 << 14
-_BLOCK = 1 << 23  # numbers in a block of columns, where there are so many rows that fewer columns must do
+_MAX_TILE_COLUMNS = 1 << 14
+_MAX_TILE_NUMBERS = 1 << 23  # limits the columns of arrays with many rows
 
 
 class DiskArray:
     """An array ``(T, ...)`` in an unnamed file that is deleted with the object or the process.
 
-    Rows are set by slices, and read by slices or indices; several threads may read at a time.
+    Rows are set by slices, and read by slices or indices, also by several threads at a time.
     """
 
     def __init__(self, shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> None:
@@ -49,9 +49,9 @@ class DiskArray:
             self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the array
         except OSError as error:
             raise OutputError(
-                f"there is no folder for temporary files ({error.strerror}); set TMPDIR to one"
+                f"there is no folder for temporary files ({error.strerror}); set TMPDIR to an existing folder"
             ) from error
-        self._lock = threading.Lock()  # a file has one place at which it is read
+        self._lock = threading.Lock()  # a file has one read position
         weakref.finalize(self, _close, self._file)
 
     def __len__(self) -> int:
@@ -73,14 +73,14 @@ class DiskArray:
             ) from error
 
     def __getitem__(self, rows: slice | NDArray[np.integer]) -> NDArray[Any]:
-        wanted = np.arange(len(self))[rows]
-        flat = np.empty((len(wanted), self._width), dtype=self.dtype)
-        # Runs of rows that follow each other are read at once.
-        ends = np.flatnonzero(np.diff(wanted, prepend=-9, append=-9) != 1)
+        row_ids = np.arange(len(self))[rows]
+        flat = np.empty((len(row_ids), self._width), dtype=self.dtype)
+        # Consecutive rows are read at once.
+        ends = np.flatnonzero(np.diff(row_ids, prepend=-9, append=-9) != 1)
         for start, stop in pairwise(ends):
             for columns in _tiles(len(self), self._width):
-                flat[start:stop, columns] = self._read(int(wanted[start]), int(stop - start), columns)
-        return flat.reshape(len(wanted), *self.shape[1:])
+                flat[start:stop, columns] = self._read(int(row_ids[start]), int(stop - start), columns)
+        return flat.reshape(len(row_ids), *self.shape[1:])
 
     def columns(self) -> Iterator[tuple[slice, NDArray[Any]]]:
         """Yield column slices of the flattened rows, and blocks ``(T, C)``."""
@@ -96,14 +96,14 @@ class DiskArray:
         block = np.empty((count, columns.stop - columns.start), dtype=self.dtype)
         with self._lock:
             self._seek(first, columns)
-            there = self._file.readinto(block.data.cast("B"))
-        if there < block.nbytes:
-            raise OutputError("a temporary file was cut short; is the disk full?")
+            byte_count = self._file.readinto(block.data.cast("B"))
+        if byte_count < block.nbytes:
+            raise OutputError("a temporary file is incomplete; free some disk space")
         return block
 
 
 def _close(file: IO[bytes]) -> None:
-    with suppress(OSError):  # a full disk: what could not be written is not wanted any more
+    with suppress(OSError):  # of a full disk, as the data are no longer needed
         file.close()
 
 
@@ -114,7 +114,7 @@ LargeArray = NDArray[Any] | DiskArray
 def new_large_array(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> LargeArray:
     """Return an empty array ``(T, ...)``, on disk if it is large."""
     size = np.dtype(dtype).itemsize * int(np.prod(shape, dtype=np.int64))
-    return np.empty(shape, dtype) if size <= IN_MEMORY else DiskArray(shape, dtype)
+    return np.empty(shape, dtype) if size <= MAX_BYTES_IN_MEMORY else DiskArray(shape, dtype)
 
 
 def column_blocks(array: LargeArray) -> Iterator[tuple[slice, NDArray[Any]]]:
@@ -126,14 +126,14 @@ def column_blocks(array: LargeArray) -> Iterator[tuple[slice, NDArray[Any]]]:
         yield columns, np.ascontiguousarray(array[:, columns])
 
 
-def _tiles(rows: int, width: int) -> Iterator[slice]:
-    """Yield the column slices in which an array of `rows` rows is stored and read."""
-    step = min(_COLUMNS, max(_BLOCK // max(rows, 1), 64))
+def _tiles(row_count: int, width: int) -> Iterator[slice]:
+    """Yield the column slices in which an array ``(row_count, width)`` is stored and read."""
+    step = min(_MAX_TILE_COLUMNS, max(_MAX_TILE_NUMBERS // max(row_count, 1), 64))
     for start in range(0, width, step):
         yield slice(start, min(start + step, width))
 
 
-PERCENTILE = 0.999
+P999_QUANTILE = 0.999
 
 
 @dataclass(frozen=True)
@@ -143,40 +143,40 @@ class Statistics:
     rms: float  # root mean square
     p999: float  # 99.9th percentile: the smallest value that 99.9 % do not exceed
     max: float  # largest value
-    skipped: int  # how many values are not defined and were left out, counted over all frames
+    skipped: int  # number of undefined values, over all frames
 
 
 class RunningStatistics:
-    """Accumulate `Statistics` block by block, from the sum of squares and the largest values."""
+    """Accumulate `Statistics` block by block, as the sum of squares and the largest values."""
 
     def __init__(self, total: int) -> None:
         self._total = total
         self._count = 0
-        self._squares = 0.0
-        self._keep = total - int(PERCENTILE * total) + 1
+        self._square_sum = 0.0
+        self._kept_count = total - int(P999_QUANTILE * total) + 1
         self._largest = np.zeros(0)
 
     def add(self, values: Float) -> None:
-        """Add non-negative values ``(n,)``; those that are not finite are skipped."""
+        """Add non-negative values ``(n,)``; skip those that are not finite."""
         values = values[np.isfinite(values)]
         self._count += values.size
-        self._squares += float(np.square(values).sum())
-        if len(self._largest) == self._keep:
+        self._square_sum += float(np.square(values).sum())
+        if len(self._largest) == self._kept_count:
             values = values[values > self._largest[0]]
         largest = np.concatenate([self._largest, values])
-        if len(largest) >= self._keep:
-            # Partitioned so that the smallest of those kept comes first.
-            largest = np.partition(largest, len(largest) - self._keep)[-self._keep :]
+        if len(largest) >= self._kept_count:
+            # The smallest value that is kept comes first.
+            largest = np.partition(largest, len(largest) - self._kept_count)[-self._kept_count :]
         self._largest = largest
 
     def result(self) -> Statistics:
         """Return the statistics of all values; zeros for none."""
         if not self._count:
             return Statistics(rms=0.0, p999=0.0, max=0.0, skipped=self._total)
-        above = self._count - int(np.ceil(PERCENTILE * self._count))
+        above_count = self._count - int(np.ceil(P999_QUANTILE * self._count))
         return Statistics(
-            rms=float(np.sqrt(self._squares / self._count)),
-            p999=float(np.sort(self._largest)[-1 - above]),
+            rms=float(np.sqrt(self._square_sum / self._count)),
+            p999=float(np.sort(self._largest)[-1 - above_count]),
             max=float(self._largest.max()),
             skipped=self._total - self._count,
         )

@@ -1,11 +1,11 @@
 """Executors: parallel map over many items, with ordered results that do not depend on the number of threads.
 
-All frame-wise work goes through an *executor*: a function of a shared object (a model, a space) and an item (a block of
-frames). The caller chooses the caller's thread, several threads or the workers of a cluster; the same item has the same
-result on each. So linear algebra is limited to one thread (`one_blas_thread`): splitting a matrix product over threads
-changes the order of sums, and with it the last bits. Small products, which dominate here, would get slower, too.
+All frame-wise work goes through an *executor*, which applies a function to a shared object (a model, a space) and items
+(blocks of frames). It runs in the caller's thread, on several threads or on the workers of a cluster, with equal
+results. So linear algebra is limited to one thread (`one_blas_thread`): splitting a matrix product over threads changes
+the order of sums, and with it the last bits. Small products, which dominate here, would also be slower.
 
-Sequential work, such as a stream of bits, can run beside other work: `InTurn`.
+A `WorkQueue` runs sequential work, such as writing a stream of bits, beside other work.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 from threading import Lock
 from typing import Any, Protocol, TypeVar
@@ -23,25 +23,25 @@ from typing import Any, Protocol, TypeVar
 from mixseq.errors import MixseqError, SettingsError
 
 _lock = Lock()
-_users = 0
-_limit = ExitStack()
+_user_count = 0
+_blas_limit = ExitStack()
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Limit BLAS and LAPACK of the process to one thread, from the first entry to the last exit on any thread."""
-    global _users
+    global _user_count
     with _lock:
-        if _users == 0:
-            _limit.enter_context(_one_thread())
-        _users += 1
+        if _user_count == 0:
+            _blas_limit.enter_context(_blas_controller(len(sys.modules)).limit(limits=1, user_api="blas"))
+        _user_count += 1
     try:
         yield
     finally:
         with _lock:
-            _users -= 1
-            if _users == 0:
-                _limit.pop_all().close()
+            _user_count -= 1
+            if _user_count == 0:
+                _blas_limit.pop_all().close()
 
 
 def _renew_lock() -> None:
@@ -54,21 +54,15 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_renew_lock)
 
 
-def _one_thread() -> AbstractContextManager[object]:
-    limits: AbstractContextManager[object] = _controller(len(sys.modules)).limit(limits=1, user_api="blas")
-    return limits
-
-
 @lru_cache(maxsize=1)
-def _controller(modules: int) -> Any:
-    """Find the libraries, which takes milliseconds; again only if modules were loaded since."""
+def _blas_controller(module_count: int) -> Any:
+    """Find the BLAS libraries, which takes milliseconds; again only after more modules were imported."""
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
 
 
-_AHEAD = 4
-"""Largest number of pieces of work that wait for `InTurn`, to bound memory."""
+_MAX_QUEUED_TASKS = 4  # of a `WorkQueue`, to bound memory
 
 Shared = TypeVar("Shared")
 Item = TypeVar("Item")
@@ -76,10 +70,10 @@ Result = TypeVar("Result")
 
 
 class Executor(Protocol):
-    """Applies ``function(shared, item)`` to every item, and yields the results in the order of the items.
+    """Apply ``function(shared, item)`` to every item, and yield the results in the order of the items.
 
-    Items are consumed lazily, so long sequences are never in memory as a whole. `function` is a plain function of a
-    module and `shared` can be pickled, so that both can be sent to another machine.
+    Items are consumed lazily, so that long sequences are never in memory as a whole. `function` must be a function of a
+    module and `shared` picklable, so that both can be sent to another machine.
     """
 
     def __call__(
@@ -88,7 +82,7 @@ class Executor(Protocol):
         """Yield the results in the order of the items."""
 
 
-def serially(
+def serial_executor(
     function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
 ) -> Iterator[Result]:
     """Apply the function in the caller's thread."""
@@ -98,73 +92,73 @@ def serially(
         yield result
 
 
-def on_threads(count: int | None = None) -> Executor:
-    """Return an executor on `count` threads, by default `thread_count`."""
+def thread_executor(count: int | None = None) -> Executor:
+    """Return an executor on `count` threads, by default `thread_count()`."""
     threads = thread_count() if count is None else count
     if threads == 1:
-        return serially
+        return serial_executor
 
-    def work(
+    def run(
         function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
     ) -> Iterator[Result]:
         with one_blas_thread(), ThreadPoolExecutor(threads) as pool:
-            ahead: deque[Future[Result]] = deque()
-            process = os.getpid()
+            pending: deque[Future[Result]] = deque()
+            process_id = os.getpid()
             try:
                 for item in items:
-                    ahead.append(pool.submit(function, shared, item))
-                    if len(ahead) > threads:  # one waits for the first thread that is done
-                        yield ahead.popleft().result()
-                        _check_process(process)
-                while ahead:
-                    yield ahead.popleft().result()
-                    _check_process(process)
+                    pending.append(pool.submit(function, shared, item))
+                    if len(pending) > threads:  # one more, for the first thread that becomes free
+                        yield pending.popleft().result()
+                        _check_process(process_id)
+                while pending:
+                    yield pending.popleft().result()
+                    _check_process(process_id)
             finally:
-                for future in ahead:
+                for future in pending:
                     future.cancel()
 
-    return work
+    return run
 
 
-def on_two_threads() -> Executor:
+def two_thread_executor() -> Executor:
     """Return an executor on at most two threads, for items whose memory grows with the whole data."""
-    return on_threads(min(2, thread_count()))
+    return thread_executor(min(2, thread_count()))
 
 
-class InTurn:
-    """One thread that runs pieces of work in order; the caller's if `thread_count` is 1."""
+class WorkQueue:
+    """One thread that runs tasks in order; the caller's if `thread_count()` is 1."""
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(1) if thread_count() > 1 else None
-        self._waiting: deque[Future[None]] = deque()
+        self._pending: deque[Future[None]] = deque()
 
-    def take(self, work: Callable[[], None], large: bool = True) -> None:
-        """Run a piece of work after those given before; in the caller's thread if it is not `large`."""
+    def submit(self, task: Callable[[], None], large: bool = True) -> None:
+        """Run a task after those submitted before; in the caller's thread if it is not `large`."""
         if self._pool is None or not large:
             self.wait()
-            work()
+            task()
             return
-        if len(self._waiting) >= _AHEAD:
-            self._waiting.popleft().result()
-        self._waiting.append(self._pool.submit(work))
+        if len(self._pending) >= _MAX_QUEUED_TASKS:
+            self._pending.popleft().result()
+        self._pending.append(self._pool.submit(task))
 
     def wait(self) -> None:
-        """Wait for all work; its errors are raised here, or by the next `take`."""
-        while self._waiting:
-            self._waiting.popleft().result()
+        """Wait for all tasks; their errors are raised here, or by the next `submit`."""
+        while self._pending:
+            self._pending.popleft().result()
 
 
-def _check_process(process: int) -> None:
+def _check_process(process_id: int) -> None:
     """Raise MixseqError in a forked process, which lacks the threads."""
-    if os.getpid() != process:
-        raise MixseqError("this iteration began before the process was forked; begin another one here")
+    if os.getpid() != process_id:
+        raise MixseqError("the process was forked during this iteration; start a new iteration")
 
 
 def thread_count() -> int:
     """Return the number of threads to use: ``MIXSEQ_THREADS``, by default the cores available to this process."""
-    wanted = os.environ.get("MIXSEQ_THREADS")
-    if wanted:
-        if not (wanted.isdigit() and int(wanted) > 0):
-            raise SettingsError(f"MIXSEQ_THREADS is {wanted!r}; a whole number from 1 on is expected")
-        return int(wanted)
+    setting = os.environ.get("MIXSEQ_THREADS")
+    if setting:
+        if not (setting.isdigit() and int(setting) > 0):
+            raise SettingsError(f"MIXSEQ_THREADS is {setting!r}; set it to a whole number of at least 1")
+        return int(setting)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -11,46 +11,46 @@ from typing import Any
 from mixseq.errors import MixseqWarning
 
 Progress = Callable[[int, int, str], None]
-"""Called with (steps done, total steps, description of the work)."""
+"""Callback of (steps done, total steps, description of the work)."""
 
 
-def silent(done: int, total: int, what: str) -> None:
+def no_progress(done: int, total: int, what: str) -> None:
     """Ignore progress."""
 
 
 @dataclass(frozen=True)
-class Stages:
-    """Progress of several stages as one."""
+class StagedProgress:
+    """One progress of several stages with the same number of steps."""
 
-    progress: Progress  # called for all of them
+    progress: Progress  # callback of all stages
     count: int  # number of stages
-    frames: int  # steps of every stage
+    frames: int  # steps of every stage, usually frames
 
     def at(self, first: int, stages: int = 1) -> Progress:
-        """Return the progress callback of one stage, or of several."""
+        """Return the progress callback of the first of some consecutive stages, or of several as one."""
 
-        def tell(done: int, total: int, what: str) -> None:
+        def report(done: int, total: int, what: str) -> None:
             self.progress(
                 first * self.frames + stages * self.frames * done // total, self.count * self.frames, what
             )
 
-        return tell
+        return report
 
 
 @contextmanager
-def warnings_heard(hear: Callable[[str], None], instead: bool = False) -> Iterator[None]:
-    """Call a function with the text of every `MixseqWarning`."""
-    usual: Callable[..., None] = warnings.showwarning
+def forward_warnings(receive: Callable[[str], None], replace: bool = False) -> Iterator[None]:
+    """Pass the text of every `MixseqWarning` to a function, also or instead of showing it."""
+    original: Callable[..., None] = warnings.showwarning
 
-    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        ours = issubclass(category, MixseqWarning)
-        if not (ours and instead):
-            usual(message, category, *where, **more)
-        if ours:
-            hear(str(message))
+    def show(message: Warning | str, category: type[Warning], *args: Any, **kwargs: Any) -> None:
+        is_own = issubclass(category, MixseqWarning)
+        if not (is_own and replace):
+            original(message, category, *args, **kwargs)
+        if is_own:
+            receive(str(message))
 
     warnings.showwarning = show
     try:
         yield
     finally:
-        warnings.showwarning = usual
+        warnings.showwarning = original

@@ -18,12 +18,12 @@ import numpy as np
 
 from mixseq.runtime.lazy import connected
 
-P = ParamSpec("P")
-R = TypeVar("R")
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
 
-_SEQUENCES = {"Frames", "MeshSequence"}
+_SEQUENCE_TYPES = {"Frames", "MeshSequence"}
 
-_CALLED = {
+_TYPE_NAMES = {
     "Frames": "MeshSequence or an open reader",
     "PathLike": "path",
     "bool": "True or False",
@@ -43,84 +43,86 @@ _CURES = {
 }
 
 
-def public(function: Callable[P, R]) -> Callable[P, R]:
+def public(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
     """Let a function take paths in place of file contents; TypeError for arguments of types outside its annotations."""
-    parameters = signature(function)
+    function_signature = signature(function)
 
     @cache
-    def hints() -> dict[str, tuple[Any, ...]]:
-        found = get_type_hints(function, localns=_Names())
-        named = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
+    def accepted_types() -> dict[str, tuple[Any, ...]]:
+        hints = get_type_hints(function, localns=_PublicNames())
+        kinds = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
         return {
-            name: _choices(found[name])
-            for name, parameter in parameters.parameters.items()
-            if parameter.kind in named and name in found
+            name: _alternatives(hints[name])
+            for name, parameter in function_signature.parameters.items()
+            if parameter.kind in kinds and name in hints
         }
 
     @wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+    def call(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
         try:
-            given = parameters.bind(*args, **kwargs)
+            bound = function_signature.bind(*args, **kwargs)
         except TypeError:
-            return function(*args, **kwargs)  # which says so in its own words
-        for name, value in given.arguments.items():
-            if name not in hints():
+            return function(*args, **kwargs)  # raises Python's own message
+        for name, value in bound.arguments.items():
+            if name not in accepted_types():
                 continue
-            wanted = hints()[name]
-            value = given.arguments[name] = _taken(name, value, wanted, given.arguments)
-            if not any(_fits(value, choice) for choice in wanted):
+            types = accepted_types()[name]
+            value = bound.arguments[name] = _resolve(name, value, types, bound.arguments)
+            if not any(_is_instance(value, hint) for hint in types):
                 raise TypeError(
-                    f"{function.__name__}: {name} is of type {type(value).__name__}; {_told(wanted)}"
+                    f"{function.__name__}: {name} is of type {type(value).__name__}; {_format_expected(types)}"
                 )
-        return function(*given.args, **given.kwargs)
+        return function(*bound.args, **bound.kwargs)
 
     return call
 
 
-class _Names(dict[str, Any]):
-    """Names of annotations that are imported for type checking only: the public ones."""
+class _PublicNames(dict[str, Any]):
+    """Names in annotations that are imported for type checking only: the public ones."""
 
     def __missing__(self, name: str) -> Any:
+        find_name, _ = connected()
         try:
-            return connected().find(name)
+            return find_name(name)
         except AttributeError as error:
             raise KeyError(name) from error
 
 
-def _taken(name: str, value: Any, wanted: tuple[Any, ...], arguments: Mapping[str, Any]) -> Any:
-    """Return the value that a path or a model stands for, else the value; earlier `arguments` are read already."""
-    names = {getattr(choice, "__name__", "") for choice in wanted}
-    if isinstance(value, str | os.PathLike) and not any(_fits(value, choice) for choice in wanted):
-        read = connected().argument_reader(name, names)
+def _resolve(name: str, value: Any, types: tuple[Any, ...], arguments: Mapping[str, Any]) -> Any:
+    """Read the file, or sample the model, that a value stands for; earlier `arguments` are resolved already."""
+    names = {getattr(hint, "__name__", "") for hint in types}
+    if isinstance(value, str | os.PathLike) and not any(_is_instance(value, hint) for hint in types):
+        _, argument_reader = connected()
+        read = argument_reader(name, names)
         return value if read is None else read(os.fspath(value), arguments)
-    if names & _SEQUENCES and "Model" not in names and type(value).__name__ == "Model":
+    if names & _SEQUENCE_TYPES and "Model" not in names and type(value).__name__ == "Model":
         return value.sample()
     return value
 
 
-def _choices(hint: Any) -> tuple[Any, ...]:
-    """Return the members of a union; array-likes count as an array and numbers."""
-    found = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-    if complex not in found:
-        return found
-    ours = (
-        each
-        for each in found
-        if each is NoneType or str(getattr(each, "__module__", "")).startswith("mixseq")
+def _alternatives(hint: Any) -> tuple[Any, ...]:
+    """Return the members of a union; of array-likes an array, numbers and mixseq's types."""
+    members = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    if complex not in members:
+        return members
+    kept = (
+        member
+        for member in members
+        if member is NoneType or str(getattr(member, "__module__", "")).startswith("mixseq")
     )
-    return (*ours, float, np.ndarray)
+    return (*kept, float, np.ndarray)
 
 
-def _fits(value: Any, hint: Any) -> bool:
-    """Whether a value is of a type, as far as can be checked without reading it."""
+def _is_instance(value: Any, hint: Any) -> bool:
+    """Return whether a value is of a type, as far as can be checked without reading it."""
     origin = get_origin(hint) or hint
     if origin is Any:
         return True
     if origin is Literal:
         return isinstance(value, tuple({type(choice) for choice in get_args(hint)}))
     if origin in (float, int, complex):
-        number = getattr(value, "ndim", 0) == 0 and not isinstance(value, str | bytes)
-        return number and hasattr(value, "__index__" if origin is int else "__float__")
+        is_scalar = getattr(value, "ndim", 0) == 0 and not isinstance(value, str | bytes)
+        return is_scalar and hasattr(value, "__index__" if origin is int else "__float__")
     if origin is bool:
         return isinstance(value, bool | np.bool_ | int)
     if origin in (np.ndarray, Sequence, Iterable, list):
@@ -128,14 +130,13 @@ def _fits(value: Any, hint: Any) -> bool:
     if origin is Callable:
         return callable(value)
     if getattr(origin, "_is_protocol", False):
-        return all(
-            hasattr(value, name) for name in vars(origin) if name == "__call__" or not name.startswith("_")
-        )
+        members = (name for name in vars(origin) if name == "__call__" or not name.startswith("_"))
+        return all(hasattr(value, name) for name in members)
     return not isinstance(origin, type) or isinstance(value, origin)
 
 
-def _told(wanted: tuple[Any, ...]) -> str:
-    """Describe the expected type, and its source in mixseq."""
-    names = [getattr(choice, "__name__", str(choice)) for choice in wanted if choice is not NoneType]
+def _format_expected(types: tuple[Any, ...]) -> str:
+    """Describe the expected types, and how to make one."""
+    names = [getattr(hint, "__name__", str(hint)) for hint in types if hint is not NoneType]
     cure = next((f" ({_CURES[name]})" for name in names if name in _CURES), "")
-    return f"{' or '.join(_CALLED.get(name, name) for name in names)} is expected{cure}"
+    return f"{' or '.join(_TYPE_NAMES.get(name, name) for name in names)} is expected{cure}"

@@ -1,17 +1,23 @@
 """Cut a mesh into near-rigid parts and the joints between them.
 
-`methods` finds parts by `motion` or by `silhouettes` (and a spanning tree), on the `elements` of the mesh; `joints`
-completes them to a decomposition.
+`methods` finds parts by `motion` or `silhouettes` (and a spanning tree), on the `elements` of the mesh; `joints` adds
+the joints between them.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mixseq.runtime.lazy import forwarded
+from mixseq.runtime.lazy import lazy_getattr
 
 if TYPE_CHECKING:
-    from mixseq.segmentation.joints import Watched, decompose, frames_to_look_at, gather, observe
+    from mixseq.segmentation.joints import (
+        PartShapes,
+        decompose,
+        join_part_motion,
+        measure_part_motion,
+        sample_frame_ids,
+    )
     from mixseq.segmentation.methods import METHODS, segment, segment_by_labels
     from mixseq.segmentation.motion import MotionSettings, segment_by_motion
     from mixseq.segmentation.silhouettes import SilhouetteSettings, SpanningTreeSettings
@@ -19,32 +25,24 @@ if TYPE_CHECKING:
 __all__ = [
     "METHODS",
     "MotionSettings",
+    "PartShapes",
     "SilhouetteSettings",
     "SpanningTreeSettings",
-    "Watched",
     "decompose",
-    "frames_to_look_at",
-    "gather",
-    "observe",
+    "join_part_motion",
+    "measure_part_motion",
+    "sample_frame_ids",
     "segment",
     "segment_by_labels",
     "segment_by_motion",
 ]
 
-__getattr__ = forwarded(
-    __name__,
-    {
-        "METHODS": "mixseq.segmentation.methods",
-        "MotionSettings": "mixseq.segmentation.motion",
-        "SilhouetteSettings": "mixseq.segmentation.silhouettes",
-        "SpanningTreeSettings": "mixseq.segmentation.silhouettes",
-        "Watched": "mixseq.segmentation.joints",
-        "decompose": "mixseq.segmentation.joints",
-        "frames_to_look_at": "mixseq.segmentation.joints",
-        "gather": "mixseq.segmentation.joints",
-        "observe": "mixseq.segmentation.joints",
-        "segment": "mixseq.segmentation.methods",
-        "segment_by_labels": "mixseq.segmentation.methods",
-        "segment_by_motion": "mixseq.segmentation.motion",
-    },
+_NAMES = {
+    "joints": ("PartShapes", "decompose", "join_part_motion", "measure_part_motion", "sample_frame_ids"),
+    "methods": ("METHODS", "segment", "segment_by_labels"),
+    "motion": ("MotionSettings", "segment_by_motion"),
+    "silhouettes": ("SilhouetteSettings", "SpanningTreeSettings"),
+}
+__getattr__ = lazy_getattr(
+    __name__, {name: f"{__name__}.{module}" for module, names in _NAMES.items() for name in names}
 )

@@ -1,22 +1,22 @@
-"""Joints between parts, and the parts that remain.
+"""Decomposition of a mesh into parts and the joints between them.
 
 A joint of width w grows w strips of triangles from every boundary to both sides; the parts lose w - 1 strips, so
 that joint and part overlap by one strip (paper, Section 2.1 and Figure 4, with w = 3). In terms of the *depth* of
 a vertex, ``max_b (w_b - number of edges to the boundary vertex b)``:
 
 - a part keeps its vertices of depth <= 1,
-- the faces with a vertex of depth >= 1 are a joint's,
-- vertices of depth >= 2 on all sides are *free*: they belong to the joint alone.
+- the faces with a vertex of depth >= 1 belong to a joint,
+- vertices of depth >= 2 on all sides are *free*: they belong only to the joint.
 
-The width follows the motion: each strip but the first takes up a bend of at most 30 degrees between the two parts
-(their largest relative rotation between any two frames), up to `joint_width`. On coarse meshes a part limits the width
-further, to keep a core of a third of its vertices. Width 1 takes nothing from a part.
+The width depends on the motion: each strip but the first bends by at most 30 degrees (of the largest relative rotation
+of the two parts between any two frames), up to `joint_width`. On coarse meshes the width is also limited so that a part
+keeps a core of a third of its vertices. A joint of width 1 takes no vertices from a part.
 
-Three things cannot be solved for from lengths and angles and are given back to the parts: faces without area,
-vertices where a joint is connected by a point only, and patches of a joint without a face that one part holds.
+Three kinds of elements cannot be reconstructed from lengths and angles and are returned to the parts: faces without
+area, vertices at which a joint is connected only by a point, and patches of a joint without a face inside one part.
 
-The rotations of parts, and the faces without area in some frame, are observed block by block: both are small and
-additive over blocks of frames, so that a sequence need not be in memory as a whole.
+The rotations of parts, and the faces without area in some frame, are measured block by block, so that a sequence need
+not be in memory as a whole.
 """
 
 from __future__ import annotations
@@ -28,75 +28,82 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SegmentationError, SettingsError
-from mixseq.mesh.polygons import frozen
-from mixseq.mesh.rigid import aligning_rotations, bend, mean_shape
-from mixseq.mesh.topology import Topology, connected, face_patches, hinges_inside, spread, vertices_of
+from mixseq.mesh.polygons import read_only
+from mixseq.mesh.rigid import aligning_rotations, largest_rotation, mean_shape
+from mixseq.mesh.topology import (
+    Topology,
+    connected_components,
+    face_patches,
+    interior_hinges,
+    mark_face_vertices,
+    propagate_depth,
+)
 from mixseq.segmentation.elements import Boundaries
-from mixseq.types import Float, FloatArray, Index, Mask, evenly
+from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced
 
-FLAT = 1e-5
-"""Ratio of height to longest side below which a face has no area."""
+DEGENERATE_HEIGHT_RATIO = 1e-5
+"""Ratio of height to longest side up to which a face has no area."""
 
 
-def frames_to_look_at(frame_count: int, at_most: int = 24) -> Index:
-    """Choose evenly spread frames that represent a sequence, for finding its parts and their shapes."""
-    return evenly(frame_count, at_most)
+def sample_frame_ids(frame_count: int, max_count: int = 24) -> Index:
+    """Return evenly spaced frames that represent a sequence, to find its parts and their shapes."""
+    return evenly_spaced(frame_count, max_count)
 
 
 @dataclass(frozen=True, eq=False)
-class Watched:
-    """Quantities observed in every frame."""
+class PartShapes:
+    """Shapes of parts, to which their rotations are relative."""
 
     faces: NDArray[np.integer]  # (F, 3) triangles of the mesh
     parts: tuple[Index, ...]  # vertices of every part, ascending
-    shapes: tuple[Float, ...]  # their shapes, centred, against which turns are measured
+    shapes: tuple[Float, ...]  # their positions, centred
 
     @classmethod
-    def of(cls, topology: Topology, part_of_face: Index, frames: FloatArray) -> Watched:
-        """Make it for the parts ``(F,)`` of a mesh; their shapes are means of frames ``(S, V, 3)``, S >= 1."""
+    def from_labels(cls, topology: Topology, part_of_face: Index, frames: FloatArray) -> PartShapes:
+        """Compute the mean shapes of parts ``(F,)`` in frames ``(S, V, 3)``, S >= 1."""
         count = int(part_of_face.max(initial=-1)) + 1
-        parts = tuple(np.flatnonzero(vertices_of(topology, part_of_face == part)) for part in range(count))
+        masks = (mark_face_vertices(topology, part_of_face == part) for part in range(count))
+        parts = tuple(map(np.flatnonzero, masks))
         shapes = tuple(mean_shape(frames[:, part].astype(np.float64), sweeps=3) for part in parts)
         return cls(topology.faces, parts, shapes)
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
-    """Observations of frames."""
+class PartMotion:
+    """Rotations of parts and faces without area in a range of frames."""
 
     rotations: Float  # (T, p, 3, 3) rotation of every part in every frame, relative to its shape
-    flat: Mask  # (F,) faces without area in some frame
+    degenerate_mask: Mask  # (F,) faces without area in some frame
 
 
-def observe(watched: Watched, points: FloatArray) -> Observed:
-    """Observe a block of frames ``(B, V, 3)``; each frame is independent of its block."""
-    from mixseq.segmentation.segmentation_kernels import mark_flat
+def measure_part_motion(shapes: PartShapes, points: FloatArray) -> PartMotion:
+    """Measure the motion in a block of frames ``(B, V, 3)``; results of a frame do not depend on its block."""
+    from mixseq.segmentation.segmentation_kernels import mark_degenerate
 
-    flat = np.zeros(len(watched.faces), dtype=bool)
-    covariances = np.empty((len(points), len(watched.parts), 3, 3))
-    for frame, into in zip(points, covariances, strict=True):
-        x = frozen(np.ascontiguousarray(frame, dtype=np.float64))  # as frames are: one type to numba
-        mark_flat(x, watched.faces, FLAT, flat)
-        for number, (part, shape) in enumerate(zip(watched.parts, watched.shapes, strict=True)):
-            moved = x[part]
-            into[number] = (moved - moved.mean(axis=0)).T @ shape
-    return Observed(aligning_rotations(covariances), flat)
+    degenerate_mask = np.zeros(len(shapes.faces), dtype=bool)
+    covariances = np.empty((len(points), len(shapes.parts), 3, 3))
+    for frame, frame_covariances in zip(points, covariances, strict=True):
+        x = read_only(
+            np.ascontiguousarray(frame, dtype=np.float64)
+        )  # as frames often are: one type for numba
+        mark_degenerate(x, shapes.faces, DEGENERATE_HEIGHT_RATIO, degenerate_mask)
+        for part, (vertices, shape) in enumerate(zip(shapes.parts, shapes.shapes, strict=True)):
+            posed = x[vertices]
+            frame_covariances[part] = (posed - posed.mean(axis=0)).T @ shape
+    return PartMotion(aligning_rotations(covariances), degenerate_mask)
 
 
-def gather(blocks: Iterable[Observed]) -> Observed:
-    """Concatenate the observations of one or more blocks, in order."""
-    rotations, flat = [], None
+def join_part_motion(blocks: Iterable[PartMotion]) -> PartMotion:
+    """Join the motion of consecutive blocks of frames, of one at least."""
+    rotations, degenerate_mask = [], np.zeros(1, dtype=bool)
     for block in blocks:
         rotations.append(block.rotations)
-        flat = block.flat if flat is None else flat | block.flat
-    return Observed(np.concatenate(rotations), np.zeros(0, dtype=bool) if flat is None else flat)
+        degenerate_mask = degenerate_mask | block.degenerate_mask
+    return PartMotion(np.concatenate(rotations), degenerate_mask)
 
 
-CORE = 1.0 / 3.0
-"""Least share of its vertices that a part keeps, whatever the width of its joints."""
-
-BEND = 30.0
-"""Bend per strip of a joint, except the first, in degrees."""
+MIN_CORE_FRACTION = 1.0 / 3.0  # of its vertices that a part keeps
+DEGREES_PER_STRIP = 30.0  # relative rotation of two parts per strip of their joint, except the first
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +112,9 @@ class Joint:
 
     vertices: Index  # (n,) global vertices, ascending
     faces: Index  # (m, 3) local triangles
-    face_ids: Index  # (m,) their global numbers
-    edge_ids: Index  # (e,) global numbers of the joint's edges, ascending
-    hinge_ids: Index  # (h,) global numbers of hinges between two of its faces, ascending
+    face_ids: Index  # (m,) global faces
+    edge_ids: Index  # (e,) global edges of its faces, ascending
+    hinge_ids: Index  # (h,) global hinges between two of its faces, ascending
     free: Mask  # (n,) vertices of no part
 
 
@@ -139,126 +146,121 @@ def decompose(
     topology: Topology,
     part_of_face: Index,
     joint_width: int = 3,
-    points: FloatArray | Observed | None = None,
-    core: float = CORE,
+    points: FloatArray | PartMotion | None = None,
+    core: float = MIN_CORE_FRACTION,
 ) -> Decomposition:
-    """Grow joints around the boundaries of a segmentation ``(F,)``; points ``(T, V, 3)`` limit their width."""
+    """Grow joints around the boundaries of a segmentation ``(F,)``, as wide as points ``(T, V, 3)`` bend."""
     if joint_width < 1:
         raise SettingsError(f"joint_width is {joint_width}; at least 1 strip is needed")
     if part_of_face.shape != (len(topology.faces),):
         raise SegmentationError(
             f"part_of_face has shape {part_of_face.shape}, the mesh has {len(topology.faces)} faces"
         )
-    if isinstance(points, Observed) or points is None:
-        observed = points
+    if isinstance(points, PartMotion) or points is None:
+        motion = points
     else:
-        looked_at = points[frames_to_look_at(len(points))]
-        observed = observe(Watched.of(topology, part_of_face, looked_at), points)
+        samples = points[sample_frame_ids(len(points))]
+        motion = measure_part_motion(PartShapes.from_labels(topology, part_of_face, samples), points)
     part_count = int(part_of_face.max()) + 1
-    members = [vertices_of(topology, part_of_face == part) for part in range(part_count)]
-    wanted = _boundary_widths(topology, part_of_face, joint_width, observed)
-    depths = [spread(topology, np.minimum(wanted, width)) for width in range(joint_width + 1)]
-    widths = np.array([_width(depths, inside, core) for inside in members], dtype=np.int64)
+    part_masks = [mark_face_vertices(topology, part_of_face == part) for part in range(part_count)]
+    boundary_widths = _boundary_widths(topology, part_of_face, joint_width, motion)
+    depths = [
+        propagate_depth(topology, np.minimum(boundary_widths, width)) for width in range(joint_width + 1)
+    ]
+    widths = np.array([_largest_width(depths, mask, core) for mask in part_masks], dtype=np.int64)
 
-    kept = [inside & (depths[width] <= 1) for inside, width in zip(members, widths, strict=True)]
-    touching = np.stack([np.logical_or.reduce(_at_corners(topology, depth >= 1)) for depth in depths])
-    in_joint = touching[widths[part_of_face], np.arange(len(topology.faces))]
-    if observed is not None:
-        in_joint &= ~observed.flat
+    kept = [mask & (depths[width] <= 1) for mask, width in zip(part_masks, widths, strict=True)]
+    near_boundary = np.stack([(depth >= 1)[topology.faces].any(axis=1) for depth in depths])
+    in_joint = near_boundary[widths[part_of_face], np.arange(len(topology.faces))]
+    if motion is not None:
+        in_joint &= ~motion.degenerate_mask
 
-    patches = _give_back(topology, part_of_face, kept, in_joint)
+    patches = _return_to_parts(topology, part_of_face, kept, in_joint)
     if topology.unused_vertices.size:
-        loose = np.zeros(topology.vertex_count, dtype=bool)
-        loose[topology.unused_vertices] = True
-        kept.append(loose)
+        unused = np.zeros(topology.vertex_count, dtype=bool)
+        unused[topology.unused_vertices] = True
+        kept.append(unused)
         widths = np.append(widths, 1)
-    held = np.any(kept, axis=0)
+    in_parts = np.any(kept, axis=0)
     return Decomposition(
         part_of_face=np.asarray(part_of_face, dtype=np.int64),
-        parts=tuple(np.flatnonzero(inside) for inside in kept),
+        parts=tuple(np.flatnonzero(mask) for mask in kept),
         joints=tuple(
-            make_joint(topology, patches == number, held) for number in np.unique(patches[patches >= 0])
+            make_joint(topology, patches == number, in_parts) for number in np.unique(patches[patches >= 0])
         ),
         widths=widths,
     )
 
 
 def _boundary_widths(
-    topology: Topology, part_of_face: Index, joint_width: int, observed: Observed | None
+    topology: Topology, part_of_face: Index, joint_width: int, motion: PartMotion | None
 ) -> Index:
-    """Width ``(V,)`` of the joint at every boundary vertex, 0 elsewhere."""
-    boundaries = Boundaries.of(topology, part_of_face)
+    """Return the width ``(V,)`` of joints at boundary vertices, 0 elsewhere."""
+    boundaries = Boundaries.from_labels(topology, part_of_face)
     width_of_pair = np.full(len(boundaries.parts), joint_width)
-    if observed is not None:
-        for number, (i, j) in enumerate(boundaries.parts):
-            strips = int(np.ceil(bend(observed.rotations[:, i], observed.rotations[:, j]) / BEND))
-            width_of_pair[number] = min(joint_width, max(2, 1 + strips))
+    if motion is not None:
+        for pair, (i, j) in enumerate(boundaries.parts):
+            rotation = largest_rotation(motion.rotations[:, i], motion.rotations[:, j])
+            strips = int(np.ceil(rotation / DEGREES_PER_STRIP))
+            width_of_pair[pair] = min(joint_width, max(2, 1 + strips))
     widths = np.zeros(topology.vertex_count, dtype=np.int64)
     np.maximum.at(widths, boundaries.edges, width_of_pair[boundaries.pair][:, None])
     return widths
 
 
-def _width(depths: list[Index], inside: Mask, core: float) -> int:
-    """Return the largest width that leaves a part its core."""
-    size = np.count_nonzero(inside)
+def _largest_width(depths: list[Index], part_mask: Mask, core: float) -> int:
+    """Return the largest width of joints that leaves a part its core."""
+    count = np.count_nonzero(part_mask)
     for width in range(len(depths) - 1, 1, -1):
-        kept = np.count_nonzero(depths[width][inside] <= 1)
-        if kept >= 3 and kept >= core * size:
+        kept_count = np.count_nonzero(depths[width][part_mask] <= 1)
+        if kept_count >= 3 and kept_count >= core * count:
             return width
     return 1
 
 
-def _give_back(topology: Topology, part_of_face: Index, kept: list[Mask], in_joint: Mask) -> Index:
-    """Number the remaining patches of joints; add the rest to `kept`, in place."""
+def _return_to_parts(topology: Topology, part_of_face: Index, kept: list[Mask], in_joint: Mask) -> Index:
+    """Return the joint patch ``(F,)`` of every face, -1 for none; add other elements to `kept`, in place."""
 
     def keep(faces: Mask, vertices: Mask | None = None) -> None:
-        for part, inside in enumerate(kept):
-            corners = vertices_of(topology, faces & (part_of_face == part))
-            inside |= corners if vertices is None else corners & vertices
+        for part, mask in enumerate(kept):
+            corners = mark_face_vertices(topology, faces & (part_of_face == part))
+            mask |= corners if vertices is None else corners & vertices
 
-    keep(~in_joint & ~_firm(topology, kept))
+    keep(~in_joint & ~_mark_rigid_faces(topology, kept))
     patches = face_patches(topology, in_joint)
-    keep(in_joint, _points_of_contact(topology, patches))
-    firm = _firm(topology, kept)
+    keep(in_joint, _mark_contact_vertices(topology, patches))
+    is_rigid = _mark_rigid_faces(topology, kept)
     for number in range(int(patches.max(initial=-1)) + 1):
         faces = patches == number
-        if not firm[faces].any():
+        if not is_rigid[faces].any():
             keep(faces)
             patches[faces] = -1
     return patches
 
 
-def _firm(topology: Topology, kept: list[Mask]) -> Mask:
+def _mark_rigid_faces(topology: Topology, kept: list[Mask]) -> Mask:
     """Mark the faces whose corners all belong to one part."""
-    firm = np.zeros(len(topology.faces), dtype=bool)
-    for inside in kept:
-        firm |= np.logical_and.reduce(_at_corners(topology, inside))
-    return firm
+    return np.asarray(np.logical_or.reduce([mask[topology.faces].all(axis=1) for mask in kept]))
 
 
-def _at_corners(topology: Topology, marked: Mask) -> list[Mask]:
-    """Return the marks of the first, second and third corner of every face."""
-    return [marked[corner] for corner in topology.faces.T]
-
-
-def _points_of_contact(topology: Topology, patches: Index) -> Mask:
-    """Mark the vertices whose joint faces are several fans across hinges."""
-    marked = patches >= 0
-    joined = hinges_inside(topology, marked)
-    sides = topology.hinge_faces[joined]
+def _mark_contact_vertices(topology: Topology, patches: Index) -> Mask:
+    """Mark the vertices at which faces of joints form several fans, not connected by hinges."""
+    in_joint = patches >= 0
+    hinge_ids = interior_hinges(topology, in_joint)
+    sides = topology.hinge_faces[hinge_ids]
     links = []
-    for end in topology.edges[topology.hinge_edges[joined]].T:
+    for end in topology.edges[topology.hinge_edges[hinge_ids]].T:
         at_end = topology.faces[sides] == end[:, None, None]
         links.append(3 * sides + at_end.argmax(axis=2))  # the corners of both faces at this end of the hinge
-    inside = np.flatnonzero(np.repeat(marked, 3))
-    fan = connected(len(inside), np.searchsorted(inside, np.concatenate(links)))
-    corners = np.stack([topology.faces.reshape(-1)[inside], fan], axis=1)
-    vertex_of_fan = np.unique(corners, axis=0)[:, 0]
+    corners = np.flatnonzero(np.repeat(in_joint, 3))
+    fan = connected_components(len(corners), np.searchsorted(corners, np.concatenate(links)))
+    vertex_and_fan = np.stack([topology.faces.reshape(-1)[corners], fan], axis=1)
+    vertex_of_fan = np.unique(vertex_and_fan, axis=0)[:, 0]
     return np.asarray(np.bincount(vertex_of_fan, minlength=topology.vertex_count) > 1)
 
 
-def make_joint(topology: Topology, faces: Mask, held: Mask) -> Joint:
-    """Make a joint of the marked faces ``(F,)``; its vertices outside `held` ``(V,)`` are free."""
+def make_joint(topology: Topology, faces: Mask, in_parts: Mask) -> Joint:
+    """Make a joint of the marked faces ``(F,)``; its vertices not in parts ``(V,)`` are free."""
     face_ids = np.flatnonzero(faces)
     vertices = np.unique(topology.faces[face_ids]).astype(np.int64)
     return Joint(
@@ -266,6 +268,6 @@ def make_joint(topology: Topology, faces: Mask, held: Mask) -> Joint:
         faces=np.searchsorted(vertices, topology.faces[face_ids]),
         face_ids=face_ids,
         edge_ids=np.unique(topology.face_edges[face_ids]),
-        hinge_ids=hinges_inside(topology, faces),
-        free=~held[vertices],
+        hinge_ids=interior_hinges(topology, faces),
+        free=~in_parts[vertices],
     )

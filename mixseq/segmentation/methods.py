@@ -1,4 +1,4 @@
-r"""Cut a mesh into parts by a named method, or by given labels; score segmentations by agreement and near-rigidity.
+r"""Cut a mesh into parts by a named method or by labels; score segmentations by agreement and near-rigidity.
 
 *Adjusted Rand index* (Hubert and Arabie 1985) of two segmentations of one mesh. With :math:`n_{ij}` the weight that is
 in part i of one and part j of the other, :math:`a_i = \sum_j n_{ij}`, :math:`b_j = \sum_i n_{ij}`, N their sum, and the
@@ -14,12 +14,12 @@ of which Q is the contribution of pairs of a face with itself, the index is
 For weights of one that is the usual index of counts, since :math:`n^2 - n = 2 \binom{n}{2}`.
 
 *Karni-Gotsman error* ("Compression of soft-body animation sequences", Computers & Graphics 2004). With B the
-vertices of A moved by the best rigid motion of their part in every frame (Kabsch), from the first frame on,
+vertices of the first frame under the best rigid motion of their part in every frame (Kabsch),
 
 .. math:: \mathrm{KG} = 100\, \frac{\|A - B\|_F}{\|A - \bar A\|_F},
 
 where :math:`\bar A` holds centroids of every frame: of the part for the error of a part, of all vertices for that of
-the whole. Vertices on a boundary count once in each of their parts.
+the mesh. Vertices on a boundary count once in each of their parts.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ from mixseq.types import Float, FloatArray, Index, IntArray
 
 MethodSettings = MotionSettings | SilhouetteSettings | SpanningTreeSettings
 Segmentation = SegmentationName | MethodSettings
-"""Name of a method, or settings of it."""
+"""Name of a method, or its settings."""
 
 
 class Method(NamedTuple):
-    """A way to find parts: a function of points, topology, number of parts and settings, and their type."""
+    """A method to find parts: a function of points, topology, number of parts and settings, and their type."""
 
     segment: Callable[[FloatArray, Topology, int | None, Any], Index]
     settings: type[MethodSettings]
@@ -60,11 +60,11 @@ METHODS: dict[SegmentationName, Method] = {
     "silhouettes": Method(segment_by_silhouettes, SilhouetteSettings),
     "spanning-tree": Method(segment_by_spanning_tree, SpanningTreeSettings),
 }
-"""Methods that need the moving mesh alone."""
+"""Methods that need only the mesh sequence."""
 
 
-def chosen(segmentation: Segmentation) -> tuple[SegmentationName, MethodSettings]:
-    """Return a method and its settings."""
+def resolve_segmentation(segmentation: Segmentation) -> tuple[SegmentationName, MethodSettings]:
+    """Return the name of a method and its settings."""
     for name, method in METHODS.items():
         if isinstance(segmentation, method.settings):
             return name, segmentation
@@ -88,24 +88,24 @@ def segment(
     Parts are connected across edges. Without `parts` their number is automatic, at least one per component; "motion"
     may find fewer where little moves. Raises `SettingsError` for wrong settings, or `parts` below 1 or above F.
     """
-    found = METHODS[chosen(method)[0]]
-    if settings is not None and not isinstance(settings, found.settings):
+    implementation = METHODS[resolve_segmentation(method)[0]]
+    if settings is not None and not isinstance(settings, implementation.settings):
         raise SettingsError(
-            f"settings are {type(settings).__name__}; method {method!r} takes {found.settings.__name__}"
+            f"settings are {type(settings).__name__}; method {method!r} takes {implementation.settings.__name__}"
         )
     with one_blas_thread():
-        return found.segment(points, topology, parts, settings)
+        return implementation.segment(points, topology, parts, settings)
 
 
 def segment_by_labels(labels: ArrayLike, topology: Topology) -> NDArray[np.int64]:
     """Split face labels ``(F,)`` into connected parts ``(F,)``; raise `SegmentationError` if they do not fit."""
-    given = np.asarray(labels)
-    if given.shape != (len(topology.faces),) or not np.issubdtype(given.dtype, np.integer):
+    array = np.asarray(labels)
+    if array.shape != (len(topology.faces),) or not np.issubdtype(array.dtype, np.integer):
         raise SegmentationError(
-            f"labels have shape {given.shape} and type {given.dtype}; "
+            f"labels have shape {array.shape} and type {array.dtype}; "
             f"one whole number for each of the {len(topology.faces)} triangles is expected"
         )
-    return split_labels(topology, given)
+    return split_labels(topology, array)
 
 
 def adjusted_rand_index(first: ArrayLike, second: ArrayLike, weights: ArrayLike | None = None) -> float:
@@ -123,30 +123,31 @@ def adjusted_rand_index(first: ArrayLike, second: ArrayLike, weights: ArrayLike 
     _, i = np.unique(a, return_inverse=True)
     columns, j = np.unique(b, return_inverse=True)
     _, both = np.unique(i.astype(np.int64) * len(columns) + j, return_inverse=True)
-    together, of_first, of_second = (_pairs(group, w) for group in (both, i, j))
-    pairs = _pairs(np.zeros(len(w), dtype=np.int64), w)
-    expected = of_first * of_second / pairs if pairs > 0 else 0.0
-    possible = (of_first + of_second) / 2.0 - expected
-    # It is zero where both are one part each, or all faces alone: the same.
-    return (together - expected) / possible if possible > 0 else 1.0
+    same_in_both, same_in_first, same_in_second = (_pair_weight(group, w) for group in (both, i, j))
+    total = _pair_weight(np.zeros(len(w), dtype=np.int64), w)
+    expected = same_in_first * same_in_second / total if total > 0 else 0.0
+    largest = (same_in_first + same_in_second) / 2.0 - expected
+    # Zero if both have a single part, or a part for every face.
+    return (same_in_both - expected) / largest if largest > 0 else 1.0
 
 
-def _pairs(group: NDArray[np.intp], weights: NDArray[np.float64]) -> float:
-    """Return the weight of pairs of different faces in one group; exactly 0 where every face is alone."""
-    squared, own = np.bincount(group, weights) ** 2, np.bincount(group, weights**2)
-    return float(np.sum(squared - own))
+def _pair_weight(group: NDArray[np.intp], weights: NDArray[np.float64]) -> float:
+    """Return the weight of pairs of different faces in the same group, exactly 0 without any."""
+    squared_sums, sums_of_squares = np.bincount(group, weights) ** 2, np.bincount(group, weights**2)
+    return float(np.sum(squared_sums - sums_of_squares))
 
 
 def near_rigid_errors(points: FloatArray, faces: IntArray, part_of_face: IntArray) -> tuple[Float, float]:
-    """Return KG errors ``(p,)`` of parts ``(F,)`` and of the whole: points ``(T, V, 3)``, faces ``(F, 3)``."""
+    """Return KG errors ``(p,)`` of parts ``(F,)`` and of the mesh: points ``(T, V, 3)``, faces ``(F, 3)``."""
     count = int(part_of_face.max(initial=-1)) + 1
     centroids = points.mean(axis=1, dtype=np.float64)[None]  # (1, T, 3)
-    errors, own, whole = np.zeros(count), np.zeros(count), 0.0
+    errors, variations, total_variation = np.zeros(count), np.zeros(count), 0.0
     for part in range(count):
         vertices = np.unique(faces[part_of_face == part])
         x = np.moveaxis(np.asarray(points[:, vertices], dtype=np.float64), 1, 0) - centroids
         errors[part] = moments(x[:, 0], x, np.ones(len(vertices))).error()
-        own[part] = np.square(x - x.mean(axis=0)).sum()
-        whole += float(np.square(x).sum())
-    ratios = np.sqrt(np.divide(errors, own, out=np.zeros(count), where=own > 0))
-    return 100 * ratios, 100 * float(np.sqrt(errors.sum() / whole)) if whole > 0 else 0.0
+        variations[part] = np.square(x - x.mean(axis=0)).sum()
+        total_variation += float(np.square(x).sum())
+    ratios = np.sqrt(np.divide(errors, variations, out=np.zeros(count), where=variations > 0))
+    total = float(np.sqrt(errors.sum() / total_variation)) if total_variation > 0 else 0.0
+    return 100 * ratios, 100 * total

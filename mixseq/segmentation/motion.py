@@ -1,12 +1,12 @@
 r"""Segmentation by rigid motion: faces that rotate together form a part.
 
-1. *Cluster.* Every cluster has one rigid motion per frame; faces go to the cluster that predicts them best
-   (Lloyd's iteration), after costs are diffused over the surface for smooth boundaries. The worst predicted patch
-   seeds the next cluster, until there are enough. Dense meshes are clustered by cells of faces first.
-2. *Connect.* Clusters are split into connected patches; small regions join the neighbour that predicts them best.
+1. *Cluster.* Every cluster has one rigid motion per frame. Faces are assigned to the cluster with the least error
+   (Lloyd's iteration), after errors are averaged over neighbours for smooth boundaries. The patch with the largest
+   error seeds the next cluster, until there are enough. Dense meshes are clustered by cells of faces first.
+2. *Connect.* Clusters are split into connected patches; small patches join the neighbour with the least error.
 3. *Merge.* Neighbours are merged, those with the least relative rotation first, until every boundary bends enough
-   (or the given number of parts is reached). Bending is the measure because vertices of a part are combined linearly,
-   which suits slides and small deformations, but shortens what rotates.
+   (or the given number of parts is reached). Bending is the criterion because vertices of a part are combined linearly,
+   which is accurate for translations and small deformations, but shrinks rotating shapes.
 
 The result is deterministic: there are no random numbers.
 
@@ -17,21 +17,21 @@ positions x_t in frame t, the error of the best rigid motion is
           C_t = \sum w\, x_t h^T - \frac{1}{W} \bigl(\sum w\, x_t\bigr)\bigl(\sum w\, h\bigr)^T
 
 with centred second moments S. The maximum is the sum of the singular values of C_t, the last one with the sign
-of det C_t (Kabsch 1976). All sums are additive over disjoint sets: the error of a union needs no vertices. In Lloyd's
-iteration moving elements take their sums along (`tally`), and costs of unchanged clusters are reused.
+of det C_t (Kabsch 1976). All sums are additive over disjoint sets, so that the error of a union needs no vertices. In
+Lloyd's iteration the sums (`tally`) are updated by moving elements, and costs of unchanged clusters are reused.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from mixseq.mesh.rigid import bend, nearest_rotations
+from mixseq.mesh.rigid import largest_rotation, nearest_rotations
 from mixseq.mesh.topology import Topology, split_labels
-from mixseq.segmentation.elements import Elements, Rim, Trajectories, by_area, check_parts
-from mixseq.segmentation.joints import frames_to_look_at
+from mixseq.segmentation.elements import Elements, Rim, Trajectories, check_part_count, renumber_by_area
+from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.types import Float, FloatArray, Index, Mask, Single
 
 
@@ -41,34 +41,27 @@ class Moments:
 
     weight: float  # sum of w
     rest: Float  # (3,) sum of w h
-    moved: Float  # (T, 3) sum of w x_t
+    posed: Float  # (T, 3) sum of w x_t
     rest_square: float  # sum of w |h|^2
-    moved_square: Float  # (T,) sum of w |x_t|^2
+    posed_square: Float  # (T,) sum of w |x_t|^2
     cross: Float  # (T, 3, 3) sum of w x_t h^T
 
     def __add__(self, other: Moments) -> Moments:
-        return Moments(
-            weight=self.weight + other.weight,
-            rest=self.rest + other.rest,
-            moved=self.moved + other.moved,
-            rest_square=self.rest_square + other.rest_square,
-            moved_square=self.moved_square + other.moved_square,
-            cross=self.cross + other.cross,
-        )
+        return Moments(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(Moments)))
 
     @property
     def covariance(self) -> Float:
         """Centred cross moments ``(T, 3, 3)``, the C_t above."""
-        return self.cross - self.moved[:, :, None] * self.rest / max(self.weight, _TINY)
+        return self.cross - self.posed[:, :, None] * self.rest / max(self.weight, _SMALLEST_FLOAT)
 
     def errors(self) -> Float:
         """Weighted squared error ``(T,)`` of the best rigid motion of every frame."""
-        weight = max(self.weight, _TINY)
-        moved = self.moved_square - np.einsum("ti,ti->t", self.moved, self.moved) / weight
+        weight = max(self.weight, _SMALLEST_FLOAT)
+        posed = self.posed_square - np.einsum("ti,ti->t", self.posed, self.posed) / weight
         rest = self.rest_square - float(self.rest @ self.rest) / weight
         covariance = self.covariance
         traces = np.einsum("tij,tij->t", nearest_rotations(covariance), covariance)
-        return np.asarray(np.maximum(moved + rest - 2.0 * traces, 0.0))
+        return np.asarray(np.maximum(posed + rest - 2.0 * traces, 0.0))
 
     def error(self) -> float:
         """Sum of `errors` over all frames."""
@@ -77,48 +70,48 @@ class Moments:
     @property
     def softness(self) -> float:
         """Largest error of a frame, root mean square, relative to the radius of gyration at rest."""
-        rest = self.rest_square - float(self.rest @ self.rest) / max(self.weight, _TINY)
-        return float(np.sqrt(self.errors().max() / max(rest, _TINY)))
+        rest = self.rest_square - float(self.rest @ self.rest) / max(self.weight, _SMALLEST_FLOAT)
+        return float(np.sqrt(self.errors().max() / max(rest, _SMALLEST_FLOAT)))
 
     def motion(self) -> tuple[Float, Float]:
         """Rotation ``(T, 3, 3)`` and translation ``(T, 3)`` of the best rigid motion."""
-        weight = max(self.weight, _TINY)
+        weight = max(self.weight, _SMALLEST_FLOAT)
         rotation = nearest_rotations(self.covariance)
-        return rotation, (self.moved - rotation @ self.rest) / weight
+        return rotation, (self.posed - rotation @ self.rest) / weight
 
 
-_TINY = np.finfo(np.float64).tiny
+_SMALLEST_FLOAT = np.finfo(np.float64).tiny
 
 
-def moments(rest: Float, moved: Float, weights: Float) -> Moments:
-    """Gather the moments of vertices with rest positions ``(N, 3)``, positions ``(N, T, 3)``, weights ``(N,)``."""
-    weighted = moved * weights[:, None, None]
+def moments(rest: Float, posed: Float, weights: Float) -> Moments:
+    """Compute the moments of vertices with rest positions ``(N, 3)``, positions ``(N, T, 3)``, weights ``(N,)``."""
+    weighted = posed * weights[:, None, None]
     return Moments(
         weight=float(weights.sum()),
         rest=weights @ rest,
-        moved=weighted.sum(axis=0),
+        posed=weighted.sum(axis=0),
         rest_square=float(weights @ np.einsum("ni,ni->n", rest, rest)),
-        moved_square=np.einsum("nti,nti->t", weighted, moved),
+        posed_square=np.einsum("nti,nti->t", weighted, posed),
         cross=(weighted.reshape(len(rest), -1).T @ rest).reshape(-1, 3, 3),
     )
 
 
 def union_errors(one: Moments, others: Sequence[Moments]) -> Float:
-    """Return the errors ``(n,)`` of the unions of a set with each of n others, ``(one + other).error()``, at once."""
-    weight = np.maximum(one.weight + np.array([other.weight for other in others]), _TINY)[:, None]
+    """Return the errors ``(n,)`` of the unions of a set with each of n others: ``(one + other).error()``."""
+    weight = np.maximum(one.weight + np.array([other.weight for other in others]), _SMALLEST_FLOAT)[:, None]
     rest = one.rest + np.stack([other.rest for other in others])
-    moved = one.moved + np.stack([other.moved for other in others])
+    posed = one.posed + np.stack([other.posed for other in others])
     squares = one.rest_square + np.array([other.rest_square for other in others])[:, None]
-    squares = squares + one.moved_square + np.stack([other.moved_square for other in others])
+    squares = squares + one.posed_square + np.stack([other.posed_square for other in others])
     cross = one.cross + np.stack([other.cross for other in others])
-    covariance = cross - moved[..., None] * (rest / weight)[:, None, None]
-    means = np.einsum("nti,nti->nt", moved, moved) + np.einsum("ni,ni->n", rest, rest)[:, None]
+    covariance = cross - posed[..., None] * (rest / weight)[:, None, None]
+    means = np.einsum("nti,nti->nt", posed, posed) + np.einsum("ni,ni->n", rest, rest)[:, None]
     traces = np.einsum("ntij,ntij->nt", nearest_rotations(covariance), covariance)
     return np.asarray(np.maximum(squares - means / weight - 2.0 * traces, 0.0).sum(axis=1))
 
 
-_LANES = 8  # columns of costs computed at a time
-_WORK = 1 << 24  # numbers in an array of costs, unless `_LANES` columns have more
+_COLUMN_MULTIPLE = 8  # for vectorised loops over clusters
+_MAX_WORK_NUMBERS = 1 << 24  # in an array of costs of more than `_COLUMN_MULTIPLE` columns
 
 
 class Clusters:
@@ -131,22 +124,27 @@ class Clusters:
         self._sizes = np.bincount(labels, minlength=capacity)
         self._stale = self._sizes > 0
         self._rounds = -1
-        longest = 1 + max(len(elements), elements.trajectories.moved.shape[1])
-        self._at_once = max(_LANES, min(capacity + _LANES - 1, _WORK // longest) // _LANES * _LANES)
-        self._work = np.empty((3, longest * self._at_once), dtype=np.float32)
+        longest = 1 + max(len(elements), elements.trajectories.coordinates.shape[1])
+        self._batch_size = max(
+            _COLUMN_MULTIPLE,
+            min(capacity + _COLUMN_MULTIPLE - 1, _MAX_WORK_NUMBERS // longest)
+            // _COLUMN_MULTIPLE
+            * _COLUMN_MULTIPLE,
+        )
+        self._work = np.empty((3, longest * self._batch_size), dtype=np.float32)
         self._costs = np.full((len(elements), capacity), np.inf, dtype=np.float32)
 
     def assign(self, rounds: int) -> Single:
-        """Assign every element to the cluster of lowest cost ``(E,)``, averaged `rounds` times over neighbours."""
-        from mixseq.segmentation.segmentation_kernels import cheapest
+        """Assign elements to the clusters of lowest cost ``(E,)``, averaged over neighbours `rounds` times."""
+        from mixseq.segmentation.segmentation_kernels import assign_lowest
 
         stale = np.flatnonzero(self._sizes > 0 if rounds != self._rounds else self._stale)
         self._rounds = rounds
         self._stale[:] = False
         labels, lowest = np.empty_like(self.labels), np.empty(len(self.labels), dtype=np.float32)
-        for start in range(0, max(len(stale), 1), self._at_once):
-            some = stale[start : start + self._at_once]
-            cheapest(self._diffused(some, rounds), some, self._costs, labels, lowest)
+        for start in range(0, max(len(stale), 1), self._batch_size):
+            batch = stale[start : start + self._batch_size]
+            assign_lowest(self._average_costs(batch, rounds), batch, self._costs, labels, lowest)
         self._move(labels)
         return lowest
 
@@ -157,50 +155,50 @@ class Clusters:
         self._move(labels)
 
     def _move(self, labels: Index) -> None:
-        from mixseq.segmentation.segmentation_kernels import transfer
+        from mixseq.segmentation.segmentation_kernels import move_elements
 
         moved = np.flatnonzero(labels != self.labels)
         e = self._elements
-        before = self._tallies[:, 3, -1].copy()
-        transfer(moved, self.labels, labels, e.corners, e.weights, e.trajectories.rows, self._tallies)
+        previous_weights = self._tallies[:, 3, -1].copy()
+        move_elements(moved, self.labels, labels, e.corners, e.weights, e.trajectories.rows, self._tallies)
         self._stale[self.labels[moved]] = self._stale[labels[moved]] = True
         self.labels = labels
         self._sizes = np.bincount(labels, minlength=len(self._sizes))
-        # What is left of almost all is rounding: look again.
-        for cluster in np.flatnonzero(self._stale & (self._tallies[:, 3, -1] < 1e-3 * before)):
+        # Recompute small remainders, in which rounding errors are large.
+        for cluster in np.flatnonzero(self._stale & (self._tallies[:, 3, -1] < 1e-3 * previous_weights)):
             self._tallies[cluster] = tally(e, labels, len(self._sizes), labels == cluster)[cluster]
         for empty in np.flatnonzero((self._sizes == 0) & self._stale):
             self._stale[empty] = False
             self._costs[:, empty] = np.inf
 
-    def _diffused(self, clusters: Index, rounds: int) -> Single:
-        """Costs ``(E, n)`` of clusters, averaged over neighbours."""
-        from mixseq.segmentation.segmentation_kernels import averages, squared_distances
+    def _average_costs(self, clusters: Index, rounds: int) -> Single:
+        """Return the costs ``(E, n)`` of clusters, averaged over neighbours."""
+        from mixseq.segmentation.segmentation_kernels import average_members, squared_distances
 
         e = self._elements
-        moved = e.trajectories.moved
-        width = -(-len(clusters) // _LANES) * _LANES
+        x = e.trajectories.coordinates
+        width = -(-len(clusters) // _COLUMN_MULTIPLE) * _COLUMN_MULTIPLE
         motions = motions_of(self._tallies[clusters], e.trajectories).astype(np.float32)
-        costs, spare = (self._work[i, : (len(e) + 1) * width].reshape(len(e) + 1, width) for i in range(2))
-        per_vertex = self._work[2, : (moved.shape[1] + 1) * width].reshape(moved.shape[1] + 1, width)
-        costs[-1] = spare[-1] = per_vertex[-1] = 0.0  # of elements and vertices that are none
+        costs, averaged = (self._work[i, : (len(e) + 1) * width].reshape(len(e) + 1, width) for i in range(2))
+        per_vertex = self._work[2, : (x.shape[1] + 1) * width].reshape(x.shape[1] + 1, width)
+        costs[-1] = averaged[-1] = per_vertex[-1] = 0.0  # of padding
         per_vertex[:, len(clusters) :] = 0.0
-        squared_distances(moved, moved[:3], motions, per_vertex[:-1])
-        averages(per_vertex, e.corners, e.corner_factors, costs)
+        squared_distances(x, x[:3], motions, per_vertex[:-1])
+        average_members(per_vertex, e.corners, e.corner_factors, costs)
         for _ in range(rounds):
-            averages(costs, e.around, e.factors, spare)
-            costs, spare = spare, costs
+            average_members(costs, e.neighbourhoods, e.factors, averaged)
+            costs, averaged = averaged, costs
         return costs
 
 
-def tally(elements: Elements, labels: Index, count: int, counted: Mask | None = None) -> Float:
-    """Sum ``w h y^T`` ``(count, 4, 4T + 4)`` over the vertices of the (counted) elements with each label."""
-    from mixseq.segmentation.segmentation_kernels import transfer
+def tally(elements: Elements, labels: Index, count: int, mask: Mask | None = None) -> Float:
+    """Sum ``w h y^T`` ``(count, 4, 4T + 4)`` over the vertices of (masked) elements with each label."""
+    from mixseq.segmentation.segmentation_kernels import move_elements
 
     rows = elements.trajectories.rows
     tallies = np.zeros((count, 4, rows.shape[1]))
-    chosen = np.arange(len(elements)) if counted is None else np.flatnonzero(counted)
-    transfer(chosen, np.full(len(elements), -1), labels, elements.corners, elements.weights, rows, tallies)
+    ids = np.arange(len(elements)) if mask is None else np.flatnonzero(mask)
+    move_elements(ids, np.full(len(elements), -1), labels, elements.corners, elements.weights, rows, tallies)
     return tallies
 
 
@@ -208,11 +206,11 @@ def motions_of(tallies: Float, trajectories: Trajectories) -> Float:
     """Return the best rigid motions ``(K, 3T, 4)``, rotations and translations, of clusters."""
     count, frames = len(tallies), trajectories.frame_count
     sums = tallies[:, :, : 3 * frames].reshape(count, 4, frames, 3)
-    cross, moved = sums[:, :3].transpose(0, 2, 3, 1), sums[:, 3]
+    cross, posed = sums[:, :3].transpose(0, 2, 3, 1), sums[:, 3]
     rest = tallies[:, 3, -4:-1]
-    weight = np.maximum(tallies[:, 3, -1], _TINY)[:, None, None]
-    rotations = nearest_rotations(cross - moved[..., None] * (rest / weight[:, 0])[:, None, None])
-    translations = (moved - np.einsum("ktij,kj->kti", rotations, rest)) / weight
+    weight = np.maximum(tallies[:, 3, -1], _SMALLEST_FLOAT)[:, None, None]
+    rotations = nearest_rotations(cross - posed[..., None] * (rest / weight[:, 0])[:, None, None])
+    translations = (posed - np.einsum("ktij,kj->kti", rotations, rest)) / weight
     return np.concatenate([rotations, translations[..., None]], axis=3).reshape(count, 3 * frames, 4)
 
 
@@ -223,20 +221,19 @@ def moments_of(tallies: Float, trajectories: Trajectories) -> list[Moments]:
         Moments(
             weight=float(sums[3, -1]),
             rest=sums[3, -4:-1],
-            moved=sums[3, : 3 * frames].reshape(frames, 3),
+            posed=sums[3, : 3 * frames].reshape(frames, 3),
             rest_square=float(np.trace(sums[:3, -4:-1])),
-            moved_square=sums[3, 3 * frames : 4 * frames],
+            posed_square=sums[3, 3 * frames : 4 * frames],
             cross=sums[:3, : 3 * frames].reshape(3, frames, 3).transpose(1, 2, 0),
         )
         for sums in tallies
     ]
 
 
-DENSE = 20000
-"""Number of faces above which meshes are clustered by cells first."""
-
-LARGE = 160_000
-"""Number of faces above which meshes are clustered by cells alone: borders are off by at most an edge."""
+MAX_FACES_WITHOUT_CELLS = 20_000  # larger meshes are clustered by cells first
+MAX_FACES_TO_REFINE = (
+    160_000  # larger meshes are clustered by cells only: boundaries are off by at most an edge
+)
 
 
 @dataclass(frozen=True)
@@ -281,21 +278,21 @@ def segment_by_motion(
     parts: int | None = None,
     settings: MotionSettings | None = None,
 ) -> Index:
-    """Find the near-rigid part ``(F,)`` of every face from points ``(T, V, 3)``."""
+    """Find the near-rigid part ``(F,)`` of every face: points ``(T, V, 3)``."""
     settings = settings or MotionSettings()
-    check_parts(parts, topology)
-    faces = Elements.faces(topology, _looked_at(points, settings.frames))
+    check_part_count(parts, topology)
+    faces = Elements.from_faces(topology, _sample_frames(points, settings.frames))
     clusters = max(settings.clusters, round(1.5 * (parts or 1)))
     labels = _cluster(topology, faces, min(clusters, len(topology.faces)), settings)
-    bodies = _Bodies.of(topology, faces, split_labels(topology, labels))
-    _absorb_small_regions(bodies, settings)
-    _merge(bodies, topology, parts, settings)
-    return by_area(bodies.patches, faces.weights)
+    patches = _Patches.from_labels(topology, faces, split_labels(topology, labels))
+    _merge_small_patches(patches, settings)
+    _merge_stiff_pairs(patches, topology, parts, settings)
+    return renumber_by_area(patches.labels, faces.weights)
 
 
-def _looked_at(points: FloatArray, frames: int) -> Float:
-    """Return sampled frames ``(T, V, 3)``, centred, in diagonals of the first, or else of the largest."""
-    x = points[frames_to_look_at(len(points), frames)].astype(np.float64)
+def _sample_frames(points: FloatArray, frames: int) -> Float:
+    """Return sampled frames ``(T, V, 3)``, centred, in diagonals of the first one, or of the largest if that is 0."""
+    x = points[sample_frame_ids(len(points), frames)].astype(np.float64)
     x -= x.mean(axis=1, keepdims=True)
     diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
     x /= diagonals[0] or diagonals.max() or 1.0
@@ -303,120 +300,121 @@ def _looked_at(points: FloatArray, frames: int) -> Float:
 
 
 def _cluster(topology: Topology, faces: Elements, count: int, settings: MotionSettings) -> Index:
-    """Cluster faces by Lloyd's iteration with one more cluster at a time; only the end uses fully diffused costs.
-
-    Dense meshes are clustered by cells first, large ones by cells alone.
-    """
+    """Cluster faces by Lloyd's iteration with an increasing number of clusters, on cells if the mesh is dense."""
     rounds = settings.smoothing * len(faces) ** 0.5
-    if len(faces) <= DENSE:
-        return _settled(_grown(faces, count, rounds), rounds, 4)
-    cells, cell_of_face = Elements.cells(topology, faces)
-    rounds_of_cells = rounds * len(cells) / len(faces)
-    labels = _settled(_grown(cells, count, rounds_of_cells), rounds_of_cells, 4)[cell_of_face]
-    return labels if len(faces) > LARGE else _settled(Clusters(faces, labels, count), rounds, 2)
+    if len(faces) <= MAX_FACES_WITHOUT_CELLS:
+        return _relax(_grow_clusters(faces, count, rounds), rounds, 4)
+    cells, cell_of_face = Elements.from_cells(topology, faces)
+    cell_rounds = rounds * len(cells) / len(faces)
+    labels = _relax(_grow_clusters(cells, count, cell_rounds), cell_rounds, 4)[cell_of_face]
+    return labels if len(faces) > MAX_FACES_TO_REFINE else _relax(Clusters(faces, labels, count), rounds, 2)
 
 
-def _grown(elements: Elements, count: int, rounds: float) -> Clusters:
-    """Add one cluster at a time, seeded at the worst predicted elements."""
+def _grow_clusters(elements: Elements, count: int, rounds: float) -> Clusters:
+    """Add one cluster at a time, seeded at the element of largest cost, with few rounds of averaging."""
     seed_size = max(4, len(elements) // (6 * count))
-    few = 1 + max(1, round(rounds)) // 4
+    few_rounds = 1 + max(1, round(rounds)) // 4
     clusters = Clusters(elements, np.zeros(len(elements), dtype=np.int64), count)
     for cluster in range(1, count):
-        own = clusters.assign(few)
-        clusters.seed(elements.ball(int(np.argmax(own)), seed_size), cluster)
-        clusters.assign(few)
+        costs = clusters.assign(few_rounds)
+        clusters.seed(elements.ball(int(np.argmax(costs)), seed_size), cluster)
+        clusters.assign(few_rounds)
     return clusters
 
 
-def _settled(clusters: Clusters, rounds: float, times: int) -> Index:
-    """Reassign all elements several times, by costs averaged over `rounds` rounds."""
-    for _ in range(times):
+def _relax(clusters: Clusters, rounds: float, iterations: int) -> Index:
+    """Reassign all elements several times, by costs averaged over neighbours `rounds` times."""
+    for _ in range(iterations):
         clusters.assign(max(1, round(rounds)))
     return clusters.labels
 
 
 @dataclass(eq=False)
-class _Bodies:
+class _Patches:
     """Patches of faces that are merged step by step."""
 
-    patches: Index  # (F,) patch of every face
-    moments: dict[int, Moments]  # moments of every remaining patch
-    sizes: dict[int, int]  # number of its faces
-    neighbours: dict[int, set[int]]  # neighbours of every patch
+    labels: Index  # (F,) patch of every face
+    moments: dict[int, Moments]  # of every remaining patch
+    sizes: dict[int, int]  # numbers of faces
+    neighbours: dict[int, set[int]]
 
     @classmethod
-    def of(cls, topology: Topology, faces: Elements, patches: Index) -> _Bodies:
-        count = int(patches.max()) + 1
-        moments = moments_of(tally(faces, patches, count), faces.trajectories)
+    def from_labels(cls, topology: Topology, faces: Elements, labels: Index) -> _Patches:
+        count = int(labels.max()) + 1
+        moments = moments_of(tally(faces, labels, count), faces.trajectories)
         neighbours: dict[int, set[int]] = {p: set() for p in range(count)}
-        i, j = patches[topology.hinge_faces].T
-        for border in np.unique(np.minimum(i, j)[i != j] * count + np.maximum(i, j)[i != j]).tolist():
-            low, high = divmod(border, count)
+        i, j = labels[topology.hinge_faces].T
+        for pair in np.unique(np.minimum(i, j)[i != j] * count + np.maximum(i, j)[i != j]).tolist():
+            low, high = divmod(pair, count)
             neighbours[low].add(high)
             neighbours[high].add(low)
-        sizes = np.bincount(patches, minlength=count).tolist()
-        return cls(patches, dict(enumerate(moments)), dict(enumerate(sizes)), neighbours)
+        sizes = np.bincount(labels, minlength=count).tolist()
+        return cls(labels, dict(enumerate(moments)), dict(enumerate(sizes)), neighbours)
 
     @property
-    def borders(self) -> list[tuple[int, int]]:
+    def pairs(self) -> list[tuple[int, int]]:
         """Pairs of neighbouring patches, lower number first."""
-        return [(p, q) for p, beside in self.neighbours.items() for q in beside if p < q]
+        return [(p, q) for p, neighbours in self.neighbours.items() for q in neighbours if p < q]
 
     def merge(self, keep: int, drop: int) -> None:
-        """Move all faces of a patch to another one, in place."""
-        self.patches[self.patches == drop] = keep
+        """Move all faces of a patch to another one."""
+        self.labels[self.labels == drop] = keep
         self.moments[keep] += self.moments.pop(drop)
         self.sizes[keep] += self.sizes.pop(drop)
-        for beside in self.neighbours.pop(drop):
-            self.neighbours[beside].discard(drop)
-            if beside != keep:
-                self.neighbours[beside].add(keep)
-                self.neighbours[keep].add(beside)
+        for neighbour in self.neighbours.pop(drop):
+            self.neighbours[neighbour].discard(drop)
+            if neighbour != keep:
+                self.neighbours[neighbour].add(keep)
+                self.neighbours[keep].add(neighbour)
 
 
-def _absorb_small_regions(bodies: _Bodies, settings: MotionSettings) -> None:
-    """Merge small patches, the smallest first, into the neighbour with the least growth of the rigid error."""
-    smallest = max(4, round(settings.small_region * len(bodies.patches)))
-    moments = bodies.moments
+def _merge_small_patches(patches: _Patches, settings: MotionSettings) -> None:
+    """Merge small patches, the smallest first, into the neighbour with the least increase of the rigid error."""
+    min_size = max(4, round(settings.small_region * len(patches.labels)))
+    moments = patches.moments
     while True:
-        small = [(size, p) for p, size in bodies.sizes.items() if size < smallest and bodies.neighbours[p]]
+        small = [(size, p) for p, size in patches.sizes.items() if size < min_size and patches.neighbours[p]]
         if not small:
             return
-        region = min(small)[1]
-        into = min(
-            bodies.neighbours[region],
-            key=lambda n: ((moments[n] + moments[region]).error() - moments[n].error(), n),
+        drop = min(small)[1]
+        keep = min(
+            patches.neighbours[drop],
+            key=lambda n: ((moments[n] + moments[drop]).error() - moments[n].error(), n),
         )
-        bodies.merge(into, region)
+        patches.merge(keep, drop)
 
 
-def _merge(bodies: _Bodies, topology: Topology, parts: int | None, settings: MotionSettings) -> None:
-    """Merge neighbours, the stiffest pair first, until `parts` are left or every boundary bends enough."""
-    moments = bodies.moments
-    turns = {p: m.motion()[0] for p, m in moments.items()}
+def _merge_stiff_pairs(
+    patches: _Patches, topology: Topology, parts: int | None, settings: MotionSettings
+) -> None:
+    """Merge neighbours, the pair that bends least first, until `parts` remain or every boundary bends enough."""
+    moments = patches.moments
+    rotations = {p: m.motion()[0] for p, m in moments.items()}
     softness = {p: m.softness for p, m in moments.items()}
     bends: dict[tuple[int, int], float] = {}
-    joined: dict[tuple[int, int], float] = {}  # softness of pairs
-    rim = Rim.of(topology, bodies.patches)
+    pair_softness: dict[tuple[int, int], float] = {}
+    rim = Rim.from_labels(topology, patches.labels)
     while parts is None or len(moments) > parts:
-        bends = {(i, j): bends.get((i, j), -1.0) for i, j in bodies.borders}
-        if not bends:
+        pairs = patches.pairs
+        if not pairs:
             break
-        bends = {(i, j): b if b >= 0 else bend(turns[i], turns[j]) for (i, j), b in bends.items()}
-        narrow = rim.narrowness(bodies.patches)
-        worth = {
+        for i, j in set(pairs) - bends.keys():
+            bends[i, j] = largest_rotation(rotations[i], rotations[j])
+        bends = {pair: bends[pair] for pair in pairs}
+        narrow = rim.narrowness(patches.labels)
+        costs = {
             (i, j): b / (1.0 + settings.narrow * max(narrow[i], narrow[j])) for (i, j), b in bends.items()
         }
         for i, j in bends:
             if max(softness[i], softness[j]) > settings.soft:
-                joined[i, j] = joined.get((i, j)) or (moments[i] + moments[j]).softness
-                if joined[i, j] < settings.stiff:
-                    worth[i, j] = 0.0
-        keep, drop = min(worth, key=lambda pair: (worth[pair], bends[pair], pair))
-        if parts is None and worth[keep, drop] > settings.bend:
+                pair_softness[i, j] = pair_softness.get((i, j)) or (moments[i] + moments[j]).softness
+                if pair_softness[i, j] < settings.stiff:
+                    costs[i, j] = 0.0
+        keep, drop = min(costs, key=lambda pair: (costs[pair], bends[pair], pair))
+        if parts is None and costs[keep, drop] > settings.bend:
             break
-        bodies.merge(keep, drop)
-        turns[keep] = moments[keep].motion()[0]
+        patches.merge(keep, drop)
+        rotations[keep] = moments[keep].motion()[0]
         softness[keep] = moments[keep].softness
-        bends = {pair: b for pair, b in bends.items() if keep not in pair and drop not in pair}
-        joined = {pair: s for pair, s in joined.items() if keep not in pair and drop not in pair}
+        bends = {pair: b for pair, b in bends.items() if not {keep, drop} & {*pair}}
+        pair_softness = {pair: s for pair, s in pair_softness.items() if not {keep, drop} & {*pair}}

@@ -1,4 +1,4 @@
-"""Compiled inner loops of segmentations: clusters of rigid motion, flat faces, growing regions."""
+"""Compiled inner loops of segmentations: clusters of rigid motion, faces without area, growing regions."""
 
 from __future__ import annotations
 
@@ -14,49 +14,49 @@ Table = NDArray[np.int32]
 
 
 @compiled
-def transfer(
-    moved: Index, source: Index, target: Index, corners: Table, weights: Float, rows: Float, tallies: Float
+def move_elements(
+    elements: Index, source: Index, target: Index, corners: Table, weights: Float, rows: Float, tallies: Float
 ) -> None:
     """Move elements ``(n,)`` between clusters ``(E,)``, -1 for none, and update tallies ``(K, 4, D)``, in place.
 
-    A vertex with weight w, a share of area in squared diagonals, and row y ``(D,)`` of `Trajectories`, which ends with
+    A vertex with weight w (an area in squared diagonals) and row y ``(D,)`` of `Trajectories`, which ends with
     ``h = (rest position, 1)``, adds ``w h y^T``. Corners ``(E, 4)`` are padded with V.
     """
-    size = rows.shape[1]
-    for e in moved:
+    width = rows.shape[1]
+    for e in elements:
         k, l = target[e], source[e]  # noqa: E741
         for corner in corners[e]:
             if corner == len(rows):
                 continue
             row = rows[corner]
             for i in range(4):
-                factor = weights[e] * row[size - 4 + i]
-                into = tallies[k, i]
-                for j in range(size):
-                    into[j] += factor * row[j]
+                factor = weights[e] * row[width - 4 + i]
+                target_tally = tallies[k, i]
+                for j in range(width):
+                    target_tally[j] += factor * row[j]
                 if l >= 0:
-                    out = tallies[l, i]
-                    for j in range(size):
-                        out[j] -= factor * row[j]
+                    source_tally = tallies[l, i]
+                    for j in range(width):
+                        source_tally[j] -= factor * row[j]
 
 
 @compiled
-def squared_distances(moved: Single, rest: Single, motions: Single, result: Single) -> None:
+def squared_distances(posed: Single, rest: Single, motions: Single, result: Single) -> None:
     """Write mean squared distances ``(V, K)`` of trajectories ``(3T, V)`` from rest ``(3, V)`` under ``(K, 3T, 4)``."""
-    chunk = 512  # of vertices, so that what the inner loops touch stays in cache
+    chunk = 512  # vertices, so that the inner loops stay in cache
     sums = np.empty(chunk, dtype=np.float32)
-    count = np.float32(len(moved) // 3)
-    for start in range(0, moved.shape[1], chunk):
-        end = min(start + chunk, moved.shape[1])
+    count = np.float32(len(posed) // 3)
+    for start in range(0, posed.shape[1], chunk):
+        end = min(start + chunk, posed.shape[1])
         h0, h1, h2 = rest[0, start:end], rest[1, start:end], rest[2, start:end]
         for k in range(len(motions)):
             m = motions[k]
             sums[:] = 0.0
-            for i in range(0, len(moved), 3):
+            for i in range(0, len(posed), 3):
                 a0, b0, c0, d0 = m[i, 0], m[i, 1], m[i, 2], m[i, 3]
                 a1, b1, c1, d1 = m[i + 1, 0], m[i + 1, 1], m[i + 1, 2], m[i + 1, 3]
                 a2, b2, c2, d2 = m[i + 2, 0], m[i + 2, 1], m[i + 2, 2], m[i + 2, 3]
-                x, y, z = moved[i, start:end], moved[i + 1, start:end], moved[i + 2, start:end]
+                x, y, z = posed[i, start:end], posed[i + 1, start:end], posed[i + 2, start:end]
                 for v in range(end - start):
                     p = x[v] - (a0 * h0[v] + b0 * h1[v] + c0 * h2[v] + d0)
                     q = y[v] - (a1 * h0[v] + b1 * h1[v] + c1 * h2[v] + d1)
@@ -67,27 +67,27 @@ def squared_distances(moved: Single, rest: Single, motions: Single, result: Sing
 
 
 @compiled
-def averages(values: Single, members: Table, factors: Single, result: Single) -> None:
+def average_members(values: Single, members: Table, factors: Single, result: Single) -> None:
     """Write the mean ``(E, K)`` of rows ``(n, K)`` of each element's members ``(E, m)``, padded with a row of zeros."""
     for e in range(len(members)):
         a, b = values[members[e, 0]], values[members[e, 1]]
         c, d = values[members[e, 2]], values[members[e, 3]]
-        into, factor = result[e], factors[e]
-        for k in range(len(into)):  # four at once: faces have three neighbours
-            into[k] = (a[k] + b[k] + c[k] + d[k]) * factor
+        mean, factor = result[e], factors[e]
+        for k in range(len(mean)):  # four at once, as faces have three neighbours
+            mean[k] = (a[k] + b[k] + c[k] + d[k]) * factor
         for i in range(4, members.shape[1]):
             a = values[members[e, i]]
-            for k in range(len(into)):
-                into[k] += a[k] * factor
+            for k in range(len(mean)):
+                mean[k] += a[k] * factor
 
 
 @compiled
-def cheapest(fresh: Single, columns: Index, costs: Single, labels: Index, lowest: Single) -> None:
-    """Write fresh costs ``(E, n)`` to columns of costs ``(E, K)``; write each row's lowest and its label ``(E,)``."""
+def assign_lowest(updated: Single, columns: Index, costs: Single, labels: Index, lowest: Single) -> None:
+    """Write updated costs ``(E, n)`` to columns of costs ``(E, K)``, and every row's lowest and its column ``(E,)``."""
     for e in range(len(costs)):
         row = costs[e]
         for i in range(len(columns)):
-            row[columns[i]] = fresh[e, i]
+            row[columns[i]] = updated[e, i]
         best = 0
         for k in range(1, len(row)):
             if row[k] < row[best]:
@@ -98,17 +98,17 @@ def cheapest(fresh: Single, columns: Index, costs: Single, labels: Index, lowest
 
 @compiled
 def list_neighbours(pairs: Index, table: Table) -> None:
-    """Write neighbours by pairs ``(n, 2)`` behind the elements in a table ``(E, m)``, pairs they lead first."""
-    next_place = np.ones(len(table), dtype=np.int32)
-    for own in range(2):
+    """Write the neighbours of elements, by pairs ``(n, 2)``, to columns 1, 2, ... of a table ``(E, m)``."""
+    next_column = np.ones(len(table), dtype=np.int32)
+    for side in range(2):
         for pair in range(len(pairs)):
-            e = pairs[pair, own]
-            table[e, next_place[e]] = pairs[pair, 1 - own]
-            next_place[e] += 1
+            e = pairs[pair, side]
+            table[e, next_column[e]] = pairs[pair, 1 - side]
+            next_column[e] += 1
 
 
 @compiled
-def cells(starts: Table, neighbours: Table, owner: Table) -> Index:
+def partition_cells(starts: Table, neighbours: Table, owner: Table) -> Index:
     """Partition vertices into cells, a centre and its unassigned neighbours; write owners ``(V,)``, return centres."""
     centres = np.empty(len(owner), dtype=np.int64)
     count = 0
@@ -124,8 +124,8 @@ def cells(starts: Table, neighbours: Table, owner: Table) -> Index:
 
 
 @compiled
-def mark_flat(points: Float, faces: NDArray[np.integer], height: float, flat: Mask) -> None:
-    """Mark the faces ``(F,)`` lower than `height` times their longest side: points ``(V, 3)``."""
+def mark_degenerate(points: Float, faces: NDArray[np.integer], height_ratio: float, mask: Mask) -> None:
+    """Mark the faces ``(F,)`` with a height of at most `height_ratio` times their longest side: points ``(V, 3)``."""
     for f in range(len(faces)):
         a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
         u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -133,13 +133,13 @@ def mark_flat(points: Float, faces: NDArray[np.integer], height: float, flat: Ma
         w0, w1, w2 = a[0] - c[0], a[1] - c[1], a[2] - c[2]
         longest = max(u0 * u0 + u1 * u1 + u2 * u2, v0 * v0 + v1 * v1 + v2 * v2, w0 * w0 + w1 * w1 + w2 * w2)
         n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
-        if math.sqrt(n0 * n0 + n1 * n1 + n2 * n2) <= height * longest:
-            flat[f] = True
+        if math.sqrt(n0 * n0 + n1 * n1 + n2 * n2) <= height_ratio * longest:
+            mask[f] = True
 
 
 @compiled
 def kruskal(ends: Index, heights: Float, bottoms: Float, areas: Float) -> tuple[Index, Float, Float]:
-    """Join nodes by edges ``(m, 2)`` in the given order; return joining edges ``(k,)``, areas and depths ``(k,)``."""
+    """Join nodes by edges ``(m, 2)`` in order of height; return edges of the tree, their areas and depths ``(k,)``."""
     parent = np.arange(len(areas))
     tree = np.empty(len(areas), dtype=np.int64)
     area, depth = np.empty(len(areas)), np.empty(len(areas))

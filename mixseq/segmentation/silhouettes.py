@@ -1,30 +1,20 @@
-r"""Segmentation where a mesh deforms: by augmented silhouettes, and by a spanning tree.
+r"""Segmentation along regions of large deformation: by augmented silhouettes, and by a spanning tree.
 
 *Augmented silhouettes* (Marras, Bronstein, Hormann, Scateni and Scopigno 2012; paper, Section 2.1, Figure 3):
 
-1. *Look.* The N poses are seen from K viewpoints. The augmented silhouette of a view are the edges between a visible
-   and a hidden face, without occlusion. Only K' of all K N silhouettes, chosen at random, are used.
-2. *Mark.* On every silhouette the vertices are marked whose surrounding triangles deform most, by the largest
-   variation over the poses of the angles and lengths of their edges. Vertices marked often are *significant*.
-3. *Seed.* The height of a vertex is its diffusion distance from the nearest significant one. Maxima are seeds.
-4. *Grow.* Regions grow from the seeds downwards, until they meet where the mesh deforms.
+1. *Views.* N poses are viewed from K viewpoints. The augmented silhouette of a view are the edges between a front and
+   a back face, without occlusion. Only K' of all K N silhouettes, chosen at random, are used.
+2. *Marks.* On every silhouette the vertices are marked whose surrounding triangles deform most: by the largest
+   variation over the poses of the angles and lengths of their edges. Vertices with many marks are *significant*.
+3. *Seeds.* The height of a vertex is its diffusion distance from the nearest significant one. Maxima are seeds.
+4. *Regions.* They grow from the seeds downwards, until they meet where the mesh deforms.
 
-Choices that the paper leaves open, like all numbers:
-
-- Views are orthographic, with directions spread over a half sphere: silhouettes are the same from behind.
-- A vertex deforms by :math:`\Delta\theta_v + \epsilon_v`, smoothed over a small radius; on every silhouette a fixed
-  share of vertices is marked; those marked on at least half of their silhouettes are significant.
-- The height of a significant vertex is minus its distance from the nearest other one, so that regions meet in the
-  middle of what deforms.
-- A seed makes a part if it is high enough above the pass to a higher one (its persistence, see
-  `mixseq.segmentation.elements`), and its region is large enough. Every connected component is at least one part.
+Details and values that the paper does not give are described in docs/segmentation.md.
 
 *Spanning tree* (Wuhrer and Brunton 2010; paper, Section 1.3): a minimum spanning tree of the dual graph connects the
-faces across the hinges whose dihedral angle varies least, and is cut at hinges of large variation. On noisy meshes that
-leaves one large part and crumbs: the largest variations are those of single bad triangles, and the tree passes joints
-along sides of limbs that are only sheared. So variations are averaged at vertices and smoothed, which closes the rings
-about joints, and a hinge is cut if it bends by enough more than the insides of both its sides (its depth as a pass,
-instead of its height), and if both sides are large enough.
+faces across the hinges whose dihedral angle varies least, and is cut at hinges of large variation. Against noise,
+variations are averaged at vertices and smoothed. A hinge is cut by its depth as a pass, not its height: if it varies by
+enough more than the insides of both its sides, which must be large enough.
 
 *Variations* are the largest ones between any two frames; at vertices means over incident hinges or edges, weighted by
 length in the first frame:
@@ -54,22 +44,22 @@ import numpy as np
 from scipy import sparse
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, triangle_areas, wrap_angles
 from mixseq.mesh.topology import Topology
-from mixseq.segmentation.elements import check_parts, face_areas, flood
-from mixseq.segmentation.joints import frames_to_look_at
+from mixseq.segmentation.elements import check_part_count, face_areas, find_passes
+from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.types import Float, FloatArray, Index, Mask
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
 
 
-_TINY = np.finfo(np.float64).tiny
+_SMALLEST_FLOAT = np.finfo(np.float64).tiny
 
 
-def some_frames(points: FloatArray, frames: int) -> Float:
-    """Return at most `frames` evenly spread frames ``(T, V, 3)``, in diagonals of the first, or else of the largest."""
-    x = points[frames_to_look_at(len(points), frames)].astype(np.float64)
+def sample_frames(points: FloatArray, max_count: int) -> Float:
+    """Return evenly spaced frames ``(T, V, 3)``, in diagonals of the first one, or of the largest if that is 0."""
+    x = points[sample_frame_ids(len(points), max_count)].astype(np.float64)
     x -= x[0].mean(axis=0)
     diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
     return np.asarray(x / (diagonals[0] or diagonals.max() or 1.0))
@@ -80,83 +70,77 @@ def angle_variation(points: FloatArray, topology: Topology) -> Float:
     angles = np.stack([dihedral_angles(frame, topology.hinges) for frame in points])
     largest = np.zeros(angles.shape[1])
     for frame in range(1, len(angles)):
-        largest = np.maximum(largest, np.abs(wrap(angles[frame] - angles[:frame])).max(axis=0))
+        largest = np.maximum(largest, np.abs(wrap_angles(angles[frame] - angles[:frame])).max(axis=0))
     return largest
 
 
 def length_variation(points: FloatArray, topology: Topology) -> Float:
-    """Return the largest change ``(E,)`` of edge lengths between two of the frames ``(T, V, 3)``."""
+    """Return the largest change ``(E,)`` of edge lengths between frames ``(T, V, 3)``."""
     lengths = np.stack([edge_lengths(frame, topology.edges) for frame in points])
     return np.asarray(np.ptp(lengths, axis=0), dtype=np.float64)
 
 
 def vertex_bending(points: FloatArray, topology: Topology) -> Float:
     """Return the mean change ``(V,)`` of the dihedral angles at every vertex, in radians."""
-    hinged = topology.edges[topology.hinge_edges]
-    lengths = edge_lengths(points[0], hinged)
-    count = topology.vertex_count
-    change = _gathered(hinged, lengths * angle_variation(points, topology), count)
-    return change / np.maximum(_gathered(hinged, lengths, count), _TINY)
+    edges, count = topology.edges[topology.hinge_edges], topology.vertex_count
+    lengths = edge_lengths(points[0], edges)
+    change = _sum_at_vertices(edges, lengths * angle_variation(points, topology), count)
+    return change / np.maximum(_sum_at_vertices(edges, lengths, count), _SMALLEST_FLOAT)
 
 
 def vertex_strain(points: FloatArray, topology: Topology) -> Float:
     """Return the mean relative change ``(V,)`` of edge lengths at every vertex."""
     count = topology.vertex_count
-    lengths = _gathered(topology.edges, edge_lengths(points[0], topology.edges), count)
-    change = _gathered(topology.edges, length_variation(points, topology), count)
-    return np.where(lengths > 0.0, change / np.maximum(lengths, _TINY), 0.0)
+    lengths = _sum_at_vertices(topology.edges, edge_lengths(points[0], topology.edges), count)
+    change = _sum_at_vertices(topology.edges, length_variation(points, topology), count)
+    return np.where(lengths > 0.0, change / np.maximum(lengths, _SMALLEST_FLOAT), 0.0)
 
 
-def _gathered(edges: Index, values: Float, count: int) -> Float:
+def _sum_at_vertices(edges: Index, values: Float, count: int) -> Float:
     """Sum the values ``(n,)`` of edges ``(n, 2)`` at their vertices ``(count,)``."""
     return np.asarray(np.bincount(edges.reshape(-1), np.repeat(values, 2), count), dtype=np.float64)
 
 
-_LEAST, _MOST = 1e-2, 1e2
-"""Range of an edge's cotangent weight: slivers and obtuse triangles neither cut nor weld the surface."""
-
-_DENSE = 400
-"""Number of vertices of a component below which its matrix is decomposed as a dense one."""
+_MIN_COTANGENT_WEIGHT, _MAX_COTANGENT_WEIGHT = 1e-2, 1e2  # limit the effect of slivers and obtuse triangles
+_MIN_SPARSE_VERTICES = 400  # smaller components have a dense eigensolver
 
 
 @dataclass(frozen=True, eq=False)
 class Diffusion:
     """Diffusion on one frame of a mesh."""
 
-    points: FloatArray
+    points: FloatArray  # (V, 3)
     topology: Topology
 
     @cached_property
     def areas(self) -> Float:
-        """Area ``(V,)`` of every vertex: a third of its faces'; tiny without faces, all equal without area."""
-        corners = self.points[self.topology.faces]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        thirds = np.repeat(np.linalg.norm(normals, axis=1) / 6.0, 3)
+        """Areas ``(V,)`` of vertices: a third of their faces, at least 1e-6 of the mean; equal if all are zero."""
+        thirds = np.repeat(triangle_areas(self.points, self.topology.faces) / 3.0, 3)
         areas = np.bincount(self.topology.faces.reshape(-1), thirds, self.topology.vertex_count)
         return np.asarray(np.maximum(areas, 1e-6 * (float(areas.mean()) or 1.0)))
 
     @cached_property
     def laplacian(self) -> sparse.csc_array:
-        """The positive semidefinite Laplacian ``(V, V)`` of cotangent weights."""
+        """Positive semidefinite cotangent Laplacian ``(V, V)``."""
         start, end, opposite = (np.roll(self.topology.faces, -i, axis=1).T.reshape(-1) for i in range(3))
         u, v = self.points[start] - self.points[opposite], self.points[end] - self.points[opposite]
         height = np.linalg.norm(np.cross(u, v), axis=1)
         cotangents = np.einsum("ci,ci->c", u, v) / np.maximum(height, 1e-12)
         weights = np.zeros(len(self.topology.edges))
         np.add.at(weights, self.topology.face_edges.T.reshape(-1), 0.5 * cotangents)
-        weights = np.clip(weights, _LEAST, _MOST)
+        weights = np.clip(weights, _MIN_COTANGENT_WEIGHT, _MAX_COTANGENT_WEIGHT)
         i, j = self.topology.edges.T
         count = self.topology.vertex_count
         half = sparse.coo_array((weights, (i, j)), shape=(count, count))
         adjacency = half + half.T
         return sparse.csc_array(sparse.diags_array(adjacency.sum(axis=0)) - adjacency)
 
-    def smoothed(self, values: Float, radius: float) -> Float:
-        """Smooth values ``(V,)`` over about a radius; their mean over the surface is kept."""
+    def smooth(self, values: Float, radius: float) -> Float:
+        """Smooth values ``(V,)`` over about a radius, preserving their mean over the surface."""
         if radius == 0.0:
             return values.copy()
         system = sparse.diags_array(self.areas) + radius**2 * self.laplacian
-        return np.asarray(_factored(system).solve(self.areas * values), dtype=np.float64)
+        return np.asarray(_factor(system).solve(self.areas * values), dtype=np.float64)
 
     def embedding(self, time: float, count: int) -> Float:
         """Coordinates ``(V, count)`` with diffusion distances within each component; padded with zeros if small."""
@@ -176,35 +160,35 @@ class Diffusion:
         """Yield vertices ``(n,)``, lowest eigenvalues ``(k,)``, and eigenvectors ``(n, k)`` of every component."""
         roots = 1.0 / np.sqrt(self.areas)
         scaled = sparse.csr_array(self.laplacian.multiply(roots[:, None]).multiply(roots[None, :]))
-        number = self.topology.component_of_vertex
-        order, ends = np.argsort(number, kind="stable"), np.cumsum(np.bincount(number))
-        blocks = scaled[order][:, order]  # on its diagonal there is one for every component
+        labels = self.topology.component_of_vertex
+        order, ends = np.argsort(labels, kind="stable"), np.cumsum(np.bincount(labels))
+        blocks = scaled[order][:, order]  # block diagonal, with a block for every component
         for start, end in zip(np.append(0, ends[:-1]), ends, strict=True):
             component = order[start:end]
-            values, vectors = _lowest(blocks[start:end, start:end], min(count, len(component) - 1))
+            values, vectors = _lowest_eigenpairs(blocks[start:end, start:end], min(count, len(component) - 1))
             yield component, values, vectors * roots[component, None]
 
 
-def _lowest(matrix: sparse.csr_array, count: int) -> tuple[Float, Float]:
-    """Return the lowest eigenvalues ``(count,)`` without the first, which is zero, and their eigenvectors."""
+def _lowest_eigenpairs(matrix: sparse.csr_array, count: int) -> tuple[Float, Float]:
+    """Return the lowest eigenvalues ``(count,)`` except the first, which is zero, and their eigenvectors."""
     from scipy.sparse.linalg import LinearOperator, eigsh
 
     size = matrix.shape[0]
-    if size < _DENSE or count >= size // 4:
+    if size < _MIN_SPARSE_VERTICES or count >= size // 4:
         values, vectors = np.linalg.eigh(matrix.toarray())
         return values[1 : count + 1], vectors[:, 1 : count + 1]
-    # The shift makes the matrix definite. It is small against the eigenvalues wanted, of which the mean is about
+    # The shift makes the matrix definite. It is small against the lowest eigenvalues, of which the mean is about
     # that of all divided by the number of vertices.
     shift = 1e-3 * float(matrix.diagonal().mean()) / size
-    factor = _factored(matrix + shift * sparse.eye_array(size))
+    factor = _factor(matrix + shift * sparse.eye_array(size))
     inverse = LinearOperator((size, size), matvec=factor.solve, dtype=np.float64)
-    start = np.cos(np.arange(size, dtype=np.float64))  # any, but always the same
+    start = np.cos(np.arange(size, dtype=np.float64))  # arbitrary, but reproducible
     values, vectors = eigsh(matrix, count + 1, sigma=-shift, OPinv=inverse, v0=start, tol=1e-8)
     order = np.argsort(values, kind="stable")[1:]
     return values[order], vectors[:, order]
 
 
-def _factored(matrix: sparse.sparray) -> SuperLU:
+def _factor(matrix: sparse.sparray) -> SuperLU:
     """Factor a symmetric positive definite matrix."""
     from scipy.sparse.linalg import splu
 
@@ -229,13 +213,13 @@ class SilhouetteSettings:
     radius : float
         Smoothing radius of deformations, in diagonals; 0 for none.
     share : float
-        Fraction of the vertices on a silhouette that are marked, those that deform most.
+        Fraction of the vertices on a silhouette that are marked: those that deform most.
     still : float
-        Deformation below which vertices are never marked; radians of bending plus strain.
+        Deformation below which vertices are never marked: radians of bending plus strain.
     eigenvectors : int
         Number of eigenvectors of the diffusion distance.
     time : float
-        Time of diffusion, in squared diagonals; smaller details than its root have no influence.
+        Time of diffusion, in squared diagonals; details smaller than its root have no influence.
     contrast : float
         Without a number of parts, least height of a seed above the pass to a higher seed, as a fraction of the mean
         distance.
@@ -256,10 +240,14 @@ class SilhouetteSettings:
     small_region: float = 0.005
 
     def __post_init__(self) -> None:
-        counts = min(self.frames, self.viewpoints, self.silhouettes, self.eigenvectors)
-        sizes = min(self.seed, self.radius, self.still, self.time, self.contrast)
-        finite = np.isfinite([self.radius, self.still, self.time, self.contrast]).all()
-        if counts < 1 or sizes < 0 or not (finite and 0 < self.share <= 1 and 0 <= self.small_region < 1):
+        least_count = min(self.frames, self.viewpoints, self.silhouettes, self.eigenvectors)
+        least_size = min(self.seed, self.radius, self.still, self.time, self.contrast)
+        is_finite = np.isfinite([self.radius, self.still, self.time, self.contrast]).all()
+        if (
+            least_count < 1
+            or least_size < 0
+            or not (is_finite and 0 < self.share <= 1 and 0 <= self.small_region < 1)
+        ):
             raise SettingsError(
                 f"{self}: frames, viewpoints, silhouettes and eigenvectors of at least 1, seed, radius, still, time "
                 "and contrast of at least 0, a share from above 0 to 1 and a small_region from 0 to below 1 are "
@@ -275,36 +263,34 @@ def segment_by_silhouettes(
 ) -> Index:
     """Find the part ``(F,)`` of every face between deforming silhouettes of points ``(T, V, 3)``."""
     settings = settings or SilhouetteSettings()
-    check_parts(parts, topology)
-    x = some_frames(points, settings.frames)
+    check_part_count(parts, topology)
+    x = sample_frames(points, settings.frames)
     surface = Diffusion(x[0], topology)
-    deformation = surface.smoothed(vertex_bending(x, topology) + vertex_strain(x, topology), settings.radius)
+    deformation = surface.smooth(vertex_bending(x, topology) + vertex_strain(x, topology), settings.radius)
     significant = significant_vertices(x, topology, deformation, settings)
     distance = _signed_distance(surface, significant, settings)
-    bottoms = -distance[topology.faces].mean(axis=1)  # water runs down: seeds, which are tops, turned over
-    passes = flood(topology, bottoms[topology.hinge_faces].max(axis=1), bottoms, face_areas(x[0], topology))
-    least_area = settings.small_region * float(passes.face_areas.sum())
-    if parts is not None:
-        return passes.cut(passes.deepest(parts, least_area))
-    deep = settings.contrast * float(np.average(np.abs(distance), weights=surface.areas))
-    return passes.cut(passes.deeper(deep, least_area))
+    bottoms = -distance[topology.faces].mean(axis=1)  # seeds are maxima, turned over
+    heights = bottoms[topology.hinge_faces].max(axis=1)
+    min_depth = settings.contrast * float(np.average(np.abs(distance), weights=surface.areas))
+    passes = find_passes(topology, heights, bottoms, face_areas(x[0], topology))
+    return passes.segment(parts, min_depth, settings.small_region)
 
 
 def viewpoints(count: int) -> Float:
     """Return directions ``(count, 3)``, evenly spread over the upper half sphere: a Fibonacci spiral."""
-    number = np.arange(count) + 0.5
-    height = 1.0 - number / count
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * number
+    index = np.arange(count) + 0.5
+    height = 1.0 - index / count
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * index
     radius = np.sqrt(1.0 - height**2)
-    return np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
 
 
 def silhouette(points: FloatArray, topology: Topology, direction: Float) -> Mask:
-    """Mark the hinges ``(H,)`` between a face towards a direction ``(3,)`` and one away from it."""
+    """Mark the hinges ``(H,)`` between a front and a back face of a view from a direction ``(3,)``."""
     corners = points[topology.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    visible = (normals @ direction > 0.0)[topology.hinge_faces]
-    return np.asarray(visible[:, 0] != visible[:, 1])
+    is_front = (normals @ direction > 0.0)[topology.hinge_faces]
+    return np.asarray(is_front[:, 0] != is_front[:, 1])
 
 
 def significant_vertices(
@@ -312,40 +298,39 @@ def significant_vertices(
 ) -> Mask:
     """Mark the vertices ``(V,)`` that deform most on most of their silhouettes: points ``(N, V, 3)``."""
     directions = viewpoints(settings.viewpoints)
-    views = len(points) * len(directions)
-    chosen = np.random.default_rng(settings.seed).choice(
-        views, min(settings.silhouettes, views), replace=False
-    )
-    seen, marked = np.zeros((2, topology.vertex_count), dtype=np.int64)
-    for pose, direction in zip(*np.divmod(np.sort(chosen), len(directions)), strict=True):
+    view_count = len(points) * len(directions)
+    rng = np.random.default_rng(settings.seed)
+    views = rng.choice(view_count, min(settings.silhouettes, view_count), replace=False)
+    on_silhouette_count, mark_count = np.zeros((2, topology.vertex_count), dtype=np.int64)
+    for pose, direction in zip(*np.divmod(np.sort(views), len(directions)), strict=True):
         edges = topology.hinge_edges[silhouette(points[pose], topology, directions[direction])]
         vertices = np.unique(topology.edges[edges])
         if not vertices.size:
             continue
-        least = np.quantile(deformation[vertices], 1.0 - settings.share)
-        seen[vertices] += 1
-        marked[vertices[deformation[vertices] >= max(least, settings.still)]] += 1
-    return (marked > 0) & (2 * marked >= seen)
+        threshold = np.quantile(deformation[vertices], 1.0 - settings.share)
+        on_silhouette_count[vertices] += 1
+        mark_count[vertices[deformation[vertices] >= max(threshold, settings.still)]] += 1
+    return (mark_count > 0) & (2 * mark_count >= on_silhouette_count)
 
 
 def _signed_distance(surface: Diffusion, significant: Mask, settings: SilhouetteSettings) -> Float:
-    """Return the diffusion distance ``(V,)`` from the nearest significant vertex, negative inside; 0 without a rim.
+    """Return the diffusion distance ``(V,)`` to the nearest significant vertex, negative inside; 0 without a rim.
 
-    Only rim vertices, with a neighbour of the other kind, are compared: others are rarely nearer, and then hardly.
+    Only distances to rim vertices, which have a neighbour of the other kind, are compared: others are rarely shorter.
     """
     from scipy.spatial import cKDTree
 
-    places = surface.embedding(settings.time, settings.eigenvectors)
+    embedding = surface.embedding(settings.time, settings.eigenvectors)
     component = surface.topology.component_of_vertex
     edges = surface.topology.edges
-    rim = np.zeros(len(places), dtype=bool)
+    rim = np.zeros(len(embedding), dtype=bool)
     rim[edges[significant[edges[:, 0]] != significant[edges[:, 1]]]] = True
-    result = np.zeros(len(places))
+    result = np.zeros(len(embedding))
     for number in np.unique(component[rim]):
-        here = component == number
+        in_component = component == number
         for side, sign in ((significant, -1.0), (~significant, 1.0)):
-            across = cKDTree(places[here & rim & ~side])
-            result[here & side] = sign * across.query(places[here & side])[0]
+            tree = cKDTree(embedding[in_component & rim & ~side])
+            result[in_component & side] = sign * tree.query(embedding[in_component & side])[0]
     return result
 
 
@@ -360,8 +345,8 @@ class SpanningTreeSettings:
     radius : float
         Smoothing radius of variations, in diagonals; 0 for none.
     contrast : float
-        Without a number of parts, cuts are where the variation is larger than inside the parts by this fraction of
-        the mesh's mean variation ...
+        Without a number of parts, hinges are cut where the variation is larger than inside the parts by this fraction
+        of the mesh's mean variation ...
     still : float
         ... and by more than this angle, in degrees; smaller variations are noise.
     small_region : float
@@ -391,18 +376,15 @@ def segment_by_spanning_tree(
     parts: int | None = None,
     settings: SpanningTreeSettings | None = None,
 ) -> Index:
-    """Cut a moving mesh ``(T, V, 3)`` where its dihedral angles vary most; returns parts ``(F,)``."""
+    """Find the part ``(F,)`` of every face between hinges whose angles vary most: points ``(T, V, 3)``."""
     settings = settings or SpanningTreeSettings()
-    check_parts(parts, topology)
-    x = some_frames(points, settings.frames)
+    check_part_count(parts, topology)
+    x = sample_frames(points, settings.frames)
     surface = Diffusion(x[0], topology)
-    bending = surface.smoothed(vertex_bending(x, topology), settings.radius)
+    bending = surface.smooth(vertex_bending(x, topology), settings.radius)
     heights = bending[topology.edges[topology.hinge_edges]].mean(axis=1)
     bottoms = np.full(len(topology.faces), np.inf)
     np.minimum.at(bottoms, topology.hinge_faces.reshape(-1), np.repeat(heights, 2))
-    passes = flood(topology, heights, bottoms, face_areas(x[0], topology))
-    least_area = settings.small_region * float(passes.face_areas.sum())
-    if parts is not None:
-        return passes.cut(passes.deepest(parts, least_area))
-    deep = settings.contrast * float(np.average(bending, weights=surface.areas))
-    return passes.cut(passes.deeper(max(deep, np.radians(settings.still)), least_area))
+    passes = find_passes(topology, heights, bottoms, face_areas(x[0], topology))
+    min_depth = settings.contrast * float(np.average(bending, weights=surface.areas))
+    return passes.segment(parts, max(min_depth, np.radians(settings.still)), settings.small_region)

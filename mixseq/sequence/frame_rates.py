@@ -1,4 +1,4 @@
-"""Frame rates and frame numbers: exact values, and their display.
+"""Frame rates and frame numbers: exact values and their text.
 
 NTSC rates are 1000/1001 of whole numbers, 24000/1001 = 23.976023... With the rounded value, a shot that begins at frame
 1001 would be off by a thousandth of a frame, and frames would miss the grid.
@@ -6,7 +6,7 @@ NTSC rates are 1000/1001 of whole numbers, 24000/1001 = 23.976023... With the ro
 Frames have numbers besides their times, such as 1001 to 1096. The number n of a frame at the time t of a time line with
 f frames per second is :math:`n = t f` in every file and on every screen, so that a shot need not begin at 0. Files with
 numbers but no times, ``walk_1001.obj`` or PC2, get their times from it; `SequenceHeader.numbered_from` changes the
-first number. In Python frames are indexed from 0; messages show the number.
+first number. In Python frames are indexed from 0; messages show numbers.
 """
 
 from __future__ import annotations
@@ -17,73 +17,73 @@ from typing import Annotated
 Seconds = Annotated[float, "seconds"]
 """A time or duration that scripts may give as a number of frames."""
 
-NEAR = 1e-3
-"""Fraction of a frame by which times may miss a whole number, as they are typed and stored with a few digits."""
+FRAME_TOLERANCE = 1e-3
+"""Distance in frames within which a time is at a whole number, as times are typed and stored with a few digits."""
 
 
-def number_at(time: float, fps: float) -> float:
-    """Return the frame number of a time in seconds, rounded to a whole number within `NEAR`."""
+def time_to_number(time: float, fps: float) -> float:
+    """Return the frame number of a time in seconds, rounded to a whole number within `FRAME_TOLERANCE`."""
     number = float(time) * fps
     whole = float(round(number)) if isfinite(number) else number
-    return whole if abs(number - whole) <= NEAR else number
+    return whole if abs(number - whole) <= FRAME_TOLERANCE else number
 
 
-def time_of(number: float, fps: float) -> float:
+def number_to_time(number: float, fps: float) -> float:
     """Return the time of a frame number in seconds."""
     return number / fps
 
 
-def number_text(number: float) -> str:
+def format_number(number: float) -> str:
     """Format a frame number: 1001.0 as "1001", 6.24 as "6.24"."""
     return f"{number + 0.0:.3f}".rstrip("0").rstrip(".")
 
 
-def frame_text(time: float, fps: float) -> str:
+def format_frame(time: float, fps: float) -> str:
     """Format the frame number of a time in seconds: "1001"."""
-    return number_text(number_at(time, fps))
+    return format_number(time_to_number(time, fps))
 
 
-def frames_text(count: int, first: float, last: float) -> str:
+def format_frames(count: int, first: float, last: float) -> str:
     """Format a count of frames and their numbers: "96 (1001 to 1096)"."""
-    numbers = dict.fromkeys(map(number_text, (first, last)))
+    numbers = dict.fromkeys(map(format_number, (first, last)))
     return f"{count:,} ({' to '.join(numbers)})"
 
 
-def frames_between(start: float, end: float, fps: float) -> str:
+def format_frame_range(start: float, end: float, fps: float) -> str:
     """Format the frame numbers of a time range in seconds: "frames 1001 to 1096" or "frame 12"."""
-    numbers = dict.fromkeys(frame_text(time, fps) for time in (start, end))
+    numbers = dict.fromkeys(format_frame(time, fps) for time in (start, end))
     return f"frame{'s' if len(numbers) > 1 else ''} {' to '.join(numbers)}"
 
 
-def span_text(start: float, end: float, fps: float) -> str:
+def format_span(start: float, end: float, fps: float) -> str:
     """Format a time range in seconds with its frame numbers: "41.7083 to 45.6667 s (frames 1001 to 1096)"."""
-    return f"{start:g} to {end:g} s ({frames_between(start, end, fps)})"
+    return f"{start:g} to {end:g} s ({format_frame_range(start, end, fps)})"
 
 
-def seconds_meant(time: float, start: float, end: float, fps: float) -> str:
+def hint_frame_number(time: float, start: float, end: float, fps: float) -> str:
     """Return a hint for a frame number given as seconds, "; frame 1005 is at 41.875 s", or "" for other times."""
-    if not start - NEAR / fps <= time_of(time, fps) <= end + NEAR / fps:
+    if not start - FRAME_TOLERANCE / fps <= number_to_time(time, fps) <= end + FRAME_TOLERANCE / fps:
         return ""
-    return f"; frame {number_text(time)} is at {time_of(time, fps):g} s"
+    return f"; frame {format_number(time)} is at {number_to_time(time, fps):g} s"
 
 
 NTSC_RATES = tuple(1000 * whole / 1001 for whole in (24, 30, 48, 60, 120))
 
-_ROUNDED = 0.005
-"""Largest distance of a rounded rate from an NTSC rate: that of two digits or more."""
+_NTSC_TOLERANCE_FPS = 0.005
+"""Distance from an NTSC rate up to which a rate is rounded to two digits or more."""
 
 
-def exact_rate(fps: float, own: float | None = None) -> float:
-    """Return the NTSC rate of a rounded one (23.976: 24000/1001); other rates and multiples of `own` stay."""
-    if own and fps > 0 and isfinite(fps):
-        times = max(fps / own, own / fps)
-        if abs(times - round(times)) < 1e-9:
+def snap_to_ntsc(fps: float, base: float | None = None) -> float:
+    """Return the NTSC rate of a rounded one (23.976: 24000/1001); keep other rates and multiples of `base`."""
+    if base and fps > 0 and isfinite(fps):
+        ratio = max(fps / base, base / fps)
+        if abs(ratio - round(ratio)) < 1e-9:
             return fps
-    return next((rate for rate in NTSC_RATES if abs(fps - rate) < _ROUNDED), fps)
+    return next((rate for rate in NTSC_RATES if abs(fps - rate) < _NTSC_TOLERANCE_FPS), fps)
 
 
-def rate_text(fps: float) -> str:
-    """Format a rate, NTSC's exactly: "24000/1001 (23.976)"."""
+def format_rate(fps: float) -> str:
+    """Format a frame rate, NTSC rates as fractions: "24000/1001 (23.976)"."""
     for rate in NTSC_RATES:
         if abs(fps - rate) < 1e-9 * rate:
             return f"{round(1001 * rate)}/1001 ({rate:.3f})"

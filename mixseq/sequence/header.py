@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.mesh.polygons import Polygons, frozen
+from mixseq.mesh.polygons import Polygons, read_only
 from mixseq.mesh.surface import MeshObject, Surface
-from mixseq.sequence.frame_rates import NEAR, frame_text, number_text
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_frame, format_number
 
 UP_AXES = ("X", "Y", "Z")
 DEFAULT_FPS = 24.0
 
-MOST_FRAMES = 10_000_000
-"""Largest number of frames, to catch wrong rates and speeds."""
+MAX_FRAME_COUNT = 10_000_000
+"""Limit that catches wrong rates and speeds."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -60,7 +60,7 @@ class SequenceHeader:
 
     def __post_init__(self) -> None:
         times = np.asarray(self.times, dtype=np.float64).reshape(-1)
-        object.__setattr__(self, "times", frozen(times))
+        object.__setattr__(self, "times", read_only(times))
         object.__setattr__(self, "vertex_count", int(self.vertex_count))
         object.__setattr__(self, "fps", float(self.fps))
         object.__setattr__(self, "metres_per_unit", float(self.metres_per_unit))
@@ -89,31 +89,31 @@ class SequenceHeader:
         return self.surface.objects or (whole,)
 
     def frame_number(self, index: int) -> str:
-        """Return the number of a frame index as text."""
-        return frame_text(self.times[index], self.fps)
+        """Return the frame number of a frame index as text."""
+        return format_frame(self.times[index], self.fps)
 
     def frame_name(self, index: int) -> str:
-        """Return the name of a frame by its number, with its index where that differs."""
+        """Return "frame" and the number of a frame index, with the index if it differs."""
         if not 0 <= index < self.frame_count:
             return f"frame {index}"
         number = self.frame_number(index)
         return f"frame {number}" if number == f"{index}" else f"frame {number} (index {index})"
 
     def index_of(self, number: float) -> int:
-        """Return the index of the frame with a number; SettingsError if there is none."""
-        misses = np.abs(self.times * self.fps - number)
-        index = int(misses.argmin())
-        if misses[index] > NEAR:
-            raise SettingsError(f"there is no frame {number_text(number)}; frames are {self.frame_numbers}")
+        """Return the index of the frame with a frame number; SettingsError if there is none."""
+        distances = np.abs(self.times * self.fps - number)
+        index = int(distances.argmin())
+        if distances[index] > FRAME_TOLERANCE:
+            raise SettingsError(f"there is no frame {format_number(number)}; frames are {self.frame_numbers}")
         return index
 
     @property
     def frame_numbers(self) -> str:
         """First and last frame number as text, "1001 to 1096"."""
-        return " to ".join(dict.fromkeys(frame_text(time, self.fps) for time in self.times[[0, -1]]))
+        return " to ".join(dict.fromkeys(format_frame(time, self.fps) for time in self.times[[0, -1]]))
 
     def numbered_from(self, first: float) -> SequenceHeader:
-        """Return the header with its times moved so that the first frame has a number; SettingsError if not finite."""
+        """Return the header with times moved so that the first frame has a number; SettingsError if not finite."""
         if not np.isfinite(first):
             raise SettingsError(f"start_frame is {first}; a number is expected")
         numbers = (self.times - self.times[0]) * self.fps
@@ -136,13 +136,14 @@ def header_fields(header: SequenceHeader) -> dict[str, Any]:
     return {field: getattr(header, field) for field in SequenceHeader.__dataclass_fields__}
 
 
-def frame_times(start: float, end: float, fps: float, slack: float = 1e-6) -> NDArray[np.float64]:
+def frame_times(start: float, end: float, fps: float, tolerance: float = 1e-6) -> NDArray[np.float64]:
     """Return frame times ``(T,)`` from `start` to at most `end` at a rate; SettingsError for too many frames."""
-    if (end - start) * fps >= MOST_FRAMES:
+    if (end - start) * fps >= MAX_FRAME_COUNT:
         raise SettingsError(
-            f"{end - start:g} s at {fps:g} frames per second make more than {MOST_FRAMES:,} frames; give less"
+            f"{end - start:g} s at {fps:g} frames per second are more than {MAX_FRAME_COUNT:,} frames; "
+            "give a shorter time or a lower rate"
         )
-    count = int(np.floor((end - start) * fps + slack)) + 1
+    count = int(np.floor((end - start) * fps + tolerance)) + 1
     return np.asarray(np.minimum(start + np.arange(count) / fps, end))
 
 
@@ -151,10 +152,10 @@ def _check_header(header: SequenceHeader) -> None:
         raise InvalidSequenceError(f"the mesh has {header.vertex_count} vertices; at least 3 are needed")
     indices = header.polygons.indices
     if indices.size == 0:
-        raise InvalidSequenceError("the mesh has no faces; a triangle mesh is needed, not points or curves")
-    outside = (indices < 0) | (indices >= header.vertex_count)
-    if outside.any():
-        corner = int(np.argmax(outside))
+        raise InvalidSequenceError("the mesh has no faces; give a mesh with faces, not points or curves")
+    is_invalid = (indices < 0) | (indices >= header.vertex_count)
+    if is_invalid.any():
+        corner = int(np.argmax(is_invalid))
         polygon = int(np.searchsorted(np.cumsum(header.polygons.counts), corner, side="right"))
         raise InvalidSequenceError(
             f"face {polygon} uses vertex {indices[corner]}, but vertices are 0 to {header.vertex_count - 1}"

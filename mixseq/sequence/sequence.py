@@ -1,17 +1,17 @@
 """Mesh sequences: one fixed mesh, with new vertex positions in every frame.
 
 `MeshSequence` adds points to a `SequenceHeader`. Readers stream ``(header, blocks of points)``; `Frames` is their
-common interface with `MeshSequence`. Sequences are validated here and in their headers only: every `MeshSequence` is
-valid.
+common interface with `MeshSequence`. Points and headers are validated when they are made, so that every
+`MeshSequence` is valid.
 
 Files are read sequentially and often slowly, while fitting needs several passes and single frames. So streams are
 copied once to a `FrameStore` with random access, in memory or in a temporary file.
 
-Limits of double precision: as squared lengths are multiplied, meshes must be between `SMALLEST` and `LARGEST`. Small
-errors vanish beside large coordinates: `digits_end`.
+Limits of double precision: as squared lengths are multiplied, lengths must be from `MIN_LENGTH` to `MAX_LENGTH`. Errors
+below `rounding_error` of the largest coordinate cannot be computed.
 
-`convert_units` turns the up axis by a quarter turn about the axis that is neither the old nor the new one: from Y to Z
-the point (x, y, z) becomes (x, -z, y), the usual convention. Coordinates are permuted and change signs without
+`convert_units` rotates the up axis by a quarter turn about the axis that is neither the old nor the new one: from Y to
+Z the point (x, y, z) becomes (x, -z, y), the usual convention. Coordinates are permuted and change signs without
 rounding; only a change of unit rounds.
 """
 
@@ -28,11 +28,11 @@ from numpy.typing import ArrayLike
 from mixseq.choices import UNITS
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.measures import Diagonal
-from mixseq.mesh.polygons import Polygons, frozen
+from mixseq.mesh.polygons import Polygons, read_only
 from mixseq.runtime.low_memory import LargeArray, new_large_array
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.frame_rates import exact_rate
+from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS, UP_AXES, SequenceHeader, header_fields
 from mixseq.types import Float, FloatArray
 
@@ -63,14 +63,14 @@ class MeshSequence(SequenceHeader):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "points", frozen(_as_points(self.points)))
+        object.__setattr__(self, "points", read_only(_as_points(self.points)))
         check_block(self, self.points, first_frame=0)
         if len(self.points) != self.frame_count:
             raise InvalidSequenceError(
                 f"{len(self.points)} frames of points but {self.frame_count} times; give one time per frame"
             )
         if self.velocities is not None:
-            object.__setattr__(self, "velocities", frozen(_as_points(self.velocities)))
+            object.__setattr__(self, "velocities", read_only(_as_points(self.velocities)))
             _check_velocities(self, self.points, self.velocities)
 
     @classmethod
@@ -84,7 +84,7 @@ class MeshSequence(SequenceHeader):
         metres_per_unit: float = 1.0,
         name: str = "mesh",
     ) -> MeshSequence:
-        """Make a sequence of arrays.
+        """Make a sequence from arrays.
 
         Parameters
         ----------
@@ -110,7 +110,7 @@ class MeshSequence(SequenceHeader):
         rate = DEFAULT_FPS if fps is None else float(fps)
         if not (np.isfinite(rate) and rate > 0):
             raise InvalidSequenceError(f"fps is {fps}; a positive number is expected")
-        rate = exact_rate(rate) if times is None else _rate_beside(times, rate)
+        rate = snap_to_ntsc(rate) if times is None else _rate_of_times(times, rate)
         return cls(
             points=array,
             polygons=faces if isinstance(faces, Polygons) else Polygons.from_triangles(faces),
@@ -177,10 +177,10 @@ class LazyFrames:
 
 def bounding_diagonal(points: FloatArray) -> float:
     """Length of the diagonal of the bounding box of ``(V, 3)`` points."""
-    return Diagonal.of(points).length
+    return Diagonal.from_points(points).length
 
 
-def collect(header: SequenceHeader, blocks: Iterable[FloatArray]) -> MeshSequence:
+def join_blocks(header: SequenceHeader, blocks: Iterable[FloatArray]) -> MeshSequence:
     """Join blocks ``(B, V, 3)`` of points to one sequence."""
     parts = [_as_points(block) for block in blocks]
     points = np.concatenate(parts) if parts else np.zeros((0, header.vertex_count, 3), dtype=np.float32)
@@ -188,7 +188,7 @@ def collect(header: SequenceHeader, blocks: Iterable[FloatArray]) -> MeshSequenc
 
 
 def check_frames(frames: object) -> None:
-    """Raise InvalidSequenceError if the argument is no sequence."""
+    """Raise InvalidSequenceError if the argument is not a sequence."""
     if not isinstance(getattr(frames, "header", None), SequenceHeader):
         raise InvalidSequenceError(
             f"a MeshSequence or an open sequence is expected, not {type(frames).__name__}; read files "
@@ -225,21 +225,21 @@ def _check_velocities(header: SequenceHeader, points: FloatArray, velocities: Fl
         )
 
 
-def _rate_beside(times: ArrayLike, fps: float) -> float:
-    """Return the typed rate if frame times are multiples of its period, else the exact rate.
+def _rate_of_times(times: ArrayLike, fps: float) -> float:
+    """Return the given rate if frame times are multiples of its period, else the exact NTSC rate.
 
     Examples
     --------
-    >>> _rate_beside(np.arange(1001, 1097) / 23.976, 23.976)
+    >>> _rate_of_times(np.arange(1001, 1097) / 23.976, 23.976)
     23.976
-    >>> _rate_beside(np.arange(1001, 1097) * 1001 / 24000, 23.976) == 24000 / 1001
+    >>> _rate_of_times(np.arange(1001, 1097) * 1001 / 24000, 23.976) == 24000 / 1001
     True
     """
-    frames, exact = np.asarray(times, dtype=np.float64), exact_rate(fps)
-    typed, meant = (
-        float(np.abs(frames * rate - np.rint(frames * rate)).max(initial=0)) for rate in (fps, exact)
+    seconds, exact = np.asarray(times, dtype=np.float64), snap_to_ntsc(fps)
+    given_miss, exact_miss = (
+        float(np.abs(seconds * rate - np.rint(seconds * rate)).max(initial=0)) for rate in (fps, exact)
     )
-    return fps if typed < min(meant, 1e-6) else exact
+    return fps if given_miss < min(exact_miss, 1e-6) else exact
 
 
 def _as_points(points: ArrayLike) -> FloatArray:
@@ -255,65 +255,63 @@ def _as_points(points: ArrayLike) -> FloatArray:
     return np.ascontiguousarray(array)
 
 
-_AT_ONCE = 8, 1 << 20  # frames, and vertices, in a block: at most 24 MB of float64, unless one frame is more
+MAX_BLOCK_FRAMES = 8
+MAX_BLOCK_VERTICES = 1 << 20  # in all frames of a block of several frames: 24 MB of float64
 
-SMALLEST, LARGEST = 1e-60, 1e60
-"""Bounds of the diagonal of the first frame, and of coordinates, in the units of the sequence."""
-
-_LAST_DIGITS = 2.0**-40
-"""Largest relative error of a coordinate in computations without cancellation."""
+MIN_LENGTH, MAX_LENGTH = 1e-60, 1e60  # of the diagonal of the first frame, and of coordinates, in any unit
+_RELATIVE_ROUNDING_ERROR = 2.0**-40  # of a coordinate in computations without cancellation
 
 
 @dataclass(frozen=True, eq=False)
 class FrameStore:
     """A sequence with random access to its points."""
 
-    header: SequenceHeader  # everything but the points
-    points: LargeArray  # (T, V, 3) the points
+    header: SequenceHeader
+    points: LargeArray  # (T, V, 3)
 
 
-def frame_store(frames: Frames, progress: Progress = silent) -> FrameStore:
+def load_frames(frames: Frames, progress: Progress = no_progress) -> FrameStore:
     """Return a sequence with random access to its points, a copy unless it is in memory."""
     store = (
         FrameStore(frames.header, frames.points)
         if isinstance(frames, MeshSequence)
-        else _copied(frames, progress)
+        else _copy(frames, progress)
     )
     _check_lengths(store)
     return store
 
 
-def _copied(frames: Frames, progress: Progress) -> FrameStore:
+def _copy(frames: Frames, progress: Progress) -> FrameStore:
     header = frames.header
     count, done = header.frame_count, 0
-    array: LargeArray | None = None
+    points: LargeArray | None = None
     for block in frames.blocks(block_size(header.vertex_count)):
         check_block(header, block, done)
-        if array is None:
-            array = new_large_array((count, header.vertex_count, 3), block.dtype)
+        if points is None:
+            points = new_large_array((count, header.vertex_count, 3), block.dtype)
         if done + len(block) > count:
             raise InvalidSequenceError(
                 f"there are more frames than the {count} times; give one time per frame"
             )
-        array[done : done + len(block)] = block
+        points[done : done + len(block)] = block
         done += len(block)
         progress(done, count, "reading frames")
-    if array is None or done < count:
+    if points is None or done < count:
         raise InvalidSequenceError(f"{done} frames of points but {count} times; give one time per frame")
-    return FrameStore(header, array)
+    return FrameStore(header, points)
 
 
 def _check_lengths(store: FrameStore) -> None:
     name, points = store.header.name, store.points
     diagonal = bounding_diagonal(points[:1][0])
-    cure = f"from {SMALLEST:g} to {LARGEST:g} is expected; scale it, in the program it comes from"
-    if diagonal and not SMALLEST <= diagonal <= LARGEST:
+    cure = f"from {MIN_LENGTH:g} to {MAX_LENGTH:g} is expected; scale it, in the program it comes from"
+    if diagonal and not MIN_LENGTH <= diagonal <= MAX_LENGTH:
         raise InvalidSequenceError(
             f"{name!r}: the mesh is {diagonal:.3g} units across in its first frame, and squares of such lengths do "
             f"not fit into double precision; {cure}"
         )
     largest = largest_coordinate(points)
-    if largest > LARGEST:
+    if largest > MAX_LENGTH:
         raise InvalidSequenceError(
             f"{name!r}: coordinates are up to {largest:.3g} units, and their squares do not fit into double "
             f"precision; {cure}"
@@ -322,93 +320,88 @@ def _check_lengths(store: FrameStore) -> None:
 
 def largest_coordinate(points: LargeArray) -> float:
     """Return the largest absolute value of a coordinate of points ``(T, V, 3)``."""
-    return max(float(np.abs(block).max(initial=0.0)) for block in blocks_of(points))
+    return max(float(np.abs(block).max(initial=0.0)) for block in iterate_blocks(points))
 
 
-def farthest(points: LargeArray) -> float:
-    """Return the largest distance along an axis of points ``(T, V, 3)`` from the middle of the first frame."""
+def largest_offset(points: LargeArray) -> float:
+    """Return the largest distance along an axis of points ``(T, V, 3)`` from the centre of the first frame."""
     first = points[:1][0].astype(np.float64)
-    middle = (first.min(axis=0) + first.max(axis=0)) / 2
-    return max(float(np.abs(block - middle).max(initial=0.0)) for block in blocks_of(points))
+    centre = (first.min(axis=0) + first.max(axis=0)) / 2
+    return max(float(np.abs(block - centre).max(initial=0.0)) for block in iterate_blocks(points))
 
 
-def digits_end(coordinate: float) -> float:
-    """Return the smallest error bound that is computable beside a coordinate, in its units."""
-    return coordinate * _LAST_DIGITS
+def rounding_error(coordinate: float) -> float:
+    """Return the smallest error that can be computed for a coordinate, in its units."""
+    return coordinate * _RELATIVE_ROUNDING_ERROR
 
 
 def block_size(vertex_count: int) -> int:
     """Return the number of frames per block; it depends on the mesh only, so results are reproducible."""
-    most, vertices = _AT_ONCE
-    return max(1, min(most, vertices // vertex_count))
+    return max(1, min(MAX_BLOCK_FRAMES, MAX_BLOCK_VERTICES // vertex_count))
 
 
-def blocks_of(points: LargeArray) -> Iterator[FloatArray]:
+def iterate_blocks(points: LargeArray) -> Iterator[FloatArray]:
     """Yield points ``(T, V, 3)`` in blocks of `block_size` frames."""
     size = block_size(points.shape[1])
     for start in range(0, len(points), size):
         yield points[start : start + size]
 
 
-_UNITS_NOT_TOLD = ("Alembic",)
+_UNITLESS_FORMATS = ("Alembic",)
 """Formats without units in their files, whose writers cannot detect another unit."""
 
 
 @dataclass(frozen=True, eq=False)
 class UnitConversion:
-    """A turn to another up axis and a scale to another unit."""
+    """A rotation to another up axis and a scale to another unit."""
 
     up_axis: str
     metres_per_unit: float
-    turn: Float
+    rotation: Float  # (3, 3)
     scale: float
 
     @classmethod
-    def of(
+    def from_header(
         cls, header: SequenceHeader, up_axis: str | None = None, units: str | float | None = None
     ) -> UnitConversion:
         """Make the conversion of a sequence; parameters and errors as of `convert_units`."""
         up = header.up_axis if up_axis is None else up_axis
         if up not in UP_AXES:
             raise SettingsError(f"up_axis is {up!r}; one of {', '.join(UP_AXES)} is expected")
-        metres = header.metres_per_unit if units is None else metres_of(units)
-        return cls(up, metres, _turn(header.up_axis, up), header.metres_per_unit / metres)
+        metres = header.metres_per_unit if units is None else parse_unit(units)
+        return cls(up, metres, _quarter_turn(header.up_axis, up), header.metres_per_unit / metres)
 
     @property
     def changes(self) -> bool:
-        """Whether the turn or the scale is not the identity."""
-        return self.scale != 1.0 or not np.array_equal(self.turn, np.eye(3))
+        """Whether the conversion is not the identity."""
+        return self.scale != 1.0 or not np.array_equal(self.rotation, np.eye(3))
 
-    def header(self, header: SequenceHeader) -> SequenceHeader:
+    def convert_header(self, header: SequenceHeader) -> SequenceHeader:
         """Return a header with the new up axis and unit."""
         surface, origin = header.surface, header.surface.origin
-        if self.changes and origin is not None and origin.format in _UNITS_NOT_TOLD:
+        if self.changes and origin is not None and origin.format in _UNITLESS_FORMATS:
             surface = replace(surface, origin=None)
         return replace(header, up_axis=self.up_axis, metres_per_unit=self.metres_per_unit, surface=surface)
 
-    def values(self, values: FloatArray) -> FloatArray:
-        """Turn and scale points, or velocities, ``(..., 3)``, in their precision."""
+    def convert(self, values: FloatArray) -> FloatArray:
+        """Rotate and scale points or velocities ``(..., 3)``, in their precision."""
         if not self.changes:
             return values
-        axes = np.abs(self.turn).argmax(axis=1)
-        signs = self.turn.sum(axis=1).astype(values.dtype)
-        turned: FloatArray = values[..., axes] * signs + values.dtype.type(0)  # no negative zeros in text
+        axes = np.abs(self.rotation).argmax(axis=1)
+        signs = self.rotation.sum(axis=1).astype(values.dtype)
+        rotated: FloatArray = values[..., axes] * signs + values.dtype.type(0)  # no negative zeros
         if self.scale == 1.0:
-            return turned
-        with np.errstate(over="ignore", under="ignore"):  # what is too large is told with its vertex
-            scaled: FloatArray = (turned.astype(np.float64) * self.scale).astype(values.dtype)
+            return rotated
+        with np.errstate(over="ignore", under="ignore"):  # overflow is an error of `MeshSequence`
+            scaled: FloatArray = (rotated.astype(np.float64) * self.scale).astype(values.dtype)
         return scaled
-
-    def blocks(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        """Turn and scale streamed blocks ``(B, V, 3)``."""
-        return map(self.values, blocks)
 
 
 @public
 def convert_units(
     sequence: MeshSequence, up_axis: str | None = None, units: str | float | None = None
 ) -> MeshSequence:
-    """Return a sequence turned so that an axis points up, and scaled to a unit of length.
+    """Return a sequence rotated so that an axis points up, and scaled to a unit of length.
 
     Points and velocities change, so that size and orientation in the world stay. To set metadata that a file lacks,
     give `up_axis` and `metres_per_unit` to `mixseq.read` instead.
@@ -425,8 +418,8 @@ def convert_units(
     Returns
     -------
     MeshSequence
-        The same frames in other coordinates, of the same precision. The origin in an Alembic file is dropped, as that
-        has no units.
+        The same frames in other coordinates, of the same precision. The origin in an Alembic file is dropped, as the
+        format has no units.
 
     Raises
     ------
@@ -439,16 +432,16 @@ def convert_units(
     >>> convert_units(one, up_axis="Z", units="mm").points[0, 1].tolist()
     [10.0, -30.0, 20.0]
     """
-    conversion = UnitConversion.of(sequence.header, up_axis, units)
+    conversion = UnitConversion.from_header(sequence.header, up_axis, units)
     velocities = sequence.velocities
     return MeshSequence.from_header(
-        conversion.header(sequence.header),
-        conversion.values(sequence.points),
-        None if velocities is None else conversion.values(velocities),
+        conversion.convert_header(sequence.header),
+        conversion.convert(sequence.points),
+        None if velocities is None else conversion.convert(velocities),
     )
 
 
-def metres_of(units: str | float) -> float:
+def parse_unit(units: str | float) -> float:
     """Return the length of a unit in metres, by name or as a positive number or text; else SettingsError."""
     if units in UNITS:
         return UNITS[str(units)]
@@ -463,10 +456,10 @@ def metres_of(units: str | float) -> float:
     return metres
 
 
-def _turn(old: str, new: str) -> Float:
+def _quarter_turn(old: str, new: str) -> Float:
     """Return the quarter turn ``(3, 3)`` from one up axis to another, or the identity."""
-    turn = np.eye(3)
+    rotation = np.eye(3)
     if old != new:
         first, second = UP_AXES.index(old), UP_AXES.index(new)
-        turn[:, [first, second]] = turn[:, [second, first]] * [1.0, -1.0]
-    return turn
+        rotation[:, [first, second]] = rotation[:, [second, first]] * [1.0, -1.0]
+    return rotation

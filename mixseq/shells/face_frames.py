@@ -31,7 +31,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from mixseq.mesh.topology import connected
+from mixseq.mesh.topology import connected_components
 from mixseq.runtime.jit import compiled, inlined
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells.solvers import Factor, factorise_laplacian
@@ -294,8 +294,8 @@ class FrameGraph(PickledWithoutCaches):
         """Factor of the matrix of averaging, in which known frames are held."""
         return factorise_laplacian(self.pairs, self.weights, np.where(self.known_mask, 1.0, 0.0))
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.factor, self._layers
 
     def average(self, frames: Float, turns: Float, rounds: int) -> Float:
@@ -336,7 +336,7 @@ class FrameGraph(PickledWithoutCaches):
 
 def bridging_mask(count: int, pairs: Index, sound: Mask) -> Mask:
     """Mark the sound pairs ``(h, 2)`` of ``count`` nodes, and a forest of others that connects what those do not."""
-    ends = np.sort(connected(count, pairs[sound])[pairs], axis=1)
+    ends = np.sort(connected_components(count, pairs[sound])[pairs], axis=1)
     apart = np.flatnonzero(ends[:, 0] != ends[:, 1])
     several, first = np.unique(ends[apart], axis=0, return_index=True)
     graph = sparse.coo_array((1.0 + apart[first], tuple(several.T)), shape=(count, count)).tocsr()

@@ -35,9 +35,9 @@ import numpy as np
 from scipy import sparse
 
 from mixseq.errors import ReconstructionError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, sound_lengths, volume, volume_gradient
+from mixseq.mesh.measures import clamp_lengths, dihedral_angles, edge_lengths, signed_volume, volume_gradient
 from mixseq.mesh.rigid import nearest_rotations
-from mixseq.mesh.rotations import rotations_of
+from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.segmentation.joints import Joint
@@ -106,8 +106,8 @@ class Patch(PickledWithoutCaches):
             fixed_mask=fixed,
         )
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants` for the linear initialisation and Gauss-Newton."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values` for the linear initialisation and Gauss-Newton."""
         return self.equations.pattern, self.frame_pattern, self.laplacian_factor
 
     @cached_property
@@ -256,7 +256,7 @@ class ShellProblem:
         )
         if self.volume is None:
             return residuals, float(energy)
-        last = self.volume_weight * (volume(points, self.patch.faces) - self.volume)
+        last = self.volume_weight * (signed_volume(points, self.patch.faces) - self.volume)
         square = (
             last**2 if abs(last) < MAX_SQUARABLE_RESIDUAL else np.inf
         )  # Python raises where squares overflow
@@ -385,7 +385,7 @@ def _initial_frames(patch: Patch, local: Float, angles: Float, positions: Float)
     known = np.zeros((len(patch.faces), 3, 3))
     is_known = patch.fixed_face_mask.copy()
     if is_known.any():
-        known[is_known] = rotations_of(triangle_frames(positions, patch.faces[is_known]))
+        known[is_known] = quat_to_matrix(triangle_frames(positions, patch.faces[is_known]))
     else:
         is_known[0] = True
         known[0] = np.eye(3)
@@ -396,7 +396,7 @@ def _initial_frames(patch: Patch, local: Float, angles: Float, positions: Float)
 
     # Rows of F (one per world coordinate) are independent: F_j - F_i T = 0 reads f_j - T^T f_i = 0 for rows f.
     i, j = patch.hinge_faces.T
-    turns = rotations_of(patch.hinge_frames.rotations(local, angles))
+    turns = quat_to_matrix(patch.hinge_frames.rotations(local, angles))
     right = np.zeros((unknown.size, 3, 3))  # (face, column of F, world coordinate)
     for target, source, turn in ((j, i, turns), (i, j, np.swapaxes(turns, 1, 2))):
         border = is_known[source] & ~is_known[target]
@@ -447,7 +447,7 @@ def rebuild_patch(
     Weights ``(e',)`` are inverse typical lengths. Of positions ``(n, 3)`` those of fixed vertices are used. A guess
     ``(f, 3)`` is an alternative start of the free vertices.
     """
-    lengths = sound_lengths(lengths, weights)
+    lengths = clamp_lengths(lengths, weights)
     problem = ShellProblem(patch, lengths, angles, weights, settings.bending, soft)
     if guess is None:
         return fit_shell(problem, _linear_start(problem, positions), settings)

@@ -63,8 +63,8 @@ class BlockSparsePattern(PickledWithoutCaches):
         below = self.block_count + np.searchsorted(self.keys, self.block_count * low + high)
         return np.where(low < 0, -1, np.where(low == high, low, below)).astype(np.int64)
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return (self.analysis,)
 
     @cached_property

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.mesh.measures import NO_LENGTH, dihedral_angles, edge_lengths, length_weights
+from mixseq.mesh.measures import MIN_DIRECTED_LENGTH, dihedral_angles, edge_lengths, length_weights
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells import kernels
@@ -98,8 +98,8 @@ class Shell(PickledWithoutCaches):
     # (t, 2) further pairs of vertices with known sides, which connect parts without edges
     ties: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.factor, self.max_curvature
 
     @cached_property
@@ -114,7 +114,9 @@ class Shell(PickledWithoutCaches):
     @cached_property
     def _longest_sides(self) -> Float:
         """Typical lengths ``(F,)`` of the longest sides of faces."""
-        return np.asarray(np.maximum(self.typical_lengths[self.topology.face_edges].max(axis=1), NO_LENGTH))
+        return np.asarray(
+            np.maximum(self.typical_lengths[self.topology.face_edges].max(axis=1), MIN_DIRECTED_LENGTH)
+        )
 
     @cached_property
     def _normal_lengths(self) -> Float:
@@ -134,7 +136,7 @@ class Shell(PickledWithoutCaches):
     def relative_angle_weights(self) -> Float:
         """Relative weights ``(H,)`` of angles, at most 1: less where a triangle is `SLENDER`."""
         faces = self.topology.hinge_faces
-        edge = np.maximum(self.typical_lengths[self.topology.hinge_edges], NO_LENGTH)
+        edge = np.maximum(self.typical_lengths[self.topology.hinge_edges], MIN_DIRECTED_LENGTH)
         height = self._normal_lengths[faces].min(axis=1, initial=np.inf) / edge
         return np.asarray(
             np.minimum(
@@ -163,7 +165,7 @@ class Shell(PickledWithoutCaches):
         """Weights ``(F, 3)`` of the sides of faces: those of an edge add up to the squared weight of its length."""
         weights = np.square(self.length_weights)
         weights = np.where(
-            weights > 0, weights, np.square(1.0 / max(float(self.typical_lengths.max()), NO_LENGTH))
+            weights > 0, weights, np.square(1.0 / max(float(self.typical_lengths.max()), MIN_DIRECTED_LENGTH))
         )
         return np.asarray((weights / self.topology.edge_face_counts)[self.topology.face_edges])
 
@@ -255,18 +257,18 @@ class Shell(PickledWithoutCaches):
         way, curvature = np.random.default_rng(0).normal(size=x.shape), 0.0
         size = (
             RELATIVE_DIFFERENCE_STEP
-            * max(float(np.median(self.typical_lengths)), NO_LENGTH)
+            * max(float(np.median(self.typical_lengths)), MIN_DIRECTED_LENGTH)
             * np.sqrt(len(x))
         )
         for _ in range(POWER_ITERATIONS):
-            way *= size / max(float(np.linalg.norm(way)), NO_LENGTH)
+            way *= size / max(float(np.linalg.norm(way)), MIN_DIRECTED_LENGTH)
             ahead, behind = (
                 self._gradient_and_energy(x + sign * way, lengths, turns, self._angle_weights)[0]
                 for sign in (1, -1)
             )
             way = self.factor.solve(0.5 * (ahead - behind))
             curvature = float(np.linalg.norm(way)) / size
-        return max(curvature, NO_LENGTH)
+        return max(curvature, MIN_DIRECTED_LENGTH)
 
 
 def _cosines_and_sines(angles: Float) -> Float:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.polygons import frozen
+from mixseq.mesh.polygons import read_only
 from mixseq.types import Float
 
 if TYPE_CHECKING:
@@ -61,8 +61,8 @@ class Curve:
                 f"knots {knot} and {knot + 1} of a curve are {apart[knot]:g} s apart; "
                 f"{MIN_KNOT_SPACING:g} s or more are expected"
             )
-        object.__setattr__(self, "times", frozen(times))
-        object.__setattr__(self, "values", frozen(values))
+        object.__setattr__(self, "times", read_only(times))
+        object.__setattr__(self, "values", read_only(values))
 
     def __repr__(self) -> str:
         return f"Curve({len(self.times)} knots, {self.start:g} to {self.end:g} s, {self.dim} coordinates)"

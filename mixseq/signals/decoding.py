@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
-from mixseq.runtime.parallel import Executor, on_threads, serially
-from mixseq.runtime.progress import Progress, silent
-from mixseq.sequence.frame_rates import exact_rate, seconds_meant, span_text
+from mixseq.runtime.parallel import Executor, serial_executor, thread_executor
+from mixseq.runtime.progress import Progress, no_progress
+from mixseq.sequence.frame_rates import format_span, hint_frame_number, snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader, frame_times
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.base import ShapeSpace
@@ -85,7 +85,7 @@ class Decodable(ABC):
         self,
         times: ArrayLike | None = None,
         fps: float | None = None,
-        progress: Progress = silent,
+        progress: Progress = no_progress,
         *,
         frames: Iterable[int] | None = None,
         velocities: bool = False,
@@ -138,7 +138,7 @@ class Decodable(ABC):
         """Return the header of the result of `sample`, without decoding."""
         if fps is not None and not (np.isfinite(fps) and fps > 0):
             raise SettingsError(f"fps is {fps}; a positive number is expected")
-        fps = None if fps is None else exact_rate(fps, self.header.fps)
+        fps = None if fps is None else snap_to_ntsc(fps, self.header.fps)
         if times is None and fps is not None:
             times = frame_times(self.times[0], self.times[-1], fps)
         return self.header.with_times(self.times if times is None else self.clip_times(times), fps)
@@ -147,7 +147,7 @@ class Decodable(ABC):
         self,
         times: ArrayLike,
         size: int = FRAMES_PER_BLOCK,
-        progress: Progress = silent,
+        progress: Progress = no_progress,
         workers: Executor | None = None,
     ) -> Iterator[Float]:
         """Decode frames at `times` in blocks ``(B, V, 3)``, B <= size; the same bits for any blocks and workers."""
@@ -157,7 +157,7 @@ class Decodable(ABC):
         self,
         times: ArrayLike,
         size: int = FRAMES_PER_BLOCK,
-        progress: Progress = silent,
+        progress: Progress = no_progress,
         workers: Executor | None = None,
     ) -> Iterator[tuple[Float, Float]]:
         """Decode frames in blocks of points and velocities, in units per second, ``(B, V, 3)`` each."""
@@ -174,8 +174,8 @@ class Decodable(ABC):
         if outside.any():
             raise SettingsError(
                 f"time {wanted[outside][0]:g} s is outside the sequence, "
-                f"{span_text(first, last, self.header.fps)}; models do not extrapolate"
-                f"{seconds_meant(float(wanted[outside][0]), first, last, self.header.fps)}"
+                f"{format_span(first, last, self.header.fps)}; models do not extrapolate"
+                f"{hint_frame_number(float(wanted[outside][0]), first, last, self.header.fps)}"
             )
         return np.clip(wanted, first, last)
 
@@ -190,8 +190,8 @@ def _decode_blocks(
 ) -> Iterator[Decoded]:
     """Yield results of `decode` (`_points` or `_moving_points`) at times ``(N,)`` in blocks of `size` frames."""
     some = (times[start : start + size] for start in range(0, len(times), size))
-    work = workers or (on_threads() if len(times) > size else serially)
-    model.space.prepared()
+    work = workers or (thread_executor() if len(times) > size else serial_executor)
+    model.space.precompute()
     done = 0
     for block in work(decode, model, some):
         yield block

@@ -20,20 +20,20 @@ from scipy.interpolate import make_lsq_spline
 
 from mixseq.choices import PoseForm
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.mesh.rotations import continued
+from mixseq.mesh.rotations import align_quat_signs
 from mixseq.runtime.low_memory import LargeArray, new_large_array
-from mixseq.runtime.parallel import Executor, serially
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.parallel import Executor, serial_executor
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import (
     FrameStore,
     MeshSequence,
     block_size,
-    blocks_of,
     bounding_diagonal,
-    digits_end,
-    farthest,
+    iterate_blocks,
     largest_coordinate,
+    largest_offset,
+    rounding_error,
 )
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import FRAMES_PER_BLOCK
@@ -42,7 +42,7 @@ from mixseq.signals.modes import Modes, principal_modes
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, insert_midpoints, select_operator
-from mixseq.types import Float, FloatArray, Index, evenly
+from mixseq.types import Float, FloatArray, Index, evenly_spaced
 
 DeviationNorm = Callable[[Float], Float]
 """Map of the deviations ``(T, k)`` of a curve to their sizes ``(T,)``."""
@@ -182,18 +182,18 @@ def encode_sequence(
     sequence: FrameStore | MeshSequence,
     space: ShapeSpace,
     pose: PoseForm = "modes",
-    workers: Executor = serially,
-    progress: Progress = silent,
+    workers: Executor = serial_executor,
+    progress: Progress = no_progress,
 ) -> EncodedSequence:
     """Encode all frames of a sequence in a space."""
     count, size = len(sequence.points), space.shape_dim
     placed = slice(size, size + space.placement_dim)
     shapes = new_large_array((count, size))
     placement = np.empty((count, space.placement_dim))
-    some = evenly(sequence.header.vertex_count, OPERATOR_VERTICES)
+    some = evenly_spaced(sequence.header.vertex_count, OPERATOR_VERTICES)
     samples = np.empty((count, 3 * len(some)))
     previous, done = None, 0
-    for apart, sampled in workers(_encode_block, (space, some), blocks_of(sequence.points)):
+    for apart, sampled in workers(_encode_block, (space, some), iterate_blocks(sequence.points)):
         vectors = space.unwrap(apart, previous)
         rows = slice(done, done + len(vectors))
         shapes[rows], placement[rows], samples[rows] = vectors[:, :size], vectors[:, placed], sampled
@@ -201,7 +201,7 @@ def encode_sequence(
         progress(done, count, "encoding frames")
     turns, centres = space.unpack_placements(placement)
     steady = space.pack_placements(
-        Poses(continued(turns), centres)
+        Poses(align_quat_signs(turns), centres)
     )  # what is interpolated in time must not jump
     held = space.to_body_axes(samples.reshape(count, -1, 3), some, steady).reshape(count, -1)
     return EncodedSequence(sequence.header, space, shapes, steady, held, pose)
@@ -369,7 +369,7 @@ def fit_within_tolerance(
     encoded: EncodedSequence,
     sequence: FrameStore | MeshSequence,
     tolerance: float,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> Model:
     """Find signals that reproduce a sequence to a tolerance.
@@ -423,7 +423,7 @@ def verify_tolerance(
     sequence: FrameStore | MeshSequence,
     promise: float,
     workers: Executor | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Model:
     """Return a model after verifying the tolerance `promise` at all frames."""
     error = largest_error(model, sequence, workers=workers)
@@ -435,14 +435,14 @@ def verify_tolerance(
         f"{promise:g}"
     )
     unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
-    away, largest = farthest(sequence.points), largest_coordinate(sequence.points)
-    if promise * unit < digits_end(away):  # wherever the sequence is
+    away, largest = largest_offset(sequence.points), largest_coordinate(sequence.points)
+    if promise * unit < rounding_error(away):  # wherever the sequence is
         raise SettingsError(
             f"{missed}: vertices get up to {away / unit:.3g} diagonals of the first frame away from it, beside which "
             "double precision has no digits for that; give a larger tolerance, or fit the frames that have grown or "
             "moved so far apart from the first ones"
         )
-    if promise * unit < digits_end(largest):
+    if promise * unit < rounding_error(largest):
         raise SettingsError(
             f"{missed}: coordinates are up to {largest / unit:.3g} diagonals, beside which double precision has no "
             "digits for that; move the sequence to the origin, or give a larger tolerance"

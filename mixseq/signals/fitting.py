@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike
 
 from mixseq.choices import POSE_FORMS, PlacementName, PoseForm, SpaceName
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import wrap
+from mixseq.mesh.measures import wrap_angles
 from mixseq.runtime.low_memory import LargeArray
-from mixseq.runtime.parallel import Executor, on_threads, one_blas_thread
-from mixseq.runtime.progress import Progress, Stages, silent
+from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
+from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.sequence import Frames, check_frames, frame_store
+from mixseq.sequence.sequence import Frames, check_frames, load_frames
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.signals.detail import (
@@ -40,7 +40,7 @@ from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.making import SPACE_STAGES, MixedSettings, SpaceOptions, make_space, space_settings
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
 from mixseq.spaces.temporal import FrameWeights
-from mixseq.types import Float, Index, evenly
+from mixseq.types import Float, Index, evenly_spaced
 
 MAX_VALIDATION_FRAMES = 16
 """Largest number of frames that are left out, one by one."""
@@ -97,7 +97,7 @@ class CrossValidation:
                 MAX_VALIDATION_VERTICES // space.vertex_count, MIN_VALIDATION_FRAMES, MAX_VALIDATION_FRAMES
             )
         )
-        some = evenly(len(left), most)
+        some = evenly_spaced(len(left), most)
         points = frames[left[some]].astype(np.float64) / space.scale
         return cls(encoded, space, left[some], rows.select(some), points)
 
@@ -161,7 +161,7 @@ class CrossValidation:
             squares += [
                 float(np.square(made - real).sum(axis=1).mean()),
                 float(np.square(strain).mean()) if len(strain) else 0.0,
-                float(np.square(wrap(angles - expected)).mean()) if len(angles) else 0.0,
+                float(np.square(wrap_angles(angles - expected)).mean()) if len(angles) else 0.0,
             ]
         return np.sqrt(squares / len(points))
 
@@ -191,7 +191,7 @@ def fit(
     joint_width: int = MixedSettings.joint_width,
     space: SpaceName = "mixed",
     *,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
     **settings: Unpack[FitOptions],
 ) -> Model:
@@ -287,10 +287,10 @@ def fit(
         case EdgeSettings(projection="dso", shell=None):
             chosen = replace(chosen, shell=ShellSettings(accuracy=wanted / _FRAME_TO_SHELL_TOLERANCE_RATIO))
     rounds = 1 if exact else 0 if is_reduced else MAX_TRIAL_MODELS
-    stages = Stages(progress, FIT_STAGES + rounds, sequence.header.frame_count)
-    work = workers or on_threads()
+    stages = StagedProgress(progress, FIT_STAGES + rounds, sequence.header.frame_count)
+    work = workers or thread_executor()
     with one_blas_thread():
-        frames = frame_store(sequence, stages.at(0))
+        frames = load_frames(sequence, stages.at(0))
         shape_space = make_space(frames, space, chosen, work, stages.at(1, SPACE_STAGES))
         encoded = tune_interpolation(
             encode_sequence(frames, shape_space, pose, work, stages.at(1 + SPACE_STAGES)), frames.points

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.polygons import frozen
+from mixseq.mesh.polygons import read_only
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.sequence.header import SequenceHeader
@@ -75,7 +75,7 @@ class Model(Decodable, PickledWithoutCaches):
     residual_layer: ResidualLayer | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "shapes", frozen(np.asarray(self.shapes, dtype=np.float64)))
+        object.__setattr__(self, "shapes", read_only(np.asarray(self.shapes, dtype=np.float64)))
         expected = (len(self.pose.offset), self.space.shape_dim)
         if self.shapes.shape != expected:
             raise SettingsError(f"the key shapes have shape {self.shapes.shape}; {expected} is expected")

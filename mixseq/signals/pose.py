@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.polygons import frozen
+from mixseq.mesh.polygons import read_only
 from mixseq.types import Float
 
 
@@ -63,8 +63,8 @@ class PoseMap:
         slack = 1e-9 * np.maximum(1.0, np.abs(matrix).max(axis=1, initial=0.0))
         if abs(offset.sum() - 1) > 1e-9 or (np.abs(matrix.sum(axis=1)) > slack).any():
             raise SettingsError("the weights of key shapes do not add up to one everywhere in pose space")
-        object.__setattr__(self, "offset", frozen(offset))
-        object.__setattr__(self, "matrix", frozen(matrix))
+        object.__setattr__(self, "offset", read_only(offset))
+        object.__setattr__(self, "matrix", read_only(matrix))
 
     @cached_property
     def identity(self) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mixseq.runtime.lazy import forwarded
+from mixseq.runtime.lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from mixseq.spaces.edge import EdgeSettings
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["EdgeSettings", "MixedSpace", "make_space", "mixed_space"]
 
-__getattr__ = forwarded(
+__getattr__ = lazy_getattr(
     __name__,
     {
         "EdgeSettings": "mixseq.spaces.edge",

@@ -14,8 +14,8 @@ from mixseq.mesh.measures import edge_lengths
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, silent
-from mixseq.sequence.sequence import blocks_of
+from mixseq.runtime.progress import Progress, no_progress
+from mixseq.sequence.sequence import iterate_blocks
 from mixseq.spaces.temporal import Poses, TemporalOperator, interpolate_poses
 from mixseq.types import Float, FloatArray, Index
 
@@ -44,7 +44,7 @@ def mean_edge_lengths(
 ) -> Float:
     """Return mean lengths ``(E,)`` of edges ``(E, 2)`` over frames ``(T, V, 3)``, in units of the scale."""
     total, done = np.zeros(len(edges)), 0
-    for block in workers(_edge_lengths_of_block, edges, blocks_of(points)):
+    for block in workers(_edge_lengths_of_block, edges, iterate_blocks(points)):
         for lengths in block:  # one by one: the sum must not depend on the blocks
             total += lengths
         done += len(block)
@@ -245,7 +245,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         return vectors
 
     @abstractmethod
-    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
+    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
         """Decode vectors ``(T, D)`` to vertex positions ``(T, V, 3)`` in the units of the sequence.
 
         Parameters
@@ -264,7 +264,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """
 
     def decode_with_reports(
-        self, vectors: Float, progress: Progress = silent
+        self, vectors: Float, progress: Progress = no_progress
     ) -> tuple[Float, list[list[ShellReport]]]:
         """Decode vectors, and return the reports of all fits, frame by frame; empty in spaces without fits."""
         return self.decode(vectors, progress), [[] for _ in vectors]

@@ -40,17 +40,17 @@ from scipy.sparse import csgraph
 from mixseq.choices import PROJECTIONS, ProjectionName
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import (
+    clamp_lengths,
     dihedral_angles,
     edge_lengths,
     length_weights,
-    sound_lengths,
+    signed_volume,
     triangle_areas,
     unwrap_angles,
-    volume,
 )
-from mixseq.mesh.topology import Topology, connected
+from mixseq.mesh.topology import Topology, connected_components
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.face_frames import (
     FrameGraph,
@@ -84,8 +84,8 @@ class EdgeProjection(Protocol):
     *Rows* are the vertices of all pieces, piece after piece, see `mixseq.spaces.pieces`.
     """
 
-    def prepared(self) -> Self:
-        """Compute what all frames share, as `PickledWithoutCaches.prepared`."""
+    def precompute(self) -> Self:
+        """Compute what all frames share, as `PickledWithoutCaches.precompute`."""
 
     def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Fit rows ``(N, 3)``, pieces in any pose; raises `ReconstructionError` if lengths or angles are not finite."""
@@ -98,7 +98,8 @@ MIN_VOLUME_RATIO = 1e-3
 def is_sheet(points: FloatArray, faces: IntArray) -> bool:
     """Return whether a surface has too little volume for a volume term; see the module."""
     return bool(
-        abs(volume(points, faces)) <= MIN_VOLUME_RATIO * float(triangle_areas(points, faces).sum()) ** 1.5
+        abs(signed_volume(points, faces))
+        <= MIN_VOLUME_RATIO * float(triangle_areas(points, faces).sum()) ** 1.5
     )
 
 
@@ -134,18 +135,20 @@ class DiscreteShell(PickledWithoutCaches):
             shells.append(ShellPiece(rows, patch, whole.edge_ids, whole.hinge_ids))
         return tuple(shells)
 
-    def constants(self) -> list[object]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> list[object]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return [piece.patch for piece in self.shell_pieces if piece is not None]
 
     def piece_volumes(self, x: FloatArray) -> Float:
-        """Return the volumes ``(p,)`` of the pieces of a frame ``(V, 3)``, 0 of single vertices; see `volume`."""
-        return np.array([volume(*surface) for surface in self._surfaces(x)])
+        """Return the `signed_volume` ``(p,)`` of the pieces of a frame ``(V, 3)``, 0 of single vertices."""
+        return np.array([signed_volume(*surface) for surface in self._surfaces(x)])
 
     def volume_weights(self, x: FloatArray) -> Float:
         """Return inverse volumes ``(p,)`` of the pieces of a typical frame ``(V, 3)``, 0 where `is_sheet`."""
         surfaces = self._surfaces(x)
-        return np.array([0.0 if is_sheet(*surface) else 1.0 / abs(volume(*surface)) for surface in surfaces])
+        return np.array(
+            [0.0 if is_sheet(*surface) else 1.0 / abs(signed_volume(*surface)) for surface in surfaces]
+        )
 
     def piece_areas(self, x: FloatArray) -> Float:
         """Return the areas ``(p,)`` of the pieces of a frame ``(V, 3)``."""
@@ -177,7 +180,7 @@ class DiscreteShell(PickledWithoutCaches):
         has_volume = wanted.volumes.size > 0 and bool(wanted.volume_weights[number])
         return ShellProblem(
             patch=piece.patch,
-            lengths=sound_lengths(wanted.lengths[piece.edge_ids], weights),
+            lengths=clamp_lengths(wanted.lengths[piece.edge_ids], weights),
             angles=wanted.angles[piece.hinge_ids],
             length_weights=weights,
             bending=settings.bending,
@@ -258,14 +261,14 @@ class RelaxedShell(PickledWithoutCaches):
         topology = self._piece_mesh.topology
         return HingeFrames(topology.faces, topology.hinges, topology.hinge_faces)
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.frame_graph, self.shell
 
     def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Implement `EdgeProjection.fit`; of the settings only the tolerance is used."""
         topology, edge_ids, hinge_ids = self._piece_mesh
-        lengths = sound_lengths(wanted.lengths, wanted.length_weights)[edge_ids]
+        lengths = clamp_lengths(wanted.lengths, wanted.length_weights)[edge_ids]
         angles = wanted.angles[hinge_ids]
         flat = flat_triangles(lengths[topology.face_edges])
         turns = self.hinges.rotations(flat, angles)[self._bridging_hinge_ids]
@@ -292,7 +295,7 @@ class RelaxedShell(PickledWithoutCaches):
 def _central_nodes(count: int, pairs: Index) -> Index:
     """Return one node for every component connected by pairs ``(h, 2)``, in the middle of its longest path."""
     graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
-    component = connected(count, pairs)
+    component = connected_components(count, pairs)
 
     def best(distances: Float) -> Index:
         order = np.lexsort((np.arange(count), distances, component))
@@ -404,8 +407,8 @@ class EdgeSpace(PosedSpace):
             [np.ones(len(lengths)), ANGLE_WEIGHT * lengths[self.topology.hinge_edges], volumes]
         )
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.projection, self._volume_weights, self.pieces.radii
 
     def measure_shape(self, x: Float) -> Float:
@@ -439,7 +442,7 @@ class EdgeSpace(PosedSpace):
         return self.decode_with_reports(vectors, shell=self.shell.for_differences())[0]
 
     def decode_with_reports(
-        self, vectors: Float, progress: Progress = silent, shell: ShellSettings | None = None
+        self, vectors: Float, progress: Progress = no_progress, shell: ShellSettings | None = None
     ) -> tuple[Float, list[list[ShellReport]]]:
         """Decode vectors ``(T, D)`` to points ``(T, V, 3)``, and return the reports of the fits of every frame."""
         reports: list[list[ShellReport]] = []

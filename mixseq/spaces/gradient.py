@@ -37,12 +37,12 @@ from scipy import sparse
 
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.rigid import nearest_rotations
-from mixseq.mesh.rotations import matrices, unwrap, vectors
-from mixseq.mesh.topology import Topology, connected
-from mixseq.mesh.triangle_mesh import completed, with_area
+from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix, unwrap_rotvec
+from mixseq.mesh.topology import Topology, connected_components
+from mixseq.mesh.triangle_mesh import replace_degenerate, triangle_matrices
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.shells.solvers import Factor, factorise
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.pieces import Pieces
@@ -59,8 +59,8 @@ class PoissonSystem(PickledWithoutCaches):
     weights: Float
     vertex_count: int  # number n of vertices
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return (self.factor,) if self.unknown_ids.size else ()
 
     @cached_property
@@ -79,7 +79,7 @@ class PoissonSystem(PickledWithoutCaches):
     @cached_property
     def unknown_ids(self) -> Index:
         """Unknown vertices: all but the first of every component."""
-        component = connected(self.vertex_count, self.edges)
+        component = connected_components(self.vertex_count, self.edges)
         return np.setdiff1d(np.arange(self.vertex_count), np.unique(component, return_index=True)[1])
 
     @cached_property
@@ -144,7 +144,7 @@ class GradientSpace(ShapeSpace):
     @cached_property
     def reference_triangles(self) -> Float:
         """The reference triangles ``(F, 3, 3)``: two sides and the fourth vertex, in columns."""
-        return with_area(self.complete_triangles(self.reference))
+        return replace_degenerate(self.complete_triangles(self.reference))
 
     @cached_property
     def inverse_triangles(self) -> Float:
@@ -170,8 +170,8 @@ class GradientSpace(ShapeSpace):
         cotangents = cosines / areas[:, None]
         return PoissonSystem(self.side_rows, 0.5 * cotangents.reshape(-1), len(self.pieces.vertex_of_row))
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return (self.poisson_system,)
 
     @property
@@ -204,7 +204,11 @@ class GradientSpace(ShapeSpace):
             gradients = self.complete_triangles(x) @ self.inverse_triangles
             rotations = nearest_rotations(gradients)
             stretches = np.swapaxes(rotations, 1, 2) @ gradients
-            blocks = vectors(rotations), stretches[:, *SYMMETRIC_ENTRIES], self.pieces.measure_centres(x)
+            blocks = (
+                matrix_to_rotvec(rotations),
+                stretches[:, *SYMMETRIC_ENTRIES],
+                self.pieces.measure_centres(x),
+            )
             np.concatenate([block.reshape(-1) for block in blocks], out=vector)
         return result
 
@@ -212,9 +216,9 @@ class GradientSpace(ShapeSpace):
         """Implement `ShapeSpace.unwrap`."""
         before = None if previous is None else self.split(previous[None]).rotation_vectors[0]
         blocks = self.split(vectors)
-        return self.join(blocks._replace(rotation_vectors=unwrap(blocks.rotation_vectors, before)))
+        return self.join(blocks._replace(rotation_vectors=unwrap_rotvec(blocks.rotation_vectors, before)))
 
-    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
+    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
         """Implement `ShapeSpace.decode`."""
         blocks = self.split(np.asarray(vectors, dtype=np.float64))
         wrong = np.flatnonzero(~np.isfinite(vectors).all(axis=1))
@@ -223,7 +227,7 @@ class GradientSpace(ShapeSpace):
         points = np.empty((len(blocks.rotation_vectors), self.vertex_count, 3))
         with one_blas_thread():
             for number, (turns, stretches, centres) in enumerate(zip(*blocks, strict=True)):
-                gradients = matrices(turns) @ stretches[:, SYMMETRIC_ENTRY_IDS]
+                gradients = rotvec_to_matrix(turns) @ stretches[:, SYMMETRIC_ENTRY_IDS]
                 sides = np.swapaxes(gradients @ self.reference_sides, 1, 2).reshape(-1, 3)
                 rows = self.poisson_system.solve(sides)
                 points[number] = self.pieces.translate(rows, centres) * self.scale
@@ -232,7 +236,7 @@ class GradientSpace(ShapeSpace):
 
     def complete_triangles(self, x: Float) -> Float:
         """Return the matrices D ``(F, 3, 3)`` of the faces of a frame ``(V, 3)`` in diagonals."""
-        return completed(x[self.pieces.vertex_of_row], self.face_rows, self.side_rows)
+        return triangle_matrices(x[self.pieces.vertex_of_row], self.face_rows, self.side_rows)
 
     def split(self, vectors: Float) -> GradientBlocks:
         """Return the blocks of vectors ``(T, D)``; raises what `checked` does."""

@@ -27,7 +27,7 @@ from functools import cached_property
 import numpy as np
 
 from mixseq.mesh.rigid import nearest_rotations
-from mixseq.mesh.triangle_mesh import FLAT, across, unit, vertex_normals
+from mixseq.mesh.triangle_mesh import DEGENERATE_HEIGHT_RATIO, normalise, perpendicular, vertex_normals
 from mixseq.shells.gauss_newton import BlockSparsePattern
 from mixseq.spaces.gradient import PoissonSystem
 from mixseq.spaces.pieces import PosedSpace
@@ -86,8 +86,8 @@ class LRISpace(PosedSpace):
             len(self.poisson_system.unknown_ids), self.unknown_index[self.edge_rows]
         )
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.poisson_system, self.frame_pattern
 
     @property
@@ -122,14 +122,16 @@ class LRISpace(PosedSpace):
         chosen = other
         if len(starts):
             chosen = np.where(
-                lengths[self.reference_half_edges] > FLAT * longest, self.reference_half_edges, other
+                lengths[self.reference_half_edges] > DEGENERATE_HEIGHT_RATIO * longest,
+                self.reference_half_edges,
+                other,
             )
         first = np.zeros((len(rows), 3))
-        first[chosen >= 0] = unit(tangents[chosen[chosen >= 0]])
+        first[chosen >= 0] = normalise(tangents[chosen[chosen >= 0]])
         bare = ~first.any(axis=1)
-        first[bare] = across(normals[bare])
+        first[bare] = perpendicular(normals[bare])
         bare = ~normals.any(axis=1)
-        normals[bare] = across(first[bare])
+        normals[bare] = perpendicular(first[bare])
         second = np.cross(normals, first)
         return np.stack([first, second, normals], axis=2)
 

@@ -12,11 +12,18 @@ from numpy.typing import ArrayLike, NDArray
 from mixseq.choices import SPACES, PlacementName, ProjectionName, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology
-from mixseq.runtime.parallel import Executor, serially
-from mixseq.runtime.progress import Progress, Stages, silent
-from mixseq.segmentation.joints import Observed, Watched, decompose, frames_to_look_at, gather, observe
-from mixseq.segmentation.methods import Segmentation, chosen, segment, segment_by_labels
-from mixseq.sequence.sequence import FrameStore, MeshSequence, blocks_of, bounding_diagonal
+from mixseq.runtime.parallel import Executor, serial_executor
+from mixseq.runtime.progress import Progress, StagedProgress, no_progress
+from mixseq.segmentation.joints import (
+    PartMotion,
+    PartShapes,
+    decompose,
+    join_part_motion,
+    measure_part_motion,
+    sample_frame_ids,
+)
+from mixseq.segmentation.methods import Segmentation, resolve_segmentation, segment, segment_by_labels
+from mixseq.sequence.sequence import FrameStore, MeshSequence, bounding_diagonal, iterate_blocks
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.spaces.base import ShapeSpace, mean_edge_lengths
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
@@ -102,8 +109,8 @@ def make_space(
     frames: FrameStore | MeshSequence,
     name: SpaceName = "mixed",
     settings: SpaceSettings | None = None,
-    workers: Executor = serially,
-    progress: Progress = silent,
+    workers: Executor = serial_executor,
+    progress: Progress = no_progress,
 ) -> ShapeSpace:
     """Make the shape space of a sequence."""
     _check_name(name)
@@ -114,7 +121,7 @@ def make_space(
         )
     if isinstance(settings, MixedSettings):
         return _make_mixed_space(
-            frames, settings, workers, Stages(progress, SPACE_STAGES, len(frames.points))
+            frames, settings, workers, StagedProgress(progress, SPACE_STAGES, len(frames.points))
         )
     header, points = frames.header, frames.points
     first = points[:1][0].astype(np.float64)
@@ -144,26 +151,30 @@ def segment_faces(
     points, parts = frames.points, settings.parts
     if not (parts is None or isinstance(parts, int | np.integer)):
         return segment_by_labels(parts, topology)
-    name, details = chosen(settings.segmentation)
-    some = points[frames_to_look_at(len(points), details.frames)]
+    name, details = resolve_segmentation(settings.segmentation)
+    some = points[sample_frame_ids(len(points), details.frames)]
     return segment(some, topology, name, None if parts is None else int(parts), details)
 
 
 def _make_mixed_space(
-    frames: FrameStore | MeshSequence, settings: MixedSettings, workers: Executor, stages: Stages
+    frames: FrameStore | MeshSequence, settings: MixedSettings, workers: Executor, stages: StagedProgress
 ) -> MixedSpace:
     """Find parts, grow joints between them, and register the parts."""
     header, points = frames.header, frames.points
     stages.at(0)(0, 1, "finding parts")
     topology = Topology(header.faces, header.vertex_count)
     labels = segment_faces(frames, settings, topology)
-    watched = Watched.of(topology, labels, points[frames_to_look_at(len(points))])
-    observed = gather(_with_progress(workers(observe, watched, blocks_of(points)), len(points), stages.at(1)))
+    watched = PartShapes.from_labels(topology, labels, points[sample_frame_ids(len(points))])
+    observed = join_part_motion(
+        _with_progress(
+            workers(measure_part_motion, watched, iterate_blocks(points)), len(points), stages.at(1)
+        )
+    )
     decomposition = decompose(topology, labels, settings.joint_width, observed)
     return mixed_space(points, topology, decomposition, settings.placement, settings.purpose, stages.at(2))
 
 
-def _with_progress(blocks: Iterator[Observed], frames: int, progress: Progress) -> Iterator[Observed]:
+def _with_progress(blocks: Iterator[PartMotion], frames: int, progress: Progress) -> Iterator[PartMotion]:
     done = 0
     for block in blocks:
         yield block

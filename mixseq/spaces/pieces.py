@@ -14,13 +14,13 @@ from functools import cached_property
 
 import numpy as np
 
-from mixseq.mesh.measures import summed
+from mixseq.mesh.measures import scatter_add
 from mixseq.mesh.rigid import aligning_rotations
-from mixseq.mesh.rotations import continued, quaternions, rotations_of
+from mixseq.mesh.rotations import align_quat_signs, matrix_to_quat, quat_to_matrix
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.jit import compiled
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.spaces.base import ShapeSpace, radii_of_gyration
 from mixseq.types import Float, FloatArray, Index
 
@@ -168,7 +168,7 @@ class Pieces:
     def merge_rows(self, rows: Float) -> Float:
         """Return vertices ``(V, 3)`` of posed rows ``(N, 3)``; the mean where several share one."""
         counts = np.bincount(self.vertex_of_row)
-        return summed(rows, self.vertex_of_row, len(counts)) / counts[:, None]
+        return scatter_add(rows, self.vertex_of_row, len(counts)) / counts[:, None]
 
     @cached_property
     def _rows_of_pieces(self) -> list[Index]:
@@ -278,7 +278,7 @@ class PosedSpace(ShapeSpace):
         for vector, frame in zip(result, points, strict=True):
             x = frame.astype(np.float64) / self.scale
             rotations, centres = self.pieces.measure_poses(x)
-            blocks = self.measure_shape(x), quaternions(rotations).reshape(-1), centres.reshape(-1)
+            blocks = self.measure_shape(x), matrix_to_quat(rotations).reshape(-1), centres.reshape(-1)
             np.concatenate(blocks, out=vector)
         return result
 
@@ -287,11 +287,11 @@ class PosedSpace(ShapeSpace):
         shapes, turns, centres = self.split(vectors)
         before = None if previous is None else self.split(previous[None])
         shapes = self.unwrap_shapes(shapes, None if before is None else before[0][0])
-        turns = continued(turns, None if before is None else before[1][0])
+        turns = align_quat_signs(turns, None if before is None else before[1][0])
         count = len(vectors)
         return np.concatenate([shapes, turns.reshape(count, -1), centres.reshape(count, -1)], axis=1)
 
-    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
+    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
         """Implement `ShapeSpace.decode`."""
         return self._decode_with(vectors, self.rebuild_rows, progress)
 
@@ -307,7 +307,7 @@ class PosedSpace(ShapeSpace):
 
     def place_pieces(self, rows: Float, turns: Float, centres: Float) -> Float:
         """Pose pieces ``(N, 3)`` in diagonals; returns vertices ``(V, 3)`` in units of the sequence."""
-        return self.pieces.place(rows, rotations_of(turns), centres) * self.scale
+        return self.pieces.place(rows, quat_to_matrix(turns), centres) * self.scale
 
     def split(self, vectors: Float) -> tuple[Float, Float, Float]:
         """Return shapes ``(T, S)``, quaternions ``(T, p, 4)``, centres ``(T, p, 3)``; raises what `checked` does."""

@@ -37,8 +37,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from mixseq.mesh.rotations import continued, inverse, normalised, powers, product
-from mixseq.types import Float, Index, evenly
+from mixseq.mesh.rotations import align_quat_signs, normalise_quat, quat_conjugate, quat_multiply, quat_power
+from mixseq.types import Float, Index, evenly_spaced
 
 EndCondition = Literal["natural", "not-a-knot"]
 """End conditions: zero second derivatives, or one cubic through the first two intervals and the last two."""
@@ -128,7 +128,7 @@ class TemporalOperator:
     def leave_one_out(self, cubic: bool = False) -> tuple[Index, FrameWeights]:
         """Return evenly spread inner frames ``(n,)``, and their weights of others, by kriging or the cubic spline."""
         inner = np.arange(1, len(self.times) - 1)
-        left = inner[evenly(len(inner), MAX_LEFT_OUT_FRAMES)]
+        left = inner[evenly_spaced(len(inner), MAX_LEFT_OUT_FRAMES)]
         size = min(WINDOW_FRAMES, len(self.times) - 1)
         starts = np.clip(left - size // 2, 0, len(self.times) - 1 - size)
         frames = starts[:, None] + np.arange(size)
@@ -248,6 +248,6 @@ def chain_rotations(rows: FrameWeights, rotations: Float) -> Float:
         result[whole] = here[whole]  # all that came before is whole, too
         some = ~whole & (np.abs(exponent) >= EXPONENT_TOLERANCE)
         if some.any():
-            step = product(inverse(before[some]), here[some])
-            result[some] = product(result[some], powers(step, exponent[some, None]))
-    return continued(normalised(result))
+            step = quat_multiply(quat_conjugate(before[some]), here[some])
+            result[some] = quat_multiply(result[some], quat_power(step, exponent[some, None]))
+    return align_quat_signs(normalise_quat(result))

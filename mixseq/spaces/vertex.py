@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from mixseq.mesh.polygons import frozen
+from mixseq.mesh.polygons import read_only
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.spaces.base import ShapeMap, ShapeSpace, identity_map
 from mixseq.types import Float, FloatArray, Index, Mask
 
@@ -35,7 +35,7 @@ class BasisSpace(ShapeSpace):
     name = "basis"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "basis", frozen(np.asarray(self.basis, dtype=np.float64, order="C")))
+        object.__setattr__(self, "basis", read_only(np.asarray(self.basis, dtype=np.float64, order="C")))
 
     @property
     def vertex_count(self) -> int:  # type: ignore[override]
@@ -52,8 +52,8 @@ class BasisSpace(ShapeSpace):
         """The norms of the basis vectors, for all three coordinates."""
         return np.repeat(np.sqrt(np.einsum("kv,kv->k", self.basis, self.basis)), 3)
 
-    def constants(self) -> Iterable[object]:
-        """Implement `ShapeSpace.constants`."""
+    def cached_values(self) -> Iterable[object]:
+        """Implement `ShapeSpace.cached_values`."""
         return (self._blocks,)
 
     @cached_property
@@ -124,7 +124,7 @@ class BasisSpace(ShapeSpace):
                 row[:] = (self._gram_inverse @ (self.basis @ frame.astype(np.float64))).reshape(-1)
         return vectors / self.scale
 
-    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
+    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
         """Implement `ShapeSpace.decode`."""
         points = np.zeros((len(vectors), self.vertex_count, 3))
         with one_blas_thread():
@@ -176,7 +176,7 @@ class VertexSpace(ShapeSpace):
         """Implement `ShapeSpace.encode_independently`."""
         return points.astype(np.float64).reshape(len(points), -1) / self.scale
 
-    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
+    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
         """Implement `ShapeSpace.decode`."""
         return np.asarray(
             self.check_vectors(vectors).reshape(len(vectors), self.vertex_count, 3) * self.scale

@@ -25,8 +25,8 @@ import numpy as np
 
 from mixseq.errors import SettingsError
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, Stages, silent
-from mixseq.sequence.frame_rates import exact_rate
+from mixseq.runtime.progress import Progress, StagedProgress, no_progress
+from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float
 from mixseq.version import __version__
@@ -145,9 +145,7 @@ class ExportSettings:
 
     fps: float | None = None  # poses per second, by default those of the meshes
     every: int = 1  # step between stored poses; the page interpolates linearly
-    max_error: float = (
-        1e-3  # bound of vertex errors, in diagonals of the first pose, unless already compressed
-    )
+    max_error: float = 1e-3  # bound of vertex errors, in diagonals; compressed meshes keep their own
     overlaid: bool = False  # whether meshes are initially overlaid, instead of side by side
     title: str | None = None  # title of the page, by default the names of the meshes
     camera: tuple[float, float] | None = None  # initial view, see `mixseq.pictures.scene.resolve_view`
@@ -175,7 +173,7 @@ def export_page(
     target: Path,
     items: Sequence[PageItem],
     settings: ExportSettings | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> ExportReport:
     """Write a page that plays meshes; equal input gives equal bytes."""
@@ -184,7 +182,7 @@ def export_page(
         raise SettingsError("there is no mesh to show; give a sequence or a model")
     times = [_times(item, settings) for item in items]
     tops = _tops(items)
-    stages = Stages(progress, 2 * len(items), 100)
+    stages = StagedProgress(progress, 2 * len(items), 100)
     first: tuple[SequenceHeader, PagePoses] | None = None
     meshes = []
     for number, (item, elapsed) in enumerate(zip(items, times, strict=True)):
@@ -217,7 +215,7 @@ def _times(item: PageItem, settings: ExportSettings) -> Float:
     if not item.colourings:
         raise SettingsError(f"{item.mesh.name} has no colouring; give it one, such as clay")
     if settings.fps is not None:
-        rate = exact_rate(settings.fps)
+        rate = snap_to_ntsc(settings.fps)
         # the tolerance keeps the last frame despite rounding
         count = np.floor(elapsed[-1] * rate + 1e-6) + 1
         _check_count(item, count)

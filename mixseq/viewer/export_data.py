@@ -31,9 +31,9 @@ from mixseq.pictures.colours import MEASURES, Colouring, SceneColours
 from mixseq.pictures.scene import SceneItem, View, resolve_view, to_y_up
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import LazyFrames, blocks_of, check_block
+from mixseq.sequence.sequence import LazyFrames, check_block, iterate_blocks
 from mixseq.types import Float, FloatArray, Index
 from mixseq.viewer.session import chart_data
 from mixseq_io.coded.packing import pack
@@ -147,7 +147,7 @@ def collect_poses(
     item: SceneItem,
     elapsed: Float,
     first: tuple[SequenceHeader, PagePoses] | None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     workers: Executor | None = None,
     camera: tuple[float, float] | None = None,
 ) -> PagePoses:
@@ -227,7 +227,7 @@ def encode_mesh(
     page_poses: PagePoses,
     tops: Mapping[str, float],
     max_error: float,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> tuple[dict[str, Any], list[bytes], PageItemReport]:
     """Compress the poses at elapsed times ``(n,)`` within `max_error` diagonals; `tops` are the ends of colour scales.
 
@@ -332,7 +332,7 @@ def _describe_colouring(
         if colouring.name in MEASURES:
             return measured, None
         scaled = colouring.with_top(top)
-        poses = (pose for block in blocks_of(page_poses.poses) for pose in block)
+        poses = (pose for block in iterate_blocks(page_poses.poses) for pose in block)
         times = elapsed.tolist()
         entries = (scaled.entries(pose, time) for pose, time in zip(poses, times, strict=True))
         return measured, deflate_rows(row[vertices] for row in entries)

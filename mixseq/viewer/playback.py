@@ -70,11 +70,8 @@ class Clock:
         return replace(self, count=count, fps=fps).seek(frame, now)
 
     def _position(self, now: float) -> float:
-        return (
-            self.frame
-            if self.started_at is None
-            else self.frame + (now - self.started_at) * self.fps * self.speed
-        )
+        elapsed = 0.0 if self.started_at is None else now - self.started_at
+        return self.frame + elapsed * self.fps * self.speed
 
 
 Job = TypeVar("Job")
@@ -158,9 +155,7 @@ class FrameCache(BackgroundWorker):
         self._poses: OrderedDict[Key, Single | MixseqError] = OrderedDict()
         self._size = 0
         self._decoding: set[Key] = set()
-        self._request: tuple[Scene, int, bool] | None = (
-            None  # scene, frame, and whether to decode the frames after it
-        )
+        self._request: tuple[Scene, int, bool] | None = None  # frame, and whether to decode those after it
         super().__init__(self._decode, threads)
 
     def request(self, scene: Scene, frame: int, ahead: bool = True) -> tuple[Single, ...] | None:
@@ -318,9 +313,8 @@ class Playback(BackgroundWorker):
             if not self._clock.is_running:
                 return
             now = monotonic()
-            frame = (
-                self._shown[1] if self._shown and self._shown[0] is self._scene else self._clock.frame_at(now)
-            )
+            is_shown = self._shown is not None and self._shown[0] is self._scene
+            frame = self._shown[1] if self._shown and is_shown else self._clock.frame_at(now)
             self._clock = self._clock.stop(now).seek(frame, now)
             self._changed.notify_all()
 

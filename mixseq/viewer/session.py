@@ -26,7 +26,7 @@ from mixseq.pictures.charts import dense_times, largest_coordinates
 from mixseq.pictures.scene import Scene
 from mixseq.signals.model import Model
 from mixseq.signals.pose import Plane
-from mixseq.types import Float, IntArray, evenly
+from mixseq.types import Float, IntArray, evenly_spaced
 from mixseq.viewer.playback import JobQueue, Playback
 
 MAX_MESSAGE_POINTS = 5000
@@ -182,12 +182,7 @@ class UndoHistory(Generic[State]):
 
 
 EditHistory = UndoHistory[Step]
-
-
-def before_retiming(history: EditHistory) -> EditHistory:
-    """Return the history before its current step if that is a retiming, which then can be replaced."""
-    return history.undo() if history.current.keys else history
-
+HistoryChange = Callable[[EditHistory], EditHistory]
 
 MAX_CHART_POINTS = 800
 """Largest number of points of a line, about two per pixel of a chart."""
@@ -210,8 +205,8 @@ def chart_data(model: Model, plane: Plane | None = None) -> dict[str, Any]:
     start, end = model.start, model.end
     has_motion = end > start and model.time.dim > 0
     times = dense_times(model) if end > start else np.array([start])
-    times = times[evenly(len(times), MAX_CHART_POINTS)]
-    frames = model.times[evenly(len(model.times), MAX_CHART_FRAMES)]
+    times = times[evenly_spaced(len(times), MAX_CHART_POINTS)]
+    frames = model.times[evenly_spaced(len(model.times), MAX_CHART_FRAMES)]
     handles = np.linspace(start, end, HANDLE_COUNT) if has_motion else np.zeros(0)
     coordinate_ids, units = largest_coordinates(model)
     lines = model.time(times)[:, coordinate_ids] * units
@@ -277,7 +272,7 @@ class SessionListener(Protocol):
 class _Job:
     name: str
     index: int
-    change: Callable[[EditHistory], EditHistory]
+    change: HistoryChange
     is_preview: bool
 
 
@@ -351,7 +346,7 @@ class Session(JobQueue[_Job]):
         """Retime the model by keys ``(n, 2)`` of output and source seconds; replaces a retiming as last step."""
 
         def change(history: EditHistory) -> EditHistory:
-            before = before_retiming(history)
+            before = history.undo() if history.current.keys else history
             key_times = tuple((float(output), float(source)) for output, source in keys)
             return before.push(Step("retime", retime(before.current.model, keys), key_times))
 
@@ -382,12 +377,8 @@ class Session(JobQueue[_Job]):
                 self._save_threads.append(thread)
                 thread.start()
         if not has_capacity:
-            self._report_failure(
-                "save",
-                OutputError(
-                    f"{MAX_CONCURRENT_SAVES} files are still being saved; try again when one is done"
-                ),
-            )
+            text = f"{MAX_CONCURRENT_SAVES} files are still being saved; try again when one is done"
+            self._report_failure("save", OutputError(text))
 
     def _write(self, path: Path, index: int, model: Model, replace: bool) -> None:
         try:
@@ -398,9 +389,7 @@ class Session(JobQueue[_Job]):
             self._saved[index] = model
             self._listener.on_save(message)
 
-    def _enqueue_change(
-        self, name: str, change: Callable[[EditHistory], EditHistory], preview: bool = False
-    ) -> None:
+    def _enqueue_change(self, name: str, change: HistoryChange, preview: bool = False) -> None:
         job = _Job(name, self._index, change, preview)
         self._enqueue(job, is_obsolete=lambda waiting: waiting.is_preview)
 

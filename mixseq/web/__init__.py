@@ -1,4 +1,4 @@
-"""mixseq's JavaScript: modules bundled as one without imports, and the npm package of them as a folder.
+"""mixseq's JavaScript: modules bundled as one without imports, and the files of the npm package.
 
 The package has the decoder, a plugin for three.js, pages, types and a schema.
 """
@@ -17,69 +17,71 @@ from mixseq.version import __version__
 SEQUENCE_MODULE = "decoder/sequence.js"
 """The module that opens compressed sequences; it imports all of the decoder."""
 
-_IMPORT = re.compile(r'^import \{([^}]*)\} from "(\.[^"]+)";\n', re.MULTILINE)
-_EXPORT = re.compile(r"^export (?=(?:async )?(function\*?|class|const|let) (\w+)([^\n]*))", re.MULTILINE)
-_AGAIN = re.compile(r"^export \{([\w, ]*)\};\n", re.MULTILINE)
-_TEXT = r"""(?P<text>"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*'|`(?:\\.|[^`\\])*`)"""
-_TOKEN = re.compile(_TEXT + r"|/\*.*?\*/|[ \t]*//[^\n]*|(?P<gap>\s*\n\s*)", re.DOTALL)
-_SPACED = re.compile(_TEXT + r"| ?(?P<sign>[-+]=|[=,;:?{}()\[\]<>*&|]) ?")
+_IMPORT_LINE = re.compile(r'^import \{([^}]*)\} from "(\.[^"]+)";\n', re.MULTILINE)
+_EXPORT_KEYWORD = re.compile(
+    r"^export (?=(?:async )?(function\*?|class|const|let) (\w+)([^\n]*))", re.MULTILINE
+)
+_REEXPORT_LINE = re.compile(r"^export \{([\w, ]*)\};\n", re.MULTILINE)
+_STRING_PATTERN = r"""(?P<text>"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*'|`(?:\\.|[^`\\])*`)"""
+_COMMENT_OR_BREAK = re.compile(_STRING_PATTERN + r"|/\*.*?\*/|[ \t]*//[^\n]*|(?P<gap>\s*\n\s*)", re.DOTALL)
+_SPACED_SIGN = re.compile(_STRING_PATTERN + r"| ?(?P<sign>[-+]=|[=,;:?{}()\[\]<>*&|]) ?")
 
 
-def module(path: str) -> str:
+def read_module(path: str) -> str:
     """Return the text of a module, such as ``"decoder/arithmetic.js"``."""
     return files("mixseq.web").joinpath(*path.split("/")).read_text(encoding="utf-8")
 
 
 @cache
 def bundled(*entries: str) -> str:
-    """Return modules and all they import, `minify`, as one ES module; each becomes a function with its own names."""
+    """Return modules and their imports as one minified ES module; each becomes a function with its own names."""
     entries = entries or (SEQUENCE_MODULE,)
-    places: dict[str, str] = {}
+    sources: dict[str, str] = {}
     for entry in entries:
-        _place(entry, places)
-    names = {path: f"module{number}" for number, path in enumerate(places)}
-    parts = [minify(_as_function(path, places[path], names)) for path in places]
-    exports = [f"export const {{ {_exported(places[path])} }} = {names[path]};\n" for path in entries]
+        _add_module(entry, sources)
+    names = {path: f"module{number}" for number, path in enumerate(sources)}
+    parts = [minify(_to_function(path, sources[path], names)) for path in sources]
+    exports = [f"export const {{ {_exported_names(sources[path])} }} = {names[path]};\n" for path in entries]
     return "".join(parts) + minify("".join(exports))
 
 
-def _place(path: str, places: dict[str, str]) -> None:
+def _add_module(path: str, sources: dict[str, str]) -> None:
     """Add a module after its imports; circular imports are not allowed."""
-    if path in places:
-        return
-    source = module(path)
-    for _, imported in _IMPORT.findall(source):
-        _place(_target(path, imported), places)
-    places[path] = source
+    if path not in sources:
+        source = read_module(path)
+        for _, imported in _IMPORT_LINE.findall(source):
+            _add_module(_resolve(path, imported), sources)
+        sources[path] = source
 
 
-def _target(path: str, imported: str) -> str:
+def _resolve(path: str, imported: str) -> str:
     return normpath(join(dirname(path), imported))
 
 
-def _as_function(path: str, source: str, names: dict[str, str]) -> str:
-    def taken(match: re.Match[str]) -> str:
-        return f"const {{{match[1].replace(' as ', ': ')}}} = {names[_target(path, match[2])]};\n"
+def _to_function(path: str, source: str, names: dict[str, str]) -> str:
+    def to_constants(match: re.Match[str]) -> str:
+        return f"const {{{match[1].replace(' as ', ': ')}}} = {names[_resolve(path, match[2])]};\n"
 
-    body = _EXPORT.sub("", _AGAIN.sub("", _IMPORT.sub(taken, source)))
-    return f"const {names[path]} = (() => {{\n{body}\nreturn {{ {_exported(source)} }};\n}})();\n"
+    body = _EXPORT_KEYWORD.sub("", _REEXPORT_LINE.sub("", _IMPORT_LINE.sub(to_constants, source)))
+    return f"const {names[path]} = (() => {{\n{body}\nreturn {{ {_exported_names(source)} }};\n}})();\n"
 
 
-def _exported(source: str) -> str:
+def _exported_names(source: str) -> str:
     names = []
-    for what, first, rest in _EXPORT.findall(source):
-        names += [first, *(re.findall(r", (\w+) = ", rest) if what in ("const", "let") else [])]
-    return ", ".join([*names, *_AGAIN.findall(source)])
+    for keyword, first, rest in _EXPORT_KEYWORD.findall(source):
+        names += [first, *(re.findall(r", (\w+) = ", rest) if keyword in ("const", "let") else [])]
+    return ", ".join([*names, *_REEXPORT_LINE.findall(source)])
 
 
 def minify(source: str) -> str:
-    """Return scripts without comments, indentation and most spaces; they have no regular expressions with signs."""
+    """Remove comments, indentation and most spaces of scripts that have no regular expressions with signs."""
 
-    def kept(match: re.Match[str]) -> str:
+    def replacement(match: re.Match[str]) -> str:
         return match["text"] or ("\n" if match["gap"] else "")
 
-    once = _TOKEN.sub(kept, source)
-    return _SPACED.sub(lambda match: match["text"] or match["sign"], _TOKEN.sub(kept, once).lstrip())
+    for _ in range(2):
+        source = _COMMENT_OR_BREAK.sub(replacement, source)
+    return _SPACED_SIGN.sub(lambda match: match["text"] or match["sign"], source.lstrip())
 
 
 MODULES = (
@@ -105,7 +107,7 @@ COPIED_FILES = (
 
 
 def package_files() -> Mapping[str, str]:
-    """Return the texts of all files by their names."""
+    """Return the texts of the package's files by name."""
     package = {
         "name": "mixseq-web",
         "version": __version__,
@@ -122,5 +124,5 @@ def package_files() -> Mapping[str, str]:
     return {
         "mixseq.js": bundled(*MODULES),
         "package.json": json.dumps(package, indent=2) + "\n",
-        **{name: module(f"three/{name}") for name in COPIED_FILES},
+        **{name: read_module(f"three/{name}") for name in COPIED_FILES},
     }

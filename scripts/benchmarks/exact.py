@@ -74,7 +74,7 @@ def main() -> int:
 def _decoded(file: CompressedSequence) -> list[Float]:
     basis = decode_basis(file, mesh_graph(file.header.faces, file.header.vertex_count))
     chunks = [decode_coefficients(file, chunk, basis) for chunk in file.chunks]
-    return [*(block.vectors for block in basis.blocks), *chunks]
+    return [*(block.vectors for block in basis.part_bases), *chunks]
 
 
 def _outcome(file: CompressedSequence, known: list[Float]) -> str:
@@ -89,17 +89,17 @@ def _outcome(file: CompressedSequence, known: list[Float]) -> str:
 @contextmanager
 def _noise(size: float, rng: np.random.Generator) -> Iterator[None]:
     """Let all predictors have weights that are off, relatively, by about so much."""
-    renew = Predictor._renew
+    renew = Predictor._update_weights
 
     def renewed(self: Predictor) -> None:
         renew(self)
         self.weights *= 1.0 + size * rng.normal(size=self.weights.shape)
 
-    Predictor._renew = renewed  # type: ignore[method-assign]
+    Predictor._update_weights = renewed  # type: ignore[method-assign]
     try:
         yield
     finally:
-        Predictor._renew = renew  # type: ignore[method-assign]
+        Predictor._update_weights = renew  # type: ignore[method-assign]
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import mixseq
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, wrap_angles
 from mixseq.operations.interpolation import PoseInterpolator
 
 PAIRS = (
@@ -49,7 +49,7 @@ def measure(path: Path, first: int, second: int) -> None:
 
     def show(method: str, points: Any, seconds: float, reports: Any) -> None:
         strain = np.abs(edge_lengths(points, topology.edges) / lengths - 1.0)
-        bend = np.abs(np.degrees(wrap(dihedral_angles(points, topology.hinges) - angles)))
+        bend = np.abs(np.degrees(wrap_angles(dihedral_angles(points, topology.hinges) - angles)))
         print(
             f"| {path.stem} {first}-{second} | {method} | {seconds:.2f} | "
             f"{solved(reports)} | "
@@ -66,7 +66,7 @@ def measure(path: Path, first: int, second: int) -> None:
     )
     for method, told in spaces:
         interpolator = PoseInterpolator.from_poses(sequence, pose_ids=[first, second], **told)
-        interpolator.space.prepared()
+        interpolator.space.precompute()
         start = time.perf_counter()
         point, report = interpolator.blend_with_reports([0.5, 0.5])
         show(method, point, time.perf_counter() - start, report)

@@ -134,7 +134,7 @@ def _rig(path: Path, options: dict[str, Any], times: Float) -> Rig:
 
 def _gltf_joints(path: Path, options: dict[str, Any], times: Float) -> dict[str, Float]:
     """Return the matrices ``(T, 4, 4)`` of all nodes by path."""
-    from mixseq_io.gltf.animation import choose_animation, pose_at, read_channels
+    from mixseq_io.gltf.animation import choose_animation, evaluate_pose, read_channels
     from mixseq_io.gltf.codecs import decompress_document
     from mixseq_io.gltf.document import load_document
     from mixseq_io.gltf.scene import read_scene
@@ -143,7 +143,7 @@ def _gltf_joints(path: Path, options: dict[str, Any], times: Float) -> dict[str,
     scene = read_scene(document)
     nodes = set(scene.paths)
     channels = read_channels(document, choose_animation(document, options.get("animation")), nodes)
-    world = scene.world_matrices(nodes, pose_at(channels, times))
+    world = scene.world_matrices(nodes, evaluate_pose(channels, times))
     shape = (len(times), 4, 4)
     return {path: np.broadcast_to(world[node], shape) for node, path in scene.paths.items()}
 

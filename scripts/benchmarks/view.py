@@ -20,7 +20,7 @@ import mixseq
 from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.runtime.parallel import thread_count
-from mixseq.sequence.sequence import MeshSequence, frame_store
+from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.viewer.live.stage import LiveStage
 from mixseq.viewer.playback import Moment, Playback
 from scripts.benchmarks.common.animations import animation
@@ -55,7 +55,7 @@ def main() -> int:
     for name in sys.argv[1:] or NAMES:
         item = SceneItem(name, mixseq.fit(animation(name)))
         row(item, rounds(Scene((item,))))
-    row(SceneItem("sheet, not a model", frame_store(sheet())), ["", "", ""])
+    row(SceneItem("sheet, not a model", load_frames(sheet())), ["", "", ""])
     return 0
 
 

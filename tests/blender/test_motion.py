@@ -88,7 +88,7 @@ def test_one_mesh_needs_no_name(bar_model: Model) -> None:
     "placement", [Placement("Y", 0.01), Placement("Z", 0.01), Placement("Y", 1), Placement("Z", 1)]
 )
 def test_a_mesh_is_found_as_importers_leave_it(pair: Model, placement: Placement) -> None:
-    mesh = placement.conversion(pair.header).values(pair(2 / 3))[3:]
+    mesh = placement.conversion(pair.header).convert(pair(2 / 3))[3:]
     assert find_placement(pair, mesh.astype(np.float64)) == ("/rig/sword", placement)
 
 

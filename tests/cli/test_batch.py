@@ -27,8 +27,8 @@ from mixseq.cli.batch import (
     run,
 )
 from mixseq.errors import FormatError, MixseqWarning, OutputError
-from mixseq.runtime.parallel import serially
-from mixseq.runtime.progress import silent
+from mixseq.runtime.parallel import serial_executor
+from mixseq.runtime.progress import no_progress
 from mixseq.sequence.sequence import MeshSequence
 
 pytestmark = pytest.mark.slow
@@ -144,7 +144,7 @@ def test_progress_tells_which_asset_it_is() -> None:
     told: list[str] = []
     assets = plan(find_sources([Path("shots")]), Path("models").resolve(), {})
     Path("models").mkdir()
-    work = in_turn(serially, lambda done, total, what: told.append(what))
+    work = in_turn(serial_executor, lambda done, total, what: told.append(what))
     list(work(SETTINGS, assets))
     assert {line.partition(":")[0] for line in told} == {"asset 1 of 3, one", "asset 3 of 3, two"}
 
@@ -380,7 +380,7 @@ def test_damaged_reports(text: str, tmp_path: Path) -> None:
 
 def test_assets_on_a_cluster_of_which_a_worker_dies(tmp_path: Path, bent_bar: MeshSequence) -> None:
     pytest.importorskip("distributed")
-    from mixseq.runtime.cluster import cluster
+    from mixseq.runtime.cluster import connect_to_cluster
 
     for number in range(6):
         points = bent_bar.points * (1 + np.arange(4) * number)[:, None, None]
@@ -391,7 +391,7 @@ def test_assets_on_a_cluster_of_which_a_worker_dies(tmp_path: Path, bent_bar: Me
     there = plan(find_sources([tmp_path]), tmp_path / "there", {})
     for asset in here:
         assert encode_asset(SETTINGS, asset).state == "done"
-    with cluster("local:2") as workers:
+    with connect_to_cluster("local:2") as workers:
         victims = list(workers._client.run(os.getpid).values())[:1]
 
         def kill_one(done: int, total: int, what: str) -> None:
@@ -417,16 +417,19 @@ def test_only_the_asset_that_kills_workers_fails(
 ) -> None:
     dask = pytest.importorskip("dask")
     pytest.importorskip("distributed")
-    from mixseq.runtime.cluster import cluster
+    from mixseq.runtime.cluster import connect_to_cluster
 
     for name in ("a", "killer", "x", "y"):
         mixseq.write(tmp_path / f"{name}.npz", bent_bar)
     (tmp_path / "models").mkdir()
     assets = plan(find_sources([tmp_path]), tmp_path / "models", {})
     monkeypatch.setattr("mixseq.cli.batch.encode_asset", encode_or_die)
-    with dask.config.set({"distributed.scheduler.allowed-failures": 1}), cluster("local:2") as workers:
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
+        connect_to_cluster("local:2") as workers,
+    ):
         report = run(
-            assets, SETTINGS, Report({}), tmp_path / "models", on_cluster(workers, silent), force=False
+            assets, SETTINGS, Report({}), tmp_path / "models", on_cluster(workers, no_progress), force=False
         )
     found = {Path(entry.source).stem: entry.state for entry in report.entries.values()}
     assert found == {"a": "done", "killer": "failed", "x": "done", "y": "done"}
@@ -462,9 +465,16 @@ def test_two_batches_do_not_write_to_one_folder(tmp_path: Path, bent_bar: MeshSe
 
     def meanwhile(settings: object, assets: Any) -> Any:
         with pytest.raises(OutputError, match="another batch is writing here"):
-            run(list(assets), SETTINGS, Report({}), tmp_path, in_turn(serially, silent), force=False)
+            run(
+                list(assets),
+                SETTINGS,
+                Report({}),
+                tmp_path,
+                in_turn(serial_executor, no_progress),
+                force=False,
+            )
         return iter(())
 
     run(assets, SETTINGS, Report({}), tmp_path, meanwhile, force=False)
-    report = run(assets, SETTINGS, Report({}), tmp_path, in_turn(serially, silent), force=False)
+    report = run(assets, SETTINGS, Report({}), tmp_path, in_turn(serial_executor, no_progress), force=False)
     assert report.count("done") == 1  # the lock is lifted

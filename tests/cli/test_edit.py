@@ -134,7 +134,7 @@ def test_the_help_knows_all_operations(run: Run) -> None:
         (
             "model.h5 old.h5 --script edits.toml",
             '[[edit]]\noperation = "lop"',
-            "edit 1: there is no operation 'lop'; use one of cut, repeat, loop",
+            "edit 1: unknown operation 'lop'; use one of cut, repeat, loop",
         ),
         (
             "model.h5 old.h5 --script edits.toml",

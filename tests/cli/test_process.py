@@ -16,7 +16,7 @@ import pytest
 
 import mixseq
 from mixseq.cli.group import progress_bar
-from mixseq.runtime.progress import silent
+from mixseq.runtime.progress import no_progress
 from tests.meshes import bar
 
 pytestmark = pytest.mark.slow
@@ -156,10 +156,10 @@ def test_quiet_on_a_terminal(folder: Path, terminal: Terminal) -> None:
 
 def test_progress_is_silent_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     with progress_bar(quiet=False) as progress:
-        assert progress is silent
+        assert progress is no_progress
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with progress_bar(quiet=True) as progress:
-        assert progress is silent
+        assert progress is no_progress
 
 
 @pytest.mark.parametrize("line", ["encode --help", "info bar.npz"])

@@ -13,7 +13,7 @@ from click.testing import Result
 from pxr import Usd, UsdGeom
 
 import mixseq
-from mixseq.runtime.parallel import serially
+from mixseq.runtime.parallel import serial_executor
 from mixseq.sequence.sequence import MeshSequence
 
 Run = Callable[..., Result]
@@ -70,7 +70,7 @@ def test_sequences_stream_and_are_fitted_by_those_who_work(run: Run, monkeypatch
     succeed(run("resample", "bar.npz", "new.npz", "--threads", "1"))
     ((frames, workers),) = given
     assert not isinstance(frames, MeshSequence)
-    assert workers is serially
+    assert workers is serial_executor
 
 
 def test_numbered_files(run: Run, folder: Path, bent_bar: MeshSequence) -> None:

@@ -59,7 +59,7 @@ PATIENCE = 60.0
         ("view bar.npz --fps 0", "--fps.*0.0 is not in the range"),
         (
             "view bar.npz --export new.html --fps 0.1",
-            "a film has from 2 to 100,000, change its duration or its rate",
+            "a film has 2 to 100,000, change its duration or its frame rate",
         ),
         ("view bar.npz --port 0", "--port.*0 is not in the range"),
         ("view bar.npz --every 2", "--every is about pages; give --export as well"),

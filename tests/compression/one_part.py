@@ -9,23 +9,23 @@ import numpy as np
 from mixseq.compression.bitstream import spatial_basis
 from mixseq.compression.bitstream.signal_graph import SignalGraph, path_graph
 from mixseq.compression.bitstream.spatial_basis import BasisKind, SpatialBasis
-from mixseq.compression.encoder.components import PrincipalComponents, shapes, trajectories
-from mixseq.compression.encoder.trial import Candidate, code_basis, in_order, round_basis
+from mixseq.compression.encoder.components import PrincipalComponents, shape_components, trajectory_components
+from mixseq.compression.encoder.trial import Candidate, code_basis, order_coefficients, round_basis
 from mixseq.sequence.sequence import FrameStore
 from mixseq.types import Float
 
 
 def principal_components(sequence: FrameStore, kind: BasisKind, least: float) -> PrincipalComponents:
     return (
-        trajectories(sequence, least)
+        trajectory_components(sequence, least)
         if kind == "trajectories"
-        else shapes(trajectories(sequence, 0.0), least)
+        else shape_components(trajectory_components(sequence, 0.0), least)
     )
 
 
 def candidate_of(components: PrincipalComponents, graph: SignalGraph) -> Candidate:
     no_faces, one_part = np.zeros((0, 3), dtype=np.int32), np.zeros(graph.size, dtype=np.int64)
-    return Candidate.of(components, one_part, no_faces, graph)
+    return Candidate.from_labels(components, one_part, no_faces, graph)
 
 
 def write_basis(
@@ -52,5 +52,5 @@ def least_squares(basis: SpatialBasis, sequence: FrameStore) -> Float:
     """Coefficients ``(T, K, d)`` of the varying vectors that are nearest to a sequence."""
     components = principal_components(sequence, basis.kind, 0.0)
     [part] = candidate_of(components, path_graph(basis.vertex_count)).parts
-    nearest = in_order(basis, [part.fitted(basis.blocks[0]).coefficients])
+    nearest = order_coefficients(basis, [part.fit(basis.part_bases[0]).coefficients])
     return nearest / basis.norms[basis.varying, None]

@@ -33,7 +33,7 @@ def _shapes() -> CompressedSequence:
     points, faces = tube(4, 5)
     noise = np.random.default_rng(0).normal(size=(20, *points.shape))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mixseq.compression.encoder.search.KINDS", ("shapes",))
+        patch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("shapes",))
         return compress(MeshSequence.from_arrays(points + 0.1 * noise, faces), kg=2)
 
 

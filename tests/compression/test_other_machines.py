@@ -18,7 +18,7 @@ DECODE = """
 import json, sys, zlib
 from mixseq.runtime import jit
 if {fused}:
-    jit._OPTIONS["fastmath"] = {{"contract"}}
+    jit._NUMBA_OPTIONS["fastmath"] = {{"contract"}}
 from mixseq.compression.bitstream.compressed_sequence import decode_basis, decode_coefficients
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from tests.compression.test_golden import stored
@@ -27,7 +27,7 @@ found = {{}}
 for name in {names}:
     coded = stored(name)[0]
     basis = decode_basis(coded, mesh_graph(coded.header.faces, coded.header.vertex_count))
-    arrays = [block.vectors for block in basis.blocks]
+    arrays = [block.vectors for block in basis.part_bases]
     arrays += [decode_coefficients(coded, chunk, basis) * basis.norms[basis.varying, None] for chunk in coded.chunks]
     found[name] = [zlib.crc32((array / coded.parameters.step).round(6).tobytes()) for array in arrays]
 print(json.dumps(found))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mixseq.compression import numbering
 from mixseq.compression.numbering import Renumbering, find_numbering, identity_numbering, object_vertex_counts
-from mixseq.mesh.polygons import Polygons, matched
+from mixseq.mesh.polygons import Polygons, match_polygons
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
@@ -102,7 +102,7 @@ def test_a_scrambled_grid_is_the_same_mesh(vertices: bool) -> None:
     assert seen(found) == seen(grid)
     assert partition(found) == partition(grid)
     assert np.array_equal(found.points, grid.points) != vertices
-    assert (matched(grid.polygons, found.polygons) is None) == vertices
+    assert (match_polygons(grid.polygons, found.polygons) is None) == vertices
 
 
 @pytest.mark.parametrize("name", MESHES)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mixseq.sequence.sequence import MeshSequence, collect
+from mixseq.sequence.sequence import MeshSequence, join_blocks
 from mixseq_io.gltf.reader import open_gltf
 from mixseq_io.gltf.writer import write_gltf
 
@@ -187,7 +187,7 @@ def written(path: Path, sequence: MeshSequence, **options: Any) -> Gltf:
 
 def read(path: Path, **options: Any) -> MeshSequence:
     with open_gltf(path, **options) as reader:
-        return collect(reader.header, reader.blocks())
+        return join_blocks(reader.header, reader.blocks())
 
 
 def validate(*files: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.sequence.sequence import MeshSequence, collect
+from mixseq.sequence.sequence import MeshSequence, join_blocks
 from mixseq_io.gltf.reader import open_gltf
 
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
@@ -82,7 +82,7 @@ class Maker:
 
 def load(path: Path, **options: Any) -> MeshSequence:
     with open_gltf(path, **options) as reader:
-        return collect(reader.header, reader.blocks(3))
+        return join_blocks(reader.header, reader.blocks(3))
 
 
 def moving(times: Any = (0, 1), values: Any = ((0, 0, 0), (2, 0, 0)), how: str = "") -> Maker:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import WHITE, CornerValues
+from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import IntArray
 from mixseq_io.format import OPAQUE_PER_VERTEX
@@ -104,7 +104,7 @@ def assert_surface(
         expected = ours.colours
         if capabilities.colours is not True:
             vertices = written.polygons.indices
-            at_vertices = expected.at_vertices(vertices, written.vertex_count, WHITE)
+            at_vertices = expected.at_vertices(vertices, written.vertex_count, DEFAULT_COLOUR)
             at_vertices[:, 3:] = 1 if capabilities.colours == OPAQUE_PER_VERTEX else at_vertices[:, 3:]
             expected = CornerValues(at_vertices, vertices)
         np.testing.assert_array_equal(theirs.colours.at_corners[found], expected.at_corners[order])

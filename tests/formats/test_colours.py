@@ -25,7 +25,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray, IntArray
 from mixseq_io import read, write, write_blocks
-from mixseq_io.numbered.files import colours_of_words
+from mixseq_io.numbered.files import parse_colours
 from mixseq_io.surfaces import (
     SURFACE_ARRAY_NAMES,
     VISIBLE_ERROR_DIAGONALS,
@@ -227,10 +227,10 @@ def test_colours_are_parsed_no_more_often_than_needed(
 
     def logged(file: Path, *rest: Any) -> FloatArray:
         parsed.append(file.name)
-        return colours_of_words(file, *rest)
+        return parse_colours(file, *rest)
 
     for parser in ("obj", "stl_off"):
-        monkeypatch.setattr(f"mixseq_io.numbered.{parser}.colours_of_words", logged)
+        monkeypatch.setattr(f"mixseq_io.numbered.{parser}.parse_colours", logged)
     with pytest.warns(MixseqWarning, match=rf"a_2.{suffix} \(frame 2\) has others"):
         read(tmp_path / f"a_#.{suffix}")
     assert parsed == [f"a_0.{suffix}", f"a_2.{suffix}"]
@@ -325,7 +325,7 @@ def test_a_painted_character_through_all_formats(data: Path, tmp_path: Path) -> 
     for name in ("a.glb", "a.usdc", "a.abc", "a.npz", "a.h5", "a_####.ply", "a_####.obj", "a_####.off"):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MixseqWarning)
-            write(tmp_path / name, mixseq.sequence.sequence.collect(man.header, man.blocks()))
+            write(tmp_path / name, mixseq.sequence.sequence.join_blocks(man.header, man.blocks()))
         got = read(tmp_path / name)
         assert got.surface.colours is not None
         at_vertices = got.surface.colours.at_vertices(got.polygons.indices, got.vertex_count, np.zeros(4))  # type: ignore[arg-type]

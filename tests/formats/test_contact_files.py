@@ -30,11 +30,11 @@ WRONG = {
     "digits": (f'{{"left": [{"9" * 5000}]}}', "cannot be read as JSON"),
     "list": ("[1, 2]", "has no contacts; an object such as"),
     "nothing": ("{}", "has no contacts"),
-    "number": ('{"left": 3}', "contact 'left' is no list of vertices"),
-    "no vertices": ('{"left": []}', "contact 'left' is no list"),
-    "minus": ('{"left": [1], "right": [2, -1]}', "contact 'right' names -1, which is no vertex"),
-    "half": ('{"left": [1.5]}', "contact 'left' names"),
-    "true": ('{"left": [true]}', "contact 'left' names"),
+    "number": ('{"left": 3}', "contact 'left' is not a list of vertices"),
+    "no vertices": ('{"left": []}', "contact 'left' is not a list"),
+    "minus": ('{"left": [1], "right": [2, -1]}', "contact 'right' has -1; vertices are numbered from 0"),
+    "half": ('{"left": [1.5]}', "contact 'left' has"),
+    "true": ('{"left": [true]}', "contact 'left' has"),
 }
 
 

@@ -49,7 +49,7 @@ def test_maps_of_other_meshes_are_refused_by_name(tmp_path: Path) -> None:
     file = tmp_path / "map.npz"
     write_map(file, some_map(), SOURCE[1], TARGET[1])
     turned = TARGET[0], TARGET[1][:, ::-1]
-    with pytest.raises(FormatError, match=r"map\.npz: this is a map of another target.*make it anew"):
+    with pytest.raises(FormatError, match=r"map\.npz: this is a map of another target.*make a new map"):
         loaded(file, target=turned)
     with pytest.raises(FormatError, match="this is a map of another source"):
         loaded(file, source=(np.concatenate([SOURCE[0], [[0, 0, 0]]]), SOURCE[1]))
@@ -173,19 +173,19 @@ def test_arrays_of_others(tmp_path: Path) -> None:
 
 
 WRONG = {
-    "word.txt": ("5 0\nx 1\n", "line 2: 'x 1' is no row of a map"),
-    "uneven.txt": ("5 0\n6\n", "line 2 has 1 numbers; a map of vertices has 1 or 2 in every row"),
-    "wide.txt": ("1 2 3\n", "line 1 has 3 numbers; a map of barycentric"),
-    "half.txt": ("5\n6.5\n7\n8\n", "line 2: 6.5 is no number of a vertex"),
-    "nan.txt": ("5\nnan\n7\n8\n", "line 2: nan is no number"),
-    "kind.txt": ("# triangles\n1 2 3 4\n", "a map of triangles has 1 or 2"),
+    "word.txt": ("5 0\nx 1\n", "line 2: 'x 1' is not a row of a map"),
+    "uneven.txt": ("5 0\n6\n", "line 2 has 1 numbers; rows of a vertices map have 1 or 2"),
+    "wide.txt": ("1 2 3\n", "line 1 has 3 numbers; rows of a barycentric map"),
+    "half.txt": ("5\n6.5\n7\n8\n", "line 2: 6.5 is not the number of a vertex"),
+    "nan.txt": ("5\nnan\n7\n8\n", "line 2: nan is not the number"),
+    "kind.txt": ("# triangles\n1 2 3 4\n", "rows of a triangles map have 1 or 2"),
     "count.txt": ("4\n5 0\n6 1\n", "announces 4 rows, but 2 follow; is it truncated"),
     "empty.txt": ("# vertices\n", "has no rows"),
     "broken.json": ("[", "cannot be read as JSON"),
     "empty.json": ("{}", "has no map"),
-    "text.json": ('["a"]', "row 1: a is no row of numbers"),
+    "text.json": ('["a"]', "row 1: a is not a row of numbers"),
     "digits.json": (f"[{'9' * 5000}]", "cannot be read as JSON"),
-    "huge.json": (f"[{10**400}]", "is no row of numbers"),
+    "huge.json": (f"[{10**400}]", "is not a row of numbers"),
     "few.txt": ("5\n6\n", r"few.txt: there are 2 rows; one for each of the target's 4"),
     "target.txt": ("5 4\n", "there is no target 4: it has 4 .vertices.*the source's number first"),
     "source.txt": ("99\n6\n7\n8\n", "entry 0 of the map is 99, but the source has 54"),

@@ -18,7 +18,7 @@ from mixseq.errors import (
 )
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write
-from mixseq_io.numbered.files import find_frames, frame_file_name, is_pattern
+from mixseq_io.numbered.files import find_frame_files, frame_file_name, is_pattern
 
 KINDS = ("obj", "ply", "stl", "off")
 
@@ -100,7 +100,7 @@ def test_a_folder_of_several_kinds(tmp_path: Path) -> None:
     write(tmp_path / "a_#.ply", moving(2))
     with pytest.raises(AmbiguousError, match="OBJ and PLY"):
         read(tmp_path)
-    assert find_frames(tmp_path, False, ".ply")[0] == [tmp_path / "a_0.ply", tmp_path / "a_1.ply"]
+    assert find_frame_files(tmp_path, False, ".ply")[0] == [tmp_path / "a_0.ply", tmp_path / "a_1.ply"]
 
 
 def test_extensions_in_capitals(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_extensions_in_capitals(tmp_path: Path) -> None:
 
 def test_nothing_there(tmp_path: Path) -> None:
     for name in ("a_#.ply", "a_*.ply"):
-        with pytest.raises(FormatError, match="no files of this name"):
+        with pytest.raises(FormatError, match="no numbered files of this name"):
             read(tmp_path / name)
     with pytest.raises(FormatError, match="does not exist"):
         read(tmp_path / "a.ply")

@@ -45,7 +45,7 @@ def test_frames_are_sorted_by_number_not_by_name(tmp_path: Path) -> None:
     save(tmp_path, "walk9.obj", "walk10.obj", "walk11.obj")
     for pattern in ("walk#.obj", "walk%d.obj", "walk*.obj"):
         assert read(tmp_path / pattern).points[:, 0, 2].tolist() == [0, 1, 2]
-    with pytest.raises(FormatError, match="no files of this name"):
+    with pytest.raises(FormatError, match="no numbered files of this name"):
         read(tmp_path / "walk####.obj")
 
 
@@ -166,7 +166,7 @@ def test_bad_text(tmp_path: Path, text: str, error: type[Exception], message: st
 def test_lines_that_mean_nothing_are_told(tmp_path: Path) -> None:
     (tmp_path / "bad.obj").write_text(TRIANGLE.format(z=0) + "d 1 2 3\n\x00\nF 3 2 1\n")
     with pytest.warns(
-        MixseqWarning, match=r"bad.obj, line 5: 'd 1 2 3' is no statement .* like 2 other lines"
+        MixseqWarning, match=r"bad.obj, line 5: 'd 1 2 3' is not a statement .* like 2 other lines"
     ):
         assert len(read(tmp_path / "bad.obj").faces) == 1
 

@@ -127,11 +127,11 @@ def test_another_mesh_of_that_name_is_not_replaced(tmp_path: Path, kind: str, fi
     write(tmp_path / "run.obj", MeshSequence.from_arrays(wave(1), [[0, 1, 2]]))
     before = files()
     with pytest.raises(
-        OutputError, match=rf"run\.obj has the name of the mesh that goes with run\.{kind}, but holds"
+        OutputError, match=rf"run\.obj has the name of the mesh of run\.{kind}, but is another"
     ):
         write(tmp_path / f"run.{kind}", sequence())
     (tmp_path / "run.obj").write_text("notes")
-    with pytest.raises(OutputError, match="holds another mesh; remove it, or choose another name"):
+    with pytest.raises(OutputError, match="is another mesh; remove it, or choose another name"):
         write(tmp_path / f"run.{kind}", sequence())
     assert files().keys() == before.keys()
     write(tmp_path / "walk.obj", sequence(1))

@@ -11,7 +11,7 @@ import pytest
 import mixseq
 from mixseq.compression.numbering import object_vertex_counts, walk_numbering
 from mixseq.errors import OutputError
-from mixseq.mesh.polygons import Polygons, matched
+from mixseq.mesh.polygons import Polygons, match_polygons
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.scene_meshes import split_meshes
@@ -71,7 +71,7 @@ def test_the_mesh_of_a_file_is_told_in_its_numbers() -> None:
     for was, new in zip(before, after, strict=True):
         ours = new.with_vertex_order_of(was.polygons)
         assert ours is not None
-        assert matched(ours.polygons, was.polygons) is not None
+        assert match_polygons(ours.polygons, was.polygons) is not None
         assert points[ours.vertices].tolist() == list(range(was.vertices.start, was.vertices.stop))  # type: ignore[union-attr]
         assert was.with_vertex_order_of(was.polygons) is was
     assert before[0].with_vertex_order_of(before[1].polygons) is None

@@ -208,7 +208,7 @@ def test_what_usd_is_refused(tmp_path: Path) -> None:
     stage, skeleton = bones(tmp_path / "man.usda")
     skeleton.GetJointsAttr().Set(["hip/knee", "hip"])
     stage.Save()
-    with pytest.raises(FormatError, match=r"the joints of /man/bones are no tree: "):
+    with pytest.raises(FormatError, match=r"the joints of /man/bones are not a tree: "):
         mixseq.read_skeleton(tmp_path / "man.usda")
     skeleton.GetJointsAttr().Set(["hip"])
     stage.Save()

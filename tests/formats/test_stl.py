@@ -111,8 +111,8 @@ def test_normals_of_triangles(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("faces", "message"),
     [
-        ([[0, 1, 2], [0, 2, 4]], "4 will be read instead of 5, because those at the same place"),
-        ([[1, 0, 2], [0, 3, 4]], "they will be read in another order"),
+        ([[0, 1, 2], [0, 2, 4]], "4 will be read instead of 5, as unused ones are lost"),
+        ([[1, 0, 2], [0, 3, 4]], "vertices will be read in another"),
         (Polygons(np.array([5]), np.arange(5)), "STL files cannot hold polygons"),
     ],
 )

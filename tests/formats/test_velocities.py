@@ -131,8 +131,8 @@ def test_reading_in_blocks(path: Path) -> None:
 
 
 def test_large_velocities_wait_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mixseq_io.npz._MOST_IN_MEMORY", 100)
-    monkeypatch.setattr("mixseq_io.npz._COPIED_AT_ONCE", 7)
+    monkeypatch.setattr("mixseq_io.npz._MAX_SPOOLED_BYTES", 100)
+    monkeypatch.setattr("mixseq_io.npz._COPY_CHUNK_BYTES", 7)
     write(tmp_path / "walk.npz", moving(40))
     assert_same(read(tmp_path / "walk.npz"), moving(40))
     assert [file.name for file in tmp_path.iterdir()] == ["walk.npz"]
@@ -275,7 +275,7 @@ def move_the_mesh(mesh: UsdGeom.Mesh) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (move_the_mesh, "are those under a transform or a skeleton that moves, too"),
+        (move_the_mesh, "lack the motion of an animated transform or skeleton"),
         (lambda mesh: mesh.GetVelocitiesAttr().ClearAtTime(1), "are not sampled at the times of the points"),
         (lambda mesh: mesh.GetVelocitiesAttr().Set([(0, 0, 1)], 0), "are 1 for 4 points"),
     ],

@@ -12,7 +12,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import Surface
 from mixseq.sequence.header import header_fields
-from mixseq.sequence.sequence import MeshSequence, collect
+from mixseq.sequence.sequence import MeshSequence, join_blocks
 from mixseq.types import FloatArray
 from mixseq_io.usd.reader import open_usd
 from mixseq_io.usd.writer import write_usd
@@ -58,7 +58,7 @@ def save(path: Path, sequence: MeshSequence, **options: Any) -> Usd.Stage:
 
 def load(path: Path, prim: str | None = None) -> MeshSequence:
     with open_usd(path, prim) as reader:
-        return collect(reader.header, reader.blocks(2))
+        return join_blocks(reader.header, reader.blocks(2))
 
 
 def problems(stage: Usd.Stage) -> set[str]:

@@ -10,13 +10,13 @@ from hypothesis.extra import numpy as arrays
 
 from mixseq.mesh.measures import (
     Diagonal,
+    corner_normals,
     dihedral_angles,
     edge_lengths,
-    hard_edges_of_normals,
-    shared_normals,
+    hard_edges_from_normals,
     unwrap_angles,
     vector_areas,
-    wrap,
+    wrap_angles,
 )
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.sequence import bounding_diagonal
@@ -102,7 +102,7 @@ def test_rigid_motions_change_nothing(points: Float, motion: tuple[Float, Float]
     moved = points @ motion[0].T + motion[1]
     edges = np.array([[0, 1], [2, 3]])
     np.testing.assert_allclose(edge_lengths(moved, edges), edge_lengths(points, edges), atol=1e-9)
-    difference = wrap(dihedral_angles(moved, HINGE) - dihedral_angles(points, HINGE))
+    difference = wrap_angles(dihedral_angles(moved, HINGE) - dihedral_angles(points, HINGE))
     np.testing.assert_allclose(difference, 0, atol=1e-6)
 
 
@@ -123,7 +123,9 @@ def test_angle_gradients_are_the_derivatives(points: Float) -> None:
         for axis in range(3):
             shift = np.zeros((4, 3))
             shift[vertex, axis] = step
-            change = wrap(dihedral_angles(points + shift, HINGE) - dihedral_angles(points - shift, HINGE))
+            change = wrap_angles(
+                dihedral_angles(points + shift, HINGE) - dihedral_angles(points - shift, HINGE)
+            )
             numeric = change[0] / (2 * step)
             assert gradient[vertex, axis] == pytest.approx(numeric, rel=1e-4, abs=1e-4)
 
@@ -157,14 +159,18 @@ def test_length_gradients_are_the_derivatives(points: Float) -> None:
 @settings(max_examples=100, deadline=None)
 @given(angle=st.floats(-50, 50), turns=st.integers(-5, 5))
 def test_wrap(angle: float, turns: int) -> None:
-    (wrapped,) = wrap(np.array([angle]))
+    (wrapped,) = wrap_angles(np.array([angle]))
     assert -np.pi < wrapped <= np.pi
     assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * angle))
-    assert np.exp(1j * wrap(np.array([angle + turns * 2 * np.pi]))[0]) == pytest.approx(np.exp(1j * angle))
+    assert np.exp(1j * wrap_angles(np.array([angle + turns * 2 * np.pi]))[0]) == pytest.approx(
+        np.exp(1j * angle)
+    )
 
 
 def test_wrap_at_half_a_turn() -> None:
-    np.testing.assert_allclose(wrap(np.array([np.pi, -np.pi, 3 * np.pi, 0.0])), [np.pi, np.pi, np.pi, 0.0])
+    np.testing.assert_allclose(
+        wrap_angles(np.array([np.pi, -np.pi, 3 * np.pi, 0.0])), [np.pi, np.pi, np.pi, 0.0]
+    )
 
 
 @settings(max_examples=50, deadline=None)
@@ -172,10 +178,10 @@ def test_wrap_at_half_a_turn() -> None:
 def test_unwrapping_undoes_wrapping(steps: Float) -> None:
     """Angles that move by less than half a turn per frame are recovered from their wrapped values."""
     angles = np.cumsum(steps, axis=0)
-    unwrapped = unwrap_angles(wrap(angles))
+    unwrapped = unwrap_angles(wrap_angles(angles))
     np.testing.assert_allclose(unwrapped - unwrapped[0], angles - angles[0], atol=1e-9)
-    np.testing.assert_allclose(unwrapped[0], wrap(angles[0]), atol=1e-12)
-    np.testing.assert_allclose(unwrap_angles(wrap(angles), reference=angles[0]), angles, atol=1e-9)
+    np.testing.assert_allclose(unwrapped[0], wrap_angles(angles[0]), atol=1e-12)
+    np.testing.assert_allclose(unwrap_angles(wrap_angles(angles), reference=angles[0]), angles, atol=1e-9)
 
 
 def test_unwrapping_leaves_its_input_alone() -> None:
@@ -193,10 +199,10 @@ BOX = np.array([[0.0, 0, 0], [2, 0, 0], [0, 3, 6]])
 @pytest.mark.parametrize("exponent", [-1060, -600, -100, 0, 100, 600, 1021])
 def test_diagonals_of_any_size(exponent: int) -> None:
     points = np.ldexp(BOX, exponent)
-    unit = Diagonal.of(points)
+    unit = Diagonal.from_points(points)
     assert unit == Diagonal(7 / 8, exponent + 3)
     assert unit.length == np.ldexp(7.0, exponent)
-    np.testing.assert_array_equal(unit.shifted(points), BOX / 8)
+    np.testing.assert_array_equal(unit.rescale(points), BOX / 8)
 
 
 def test_digits_are_those_of_the_plain_formula() -> None:
@@ -207,20 +213,20 @@ def test_digits_are_those_of_the_plain_formula() -> None:
 
 
 def test_places_do_not_matter() -> None:
-    assert Diagonal.of(BOX + 2.0**40) == Diagonal.of(BOX)
+    assert Diagonal.from_points(BOX + 2.0**40) == Diagonal.from_points(BOX)
 
 
 def test_one_point_has_none() -> None:
     for place in (0.0, 1e300, np.finfo(np.float64).max):
-        assert Diagonal.of(np.full((3, 3), place)) == Diagonal(0.0, 0)
+        assert Diagonal.from_points(np.full((3, 3), place)) == Diagonal(0.0, 0)
 
 
 def test_what_does_not_fit_into_a_double() -> None:
     most = np.finfo(np.float64).max
-    unit = Diagonal.of(np.array([[-most, 0, 0], [most, 0, 0]]))
+    unit = Diagonal.from_points(np.array([[-most, 0, 0], [most, 0, 0]]))
     assert (round(unit.fraction, 12), unit.exponent) == (1.0, 1025)
     assert unit.length == np.inf
-    assert Diagonal.of(BOX * 1e-300).shifted(np.array([1e300])) == np.inf
+    assert Diagonal.from_points(BOX * 1e-300).rescale(np.array([1e300])) == np.inf
 
 
 # Normals of a cube in closed form, with its edges hard and soft
@@ -241,37 +247,37 @@ def test_areas_do_not_cancel_far_away() -> None:
 
 
 def test_soft_corners_point_along_the_diagonals() -> None:
-    np.testing.assert_allclose(shared_normals(CORNERS[None], CUBE)[0], CORNERS / np.sqrt(3), atol=1e-7)
+    np.testing.assert_allclose(corner_normals(CORNERS[None], CUBE)[0], CORNERS / np.sqrt(3), atol=1e-7)
 
 
 def test_hard_edges_keep_the_normals_of_their_sides() -> None:
     hard = np.repeat(np.arange(6), 4)
-    np.testing.assert_allclose(shared_normals(CORNERS[None], CUBE, hard)[0], OUTWARDS, atol=1e-7)
+    np.testing.assert_allclose(corner_normals(CORNERS[None], CUBE, hard)[0], OUTWARDS, atol=1e-7)
 
 
 def test_normals_turn_with_the_mesh() -> None:
     turned = CORNERS[:, [1, 2, 0]]
-    both = shared_normals(np.stack([CORNERS, turned]), CUBE)
+    both = corner_normals(np.stack([CORNERS, turned]), CUBE)
     np.testing.assert_allclose(both[1], both[0][:, [1, 2, 0]], atol=1e-7)
 
 
 def test_no_area_no_direction() -> None:
     flat = np.zeros((1, 8, 3))
-    np.testing.assert_array_equal(shared_normals(flat, CUBE)[0], np.tile([0.0, 0.0, 1.0], (8, 1)))
+    np.testing.assert_array_equal(corner_normals(flat, CUBE)[0], np.tile([0.0, 0.0, 1.0], (8, 1)))
 
 
 def test_hard_edges_are_found_and_kept() -> None:
     authored = np.repeat(OUTWARDS, 4, axis=0).astype(np.float32)
-    groups = hard_edges_of_normals(CUBE, authored)
+    groups = hard_edges_from_normals(CUBE, authored)
     assert groups is not None
     assert len(np.unique(groups)) == 24
-    again = shared_normals(CORNERS[None], CUBE, groups)[0][groups]
+    again = corner_normals(CORNERS[None], CUBE, groups)[0][groups]
     np.testing.assert_allclose(again, authored, atol=1e-6)
 
 
 def test_one_normal_per_vertex_is_no_hard_edge() -> None:
     smooth = (CORNERS / np.sqrt(3))[CUBE.indices]
-    assert hard_edges_of_normals(CUBE, smooth + 1e-5) is None
+    assert hard_edges_from_normals(CUBE, smooth + 1e-5) is None
 
 
 def test_triangles_have_the_normals_of_polygons() -> None:
@@ -280,5 +286,5 @@ def test_triangles_have_the_normals_of_polygons() -> None:
     with_a_square = Polygons(
         np.append(np.full(40, 3), 4), np.append(triangles, [0, 0, 0, 0])
     )  # without an area
-    expected = shared_normals(points, with_a_square)
-    np.testing.assert_array_equal(shared_normals(points, Polygons.from_triangles(triangles)), expected)
+    expected = corner_normals(points, with_a_square)
+    np.testing.assert_array_equal(corner_normals(points, Polygons.from_triangles(triangles)), expected)

@@ -16,14 +16,20 @@ from trimesh.proximity import closest_point_naive
 
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.box_tree import unit_normals
-from mixseq.mesh.nearest import Attachments, Found, Nearest, attach, self_intersections
+from mixseq.mesh.nearest import (
+    Attachments,
+    ClosestPointQuery,
+    ClosestPoints,
+    attach_pieces,
+    self_intersections,
+)
 from mixseq.types import Float, Index
 from tests.meshes import Mesh, grid, joined, rotation, seeds, tetrahedron, torus, tube
 
 RIGHT: Mesh = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]])
 
 
-def places(mesh: Mesh, found: Found) -> Float:
+def places(mesh: Mesh, found: ClosestPoints) -> Float:
     points, faces = mesh
     return np.asarray(np.einsum("nk,nki->ni", found.weights, points[faces[found.faces]]))
 
@@ -47,7 +53,7 @@ def soup(seed: int, count: int) -> Mesh:
 def one_by_one(mesh: Mesh, queries: Float, allowed: NDArray[np.bool_]) -> tuple[Index, Float]:
     """Ask every triangle alone, as a mesh of its own, in its place: the first of the closest."""
     points, faces = mesh
-    each = [Nearest.of(points, face[None]).query(queries).distances for face in faces]
+    each = [ClosestPointQuery.from_mesh(points, face[None]).query(queries).distances for face in faces]
     distances = np.where(allowed, np.stack(each), np.inf)
     best = distances.argmin(axis=0)
     least = distances.min(axis=0)
@@ -71,7 +77,7 @@ def one_by_one(mesh: Mesh, queries: Float, allowed: NDArray[np.bool_]) -> tuple[
 def test_regions_of_a_triangle(
     query: tuple[float, ...], weights: tuple[float, ...], distance: float, turn: int
 ) -> None:
-    found = Nearest.of(RIGHT[0], np.roll(RIGHT[1], turn, axis=1)).query(np.array([query]))
+    found = ClosestPointQuery.from_mesh(RIGHT[0], np.roll(RIGHT[1], turn, axis=1)).query(np.array([query]))
     assert found.faces.tolist() == [0]
     np.testing.assert_allclose(np.roll(found.weights[0], -turn), weights, atol=1e-15)
     np.testing.assert_allclose(found.distances, [distance], rtol=1e-15)
@@ -79,7 +85,7 @@ def test_regions_of_a_triangle(
 
 def test_points_inside_a_tetrahedron() -> None:
     mesh = tetrahedron()
-    found = Nearest.of(*mesh).query(np.array([[0.0, 0, 0], [3, 3, 3], [-0.1, -0.1, -0.1]]))
+    found = ClosestPointQuery.from_mesh(*mesh).query(np.array([[0.0, 0, 0], [3, 3, 3], [-0.1, -0.1, -0.1]]))
     np.testing.assert_allclose(
         found.distances, [1 / np.sqrt(3), 2 * np.sqrt(3), 1 / np.sqrt(3) - 0.1 * np.sqrt(3)]
     )
@@ -96,7 +102,7 @@ def test_as_triangle_by_triangle(count: int) -> None:
     queries = np.concatenate(
         [1.5 * rng.normal(size=(200, 3)), mesh[0][:50], mesh[0][mesh[1]].mean(axis=1)[:50]]
     )
-    found = Nearest.of(*mesh).query(queries)
+    found = ClosestPointQuery.from_mesh(*mesh).query(queries)
     faces, distances = one_by_one(mesh, queries, np.ones((count, 1), dtype=bool))
     np.testing.assert_array_equal(found.faces, faces)
     np.testing.assert_array_equal(found.distances, distances)
@@ -110,7 +116,7 @@ def test_as_triangle_by_triangle(count: int) -> None:
 )
 def test_trimesh_finds_the_same(mesh: Mesh) -> None:
     queries = 2 * np.random.default_rng(7).normal(size=(50, 3)) * np.abs(mesh[0]).max()
-    found = Nearest.of(*mesh).query(queries)
+    found = ClosestPointQuery.from_mesh(*mesh).query(queries)
     points, distances, _ = closest_point_naive(trimesh.Trimesh(*mesh, process=False), queries)  # type: ignore[no-untyped-call]
     np.testing.assert_allclose(found.distances, distances, atol=1e-12)
     np.testing.assert_allclose(places(mesh, found), points, atol=1e-9)
@@ -125,7 +131,7 @@ def test_only_triangles_that_face_the_same_way(angle: float) -> None:
     normals[:20] = own[np.isfinite(own[:, 0])][:20]
     cosines = own @ (normals / np.linalg.norm(normals, axis=1, keepdims=True)).T
     assert np.isnan(own).any()
-    found = Nearest.of(*mesh).query(queries, normals, angle)
+    found = ClosestPointQuery.from_mesh(*mesh).query(queries, normals, angle)
     faces, distances = one_by_one(mesh, queries, cosines >= np.cos(np.radians(angle)) - 1e-12)
     np.testing.assert_array_equal(found.faces, faces)
     np.testing.assert_array_equal(found.distances, distances)
@@ -137,7 +143,7 @@ def test_both_sides_of_a_thin_sheet() -> None:
     sheet, faces = grid(4, 4)
     mesh = joined((sheet, faces), (sheet - np.array([0, 0, 0.01]), faces[:, ::-1]))
     queries = np.tile([[1.3, 2.6, -1.0]], (3, 1))
-    found = Nearest.of(*mesh).query(queries, np.array([[0, 0, 1.0], [0, 0, -1], [0, 0, 0]]))
+    found = ClosestPointQuery.from_mesh(*mesh).query(queries, np.array([[0, 0, 1.0], [0, 0, -1], [0, 0, 0]]))
     np.testing.assert_allclose(found.distances, [1.0, 0.99, np.inf])
     assert found.faces[0] < len(faces) <= found.faces[1]
     assert found.faces[2] == -1 and (found.weights[2] == 0).all()
@@ -149,8 +155,8 @@ def test_ties_go_to_the_first_triangle(mesh: Mesh) -> None:
     sides = faces[:, [1, 2, 0]]
     queries = np.concatenate([points, (0.25 * points[faces] + 0.75 * points[sides]).reshape(-1, 3)])
     queries = queries + 1e-3 * np.sign(queries)
-    normal = Nearest.of(*mesh).query(queries)
-    last = Nearest.of(points, faces[::-1]).query(queries)
+    normal = ClosestPointQuery.from_mesh(*mesh).query(queries)
+    last = ClosestPointQuery.from_mesh(points, faces[::-1]).query(queries)
     np.testing.assert_array_equal(normal.distances, last.distances)
     assert (normal.faces <= len(faces) - 1 - last.faces).all()
     assert (normal.faces < len(faces) - 1 - last.faces).any()
@@ -160,36 +166,38 @@ def test_motions_and_scales_change_nothing() -> None:
     rng = np.random.default_rng(4)
     points, faces = torus(30, 16)
     queries = 2 * rng.normal(size=(300, 3))
-    found = Nearest.of(points, faces).query(queries)
+    found = ClosestPointQuery.from_mesh(points, faces).query(queries)
     turn = rotation((0.3, -1.0, 2.0))
     for scale, shift in ((1e-6, 0.0), (1e6, 0.0), (1.0, 100.0)):
-        moved = Nearest.of(scale * points @ turn.T + shift, faces).query(scale * queries @ turn.T + shift)
+        moved = ClosestPointQuery.from_mesh(scale * points @ turn.T + shift, faces).query(
+            scale * queries @ turn.T + shift
+        )
         np.testing.assert_allclose(moved.distances, scale * found.distances, rtol=1e-9, atol=1e-12 * scale)
         assert (moved.faces == found.faces).mean() > 0.9  # the others are ties
 
 
 def test_an_empty_mesh_and_no_queries() -> None:
-    none = Nearest.of(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64))
+    none = ClosestPointQuery.from_mesh(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64))
     found = none.query(np.zeros((2, 3)))
     assert found.faces.tolist() == [-1, -1] and np.isinf(found.distances).all() and not found.weights.any()
-    found = Nearest.of(*RIGHT).query(np.empty((0, 3)), np.empty((0, 3)))
+    found = ClosestPointQuery.from_mesh(*RIGHT).query(np.empty((0, 3)), np.empty((0, 3)))
     assert found.faces.shape == (0,) and found.weights.shape == (0, 3)
 
 
 def test_meshes_that_are_refused() -> None:
     points, faces = RIGHT
     with pytest.raises(
-        InvalidSequenceError, match=r"triangle 0 is of vertices \[0, 1, 3\], but there are 3 points"
+        InvalidSequenceError, match=r"triangle 0 has vertices \[0, 1, 3\], but there are 3 points"
     ):
-        Nearest.of(points, np.array([[0, 1, 3]]))
+        ClosestPointQuery.from_mesh(points, np.array([[0, 1, 3]]))
     with pytest.raises(InvalidSequenceError, match="triangle 0 has a corner that is not finite"):
-        Nearest.of(np.where(points == 1, np.nan, points), faces)
-    with pytest.raises(InvalidSequenceError, match=r"faces of shape \(1, 4\) are no triangle mesh"):
-        Nearest.of(points, np.array([[0, 1, 2, 0]]))
+        ClosestPointQuery.from_mesh(np.where(points == 1, np.nan, points), faces)
+    with pytest.raises(InvalidSequenceError, match=r"faces of shape \(1, 4\) are not a triangle mesh"):
+        ClosestPointQuery.from_mesh(points, np.array([[0, 1, 2, 0]]))
 
 
 def test_queries_that_are_refused() -> None:
-    mesh = Nearest.of(*RIGHT)
+    mesh = ClosestPointQuery.from_mesh(*RIGHT)
     one = np.zeros((1, 3))
     with pytest.raises(SettingsError, match=r"queries have the shape \(3,\)"):
         mesh.query(np.zeros(3))
@@ -211,7 +219,7 @@ def pieces_of(sizes: list[int]) -> list[Index]:
 
 
 def rows(found: Attachments) -> list[tuple[int, int, int, int]]:
-    columns = (found.pieces, found.own, found.other, found.holders)
+    columns = (found.pieces, found.vertices, found.holder_vertices, found.holders)
     return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
@@ -221,7 +229,7 @@ CHAIN = np.array([[0.0], [10.0], [13.0], [13.5], [11.0], [11.5], [15.0]]) * [1.0
 
 def test_a_chain_is_held_one_by_one() -> None:
     pieces = [np.array([0, 1]), np.array([2, 3]), np.array([4, 5]), np.array([6])]
-    found = attach(pieces, CHAIN, np.arange(7))
+    found = attach_pieces(pieces, CHAIN, np.arange(7))
     assert found.root == 0
     assert rows(found) == [(2, 4, 1, 0), (1, 2, 5, 2), (3, 6, 3, 1)]
     assert len(found) == 3
@@ -229,7 +237,7 @@ def test_a_chain_is_held_one_by_one() -> None:
 
 def test_the_largest_piece_is_the_root_wherever_it_is_listed() -> None:
     pieces = [np.array([6]), np.array([2, 3]), np.array([0, 1]), np.array([4, 5])]
-    found = attach(pieces, CHAIN, np.arange(7))
+    found = attach_pieces(pieces, CHAIN, np.arange(7))
     assert found.root == 2
     assert rows(found) == [(3, 4, 1, 2), (1, 2, 5, 3), (0, 6, 3, 1)]
 
@@ -239,7 +247,7 @@ def test_followers_are_held_by_their_leaders_and_never_the_root() -> None:
     leaders[[0, 1]] = 6  # the longest piece follows the last vertex
     leaders[[4, 5]] = 2
     pieces = [np.array([0, 1]), np.array([2, 3]), np.array([4, 5]), np.array([6])]
-    found = attach(pieces, CHAIN, leaders)
+    found = attach_pieces(pieces, CHAIN, leaders)
     assert found.root == 1
     # By their vertices nearest to the leader; after the piece that it is on.
     assert rows(found) == [(3, 6, 3, 1), (0, 1, 6, 3), (2, 5, 2, 1)]
@@ -249,17 +257,17 @@ def test_a_piece_that_follows_in_part_is_free() -> None:
     leaders = np.arange(7)
     leaders[5] = 4
     pieces = [np.array([0, 1]), np.array([2, 3]), np.array([4, 5]), np.array([6])]
-    assert rows(attach(pieces, CHAIN, leaders))[0] == (2, 4, 1, 0)
+    assert rows(attach_pieces(pieces, CHAIN, leaders))[0] == (2, 4, 1, 0)
 
 
 def test_one_piece_needs_nothing() -> None:
-    found = attach([np.arange(7)], CHAIN, np.arange(7))
+    found = attach_pieces([np.arange(7)], CHAIN, np.arange(7))
     assert (found.root, len(found)) == (0, 0)
-    assert found.own.dtype == np.int64
+    assert found.vertices.dtype == np.int64
 
 
 def test_pieces_that_share_a_vertex_are_held_there() -> None:
-    found = attach([np.array([0, 1, 2]), np.array([2, 3, 4])], np.eye(5)[:, :3] * 9, np.arange(5))
+    found = attach_pieces([np.array([0, 1, 2]), np.array([2, 3, 4])], np.eye(5)[:, :3] * 9, np.arange(5))
     assert rows(found) == [(1, 2, 2, 0)]
 
 
@@ -270,12 +278,12 @@ def test_attachments_are_as_short_as_can_be(seed: int) -> None:
     pieces = pieces_of(rng.integers(1, 6, 8).tolist())
     owner = np.repeat(np.arange(8), [len(each) for each in pieces])
     points = rng.normal(size=(len(owner), 3)) + 4 * rng.normal(size=(8, 3))[owner]
-    found = attach(pieces, points, np.arange(len(points)))
-    lengths = np.linalg.norm(points[found.own] - points[found.other], axis=1)
+    found = attach_pieces(pieces, points, np.arange(len(points)))
+    lengths = np.linalg.norm(points[found.vertices] - points[found.holder_vertices], axis=1)
     apart = np.array([[cdist(points[a], points[b]).min() for a in pieces] for b in pieces])
     np.testing.assert_allclose(lengths.sum(), minimum_spanning_tree(apart).sum())
-    assert np.array_equal(owner[found.own], found.pieces)
-    assert np.array_equal(owner[found.other], found.holders)
+    assert np.array_equal(owner[found.vertices], found.pieces)
+    assert np.array_equal(owner[found.holder_vertices], found.holders)
     before = [found.root]
     for piece, holder in zip(found.pieces.tolist(), found.holders.tolist(), strict=True):
         assert holder in before
@@ -427,7 +435,7 @@ def test_an_empty_mesh() -> None:
 
 def test_meshes_without_intersections_to_look_for_are_refused() -> None:
     points = np.zeros((3, 3))
-    with pytest.raises(InvalidSequenceError, match="triangle 1 is of vertices"):
+    with pytest.raises(InvalidSequenceError, match="triangle 1 has vertices"):
         self_intersections(points, np.array([[0, 1, 2], [0, 1, -1]]))
     with pytest.raises(InvalidSequenceError, match="not finite"):
         self_intersections(points * np.nan, np.array([[0, 1, 2]]))

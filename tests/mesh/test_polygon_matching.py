@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.polygons import Polygons, difference, match_triangles, matched
+from mixseq.mesh.polygons import Polygons, describe_difference, match_polygons, match_triangles
 
 NAMES = ("A", "B")
 
@@ -20,7 +20,7 @@ SHUFFLED = of([2, 5, 4], [6, 7, 5, 2, 1], [2, 3, 0, 1], [3, 2, 4])
 
 
 def test_polygons_in_another_order() -> None:
-    found = matched(OURS, SHUFFLED)
+    found = match_polygons(OURS, SHUFFLED)
     assert found is not None
     assert found.polygons.tolist() == [2, 3, 0, 1]
     np.testing.assert_array_equal(SHUFFLED.indices[found.corners], OURS.indices)
@@ -29,14 +29,14 @@ def test_polygons_in_another_order() -> None:
 
 
 def test_there_and_back() -> None:
-    there, back = matched(OURS, SHUFFLED), matched(SHUFFLED, OURS)
+    there, back = match_polygons(OURS, SHUFFLED), match_polygons(SHUFFLED, OURS)
     assert there is not None and back is not None
     assert there.corners[back.corners].tolist() == list(range(OURS.indices.size))
 
 
 def test_the_same_polygon_twice_and_a_vertex_twice() -> None:
     ours, theirs = of([0, 1, 2], [0, 3, 0, 1], [1, 2, 0]), of([0, 1, 0, 3], [2, 0, 1], [0, 1, 2])
-    found = matched(ours, theirs)
+    found = match_polygons(ours, theirs)
     assert found is not None
     np.testing.assert_array_equal(theirs.indices[found.corners], ours.indices)
     assert sorted(found.polygons.tolist()) == [0, 1, 2]
@@ -46,7 +46,7 @@ def test_the_same_polygon_twice_and_a_vertex_twice() -> None:
     ("theirs", "message"),
     [
         (of([0, 2, 1, 3], [3, 2, 4]), "polygon 0 of A (vertices 0 1 2 3) is not in B"),
-        (of([0, 1, 2, 3], [2, 3, 4]), "polygon 1 of A (vertices 3 2 4) is the other way round in B"),
+        (of([0, 1, 2, 3], [2, 3, 4]), "polygon 1 of A (vertices 3 2 4) is flipped in B"),
         (of([0, 1, 2, 3], [3, 2, 4], [3, 2, 4]), "polygon 2 of B (vertices 3 2 4) is not in A"),
         (of([0, 1, 2, 3]), "polygon 1 of A (vertices 3 2 4) is not in B"),
     ],
@@ -54,8 +54,8 @@ def test_the_same_polygon_twice_and_a_vertex_twice() -> None:
 )
 def test_what_differs_first_is_named(theirs: Polygons, message: str) -> None:
     ours = of([0, 1, 2, 3], [3, 2, 4])
-    assert matched(ours, theirs) is None
-    assert difference(ours, theirs, NAMES) == message
+    assert match_polygons(ours, theirs) is None
+    assert describe_difference(ours, theirs, NAMES) == message
     with pytest.raises(InvalidSequenceError) as caught:
         match_triangles(ours, theirs, NAMES)
     assert str(caught.value) == message

@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from mixseq.mesh.rotations import (
-    continued,
-    exponentials,
-    inverse,
-    normalised,
-    powers,
-    product,
-    quaternions,
-    rotations_of,
-    spins,
+    align_quat_signs,
+    angular_velocities,
+    matrix_to_quat,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_power,
+    quat_to_matrix,
+    rotvec_to_quat,
 )
 from mixseq.types import Float
 from tests.meshes import rotation, seeds
@@ -33,93 +33,99 @@ def turn(angle: float) -> Float:
 
 
 def random(seed: int, *shape: int) -> Float:
-    return normalised(np.random.default_rng(seed).normal(size=(*shape, 4)))
+    return normalise_quat(np.random.default_rng(seed).normal(size=(*shape, 4)))
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, np.pi / 2, 3.1, -2.0])
 def test_a_quaternion_is_cosine_and_sine_of_half_the_angle(angle: float) -> None:
-    np.testing.assert_allclose(quaternions(rotation(AXIS * angle)), turn(angle), atol=1e-12)
-    np.testing.assert_allclose(rotations_of(turn(angle)), rotation(AXIS * angle), atol=1e-15)
+    np.testing.assert_allclose(matrix_to_quat(rotation(AXIS * angle)), turn(angle), atol=1e-12)
+    np.testing.assert_allclose(quat_to_matrix(turn(angle)), rotation(AXIS * angle), atol=1e-15)
 
 
 @pytest.mark.parametrize("axis", np.eye(3))
 def test_half_turns_have_no_real_part(axis: Float) -> None:
-    q = quaternions(rotation(axis * np.pi))
+    q = matrix_to_quat(rotation(axis * np.pi))
     np.testing.assert_allclose(np.abs(q), [0.0, *axis], atol=1e-12)
-    np.testing.assert_allclose(rotations_of(q), 2 * np.outer(axis, axis) - np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(quat_to_matrix(q), 2 * np.outer(axis, axis) - np.eye(3), atol=1e-12)
 
 
 @settings(max_examples=30, deadline=None)
 @given(vector=vectors)
 def test_rotations_come_back(vector: Float) -> None:
-    q = quaternions(rotation(vector))
+    q = matrix_to_quat(rotation(vector))
     assert q[0] >= 0
     assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-14)
-    np.testing.assert_allclose(rotations_of(q), rotation(vector), atol=1e-12)
+    np.testing.assert_allclose(quat_to_matrix(q), rotation(vector), atol=1e-12)
 
 
 def test_neither_length_nor_sign_matters() -> None:
     q = random(0, 5)
-    np.testing.assert_allclose(rotations_of(-3.0 * q), rotations_of(q), atol=1e-14)
-    np.testing.assert_array_equal(normalised(np.zeros((2, 4))), 0.0)
-    np.testing.assert_array_equal(rotations_of(np.zeros(4)), np.eye(3))
+    np.testing.assert_allclose(quat_to_matrix(-3.0 * q), quat_to_matrix(q), atol=1e-14)
+    np.testing.assert_array_equal(normalise_quat(np.zeros((2, 4))), 0.0)
+    np.testing.assert_array_equal(quat_to_matrix(np.zeros(4)), np.eye(3))
 
 
 def test_shapes_are_kept() -> None:
     q = random(0, 3, 2)
-    assert rotations_of(q).shape == (3, 2, 3, 3)
-    assert quaternions(rotations_of(q)).shape == q.shape
-    assert quaternions(np.zeros((0, 2, 3, 3))).shape == (0, 2, 4)
-    assert rotations_of(np.zeros((0, 4))).shape == (0, 3, 3)
-    assert powers(q, np.ones((3, 2))).shape == product(q, q[0]).shape == q.shape
+    assert quat_to_matrix(q).shape == (3, 2, 3, 3)
+    assert matrix_to_quat(quat_to_matrix(q)).shape == q.shape
+    assert matrix_to_quat(np.zeros((0, 2, 3, 3))).shape == (0, 2, 4)
+    assert quat_to_matrix(np.zeros((0, 4))).shape == (0, 3, 3)
+    assert quat_power(q, np.ones((3, 2))).shape == quat_multiply(q, q[0]).shape == q.shape
 
 
 def test_units_multiply_as_hamilton_has_them() -> None:
     one, i, j, k = np.eye(4)
     for first, second, third in ((i, j, k), (j, k, i), (k, i, j)):
-        np.testing.assert_array_equal(product(first, second), third)
-        np.testing.assert_array_equal(product(second, first), -third)
-        np.testing.assert_array_equal(product(first, first), -one)
-        np.testing.assert_array_equal(product(one, first), first)
+        np.testing.assert_array_equal(quat_multiply(first, second), third)
+        np.testing.assert_array_equal(quat_multiply(second, first), -third)
+        np.testing.assert_array_equal(quat_multiply(first, first), -one)
+        np.testing.assert_array_equal(quat_multiply(one, first), first)
 
 
 @settings(max_examples=20, deadline=None)
 @given(seed=seeds)
 def test_products_are_rotations_one_after_the_other(seed: int) -> None:
     p, q = random(seed, 2, 3)
-    np.testing.assert_allclose(rotations_of(product(p, q)), rotations_of(p) @ rotations_of(q), atol=1e-14)
-    np.testing.assert_allclose(product(q, inverse(q)), [[1, 0, 0, 0]] * 3, atol=1e-15)
-    np.testing.assert_allclose(rotations_of(inverse(q)), np.swapaxes(rotations_of(q), 1, 2), atol=1e-15)
+    np.testing.assert_allclose(
+        quat_to_matrix(quat_multiply(p, q)), quat_to_matrix(p) @ quat_to_matrix(q), atol=1e-14
+    )
+    np.testing.assert_allclose(quat_multiply(q, quat_conjugate(q)), [[1, 0, 0, 0]] * 3, atol=1e-15)
+    np.testing.assert_allclose(
+        quat_to_matrix(quat_conjugate(q)), np.swapaxes(quat_to_matrix(q), 1, 2), atol=1e-15
+    )
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-14, 1e-9, 0.7, 3.0, -2.5])
 @pytest.mark.parametrize("exponent", [0.0, 0.25, 1.0, -1.5, 2.0])
 def test_powers_multiply_angles(angle: float, exponent: float) -> None:
-    np.testing.assert_allclose(powers(turn(angle), np.array(exponent)), turn(exponent * angle), atol=1e-15)
+    np.testing.assert_allclose(
+        quat_power(turn(angle), np.array(exponent)), turn(exponent * angle), atol=1e-15
+    )
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-14, 1e-9, 0.7, 3.0, -2.5, 6.0, 9.0, -20.0])
 def test_exponentials_count_turns(angle: float) -> None:
-    np.testing.assert_allclose(exponentials(AXIS * angle), turn(angle), atol=1e-14)
+    np.testing.assert_allclose(rotvec_to_quat(AXIS * angle), turn(angle), atol=1e-14)
 
 
 @settings(max_examples=20, deadline=None)
 @given(vector=vectors)
 def test_exponentials_are_rotations_of_vectors(vector: Float) -> None:
-    np.testing.assert_allclose(rotations_of(exponentials(vector)), rotation(vector), atol=1e-12)
+    np.testing.assert_allclose(quat_to_matrix(rotvec_to_quat(vector)), rotation(vector), atol=1e-12)
     size = np.linalg.norm(vector)
     if size > 1e-3:
         np.testing.assert_allclose(
-            exponentials(vector * (1 + 2 * np.pi / size)), -exponentials(vector), atol=1e-12
+            rotvec_to_quat(vector * (1 + 2 * np.pi / size)), -rotvec_to_quat(vector), atol=1e-12
         )
 
 
 def test_powers_take_the_shorter_way() -> None:
     """A turn by 300 degrees is one by 60 the other way round."""
     np.testing.assert_allclose(
-        powers(turn(np.radians(300)), np.array(0.5)), turn(np.radians(-30)), atol=1e-15
+        quat_power(turn(np.radians(300)), np.array(0.5)), turn(np.radians(-30)), atol=1e-15
     )
-    half = powers(turn(np.pi), np.array(0.5))
+    half = quat_power(turn(np.pi), np.array(0.5))
     np.testing.assert_allclose(np.abs(half), np.abs(turn(np.pi / 2)), atol=1e-15)
 
 
@@ -127,24 +133,24 @@ def test_powers_take_the_shorter_way() -> None:
 @given(seed=seeds)
 def test_powers_add_up(seed: int) -> None:
     q, (a, b) = random(seed, 4), np.random.default_rng(seed).normal(size=(2, 4))
-    both, one = product(powers(q, a), powers(q, b)), powers(q, a + b)
-    np.testing.assert_allclose(rotations_of(both), rotations_of(one), atol=1e-13)
+    both, one = quat_multiply(quat_power(q, a), quat_power(q, b)), quat_power(q, a + b)
+    np.testing.assert_allclose(quat_to_matrix(both), quat_to_matrix(one), atol=1e-13)
 
 
 @pytest.mark.parametrize("step", [10.0, 90.0, 179.0, -45.0])
 def test_signs_do_not_jump_however_often_a_body_turns(step: float) -> None:
     angles = np.radians(np.arange(0, 1441, abs(step)) * np.sign(step))
     expected = np.stack([turn(angle) for angle in angles])
-    nearest = quaternions(rotations_of(expected))
+    nearest = matrix_to_quat(quat_to_matrix(expected))
     assert (nearest[:, 0] >= 0).all()
-    np.testing.assert_allclose(continued(nearest), expected, atol=1e-12)
+    np.testing.assert_allclose(align_quat_signs(nearest), expected, atol=1e-12)
 
 
 @settings(max_examples=20, deadline=None)
 @given(seed=seeds)
 def test_continued_changes_signs_only(seed: int) -> None:
     path = random(seed, 20, 3)
-    smooth = continued(path)
+    smooth = align_quat_signs(path)
     np.testing.assert_array_equal(np.abs(smooth), np.abs(path))
     np.testing.assert_array_equal(smooth[0], path[0])
     assert (np.einsum("tpi,tpi->tp", smooth[1:], smooth[:-1]) >= 0).all()
@@ -152,24 +158,24 @@ def test_continued_changes_signs_only(seed: int) -> None:
 
 def test_the_reference_says_which_sign_the_first_frame_has() -> None:
     path = np.stack([turn(angle) for angle in (0.5, 0.9)])
-    np.testing.assert_array_equal(continued(path, turn(0.4)), path)
-    np.testing.assert_array_equal(continued(path, turn(0.4 + 2 * np.pi)), -path)
+    np.testing.assert_array_equal(align_quat_signs(path, turn(0.4)), path)
+    np.testing.assert_array_equal(align_quat_signs(path, turn(0.4 + 2 * np.pi)), -path)
 
 
 def test_block_by_block_is_the_same() -> None:
     path = random(1, 40, 2)
-    whole = continued(path)
-    first = continued(path[:17])
-    np.testing.assert_array_equal(np.concatenate([first, continued(path[17:], first[-1])]), whole)
-    assert continued(path[:0]).shape == (0, 2, 4)
+    whole = align_quat_signs(path)
+    first = align_quat_signs(path[:17])
+    np.testing.assert_array_equal(np.concatenate([first, align_quat_signs(path[17:], first[-1])]), whole)
+    assert align_quat_signs(path[:0]).shape == (0, 2, 4)
 
 
 @pytest.mark.parametrize("size", [1.0, 0.4, 7.0])
 def test_an_even_turn_has_its_speed_as_spin(size: float) -> None:
     """Quaternions that are too long, or too short, are rotations as well."""
     rate = 0.5 * 3.0 * np.concatenate([[-np.sin(0.35)], np.cos(0.35) * AXIS])
-    np.testing.assert_allclose(spins(size * turn(0.7), size * rate), 3.0 * AXIS, atol=1e-14)
-    np.testing.assert_allclose(spins(turn(0.7), size * turn(0.7)), 0.0, atol=1e-14)
+    np.testing.assert_allclose(angular_velocities(size * turn(0.7), size * rate), 3.0 * AXIS, atol=1e-14)
+    np.testing.assert_allclose(angular_velocities(turn(0.7), size * turn(0.7)), 0.0, atol=1e-14)
 
 
 @settings(max_examples=20, deadline=None)
@@ -178,11 +184,11 @@ def test_spins_are_difference_quotients(seed: int) -> None:
     rng = np.random.default_rng(seed)
     q = random(seed, 3) * rng.uniform(0.5, 2.0, (3, 1))
     rates, step = rng.normal(size=(3, 4)), 1e-5
-    ahead, behind = (rotations_of(q + sign * step * rates) for sign in (1, -1))
-    turning = (ahead - behind) / (2 * step) @ np.swapaxes(rotations_of(q), 1, 2)
+    ahead, behind = (quat_to_matrix(q + sign * step * rates) for sign in (1, -1))
+    turning = (ahead - behind) / (2 * step) @ np.swapaxes(quat_to_matrix(q), 1, 2)
     measured = np.stack([turning[:, 2, 1], turning[:, 0, 2], turning[:, 1, 0]], axis=1)
-    np.testing.assert_allclose(spins(q, rates), measured, atol=1e-6)
+    np.testing.assert_allclose(angular_velocities(q, rates), measured, atol=1e-6)
 
 
 def test_what_has_no_rotation_has_no_spin() -> None:
-    np.testing.assert_array_equal(spins(np.zeros((2, 4)), np.ones((2, 4))), 0.0)
+    np.testing.assert_array_equal(angular_velocities(np.zeros((2, 4)), np.ones((2, 4))), 0.0)

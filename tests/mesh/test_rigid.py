@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.mesh.rigid import bend, kabsch, mean_shape, nearest_rotations, transform
-from mixseq.mesh.rotations import turned
+from mixseq.mesh.rigid import kabsch, largest_rotation, mean_shape, nearest_rotations, transform_points
+from mixseq.mesh.rotations import rotate_vectors
 from mixseq.types import Float
 from tests.meshes import rigid_motions, rotation, seeds
 
@@ -22,7 +22,7 @@ def test_rigid_motions_are_found(motion: tuple[Float, Float]) -> None:
     found, moved = kabsch(CLOUD, CLOUD @ turn.T + shift)
     np.testing.assert_allclose(found, turn, atol=1e-9)
     np.testing.assert_allclose(moved, shift, atol=1e-8)
-    np.testing.assert_allclose(transform(CLOUD, found, moved), CLOUD @ turn.T + shift, atol=1e-8)
+    np.testing.assert_allclose(transform_points(CLOUD, found, moved), CLOUD @ turn.T + shift, atol=1e-8)
 
 
 FLAT = CLOUD * [1, 1, 0]
@@ -95,7 +95,7 @@ def test_many_targets_at_once() -> None:
     targets = np.stack([CLOUD @ turn.T + turn[0] for turn in turns])
     found, moved = kabsch(CLOUD, targets)
     np.testing.assert_allclose(found, np.stack(turns), atol=1e-9)
-    np.testing.assert_allclose(transform(np.stack([CLOUD] * 3), found, moved), targets, atol=1e-9)
+    np.testing.assert_allclose(transform_points(np.stack([CLOUD] * 3), found, moved), targets, atol=1e-9)
 
 
 @settings(max_examples=30, deadline=None)
@@ -164,13 +164,13 @@ def test_the_mean_minimises_the_distances_of_aligned_frames() -> None:
 
     def spread(shape: Float) -> float:
         turns, shifts = kabsch(frames, shape)
-        return float(np.sum((transform(frames, turns, shifts) - shape) ** 2))
+        return float(np.sum((transform_points(frames, turns, shifts) - shape) ** 2))
 
     np.testing.assert_allclose(mean.mean(axis=0), 0, atol=1e-12)
     for _ in range(20):
         assert spread(mean + 0.02 * rng.normal(size=mean.shape)) > spread(mean)
     turns, shifts = kabsch(frames, mean)  # at the minimum the mean is the mean of what is aligned to it
-    np.testing.assert_allclose(transform(frames, turns, shifts).mean(axis=0), mean, atol=1e-8)
+    np.testing.assert_allclose(transform_points(frames, turns, shifts).mean(axis=0), mean, atol=1e-8)
     turn, _ = kabsch(mean, frames[0])
     np.testing.assert_allclose(turn, np.eye(3), atol=1e-9)  # oriented like the first frame
 
@@ -186,14 +186,14 @@ def test_bend_is_the_largest_relative_turn() -> None:
     base = [rotation((t, 2 * t, -t)) for t in (0.0, 1.0, 2.0)]
     extra = [rotation((0, 0, np.radians(a))) for a in (0.0, 10.0, -25.0)]
     second = np.stack([b @ e for b, e in zip(base, extra, strict=True)])
-    assert bend(np.stack(base), second) == pytest.approx(35.0)
-    assert bend(second, np.stack(base)) == pytest.approx(35.0)
-    assert bend(second, second) == pytest.approx(0, abs=1e-5)
+    assert largest_rotation(np.stack(base), second) == pytest.approx(35.0)
+    assert largest_rotation(second, np.stack(base)) == pytest.approx(35.0)
+    assert largest_rotation(second, second) == pytest.approx(0, abs=1e-5)
 
 
 def test_vectors_are_turned_each_by_its_matrix() -> None:
     matrices = np.random.default_rng(0).normal(size=(4, 3, 3))
     vectors = np.random.default_rng(1).normal(size=(4, 3))
     expected = [m @ v for m, v in zip(matrices, vectors, strict=True)]
-    np.testing.assert_allclose(turned(matrices, vectors), expected)
-    np.testing.assert_allclose(turned(matrices[None], vectors), [expected])
+    np.testing.assert_allclose(rotate_vectors(matrices, vectors), expected)
+    np.testing.assert_allclose(rotate_vectors(matrices[None], vectors), [expected])

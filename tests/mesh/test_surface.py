@@ -38,20 +38,20 @@ def test_equal_values_at_a_vertex_are_one_row() -> None:
     vertices = np.array([0, 1, 2, 2, 1, 3])
     values = np.array([[0, 0], [1, 0], [0, 1], [0, 1], [1, 0], [1, 1]], dtype=np.float32)
     apart = CornerValues(values, np.arange(6))
-    assert apart.welded(vertices).indices.tolist() == [0, 1, 2, 2, 1, 3]
-    assert apart.welded(vertices).values.tolist() == [[0, 0], [1, 0], [0, 1], [1, 1]]
+    assert apart.weld(vertices).indices.tolist() == [0, 1, 2, 2, 1, 3]
+    assert apart.weld(vertices).values.tolist() == [[0, 0], [1, 0], [0, 1], [1, 1]]
     values[3, 0] = -0.0  # bits differ: corners keep theirs
-    assert CornerValues(values, np.arange(6)).welded(vertices).indices.tolist() == [0, 1, 2, 3, 1, 4]
+    assert CornerValues(values, np.arange(6)).weld(vertices).indices.tolist() == [0, 1, 2, 3, 1, 4]
 
 
 def test_rows_that_vertices_share_stay_shared() -> None:
     """Every face has the whole texture: four rows are enough, and stay four."""
     shared = CornerValues(np.eye(2), np.array([0, 1, 0, 1]))
-    assert shared.welded(np.array([0, 1, 2, 3])) is shared
+    assert shared.weld(np.array([0, 1, 2, 3])) is shared
     # Rows 0 and 2 agree at vertex 0, rows 2 and 3 at vertex 1: all three are one, also where they are used alone.
     rows = np.array([[1, 2], [3, 4], [1, 2], [1, 2]])
     chain = CornerValues(rows, np.array([0, 2, 2, 3, 0, 1, 3]))
-    welded = chain.welded(np.array([0, 0, 1, 1, 2, 3, 4]))
+    welded = chain.weld(np.array([0, 0, 1, 1, 2, 3, 4]))
     assert welded.indices.tolist() == [0, 0, 0, 0, 0, 1, 0]
     assert welded.values.tolist() == [[1, 2], [3, 4]]
 
@@ -71,11 +71,11 @@ def test_values_of_vertices_are_those_of_their_first_corners() -> None:
 def test_corner_values_are_the_same_in_other_rows(seed: int, width: int) -> None:
     rng = np.random.default_rng(seed)
     values = rng.integers(0, 3, (20, width)).astype(np.float32)
-    found = CornerValues.of_corners(values)
+    found = CornerValues.from_corners(values)
     np.testing.assert_array_equal(found.at_corners, values)
     assert len(np.unique(found.values, axis=0)) == len(found.values)
     order = rng.permutation(20)[:12]
-    np.testing.assert_array_equal(found.taken(order).at_corners, values[order])
+    np.testing.assert_array_equal(found.select(order).at_corners, values[order])
     # A vertex for each colour, in any order: they have one each, and corners have that of their vertex.
     vertices = rng.permutation(len(found.values))[found.indices]
     assert found.one_per_vertex(vertices)

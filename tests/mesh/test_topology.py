@@ -10,7 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csgraph
 
-from mixseq.mesh.topology import Topology, face_patches, hinges_inside, spread, vertices_near, vertices_of
+from mixseq.mesh.topology import (
+    Topology,
+    dilate_vertices,
+    face_patches,
+    interior_hinges,
+    mark_face_vertices,
+    propagate_depth,
+)
 from tests.meshes import flipped, grid, joined, pages, seeds, tetrahedron, topology_of, torus, tube
 
 
@@ -168,7 +175,7 @@ def test_hinges_inside_are_between_marked_faces() -> None:
     faces = np.arange(len(topology.faces)) % 3 > 0
     expected = [h for h, pair in enumerate(topology.hinge_faces.tolist()) if faces[pair].all()]
     assert 0 < len(expected) < len(topology.hinges)
-    assert hinges_inside(topology, faces).tolist() == expected
+    assert interior_hinges(topology, faces).tolist() == expected
 
 
 def test_vertices_near_are_a_few_edges_away() -> None:
@@ -176,7 +183,7 @@ def test_vertices_near_are_a_few_edges_away() -> None:
     marked = np.arange(topology.vertex_count) == 7
     hops = csgraph.shortest_path(topology.vertex_adjacency, indices=7, unweighted=True)
     for rings in range(5):
-        np.testing.assert_array_equal(vertices_near(topology, marked, rings), hops <= rings)
+        np.testing.assert_array_equal(dilate_vertices(topology, marked, rings), hops <= rings)
 
 
 def test_face_patches() -> None:
@@ -190,7 +197,7 @@ def test_face_patches() -> None:
 
 def test_marks() -> None:
     strip = topology_of(grid(1, 3))  # vertices 0 to 3 below, 4 to 7 above
-    assert np.flatnonzero(vertices_of(strip, np.arange(6) == 0)).tolist() == [0, 1, 5]
+    assert np.flatnonzero(mark_face_vertices(strip, np.arange(6) == 0)).tolist() == [0, 1, 5]
 
 
 @settings(max_examples=20, deadline=None)
@@ -215,4 +222,4 @@ def test_spread_is_the_largest_depth_less_the_distance(seed: int, deepest: int) 
                 queue.append(other)
         for vertex, distance in hops.items():
             expected[vertex] = max(expected[vertex], depth[start] - distance)
-    np.testing.assert_array_equal(spread(topology, depth), expected)
+    np.testing.assert_array_equal(propagate_depth(topology, depth), expected)

@@ -99,7 +99,7 @@ def test_periods_are_positive() -> None:
     for seconds in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(SettingsError, match=r"seconds is .*; a positive period is expected"):
             smooth(bar_motion(), seconds)
-    with pytest.raises(SettingsError, match="3 frames and knots cannot be smoothed; 5 or more are needed"):
+    with pytest.raises(SettingsError, match="3 frames and knots; smoothing needs 5 or more"):
         smooth(bar_motion(frames=2), 0.1)  # and the middle between them
 
 

@@ -12,7 +12,7 @@ import mixseq
 from mixseq.choices import PLACEMENTS, SPACES, PlacementName, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.operations.interpolation import PoseInterpolator
-from mixseq.runtime.parallel import on_threads, serially
+from mixseq.runtime.parallel import serial_executor, thread_executor
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.types import Float
@@ -150,7 +150,7 @@ def test_fits_are_reported() -> None:
 def test_blends_do_not_depend_on_who_works() -> None:
     weights = np.array([[0.5, 0.5, 0, 0], [0, 0.3, 0, 0.7], [0.1, 0.2, 0.3, 0.4]])
     results = []
-    for workers in (serially, on_threads(3)):
+    for workers in (serial_executor, thread_executor(3)):
         told: list[tuple[int, int, str]] = []
         interpolator = PoseInterpolator.from_poses(
             POSES, workers=workers, progress=lambda *step, told=told: told.append(step)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.choices import SpaceName
-from mixseq.mesh.rotations import matrices, rotations_of, vectors
+from mixseq.mesh.rotations import matrix_to_rotvec, quat_to_matrix, rotvec_to_matrix
 from mixseq.operations.sections import (
     MAX_BISECTIONS,
     CurveSection,
@@ -157,10 +157,10 @@ def test_a_body_turns_along_the_shortest_way() -> None:
     one, other = (model.placement(times) for times in (TIMES, LATER))
     found = model.space.unpack_placements(blend_placements(model.space, one, other, shares(0.3)))
     turns, others = (
-        rotations_of(model.space.unpack_placements(each).rotations[:, 0]) for each in (one, other)
+        quat_to_matrix(model.space.unpack_placements(each).rotations[:, 0]) for each in (one, other)
     )
-    expected = turns @ matrices(0.3 * vectors(np.swapaxes(turns, 1, 2) @ others))
-    np.testing.assert_allclose(rotations_of(found.rotations[:, 0]), expected, atol=1e-12)
+    expected = turns @ rotvec_to_matrix(0.3 * matrix_to_rotvec(np.swapaxes(turns, 1, 2) @ others))
+    np.testing.assert_allclose(quat_to_matrix(found.rotations[:, 0]), expected, atol=1e-12)
     here, there = (model.space.unpack_placements(each).centres[:, 0] for each in (one, other))
     np.testing.assert_allclose(found.centres[:, 0], lerp(here, there, shares(0.3)), atol=1e-12)
 

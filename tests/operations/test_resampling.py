@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from mixseq.errors import SettingsError
 from mixseq.operations.resampling import plan, resample
 from mixseq.operations.retiming import Retiming
-from mixseq.sequence.header import MOST_FRAMES, SequenceHeader
+from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.fitting import fit
@@ -184,7 +184,7 @@ def test_a_model_may_last_longer_than_its_frames(model: Model) -> None:
             {"start": 0.51, "end": 0.59},
             "no frame of 10 frames per second is from 0.51 to 0.59 s; give another",
         ),
-        ({"speed": 1e-9}, f"8e.* frames, more than {MOST_FRAMES:,}; give fewer fps or more speed"),
+        ({"speed": 1e-9}, f"8e.* frames, more than {MAX_FRAME_COUNT:,}; give fewer fps or more speed"),
         ({"fps": 1e300}, "more than"),
         (
             {"retiming": Retiming.through([0, 1], [0.2, 1])},

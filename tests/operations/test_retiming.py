@@ -278,7 +278,7 @@ def test_residual_layers_come_along() -> None:
             [[0.0, 0.0], [1.0, 0.9]],
             "goes beyond the source: time 0.9 s is outside the sequence, 0 to 0.8 s",
         ),
-        ([[0.0, 0.0], [1e8, 0.8]], r"1e\+08 s at .* make more than 10,000,000 frames"),
+        ([[0.0, 0.0], [1e8, 0.8]], r"1e\+08 s at .* more than 10,000,000 frames"),
     ],
 )
 def test_maps_that_are_none(keys: list[list[float]], message: str) -> None:

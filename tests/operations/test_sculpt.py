@@ -11,7 +11,7 @@ import pytest
 
 import mixseq
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
-from mixseq.mesh.measures import dihedral_angles, wrap
+from mixseq.mesh.measures import dihedral_angles, wrap_angles
 from mixseq.mesh.rigid import kabsch
 from mixseq.operations.sculpt import Where, sculpt
 from mixseq.operations.sections import smoothstep
@@ -228,7 +228,7 @@ def test_angles_take_the_short_way() -> None:
     edges, hinges = space.block_sizes[:2]
     angles = space.shape_difference(model.curve([0.2])[0], points, folded)[edges : edges + hinges]
     before = dihedral_angles(points, space.topology.hinges[space.hinge_ids])
-    np.testing.assert_allclose(angles, wrap(-2.0 * before), atol=1e-9)
+    np.testing.assert_allclose(angles, wrap_angles(-2.0 * before), atol=1e-9)
     assert (np.abs(angles) <= np.pi).all()
     assert np.abs(before).max() > np.pi / 2
 

@@ -96,7 +96,7 @@ def test_six_keys_of_the_elephant_gallop_as_the_horse(data: Path) -> None:
 
 def _aligned_error(made: Float, wanted: Float) -> float:
     """Root mean square distance after every frame is moved rigidly onto the wanted one."""
-    from mixseq.mesh.rigid import kabsch, transform
+    from mixseq.mesh.rigid import kabsch, transform_points
 
-    moved = [transform(x, *kabsch(x, y)) for x, y in zip(made, wanted, strict=True)]
+    moved = [transform_points(x, *kabsch(x, y)) for x, y in zip(made, wanted, strict=True)]
     return float(np.sqrt(np.square(np.array(moved) - wanted).sum(axis=2).mean()))

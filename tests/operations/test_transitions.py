@@ -11,7 +11,7 @@ import pytest
 
 from mixseq.choices import SpaceName
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.mesh.rotations import rotations_of
+from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.operations import blend, concatenate, cut, into, repeat, reverse, shift, transition
 from mixseq.operations.sections import blend_placements
 from mixseq.operations.transitions import match_spaces
@@ -146,7 +146,7 @@ def test_a_transition(space: SpaceName, at: float, duration: float) -> None:
             means = over.space.unpack_placements(
                 blend_placements(over.space, before(inside), after(inside), weight)
             )
-            turns, others = (rotations_of(poses.rotations) for poses in (found, means))
+            turns, others = (quat_to_matrix(poses.rotations) for poses in (found, means))
             np.testing.assert_allclose(turns, others, atol=1e-4)
             np.testing.assert_allclose(found.centres, means.centres, atol=1e-4)
         else:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import mixseq
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, wrap_angles
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.shells.gauss_newton import ShellReport, ShellSettings
@@ -40,7 +40,7 @@ class Rebuilder:
         projection = MultiScale(self.topology, self.pieces, **numbers)
         self.projection: EdgeProjection = projection
         self.multiscale = projection
-        projection.prepared()
+        projection.precompute()
 
     def measure(self, points: Float) -> tuple[Float, Float]:
         return edge_lengths(points, self.topology.edges), dihedral_angles(points, self.topology.hinges)
@@ -67,7 +67,7 @@ class Rebuilder:
         """Relative errors of lengths, and errors of angles in degrees, of a mesh in one piece."""
         t = self.topology
         stretch = np.abs(edge_lengths(rows, t.edges) / lengths - 1)
-        return stretch, np.degrees(np.abs(wrap(dihedral_angles(rows, t.hinges) - angles)))
+        return stretch, np.degrees(np.abs(wrap_angles(dihedral_angles(rows, t.hinges) - angles)))
 
 
 MESHES = {

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.mesh.rigid import transform
+from mixseq.mesh.rigid import transform_points
 from mixseq.types import Float, Index
 from scripts.paper_study.common.registration import Overlaps, register
 from tests.meshes import rotation, seeds
@@ -180,4 +180,4 @@ def test_a_single_piece_stays() -> None:
     points = cloud(5)
     overlaps = overlaps_of(points, [np.arange(5)])
     rotations, translations = register(overlaps, points)
-    np.testing.assert_array_equal(transform(points[None], rotations, translations)[0], points)
+    np.testing.assert_array_equal(transform_points(points[None], rotations, translations)[0], points)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import dihedral_angles, wrap
+from mixseq.mesh.measures import dihedral_angles, wrap_angles
 from mixseq.mesh.surface import CornerValues, Surface
 from mixseq.mesh.topology import Topology
 from mixseq.pictures.colours import (
@@ -454,7 +454,7 @@ def test_angles_are_those_of_the_signals(name: str) -> None:
     now = rest + 0.3 * np.sin(5 * rest[:, [1, 2, 0]] + [0, 1, 2])
     topology = Topology(faces, len(rest))
     change = np.degrees(
-        np.abs(wrap(dihedral_angles(now, topology.hinges) - dihedral_angles(rest, topology.hinges)))
+        np.abs(wrap_angles(dihedral_angles(now, topology.hinges) - dihedral_angles(rest, topology.hinges)))
     )
     of_vertex: list[list[float]] = [[] for _ in rest]
     for (a, b, _, _), value in zip(topology.hinges, change, strict=True):

@@ -12,7 +12,7 @@ from mixseq.errors import SettingsError
 from mixseq.mesh.surface import CornerValues, Surface
 from mixseq.pictures.colours import SceneColours, check_original
 from mixseq.pictures.scene import Scene, SceneItem
-from mixseq.sequence.sequence import FrameStore, MeshSequence, bounding_diagonal, frame_store
+from mixseq.sequence.sequence import FrameStore, MeshSequence, bounding_diagonal, load_frames
 from mixseq.signals.model import Model
 from tests.meshes import bar, tetrahedron
 
@@ -21,11 +21,11 @@ ALL = ("clay", "parts", "error", "strain", "curvature")
 
 
 def item_of(sequence: MeshSequence, name: str = "sequence") -> SceneItem:
-    return SceneItem(name, frame_store(sequence))
+    return SceneItem(name, load_frames(sequence))
 
 
 def original_of(sequence: MeshSequence) -> FrameStore:
-    return frame_store(sequence)
+    return load_frames(sequence)
 
 
 def without(*names: str) -> tuple[str, ...]:

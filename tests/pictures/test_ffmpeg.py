@@ -16,7 +16,7 @@ from mixseq.errors import MissingExtraError, OutputError
 from mixseq.pictures.film import FilmSettings, film
 from mixseq.pictures.film_encoding import check_film
 from mixseq.pictures.scene import SceneItem
-from mixseq.runtime.parallel import on_threads, serially
+from mixseq.runtime.parallel import serial_executor, thread_executor
 from mixseq.sequence.sequence import MeshSequence
 
 pytest.importorskip("PIL.Image")
@@ -122,7 +122,7 @@ def test_an_ffmpeg_that_does_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="there is no ffmpeg here")
 def test_a_film_of_the_real_one(gem: MeshSequence, tmp_path: Path) -> None:
-    for name, workers in (("one", serially), ("three", on_threads(3))):
+    for name, workers in (("one", serial_executor), ("three", thread_executor(3))):
         film(tmp_path / f"{name}.mp4", [SceneItem("gem", gem)], SETTINGS, workers=workers)
     data = (tmp_path / "one.mp4").read_bytes()
     assert data == (tmp_path / "three.mp4").read_bytes()

@@ -17,7 +17,7 @@ from mixseq.pictures.film import FilmSettings, divide_picture, draw_backdrop, fi
 from mixseq.pictures.film_encoding import check_film, encode_film, film_format
 from mixseq.pictures.raster import Picture, blank_picture
 from mixseq.pictures.scene import DecodedItem, SceneItem, film_times, nearest_frames
-from mixseq.runtime.parallel import on_threads, serially
+from mixseq.runtime.parallel import serial_executor, thread_executor
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
@@ -228,7 +228,7 @@ def test_errors_need_the_same_times(gem: MeshSequence, tmp_path: Path) -> None:
 @pytest.mark.parametrize("extension", ["gif", "webp"])
 def test_the_same_bytes_on_any_number_of_threads(gem: MeshSequence, tmp_path: Path, extension: str) -> None:
     settings = FilmSettings(size=(96, 64), turn=360, colour="strain")
-    for name, workers in (("one", serially), ("three", on_threads(3))):
+    for name, workers in (("one", serial_executor), ("three", thread_executor(3))):
         film(tmp_path / f"{name}.{extension}", [SceneItem("gem", gem)], settings, workers=workers)
     one, three = ((tmp_path / f"{name}.{extension}").read_bytes() for name in ("one", "three"))
     assert one == three
@@ -239,8 +239,8 @@ def test_poses_on_disk_make_the_same_film(
 ) -> None:
     model = fit(gem, space="vertex", exact=True)
     for name, most in (("memory", 1 << 28), ("disk", 0)):
-        monkeypatch.setattr("mixseq.runtime.low_memory.IN_MEMORY", most)
-        film(tmp_path / f"{name}.gif", [SceneItem("", model)], SMALL, workers=on_threads(2))
+        monkeypatch.setattr("mixseq.runtime.low_memory.MAX_BYTES_IN_MEMORY", most)
+        film(tmp_path / f"{name}.gif", [SceneItem("", model)], SMALL, workers=thread_executor(2))
     assert (tmp_path / "memory.gif").read_bytes() == (tmp_path / "disk.gif").read_bytes()
 
 
@@ -379,7 +379,7 @@ def test_what_cannot_be_shown(gem: MeshSequence, tmp_path: Path) -> None:
     for shown, colour, against, message in (
         ([], "clay", None, "no mesh to show"),
         ([SceneItem("", gem)], "error", None, "needs the original"),
-        ([SceneItem("", gem)], "clay", gem, "is for the colour error"),
+        ([SceneItem("", gem)], "clay", gem, "only the colour error needs the original"),
         ([SceneItem("", gem)], "parts", None, "gem has no parts"),
         ([SceneItem("", fit(gem, space="vertex"))], "parts", None, "gem has no parts"),
     ):

@@ -13,6 +13,7 @@ import pytest
 import mixseq
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.topology import Topology
+from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.checks import (
     BendingEnergy,
     check_facing,
@@ -237,42 +238,46 @@ def test_a_flat_mesh_may_have_strays() -> None:
 # Inside out ---------------------------------------------------------------------------------------------------
 
 
+def surface(points: Float, faces: Index) -> TriangleMesh:
+    return TriangleMesh(points, Topology(faces, len(points)))
+
+
 @pytest.mark.parametrize("mesh", [tetrahedron(), ring(), tube(7, 5)])
 def test_closed_components_have_an_outside(mesh: tuple[Float, Index]) -> None:
     points, faces = mesh
-    assert find_orientation(points + 100, faces).signs.tolist() == [1]
-    assert find_orientation(points, faces[:, ::-1]).signs.tolist() == [-1]
+    assert find_orientation(surface(points + 100, faces)).signs.tolist() == [1]
+    assert find_orientation(surface(points, faces[:, ::-1])).signs.tolist() == [-1]
 
 
 def test_open_surfaces_have_none() -> None:
-    assert find_orientation(*grid(3, 4)).signs.tolist() == [0]
+    assert find_orientation(surface(*grid(3, 4))).signs.tolist() == [0]
     points, faces = ring()
-    assert find_orientation(points, faces[1:]).signs.tolist() == [1]  # a small hole does not matter
+    assert find_orientation(surface(points, faces[1:])).signs.tolist() == [1]  # a small hole does not matter
 
 
 def test_an_inside_out_mesh_is_refused_by_name() -> None:
     points, faces = ring()
-    check_orientation(points, faces, 2 * points, faces)
-    check_orientation(points, faces[:, ::-1], 2 * points, faces[:, ::-1])
+    check_orientation(surface(points, faces), surface(2 * points, faces))
+    check_orientation(surface(points, faces[:, ::-1]), surface(2 * points, faces[:, ::-1]))
     with pytest.raises(SettingsError, match=r"the target is inside out.*turn its triangles over"):
-        check_orientation(points, faces, 2 * points, faces[:, ::-1])
+        check_orientation(surface(points, faces), surface(2 * points, faces[:, ::-1]))
     with pytest.raises(SettingsError, match="the source is inside out"):
-        check_orientation(points, faces[:, ::-1], 2 * points, faces)
+        check_orientation(surface(points, faces[:, ::-1]), surface(2 * points, faces))
 
 
 def test_single_components_inside_out_are_told() -> None:
     points, faces = joined(ring(), (tetrahedron()[0] / 4 + 9, tetrahedron()[1]))
     faces[-4:] = faces[-4:, ::-1]
     with pytest.warns(MixseqWarning, match=rf"1 of 2 components .*that of triangle {len(faces) - 4}\)"):
-        check_orientation(*ring(), points, faces)
+        check_orientation(surface(*ring()), surface(points, faces))
 
 
 def test_open_surfaces_are_told_by_a_registration() -> None:
     points, faces = grid(4, 4)
-    check_orientation(points, faces, points, faces[:, ::-1])
-    check_facing(points, faces, points, faces)
+    check_orientation(surface(points, faces), surface(points, faces[:, ::-1]))
+    check_facing(surface(points, faces), surface(points, faces))
     with pytest.raises(SettingsError, match=r"100 % of the target's area faces away"):
-        check_facing(points, faces, points, faces[:, ::-1])
+        check_facing(surface(points, faces), surface(points, faces[:, ::-1]))
 
 
 # Markers that people set --------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.mesh.rotations import matrices, vectors
+from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix
 from mixseq.retargeting.contacts import remove_footskate
 from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_length, leg_ratio, rotate_limbs
 from tests.retargeting.walkers import BONES, CYCLE, Walk, body, hung, walk
@@ -97,7 +97,7 @@ def test_a_foot_in_the_air_keeps_to_its_path() -> None:
 @pytest.mark.parametrize("angle", [0.0, 0.7, -2.5])
 def test_commutes_with_motions_over_the_ground(angle: float) -> None:
     scene = walk(1.3, 1.0)
-    rotation, shift = matrices(np.array([0.0, angle, 0.0])), np.array([3.0, 0.0, -8.0])
+    rotation, shift = rotvec_to_matrix(np.array([0.0, angle, 0.0])), np.array([3.0, 0.0, -8.0])
     result, moved = scene.planted(), scene.moved(rotation, shift).planted()
     np.testing.assert_allclose(moved.rotations, rotation @ result.rotations, atol=1e-8)
     np.testing.assert_allclose(moved.centres, result.centres @ rotation.T + shift, atol=1e-8)
@@ -275,33 +275,45 @@ def test_refusals_name_the_contact() -> None:
 
 def fox(legs: float) -> Walk:
     """The walking fox with longer legs, its way as long as before."""
-    from mixseq.creature import DUTY as ON_GROUND
-    from mixseq.creature import HEADS, LEGS, NAMES, PARENTS, STEP, TAILS, pose
+    from mixseq.creature import (
+        BONE_HEADS,
+        BONE_NAMES,
+        BONE_PARENTS,
+        BONE_TAILS,
+        LEGS,
+        STANCE_TRAVEL_METRES,
+        pose_skeleton,
+    )
+    from mixseq.creature import STANCE_FRACTION as ON_GROUND
 
     phase = np.arange(96) / 48
-    rotations, _ = pose(phase)
-    bones = {NAMES.index(name) for leg in LEGS for name in (leg.upper, leg.lower, leg.pastern, leg.paw)}
+    rotations, _ = pose_skeleton(phase)
+    bones = {BONE_NAMES.index(name) for leg in LEGS for name in (leg.upper, leg.lower, leg.pastern, leg.paw)}
 
     def at_rest(scale: float) -> tuple[ArticulatedBody, list[Contact]]:
-        sizes = np.where([bone in bones for bone in range(len(NAMES))], scale, 1.0)
-        heads = HEADS.copy()
-        for bone, above in enumerate(PARENTS):
+        sizes = np.where([bone in bones for bone in range(len(BONE_NAMES))], scale, 1.0)
+        heads = BONE_HEADS.copy()
+        for bone, above in enumerate(BONE_PARENTS):
             if above >= 0:
-                heads[bone] = heads[above] + sizes[above] * (HEADS[bone] - HEADS[above])
-        tails = heads + sizes[:, None] * (TAILS - HEADS)
-        links = np.array([(PARENTS[bone], bone) for bone in range(1, len(NAMES))])
+                heads[bone] = heads[above] + sizes[above] * (BONE_HEADS[bone] - BONE_HEADS[above])
+        tails = heads + sizes[:, None] * (BONE_TAILS - BONE_HEADS)
+        links = np.array([(BONE_PARENTS[bone], bone) for bone in range(1, len(BONE_NAMES))])
         walker = ArticulatedBody((heads + tails) / 2, links, heads[1:], 0)
-        paws = [NAMES.index(leg.paw) for leg in LEGS]
-        return walker, [Contact(NAMES[paw], tails[[paw]], np.array([paw])) for paw in paws]
+        paws = [BONE_NAMES.index(leg.paw) for leg in LEGS]
+        return walker, [Contact(BONE_NAMES[paw], tails[[paw]], np.array([paw])) for paw in paws]
 
     source, source_contacts = at_rest(1.0)
     target, contacts = at_rest(legs)
-    _, heads = pose(phase)
-    root = heads[:, 0] + np.einsum("tij,j->ti", rotations[:, 0], source.centres[0] - HEADS[0])
-    root = root + phase[:, None] * [STEP / ON_GROUND, 0.0, 0.0]  # over the ground, not on the spot
+    _, heads = pose_skeleton(phase)
+    root = heads[:, 0] + np.einsum("tij,j->ti", rotations[:, 0], source.centres[0] - BONE_HEADS[0])
+    root = root + phase[:, None] * [
+        STANCE_TRAVEL_METRES / ON_GROUND,
+        0.0,
+        0.0,
+    ]  # over the ground, not on the spot
     # The fox's pasterns turn in the air as it likes: its own skeleton tells where paws are.
-    places = heads + np.einsum("tbij,bj->tbi", rotations, TAILS - HEADS)
-    places += phase[:, None, None] * [STEP / ON_GROUND, 0.0, 0.0]
+    places = heads + np.einsum("tbij,bj->tbi", rotations, BONE_TAILS - BONE_HEADS)
+    places += phase[:, None, None] * [STANCE_TRAVEL_METRES / ON_GROUND, 0.0, 0.0]
     paths = [places[:, contact.parts] for contact in source_contacts]
     centres = hung(target, rotations, root + target.centres[0] - source.centres[0])
     return Walk(source, target, source_contacts, contacts, rotations, centres, paths, 48.0, "Y", 2.0)
@@ -457,7 +469,11 @@ def test_a_contact_without_a_limb_stays() -> None:
 
 def test_turns_with_the_world() -> None:
     rng = np.random.default_rng(0)
-    levers, moves, world = leg(0.4, 5), 0.05 * rng.normal(size=(5, 1, 3)), matrices(rng.normal(size=3))
+    levers, moves, world = (
+        leg(0.4, 5),
+        0.05 * rng.normal(size=(5, 1, 3)),
+        rotvec_to_matrix(rng.normal(size=3)),
+    )
     turns, left = rotate_limbs(levers, moves, ANKLE)
     turned, other = rotate_limbs(levers @ world.T, moves @ world.T, ANKLE)
     np.testing.assert_allclose(other, left @ world.T, atol=1e-12)
@@ -473,7 +489,7 @@ def test_two_limbs_share_a_part() -> None:
     turns, left = rotate_limbs(levers, moves, np.array([0.25, 1, 1, 1, 1]))
     np.testing.assert_allclose(left, 0.0, atol=1e-12)
     np.testing.assert_allclose(ends(levers, turns) - levers.sum(axis=2), moves, atol=1e-12)
-    bent = np.linalg.norm(vectors(turns[0]), axis=1)
+    bent = np.linalg.norm(matrix_to_rotvec(turns[0]), axis=1)
     assert bent[0] < bent[1:3].max()  # the leg rather than the trunk
 
 

@@ -138,7 +138,7 @@ def test_what_is_held_turns_with_its_holder() -> None:
     target = source[0] * [1.0, 1.0, 1.4], source[1]
     method = gradients(source, target)
     moved = method.transfer_frame(bent(source[0], 1.2))
-    (tip,), count = method.attachments.other, len(body[0])
+    (tip,), count = method.attachments.holder_vertices, len(body[0])
     turn = rotation((1.2, 0.0, 0.0))
     expected = (target[0][count:] - target[0][tip]) @ turn.T + moved[tip]
     np.testing.assert_allclose(moved[count:], expected, atol=1e-9)

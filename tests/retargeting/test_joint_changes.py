@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
-from mixseq.mesh.nearest import Nearest
+from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.rigid import kabsch
-from mixseq.mesh.rotations import matrices
+from mixseq.mesh.rotations import rotvec_to_matrix
 from mixseq.retargeting.joints import EdgewiseMetrics, GradientMetrics, HarmonicSkin
 from mixseq.retargeting.markers import Correspondence
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
@@ -39,7 +39,7 @@ def arched(points: Float, share: float = 1.0) -> Float:
 
 def on(source: Mesh, target: Mesh) -> Correspondence:
     """Closest points of a mesh with nearly the same surface."""
-    nearest = Nearest.of(*source)
+    nearest = ClosestPointQuery.from_mesh(*source)
     points, corners = target[0], target[0][target[1]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     found, faces = nearest.query(points), nearest.query(corners.mean(axis=1), normals)
@@ -280,7 +280,7 @@ def motions(first: Float, last: Float, shift: Float) -> tuple[Float, Float]:
     """Rotation vectors of the parts 0 and 4, and how far part 4 goes; the others are far away."""
     turns, shifts = np.full((5, 3), 2.0), np.full((5, 3), 1e6)
     turns[0], turns[4], shifts[0], shifts[4] = first, last, 0.0, shift
-    return matrices(turns), shifts
+    return rotvec_to_matrix(turns), shifts
 
 
 def test_weights_are_harmonic(patch: Patch) -> None:
@@ -295,7 +295,7 @@ def test_weights_are_harmonic(patch: Patch) -> None:
 def test_a_common_motion_moves_the_joint_rigidly(patch: Patch) -> None:
     turn, shift = np.array([0.3, -1.0, 0.5]), np.zeros(3)
     placed = HarmonicSkin.from_patch(patch, OWNER, BAR).deform(*motions(turn, turn, shift))
-    np.testing.assert_allclose(placed, BAR[patch.free_ids] @ matrices(turn).T, atol=1e-12)
+    np.testing.assert_allclose(placed, BAR[patch.free_ids] @ rotvec_to_matrix(turn).T, atol=1e-12)
 
 
 def test_vertices_follow_in_proportion(patch: Patch) -> None:

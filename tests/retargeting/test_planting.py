@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from mixseq.creature import DUTY, STEP, part_of_vertex, walk_cycle
+from mixseq.creature import STANCE_FRACTION, STANCE_TRAVEL_METRES, part_of_vertex, walk_cycle
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.retargeting.contacts import ContactReport
 from mixseq.retargeting.limbs import ArticulatedBody, Contact
@@ -46,7 +46,7 @@ def taller(points: Float) -> Float:
 
 def over_the_ground(walk: MeshSequence) -> MeshSequence:
     """The walk as fast as the ground moves past."""
-    way = STEP / DUTY * np.arange(walk.frame_count) / walk.frame_count
+    way = STANCE_TRAVEL_METRES / STANCE_FRACTION * np.arange(walk.frame_count) / walk.frame_count
     return walk.with_points(walk.points + way[:, None, None] * [1.0, 0.0, 0.0])
 
 
@@ -88,7 +88,7 @@ def test_paws_rest_as_long_as_those_of_the_source(walk: Walk) -> None:
     assert [group.name for group in walk.report.groups] == list(PAWS)
     for group in walk.report.groups:
         frames = sum(some.stop - some.start for some in group.stances)
-        assert frames / FRAMES == pytest.approx(DUTY, abs=0.1)
+        assert frames / FRAMES == pytest.approx(STANCE_FRACTION, abs=0.1)
 
 
 def test_paws_do_not_slide(walk: Walk) -> None:

@@ -19,7 +19,7 @@ from mixseq.retargeting.markers import Correspondence, Markers
 from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.sources import prepare_source
 from mixseq.retargeting.transfer import TransferSettings, plan_transfer
-from mixseq.runtime.parallel import on_threads, serially
+from mixseq.runtime.parallel import serial_executor, thread_executor
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.model import Model
 from mixseq.spaces.mixed.mixed_space import MixedSpace
@@ -74,10 +74,12 @@ def test_a_rigid_motion_of_all_frames_is_one_of_the_result(
     turn, shift = motion
     source = bar(sides=5, rings=15, frames=3)
     rest, target = first(source), one(shaped(source.points[0]), source)
-    mover = plan_transfer(source, target, TransferSettings(method=method, rest=rest), workers=serially).method
-    still = mixseq.transfer(source, target, method=method, rest=rest, workers=serially).points
+    mover = plan_transfer(
+        source, target, TransferSettings(method=method, rest=rest), workers=serial_executor
+    ).method
+    still = mixseq.transfer(source, target, method=method, rest=rest, workers=serial_executor).points
     away = source.with_points(source.points @ turn.T + shift)
-    moved = mixseq.transfer(away, target, method=method, rest=rest, workers=serially).points
+    moved = mixseq.transfer(away, target, method=method, rest=rest, workers=serial_executor).points
     # The root starts from the target's place at rest, and goes as far from there as the source's for its size.
     own, theirs = target.points[0].mean(axis=0), source.points[0].mean(axis=0)
     made = mover.gradients if isinstance(mover, MixedTransfer) else mover
@@ -224,7 +226,9 @@ def test_threads_do_not_change_a_bit(method: TransferName) -> None:
     mesh = source.points[0], source.faces.astype(np.int64)
     fine = MeshSequence.from_arrays(shaped(subdivided(mesh)[0])[None], subdivided(mesh)[1])
     results = [
-        mixseq.transfer(source, fine, mapping=to_subdivided(mesh), method=method, workers=on_threads(count))
+        mixseq.transfer(
+            source, fine, mapping=to_subdivided(mesh), method=method, workers=thread_executor(count)
+        )
         for count in (1, 2)
     ]
     assert np.array_equal(results[0].points, results[1].points)
@@ -288,7 +292,7 @@ def test_a_fine_target_comes_in_smaller_blocks(monkeypatch: pytest.MonkeyPatch) 
     fine = MeshSequence.from_arrays(subdivided(mesh)[0][None], subdivided(mesh)[1])
     planned = plan_transfer(source, fine, TransferSettings(mapping=to_subdivided(mesh), method="gradients"))
     whole = np.concatenate(list(planned.blocks()))
-    monkeypatch.setattr("mixseq.sequence.sequence._AT_ONCE", (8, 2 * fine.vertex_count))
+    monkeypatch.setattr("mixseq.sequence.sequence.MAX_BLOCK_VERTICES", 2 * fine.vertex_count)
     blocks = list(planned.blocks())
     assert [len(block) for block in blocks] == [2, 2]
     np.testing.assert_array_equal(np.concatenate(blocks), whole)

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 import mixseq
 from mixseq.errors import MixseqWarning
 from mixseq.rigging.bones import Centred
-from mixseq.rigging.decomposition import fit_free_bones, skin_of_tree
-from mixseq.rigging.fitting import errors, fewest_bones, fit_skin
+from mixseq.rigging.decomposition import fit_free_bones, fit_tree_skin
+from mixseq.rigging.fitting import fit_fewest_bones, fit_skin, measure_errors
 from tests.rigging.test_rig_fitting import skinned_bar
 
 
@@ -48,7 +48,7 @@ def test_bones_are_enough_and_at_most_a_tenth_more_than_needed(
     needed: int, most: int, power: float, noise: int
 ) -> None:
     fits = Fits(needed, power, noise)
-    found, error = fewest_bones(fits.roughly, fits.free, fits.hung, 1.0, most)
+    found, error = fit_fewest_bones(fits.roughly, fits.free, fits.hung, 1.0, most)
     count = cast(int, found)
     assert error == fits.error(count)
     assert count <= most
@@ -63,24 +63,24 @@ def test_bones_are_enough_and_at_most_a_tenth_more_than_needed(
 @pytest.mark.parametrize(("needed", "noise"), [(5, 0), (18, 1), (60, 2)])
 def test_two_numbers_are_fitted_where_rough_fits_tell_the_truth(needed: int, noise: int) -> None:
     fits = Fits(needed, 1.5, noise)
-    fewest_bones(lambda count: fits.error(count) / 0.8, fits.free, fits.hung, 1.0, 128)
+    fit_fewest_bones(lambda count: fits.error(count) / 0.8, fits.free, fits.hung, 1.0, 128)
     assert len(fits.free_asked) <= 2
     assert len(fits.hung_asked) <= 2
 
 
 def test_bones_that_are_too_far_off_are_hung_only_if_no_others_are_allowed() -> None:
     fits = Fits(40, 1.5, 0)
-    assert cast(int, fewest_bones(fits.roughly, fits.free, fits.hung, 1.0, 20)[0]) == 20
+    assert cast(int, fit_fewest_bones(fits.roughly, fits.free, fits.hung, 1.0, 20)[0]) == 20
     assert fits.hung_asked == [20]
 
 
 @pytest.mark.slow
 def test_errors_of_free_bones_are_those_of_their_shapes() -> None:
     sequence = skinned_bar()
-    centred = Centred.of(sequence)
+    centred = Centred.from_sequence(sequence)
     free = fit_free_bones(centred, 1, 60, lambda _: None)
-    skin = skin_of_tree(centred, free, 60, lambda _: None)
-    assert free.errors == pytest.approx(errors(skin, centred), rel=1e-3)
+    skin = fit_tree_skin(centred, free, 60, lambda _: None)
+    assert free.errors == pytest.approx(measure_errors(skin, centred), rel=1e-3)
 
 
 @pytest.mark.slow
@@ -88,7 +88,9 @@ def test_errors_are_those_of_a_comparison() -> None:
     sequence = skinned_bar()
     skin = fit_skin(sequence, 1)
     found = mixseq.compare(sequence, skin)
-    assert errors(skin, Centred.of(sequence)) == pytest.approx((found.max_error, found.kg_percent), rel=1e-6)
+    assert measure_errors(skin, Centred.from_sequence(sequence)) == pytest.approx(
+        (found.max_error, found.kg_percent), rel=1e-6
+    )
 
 
 @pytest.mark.slow
@@ -115,7 +117,7 @@ def test_what_bones_do_not_reach_is_told(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_bones_that_are_exact_are_as_few_as_can_be() -> None:
-    found, error = fewest_bones(
+    found, error = fit_fewest_bones(
         lambda count: 4 / count, lambda _: 0.0, lambda count: (cast(Any, count), 0.0), 1.0, 128
     )
     assert (cast(int, found), error) == (1, 0.0)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixseq.rigging.bone_tree import Joints, attached, move
-from mixseq.rigging.bones import Binding, transposed
+from mixseq.rigging.bone_tree import Joints, attach_joints, fit_motions
+from mixseq.rigging.bones import Binding, transpose_motion
 from mixseq.types import Float
 from tests.meshes import rotation
 
@@ -25,7 +25,9 @@ def turning(joints: Joints, frames: int = 7, seed: int = 0) -> Float:
     rng = np.random.default_rng(seed)
     turns = 0.7 * rng.normal(size=(len(PARENTS), frames, 3))
     rotations = [np.stack([rotation(vector) for vector in bone]) for bone in turns]
-    return attached(np.stack([transposed(r, rng.normal(size=(frames, 3))) for r in rotations]), joints)
+    return attach_joints(
+        np.stack([transpose_motion(r, rng.normal(size=(frames, 3))) for r in rotations]), joints
+    )
 
 
 def followers(count: int = 120, seed: int = 1) -> Binding:
@@ -53,7 +55,7 @@ def rotations_of(motions: Float) -> Float:
 
 
 def test_what_is_below() -> None:
-    assert tree().below().tolist() == [
+    assert tree().descendants().tolist() == [
         [True, True, True, True],
         [False, True, True, True],
         [False, False, True, False],
@@ -63,8 +65,8 @@ def test_what_is_below() -> None:
 
 def test_attached_joints_hold_together_and_rotations_stay() -> None:
     joints = tree(sliding=(2,))
-    loose = turning(Joints.loose(4))
-    held = attached(loose, joints)
+    loose = turning(Joints.free(4))
+    held = attach_joints(loose, joints)
     np.testing.assert_allclose(gaps(held, joints)[[1, 3]], 0, atol=1e-12)
     np.testing.assert_array_equal(held[:, :3], loose[:, :3])
     np.testing.assert_array_equal(held[[0, 2]], loose[[0, 2]])
@@ -76,7 +78,7 @@ def test_known_motions_are_found(sliding: tuple[int, ...]) -> None:
     known = turning(joints)
     found = turning(joints, seed=5)
     for _ in range(60):
-        found, _ = move(shown(known, binding), binding, found, joints, fit_pivots=False)
+        found, _ = fit_motions(shown(known, binding), binding, found, joints, fit_pivots=False)
     np.testing.assert_allclose(found, known, atol=1e-5)
 
 
@@ -86,7 +88,7 @@ def test_known_joints_are_found() -> None:
     off = replace(joints, pivots=PIVOTS + 0.1 * np.sin(np.arange(12).reshape(4, 3)))
     found, fitted = known, off
     for _ in range(100):
-        found, fitted = move(shown(known, binding), binding, found, fitted)
+        found, fitted = fit_motions(shown(known, binding), binding, found, fitted)
     np.testing.assert_allclose(fitted.pivots[1:], PIVOTS[1:], atol=1e-4)
     np.testing.assert_allclose(found, known, atol=1e-4)
     np.testing.assert_allclose(gaps(found, fitted), 0, atol=1e-12)
@@ -97,9 +99,9 @@ def test_errors_never_grow(sliding: tuple[int, ...]) -> None:
     rng = np.random.default_rng(4)
     joints, binding = tree(sliding), followers()
     tracks = rng.normal(size=(120, 21))
-    motions, past = attached(turning(joints), joints), np.inf
+    motions, past = attach_joints(turning(joints), joints), np.inf
     for _ in range(6):
-        motions, joints = move(tracks, binding, motions, joints)
+        motions, joints = fit_motions(tracks, binding, motions, joints)
         now = float(np.sum((shown(motions, binding) - tracks) ** 2))
         assert now <= past * (1 + 1e-9)
         past = now
@@ -116,7 +118,7 @@ def test_no_rotation_alone_is_better() -> None:
     tracks = shown(turning(joints), binding) + 0.05 * np.random.default_rng(2).normal(size=(120, 21))
     motions = turning(joints, seed=3)
     for _ in range(60):
-        motions, joints = move(tracks, binding, motions, joints)
+        motions, joints = fit_motions(tracks, binding, motions, joints)
     least = np.sum((shown(motions, binding) - tracks) ** 2)
     for bone in range(4):
         for axis in np.eye(3):
@@ -132,12 +134,12 @@ def turned_about_joint(motions: Float, joints: Joints, bone: int, vector: Float)
     pivot = joints.pivots[bone]
     place = np.einsum("i,itj->tj", pivot, own[:3]) + own[3]
     result[bone, 3] = (place - np.einsum("i,itj->tj", pivot, turned)).reshape(-1)
-    return attached(result, joints)
+    return attach_joints(result, joints)
 
 
 def test_bones_without_followers_stay() -> None:
     binding = followers()
     binding.weights[:], binding.influences[:, 0] = [1.0, 0, 0, 0], 0
-    motions = turning(Joints.loose(4))
-    moved, _ = move(np.random.default_rng(0).normal(size=(120, 21)), binding, motions, Joints.loose(4))
+    motions = turning(Joints.free(4))
+    moved, _ = fit_motions(np.random.default_rng(0).normal(size=(120, 21)), binding, motions, Joints.free(4))
     np.testing.assert_array_equal(moved[1:], motions[1:])

@@ -90,8 +90,8 @@ def test_more_bones_are_more_accurate_down_to_fewer_than_components() -> None:
     sequence = MeshSequence.from_arrays(points, faces)
     skins = [fit_skin(sequence, count) for count in (1, 3, 8)]
     assert [skin.bone_count for skin in skins] == [1, 3, 8]
-    errors = [mixseq.compare(sequence, skin).kg_percent for skin in skins]
-    assert errors[0] > 2 * errors[1] > 4 * errors[2]
+    measure_errors = [mixseq.compare(sequence, skin).kg_percent for skin in skins]
+    assert measure_errors[0] > 2 * measure_errors[1] > 4 * measure_errors[2]
 
 
 def test_bones_start_from_labels() -> None:
@@ -145,9 +145,7 @@ def test_correctives_that_are_not_needed_are_not_made() -> None:
 
 
 def test_a_bound_that_is_not_reached_is_told() -> None:
-    with pytest.warns(
-        MixseqWarning, match=r"^1 targets reach an error of .*, not 0.0001 as correctives asks"
-    ):
+    with pytest.warns(MixseqWarning, match=r"^1 targets reach an error of .*, not the 0.0001 of correctives"):
         skin = fit_skin(bar(frames=9), 2, correctives=1e-4, max_targets=1)
     assert len(skin.targets) == 1
 
@@ -166,7 +164,7 @@ def test_a_morph_takes_as_few_targets_as_its_error_asks() -> None:
     assert counts == sorted(set(counts))
     for bound, count in zip((1e-1, 1e-2, 1e-4), counts, strict=True):
         assert largest_error(sequence, fit_morph(sequence, bound)) <= bound
-        with pytest.warns(MixseqWarning, match="as max_error asks; allow more max_targets"):
+        with pytest.warns(MixseqWarning, match="of max_error; allow more max_targets"):
             fewer = fit_morph(sequence, bound, max_targets=count - 1)
         assert largest_error(sequence, fewer) > bound
 
@@ -204,7 +202,7 @@ def test_progress_is_told() -> None:
 
 @pytest.mark.parametrize("bones", [0, -1, 10**6])
 def test_numbers_of_bones_that_cannot_be_are_refused(bones: int) -> None:
-    with pytest.raises(SettingsError, match=f"{bones} bones are asked for; a number from 1 to"):
+    with pytest.raises(SettingsError, match=f"bones is {bones}; a number from 1 to"):
         fit_skin(bar(), bones)
 
 
@@ -394,18 +392,20 @@ def test_files_take_the_place_of_skeleton_and_bind_pose(tmp_path: Path) -> None:
 def test_what_does_not_fit_is_refused() -> None:
     true = hinge(3)
     sequence, skeleton = played(true), true.skeleton
-    with pytest.raises(SettingsError, match=r"bones and skeleton both tell which bones there are; give one"):
+    with pytest.raises(SettingsError, match=r"bones and skeleton both choose the bones; give one"):
         fit_skin(sequence, 3, skeleton=skeleton)
-    with pytest.raises(SettingsError, match=r"skeleton and kg both tell"):
+    with pytest.raises(SettingsError, match=r"skeleton and kg both choose"):
         fit_skin(sequence, skeleton=skeleton, kg=1)
-    with pytest.raises(SettingsError, match=r"bind_pose is the mesh that is bound to a skeleton; give that"):
+    with pytest.raises(
+        SettingsError, match=r"bind_pose is the mesh that is bound to a skeleton; give the skeleton"
+    ):
         fit_skin(sequence, bind_pose=bound(true))
     with pytest.raises(
         SettingsError, match=r"kg is -1; a positive number of percent, such as 0.5, is expected"
     ):
         fit_skin(sequence, kg=-1)
     with pytest.raises(
-        InvalidSequenceError, match=r"the bind pose has 4 vertices, the sequence has \d+; the same"
+        InvalidSequenceError, match=r"the bind pose has 4 vertices, the sequence has \d+; give the same"
     ):
         few = MeshSequence.from_arrays([np.eye(4, 3)], [[0, 1, 2]])
         fit_skin(sequence, skeleton=skeleton, bind_pose=few)
@@ -426,15 +426,15 @@ def test_what_does_not_fit_is_refused() -> None:
     [
         (100, 0, r"1 of 2 joints are outside of the "),
         (39.37, 0, r"1 of 2 joints are outside of the "),
-        (1 / 39.37, 0, r"all joints together are 0\.012 times as large as the "),
-        (0.01, 0, r"all joints together are 0\.0048 times as large as the "),
+        (1 / 39.37, 0, r"the skeleton is 0\.012 times as large as the "),
+        (0.01, 0, r"the skeleton is 0\.0048 times as large as the "),
         (1, 12, r"2 of 2 joints are outside of the "),
     ],
 )
 def test_other_units_and_places_are_refused(bind: bool, scale: float, shift: float, message: str) -> None:
     true = hinge(3)
     skeleton = replace(true.skeleton, pivots=scale * true.pivots + [shift, 0, 0])
-    expected = "bind pose; both in the same place" if bind else r"mesh in the first frame; give"
+    expected = "bind pose; export both together" if bind else r"mesh in the first frame; give"
     with pytest.raises(SettingsError, match=message + expected):
         fit_skin(played(true), skeleton=skeleton, bind_pose=bound(true) if bind else None)
 

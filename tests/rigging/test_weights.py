@@ -9,8 +9,16 @@ import pytest
 from scipy.optimize import nnls
 
 import mixseq
-from mixseq.rigging.bone_tree import Joints, bone_tree, move
-from mixseq.rigging.bones import Binding, bind, label_vertices, merged, motion_of, seeded, transposed
+from mixseq.rigging.bone_tree import Joints, build_bone_tree, fit_motions
+from mixseq.rigging.bones import (
+    Binding,
+    bind,
+    fit_rigid_motion,
+    label_vertices,
+    merge_bones,
+    seed_bones,
+    transpose_motion,
+)
 from mixseq.rigging.fitting import fit_skin, principal_shapes
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, Index
@@ -20,7 +28,7 @@ from tests.meshes import joined, rotation, tetrahedron, tube
 def random_bones(bones: int, frames: int, seed: int = 3) -> Float:
     rng = np.random.default_rng(seed)
     turns = np.stack([[rotation(rng.normal(size=3)) for _ in range(frames)] for _ in range(bones)])
-    return np.stack([transposed(turn, rng.normal(size=(frames, 3))) for turn in turns])
+    return np.stack([transpose_motion(turn, rng.normal(size=(frames, 3))) for turn in turns])
 
 
 def unbound(rest: Float) -> Binding:
@@ -35,12 +43,12 @@ def shown(motions: Float, binding: Binding) -> Float:
 def best_of_all(columns: Float, track: Float) -> float:
     """The least squared error with four bones or fewer, weights not negative with sum one, by trying all."""
     heavy = 1e5
-    errors = []
+    measure_errors = []
     for chosen in combinations(range(columns.shape[1]), 4):
         a = np.concatenate([columns[:, chosen], np.full((1, 4), heavy)])
         w = nnls(a, np.append(track, heavy))[0]
-        errors.append(float(np.sum((columns[:, chosen] @ w - track) ** 2)))
-    return min(errors)
+        measure_errors.append(float(np.sum((columns[:, chosen] @ w - track) ** 2)))
+    return min(measure_errors)
 
 
 def test_weights_are_nearly_the_best_there_are() -> None:
@@ -85,7 +93,7 @@ def test_known_rest_positions_and_motions_are_found() -> None:
     np.testing.assert_allclose(off.rest, rest, atol=1e-6)
     moved = random_bones(3, 8, seed=9)
     for _ in range(50):
-        moved, _ = move(tracks, known, moved, Joints.loose(3))
+        moved, _ = fit_motions(tracks, known, moved, Joints.free(3))
     np.testing.assert_allclose(moved, motions, atol=1e-6)
 
 
@@ -96,7 +104,7 @@ def test_errors_never_grow() -> None:
     past = np.inf
     for _ in range(8):
         binding = bind(tracks, motions, binding)
-        motions, _ = move(tracks, binding, motions, Joints.loose(4))
+        motions, _ = fit_motions(tracks, binding, motions, Joints.free(4))
         now = float(np.sum((shown(motions, binding) - tracks) ** 2))
         assert now <= min(past, binding.errors.sum()) * (1 + 1e-9)
         past = now
@@ -107,9 +115,11 @@ def test_bones_that_no_vertex_follows_keep_still() -> None:
     motions = random_bones(3, 4)
     binding = unbound(rng.normal(size=(20, 3)))
     binding.weights[:, 0] = 1.0  # all on bone 0
-    moved, _ = move(rng.normal(size=(20, 12)), binding, motions, Joints.loose(3))
+    moved, _ = fit_motions(rng.normal(size=(20, 12)), binding, motions, Joints.free(3))
     np.testing.assert_array_equal(moved[1:], motions[1:])
-    np.testing.assert_allclose(moved[0], motion_of(rng_tracks(), binding.rest, np.arange(20)), atol=1e-9)
+    np.testing.assert_allclose(
+        moved[0], fit_rigid_motion(rng_tracks(), binding.rest, np.arange(20)), atol=1e-9
+    )
 
 
 def rng_tracks() -> Float:
@@ -127,9 +137,11 @@ def test_bones_that_move_together_are_merged_first() -> None:
     binding = unbound(rest)
     binding.weights[:, 0] = 1.0
     binding.influences[:, 0] = np.array([0, 1, 0, 1])[labels]
-    np.testing.assert_array_equal(merged(shown(motions, binding), labels, 2), np.array([0, 1, 0, 1])[labels])
-    assert merged(shown(motions, binding), labels, 1).max() == 0
-    np.testing.assert_array_equal(merged(shown(motions, binding), labels, 9), labels)
+    np.testing.assert_array_equal(
+        merge_bones(shown(motions, binding), labels, 2), np.array([0, 1, 0, 1])[labels]
+    )
+    assert merge_bones(shown(motions, binding), labels, 1).max() == 0
+    np.testing.assert_array_equal(merge_bones(shown(motions, binding), labels, 9), labels)
 
 
 def test_bones_are_seeded_where_vertices_are_worst_explained() -> None:
@@ -141,9 +153,9 @@ def test_bones_are_seeded_where_vertices_are_worst_explained() -> None:
     known.influences[20:] = 1
     tracks = shown(motions, known)
     alone = bind(tracks, motions[:1], unbound(rest), free_rest=False)
-    found = seeded(tracks, alone, 1, 5)
+    found = seed_bones(tracks, alone, 1, 5)
     np.testing.assert_allclose(found[0], motions[1], atol=1e-6)
-    assert len(seeded(tracks, unbound(rest), 3, 5)) == 0
+    assert len(seed_bones(tracks, unbound(rest), 3, 5)) == 0
 
 
 def test_labels_of_vertices_are_those_of_most_faces() -> None:
@@ -192,11 +204,11 @@ def chain() -> tuple[Index, Binding, Float]:
     share = np.clip((points[:, 2:] - HEIGHTS) / 0.2 + 0.5, 0, 1)
     weights = np.diff(np.concatenate([np.ones((len(points), 1)), share, np.zeros((len(points), 1))], axis=1))
     binding = Binding(points, np.tile(np.arange(4), (len(points), 1)), -weights, np.zeros(len(points)))
-    return faces, binding, np.stack([transposed(r, t) for r, t in zip(turns, shifts, strict=True)])
+    return faces, binding, np.stack([transpose_motion(r, t) for r, t in zip(turns, shifts, strict=True)])
 
 
 def test_a_chain_is_found_with_its_joints() -> None:
-    order, joints = bone_tree(*chain())
+    order, joints = build_bone_tree(*chain())
     links = {frozenset((int(order[b]), int(order[a]))) for b, a in enumerate(joints.parents) if a >= 0}
     assert links == {frozenset((0, 1)), frozenset((1, 2)), frozenset((2, 3))}
     assert order[0] in (1, 2)  # the middle, so that no bone is more than two joints away
@@ -211,7 +223,7 @@ def test_a_chain_is_found_with_its_joints() -> None:
 def test_a_joint_that_never_turns_is_where_bones_touch() -> None:
     faces, binding, motions = chain()
     still = np.repeat(motions[:1], 4, axis=0)
-    order, joints = bone_tree(faces, binding, still)
+    order, joints = build_bone_tree(faces, binding, still)
     for bone, parent in enumerate(joints.parents.tolist()):
         if parent >= 0:
             height = HEIGHTS[min(order[bone], order[parent])]
@@ -228,7 +240,7 @@ def test_components_hang_from_what_they_move_with() -> None:
     influences = np.concatenate([binding.influences, np.tile([4, 0, 0, 0], (more, 1))])
     weights = np.concatenate([binding.weights, np.tile([1.0, 0, 0, 0], (more, 1))])
     whole = Binding(points, influences, weights, np.zeros(len(points)))
-    order, joints = bone_tree(all_faces, whole, np.concatenate([motions, motions[3:]]))
+    order, joints = build_bone_tree(all_faces, whole, np.concatenate([motions, motions[3:]]))
     ornament = int(np.flatnonzero(order == 4)[0])
     assert order[joints.parents[ornament]] == 3
 
@@ -236,7 +248,7 @@ def test_components_hang_from_what_they_move_with() -> None:
 def test_one_bone_is_a_root() -> None:
     faces, binding, motions = chain()
     whole = Binding(binding.rest, 0 * binding.influences, np.eye(4)[0] + 0 * binding.weights, binding.errors)
-    order, joints = bone_tree(faces, whole, motions[:1])
+    order, joints = build_bone_tree(faces, whole, motions[:1])
     assert order.tolist() == [0]
     assert joints.parents.tolist() == [-1]
     np.testing.assert_allclose(joints.pivots[0], binding.rest.mean(axis=0), atol=1e-12)

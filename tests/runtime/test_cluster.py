@@ -17,8 +17,8 @@ import pytest
 
 import mixseq.runtime.cluster
 from mixseq.errors import ClusterError, GivenUpError, MissingExtraError, SettingsError
-from mixseq.runtime.cluster import Cluster, cluster
-from mixseq.runtime.parallel import serially
+from mixseq.runtime.cluster import ClusterExecutor, connect_to_cluster
+from mixseq.runtime.parallel import serial_executor
 from mixseq.signals.model import Model
 
 pytestmark = pytest.mark.slow
@@ -28,12 +28,12 @@ pytest.importorskip("distributed")
 
 
 @pytest.fixture(scope="module")
-def two() -> Iterator[Cluster]:
-    with cluster("local:2") as workers:
+def two() -> Iterator[ClusterExecutor]:
+    with connect_to_cluster("local:2") as workers:
         yield workers
 
 
-def address_of(workers: Cluster) -> str:
+def address_of(workers: ClusterExecutor) -> str:
     return str(workers._client.scheduler.address)
 
 
@@ -47,24 +47,24 @@ def slept(_: object, seconds: float) -> float:
     return seconds
 
 
-def pids(workers: Cluster) -> set[int]:
+def pids(workers: ClusterExecutor) -> set[int]:
     """Return the processes of the workers."""
     return set(workers._client.run(os.getpid).values())
 
 
-def test_results_are_in_order(two: Cluster) -> None:
+def test_results_are_in_order(two: ClusterExecutor) -> None:
     assert list(two(pow, 2, range(20))) == [2**power for power in range(20)]
     assert list(two(pow, 2, [])) == []
 
 
-def test_work_is_spread_over_processes(two: Cluster) -> None:
+def test_work_is_spread_over_processes(two: ClusterExecutor) -> None:
     found = set(two(worker_after, None, [0.05] * 30))
     assert found == pids(two)
     assert len(found) == 2
     assert os.getpid() not in found
 
 
-def test_items_are_taken_as_results_are(two: Cluster) -> None:
+def test_items_are_taken_as_results_are(two: ClusterExecutor) -> None:
     taken = []
 
     def items() -> Iterator[int]:
@@ -80,31 +80,31 @@ def test_items_are_taken_as_results_are(two: Cluster) -> None:
     assert len(taken) <= 6
 
 
-def test_what_is_done_first_comes_first(two: Cluster) -> None:
+def test_what_is_done_first_comes_first(two: ClusterExecutor) -> None:
     seconds = [1.0, 0.0, 0.1]
-    found = [(item, result()) for item, result in two.as_done(slept, None, seconds)]
+    found = [(item, result()) for item, result in two.as_completed(slept, None, seconds)]
     assert sorted(found) == sorted(zip(seconds, seconds, strict=True))
     assert found[0] != (1.0, 1.0)
 
 
-def test_errors_are_those_of_the_function(two: Cluster) -> None:
+def test_errors_are_those_of_the_function(two: ClusterExecutor) -> None:
     with pytest.raises(ZeroDivisionError):
         list(two(divmod, 1, [1, 0, 1]))
-    results = dict(two.as_done(divmod, 1, [1, 0]))
+    results = dict(two.as_completed(divmod, 1, [1, 0]))
     assert results[1]() == (1, 0)
     with pytest.raises(ZeroDivisionError):
         results[0]()
 
 
-def test_workers_use_one_thread(two: Cluster) -> None:
+def test_workers_use_one_thread(two: ClusterExecutor) -> None:
     (found,) = two(lambda _, name: os.environ[name], None, ["MIXSEQ_THREADS"])
     assert found == "1"
 
 
 def test_one_worker_dies(bar_model: Model) -> None:
     times = np.linspace(bar_model.start, bar_model.end, 40)
-    expected = np.concatenate(list(bar_model.blocks(times, 2, workers=serially)))
-    with cluster("local:2") as workers:
+    expected = np.concatenate(list(bar_model.blocks(times, 2, workers=serial_executor)))
+    with connect_to_cluster("local:2") as workers:
         victim = min(pids(workers))
         found = []
         for number, block in enumerate(bar_model.blocks(times, 2, workers=workers)):
@@ -116,7 +116,7 @@ def test_one_worker_dies(bar_model: Model) -> None:
 
 
 def test_the_only_worker_dies_with_everything_it_holds() -> None:
-    with cluster("local:1") as workers:
+    with connect_to_cluster("local:1") as workers:
         results = workers(lambda shared, item: (shared, item, os.getpid()), "shared", range(8))
         first = next(results)
         os.kill(first[2], signal.SIGKILL)
@@ -127,8 +127,8 @@ def test_the_only_worker_dies_with_everything_it_holds() -> None:
 
 def test_work_that_kills_workers_is_given_up() -> None:
     with (
-        cluster("local:1") as workers,
-        pytest.raises(ClusterError, match="several workers died over the same piece of work"),
+        connect_to_cluster("local:1") as workers,
+        pytest.raises(ClusterError, match="several workers died while they did the same task"),
     ):
         list(workers(lambda _, number: os.kill(os.getpid(), number), None, [signal.SIGKILL]))
 
@@ -146,18 +146,18 @@ def test_only_what_kills_is_given_up(processes: int) -> None:
     # Given up after the second death, not the fourth: that is quicker, and harder on the neighbours.
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 1}),
-        cluster(f"local:{processes}") as workers,
+        connect_to_cluster(f"local:{processes}") as workers,
     ):
-        results = dict(workers.as_done(killed_by, "c", "abcdef"))
+        results = dict(workers.as_completed(killed_by, "c", "abcdef"))
         assert set(results) == set("abcdef")
         for item in "abdef":
             assert results[item]() == item.upper()
-        with pytest.raises(GivenUpError, match="several workers died over the same piece of work"):
+        with pytest.raises(GivenUpError, match="several workers died while they did the same task"):
             results["c"]()
 
 
 def test_what_was_given_up_with_another_is_tried_again_alone(
-    two: Cluster, monkeypatch: pytest.MonkeyPatch
+    two: ClusterExecutor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     suspected = []
 
@@ -166,12 +166,12 @@ def test_what_was_given_up_with_another_is_tried_again_alone(
         return len(suspected) == 1
 
     monkeypatch.setattr(mixseq.runtime.cluster, "_given_up", suspect_once)
-    found = [(item, result()) for item, result in two.as_done(pow, 2, [1, 2, 3])]
+    found = [(item, result()) for item, result in two.as_completed(pow, 2, [1, 2, 3])]
     assert len(suspected) == 3
     assert sorted(found) == [(1, 2), (2, 4), (3, 8)]
 
 
-def test_work_that_takes_long_is_on_all_workers_and_no_more(two: Cluster) -> None:
+def test_work_that_takes_long_is_on_all_workers_and_no_more(two: ClusterExecutor) -> None:
     taken = []
 
     def items() -> Iterator[float]:
@@ -179,17 +179,17 @@ def test_work_that_takes_long_is_on_all_workers_and_no_more(two: Cluster) -> Non
             taken.append(0.3)
             yield 0.3
 
-    for done, (_, result) in enumerate(two.as_done(worker_after, None, items())):
+    for done, (_, result) in enumerate(two.as_completed(worker_after, None, items())):
         assert len(taken) <= done + 2
         result()
-    assert {result() for _, result in two.as_done(worker_after, None, [0.3] * 6)} == pids(two)
+    assert {result() for _, result in two.as_completed(worker_after, None, [0.3] * 6)} == pids(two)
 
 
 def test_workers_that_come_later(monkeypatch: pytest.MonkeyPatch) -> None:
-    with cluster("local:1") as workers:
+    with connect_to_cluster("local:1") as workers:
         monkeypatch.setattr(workers._client, "nthreads", dict)  # for the moment there are none
         assert list(workers(pow, 2, range(3))) == [1, 2, 4]
-        assert dict(workers.as_done(pow, 2, [3]))[3]() == 8
+        assert dict(workers.as_completed(pow, 2, [3]))[3]() == 8
 
 
 @pytest.fixture
@@ -220,12 +220,12 @@ def test_the_scheduler_dies(way: str, scheduler: tuple[str, subprocess.Popen[str
     address, process = scheduler
     with (
         pytest.raises(ClusterError, match="the connection to the scheduler of the cluster was lost"),
-        cluster(address) as workers,
+        connect_to_cluster(address) as workers,
     ):
         results = (
             workers(slept, None, [0.1] * 100)
             if way == "in order"
-            else workers.as_done(slept, None, [0.1] * 100)
+            else workers.as_completed(slept, None, [0.1] * 100)
         )
         for number, each in enumerate(results):
             if callable(result := each[1] if isinstance(each, tuple) else None):
@@ -237,7 +237,7 @@ def test_the_scheduler_dies(way: str, scheduler: tuple[str, subprocess.Popen[str
 def test_nothing_is_left(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    with pytest.raises(KeyboardInterrupt), cluster("local:1") as workers:
+    with pytest.raises(KeyboardInterrupt), connect_to_cluster("local:1") as workers:
         (pid,) = pids(workers)
         assert list(tmp_path.iterdir())
         list(workers(slept, None, interrupted_minutes()))
@@ -253,15 +253,18 @@ def interrupted_minutes() -> Iterator[float]:
     raise KeyboardInterrupt
 
 
-def test_a_scheduler_elsewhere(two: Cluster) -> None:
-    with cluster(address_of(two)) as workers:
+def test_a_scheduler_elsewhere(two: ClusterExecutor) -> None:
+    with connect_to_cluster(address_of(two)) as workers:
         assert list(workers(pow, 3, range(4))) == [1, 3, 9, 27]
     assert list(two(pow, 3, range(4))) == [1, 3, 9, 27]  # still there
 
 
 @pytest.mark.parametrize("address", ["local", "local:", "local:0", "local:-1", "local:two", "local:1.5"])
 def test_no_number_of_processes(address: str) -> None:
-    with pytest.raises(SettingsError, match=f"'{address}' is none; give local:N"), cluster(address):
+    with (
+        pytest.raises(SettingsError, match=f"'{address}' is no cluster; give local:N"),
+        connect_to_cluster(address),
+    ):
         pass
 
 
@@ -269,32 +272,35 @@ def test_no_number_of_processes(address: str) -> None:
     "address", ["tcp://127.0.0.1:9", "tcp://127.0.0.1:port", "nonsense://x", "", "localhost"]
 )
 def test_nobody_answers(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mixseq.runtime.cluster, "PATIENCE", 0.3)
-    with pytest.raises(ClusterError, match=f"no scheduler answers at {address}"), cluster(address):
+    monkeypatch.setattr(mixseq.runtime.cluster, "CONNECT_TIMEOUT_SECONDS", 0.3)
+    with pytest.raises(ClusterError, match=f"no scheduler answers at {address}"), connect_to_cluster(address):
         pass
 
 
 def test_no_workers(monkeypatch: pytest.MonkeyPatch) -> None:
     from distributed import LocalCluster
 
-    monkeypatch.setattr(mixseq.runtime.cluster, "PATIENCE", 0.3)
+    monkeypatch.setattr(mixseq.runtime.cluster, "CONNECT_TIMEOUT_SECONDS", 0.3)
     with (
         LocalCluster(n_workers=0, dashboard_address=":0") as empty,  # type: ignore[no-untyped-call]
         pytest.raises(ClusterError, match="has no workers; start some with `dask worker tcp://"),
-        cluster(empty.scheduler_address),
+        connect_to_cluster(empty.scheduler_address),
     ):
         pass
 
 
-def test_another_version(two: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_version(two: ClusterExecutor, monkeypatch: pytest.MonkeyPatch) -> None:
     there = mixseq.__version__
     monkeypatch.setattr(mixseq.runtime.cluster, "__version__", "99.1")
-    expected = rf"has mixseq {there}, we have 99.1; install mixseq==99.1 there"
-    with pytest.raises(ClusterError, match=expected), cluster(address_of(two)):
+    expected = rf"has mixseq {there}, this machine 99.1; install mixseq==99.1 on the worker"
+    with pytest.raises(ClusterError, match=expected), connect_to_cluster(address_of(two)):
         pass
 
 
 def test_no_dask(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'mixseq\[dask\]'"), cluster("local:2"):
+    with (
+        pytest.raises(MissingExtraError, match=r"pip install 'mixseq\[dask\]'"),
+        connect_to_cluster("local:2"),
+    ):
         pass

@@ -21,7 +21,7 @@ from numba.core.serialize import _numba_unpickle
 
 from mixseq.errors import MixseqWarning
 from mixseq.runtime import jit
-from mixseq.runtime.interrupts import unwinding
+from mixseq.runtime.interrupts import signals_as_exceptions
 
 SOURCE = """
 from mixseq.runtime.jit import compiled
@@ -34,7 +34,7 @@ def double(number):
 
 @pytest.fixture(autouse=True)
 def nothing_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jit, "_told", set())
+    monkeypatch.setattr(jit, "_warned", set())
 
 
 @pytest.fixture
@@ -88,7 +88,7 @@ def test_a_full_disk(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     function = double(kept)
     monkeypatch.setattr("numba.core.caching.IndexDataCacheFile._save_data", full)
     with pytest.warns(
-        MixseqWarning, match=r"cannot be kept in .*kept.* \(No space left on device\), .*NUMBA_CACHE_DIR"
+        MixseqWarning, match=r"cannot be saved in .*kept.* \(No space left on device\), .*NUMBA_CACHE_DIR"
     ):
         assert function(3) == 6
     assert function(3.5) == 7.0  # told once
@@ -184,7 +184,7 @@ def test_a_signal_waits_until_a_result_is_made(kept: Path) -> None:
             time.sleep(0.01)  # until the signal comes again
         done.append(7.0)
 
-    with pytest.raises(KeyboardInterrupt), unwinding():
+    with pytest.raises(KeyboardInterrupt), signals_as_exceptions():
         work()
     assert sent == [True]
     assert done == [0.0, 2.0, 4.0]
@@ -198,7 +198,7 @@ def test_a_signal_waits_until_a_function_is_loaded_or_kept(
     """What llvmlite was interrupted in freeing, it frees twice."""
     if step == "rebuild":
         double(kept)(3)
-    usual = getattr(jit._Kept, step)
+    usual = getattr(jit._CompactCacheImpl, step)
     done: list[Any] = []
 
     def interrupted(*arguments: Any) -> Any:
@@ -211,7 +211,7 @@ def test_a_signal_waits_until_a_function_is_loaded_or_kept(
             time.sleep(0.01)  # until the signal comes again
         done.append("not reached")
 
-    monkeypatch.setattr(jit._Kept, step, interrupted)
-    with pytest.raises(KeyboardInterrupt), unwinding():
+    monkeypatch.setattr(jit._CompactCacheImpl, step, interrupted)
+    with pytest.raises(KeyboardInterrupt), signals_as_exceptions():
         work()
     assert done == [6]

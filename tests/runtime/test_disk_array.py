@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mixseq.errors import OutputError
 from mixseq.runtime import low_memory
 from mixseq.runtime.low_memory import DiskArray, RunningStatistics, column_blocks, new_large_array
-from mixseq.runtime.parallel import on_threads
+from mixseq.runtime.parallel import thread_executor
 from tests.meshes import seeds
 
 
@@ -41,7 +41,7 @@ def test_rows_and_columns_are_those_of_an_array(
 ) -> None:
     values = np.arange(rows * width, dtype=np.float64).reshape(rows, width)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(low_memory, "_COLUMNS", columns)
+        patch.setattr(low_memory, "_MAX_TILE_COLUMNS", columns)
         made = on_disk(values, step)
         chosen = np.array(picked.draw(st.lists(st.integers(0, rows - 1))), dtype=np.int64)
         np.testing.assert_array_equal(made[chosen], values[chosen])
@@ -65,7 +65,7 @@ def test_rows_have_any_shape_and_precision(dtype: type) -> None:
 
 def test_small_tables_are_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
     assert isinstance(new_large_array((4, 8)), np.ndarray)
-    monkeypatch.setattr(low_memory, "IN_MEMORY", 4 * 8 * 8 - 1)
+    monkeypatch.setattr(low_memory, "MAX_BYTES_IN_MEMORY", 4 * 8 * 8 - 1)
     assert isinstance(new_large_array((4, 8)), DiskArray)
     assert isinstance(new_large_array((4, 8), np.float32), np.ndarray)
 
@@ -97,7 +97,7 @@ def test_threads_read_what_was_written() -> None:
     def row(_: None, number: int) -> bool:
         return bool((array[number : number + 1] == number).all())
 
-    assert all(on_threads(8)(row, None, [*range(400)] * 4))
+    assert all(thread_executor(8)(row, None, [*range(400)] * 4))
 
 
 def test_a_full_disk_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

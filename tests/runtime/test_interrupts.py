@@ -15,7 +15,12 @@ from typing import Any
 import pytest
 
 from mixseq.runtime import interrupts
-from mixseq.runtime.interrupts import answered, held, unbroken, unwinding
+from mixseq.runtime.interrupts import (
+    acknowledge_signal,
+    deferred_signals,
+    signals_as_exceptions,
+    uninterrupted,
+)
 from mixseq_io import files as temporary
 from mixseq_io.files import atomic_file, atomic_files
 
@@ -36,7 +41,7 @@ def wait() -> None:
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_termination_ends_the_work(number: int, code: int) -> None:
-    with pytest.raises(SystemExit) as ended, unwinding():
+    with pytest.raises(SystemExit) as ended, signals_as_exceptions():
         send(number)
     assert ended.value.code == code
     assert signal.getsignal(number) == signal.SIG_DFL
@@ -56,17 +61,17 @@ def test_an_import_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         done.append(complete)
         wait()
 
-    with pytest.raises(KeyboardInterrupt), unwinding():
+    with pytest.raises(KeyboardInterrupt), signals_as_exceptions():
         work()
     assert done == [True]
 
 
 def test_what_is_unbroken_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """As are the functions that HDF5 calls to write, wherever in them, or below, the signal is heard."""
-    monkeypatch.setattr(interrupts, "_LATER", 0.001)
+    monkeypatch.setattr(interrupts, "_RETRY_SECONDS", 0.001)
     done: list[str] = []
 
-    @unbroken
+    @uninterrupted
     def called_by_a_library() -> None:
         send()
         time.sleep(0.05)  # the signal comes again, and again
@@ -77,18 +82,18 @@ def test_what_is_unbroken_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None
         wait()
         done.append("worked")
 
-    with pytest.raises(KeyboardInterrupt), unwinding():
+    with pytest.raises(KeyboardInterrupt), signals_as_exceptions():
         work()
     assert done == ["called"]
 
 
 def test_an_import_without_end_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(interrupts, "_LATER", 0.001)
+    monkeypatch.setattr(interrupts, "_RETRY_SECONDS", 0.001)
     (tmp_path / "endless_module.py").write_text(
         "import signal, time\nsignal.raise_signal(signal.SIGINT)\nwhile True: time.sleep(0.001)"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(KeyboardInterrupt), unwinding():
+    with pytest.raises(KeyboardInterrupt), signals_as_exceptions():
         __import__("endless_module")
 
 
@@ -104,7 +109,7 @@ def test_what_is_printed_and_dropped_comes_again(hook: str, capsys: pytest.Captu
             getattr(sys, hook)(*(told if hook == "excepthook" else [_Unraisable(*told)]))
         wait()
 
-    with pytest.raises(KeyboardInterrupt), unwinding():
+    with pytest.raises(KeyboardInterrupt), signals_as_exceptions():
         work()
     assert capsys.readouterr().err == ""
 
@@ -118,7 +123,7 @@ class _Unraisable:
 def test_other_errors_are_printed_as_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[Any] = []
     monkeypatch.setattr(sys, "excepthook", lambda *told_of: told.append(told_of))
-    with unwinding():
+    with signals_as_exceptions():
         sys.excepthook(ValueError, ValueError("odd"), None)
     assert [kind for kind, *_ in told] == [ValueError]
 
@@ -141,17 +146,17 @@ def test_no_output_is_replaced_after_a_signal_was_swallowed(
             with pytest.raises(TypeError):
                 swallow()
 
-    with pytest.raises(KeyboardInterrupt), unwinding():
+    with pytest.raises(KeyboardInterrupt), signals_as_exceptions():
         work()
     assert (tmp_path / "a").read_text() == "old"
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 def test_what_is_saved_in_answer_to_a_signal_is_saved(tmp_path: Path) -> None:
-    with unwinding():
+    with signals_as_exceptions():
         with pytest.raises(KeyboardInterrupt):
             send()
-        answered()
+        acknowledge_signal()
         with atomic_file(tmp_path / "unsaved") as temporary:
             temporary.write_text("new")
     assert (tmp_path / "unsaved").read_text() == "new"
@@ -171,7 +176,7 @@ def test_files_are_moved_before_a_signal_ends_the_work(
     monkeypatch.setattr(Path, "replace", interrupted)
     with (
         pytest.raises((KeyboardInterrupt, SystemExit)),
-        unwinding(),
+        signals_as_exceptions(),
         atomic_files(tmp_path / "a_#") as folder,
     ):
         for name in ("a_1", "a_2"):
@@ -182,12 +187,12 @@ def test_files_are_moved_before_a_signal_ends_the_work(
 def test_what_fails_while_a_signal_waits_does_not_take_its_place() -> None:
     """As the answer of a process that Ctrl-C ended, too."""
 
-    @unbroken
+    @uninterrupted
     def waiting() -> None:
         send()
         raise ValueError("the process has died")
 
-    with pytest.raises(KeyboardInterrupt), unwinding():
+    with pytest.raises(KeyboardInterrupt), signals_as_exceptions():
         waiting()
 
 
@@ -208,17 +213,17 @@ def test_what_fails_while_a_signal_cleans_up_does_not_take_its_place(
                 file.close()
                 file.write("the end")  # a ValueError: the file is closed
 
-    with pytest.raises(kind), unwinding():
+    with pytest.raises(kind), signals_as_exceptions():
         work()
     assert (tmp_path / "a").read_text() == "old"
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 def test_what_fails_after_the_answer_to_a_signal_is_told() -> None:
-    with pytest.raises(ValueError, match="odd"), unwinding():
+    with pytest.raises(ValueError, match="odd"), signals_as_exceptions():
         with pytest.raises(KeyboardInterrupt):
             send()
-        answered()
+        acknowledge_signal()
         raise ValueError("odd")
 
 
@@ -233,7 +238,7 @@ def test_temporary_names_have_an_end_whenever_a_signal_comes(
         return usual(*arguments)
 
     monkeypatch.setattr(temporary, function, interrupted)
-    with pytest.raises(KeyboardInterrupt), unwinding(), atomic_file(tmp_path / "a") as file:
+    with pytest.raises(KeyboardInterrupt), signals_as_exceptions(), atomic_file(tmp_path / "a") as file:
         file.write_text("new")
     monkeypatch.undo()
     assert [path.name for path in tmp_path.iterdir()] == (["a"] if function == "_delete" else [])
@@ -243,7 +248,7 @@ def test_signals_wait_in_programs_that_are_not_ours() -> None:
     steps: list[str] = []
 
     def work() -> None:
-        with held():
+        with deferred_signals():
             send()
             steps.append("done")
         steps.append("not reached")
@@ -256,7 +261,7 @@ def test_signals_wait_in_programs_that_are_not_ours() -> None:
 def test_what_is_ignored_stays_ignored() -> None:
     """As under nohup, or in the background of a shell."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with unwinding(), held():
+    with signals_as_exceptions(), deferred_signals():
         send()
 
 

@@ -13,12 +13,12 @@ from mixseq.creature import walk_cycle
 from mixseq.errors import SettingsError
 from mixseq.runtime import parallel as threads
 from mixseq.runtime.parallel import (
-    InTurn,
-    on_threads,
-    on_two_threads,
+    WorkQueue,
     one_blas_thread,
-    serially,
+    serial_executor,
     thread_count,
+    thread_executor,
+    two_thread_executor,
 )
 from mixseq.signals.fitting import fit
 from tests.forking import in_a_fork
@@ -31,8 +31,8 @@ def wait_and_add(shared: int, item: int) -> int:
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_results_come_in_order(threads: int) -> None:
-    assert list(on_threads(threads)(wait_and_add, 10, range(20))) == list(range(10, 30))
-    assert list(on_threads(threads)(wait_and_add, 10, ())) == []
+    assert list(thread_executor(threads)(wait_and_add, 10, range(20))) == list(range(10, 30))
+    assert list(thread_executor(threads)(wait_and_add, 10, ())) == []
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -44,7 +44,7 @@ def test_items_are_taken_as_results_are(threads: int) -> None:
             taken.append(number)
             yield number
 
-    results = on_threads(threads)(wait_and_add, 0, items())
+    results = thread_executor(threads)(wait_and_add, 0, items())
     for _ in range(5):
         next(results)
     assert len(taken) <= 5 + threads + 1
@@ -59,7 +59,7 @@ def test_an_error_ends_the_work(threads: int) -> None:
             raise ValueError("three")
         return item
 
-    results = on_threads(threads)(fail, None, range(1000))
+    results = thread_executor(threads)(fail, None, range(1000))
     assert [next(results) for _ in range(3)] == [0, 1, 2]
     with pytest.raises(ValueError, match="three"):
         next(results)
@@ -69,11 +69,11 @@ def test_an_error_ends_the_work(threads: int) -> None:
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_an_iteration_belongs_to_its_process() -> None:
-    results = on_threads(2)(wait_and_add, 0, range(9))
+    results = thread_executor(2)(wait_and_add, 0, range(9))
     assert next(results) == 0
     said = in_a_fork(lambda: list(results))
-    assert said == "MixseqError: this iteration began before the process was forked; begin another one here"
-    assert in_a_fork(lambda: list(on_threads(2)(wait_and_add, 0, range(3)))) == "[0, 1, 2]"
+    assert said == "MixseqError: the process was forked during this iteration; start a new iteration"
+    assert in_a_fork(lambda: list(thread_executor(2)(wait_and_add, 0, range(3)))) == "[0, 1, 2]"
     assert list(results) == list(range(1, 9))
 
 
@@ -98,7 +98,7 @@ def test_thread_count_is_a_setting(monkeypatch: pytest.MonkeyPatch) -> None:
         with pytest.raises(SettingsError, match=f"MIXSEQ_THREADS is '{nonsense}'"):
             thread_count()
     monkeypatch.setenv("MIXSEQ_THREADS", "1")
-    assert on_threads() is serially
+    assert thread_executor() is serial_executor
 
 
 @pytest.mark.parametrize("threads", [1, 2, 9])
@@ -118,14 +118,14 @@ def test_what_takes_much_memory_is_done_twice_at_once_at_most(
             under_way -= 1
         return shared + item
 
-    assert list(on_two_threads()(work, 1, range(9))) == list(range(1, 10))
+    assert list(two_thread_executor()(work, 1, range(9))) == list(range(1, 10))
     assert most == min(threads, 2)
 
 
 @pytest.mark.parametrize("threads", ["1", "2", "3"])
 def test_work_in_turn_is_done_in_its_order(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MIXSEQ_THREADS", threads)
-    turns, done = InTurn(), list[tuple[int, bool]]()
+    turns, done = WorkQueue(), list[tuple[int, bool]]()
     here = threading.current_thread()
 
     def work(number: int) -> None:
@@ -133,7 +133,7 @@ def test_work_in_turn_is_done_in_its_order(threads: str, monkeypatch: pytest.Mon
         done.append((number, threading.current_thread() is here))
 
     for number in range(20):
-        turns.take(partial(work, number), large=number % 5 != 0)
+        turns.submit(partial(work, number), large=number % 5 != 0)
         if number % 5 == 0:
             assert len(done) == number + 1
     turns.wait()
@@ -144,9 +144,9 @@ def test_work_in_turn_is_done_in_its_order(threads: str, monkeypatch: pytest.Mon
 @pytest.mark.parametrize("threads", ["1", "2"])
 def test_errors_of_work_in_turn_are_raised(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MIXSEQ_THREADS", threads)
-    turns = InTurn()
+    turns = WorkQueue()
     with pytest.raises(ZeroDivisionError):
-        turns.take(lambda: print(1 // 0))
+        turns.submit(lambda: print(1 // 0))
         turns.wait()
 
 
@@ -158,7 +158,7 @@ def test_frames_are_the_same_on_any_number_of_threads(velocities: bool) -> None:
     decode = model.moving_blocks if velocities else model.blocks
 
     def bytes_of(size: int, threads: int) -> bytes:
-        blocks = decode(times, size=size, workers=on_threads(threads))
+        blocks = decode(times, size=size, workers=thread_executor(threads))
         return b"".join(frame.tobytes() for block in blocks for frame in frames(block))
 
     def frames(block: object) -> list[np.ndarray]:

@@ -20,7 +20,7 @@ from tests.meshes import SEQUENCES, bending, pages, seeds, topology_of, torus, t
 MESH = torus(12, 7)
 TOPOLOGY = topology_of(MESH)
 FRAMES = bending(MESH, frames=4) + 0.02 * np.random.default_rng(2).normal(size=(4, *MESH[0].shape))
-FACES = Elements.faces(TOPOLOGY, FRAMES)
+FACES = Elements.from_faces(TOPOLOGY, FRAMES)
 
 
 def gathered(inside: Mask) -> Moments:
@@ -74,7 +74,7 @@ def test_elements_go_to_the_cheapest_cluster(seed: int, rounds: int) -> None:
 def test_costs_may_be_found_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     labels = np.random.default_rng(0).integers(0, 20, len(MESH[1]))
     together = Clusters(FACES, labels, 20)
-    monkeypatch.setattr(clusters, "_WORK", 1)
+    monkeypatch.setattr(clusters, "_MAX_WORK_NUMBERS", 1)
     apart = Clusters(FACES, labels, 20)
     for _ in range(3):
         np.testing.assert_array_equal(apart.assign(2), together.assign(2))
@@ -99,16 +99,16 @@ def test_a_cluster_that_is_left_by_all_stays_empty() -> None:
 
 
 def test_balls_grow_ring_by_ring() -> None:
-    faces = Elements.faces(topology_of(tube(6, 9, closed=False)), tube(6, 9, closed=False)[0][None])
-    assert faces.ball(20, 1).tolist() == sorted(set(faces.around[20].tolist()) - {len(faces)})
+    faces = Elements.from_faces(topology_of(tube(6, 9, closed=False)), tube(6, 9, closed=False)[0][None])
+    assert faces.ball(20, 1).tolist() == sorted(set(faces.neighbourhoods[20].tolist()) - {len(faces)})
     assert len(faces.ball(20, 10**6)) == len(faces)
 
 
 def test_cells_cover_the_mesh() -> None:
     for mesh in (tube(8, 30), pages(3, 8, 3)):
         topology = topology_of(mesh)
-        faces = Elements.faces(topology, mesh[0][None])
-        cells, cell_of_face = Elements.cells(topology, faces)
+        faces = Elements.from_faces(topology, mesh[0][None])
+        cells, cell_of_face = Elements.from_cells(topology, faces)
         assert len(cells) < len(mesh[0]) / 2
         assert set(cell_of_face.tolist()) <= set(range(len(cells)))
         assert cells.weights.sum() == pytest.approx(3 * faces.weights.sum())
@@ -134,7 +134,7 @@ def test_what_is_left_of_a_cluster_is_not_rounding() -> None:
 def test_dense_meshes_are_cut_by_cells_first(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     sequence = SEQUENCES[name]()
     topology = Topology(sequence.faces, sequence.vertex_count)
-    monkeypatch.setattr(motion, "DENSE", 0)
+    monkeypatch.setattr(motion, "MAX_FACES_WITHOUT_CELLS", 0)
     labels = motion.segment_by_motion(sequence.points, topology)
     for part in range(labels.max() + 1):
         assert face_patches(topology, labels == part).max() == 0
@@ -144,7 +144,7 @@ def test_cells_find_the_same_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = tube(24, 61)
     topology, points = topology_of(mesh), bending(mesh, angle=1.2)
     by_faces = motion.segment_by_motion(points, topology)
-    monkeypatch.setattr(motion, "DENSE", 0)
+    monkeypatch.setattr(motion, "MAX_FACES_WITHOUT_CELLS", 0)
     by_cells = motion.segment_by_motion(points, topology)
     assert by_faces.max() == by_cells.max() == 1
     agree = (by_faces == by_cells).mean()

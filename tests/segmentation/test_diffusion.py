@@ -15,8 +15,8 @@ from mixseq.segmentation.silhouettes import (
     SpanningTreeSettings,
     angle_variation,
     length_variation,
+    sample_frames,
     segment_by_spanning_tree,
-    some_frames,
     vertex_bending,
     vertex_strain,
 )
@@ -46,18 +46,18 @@ def test_cotangents_of_a_regular_tetrahedron() -> None:
 def test_smoothing_keeps_the_mean_and_the_bounds(mesh: Mesh) -> None:
     surface = on(mesh)
     values = np.random.default_rng(3).uniform(-1, 2, len(mesh[0]))
-    smooth = surface.smoothed(values, 0.7)
+    smooth = surface.smooth(values, 0.7)
     assert surface.areas @ smooth == pytest.approx(surface.areas @ values)
     assert values.min() < smooth.min() < smooth.max() < values.max()
-    assert np.ptp(surface.smoothed(values, 2.0)) < np.ptp(smooth)
-    np.testing.assert_array_equal(surface.smoothed(values, 0.0), values)
-    np.testing.assert_allclose(surface.smoothed(np.full(len(values), 3.0), 0.7), 3.0)
+    assert np.ptp(surface.smooth(values, 2.0)) < np.ptp(smooth)
+    np.testing.assert_array_equal(surface.smooth(values, 0.0), values)
+    np.testing.assert_allclose(surface.smooth(np.full(len(values), 3.0), 0.7), 3.0)
 
 
 def test_smoothing_does_not_cross_from_one_component_to_another() -> None:
     values = np.zeros(8)
     values[:4] = 1.0
-    np.testing.assert_allclose(on(joined(tetrahedron(), tetrahedron())).smoothed(values, 5.0), values)
+    np.testing.assert_allclose(on(joined(tetrahedron(), tetrahedron())).smooth(values, 5.0), values)
 
 
 def test_distances_are_those_of_the_heat_kernel() -> None:
@@ -72,7 +72,7 @@ def test_distances_are_those_of_the_heat_kernel() -> None:
 def test_the_sparse_solver_finds_the_same_distances(monkeypatch: pytest.MonkeyPatch) -> None:
     surface = on(torus(24, 10))  # a symmetric mesh: most eigenvalues are double
     dense = surface.embedding(0.3, 40)
-    monkeypatch.setattr(silhouettes, "_DENSE", 0)
+    monkeypatch.setattr(silhouettes, "_MIN_SPARSE_VERTICES", 0)
     sparse = surface.embedding(0.3, 40)
     assert not np.allclose(dense, sparse)  # other bases ...
     np.testing.assert_allclose(cdist(sparse, sparse), cdist(dense, dense), atol=1e-6)  # ... same distances
@@ -100,7 +100,7 @@ def test_flat_faces_and_lone_vertices_are_no_trouble() -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [1, 1, 0], [9, 9, 9]])
     surface = Diffusion(points, Topology(np.array([[0, 1, 2], [0, 1, 3], [1, 2, 3]]), 5))
     assert np.isfinite(surface.laplacian.toarray()).all()
-    assert np.isfinite(surface.smoothed(np.arange(5.0), 0.5)).all()
+    assert np.isfinite(surface.smooth(np.arange(5.0), 0.5)).all()
     assert np.isfinite(surface.embedding(0.1, 3)).all()
 
 
@@ -108,7 +108,7 @@ def test_faces_on_a_line_have_equal_areas() -> None:
     points, faces = grid(3, 2)
     surface = Diffusion(points * [1.0, 0.0, 0.0], Topology(faces, len(points)))
     assert np.ptp(surface.areas) == 0.0 < surface.areas[0]
-    assert np.isfinite(surface.smoothed(points[:, 0], 0.5)).all()
+    assert np.isfinite(surface.smooth(points[:, 0], 0.5)).all()
     assert np.isfinite(surface.embedding(0.1, 3)).all()
 
 
@@ -168,7 +168,7 @@ def test_vertices_of_no_face_do_not_deform() -> None:
 
 def test_frames_are_spread_and_in_diagonals() -> None:
     points = 7.0 + 20.0 * bar(frames=30).points
-    some = some_frames(points, 4)
+    some = sample_frames(points, 4)
     assert some.shape == (4, *points.shape[1:])
     assert np.linalg.norm(np.ptp(some[0], axis=0)) == pytest.approx(1.0)
     np.testing.assert_allclose(
@@ -178,8 +178,8 @@ def test_frames_are_spread_and_in_diagonals() -> None:
 
 def test_a_first_frame_that_is_a_point_has_no_diagonal() -> None:
     points = np.array([[[5.0, 5, 5]] * 2, [[0, 0, 0], [3, 4, 0]], [[0, 0, 0], [0, 0, 1]]])
-    np.testing.assert_allclose(np.linalg.norm(np.ptp(some_frames(points, 9), axis=1), axis=1), [0, 1, 0.2])
-    assert np.ptp(some_frames(points[:1], 9)) == 0.0
+    np.testing.assert_allclose(np.linalg.norm(np.ptp(sample_frames(points, 9), axis=1), axis=1), [0, 1, 0.2])
+    assert np.ptp(sample_frames(points[:1], 9)) == 0.0
 
 
 # Cutting a spanning tree, where hinges are known to bend

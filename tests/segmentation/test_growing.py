@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology, face_patches
-from mixseq.segmentation.elements import Boundaries, Passes, Rim, check_parts, flood
+from mixseq.segmentation.elements import Boundaries, Passes, Rim, check_part_count, find_passes
 from mixseq.segmentation.methods import segment_by_labels
 from mixseq.types import Float, Index
 from tests.meshes import Mesh, flipped, grid, joined, pages, rotation, seeds, tetrahedron, topology_of, tube
@@ -22,7 +22,9 @@ def chain(heights: list[float], areas: list[float] | None = None) -> Passes:
     faces = np.array([[k, k + 1, k + 2] if k % 2 == 0 else [k + 1, k, k + 2] for k in range(count)])
     h = np.array(heights)
     bottoms = np.minimum(np.append(h, np.inf), np.insert(h, 0, np.inf))
-    return flood(Topology(faces, count + 2), h, bottoms, np.ones(count) if areas is None else np.array(areas))
+    return find_passes(
+        Topology(faces, count + 2), h, bottoms, np.ones(count) if areas is None else np.array(areas)
+    )
 
 
 LANDSCAPE = [1.0, 5.0, 2.0, 3.0, 9.0, 0.0]
@@ -79,7 +81,11 @@ def random_landscape(seed: int) -> tuple[Topology, Float, Passes]:
     heights = rng.integers(0, 9, len(topology.hinges)).astype(float)
     bottoms = np.full(len(topology.faces), np.inf)
     np.minimum.at(bottoms, topology.hinge_faces.reshape(-1), np.repeat(heights, 2))
-    return topology, heights, flood(topology, heights, bottoms, rng.uniform(0.1, 1.0, len(topology.faces)))
+    return (
+        topology,
+        heights,
+        find_passes(topology, heights, bottoms, rng.uniform(0.1, 1.0, len(topology.faces))),
+    )
 
 
 @settings(max_examples=20, deadline=None)
@@ -119,9 +125,9 @@ def test_as_many_regions_as_asked_for(seed: int) -> None:
 @pytest.mark.parametrize("parts", [0, -1, 5])
 def test_numbers_that_no_segmentation_has(parts: int) -> None:
     with pytest.raises(SettingsError, match=rf"parts is {parts}; a whole number from 1 to 4 \(the faces\)"):
-        check_parts(parts, topology_of(tetrahedron()))
-    check_parts(4, topology_of(tetrahedron()))
-    check_parts(None, topology_of(tetrahedron()))
+        check_part_count(parts, topology_of(tetrahedron()))
+    check_part_count(4, topology_of(tetrahedron()))
+    check_part_count(None, topology_of(tetrahedron()))
 
 
 # Where neighbouring parts meet, in closed forms
@@ -134,7 +140,7 @@ def cut(mesh: Mesh, *heights: float, axis: int = 2) -> Index:
 
 
 def boundaries_of(mesh: Mesh, labels: Index) -> Boundaries:
-    return Boundaries.of(topology_of(mesh), labels)
+    return Boundaries.from_labels(topology_of(mesh), labels)
 
 
 def test_two_halves_of_a_tube_meet_in_a_ring() -> None:
@@ -200,7 +206,7 @@ def test_parts_that_do_not_touch_do_not_meet() -> None:
 def test_of_four_rings_of_faces_one_and_a_half_are_near_a_boundary() -> None:
     mesh = tube(6, 9, closed=False)
     labels = cut(mesh, 2.0)
-    rim = Rim.of(topology_of(mesh), labels)
+    rim = Rim.from_labels(topology_of(mesh), labels)
     np.testing.assert_array_equal(rim.narrowness(labels), [3 / 8, 3 / 8])
     np.testing.assert_array_equal(rim.narrowness(np.zeros_like(labels)), [0.0])
 
@@ -208,9 +214,9 @@ def test_of_four_rings_of_faces_one_and_a_half_are_near_a_boundary() -> None:
 def test_what_is_left_of_a_rim_is_the_rim_of_what_is_left() -> None:
     mesh = tube(5, 13)
     labels = cut(mesh, 1.0, 2.0, 3.5)
-    rim = Rim.of(topology_of(mesh), labels)
+    rim = Rim.from_labels(topology_of(mesh), labels)
     for keep, drop in ((0, 1), (2, 3), (0, 2)):
         merged = np.where(labels == drop, keep, labels)
         np.testing.assert_array_equal(
-            rim.narrowness(merged), Rim.of(topology_of(mesh), merged).narrowness(merged)
+            rim.narrowness(merged), Rim.from_labels(topology_of(mesh), merged).narrowness(merged)
         )

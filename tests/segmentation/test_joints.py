@@ -10,16 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.errors import SegmentationError, SettingsError
-from mixseq.mesh.measures import flat_faces
+from mixseq.mesh.measures import degenerate_faces
 from mixseq.mesh.topology import Topology, face_patches
 from mixseq.segmentation.joints import (
-    FLAT,
+    DEGENERATE_HEIGHT_RATIO,
     Decomposition,
-    Watched,
+    PartShapes,
     decompose,
-    frames_to_look_at,
-    gather,
-    observe,
+    join_part_motion,
+    measure_part_motion,
+    sample_frame_ids,
 )
 from mixseq.segmentation.methods import segment_by_labels
 from mixseq.segmentation.motion import segment_by_motion
@@ -305,17 +305,17 @@ def test_the_number_of_labels_is_checked() -> None:
 
 
 def test_frames_are_evenly_spread_with_both_ends() -> None:
-    assert frames_to_look_at(5).tolist() == [0, 1, 2, 3, 4]
-    assert frames_to_look_at(100, 4).tolist() == [0, 33, 66, 99]
-    assert frames_to_look_at(1).tolist() == [0]
+    assert sample_frame_ids(5).tolist() == [0, 1, 2, 3, 4]
+    assert sample_frame_ids(100, 4).tolist() == [0, 33, 66, 99]
+    assert sample_frame_ids(1).tolist() == [0]
 
 
 @pytest.mark.parametrize(("count", "at_most"), [(240, 24), (25, 24), (7, 3)])
 def test_frames_looked_at_are_looked_at_again(count: int, at_most: int) -> None:
     """So that a sequence can be cut by these frames alone."""
-    chosen = frames_to_look_at(count, at_most)
+    chosen = sample_frame_ids(count, at_most)
     assert len(chosen) == at_most
-    assert frames_to_look_at(len(chosen), at_most).tolist() == list(range(at_most))
+    assert sample_frame_ids(len(chosen), at_most).tolist() == list(range(at_most))
 
 
 def test_rotations_are_those_of_rigid_parts() -> None:
@@ -323,34 +323,40 @@ def test_rotations_are_those_of_rigid_parts() -> None:
     labels = (mesh[0][mesh[1]].mean(axis=1)[:, 2] > 2.0).astype(np.int64)
     turns = [rotation((0.4 * t, -0.2 * t, 0.1 * t)) for t in range(5)]
     frames = np.stack([mesh[0] @ turn.T + [t, 0, 0] for t, turn in enumerate(turns)])
-    seen = observe(Watched.of(topology_of(mesh), labels, frames[:1]), frames)
+    seen = measure_part_motion(PartShapes.from_labels(topology_of(mesh), labels, frames[:1]), frames)
     assert seen.rotations.shape == (5, 2, 3, 3)
     for part in range(2):
         np.testing.assert_allclose(seen.rotations[:, part], np.stack(turns), atol=1e-12)
-    assert not seen.flat.any()
+    assert not seen.degenerate_mask.any()
 
 
 def test_flat_faces_are_those_of_any_frame() -> None:
     sequence = SEQUENCES["zero area"]()
     topology = Topology(sequence.faces, sequence.vertex_count)
-    seen = observe(Watched.of(topology, np.zeros(len(topology.faces), int), sequence.points), sequence.points)
-    expected = flat_faces(sequence.points.astype(np.float64), topology.faces, FLAT).any(axis=0)
+    seen = measure_part_motion(
+        PartShapes.from_labels(topology, np.zeros(len(topology.faces), int), sequence.points), sequence.points
+    )
+    expected = degenerate_faces(
+        sequence.points.astype(np.float64), topology.faces, DEGENERATE_HEIGHT_RATIO
+    ).any(axis=0)
     assert expected.any()
-    np.testing.assert_array_equal(seen.flat, expected)
+    np.testing.assert_array_equal(seen.degenerate_mask, expected)
 
 
 @pytest.mark.parametrize("size", [1, 2, 5])
 def test_blocks_do_not_matter(size: int) -> None:
     sequence = bar(frames=7)
     topology = Topology(sequence.faces, sequence.vertex_count)
-    chosen = sequence.points[frames_to_look_at(len(sequence))]
+    chosen = sequence.points[sample_frame_ids(len(sequence))]
     labels = segment_by_motion(chosen, topology)
     np.testing.assert_array_equal(labels, segment_by_motion(sequence.points, topology))
-    watched = pickle.loads(pickle.dumps(Watched.of(topology, labels, chosen)))
-    whole = observe(watched, sequence.points)
-    seen = gather(observe(watched, sequence.points[start : start + size]) for start in range(0, 7, size))
+    watched = pickle.loads(pickle.dumps(PartShapes.from_labels(topology, labels, chosen)))
+    whole = measure_part_motion(watched, sequence.points)
+    seen = join_part_motion(
+        measure_part_motion(watched, sequence.points[start : start + size]) for start in range(0, 7, size)
+    )
     np.testing.assert_array_equal(seen.rotations, whole.rotations)
-    np.testing.assert_array_equal(seen.flat, whole.flat)
+    np.testing.assert_array_equal(seen.degenerate_mask, whole.degenerate_mask)
     at_once, streamed = (decompose(topology, labels, 3, x) for x in (sequence.points, seen))
     np.testing.assert_array_equal(at_once.joint_of_face, streamed.joint_of_face)
     np.testing.assert_array_equal(at_once.widths, streamed.widths)

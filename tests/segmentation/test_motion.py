@@ -157,7 +157,7 @@ def test_large_meshes_have_the_parts_of_others_to_an_edge(monkeypatch: pytest.Mo
     mesh = tube(130, 130)
     sequence = MeshSequence.from_arrays(bending(mesh, angle=1.2), mesh[1])
     topology, expected = segmented(sequence)
-    monkeypatch.setattr(motion, "LARGE", 20_000)
+    monkeypatch.setattr(motion, "MAX_FACES_TO_REFINE", 20_000)
     found = segmented(sequence)[1]
     assert_sound(topology, found)
     assert expected.max() == found.max() == 1

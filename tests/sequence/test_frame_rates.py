@@ -11,7 +11,14 @@ import mixseq
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.operations import resample
 from mixseq.pictures.scene import Scene, SceneItem
-from mixseq.sequence.frame_rates import exact_rate, frame_text, number_at, rate_text, seconds_meant, time_of
+from mixseq.sequence.frame_rates import (
+    format_frame,
+    format_rate,
+    hint_frame_number,
+    number_to_time,
+    snap_to_ntsc,
+    time_to_number,
+)
 from mixseq.sequence.sequence import MeshSequence
 from tests.meshes import bar
 
@@ -20,22 +27,22 @@ TYPED = [(23.976, 24000), (23.98, 24000), (29.97, 30000), (47.952, 48000), (59.9
 
 @pytest.mark.parametrize(("typed", "thousands"), TYPED)
 def test_typed_rates_are_exact(typed: float, thousands: int) -> None:
-    assert exact_rate(typed) == exact_rate(thousands / 1001) == thousands / 1001
+    assert snap_to_ntsc(typed) == snap_to_ntsc(thousands / 1001) == thousands / 1001
 
 
 @pytest.mark.parametrize("rate", [24.0, 25.0, 30.0, 30.03, 59.9, 0.0, -23.976, np.inf])
 def test_other_rates_stay(rate: float) -> None:
-    assert exact_rate(rate) == exact_rate(rate, own=24.0) == rate
+    assert snap_to_ntsc(rate) == snap_to_ntsc(rate, base=24.0) == rate
 
 
 @pytest.mark.parametrize(("typed", "own"), [(23.976, 23.976), (47.952, 23.976), (29.97, 59.94)])
 def test_rates_that_fall_on_the_frames_of_a_motion_stay(typed: float, own: float) -> None:
-    assert exact_rate(typed, own=own) == typed
+    assert snap_to_ntsc(typed, base=own) == typed
 
 
 def test_words() -> None:
-    assert rate_text(24 / 1.001) == "24000/1001 (23.976)"
-    assert [rate_text(rate) for rate in (24, 23.976, 12.5)] == ["24", "23.976", "12.5"]
+    assert format_rate(24 / 1.001) == "24000/1001 (23.976)"
+    assert [format_rate(rate) for rate in (24, 23.976, 12.5)] == ["24", "23.976", "12.5"]
 
 
 def test_frames_of_arrays() -> None:
@@ -73,13 +80,15 @@ RATES = (24.0, 24000 / 1001, 25.0, 30000 / 1001, 120.0)
 @pytest.mark.parametrize("fps", RATES)
 def test_numbers_and_times_are_inverse(fps: float) -> None:
     for number in (-5, 0, 1, 1001, 9_999):
-        assert number_at(time_of(number, fps), fps) == number
-        assert frame_text(float(np.float32(time_of(number, fps))), fps) == f"{number}"  # as MDD holds times
+        assert time_to_number(number_to_time(number, fps), fps) == number
+        assert (
+            format_frame(float(np.float32(number_to_time(number, fps))), fps) == f"{number}"
+        )  # as MDD holds times
 
 
 def test_what_is_no_frame_keeps_its_fraction() -> None:
-    assert number_at(10.5 / 24, 24) == 10.5
-    assert frame_text(10.25 / 24, 24) == "10.25"
+    assert time_to_number(10.5 / 24, 24) == 10.5
+    assert format_frame(10.25 / 24, 24) == "10.25"
 
 
 @pytest.mark.parametrize("fps", RATES)
@@ -97,8 +106,8 @@ def test_uneven_times_keep_their_distances() -> None:
 
 def test_seconds_that_are_frames() -> None:
     shot = (1001 / 24, 1096 / 24, 24.0)
-    assert seconds_meant(1096, *shot) == "; frame 1096 is at 45.6667 s"
-    assert seconds_meant(1097, *shot) == seconds_meant(50.0, *shot) == ""
+    assert hint_frame_number(1096, *shot) == "; frame 1096 is at 45.6667 s"
+    assert hint_frame_number(1097, *shot) == hint_frame_number(50.0, *shot) == ""
 
 
 def shot(first: int = 1001) -> MeshSequence:

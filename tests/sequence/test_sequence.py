@@ -22,17 +22,17 @@ from mixseq.sequence.sequence import (
     MeshSequence,
     UnitConversion,
     block_size,
-    blocks_of,
     bounding_diagonal,
     check_block,
     check_frames,
-    collect,
     convert_units,
-    digits_end,
-    farthest,
-    frame_store,
+    iterate_blocks,
+    join_blocks,
     largest_coordinate,
-    metres_of,
+    largest_offset,
+    load_frames,
+    parse_unit,
+    rounding_error,
 )
 from mixseq.types import FloatArray
 from tests.meshes import bar
@@ -70,7 +70,7 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "no faces": (
         lambda: MeshSequence.from_arrays(points(), np.zeros((0, 3), dtype=int)),
-        "the mesh has no faces; a triangle mesh is needed",
+        "the mesh has no faces; give a mesh with faces",
     ),
     "quads as faces": (
         lambda: MeshSequence.from_arrays(points(), [[0, 1, 2, 3]]),
@@ -259,10 +259,10 @@ def test_diagonal() -> None:
 
 def test_blocks_are_collected() -> None:
     sequence = whole()
-    gathered = collect(sequence.header, iter([sequence.points[:1], sequence.points[1:]]))
+    gathered = join_blocks(sequence.header, iter([sequence.points[:1], sequence.points[1:]]))
     np.testing.assert_array_equal(gathered.points, sequence.points)
     with pytest.raises(InvalidSequenceError, match="0 frames of points but 3 times"):
-        collect(sequence.header, iter([]))
+        join_blocks(sequence.header, iter([]))
 
 
 def test_blocks_are_checked_by_the_frames_they_hold() -> None:
@@ -319,7 +319,9 @@ def test_faces_keep_their_side() -> None:
     """A rotation turns no mesh inside out."""
     for old in "XYZ":
         for new in "XYZ":
-            assert np.linalg.det(UnitConversion.of(sequence(up_axis=old), new).turn) == pytest.approx(1)
+            assert np.linalg.det(
+                UnitConversion.from_header(sequence(up_axis=old), new).rotation
+            ) == pytest.approx(1)
 
 
 def test_scaled() -> None:
@@ -340,7 +342,7 @@ def test_there_and_back(units: str | float) -> None:
 def test_nothing_to_do_changes_no_bit() -> None:
     before = sequence(np.float32, up_axis="Z", metres_per_unit=0.01)
     after = mixseq.convert_units(before, up_axis="Z", units="cm")
-    assert not UnitConversion.of(before.header, "Z", 0.01).changes
+    assert not UnitConversion.from_header(before.header, "Z", 0.01).changes
     assert after.points.tobytes() == before.points.tobytes()
     assert after.header.surface is before.header.surface
 
@@ -358,7 +360,7 @@ def test_refusals() -> None:
         convert_units(sequence(), up_axis="W")
     for units in ("parsec", 0, -1, "nan", "inf"):
         with pytest.raises(SettingsError, match=f"the unit is {units!r}; one of mm, cm, m"):
-            metres_of(units)
+            parse_unit(units)
 
 
 # What streams is copied once, and checked on the way
@@ -380,22 +382,22 @@ class Streamed:
 
 
 def test_what_is_in_memory_stays_there() -> None:
-    assert frame_store(BAR).points is BAR.points
+    assert load_frames(BAR).points is BAR.points
     assert [len(block) for block in BAR.blocks(3)] == [3, 3, 1]
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("limit", [0, 1 << 30])
 def test_what_streams_is_read_once(dtype: type, limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(low_memory, "IN_MEMORY", limit)
+    monkeypatch.setattr(low_memory, "MAX_BYTES_IN_MEMORY", limit)
     points: FloatArray = BAR.points.astype(dtype)
     source = Streamed(BAR.header, [points[:2], points[2:3], points[3:]])
     told: list[tuple[int, int, str]] = []
-    copy = frame_store(source, lambda *step: told.append(step))
+    copy = load_frames(source, lambda *step: told.append(step))
     assert isinstance(copy.points, DiskArray) == (limit == 0)
     assert copy.points.dtype == dtype
     for _ in range(2):
-        np.testing.assert_array_equal(np.concatenate(list(blocks_of(copy.points))), points)
+        np.testing.assert_array_equal(np.concatenate(list(iterate_blocks(copy.points))), points)
     assert source.times == 1
     assert [done for done, _, _ in told] == [2, 3, 7]
 
@@ -412,7 +414,7 @@ def test_what_streams_is_read_once(dtype: type, limit: int, monkeypatch: pytest.
 )
 def test_unsound_streams_are_refused(frames: list[FloatArray], message: str) -> None:
     with pytest.raises(InvalidSequenceError, match=message):
-        frame_store(Streamed(BAR.header, frames))
+        load_frames(Streamed(BAR.header, frames))
 
 
 @pytest.mark.parametrize(
@@ -433,23 +435,23 @@ def test_lengths_whose_squares_do_not_fit_are_refused(
     points[3] += offset
     far = BAR.with_points(points * factor)
     with pytest.raises(InvalidSequenceError, match=f"^{far.header.name!r}: .*{message}"):
-        frame_store(Streamed(far.header, [far.points]) if streams else far)
+        load_frames(Streamed(far.header, [far.points]) if streams else far)
 
 
 def test_a_first_frame_that_is_one_point_may_be_anywhere() -> None:
     point = BAR.with_points(np.full_like(BAR.points, 1e59))
-    assert frame_store(point).points is point.points
-    assert digits_end(largest_coordinate(point.points)) == 1e59 * 2.0**-40
+    assert load_frames(point).points is point.points
+    assert rounding_error(largest_coordinate(point.points)) == 1e59 * 2.0**-40
 
 
 def test_how_far_vertices_get_does_not_depend_on_the_origin() -> None:
     triangle = np.array([[0.0, 0, 0], [2, 0, 0], [0, 4, 0]])
     points = np.stack([triangle, 10 * triangle]) + np.array([100.0, -1000, 0])
-    assert farthest(points) == 38.0
+    assert largest_offset(points) == 38.0
     assert largest_coordinate(points) == 1000.0
 
 
 def test_blocks_depend_on_the_mesh_only() -> None:
     assert [block_size(count) for count in (3, 100_000, 169_000, 1 << 20, 1 << 24)] == [8, 8, 6, 1, 1]
     long = MeshSequence.from_arrays(np.zeros((20, 3, 3)), [[0, 1, 2]])
-    assert [len(block) for block in blocks_of(long.points)] == [8, 8, 4]
+    assert [len(block) for block in iterate_blocks(long.points)] == [8, 8, 4]

@@ -8,8 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
-from mixseq.mesh.rotations import inverse, normalised, product, quaternions, rotations_of
-from mixseq.mesh.topology import connected
+from mixseq.mesh.rotations import (
+    matrix_to_quat,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+)
+from mixseq.mesh.topology import connected_components
 from mixseq.shells.face_frames import FrameGraph, HingeFrames, bridging_mask, flat_triangles, triangle_frames
 from mixseq.types import Float
 from tests.meshes import Mesh, flipped, grid, pages, rotation, topology_of, torus, tube
@@ -25,23 +31,23 @@ def graph(*known: int) -> FrameGraph:
 
 
 def some_frames(seed: int = 0) -> Float:
-    return normalised(np.random.default_rng(seed).normal(size=(COUNT, 4)))
+    return normalise_quat(np.random.default_rng(seed).normal(size=(COUNT, 4)))
 
 
 def turns_between(frames: Float) -> Float:
-    return product(inverse(frames[PAIRS[:, 0]]), frames[PAIRS[:, 1]])
+    return quat_multiply(quat_conjugate(frames[PAIRS[:, 0]]), frames[PAIRS[:, 1]])
 
 
 def misfit(frames: Float, turns: Float) -> float:
     """Sum of squared sines of half the angles between pairs."""
-    off = product(inverse(product(frames[PAIRS[:, 0]], turns)), frames[PAIRS[:, 1]])
+    off = quat_multiply(quat_conjugate(quat_multiply(frames[PAIRS[:, 0]], turns)), frames[PAIRS[:, 1]])
     return float(np.square(off[:, 1:]).sum())
 
 
 def perturbed(turns: Float, size: float) -> Float:
     rng = np.random.default_rng(7)
-    return normalised(
-        product(turns, normalised(np.array([1.0, 0, 0, 0]) + size * rng.normal(size=turns.shape)))
+    return normalise_quat(
+        quat_multiply(turns, normalise_quat(np.array([1.0, 0, 0, 0]) + size * rng.normal(size=turns.shape)))
     )
 
 
@@ -80,7 +86,7 @@ def test_averages_are_those_of_least_misfit() -> None:
         step = np.zeros((COUNT, 4))
         step[:, 0] = 1.0
         step[rng.integers(1, COUNT), 1:] = 1e-3 * rng.normal(size=3)
-        assert misfit(product(normalised(step), best), turns) >= least * (1 - 1e-9)
+        assert misfit(quat_multiply(normalise_quat(step), best), turns) >= least * (1 - 1e-9)
 
 
 def test_frames_are_smooth_even_where_a_pair_is_half_a_turn_off() -> None:
@@ -90,7 +96,7 @@ def test_frames_are_smooth_even_where_a_pair_is_half_a_turn_off() -> None:
     path = []
     for angle in np.linspace(0.0, 2.0 * np.pi, 200):
         around = turns.copy()
-        around[50] = product(turns[50], np.array([np.cos(angle / 2), np.sin(angle / 2), 0, 0]))
+        around[50] = quat_multiply(turns[50], np.array([np.cos(angle / 2), np.sin(angle / 2), 0, 0]))
         path.append(net.average(net.chain(around, frames[[0]]), around, 2))
     cosines = np.abs((np.array(path[1:]) * np.array(path[:-1])).sum(axis=2))
     assert np.degrees(2 * np.arccos(np.minimum(cosines, 1.0))).max() < 6.0
@@ -98,8 +104,8 @@ def test_frames_are_smooth_even_where_a_pair_is_half_a_turn_off() -> None:
 
 
 def test_what_is_connected() -> None:
-    assert connected(5, np.array([[0, 3], [3, 1]])).tolist() == [0, 0, 1, 0, 2]
-    assert connected(2, np.zeros((0, 2), dtype=np.int64)).tolist() == [0, 1]
+    assert connected_components(5, np.array([[0, 3], [3, 1]])).tolist() == [0, 0, 1, 0, 2]
+    assert connected_components(2, np.zeros((0, 2), dtype=np.int64)).tolist() == [0, 1]
 
 
 def test_pairs_that_are_not_sound_make_no_circles() -> None:
@@ -142,11 +148,11 @@ def test_frames_turn_with_triangles() -> None:
     rng = np.random.default_rng(3)
     x, faces = rng.normal(size=(40, 3)), np.arange(39).reshape(-1, 3)
     turn = rotation((0.3, -2.0, 1.0))
-    turned = product(quaternions(turn), triangle_frames(x, faces))
+    turned = quat_multiply(matrix_to_quat(turn), triangle_frames(x, faces))
     same = np.abs((turned * triangle_frames(x @ turn.T, faces)).sum(axis=1))
     np.testing.assert_allclose(same, 1.0, atol=1e-12)
     sides = x[faces[:, 1]] - x[faces[:, 0]]
-    along = rotations_of(triangle_frames(x, faces))[:, :, 0]
+    along = quat_to_matrix(triangle_frames(x, faces))[:, :, 0]
     np.testing.assert_allclose(along * np.linalg.norm(sides, axis=1)[:, None], sides, atol=1e-12)
 
 
@@ -162,7 +168,7 @@ def test_frames_turn_with_triangles() -> None:
 def test_triangles_without_area_have_frames(corners: list[list[int]]) -> None:
     (frame,) = triangle_frames(np.array(corners, dtype=np.float64), np.array([[0, 1, 2]]))
     assert np.linalg.norm(frame) == pytest.approx(1.0)
-    matrix = rotations_of(frame)
+    matrix = quat_to_matrix(frame)
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-12)
 
 
@@ -175,6 +181,6 @@ def test_frames_differ_by_what_lengths_and_angles_tell(mesh: Mesh) -> None:
         flat, dihedral_angles(x, topology.hinges)
     )
     frames = triangle_frames(x, topology.faces)
-    expected = product(frames[topology.hinge_faces[:, 0]], turns)
+    expected = quat_multiply(frames[topology.hinge_faces[:, 0]], turns)
     same = np.abs((expected * frames[topology.hinge_faces[:, 1]]).sum(axis=1))
     np.testing.assert_allclose(same, 1.0, atol=1e-10)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from mixseq.errors import ReconstructionError
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
-from mixseq.mesh.rigid import kabsch, transform
+from mixseq.mesh.rigid import kabsch, transform_points
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import Patch, ShellProblem, fit_shell, rebuild_patch
 from mixseq.shells.gauss_newton import ShellSettings
@@ -94,7 +94,7 @@ def test_finds_the_mesh_from_nearby(name: str) -> None:
     assert report.energy == pytest.approx(float(np.sum(problem.residuals(points) ** 2)), abs=1e-20)
     np.testing.assert_array_equal(points[fixed], mesh[0][fixed])
     if not fixed:
-        points = transform(points, *kabsch(points, mesh[0]))
+        points = transform_points(points, *kabsch(points, mesh[0]))
     np.testing.assert_allclose(points, mesh[0], atol=1e-6)
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.shells.fitting import NormalEquations, Patch, ShellProblem, SoftConstraint
 from mixseq.shells.gauss_newton import BlockSparsePattern
 from mixseq.shells.kernels import conjugate_gradients
@@ -45,7 +45,7 @@ def test_residuals_and_equations(seed: int, name: str, soft: bool) -> None:
     x = mesh[0] + rng.normal(scale=0.3, size=mesh[0].shape)
     expected = [
         problem.length_weights * (edge_lengths(x, problem.patch.equations.edges) - problem.lengths),
-        problem.bending * wrap(dihedral_angles(x, problem.patch.equations.hinges) - problem.angles),
+        problem.bending * wrap_angles(dihedral_angles(x, problem.patch.equations.hinges) - problem.angles),
     ]
     if soft:
         away = problem.constraint.weights[:, None] * (

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
-from mixseq.mesh.rigid import kabsch, transform
+from mixseq.mesh.rigid import kabsch, transform_points
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import Patch, linear_initialisation
 from mixseq.types import Float
@@ -64,7 +64,7 @@ def test_exact_up_to_a_rigid_motion(name: str) -> None:
     mesh = MESHES[name]
     result = rebuilt(mesh, patch_of(mesh))
     turn, shift = kabsch(result, mesh[0])
-    np.testing.assert_allclose(transform(result, turn, shift), mesh[0], atol=1e-9)
+    np.testing.assert_allclose(transform_points(result, turn, shift), mesh[0], atol=1e-9)
     assert np.linalg.det(turn) == pytest.approx(1)
 
 
@@ -95,7 +95,7 @@ def test_exact_on_crumpled_meshes_anywhere(
     fixed = None if free else np.isin(np.arange(len(points)), faces[: 1 + len(faces) // 3])
     result = rebuilt(moved, patch_of(moved, None if fixed is None else fixed.astype(float)))
     if free:
-        result = transform(result, *kabsch(result, moved[0]))
+        result = transform_points(result, *kabsch(result, moved[0]))
     np.testing.assert_allclose(result, moved[0], atol=1e-8)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.rigid import kabsch
 from mixseq.shells import kernels
 from mixseq.shells.fitting import Patch, ShellProblem, fit_shell
@@ -118,7 +118,7 @@ def test_steps_go_where_gauss_newton_goes() -> None:
     bent = np.stack([rotation((a, 0, 0)) @ x for a, x in zip(angle, mesh[0], strict=True)])
     shell = shell_of(mesh)
     (la, ta), (lb, tb) = measured(shell, mesh[0]), measured(shell, bent)
-    lengths, angles = (la + lb) / 2, ta + wrap(tb - ta) / 2
+    lengths, angles = (la + lb) / 2, ta + wrap_angles(tb - ta) / 2
     t = shell.topology
     patch = Patch(
         t.faces.astype(np.int64), t.edges, t.face_edges, t.hinges, t.hinge_faces, np.zeros(len(bent), bool)

@@ -15,7 +15,7 @@ import mixseq
 from mixseq.choices import SPACES, SpaceName
 from mixseq.creature import walk_cycle
 from mixseq.mesh.rigid import kabsch
-from mixseq.mesh.rotations import rotations_of
+from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import (
@@ -58,13 +58,13 @@ def poses_of(model: Model, times: Float) -> tuple[Float, Float]:
     size = space.shape_dim
     corrections = vectors[:, size + space.placement_dim :]
     found = space.correct_poses(vectors[:, size - space.pose_dim : size], corrections)
-    return rotations_of(found.rotations), found.centres
+    return quat_to_matrix(found.rotations), found.centres
 
 
 def targets_of(targets: Float) -> tuple[Float, Float]:
     turns, centres = np.split(targets, [4 * targets.shape[1] // 7], axis=1)
     count = len(targets)
-    return rotations_of(turns.reshape(count, -1, 4)), centres.reshape(count, -1, 3)
+    return quat_to_matrix(turns.reshape(count, -1, 4)), centres.reshape(count, -1, 3)
 
 
 def without_correction(model: Model) -> Model:
@@ -98,7 +98,7 @@ def test_with_few_modes_frames_have_the_poses_of_their_parts(settings: dict[str,
     blocks = model.mixed.split(vectors)
     np.testing.assert_allclose(model.placement(LONG.times), vectors[:, size:end], atol=1e-9)
     turns, centres = poses_of(model, LONG.times)
-    np.testing.assert_allclose(turns, rotations_of(blocks.part_rotations), atol=1e-9)
+    np.testing.assert_allclose(turns, quat_to_matrix(blocks.part_rotations), atol=1e-9)
     np.testing.assert_allclose(centres, blocks.part_centres, atol=1e-9)
     assert np.abs(model.correction(LONG.times)).max() > 1e-6
 

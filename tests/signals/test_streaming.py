@@ -17,7 +17,7 @@ import pytest
 import mixseq
 from mixseq.errors import FormatError, MixseqError
 from mixseq.runtime import low_memory
-from mixseq.runtime.parallel import on_threads, serially
+from mixseq.runtime.parallel import serial_executor, thread_executor
 from mixseq.sequence import sequence as frame_store
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
@@ -67,7 +67,7 @@ class Made:
 @pytest.fixture
 def on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is small enough for memory."""
-    monkeypatch.setattr(low_memory, "IN_MEMORY", 0)
+    monkeypatch.setattr(low_memory, "MAX_BYTES_IN_MEMORY", 0)
 
 
 def assert_same(first: Model, second: Model) -> None:
@@ -99,9 +99,9 @@ def test_a_streamed_model_is_that_of_the_sequence(
 ) -> None:
     mixseq.write(tmp_path / "long.h5", LONG)
     with mixseq.open_sequence(tmp_path / "long.h5") as reader:
-        streamed = fit(reader, workers=on_threads(3), **settings)
-    monkeypatch.setattr(low_memory, "IN_MEMORY", 1 << 30)
-    assert_same(streamed, fit(LONG, workers=serially, **settings))
+        streamed = fit(reader, workers=thread_executor(3), **settings)
+    monkeypatch.setattr(low_memory, "MAX_BYTES_IN_MEMORY", 1 << 30)
+    assert_same(streamed, fit(LONG, workers=serial_executor, **settings))
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
@@ -109,7 +109,7 @@ def test_a_streamed_model_is_that_of_the_sequence(
 def test_blocks_do_not_matter(name: str, placement: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     models = []
     for frames in (1, 2, 100):
-        monkeypatch.setattr(frame_store, "_AT_ONCE", (frames, 1 << 20))
+        monkeypatch.setattr(frame_store, "MAX_BLOCK_FRAMES", frames)
         models.append(fit(SEQUENCES[name](), exact=True, placement=placement))
     assert_same(models[0], models[1])
     assert_same(models[0], models[2])
@@ -128,7 +128,7 @@ def test_files_of_every_kind_stream(name: str, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("on_disk")
 def test_memory_does_not_grow_with_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        low_memory, "_COLUMNS", 64
+        low_memory, "_MAX_TILE_COLUMNS", 64
     )  # blocks of columns are bounded, but for longer sequences than these
     still = bar(sides=20, rings=60, frames=1)
     most = []
@@ -136,7 +136,7 @@ def test_memory_does_not_grow_with_the_frames(monkeypatch: pytest.MonkeyPatch) -
         source = Made(still.header.with_times(np.arange(frames) / 24), still.points[0])
         gc.collect()
         tracemalloc.start()
-        model = fit(source, rank=2, parts=3, workers=serially)
+        model = fit(source, rank=2, parts=3, workers=serial_executor)
         most.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
         assert model.times.size == frames

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.mesh.rotations import continued, normalised, product
+from mixseq.mesh.rotations import align_quat_signs, normalise_quat, quat_multiply
 from mixseq.spaces.temporal import Poses
 from mixseq.types import Float
 
@@ -20,8 +20,12 @@ def turns_of(angles: Float, axis: Float = AXIS) -> Float:
 def wandering(seed: int, parts: int, frames: int = 12) -> Poses:
     """Parts that turn and move about by chance, a little every frame."""
     rng = np.random.default_rng(seed)
-    q = normalised(rng.normal(size=(1, parts, 4)))
+    q = normalise_quat(rng.normal(size=(1, parts, 4)))
     path = [q[0]]
     for _ in range(frames - 1):
-        path.append(product(path[-1], normalised([1.0, 0, 0, 0] + 0.3 * rng.normal(size=(parts, 4)))))
-    return Poses(continued(np.stack(path)), np.cumsum(rng.normal(scale=0.2, size=(frames, parts, 3)), axis=0))
+        path.append(
+            quat_multiply(path[-1], normalise_quat([1.0, 0, 0, 0] + 0.3 * rng.normal(size=(parts, 4))))
+        )
+    return Poses(
+        align_quat_signs(np.stack(path)), np.cumsum(rng.normal(scale=0.2, size=(frames, parts, 3)), axis=0)
+    )

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import mixseq
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.topology import Topology
-from mixseq.mesh.triangle_mesh import FLAT
+from mixseq.mesh.triangle_mesh import DEGENERATE_HEIGHT_RATIO
 from mixseq.spaces.gradient import SYMMETRIC_ENTRY_IDS, GradientSpace, PoissonSystem
 from mixseq.types import Float, FloatArray, IntArray
 from tests.meshes import (
@@ -91,7 +91,7 @@ def test_affine_maps_come_back(affine: tuple[Float, Float]) -> None:
     np.testing.assert_allclose(space.decode(vectors)[0], points, atol=1e-12)
     stretches = space.split(vectors).stretches[0][:, SYMMETRIC_ENTRY_IDS]
     # A face thinner than FLAT counts as one without area: its fourth vertex may be on either side.
-    assert np.linalg.eigvalsh(stretches).min() > -100 * FLAT
+    assert np.linalg.eigvalsh(stretches).min() > -100 * DEGENERATE_HEIGHT_RATIO
 
 
 @pytest.mark.parametrize("flat", ["reference", "frame", "both"])
@@ -259,7 +259,7 @@ def test_blocks_and_their_metric() -> None:
 
 def test_a_pickled_space_is_the_same() -> None:
     space = on_a_torus()
-    space.prepared()
+    space.precompute()
     copy = pickle.loads(pickle.dumps(space))
     vectors = np.random.default_rng(0).normal(size=(1, space.dim))
     np.testing.assert_array_equal(copy.decode(vectors), space.decode(vectors))

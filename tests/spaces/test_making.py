@@ -8,7 +8,7 @@ import pytest
 
 from mixseq.choices import SPACES, SpaceName
 from mixseq.errors import SettingsError
-from mixseq.runtime.parallel import on_threads, serially
+from mixseq.runtime.parallel import serial_executor, thread_executor
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.making import MixedSettings, make_space
@@ -30,7 +30,7 @@ def test_frames_come_back(name: SpaceName) -> None:
 
 @pytest.mark.parametrize("name", SPACES)
 def test_spaces_do_not_depend_on_who_works(name: SpaceName) -> None:
-    one, two = (make_space(LONG, name, workers=workers) for workers in (serially, on_threads(3)))
+    one, two = (make_space(LONG, name, workers=workers) for workers in (serial_executor, thread_executor(3)))
     np.testing.assert_array_equal(one.encode(LONG.points), two.encode(LONG.points))
     np.testing.assert_array_equal(one.weights, two.weights)
 
@@ -39,7 +39,7 @@ def test_spaces_do_not_depend_on_who_works(name: SpaceName) -> None:
 def test_spaces_can_be_sent(name: SpaceName) -> None:
     space = make_space(LONG, name)
     vectors = space.encode(LONG.points[:3])
-    space.prepared()
+    space.precompute()
     sent = pickle.loads(pickle.dumps(space))
     np.testing.assert_array_equal(sent.encode(LONG.points[:3]), vectors)
     np.testing.assert_array_equal(sent.decode(vectors), space.decode(vectors))

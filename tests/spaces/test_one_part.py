@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mixseq.choices import PLACEMENTS, PlacementName
-from mixseq.mesh.rigid import kabsch, transform
+from mixseq.mesh.rigid import kabsch, transform_points
 from mixseq.segmentation.joints import decompose
 from mixseq.spaces.mixed.construction import mixed_space
 from mixseq.spaces.mixed.mixed_space import Projection
@@ -46,7 +46,7 @@ def test_one_part_is_blended_by_its_registered_vertices(
     blended = mixed.decode(np.array(weights)[None] @ mixed.encode(points))[0]
 
     shape = mixed.shapes * mixed.scale
-    registered = np.stack([transform(x, *kabsch(x, shape)) for x in points])
+    registered = np.stack([transform_points(x, *kabsch(x, shape)) for x in points])
     vertices = VertexSpace(len(mesh[0]), mixed.scale)
     expected = vertices.decode(np.array(weights)[None] @ vertices.encode(registered))[0]
-    np.testing.assert_allclose(transform(expected, *kabsch(expected, blended)), blended, atol=1e-9)
+    np.testing.assert_allclose(transform_points(expected, *kabsch(expected, blended)), blended, atol=1e-9)

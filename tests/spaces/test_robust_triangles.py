@@ -5,38 +5,45 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 
-from mixseq.mesh.triangle_mesh import across, completed, face_normals, unit, vertex_normals, with_area
+from mixseq.mesh.triangle_mesh import (
+    area_normals,
+    normalise,
+    perpendicular,
+    replace_degenerate,
+    triangle_matrices,
+    vertex_normals,
+)
 from mixseq.types import Float
 from tests.meshes import grid, rigid_motions, tetrahedron, topology_of
 
 
 def test_normals_of_faces_are_twice_as_long_as_areas() -> None:
     points, faces = grid(1, 1)
-    np.testing.assert_allclose(face_normals(2 * points, faces), [[0, 0, 4], [0, 0, 4]])
+    np.testing.assert_allclose(area_normals(2 * points, faces), [[0, 0, 4], [0, 0, 4]])
 
 
 def test_slivers_have_no_normal() -> None:
     apex = np.array([[0.5, 1e-3, 0], [0.5, 1e-5, 0]])
     points = np.concatenate([[[0.0, 0, 0], [1, 0, 0]], apex])
     np.testing.assert_allclose(
-        face_normals(points, np.array([[0, 1, 2], [0, 1, 3], [0, 0, 1], [1, 1, 1]])),
+        area_normals(points, np.array([[0, 1, 2], [0, 1, 3], [0, 0, 1], [1, 1, 1]])),
         np.diag([0, 0, 1e-3, 0])[[2, 0, 0, 0], :3],
     )
 
 
 def test_unit_vectors() -> None:
     np.testing.assert_allclose(
-        unit(np.array([[3.0, 0, 4], [0, 0, 0], [0, 1e-150, 0]])),
+        normalise(np.array([[3.0, 0, 4], [0, 0, 0], [0, 1e-150, 0]])),
         [[0.6, 0.0, 0.8], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
     )
 
 
 def test_vectors_across_are_perpendicular_and_those_of_opposites() -> None:
     directions = np.concatenate([np.eye(3), np.random.default_rng(0).normal(size=(50, 3)), np.zeros((1, 3))])
-    found = across(directions)
+    found = perpendicular(directions)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, rtol=1e-14)
     np.testing.assert_allclose(np.sum(found * directions, axis=1), 0, atol=1e-14)
-    np.testing.assert_array_equal(across(-directions), found)
+    np.testing.assert_array_equal(perpendicular(-directions), found)
 
 
 def test_vertices_of_a_tetrahedron_look_outwards() -> None:
@@ -74,14 +81,14 @@ CORNERS = np.array([[0.0, 0, 0], [2, 0, 0], [0, 3, 0], [6, 0, 0], [1, 1, 1]])
 
 def matrices_of(faces: list[list[int]]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     index = np.array(faces)
-    return completed(CORNERS, index, topology_of((CORNERS, index)).edges)
+    return triangle_matrices(CORNERS, index, topology_of((CORNERS, index)).edges)
 
 
 def test_the_fourth_vertex_grows_with_the_triangle() -> None:
     (matrix,) = matrices_of([[0, 1, 2]])
     np.testing.assert_allclose(matrix, np.diag([2.0, 3.0, np.sqrt(6)]), atol=1e-15)
     triangle = np.array([[0, 1, 2]])
-    larger = completed(5 * CORNERS, triangle, triangle[:, :2])
+    larger = triangle_matrices(5 * CORNERS, triangle, triangle[:, :2])
     np.testing.assert_allclose(larger[0], 5 * matrix)
 
 
@@ -94,7 +101,7 @@ def test_a_flat_triangle_asks_its_neighbour() -> None:
 
 def test_stand_ins_are_equilateral_on_the_longest_side() -> None:
     matrices = matrices_of([[0, 1, 2], [1, 0, 3], [4, 4, 4], [0, 2, 2]])
-    found = with_area(matrices)
+    found = replace_degenerate(matrices)
     np.testing.assert_array_equal(found[0], matrices[0])
     assert (np.linalg.det(found) > 0).all()
     first, second = found[1:, :, 0], found[1:, :, 1]
@@ -107,6 +114,6 @@ def test_stand_ins_are_equilateral_on_the_longest_side() -> None:
 
 
 def test_a_mesh_that_is_a_point_gets_the_size_one() -> None:
-    found = with_area(np.zeros((2, 3, 3)))
+    found = replace_degenerate(np.zeros((2, 3, 3)))
     np.testing.assert_allclose(np.linalg.norm(found[:, :, :2], axis=1), 1)
     np.testing.assert_allclose(np.linalg.det(found), np.sqrt(0.75) ** 1.5)

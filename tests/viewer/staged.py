@@ -12,7 +12,7 @@ import numpy as np
 
 from mixseq.errors import ReconstructionError
 from mixseq.pictures.scene import Scene, SceneItem
-from mixseq.sequence.sequence import MeshSequence, frame_store
+from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.types import Single
 from mixseq.viewer.playback import Moment, Playback
 from tests.meshes import tetrahedron
@@ -64,7 +64,7 @@ def watched(frames: int = 10, name: str = "mesh") -> Watched:
     """A mesh of four vertices, so of 48 bytes in every frame."""
     points, faces = tetrahedron()
     still = MeshSequence.from_arrays(np.repeat(points[None], frames, axis=0), faces, fps=FPS)
-    return Watched(name, frame_store(still))
+    return Watched(name, load_frames(still))
 
 
 def scene_of(*items: SceneItem, rate: float | None = None) -> Scene:

@@ -12,7 +12,7 @@ from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.model import Model
 from mixseq.viewer.export import script_json
-from mixseq.viewer.live.controls import MIN_DURATION_SECONDS, TimeBase, duration, reach_of, span
+from mixseq.viewer.live.controls import MIN_DURATION, TimeBase, duration, reach_of, span
 from mixseq.viewer.live.stage import srgb_to_linear
 from tests.meshes import bar
 
@@ -21,21 +21,21 @@ from tests.meshes import bar
 def test_a_slider_does_not_end_before_the_model(bar_model: Model, end: float, shown: float) -> None:
     longer = speed(bar_model, bar_model.end / end)
     assert duration(longer) == pytest.approx(shown)
-    assert longer.end <= duration(longer) < longer.end + MIN_DURATION_SECONDS
+    assert longer.end <= duration(longer) < longer.end + MIN_DURATION
 
 
 def test_sections_are_in_the_times_of_the_model(bar_model: Model) -> None:
     first, last = 1001 / 24, 1001 / 24 + bar_model.end
     begin, end = span(shift(bar_model, first))
-    assert begin <= first < begin + MIN_DURATION_SECONDS
-    assert last <= end < last + MIN_DURATION_SECONDS
+    assert begin <= first < begin + MIN_DURATION
+    assert last <= end < last + MIN_DURATION
     assert [begin, end] == pytest.approx([41.708, 42.009])
 
 
 def test_a_single_frame_has_lengths_that_controls_take(bar_model: Model) -> None:
     still = sketch(bar_model, [[0.0, 0.0]], 1e-4)
-    assert duration(still) >= MIN_DURATION_SECONDS
-    assert reach_of(still) >= MIN_DURATION_SECONDS
+    assert duration(still) >= MIN_DURATION
+    assert reach_of(still) >= MIN_DURATION
 
 
 def test_light_in_closed_form() -> None:

@@ -371,7 +371,7 @@ def test_progress_is_told(tmp_path: Path) -> None:
 
 
 def test_memory_does_not_grow_with_the_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(low_memory, "IN_MEMORY", 1 << 16)
+    monkeypatch.setattr(low_memory, "MAX_BYTES_IN_MEMORY", 1 << 16)
     sequence = bar(sides=40, rings=50, frames=2)
     rest = sequence.points[0]
 
@@ -415,7 +415,7 @@ def test_nothing_to_show_is_refused(tmp_path: Path) -> None:
 
 
 def test_too_many_frames_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match="40,001 frames, a page has at most 20,000; give a lower --fps"):
+    with pytest.raises(SettingsError, match="40,001 frames, a page at most 20,000; give a lower --fps"):
         export_page(tmp_path / "a.html", [exported(bar())], ExportSettings(fps=1e5))
 
 
@@ -424,22 +424,22 @@ def test_times_that_do_not_increase_are_refused(tmp_path: Path, elapsed: list[fl
     item = exported(bar())
     mesh = Given("bar", item.mesh.motion, lambda times: [], np.array(elapsed))
     wrong = replace(item, mesh=mesh)
-    with pytest.raises(SettingsError, match="times of bar are not numbers from zero on that increase"):
+    with pytest.raises(SettingsError, match="times of bar do not increase from zero"):
         export_page(tmp_path / "a.html", [wrong])
 
 
 def test_meshes_without_colours_are_refused(tmp_path: Path) -> None:
     item, none = exported(bar()), dict[str, Colouring]()
-    with pytest.raises(SettingsError, match="bar has no colours"):
+    with pytest.raises(SettingsError, match="bar has no colouring"):
         export_page(tmp_path / "a.html", [replace(item, colourings=none)])
 
 
 @pytest.mark.parametrize(
     ("blocks", "words"),
     [
-        ([bar().points, bar().points], "bar has more poses than the 5 times"),
-        ([bar().points[:2]], "bar has 2 poses but 5 times"),
-        ([], "bar has 0 poses but 5 times"),
+        ([bar().points, bar().points], "bar has more poses than its 5 times"),
+        ([bar().points[:2]], "bar has 2 poses, but 5 times"),
+        ([], "bar has 0 poses, but 5 times"),
         ([bar().points[:, :-1]], "the mesh has"),
         ([bar().points * np.nan], "coordinates must be finite"),
     ],

@@ -361,7 +361,7 @@ def test_too_large_messages_end_a_connection(page: Page, capfd: pytest.CaptureFi
 
 
 def test_a_flood_is_slowed_down(running: Viewer, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mixseq.viewer.live.guard.FAST", (100.0, 10.0))
+    monkeypatch.setattr("mixseq.viewer.live.guard.MESSAGE_RATE", (100.0, 10.0))
     box = page.control("Wireframe")
     seen: list[bool] = []
     box.on_update(lambda _: seen.append(box.value))
@@ -393,7 +393,7 @@ def test_two_hundred_pages_and_one_that_never_reads(running: Viewer, page: Page)
 def test_more_pages_than_there_is_room_for(
     page: Page, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("mixseq.viewer.live.guard.MOST", 2)
+    monkeypatch.setattr("mixseq.viewer.live.guard.MAX_CONNECTIONS", 2)
     with page.open() as first:
         with page.open():
             with pytest.raises(InvalidStatus) as refused:
@@ -404,7 +404,7 @@ def test_more_pages_than_there_is_room_for(
         with page.open() as third:
             check_it_hears(page, third)
         check_it_hears(page, first)
-    assert "there are 2 already" in capfd.readouterr().err
+    assert "2 are open already" in capfd.readouterr().err
 
 
 def test_read_only(model: Model, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

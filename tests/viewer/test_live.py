@@ -208,11 +208,11 @@ def test_a_session(
 
 
 def test_the_whole_body_is_not_held(new_page: NewPage, running: Viewer, model: Model) -> None:
-    """It has nothing to rest against: that is told, and nothing changes."""
+    """It has cannot be held: that is told, and nothing changes."""
     window = Window(new_page(), running.address)
     assert window.part() == "whole body"
     window.click("Hold")
-    eventually(lambda: window.page.get_by_text("nothing to rest against").count())
+    eventually(lambda: window.page.get_by_text("cannot be held").count())
     assert running.session.model is model
     assert not running.session.history.index
 

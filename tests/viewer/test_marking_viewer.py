@@ -150,7 +150,7 @@ def test_a_marker_is_chosen_moved_and_deleted(new_page: NewPage, running: Markin
     hand.see_left()
     number = hand.bones().index(("nose", "nose"))
     hand.click_vertex(0, running.session.marking.pairs[number].vertices[0])  # its ball
-    eventually(lambda: f"{number + 1} is chosen" in hand.text("hint"))
+    eventually(lambda: f"{number + 1} is selected" in hand.text("hint"))
     hand.click(0, "thigh.l")
     assert hand.bones()[number] == ("thigh.l", "nose")
     hand.click_vertex(0, running.session.marking.pairs[number].vertices[0])

@@ -247,7 +247,7 @@ def test_names_are_shown_as_they_are(one: Player) -> None:
     assert page.locator(".name").all_inner_texts() == ["a <b>bar</b> & more"]
     assert page.title() == "a <b>bar</b> & more"
     page.click("#about")
-    assert "no vertex off by more than" in page.locator("#facts").inner_text()
+    assert "vertex error at most" in page.locator("#facts").inner_text()
     page.keyboard.press("Escape")
     assert not page.locator("#help").is_visible()
 
@@ -332,7 +332,7 @@ def test_colours_can_be_chosen(two: Player) -> None:
     colours = ["Clay", "Strain", "Curvature", "Parts", "Error"]
     assert page.locator("#colour option").all_inner_texts() == colours
     for name, words in (
-        ("parts", "red are joints"),
+        ("parts", "joints in red"),
         ("strain", "Strain (%)"),
         ("error", "Error (diagonals)"),
     ):
@@ -350,7 +350,7 @@ def test_own_colours_are_drawn(new_page: NewPage, tmp_path: Path) -> None:
     player = Player(new_page(), tmp_path / "green.html")
     assert not greens(player.picture()).any()
     player.page.select_option("#colour", "own")
-    assert player.page.locator("#legend").inner_text() == "Its own colours"
+    assert player.page.locator("#legend").inner_text() == "Vertex colours"
     assert greens(player.picture()).mean() > 0.01
 
 
@@ -454,7 +454,7 @@ def test_it_is_dark_where_that_is_preferred(request: pytest.FixtureRequest, name
     ("without", "words"),
     [
         ("delete window.DecompressionStream", "no DecompressionStream"),
-        ("HTMLCanvasElement.prototype.getContext = () => null", "no WebGL 2"),
+        ("HTMLCanvasElement.prototype.getContext = () => null", "WebGL 2 is missing"),
     ],
 )
 def test_browsers_that_cannot_are_told(new_page: NewPage, bar_page: Path, without: str, words: str) -> None:

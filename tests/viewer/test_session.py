@@ -39,7 +39,6 @@ from mixseq.viewer.session import (
     Session,
     Sketch,
     UndoHistory,
-    before_retiming,
     chart_data,
     intersect_ray,
     parse_message,
@@ -349,7 +348,7 @@ def test_keys_of_a_retiming_can_be_moved_on(room: Room, bar_model: Model) -> Non
     session.retime(np.array([[0.0, 0.0], [3.0 * end, end]]))
     eventually(lambda: session.model.end == pytest.approx(3.0 * end))
     assert session.history.current.keys == ((0.0, 0.0), (3.0 * end, end))
-    assert (session.history.index, before_retiming(session.history).current.model) == (1, bar_model)
+    assert (session.history.index, session.history.undo().current.model) == (1, bar_model)
     session.edit("loop", same)
     session.retime(np.array([[0.0, 0.0], [end, 3.0 * end]]))  # of what came after an edit
     eventually(lambda: session.history.index == 3)

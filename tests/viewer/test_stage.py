@@ -12,7 +12,7 @@ from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
-from mixseq.viewer.live.stage import GRID_CELL_SIZE, LiveStage
+from mixseq.viewer.live.stage import GRID_CELL, LiveStage
 from mixseq.viewer.playback import Moment
 from tests.meshes import tube
 
@@ -57,5 +57,5 @@ def test_a_body_that_is_followed_stays_and_the_ground_moves() -> None:
     assert np.ptp(ground, axis=0).max() == 0
     followed, ground = shown(following=True)
     np.testing.assert_allclose(followed, followed[:1].repeat(FRAMES, axis=0), atol=1e-5)
-    steps = np.diff(ground[:, 0] + travelled[:, 0]) / GRID_CELL_SIZE
+    steps = np.diff(ground[:, 0] + travelled[:, 0]) / GRID_CELL
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-5)  # squares look the same after a whole one

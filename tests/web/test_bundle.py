@@ -46,7 +46,7 @@ export let last = add(4, 5), kind = typeof new Told();
 
 @pytest.fixture
 def modules(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bundle, "module", MODULES.__getitem__)
+    monkeypatch.setattr(bundle, "read_module", MODULES.__getitem__)
     bundled.cache_clear()
 
 
@@ -164,7 +164,7 @@ def test_types_are_of_what_is_exported(node: Node, tmp_path: Path) -> None:
             (tmp_path / script).write_text(text)
             address = (tmp_path / script).as_uri()
             listed = node(f"console.log(JSON.stringify(Object.keys(await import('{address}'))));")
-            found = set(json.loads(listed)) - {"NAME", "COPIED", "GIVEN_AWAY", "serve"}
+            found = set(json.loads(listed)) - {"NAME", "COPIED", "TRANSFERRED", "serve"}
         else:
             found = set(re.findall(r"^export (?:class|function) (\w+)", text, re.MULTILINE))
         assert told == found
@@ -204,9 +204,9 @@ def test_files_are_as_the_schema_says(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("file.slice(0, 12)", "this is no GLB file"),
-        ("new ArrayBuffer(40)", "this is no GLB file"),
-        ("file.slice(0, file.byteLength - 100)", "this GLB file is not all there"),
+        ("file.slice(0, 12)", "this is not a GLB file"),
+        ("new ArrayBuffer(40)", "this is not a GLB file"),
+        ("file.slice(0, file.byteLength - 100)", "this GLB file is incomplete"),
     ],
 )
 def test_other_files_are_refused_in_javascript(node: Node, tmp_path: Path, change: str, message: str) -> None:

@@ -141,7 +141,7 @@ def test_texts_that_cannot_be_are_refused(node: Node, tmp_path: Path) -> None:
         coded(promised=1): "promised",
         coded(uv_steps=4): "uv_steps",
         coded(factors="both"): "factors",
-        coded(speed=1): "does not know the parameter speed",
+        coded(speed=1): "the parameter speed is unknown to this decoder",
         "[]": "the text",
         '{"coding": []}': "the text",
         "{": "the text",

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.compression.bitstream.arithmetic import SIZE
-from mixseq.compression.bitstream.residual_layer import RUN, write_residuals
+from mixseq.compression.bitstream.arithmetic import CHECKSUM_SIZE
+from mixseq.compression.bitstream.residual_layer import FRAMES_PER_RUN, write_residuals
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.types import Index
 from tests.meshes import torus
@@ -70,31 +70,41 @@ def shown(node: Node, folder: Path, stream: bytes, count: int, wanted: list[floa
 
 def test_runs_are_those_of_python_in_any_order(node: Node, tmp_path: Path) -> None:
     """Of eleven runs eight are kept: others are decoded again."""
-    count = 10 * RUN + 3
+    count = 10 * FRAMES_PER_RUN + 3
     numbers = residuals(count)
-    numbers[2 * RUN : 3 * RUN] = 0
+    numbers[2 * FRAMES_PER_RUN : 3 * FRAMES_PER_RUN] = 0
     wanted = [*range(count), *range(count - 1, -1, -7), 0]
     found = shown(node, tmp_path, coded(numbers), count, list(map(float, wanted)))
     np.testing.assert_array_equal(np.reshape(found, (-1, VERTICES, 3)), numbers[wanted])
-    half = shown(node, tmp_path, coded(numbers), count, [RUN - 0.5])
-    np.testing.assert_array_equal(np.reshape(half, (VERTICES, 3)), (numbers[RUN - 1] + numbers[RUN]) / 2)
+    half = shown(node, tmp_path, coded(numbers), count, [FRAMES_PER_RUN - 0.5])
+    np.testing.assert_array_equal(
+        np.reshape(half, (VERTICES, 3)), (numbers[FRAMES_PER_RUN - 1] + numbers[FRAMES_PER_RUN]) / 2
+    )
 
 
 def test_a_run_with_a_wrong_residual_is_not_shown_at_all(node: Node, tmp_path: Path) -> None:
     """The last frames of a run are others than were coded: its first ones are refused, too, however often asked for."""
-    count = 3 * RUN
+    count = 3 * FRAMES_PER_RUN
     stream = bytearray(coded(residuals(count)))
     lengths = np.frombuffer(bytes(stream[:12]), dtype="<u4")
-    stream[12 + int(lengths[:2].sum()) - SIZE - 3] ^= 16  # the last bits of the run in the middle
-    wanted = [RUN, RUN - 1, RUN, RUN + 0.5, 2 * RUN - 1, 2 * RUN, RUN - 0.5]
+    stream[12 + int(lengths[:2].sum()) - CHECKSUM_SIZE - 3] ^= 16  # the last bits of the run in the middle
+    wanted = [
+        FRAMES_PER_RUN,
+        FRAMES_PER_RUN - 1,
+        FRAMES_PER_RUN,
+        FRAMES_PER_RUN + 0.5,
+        2 * FRAMES_PER_RUN - 1,
+        2 * FRAMES_PER_RUN,
+        FRAMES_PER_RUN - 0.5,
+    ]
     found = shown(node, tmp_path, bytes(stream), count, list(map(float, wanted)))
     sound = residuals(count)
     for time, one in zip(wanted, found, strict=True):
-        if time in (RUN - 1, 2 * RUN):
+        if time in (FRAMES_PER_RUN - 1, 2 * FRAMES_PER_RUN):
             np.testing.assert_array_equal(np.reshape(one, (VERTICES, 3)), sound[int(time)])
         else:
-            assert one["told"].startswith(f"the residuals of frames {RUN} and on: ")
-            assert not one["moved"] or time < RUN  # half-way from the run before
+            assert one["told"].startswith(f"the residuals of frames {FRAMES_PER_RUN} and on: ")
+            assert not one["moved"] or time < FRAMES_PER_RUN  # half-way from the run before
 
 
 def test_a_wrong_checksum_is_refused(node: Node, tmp_path: Path) -> None:

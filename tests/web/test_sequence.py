@@ -19,7 +19,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.encoder.compress import compress
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import CornerValues, Surface, by_first_use
+from mixseq.mesh.surface import CornerValues, Surface, renumber_by_first_use
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
 from tests.compression.test_golden import stored
@@ -56,11 +56,11 @@ def plays_as_in_python(node: Node, folder: Path, coded: CompressedSequence) -> P
 def fields_are_exact(found: Played, coded: CompressedSequence) -> None:
     """Fields are the basis vectors, to the last bit of float32."""
     basis = decode_basis(coded, mesh_graph(coded.header.faces, coded.header.vertex_count))
-    assert len(found.parts) == len(basis.blocks)
-    owners = np.repeat(basis.parts, basis.blocks[0].vectors.shape[1])
+    assert len(found.parts) == len(basis.part_bases)
+    owners = np.repeat(basis.part_ids, basis.part_bases[0].vectors.shape[1])
     assert found.facts["count"] == len(owners)
     for part, (vertices, fields, values) in enumerate(found.parts):
-        block = basis.blocks[part]
+        block = basis.part_bases[part]
         np.testing.assert_array_equal(vertices, block.vertices)
         np.testing.assert_array_equal(fields, np.flatnonzero(owners == part))
         expected = block.vectors.reshape(-1, len(vertices)).T.astype(np.float32)
@@ -134,7 +134,7 @@ def random_sequence(seed: int) -> MeshSequence:
 def test_random_sequences(node: Node, tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     sequence = random_sequence(seed)
     if seed % 5 == 0:
-        monkeypatch.setattr("mixseq.compression.encoder.search.KINDS", ("shapes",))
+        monkeypatch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("shapes",))
     max_error, kg = (2e-3, None) if seed % 4 else (None, 1.0)
     coded = compress(sequence, max_error, kg, chunk=16)
     found = plays_as_in_python(node, tmp_path, coded)
@@ -145,7 +145,9 @@ def test_random_sequences(node: Node, tmp_path: Path, seed: int, monkeypatch: py
     colours = coded.header.surface.colours
     assert found.colours.tobytes() == (b"" if colours is None else colours.at_corners.tobytes())
     if coded.header.surface.hard_edges is not None:
-        np.testing.assert_array_equal(found.hard_edges, by_first_use(coded.header.surface.hard_edges))
+        np.testing.assert_array_equal(
+            found.hard_edges, renumber_by_first_use(coded.header.surface.hard_edges)
+        )
 
 
 def test_only_chunks_that_are_needed_are_decoded(node: Node, tmp_path: Path) -> None:

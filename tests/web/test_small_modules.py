@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mixseq.compression.bitstream.arithmetic import check_of
+from mixseq.compression.bitstream.arithmetic import checksum_of
 from mixseq.signals.curve import Curve
 from mixseq.spaces.temporal import TemporalOperator, insert_midpoints, spline_weights
 from tests.web.conftest import Node
@@ -30,20 +30,20 @@ def told(node: Node, folder: Path, script: str, given: Any) -> Any:
 def test_checksums(node: Node, tmp_path: Path) -> None:
     script = """
     import { crc32 } from "decoder/crc32.js";
-    import { checkOf } from "decoder/decoded_check.js";
+    import { checksumOf } from "decoder/decoded_check.js";
     const whole = crc32(Uint8Array.from(given.bytes)), half = given.bytes.length >> 1;
     const first = crc32(Uint8Array.from(given.bytes.slice(0, half)));
     console.log(JSON.stringify([
-      whole, crc32(Uint8Array.from(given.bytes.slice(half)), first), checkOf(Float64Array.from(given.numbers)),
-      checkOf(Int32Array.from([-1, 7]), checkOf([2 ** 40])),
+      whole, crc32(Uint8Array.from(given.bytes.slice(half)), first), checksumOf(Float64Array.from(given.numbers)),
+      checksumOf(Int32Array.from([-1, 7]), checksumOf([2 ** 40])),
     ]));
     """
     data = np.random.default_rng(0).integers(0, 256, 1001).astype(np.uint8)
     numbers = np.array([0, 1, -1, 2**31, -(2**31), 2**32, -(2**32) - 1, 2**52 + 3, -(2**52) + 1])
     found = told(node, tmp_path, script, {"bytes": data.tolist(), "numbers": numbers.tolist()})
     whole = zlib.crc32(data.tobytes())
-    chained = check_of(np.array([-1, 7]), check_of(np.array([2**40])))
-    assert found == [whole, whole, check_of(numbers), chained]
+    chained = checksum_of(np.array([-1, 7]), checksum_of(np.array([2**40])))
+    assert found == [whole, whole, checksum_of(numbers), chained]
 
 
 def test_zlib_is_undone(node: Node, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 import mixseq
 from mixseq.compression.encoder.compress import compress
-from mixseq.mesh.surface import CornerValues, FaceSet, Surface, by_first_use
+from mixseq.mesh.surface import CornerValues, FaceSet, Surface, renumber_by_first_use
 from mixseq.sequence.sequence import MeshSequence
 from tests.meshes import bar
 from tests.web.conftest import Node
@@ -40,7 +40,7 @@ def test_coordinates_and_edges_that_are_kept_as_they_are(node: Node, tmp_path: P
     assert coded.parameters.uv_steps is None
     found = played(node, tmp_path, coded, np.zeros(1))
     assert found.uvs.tobytes() == uvs.at_corners.tobytes()
-    np.testing.assert_array_equal(found.hard_edges, by_first_use(hard))
+    np.testing.assert_array_equal(found.hard_edges, renumber_by_first_use(hard))
 
 
 def test_surfaces_have_all_arrays(node: Node, tmp_path: Path) -> None:

@@ -14,9 +14,9 @@ from mixseq.compression.bitstream.corner_values import (
     decode_hard_edges,
     decode_uvs,
     encode_hard_edges,
-    grid_numbers,
+    to_grid,
 )
-from mixseq.compression.bitstream.uv_values import LARGEST
+from mixseq.compression.bitstream.uv_values import MAX_COORDINATE
 from mixseq.compression.encoder.uvs import encode_uvs
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
@@ -87,7 +87,7 @@ def copies(size: int, turn: complex, mirrored: bool) -> tuple[Polygons, Index]:
 def test_golden_coordinates_come_back(node: Node, tmp_path: Path) -> None:
     with np.load(GOLDEN / "uvs.npz") as kept:
         mesh, data = Polygons(kept["counts"], kept["indices"]), kept["data"].tobytes()
-        numbers = grid_numbers(kept["at_corners"], int(kept["steps"]))
+        numbers = to_grid(kept["at_corners"], int(kept["steps"]))
     assert numbers is not None
     assert decoded(node, tmp_path, "uvs", [(mesh, data)]) == [numbers.reshape(-1).tolist()]
 
@@ -98,7 +98,7 @@ def test_any_coordinates_come_back(node: Node, tmp_path: Path) -> None:
 
 
 def test_any_coordinates_on_any_polygons_come_back(node: Node, tmp_path: Path) -> None:
-    sizes = [3, 700, LARGEST]
+    sizes = [3, 700, MAX_COORDINATE]
     uvs_come_back(
         node,
         tmp_path,
@@ -152,7 +152,7 @@ def test_damage_ends_in_one_error(node: Node, tmp_path: Path) -> None:
 
 def in_python(data: bytes, mesh: Polygons) -> Any:
     try:
-        numbers = grid_numbers(decode_uvs(data, mesh, vertices_of(mesh), 1000).at_corners, 1000)
+        numbers = to_grid(decode_uvs(data, mesh, vertices_of(mesh), 1000).at_corners, 1000)
     except FormatError:
         return None
     return None if numbers is None else numbers.reshape(-1).tolist()

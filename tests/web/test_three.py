@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import mixseq
 from mixseq.choices import StillName
-from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, Surface
 from mixseq.sequence.sequence import MeshSequence
@@ -140,7 +140,7 @@ def test_frames_are_those_of_python(
             points = model(np.clip(time, *header.times[[0, -1]]))
             apart = np.abs(floats(positions, width)[:, :3] - points[vertices])
             assert apart.max() < NEAR * sequence.diagonal
-            expected = shared_normals(points[None], header.polygons, hard)[0][hard[corners]]
+            expected = corner_normals(points[None], header.polygons, hard)[0][hard[corners]]
             np.testing.assert_allclose(floats(normals, 3)[drawn], expected, atol=1e-4)
 
 

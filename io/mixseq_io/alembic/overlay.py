@@ -1,8 +1,8 @@
-"""Meshes of a written Alembic archive: new ones, or those of a copy of the original with new points.
+"""Meshes of written Alembic archives: new ones, or those of a copy of the original with new points.
 
-The original is copied object by object and property by property, with metadata and sample times, which determine an
-object's kind; instances stay instances. Points are in mesh space, below the archive's transforms, marked so that frames
-are at their times only. Existing normals are recomputed; all other contents stay.
+The original is copied object by object and property by property, with metadata, which determine the kind of an object,
+and sample times; instances stay instances. Points are in mesh space below the archive's transforms, and marked so that
+readers use only their times for frames. Existing normals are recomputed; all other contents stay.
 
 Specification: https://docs.alembic.io/reference/index.html (``Abc``)
 """
@@ -20,311 +20,316 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import FormatError
-from mixseq.mesh.measures import shared_normals
-from mixseq.mesh.polygons import Polygons, difference, reversed_corners
+from mixseq.mesh.measures import corner_normals
+from mixseq.mesh.polygons import Polygons, describe_difference, reversed_winding
 from mixseq.mesh.surface import CornerValues
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index, IntArray
 from mixseq_io.alembic.library import (
-    ERRORS,
+    LIBRARY_ERRORS,
     Abc,
     AbcCoreAbstract,
     AbcGeom,
     AbcMaterial,
-    array_of,
+    create_array,
     imath,
-    length,
     open_archive,
-    selector,
-    stored_array,
+    read_imath_sample,
+    sample_length,
+    sample_selector,
 )
-from mixseq_io.alembic.reader import COLOURS, LAID_OVER, Mesh, Source, find_meshes, stored_polygons
+from mixseq_io.alembic.reader import (
+    COLOUR_PARAMETER,
+    OVERLAY_KEY,
+    Mesh,
+    MeshSource,
+    find_meshes,
+    stored_polygons,
+)
 from mixseq_io.alembic.samples import (
-    Place,
-    Placing,
+    MeshTransform,
+    ObjectPath,
+    choose_paths,
+    create_time_sampling,
     determinant,
-    object_places,
+    make_unique_names,
     sample_times,
-    samples_within,
-    time_sampling,
-    unique_names,
+    select_samples,
 )
 from mixseq_io.originals import match_meshes, warn_of_unretimed_motion
 from mixseq_io.reader import prefix_errors, translate_read_errors, warn
 from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
 
-_SCHEMES = {"catmullClark": "catmull-clark", "loop": "loop", "bilinear": "bilinear"}
-_CORNERS = AbcGeom.GeometryScope.kFacevaryingScope
-_OPAQUE = (AbcGeom.OC3fGeomParam, AbcGeom.OC3fGeomParamSample, imath.C3fArray)
-_WITH_ALPHA = (AbcGeom.OC4fGeomParam, AbcGeom.OC4fGeomParamSample, imath.C4fArray)
+_SCHEME_NAMES = {"catmullClark": "catmull-clark", "loop": "loop", "bilinear": "bilinear"}
+_CORNER_SCOPE = AbcGeom.GeometryScope.kFacevaryingScope
+_RGB_TYPES = (AbcGeom.OC3fGeomParam, AbcGeom.OC3fGeomParamSample, imath.C3fArray)
+_RGBA_TYPES = (AbcGeom.OC4fGeomParam, AbcGeom.OC4fGeomParamSample, imath.C4fArray)
 
-_PER_SAMPLE = 300
-"""Size in bytes of a frame's keys, sizes, places and bounds."""
-_PER_OBJECT = 8000
-"""Size in bytes of an object's names and headers."""
+_SAMPLE_OVERHEAD_BYTES = 300
+"""Size of a frame's keys, sizes, offsets and bounds."""
+
+_OBJECT_OVERHEAD_BYTES = 8000
+"""Size of an object's names and headers."""
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
-    """Mesh to be written."""
+class NewMesh:
+    """Mesh of a new archive, before it is created at a path."""
 
     scene_mesh: SceneMesh
-    place: Place
+    path: ObjectPath
 
     @property
-    def subdivided(self) -> bool:
-        """Whether the mesh becomes a SubD, which has no normals."""
+    def is_subdivided(self) -> bool:
+        """Whether it becomes a SubD, which has no normals."""
         return self.scene_mesh.subdivision != "none"
 
-    def make(self, parent: Any, sampling: int) -> MadeMesh:
+    def create(self, parent: Any, sampling: int) -> NewMeshWriter:
         """Create the object and its face sets, without samples."""
-        mesh = (AbcGeom.OSubD if self.subdivided else AbcGeom.OPolyMesh)(parent, self.place[-1], sampling)
-        sets = self.scene_mesh.face_sets
-        together = np.concatenate([each.polygons for each in sets]) if sets else np.zeros(0)
-        exclusive = len(np.unique(together)) == len(together)
-        for each, name in zip(sets, unique_names(each.name for each in sets), strict=True):
+        mesh = (AbcGeom.OSubD if self.is_subdivided else AbcGeom.OPolyMesh)(parent, self.path[-1], sampling)
+        face_sets = self.scene_mesh.face_sets
+        members = np.concatenate([each.polygons for each in face_sets]) if face_sets else np.zeros(0)
+        is_exclusive = len(np.unique(members)) == len(members)
+        for each, name in zip(face_sets, make_unique_names(each.name for each in face_sets), strict=True):
             node = mesh.getSchema().createFaceSet(name)
-            polygons = array_of(imath.IntArray, each.polygons)  # held until it is set
+            polygons = create_array(imath.IntArray, each.polygons)  # kept alive until it is set
             node.getSchema().set(AbcGeom.OFaceSetSchemaSample(polygons))
-            if exclusive:
+            if is_exclusive:
                 node.getSchema().setFaceExclusivity(AbcGeom.FaceSetExclusivity.kFaceSetExclusive)
             if each.material:
                 AbcMaterial.addMaterialAssignment(node, each.material)
         if self.scene_mesh.colours is not None:
             self._add_colours(mesh.getSchema(), self.scene_mesh.colours)
-        return MadeMesh(self, mesh)
+        return NewMeshWriter(self, mesh)
 
     def _add_colours(self, schema: Any, colours: CornerValues) -> None:
-        """Add constant colours in a sample of their own, without alpha if all are opaque."""
-        opaque = bool((colours.values[:, 3] == 1).all())
-        parameter, sample, kind = _OPAQUE if opaque else _WITH_ALPHA
-        values = array_of(kind, colours.values)  # held until they are set
-        indices = array_of(imath.UnsignedIntArray, colours.indices[self._order])
-        made = parameter(schema.getArbGeomParams(), COLOURS, True, _CORNERS, 1)
-        made.set(sample(values, indices, _CORNERS))
+        """Add constant colours, without alpha if all are opaque."""
+        is_opaque = bool((colours.values[:, 3] == 1).all())
+        parameter_type, sample_type, array_type = _RGB_TYPES if is_opaque else _RGBA_TYPES
+        values = create_array(array_type, colours.values)  # kept alive until they are set
+        indices = create_array(imath.UnsignedIntArray, colours.indices[self._order])
+        parameter = parameter_type(schema.getArbGeomParams(), COLOUR_PARAMETER, True, _CORNER_SCOPE, 1)
+        parameter.set(sample_type(values, indices, _CORNER_SCOPE))
 
-    def sample(self, positions: Any, complete: bool) -> Any:
-        """Return a sample of points; a `complete` one includes constant properties."""
-        sample = AbcGeom.OSubDSchemaSample() if self.subdivided else AbcGeom.OPolyMeshSchemaSample()
+    def create_sample(self, positions: Any, is_first: bool) -> Any:
+        """Create a sample of points; the first one includes constant properties."""
+        sample = AbcGeom.OSubDSchemaSample() if self.is_subdivided else AbcGeom.OPolyMeshSchemaSample()
         sample.setPositions(positions)
-        if complete:
+        if is_first:
             arrays = self._arrays
             sample.setFaceIndices(arrays["corners"])
             sample.setFaceCounts(arrays["counts"])
-            if self.subdivided:
-                sample.setSubdivisionScheme(_SCHEMES[self.scene_mesh.subdivision])
+            if self.is_subdivided:
+                sample.setSubdivisionScheme(_SCHEME_NAMES[self.scene_mesh.subdivision])
             if self.scene_mesh.uvs is not None:
                 uvs = arrays["uv values"], arrays["uv indices"]
-                sample.setUVs(AbcGeom.OV2fGeomParamSample(*uvs, _CORNERS))
+                sample.setUVs(AbcGeom.OV2fGeomParamSample(*uvs, _CORNER_SCOPE))
         return sample
 
-    def add_normals(self, sample: Any, rows: FloatArray) -> Any:
-        """Add normals of points ``(V, 3)`` for hard edges; return objects to keep alive until the sample is set."""
-        if self.scene_mesh.hard_edges is None or self.subdivided:
+    def add_normals(self, sample: Any, points: FloatArray) -> Any:
+        """Add normals of points ``(V, 3)`` for hard edges; return an array to keep alive until the sample is set."""
+        if self.scene_mesh.hard_edges is None or self.is_subdivided:
             return None
-        shared = shared_normals(rows[None], self.scene_mesh.polygons, self.scene_mesh.hard_edges)[0]
-        normals = array_of(imath.V3fArray, shared)
-        sample.setNormals(AbcGeom.ON3fGeomParamSample(normals, self._arrays["normals"], _CORNERS))
+        shared = corner_normals(points[None], self.scene_mesh.polygons, self.scene_mesh.hard_edges)[0]
+        normals = create_array(imath.V3fArray, shared)
+        sample.setNormals(AbcGeom.ON3fGeomParamSample(normals, self._arrays["normals"], _CORNER_SCOPE))
         return normals
 
     @cached_property
     def _order(self) -> IntArray:
-        return reversed_corners(self.scene_mesh.polygons.counts, keep_first=False)
+        return reversed_winding(self.scene_mesh.polygons.counts, keep_first=False)
 
     @cached_property
     def _arrays(self) -> dict[str, Any]:
-        """Constant arrays, which samples only point to."""
+        """Constant arrays, which samples refer to."""
         scene_mesh, uvs = self.scene_mesh, self.scene_mesh.uvs
         arrays = {
-            "counts": array_of(imath.IntArray, scene_mesh.polygons.counts),
-            "corners": array_of(imath.IntArray, scene_mesh.polygons.indices[self._order]),
+            "counts": create_array(imath.IntArray, scene_mesh.polygons.counts),
+            "corners": create_array(imath.IntArray, scene_mesh.polygons.indices[self._order]),
         }
         if uvs is not None:
-            arrays["uv values"] = array_of(imath.V2fArray, uvs.values)
-            arrays["uv indices"] = array_of(imath.UnsignedIntArray, uvs.indices[self._order])
+            arrays["uv values"] = create_array(imath.V2fArray, uvs.values)
+            arrays["uv indices"] = create_array(imath.UnsignedIntArray, uvs.indices[self._order])
         if scene_mesh.hard_edges is not None:
-            arrays["normals"] = array_of(imath.UnsignedIntArray, scene_mesh.hard_edges[self._order])
+            arrays["normals"] = create_array(imath.UnsignedIntArray, scene_mesh.hard_edges[self._order])
         return arrays
 
-    def largest_size(self, frames: int, moving: bool) -> int:
-        """Return the largest possible size in the file in bytes."""
-        scene_mesh = self.scene_mesh
-        normals = 0 if scene_mesh.hard_edges is None else int(scene_mesh.hard_edges.max(initial=-1)) + 1
-        uvs = 0 if scene_mesh.uvs is None else len(scene_mesh.uvs.values)
-        colours = scene_mesh.colours
-        painted = 0 if colours is None else 16 * len(colours.values) + 4 * colours.indices.size + _PER_OBJECT
-        per_frame = 12 * (scene_mesh.vertex_count * (2 if moving else 1) + normals) + _PER_SAMPLE
-        sets = sum(4 * each.polygons.size + _PER_OBJECT for each in scene_mesh.face_sets)
-        once = (
-            12 * scene_mesh.polygons.indices.size
-            + 4 * scene_mesh.polygons.counts.size
-            + 8 * uvs
-            + painted
-            + sets
-            + _PER_OBJECT
-        )
-        return frames * per_frame + once
+    def bound_size(self, frame_count: int, has_velocities: bool) -> int:
+        """Return an upper bound of the size in the file in bytes."""
+        mesh, colours = self.scene_mesh, self.scene_mesh.colours
+        normal_count = 0 if mesh.hard_edges is None else int(mesh.hard_edges.max(initial=-1)) + 1
+        vector_count = mesh.vertex_count * (2 if has_velocities else 1) + normal_count
+        constant = 12 * mesh.polygons.indices.size + 4 * mesh.polygons.counts.size + _OBJECT_OVERHEAD_BYTES
+        constant += 0 if mesh.uvs is None else 8 * len(mesh.uvs.values)
+        constant += sum(4 * each.polygons.size + _OBJECT_OVERHEAD_BYTES for each in mesh.face_sets)
+        if colours is not None:
+            constant += 16 * len(colours.values) + 4 * colours.indices.size + _OBJECT_OVERHEAD_BYTES
+        return frame_count * (12 * vector_count + _SAMPLE_OVERHEAD_BYTES) + constant
 
 
 @dataclass(frozen=True, eq=False)
-class MadeMesh:
-    """Mesh in the file that samples are added to."""
+class NewMeshWriter:
+    """Writer of the samples of a created mesh."""
 
-    target: Target
+    new_mesh: NewMesh
     mesh: Any
 
     def write(self, first: int, points: FloatArray, velocities: FloatArray | None) -> None:
-        """Add samples of a block of frames, from frame `first` on: points, velocities ``(B, V, 3)`` of the sequence."""
-        schema, vertices = self.mesh.getSchema(), self.target.scene_mesh.vertices
-        for frame, rows in enumerate(points[:, vertices]):
-            # A sample only points to its arrays: they must stay until it is set.
-            positions, speeds = array_of(imath.V3fArray, rows), None
-            sample = self.target.sample(positions, complete=not schema.getNumSamples())
+        """Add samples of frames from `first` on: points and velocities ``(B, V, 3)`` of the sequence."""
+        schema, vertices = self.mesh.getSchema(), self.new_mesh.scene_mesh.vertices
+        for frame, own_points in enumerate(points[:, vertices]):
+            # A sample refers to its arrays, which must be alive until it is set.
+            positions, own_velocities = create_array(imath.V3fArray, own_points), None
+            sample = self.new_mesh.create_sample(positions, is_first=not schema.getNumSamples())
             if velocities is not None:
-                speeds = array_of(imath.V3fArray, velocities[frame, vertices])
-                sample.setVelocities(speeds)
-            normals = self.target.add_normals(sample, rows)
+                own_velocities = create_array(imath.V3fArray, velocities[frame, vertices])
+                sample.setVelocities(own_velocities)
+            normals = self.new_mesh.add_normals(sample, own_points)
             schema.set(sample)
-            del speeds, normals
+            del own_velocities, normals
 
 
-def make_targets(header: SequenceHeader) -> list[Target]:
-    """Return the meshes to write of a stand-alone sequence."""
+def plan_meshes(header: SequenceHeader) -> list[NewMesh]:
+    """Return the meshes of a new archive of a sequence."""
     scene_meshes = split_meshes(header)
-    return list(map(Target, scene_meshes, object_places(header, scene_meshes)))
+    return list(map(NewMesh, scene_meshes, choose_paths(header, scene_meshes)))
 
 
-def make_meshes(top: Any, targets: Sequence[Target], sampling: int) -> list[MadeMesh]:
-    """Create all meshes below identity transforms."""
-    made: dict[Place, Any] = {(): top}
-    for target in targets:
-        for end in range(1, len(target.place)):
-            place = target.place[:end]
-            if place not in made:
-                made[place] = AbcGeom.OXform(made[place[:-1]], place[-1])
-    return [target.make(made[target.place[:-1]], sampling) for target in targets]
+def create_meshes(top: Any, new_meshes: Sequence[NewMesh], sampling: int) -> list[NewMeshWriter]:
+    """Create meshes below identity transforms."""
+    objects: dict[ObjectPath, Any] = {(): top}
+    for new_mesh in new_meshes:
+        for end in range(1, len(new_mesh.path)):
+            path = new_mesh.path[:end]
+            if path not in objects:
+                objects[path] = AbcGeom.OXform(objects[path[:-1]], path[-1])
+    return [new_mesh.create(objects[new_mesh.path[:-1]], sampling) for new_mesh in new_meshes]
 
 
-_SCHEMA = ".geom"
+_GEOMETRY_PROPERTY = ".geom"
 """Compound property of all kinds of meshes."""
 
-_OF_POINTS = frozenset(["P", ".velocities", "N", ".selfBnds", ".childBnds"])
-"""Properties replaced on meshes with new points: the points, and what depends on them."""
+_POINT_PROPERTIES = frozenset(["P", ".velocities", "N", ".selfBnds", ".childBnds"])
+"""Properties of meshes that depend on points."""
 
-_OF_CHILDREN = frozenset([".childBnds"])
-_OF_THE_ARCHIVE = re.compile(r"\.childBnds|statistics|\d+\.samples")
-"""Properties of the top object that summarise the archive, such as bounds; wrong with other points."""
+_CHILD_PROPERTIES = frozenset([".childBnds"])
+_ARCHIVE_PROPERTIES = re.compile(r"\.childBnds|statistics|\d+\.samples")
+"""Properties of the top object that depend on all others, such as bounds."""
 
 
-Kept = tuple[range, int]
-"""Samples of a property that are copied, and the index of their time sampling in the new archive."""
+KeptSamples = tuple[range, int]
+"""Copied samples of a property, and the index of their time sampling in the copy."""
 
 
 class _Copier:
     """Copier of an archive's objects, with the samples needed for frames at times ``(T,)`` in s.
 
-    `schemas` are the copies of moved meshes by path, `moving` the first and last time of moving objects, `lost` paths.
+    `schemas` are the copied schemas of meshes at `paths`, which get new points; `spans` are the first and last times of
+    animated objects; `lost` are objects and properties without a copy.
     """
 
-    def __init__(self, target: Any, moved: Collection[str], frames: Float, room: int) -> None:
-        self._target, self._moved, self._room = target, moved, room
-        self._window = float(frames[0]), float(frames[-1])
-        self._above = _at_or_above(moved)
+    def __init__(self, copy: Any, paths: Collection[str], times: Float, file_size: int) -> None:
+        self._copy, self._paths, self._file_size = copy, paths, file_size
+        self._window = float(times[0]), float(times[-1])
+        self._lineage = _with_ancestors(paths)
         self.schemas: dict[str, Any] = {}
-        self.moving: dict[str, tuple[float, float]] = {}
+        self.spans: dict[str, tuple[float, float]] = {}
         self.lost: list[str] = []
 
-    def copy(self, top: Any) -> None:
+    def copy_objects(self, top: Any) -> None:
         """Copy all objects below the top one."""
-        new = self._target.getTop()
+        new_top = self._copy.getTop()
         for header in top.getProperties().propertyheaders:
-            if not _OF_THE_ARCHIVE.fullmatch(header.getName()):
-                self._property("/", header, top.getProperties(), new.getProperties(), frozenset())
-        made, instances, stack = {}, [], [(top, new)]
+            if not _ARCHIVE_PROPERTIES.fullmatch(header.getName()):
+                self._copy_property("/", header, top.getProperties(), new_top.getProperties(), frozenset())
+        copies, instances, stack = {}, [], [(top, new_top)]
         while stack:
             node, parent = stack.pop()
             for child in [node.getChild(index) for index in range(node.getNumChildren())]:
                 path = str(child.getFullName())
-                if child.isInstanceRoot() and path not in self._above:
+                if child.isInstanceRoot() and path not in self._lineage:
                     instances.append((child, parent))
                     continue
-                made[path] = self._object(path, child, parent)
-                stack.append((child, made[path]))
+                copies[path] = self._copy_object(path, child, parent)
+                stack.append((child, copies[path]))
         for child, parent in instances:
-            original = made.get(str(child.instanceSourcePath()))
-            if original is None or not parent.addChildInstance(original, child.getName()):
+            source = copies.get(str(child.instanceSourcePath()))
+            if source is None or not parent.addChildInstance(source, child.getName()):
                 self.lost.append(str(child.getFullName()))
 
-    def _object(self, path: str, node: Any, parent: Any) -> Any:
-        metadata = AbcCoreAbstract.MetaData(node.getMetaData())
-        if path in self._moved:
-            metadata.set(LAID_OVER, "1")
-        new = Abc.OObject(parent, node.getName(), metadata)
-        stale = _OF_POINTS if path in self._moved else _OF_CHILDREN if path in self._above else frozenset()
-        for header in node.getProperties().propertyheaders:
-            made = self._property(path, header, node.getProperties(), new.getProperties(), stale)
-            if path in self._moved and header.getName() == _SCHEMA:
-                self.schemas[path] = made
-        return new
+    def _copy_object(self, path: str, node: Any, parent: Any) -> Any:
+        metadata, stale = AbcCoreAbstract.MetaData(node.getMetaData()), frozenset[str]()
+        if path in self._paths:
+            metadata.set(OVERLAY_KEY, "1")
+            stale = _POINT_PROPERTIES
+        elif path in self._lineage:
+            stale = _CHILD_PROPERTIES
+        copy, source = Abc.OObject(parent, node.getName(), metadata), node.getProperties()
+        for header in source.propertyheaders:
+            property_copy = self._copy_property(path, header, source, copy.getProperties(), stale)
+            if path in self._paths and header.getName() == _GEOMETRY_PROPERTY:
+                self.schemas[path] = property_copy
+        return copy
 
-    def _property(self, path: str, header: Any, source: Any, target: Any, stale: Collection[str]) -> Any:
-        """Copy a property of an object without its `stale` children; return the new one."""
+    def _copy_property(self, path: str, header: Any, source: Any, parent: Any, stale: Collection[str]) -> Any:
+        """Copy a property of an object without its `stale` children; return a compound copy."""
         stored = source.getProperty(header.getName())
         if not header.isCompound():
-            self._samples(path, header, stored, target, {})
+            self._copy_samples(path, header, stored, parent, {})
             return None
-        new = Abc.OCompoundProperty(target, header.getName(), header.getMetaData())
-        fresh = [each for each in stored.propertyheaders if each.getName() not in stale]
-        simple = [stored.getProperty(each.getName()) for each in fresh if not each.isCompound()]
-        changing = {each.getNumSamples(): self._kept(each) for each in simple if not each.isConstant()}
-        for each in fresh:
+        copy = Abc.OCompoundProperty(parent, header.getName(), header.getMetaData())
+        headers = [each for each in stored.propertyheaders if each.getName() not in stale]
+        simple = [stored.getProperty(each.getName()) for each in headers if not each.isCompound()]
+        animated = {each.getNumSamples(): self._select(each) for each in simple if not each.isConstant()}
+        for each in headers:
             if each.isCompound():
-                self._property(path, each, stored, new, ())
+                self._copy_property(path, each, stored, copy, ())
             else:
-                self._samples(path, each, stored.getProperty(each.getName()), new, changing)
-        return new
+                self._copy_samples(path, each, stored.getProperty(each.getName()), copy, animated)
+        return copy
 
-    def _kept(self, stored: Any) -> Kept:
-        """Return the samples of a property that frames need."""
+    def _select(self, stored: Any) -> KeptSamples:
+        """Select the samples of a property that frames need."""
         times, sampling = sample_times(stored), stored.getTimeSampling()
-        kept = range(len(times))[samples_within(times, self._window)]
+        kept = range(len(times))[select_samples(times, self._window)]
         if len(kept) < len(times):
-            sampling = time_sampling(times[kept.start : kept.stop], float(times[1] - times[0]))
-        return kept, self._target.addTimeSampling(sampling)
+            sampling = create_time_sampling(times[kept.start : kept.stop], float(times[1] - times[0]))
+        return kept, self._copy.addTimeSampling(sampling)
 
-    def _samples(
-        self, path: str, header: Any, stored: Any, target: Any, changing: Mapping[int, Kept]
+    def _copy_samples(
+        self, path: str, header: Any, stored: Any, parent: Any, animated: Mapping[int, KeptSamples]
     ) -> None:
-        """Copy a property's samples; of a constant one, those kept of the `changing` properties beside it."""
-        kind = Abc.OArrayProperty if header.isArray() else Abc.OScalarProperty
-        constant, count = stored.isConstant(), stored.getNumSamples()
-        kept, sampling = (changing.get(count) if constant else None) or self._kept(stored)
+        """Copy the samples of a property; of a constant one, as of an `animated` one with the same sample count."""
+        property_type = Abc.OArrayProperty if header.isArray() else Abc.OScalarProperty
+        is_constant, count = stored.isConstant(), stored.getNumSamples()
+        kept, sampling = (animated.get(count) if is_constant else None) or self._select(stored)
         if len(kept) == count:
-            sampling = self._target.addTimeSampling(stored.getTimeSampling())
+            sampling = self._copy.addTimeSampling(stored.getTimeSampling())
         try:
-            # Read before anything is made that would stay empty.
-            value = self._value(stored, kept[0]) if kept else None
-            new = kind(target, header.getName(), header.getDataType(), header.getMetaData(), sampling)
+            # An error of the first sample must not leave an empty property.
+            value = self._read_value(stored, kept[0]) if kept else None
+            data_type, metadata = header.getDataType(), header.getMetaData()
+            copy = property_type(parent, header.getName(), data_type, metadata, sampling)
             for sample in kept:
-                if sample > kept[0] and constant:
-                    new.setFromPrevious()
+                if sample > kept[0] and is_constant:
+                    copy.setFromPrevious()
                 else:
-                    new.setValue(self._value(stored, sample) if sample > kept[0] else value)
-        except (RuntimeError, TypeError):  # types that the library has no words for in Python
+                    copy.setValue(self._read_value(stored, sample) if sample > kept[0] else value)
+        except (RuntimeError, TypeError):  # types without a Python binding
             self.lost.append(f"{path}.{header.getName()}")
             return
-        if not constant:
+        if not is_constant:
             times = sample_times(stored)
-            first, last = self.moving.get(path, (times[0], times[-1]))
-            self.moving[path] = min(first, times[0]), max(last, times[-1])
+            first, last = self.spans.get(path, (times[0], times[-1]))
+            self.spans[path] = min(first, times[0]), max(last, times[-1])
 
-    def _value(self, stored: Any, sample: int) -> Any:
+    def _read_value(self, stored: Any, sample: int) -> Any:
         if stored.isArray():
-            return stored_array(stored, sample, self._room)
-        return stored.getValue(selector(stored, sample))
+            return read_imath_sample(stored, sample, self._file_size)
+        return stored.getValue(sample_selector(stored, sample))
 
 
-def _at_or_above(paths: Collection[str]) -> set[str]:
+def _with_ancestors(paths: Collection[str]) -> set[str]:
     """Return paths and all their ancestors."""
     return {
         "/".join(names[:end])
@@ -334,158 +339,164 @@ def _at_or_above(paths: Collection[str]) -> set[str]:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """Mesh of the sequence matched with a mesh of the archive, whose points it replaces."""
+class MeshMatch:
+    """Mesh of the sequence, and the mesh of the archive whose points it replaces.
+
+    `corners` ``(C,)`` are the mesh's corners by stored ones, `transform` places the mesh in the world at the frames.
+    """
 
     scene_mesh: SceneMesh
     mesh: Mesh
     corners: Index
-    placing: Placing
-    mirrored: bool
+    transform: MeshTransform
+    is_mirrored: bool
 
 
 @dataclass(frozen=True, eq=False)
 class Original:
-    """Archive that fits a sequence."""
+    """Archive with the meshes of a sequence."""
 
     path: Path
     archive: Any
-    fits: tuple[Fit, ...]
+    matches: tuple[MeshMatch, ...]
 
 
-def open_original(path: Path, header: SequenceHeader) -> Original:
-    """Open an archive whose meshes may get new points."""
-    with translate_read_errors(path, "Alembic", *ERRORS), prefix_errors(path):
+def match_archive(path: Path, header: SequenceHeader) -> Original:
+    """Open an archive, and match the meshes of a sequence with its meshes."""
+    with translate_read_errors(path, "Alembic", *LIBRARY_ERRORS), prefix_errors(path):
         archive = open_archive(path)
         meshes, _ = find_meshes(path, archive)
-        fits = match_meshes(
+        matches = match_meshes(
             path,
             header,
             {mesh.path: mesh for mesh in meshes},
-            partial(_fitted, path, header),
-            partial(_difference, path),
+            partial(_match, path, header),
+            partial(_describe_difference, path, header),
         )
-        for fit in fits:
+        for match in matches:
             try:
-                fit.placing.check()
+                match.transform.check_invertible()
             except FormatError as error:
-                raise FormatError(f"{path}: nothing can be laid over {fit.mesh.path!r}: {error}") from None
-        return Original(path, archive, tuple(fits))
+                raise FormatError(f"{path}: {match.mesh.path!r} cannot get new points: {error}") from None
+        return Original(path, archive, tuple(matches))
 
 
-def _fitted(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> Fit | None:
+def _match(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> MeshMatch | None:
     """Match a mesh of the sequence with one of the archive; None if vertices or faces differ."""
-    if length(mesh.schema.getPositionsProperty(), 0) != scene_mesh.vertex_count:
+    if sample_length(mesh.schema.getPositionsProperty(), 0) != scene_mesh.vertex_count:
         return None
-    placing = Placing.at(mesh.above, header.times, header.fps)
-    mirrored = determinant(placing.matrices[0]) < 0
-    found = scene_mesh.match(*_polygons(path, scene_mesh, mesh, mirrored))
-    return found and Fit(found[0], mesh, found[1].corners, placing, mirrored)
+    transform, source = _read_source(path, header, scene_mesh, mesh)
+    found = scene_mesh.match(*stored_polygons(source))
+    return found and MeshMatch(found[0], mesh, found[1].corners, transform, source.is_mirrored)
 
 
-def _polygons(path: Path, scene_mesh: SceneMesh, mesh: Mesh, mirrored: bool) -> tuple[Polygons, Index]:
-    room = path.stat().st_size
-    vertices = slice(0, scene_mesh.vertex_count)
-    return stored_polygons(Source(path, room, mesh, vertices, mirrored, np.zeros(1)))
+def _read_source(
+    path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh
+) -> tuple[MeshTransform, MeshSource]:
+    transform = MeshTransform.from_schemas(mesh.transforms, header.times, header.fps)
+    is_mirrored, vertices = determinant(transform.matrices[0]) < 0, slice(0, scene_mesh.vertex_count)
+    return transform, MeshSource(path, path.stat().st_size, mesh, vertices, is_mirrored, np.zeros(1))
 
 
-def _difference(path: Path, scene_mesh: SceneMesh, mesh: Mesh) -> str:
-    """Return the first difference from the only candidate mesh, in words."""
-    count = length(mesh.schema.getPositionsProperty(), 0)
+def _describe_difference(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> str:
+    """Describe the first difference from the only candidate mesh."""
+    count = sample_length(mesh.schema.getPositionsProperty(), 0)
     if count != scene_mesh.vertex_count:
         return f"{mesh.path} has {count} vertices, the sequence {scene_mesh.vertex_count}"
-    theirs, order = _polygons(path, scene_mesh, mesh, mirrored=False)
-    ours = scene_mesh.polygons
-    return difference(ours, Polygons(theirs.counts, theirs.indices[order]), ("the sequence", mesh.path))
+    stored, order = stored_polygons(_read_source(path, header, scene_mesh, mesh)[1])
+    polygons = Polygons(stored.counts, stored.indices[order])
+    return describe_difference(scene_mesh.polygons, polygons, ("the sequence", mesh.path))
 
 
-_GROWTH = 2
+_MAX_COPY_GROWTH = 2
 """Largest ratio of a copy's size to the archive's; moving instances become separate objects."""
 
 
 @dataclass(frozen=True, eq=False)
-class MovedMesh:
-    """Mesh of the copy whose points are written."""
+class CopiedMeshWriter:
+    """Writer of the points, bounds, velocities and normals of a copied mesh."""
 
-    fit: Fit
+    match: MeshMatch
     positions: Any
     bounds: Any
     velocities: Any | None
     normals: Any | None
 
     @classmethod
-    def make(cls, fit: Fit, schema: Any, sampling: int, velocities: bool) -> MovedMesh:
-        """Create the properties in the copied schema; `write` adds the samples."""
-        stored, place = fit.mesh.schema, (sampling,)
+    def create(cls, match: MeshMatch, schema: Any, sampling: int, has_velocities: bool) -> CopiedMeshWriter:
+        """Create the properties in a copied schema; `write` adds the samples."""
+        stored = match.mesh.schema
         header = stored.getPositionsProperty().getHeader()
-        positions = Abc.OArrayProperty(schema, "P", header.getDataType(), header.getMetaData(), *place)
-        bounds = Abc.OBox3dProperty(schema, ".selfBnds", *place)
-        speeds = Abc.OV3fArrayProperty(schema, ".velocities", *place) if velocities else None
-        has_normals = not fit.mesh.subdivided and stored.getNormalsParam().valid()
-        normals = AbcGeom.ON3fGeomParam(schema, "N", True, _CORNERS, 1, *place) if has_normals else None
-        return cls(fit, positions, bounds, speeds, normals)
+        positions = Abc.OArrayProperty(schema, "P", header.getDataType(), header.getMetaData(), sampling)
+        bounds = Abc.OBox3dProperty(schema, ".selfBnds", sampling)
+        velocities = Abc.OV3fArrayProperty(schema, ".velocities", sampling) if has_velocities else None
+        normals = None
+        if not match.mesh.is_subdivided and stored.getNormalsParam().valid():
+            normals = AbcGeom.ON3fGeomParam(schema, "N", True, _CORNER_SCOPE, 1, sampling)
+        return cls(match, positions, bounds, velocities, normals)
 
     def write(self, first: int, points: FloatArray, velocities: FloatArray | None) -> None:
-        """Add samples of a block of frames, from frame `first` on: points, velocities ``(B, V, 3)`` of the sequence."""
-        vertices, placing = self.fit.scene_mesh.vertices, self.fit.placing
-        for row, world in enumerate(points[:, vertices]):
-            own = placing.own_points(world, first + row)
-            # A sample only points to its array, which must stay until it is set.
-            stored = array_of(imath.V3fArray, own)
-            self.positions.setValue(stored)
-            self.bounds.setValue(_bounds(own))
+        """Add samples of frames from `first` on: points and velocities ``(B, V, 3)`` of the sequence."""
+        mesh, transform = self.match.scene_mesh, self.match.transform
+        for frame, world in enumerate(points[:, mesh.vertices]):
+            own = transform.to_mesh_points(world, first + frame)
+            # A sample refers to its array, which must be alive until it is set.
+            array = create_array(imath.V3fArray, own)
+            self.positions.setValue(array)
+            self.bounds.setValue(_compute_bounds(own))
             if self.velocities is not None and velocities is not None:
-                rates = placing.own_velocities(velocities[row, vertices], own, first + row)
-                stored = array_of(imath.V3fArray, rates)
-                self.velocities.setValue(stored)
+                rates = transform.to_mesh_velocities(velocities[frame, mesh.vertices], own, first + frame)
+                array = create_array(imath.V3fArray, rates)
+                self.velocities.setValue(array)
             if self.normals is not None:
-                polygons = self.fit.scene_mesh.polygons
-                shared = shared_normals(own[None], polygons, self.fit.scene_mesh.normal_groups)[0]
-                stored = array_of(imath.V3fArray, -shared if self.fit.mirrored else shared)
-                self.normals.set(AbcGeom.ON3fGeomParamSample(stored, self._corner_groups, _CORNERS))
+                normals = corner_normals(own[None], mesh.polygons, mesh.normal_groups)[0]
+                array = create_array(imath.V3fArray, -normals if self.match.is_mirrored else normals)
+                self.normals.set(AbcGeom.ON3fGeomParamSample(array, self._normal_ids, _CORNER_SCOPE))
 
     @cached_property
-    def _corner_groups(self) -> Any:
-        return array_of(imath.UnsignedIntArray, self.fit.scene_mesh.normal_groups[self.fit.corners])
+    def _normal_ids(self) -> Any:
+        return create_array(imath.UnsignedIntArray, self.match.scene_mesh.normal_groups[self.match.corners])
 
 
-def _bounds(points: FloatArray) -> Any:
-    """Return the bounding box of points ``(n, 3)``; the library's empty box without any."""
+def _compute_bounds(points: FloatArray) -> Any:
+    """Return the bounding box of points ``(n, 3)``, an empty one without points."""
     if not len(points):
         return imath.Box3d()
-    return imath.Box3d(
-        *(imath.V3d(*map(float, corner)) for corner in (points.min(axis=0), points.max(axis=0)))
-    )
+    return imath.Box3d(*(imath.V3d(*map(float, end)) for end in (points.min(axis=0), points.max(axis=0))))
 
 
-def largest_size(original: Original, header: SequenceHeader, velocities: bool) -> int:
-    """Return the largest possible size of the copy in bytes."""
-    vertices = sum(fit.scene_mesh.vertex_count for fit in original.fits)
-    normals = sum(fit.corners.size for fit in original.fits)
-    per_frame = 12 * (vertices * (2 if velocities else 1) + normals) + _PER_SAMPLE * len(original.fits)
-    return _GROWTH * original.path.stat().st_size + header.frame_count * per_frame + 4 * normals
+def bound_copy_size(original: Original, header: SequenceHeader, has_velocities: bool) -> int:
+    """Return an upper bound of the size of a copy in bytes."""
+    vertex_count = sum(match.scene_mesh.vertex_count for match in original.matches)
+    normal_count = sum(match.corners.size for match in original.matches)
+    per_frame = 12 * (vertex_count * (2 if has_velocities else 1) + normal_count)
+    per_frame += _SAMPLE_OVERHEAD_BYTES * len(original.matches)
+    return _MAX_COPY_GROWTH * original.path.stat().st_size + header.frame_count * per_frame + 4 * normal_count
 
 
-def lay_over(
-    archive: Any,
+def copy_archive(
+    copy: Any,
     path: Path,
     original: Original,
     header: SequenceHeader,
     sampling: int,
-    velocities: bool,
+    has_velocities: bool,
     sources: ArrayLike | None = None,
-) -> list[MovedMesh]:
-    """Copy an archive into an empty one, and return the copy's meshes whose points are to be written.
+) -> list[CopiedMeshWriter]:
+    """Copy an archive into an empty one, `copy`, and return writers of the meshes that get the sequence.
 
-    `sampling` is the index of the frames' time sampling, `sources` ``(T,)`` are the archive's times in seconds that the
+    `sampling` is the index of the frames' time sampling, `sources` ``(T,)`` are the archive's times in s that the
     frames show, `path` is for warnings.
     """
-    moved = {fit.mesh.path for fit in original.fits}
-    copier = _Copier(archive, moved, header.times, original.path.stat().st_size)
-    copier.copy(original.archive.getTop())
+    paths = {match.mesh.path for match in original.matches}
+    copier = _Copier(copy, paths, header.times, original.path.stat().st_size)
+    copier.copy_objects(original.archive.getTop())
     if copier.lost:
         warn(
             f"{path}: of {original.path} the library cannot copy {format_names(copier.lost)}; they are left out"
         )
-    warn_of_unretimed_motion(path, header, dict(sorted(copier.moving.items())), sources)
-    return [MovedMesh.make(fit, copier.schemas[fit.mesh.path], sampling, velocities) for fit in original.fits]
+    warn_of_unretimed_motion(path, header, dict(sorted(copier.spans.items())), sources)
+    return [
+        CopiedMeshWriter.create(match, copier.schemas[match.mesh.path], sampling, has_velocities)
+        for match in original.matches
+    ]

@@ -1,19 +1,19 @@
-"""Samples of properties and transforms at the times of frames, and paths of meshes in a stand-alone archive.
+"""Samples of properties and transforms at frame times, and paths of meshes in new archives.
 
-Alembic properties have their own samples, at times in seconds: uniform, cyclic (several per shutter), or arbitrary.
+Alembic properties have samples at their own times in seconds: uniform, cyclic (several per shutter), or arbitrary.
 Between two samples of a transform, translation, stretch and rotation angle are interpolated linearly, as in Blender.
 Matrices act on row vectors: p' = p M.
 
-New points over an archive stay in mesh space, so that other children of its transforms keep their place, and caches of
-other programs can refer to the result. With p the own points and M the matrix of a frame, world points and velocities
-are
+In a copy of the original, new points are in mesh space, so that other children of its transforms keep their place, and
+caches of other programs can refer to the result. With points p in mesh space and the matrix M of a frame, world points
+and velocities are
 
     w = p M,    w' = p' M + p M'.
 
-M' is the central difference over one frame, as renderers see a transform while the shutter is open.
+M' is the central difference over one frame, the motion of a transform while the shutter of a renderer is open.
 
-Stand-alone archives keep original paths, so that references such as cache modifiers of other programs find the meshes.
-Other meshes are below a transform of their name, because tools name imports by transforms.
+New archives keep original paths, by which cache modifiers of other programs refer to meshes. Other meshes are below a
+transform of their name, since programs name imported objects by transforms.
 
 Specification: https://docs.alembic.io/reference/index.html (``TimeSampling``, ``IXformSchema``)
 """
@@ -27,79 +27,78 @@ from itertools import takewhile
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
 from mixseq.mesh.rigid import nearest_rotations
-from mixseq.mesh.rotations import matrices, vectors
+from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix
 from mixseq.sequence.frame_rates import NTSC_RATES
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
-from mixseq.types import Float, FloatArray
-from mixseq_io.alembic.library import AbcCoreAbstract, selector
+from mixseq.types import Float, FloatArray, Index, Single
+from mixseq_io.alembic.library import AbcCoreAbstract, sample_selector
 from mixseq_io.scene_meshes import SceneMesh
 
-Place = tuple[str, ...]
-"""Names from the root to a mesh; all but the last are transforms."""
+ObjectPath = tuple[str, ...]
+"""Names of transforms from the root to a mesh, and of the mesh."""
 
 
-def object_places(header: SequenceHeader, scene_meshes: Sequence[SceneMesh]) -> list[Place]:
-    """Return the places of all meshes: ``/<name>/<object>/<object>``, or their own paths.
+def choose_paths(header: SequenceHeader, scene_meshes: Sequence[SceneMesh]) -> list[ObjectPath]:
+    """Return the paths of all meshes in a new archive: ``/<name>/<object>/<object>``, or their own.
 
-    Those are kept if all meshes have one with a transform, and their common ancestor is named as the sequence.
+    Own paths are kept if all meshes have one with a transform, and their common ancestor is named as the sequence.
     """
-    kept = [tuple(each.path.split("/")[1:]) for each in scene_meshes if each.path.startswith("/")]
-    if len(kept) == len(scene_meshes) and _can_be(kept) and _common_name(kept) in ("", header.name):
-        return kept
-    root = valid_name(header.name)
+    own = [tuple(mesh.path.split("/")[1:]) for mesh in scene_meshes if mesh.path.startswith("/")]
+    if len(own) == len(scene_meshes) and _are_valid_paths(own) and _common_name(own) in ("", header.name):
+        return own
+    root = make_valid_name(header.name)
     if len(scene_meshes) == 1:
         return [(root, root)]
-    return [(root, name, name) for name in unique_names(each.name for each in scene_meshes)]
+    return [(root, name, name) for name in make_unique_names(mesh.name for mesh in scene_meshes)]
 
 
-def _can_be(places: Sequence[Place]) -> bool:
-    """Whether meshes can be at places: each with a transform above it, and nothing below another mesh."""
-    meshes = set(places)
-    above = {place[:end] for place in meshes for end in range(1, len(place))}
-    named = all(len(place) > 1 and all(place) for place in meshes)
-    return named and len(meshes) == len(places) and not meshes & above
+def _are_valid_paths(paths: Sequence[ObjectPath]) -> bool:
+    """Whether each mesh is below a named transform, and none below another mesh."""
+    meshes = set(paths)
+    ancestors = {path[:end] for path in meshes for end in range(1, len(path))}
+    is_named = all(len(path) > 1 and all(path) for path in meshes)
+    return is_named and len(meshes) == len(paths) and not meshes & ancestors
 
 
-def _common_name(places: Sequence[Place]) -> str:
-    """Return the sequence's name for a reader: that of its only mesh, or of the common ancestor."""
-    shared = list(takewhile(lambda names: len(set(names)) == 1, zip(*places, strict=False)))
+def _common_name(paths: Sequence[ObjectPath]) -> str:
+    """Return the name that readers give the sequence: of its only mesh, or of the common ancestor."""
+    shared = list(takewhile(lambda names: len(set(names)) == 1, zip(*paths, strict=False)))
     return shared[-1][0] if shared else ""
 
 
-def valid_name(name: str) -> str:
-    """Return a valid object name: without slashes and not empty."""
+def make_valid_name(name: str) -> str:
+    """Return an object name without slashes, "mesh" for an empty one."""
     return name.replace("/", "_") or "mesh"
 
 
-def unique_names(names: Iterable[str]) -> list[str]:
+def make_unique_names(names: Iterable[str]) -> list[str]:
     """Return valid names, repeated ones with a number: "a", "a_2"."""
-    taken: dict[str, None] = {}
+    unique: dict[str, None] = {}
     numbers: dict[str, int] = {}
-    for name in map(valid_name, names):
-        number, free = numbers.get(name, 1), name
-        while free in taken:
+    for name in map(make_valid_name, names):
+        number, candidate = numbers.get(name, 1), name
+        while candidate in unique:
             number += 1
-            free = f"{name}_{number}"
+            candidate = f"{name}_{number}"
         numbers[name] = number
-        taken[free] = None
-    return list(taken)
+        unique[candidate] = None
+    return list(unique)
 
 
 TIME_TOLERANCE = 0.999e-6
 """Distance in seconds below which times are equal."""
 
-_MOST_SAMPLES = 1_000_000
-_USUAL_RATES = (24, 25, 30, 48, 50, 60, *NTSC_RATES, 100, 120, 240)
+_MAX_SAMPLE_COUNT = 1_000_000
+_COMMON_FRAME_RATES = (24, 25, 30, 48, 50, 60, *NTSC_RATES, 100, 120, 240)
 
 
 def sample_times(sampled: Any) -> Float:
     """Return the sample times ``(N,)`` in seconds of a property or schema."""
     count, sampling = sampled.getNumSamples(), sampled.getTimeSampling()
-    if count > _MOST_SAMPLES:
+    if count > _MAX_SAMPLE_COUNT:
         raise FormatError(f"a property claims {count} samples; the file is damaged")
     kind, stored = sampling.getTimeSamplingType(), np.array(list(sampling.getStoredTimes()), dtype=np.float64)
     sample = np.arange(count)
@@ -111,13 +110,13 @@ def sample_times(sampled: Any) -> Float:
     return stored[sample] if kind.isAcyclic() else stored[sample] + cycle * kind.getTimePerCycle()
 
 
-def samples_within(times: Float, window: tuple[float, float]) -> slice:
-    """Return the slice of samples that determine values within a window of time; all, if all are before or after.
+def select_samples(times: Float, window: tuple[float, float]) -> slice:
+    """Return the slice of samples that determine values within a time window; all if none is inside.
 
     Examples
     --------
     >>> times = np.array([1.0, 2.0, 3.0, 4.0])
-    >>> samples_within(times, (2.0, 3.0)), samples_within(times, (2.5, 2.6)), samples_within(times, (5.0, 6.0))
+    >>> select_samples(times, (2.0, 3.0)), select_samples(times, (2.5, 2.6)), select_samples(times, (5.0, 6.0))
     (slice(1, 3, None), slice(1, 3, None), slice(0, 4, None))
     """
     start, end = window[0] + TIME_TOLERANCE, window[1] - TIME_TOLERANCE
@@ -127,96 +126,95 @@ def samples_within(times: Float, window: tuple[float, float]) -> slice:
     return slice(max(int(first), 0), min(int(last) + 1, len(times)))
 
 
-def time_sampling(times: Float, step: float) -> Any:
-    """Return a uniform sampling for even times ``(N,)``, with `step` if it fits, else one of all times."""
+def create_time_sampling(times: Float, step: float) -> Any:
+    """Return the sampling of times ``(N,)``: uniform, with `step` if it fits, or of arbitrary times."""
     if len(times) > 1:
         mean = float(times[-1] - times[0]) / (len(times) - 1)
         step = step if np.isclose(mean, step, rtol=1e-9, atol=0) else mean
     if np.allclose(times, times[0] + np.arange(len(times)) * step, rtol=1e-12, atol=1e-12):
         return AbcCoreAbstract.TimeSampling(step, float(times[0]))
-    listed = AbcCoreAbstract.TimeVector()
-    listed.extend(times.tolist())
-    one_by_one = AbcCoreAbstract.TimeSamplingType(AbcCoreAbstract.AcyclicFlag.kAcyclic)
-    return AbcCoreAbstract.TimeSampling(one_by_one, listed)
+    vector = AbcCoreAbstract.TimeVector()
+    vector.extend(times.tolist())
+    acyclic = AbcCoreAbstract.TimeSamplingType(AbcCoreAbstract.AcyclicFlag.kAcyclic)
+    return AbcCoreAbstract.TimeSampling(acyclic, vector)
 
 
 @dataclass(frozen=True, eq=False)
-class SampleWeights:
-    """Pair of samples around every frame, and the weight of the second."""
+class SampleInterpolation:
+    """Sample before every frame ``(T,)``, and the weight of the next one."""
 
-    before: NDArray[np.int64]
+    before: Index
     weight: Float
 
     def at(self, frame: int) -> tuple[int, float]:
-        """Return the sample before a frame, and the weight of the one after."""
+        """Return the sample before a frame, and the weight of the next one."""
         return int(self.before[frame]), float(self.weight[frame])
 
 
-def locate(own: Float, frames: Float) -> SampleWeights:
-    """Return the samples, at the times `own` ``(N,)``, around frames ``(T,)``."""
-    before = np.clip(np.searchsorted(own, frames + TIME_TOLERANCE, side="right") - 1, 0, len(own) - 1)
-    after = np.minimum(before + 1, len(own) - 1)
-    since, step = frames - own[before], own[after] - own[before]
+def locate_samples(times: Float, frames: Float) -> SampleInterpolation:
+    """Locate frame times ``(T,)`` between sample times ``(N,)``."""
+    last = len(times) - 1
+    before = np.clip(np.searchsorted(times, frames + TIME_TOLERANCE, side="right") - 1, 0, last)
+    step = times[np.minimum(before + 1, last)] - times[before]
+    since = frames - times[before]
     weight = np.divide(since, step, out=np.zeros_like(since), where=(step > 0) & (since > TIME_TOLERANCE))
-    return SampleWeights(before, weight)
+    return SampleInterpolation(before, weight)
 
 
-def frame_rate(times: Float, declared: str) -> float:
-    """Return the frame rate of times ``(T,)``: as declared, of even steps, or a usual rate whose grid they lie on.
+def estimate_frame_rate(times: Float, declared: str) -> float:
+    """Return the frame rate of times ``(T,)``: declared, of uniform times, or of a common grid.
 
     Examples
     --------
-    >>> frame_rate(np.array([0.0, 1 / 29.97, 2 / 29.97]), ""), frame_rate(np.array([0.0, 1 / 24, 4 / 24]), "")
+    >>> estimate_frame_rate(np.array([0, 1, 2]) / 29.97, ""), estimate_frame_rate(np.array([0, 1, 4]) / 24, "")
     (29.97, 24.0)
     """
     step = (times[-1] - times[0]) / max(len(times) - 1, 1)
-    even = len(times) > 1 and np.allclose(np.diff(times), step, rtol=0, atol=1e-6 * step + 1e-9)
-    rounding = float(np.spacing(np.abs(times).max())) / max(step, 1e-9)  # late times are less precise
-    rate = _plain(1 / step, 1e-12 + rounding) if even else 0.0
+    is_uniform = len(times) > 1 and np.allclose(np.diff(times), step, rtol=0, atol=1e-6 * step + 1e-9)
+    rounding = float(np.spacing(np.abs(times).max())) / max(step, 1e-9)
+    rate = _undo_rounding(1 / step, 1e-12 + rounding) if is_uniform else 0.0
     try:
-        said = float(declared or 0)
+        declared_rate = float(declared or 0)
     except ValueError:
-        said = 0.0
-    if (
-        np.isfinite(said) and said > 0 and not np.isclose(said, rate, rtol=1e-6)
-    ):  # else the step is more precise
-        return _plain(said, 1e-8)
-    for usual in () if even else _USUAL_RATES:
-        if len(times) > 1 and np.allclose(times * usual, np.rint(times * usual), rtol=0, atol=1e-3):
-            return float(usual)
+        declared_rate = 0.0
+    if np.isfinite(declared_rate) and declared_rate > 0 and not np.isclose(declared_rate, rate, rtol=1e-6):
+        return _undo_rounding(declared_rate, 1e-8)
+    for common in () if is_uniform else _COMMON_FRAME_RATES:
+        if len(times) > 1 and np.allclose(times * common, np.rint(times * common), rtol=0, atol=1e-3):
+            return float(common)
     return rate or DEFAULT_FPS
 
 
-def _plain(rate: float, tolerance: float) -> float:
-    """Return the rate before rounding by a reciprocal or a text: 29.97 or 30000/1001."""
+def _undo_rounding(rate: float, tolerance: float) -> float:
+    """Return a rate before rounding by a reciprocal or a text, such as 29.97 or 30000/1001."""
     simple = float(Fraction(rate).limit_denominator(1001))
     return simple if np.isclose(simple, rate, rtol=tolerance, atol=0) else float(f"{rate:.12g}")
 
 
 @dataclass(frozen=True, eq=False)
 class Transforms:
-    """Transforms from a mesh to the world in every frame."""
+    """Transforms from a mesh to the world, the nearest to the mesh first, with their samples at frames."""
 
-    above: tuple[tuple[Any, SampleWeights], ...]
+    samples: tuple[tuple[Any, SampleInterpolation], ...]
 
     @classmethod
-    def at(
-        cls, above: tuple[Any, ...], frames: Float, window: tuple[float, float] | None = None
+    def from_schemas(
+        cls, schemas: tuple[Any, ...], frames: Float, window: tuple[float, float] | None = None
     ) -> Transforms:
-        """Return the samples of transforms around frames ``(T,)``, of all samples or those within a window of time."""
-        found = []
-        for schema in above:
-            times = _times(schema)
-            kept = slice(0, len(times)) if window is None else samples_within(times, window)
-            between = locate(times[kept], frames)
-            found.append((schema, SampleWeights(between.before + kept.start, between.weight)))
-        return cls(tuple(found))
+        """Locate frames ``(T,)`` between the samples of transforms, all or those for a time window."""
+        samples = []
+        for schema in schemas:
+            times = np.zeros(1) if schema.isConstant() else sample_times(schema)
+            kept = slice(0, len(times)) if window is None else select_samples(times, window)
+            located = locate_samples(times[kept], frames)
+            samples.append((schema, SampleInterpolation(located.before + kept.start, located.weight)))
+        return cls(tuple(samples))
 
     def to_world(self, frame: int) -> Float:
         """Return the matrix ``(4, 4)`` of a frame."""
         world = np.eye(4)
-        for schema, between in self.above:
-            matrix, inherits = _local(schema, *between.at(frame))
+        for schema, samples in self.samples:
+            matrix, inherits = _local_matrix(schema, *samples.at(frame))
             with np.errstate(all="ignore"):
                 world = world @ matrix
             if not inherits:
@@ -224,18 +222,15 @@ class Transforms:
         return world
 
 
-def _times(schema: Any) -> Float:
-    return np.zeros(1) if schema.isConstant() else sample_times(schema)
-
-
-def _local(schema: Any, before: int, weight: float) -> tuple[Float, bool]:
+def _local_matrix(schema: Any, before: int, weight: float) -> tuple[Float, bool]:
+    """Return the parent-relative matrix ``(4, 4)`` of a transform, and whether it inherits its ancestors'."""
     if not schema.getNumSamples():
         return np.eye(4), True
-    first = schema.getValue(selector(schema, before))
+    first = schema.getValue(sample_selector(schema, before))
     matrix = np.array(first.getMatrix(), dtype=np.float64)
     if weight:
-        second = schema.getValue(selector(schema, before + 1))
-        matrix = mixed(matrix, np.array(second.getMatrix(), dtype=np.float64), weight)
+        second = schema.getValue(sample_selector(schema, before + 1))
+        matrix = interpolate_matrices(matrix, np.array(second.getMatrix(), dtype=np.float64), weight)
     return matrix, bool(first.getInheritsXforms())
 
 
@@ -245,80 +240,82 @@ def determinant(matrix: Float) -> float:
         return float(np.linalg.det(matrix[:3, :3]))
 
 
-def mixed(first: Float, second: Float, weight: float) -> Float:
-    """Interpolate affine matrices ``(4, 4)`` by translation, stretch and rotation; rotations do not shrink halfway."""
+def interpolate_matrices(first: Float, second: Float, weight: float) -> Float:
+    """Interpolate affine matrices ``(4, 4)`` by translation, stretch and rotation."""
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
-        return np.full((4, 4), np.nan)  # the reader names the frame and the vertex
+        return np.full((4, 4), np.nan)  # the reader reports the frame and the vertex
     blend = (1 - weight) * first + weight * second
-    turns = nearest_rotations(np.stack([first[:3, :3], second[:3, :3]]))
-    stretches = np.stack([first[:3, :3], second[:3, :3]]) @ turns.swapaxes(1, 2)  # rows: stretch, then turn
-    step = matrices(weight * vectors(turns[0].T @ turns[1]))
-    blend[:3, :3] = ((1 - weight) * stretches[0] + weight * stretches[1]) @ turns[0] @ step
+    rotations = nearest_rotations(np.stack([first[:3, :3], second[:3, :3]]))
+    stretches = np.stack([first[:3, :3], second[:3, :3]]) @ rotations.swapaxes(1, 2)  # before rotations
+    step = rotvec_to_matrix(weight * matrix_to_rotvec(rotations[0].T @ rotations[1]))
+    blend[:3, :3] = ((1 - weight) * stretches[0] + weight * stretches[1]) @ rotations[0] @ step
     return blend
 
 
-def moved(points: FloatArray, matrix: Float) -> NDArray[np.float32]:
+def transform_points(points: FloatArray, matrix: Float) -> Single:
     """Transform points ``(V, 3)`` by a matrix ``(4, 4)``, or vectors by its part ``(3, 3)``."""
     if np.array_equal(matrix, np.eye(len(matrix))):
         return np.asarray(points, dtype=np.float32)
-    with np.errstate(all="ignore"):  # overflow is reported by the reader, with its vertex
+    with np.errstate(all="ignore"):  # the reader reports overflow with its vertex
         world = points.astype(np.float64) @ matrix[:3, :3]
         if len(matrix) == 4:
             world += matrix[3, :3]
         return world.astype(np.float32)
 
 
-_FLAT = 1e-12
-"""Smallest determinant of an inverted matrix, relative to the cube of the largest scale."""
+_MIN_RELATIVE_DETERMINANT = 1e-12
+"""Smallest determinant of an invertible matrix, relative to the cube of its largest element."""
 
 
 @dataclass(frozen=True, eq=False)
-class Placing:
-    """Transforms above a mesh in every frame, and their rates."""
+class MeshTransform:
+    """Matrices ``(T, 4, 4)`` from mesh space to the world, and their time derivatives."""
 
     matrices: Float
     rates: Float
 
     @classmethod
-    def at(cls, above: tuple[Any, ...], frames: Float, fps: float) -> Placing:
-        """Evaluate transforms, the nearest to the mesh first, at times of frames ``(T,)`` in seconds.
+    def from_schemas(cls, schemas: tuple[Any, ...], frames: Float, fps: float) -> MeshTransform:
+        """Evaluate transforms, the nearest to the mesh first, at frame times ``(T,)`` in seconds.
 
-        Only samples that frames need are used, so that a copy without the others gives the same result.
+        Only samples for these frames are used, so that a copy without others gives the same result.
         """
         window = float(frames[0]), float(frames[-1])
-        now, before, after = (_matrices(above, frames + shift / fps, window) for shift in (0.0, -0.5, 0.5))
+        now, before, after = (
+            _evaluate_matrices(schemas, frames + shift / fps, window) for shift in (0.0, -0.5, 0.5)
+        )
         return cls(now, (after - before) * fps)
 
-    def check(self) -> None:
+    def check_invertible(self) -> None:
         """Raise an error if a frame's matrix is singular."""
         with np.errstate(all="ignore"):
-            sizes = np.abs(np.linalg.det(self.matrices[:, :3, :3]))
+            determinants = np.abs(np.linalg.det(self.matrices[:, :3, :3]))
             largest = np.abs(self.matrices[:, :3, :3]).max(axis=(1, 2))
-        flat = ~(sizes > _FLAT * largest**3)
-        if flat.any():
-            raise FormatError(f"the transforms above it make it flat in frame {int(flat.argmax())}")
+        is_singular = ~(determinants > _MIN_RELATIVE_DETERMINANT * largest**3)
+        if is_singular.any():
+            raise FormatError(f"the transforms above it make it flat in frame {int(is_singular.argmax())}")
 
-    def own_points(self, world: FloatArray, frame: int) -> NDArray[np.float32]:
+    def to_mesh_points(self, world: FloatArray, frame: int) -> Single:
         """Return a frame's points ``(V, 3)`` in mesh space."""
-        return moved(world, np.linalg.inv(self.matrices[frame]))
+        return transform_points(world, np.linalg.inv(self.matrices[frame]))
 
-    def own_velocities(self, world: FloatArray, own_points: FloatArray, frame: int) -> NDArray[np.float32]:
-        """Return a frame's velocities ``(V, 3)`` in mesh space, given its points `own_points` there."""
+    def to_mesh_velocities(self, world: FloatArray, points: FloatArray, frame: int) -> Single:
+        """Return a frame's velocities ``(V, 3)`` in mesh space, given its points there."""
         inverse = np.linalg.inv(self.matrices[frame])[:3, :3]
-        return moved(world - self._carried(own_points, frame), inverse)
+        return transform_points(world - self._transport(points, frame), inverse)
 
-    def world_velocities(self, own: FloatArray, own_points: FloatArray, frame: int) -> NDArray[np.float32]:
-        """Return the world velocities ``(V, 3)``, the inverse of `own_velocities`."""
-        turned = own.astype(np.float64) @ self.matrices[frame, :3, :3]
-        return (turned + self._carried(own_points, frame)).astype(np.float32)
+    def to_world_velocities(self, own: FloatArray, points: FloatArray, frame: int) -> Single:
+        """Return a frame's world velocities ``(V, 3)``, given those and the points in mesh space."""
+        rotated = own.astype(np.float64) @ self.matrices[frame, :3, :3]
+        return (rotated + self._transport(points, frame)).astype(np.float32)
 
-    def _carried(self, own_points: FloatArray, frame: int) -> Float:
+    def _transport(self, points: FloatArray, frame: int) -> Float:
         """Return the world velocities ``(V, 3)`` of points at rest in mesh space."""
-        return own_points.astype(np.float64) @ self.rates[frame, :3, :3] + self.rates[frame, 3, :3]
+        return points.astype(np.float64) @ self.rates[frame, :3, :3] + self.rates[frame, 3, :3]
 
 
-def _matrices(above: tuple[Any, ...], frames: Float, window: tuple[float, float]) -> Float:
-    transforms = Transforms.at(above, frames, window)
-    if all(schema.isConstant() for schema in above):
+def _evaluate_matrices(schemas: tuple[Any, ...], frames: Float, window: tuple[float, float]) -> Float:
+    transforms = Transforms.from_schemas(schemas, frames, window)
+    if all(schema.isConstant() for schema in schemas):
         return np.broadcast_to(transforms.to_world(0), (len(frames), 4, 4))
     return np.stack([transforms.to_world(frame) for frame in range(len(frames))])

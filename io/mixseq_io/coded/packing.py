@@ -12,28 +12,27 @@ import numpy as np
 from mixseq.choices import OrderName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.compression.bitstream.connectivity import encode_polygons
-from mixseq.compression.bitstream.corner_values import grid_numbers
+from mixseq.compression.bitstream.corner_values import to_grid
 from mixseq.compression.encoder.uvs import UV_ERROR, encode_uvs, with_quantised_uvs
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.sequence.header import SequenceHeader
-from mixseq_io.coded.streams import HEAD, MAGIC, Container, pack_leb128, pack_surface, pack_times
+from mixseq_io.coded.streams import INDEX_HEAD, MAGIC, Container, pack_leb128, pack_surface, pack_times
 
-_HDF5, _INDEX = 1200, 64
+_HDF5_SIZE, _INDEX_SIZE_PER_64_FRAMES = 1200, 64
 """Largest size in bytes of HDF5 and the attributes, and of the index for 64 frames."""
 
 
 def pack(coded: CompressedSequence) -> Container:
     """Concatenate an index and the streams of a compressed sequence."""
-    text = _json(coded)
-    of_chunks = [stream for chunk in coded.chunks for stream in (chunk.coefficients, chunk.residuals)]
-    streams = [*_ground(coded.header, coded.parameters.uv_steps), *coded.basis, *of_chunks]
+    text = _facts_json(coded)
+    chunk_streams = [stream for chunk in coded.chunks for stream in (chunk.coefficients, chunk.residuals)]
+    streams = [*_header_streams(coded.header, coded.parameters.uv_steps), *coded.basis, *chunk_streams]
     counts = [chunk.count for chunk in coded.chunks]
     lengths = pack_leb128([len(coded.basis), len(counts), *counts, *map(len, streams)])
-    checksums = np.array(
-        [crc32(text), *(crc32(stream) for stream in streams if stream)], dtype="<u4"
-    ).tobytes()
-    head = HEAD.pack(MAGIC, len(lengths), len(checksums), crc32(lengths + checksums))
+    crcs = [crc32(text), *(crc32(stream) for stream in streams if stream)]
+    checksums = np.array(crcs, dtype="<u4").tobytes()
+    head = INDEX_HEAD.pack(MAGIC, len(lengths), len(checksums), crc32(lengths + checksums))
     return Container(text, b"".join([head, lengths, checksums, *streams]))
 
 
@@ -44,7 +43,7 @@ def room_for_signals(
     uv_error: float = UV_ERROR,
     uvs: bool = True,
     order: OrderName = "keep",
-    container: int = _HDF5,
+    container: int = _HDF5_SIZE,
 ) -> int:
     """Return the bytes left for basis, coefficients and residual layer in a file of some size.
 
@@ -52,46 +51,40 @@ def room_for_signals(
     default HDF5. Raises `SettingsError` if nothing is left, `uv_error` is out of range, or the order is unknown.
     """
     header = cheapest_numbering(header, order).renumber_header(header)
-    ground = _ground(*with_quantised_uvs(header, uv_error, uvs))
-    connectivity, surface, times, *textures = map(len, ground)
-    surface += sum(textures)
-    container += times + _INDEX * (1 + header.frame_count // 64)
-    taken = connectivity + surface + container
-    if size <= taken:
+    streams = _header_streams(*with_quantised_uvs(header, uv_error, uvs))
+    connectivity, surface, times, *uv_sizes = map(len, streams)
+    surface += sum(uv_sizes)
+    container += times + _INDEX_SIZE_PER_64_FRAMES * (1 + header.frame_count // 64)
+    static = connectivity + surface + container
+    if size <= static:
         parts = f"faces take {connectivity}, texture coordinates and the like {surface}, the container {container}"
         cure = "; leave out texture coordinates (--no-uvs), or give more" if surface else ""
         raise SettingsError(
-            f"size is {size} bytes; {taken} are taken before there is any motion: {parts}{cure}"
+            f"size is {size} bytes; {static} are taken before there is any motion: {parts}{cure}"
         )
-    return size - taken
+    return size - static
 
 
-def _ground(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
+def _header_streams(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
     """Return connectivity, surface, times; and texture coordinates, if they are multiples of ``1 / uv_steps``."""
-    polygons, uvs, surface = header.polygons, header.surface.uvs, header.surface
-    textures = []
+    polygons, vertex_count, surface = header.polygons, header.vertex_count, header.surface
+    uv_streams = []
     if uv_steps is not None:
-        numbers = None if uvs is None else grid_numbers(uvs.at_corners, uv_steps)
+        numbers = None if surface.uvs is None else to_grid(surface.uvs.at_corners, uv_steps)
         if numbers is None:
             raise InvalidSequenceError(
-                f"texture coordinates are no multiples of 1 / {uv_steps}; compress the sequence again"
+                f"texture coordinates are not multiples of 1 / {uv_steps}; compress the sequence again"
             )
-        textures = [encode_uvs(polygons, header.vertex_count, numbers)]
+        uv_streams = [encode_uvs(polygons, vertex_count, numbers)]
         surface = replace(surface, uvs=None)
-    return [
-        encode_polygons(polygons, header.vertex_count),
-        pack_surface(surface, (polygons, header.vertex_count)),
-        pack_times(header.times, header.fps),
-        *textures,
-    ]
+    connectivity, times = encode_polygons(polygons, vertex_count), pack_times(header.times, header.fps)
+    return [connectivity, pack_surface(surface, (polygons, vertex_count)), times, *uv_streams]
 
 
-def _json(coded: CompressedSequence) -> bytes:
-    header = coded.header
+def _facts_json(coded: CompressedSequence) -> bytes:
+    header, parameters = coded.header, asdict(coded.parameters)
     facts = {
-        "coding": {
-            name: value for name, value in asdict(coded.parameters).items() if value not in ((), None)
-        },
+        "coding": {name: value for name, value in parameters.items() if value not in ((), None)},
         "name": header.name,
         "fps": header.fps,
         "up_axis": header.up_axis,

@@ -49,9 +49,10 @@ from mixseq.compression.bitstream.connectivity import decode_polygons
 from mixseq.compression.bitstream.corner_values import decode_hard_edges, decode_uvs, encode_hard_edges
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import WHITE, CornerValues, Surface
+from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.signals.model import Model
+from mixseq.types import Float, Index
 from mixseq_io.files import check_memory, format_gigabytes, max_memory
 from mixseq_io.surfaces import surface_from_arrays, surface_to_arrays
 
@@ -61,8 +62,16 @@ COMPRESSED_VERSION = 1
 MAGIC = b"msq1"
 """First bytes of the index. Frozen: breaks old files."""
 
-HEAD = struct.Struct("<4sIII")
+INDEX_HEAD = struct.Struct("<4sIII")
 """Magic, bytes of the lengths, bytes of the checksums, checksum of both. Frozen: breaks old files."""
+
+_HEADER_STREAMS = {
+    "connectivity": "the connectivity's bytes",
+    "surface": "the surface's bytes",
+    "times": "the times",
+    "uvs": "the texture coordinates",
+}
+"""Streams of the header, and how errors call them."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,7 @@ class Container:
 class Stream:
     """Range of a stream in the dataset, in bytes, and its CRC-32."""
 
-    what: str
+    name: str
     start: int
     size: int
     checksum: int
@@ -101,10 +110,10 @@ class ChunkStreams:
 
 @dataclass(frozen=True)
 class StreamIndex:
-    """All streams of a file; `ground` are connectivity, surface, times and uvs if any, `size` is the index's size."""
+    """All streams of a file, and the size of the index; `header` has connectivity, surface, times, and any uvs."""
 
     size: int
-    ground: Mapping[str, Stream]
+    header: Mapping[str, Stream]
     basis: tuple[Stream, ...]
     chunks: tuple[ChunkStreams, ...]
 
@@ -117,61 +126,57 @@ def read_index(path: Path, container: Container) -> StreamIndex:
             "upgrade with pip install --upgrade mixseq, or compress the original again"
         )
     damaged = FormatError(f"{path}: its index is damaged, so nothing can be read; restore the file")
-    if len(container.streams) < HEAD.size:
+    if len(container.streams) < INDEX_HEAD.size:
         raise damaged
-    magic, lengths_size, checksums_size, checksum = HEAD.unpack_from(container.streams)
-    size = HEAD.size + lengths_size + checksums_size
-    body = container.streams[HEAD.size : size]
+    magic, lengths_size, checksums_size, checksum = INDEX_HEAD.unpack_from(container.streams)
+    size = INDEX_HEAD.size + lengths_size + checksums_size
+    body = container.streams[INDEX_HEAD.size : size]
     if magic != MAGIC or crc32(body) != checksum or checksums_size % 4:
         raise damaged
     numbers = list(unpack_leb128(body[:lengths_size]))
     checksums = np.frombuffer(body[lengths_size:], dtype="<u4").tolist()
     if not checksums or crc32(container.text) != checksums[0]:
         raise damaged
-    uvs = facts_of(path, container)["coding"].get("uv_steps") is not None
+    has_uvs = read_facts(path, container)["coding"].get("uv_steps") is not None
     try:
-        return _index(size, numbers, checksums[1:], uvs)
-    except (IndexError, ValueError, StopIteration) as error:  # not by chance: somebody made it so
+        return _index_streams(size, numbers, checksums[1:], has_uvs)
+    except (IndexError, ValueError, StopIteration) as error:  # no accident: the checksum is right
         raise damaged from error
 
 
-def _index(size: int, numbers: list[int], checksums: list[int], uvs: bool) -> StreamIndex:
-    groups, chunks, *rest = numbers
-    counts, lengths = rest[:chunks], rest[chunks:]
-    if len(lengths) != 3 + uvs + groups + 2 * chunks or 0 in counts or max(lengths) >= 1 << 63:
-        raise ValueError("there cannot be so many streams, or frames, or bytes")
-    firsts = [0, *accumulate(counts)]
-    names = ["the connectivity's bytes", "the surface's bytes", "the times", "the texture coordinates"]
-    names = names[: 3 + uvs]
-    names += [f"the basis vectors of group {group}" for group in range(groups)]
-    for first, count in zip(firsts, counts, strict=False):
+def _index_streams(size: int, numbers: list[int], checksums: list[int], has_uvs: bool) -> StreamIndex:
+    group_count, chunk_count, *rest = numbers
+    counts, lengths = rest[:chunk_count], rest[chunk_count:]
+    header = list(_HEADER_STREAMS)[: 3 + has_uvs]
+    if len(lengths) != len(header) + group_count + 2 * chunk_count:
+        raise ValueError("the number of streams is not that of the parts of the file")
+    if 0 in counts or max(lengths) >= 1 << 63:
+        raise ValueError("a chunk has no frames, or a stream is too long")
+    ranges = zip(accumulate(lengths, initial=size), lengths, strict=False)
+    remaining = iter(checksums)
+
+    def stream(name: str) -> Stream:
+        start, length = next(ranges)
+        return Stream(name, start, length, next(remaining) if length else 0)
+
+    header_streams = {name: stream(_HEADER_STREAMS[name]) for name in header}
+    basis = tuple([stream(f"the basis vectors of group {group}") for group in range(group_count)])
+    chunks = []
+    for first, count in zip([0, *accumulate(counts)], counts, strict=False):
         frames = f"of frames {first} to {first + count - 1}"
-        names += [f"the coefficients {frames}", f"the residuals {frames}"]
-    starts = accumulate(lengths, initial=size)
-    left = iter(checksums)
-    streams = [
-        Stream(name, start, length, next(left) if length else 0)
-        for name, start, length in zip(names, starts, lengths, strict=False)
-    ]
-    if next(left, None) is not None:
+        coefficients, residuals = stream(f"the coefficients {frames}"), stream(f"the residuals {frames}")
+        chunks.append(ChunkStreams(first, count, coefficients, residuals))
+    if next(remaining, None) is not None:
         raise ValueError("there are more checksums than streams")
-    of_chunks = zip(
-        firsts, counts, streams[3 + uvs + groups :: 2], streams[4 + uvs + groups :: 2], strict=False
-    )
-    return StreamIndex(
-        size=size,
-        ground=dict(zip(("connectivity", "surface", "times", "uvs"), streams[: 3 + uvs], strict=False)),
-        basis=tuple(streams[3 + uvs : 3 + uvs + groups]),
-        chunks=tuple(ChunkStreams(*each) for each in of_chunks),
-    )
+    return StreamIndex(size, header_streams, basis, tuple(chunks))
 
 
-def facts_of(path: Path, container: Container) -> dict[str, Any]:
-    """Return the attribute ``coding``; raise `FormatError` if it is no JSON, or has no parameters."""
+def read_facts(path: Path, container: Container) -> dict[str, Any]:
+    """Return the attribute ``coding``; raise `FormatError` if it is not JSON, or has no parameters."""
     try:
         facts = json.loads(container.text)
     except ValueError as error:
-        raise FormatError(f"{path}: the attribute coding is no JSON ({error}); it is damaged") from error
+        raise FormatError(f"{path}: the attribute coding is not JSON ({error}); it is damaged") from error
     if not isinstance(facts, dict) or not isinstance(facts.get("coding"), dict):
         raise FormatError(f"{path}: the attribute coding has no parameters; it is damaged")
     return facts
@@ -206,81 +211,79 @@ _HARD_EDGES = "hard_edges"
 """Array of coded hard edges; `creases` are indices of normals. Frozen: breaks old files."""
 
 
-def pack_times(times: NDArray[np.float64], fps: float) -> bytes:
+def pack_times(times: Float, fps: float) -> bytes:
     """Return the packed deviations of times ``(T,)`` from ``times[0] + n / fps``, empty if there are none.
 
-    Differences of the numbers' bits, taken as integers, are stored, so that nothing is rounded.
+    Deviations are those of the numbers' bits, read as integers, so that nothing is rounded.
     """
-    apart = _bits(times) - _bits(_regular(float(times[0]), len(times), fps))
-    return zlib.compress(_shuffled(np.diff(apart, prepend=0)), 9) if apart.any() else b""
+    deviations = _as_integers(times) - _as_integers(_regular_times(float(times[0]), len(times), fps))
+    return zlib.compress(_shuffle_bytes(np.diff(deviations, prepend=0)), 9) if deviations.any() else b""
 
 
-def unpack_times(packed: bytes, first: float, count: int, fps: float) -> NDArray[np.float64]:
-    """Return the times ``(T,)`` that `pack_times` was given; raise `FormatError` for another number of times."""
-    regular = _regular(first, count, fps)
+def unpack_times(packed: bytes, first: float, count: int, fps: float) -> Float:
+    """Return the times ``(T,)`` packed by `pack_times`; raise `FormatError` for another number of times."""
+    regular = _regular_times(first, count, fps)
     if not packed:
         return regular
-    data = _decompressed(packed, 8 * count + 1, "the times are")
+    data = _decompress(packed, 8 * count + 1, "the times are")
     if len(data) != 8 * count:
         raise FormatError(f"there are {len(data)} bytes of times, {8 * count} are expected")
-    apart = np.cumsum(_unshuffled(data, np.dtype("<i8"), count))
-    times: NDArray[np.float64] = (_bits(regular) + apart).view(np.float64)
-    return times
+    deviations = np.cumsum(_unshuffle_bytes(data, np.dtype("<i8"), count))
+    return np.asarray((_as_integers(regular) + deviations).view(np.float64))
 
 
-def _regular(first: float, count: int, fps: float) -> NDArray[np.float64]:
+def _regular_times(first: float, count: int, fps: float) -> Float:
     with np.errstate(all="ignore"):  # damaged files have any numbers
-        regular: NDArray[np.float64] = first + np.arange(count) / fps
-    return regular
+        return np.asarray(first + np.arange(count) / fps, dtype=np.float64)
 
 
-def _bits(times: NDArray[np.float64]) -> NDArray[np.int64]:
+def _as_integers(times: Float) -> Index:
     return np.ascontiguousarray(times).view(np.int64)
 
 
-def _decompressed(packed: bytes, most: int, what: str) -> bytes:
-    """Undo `zlib.compress`, up to `most` bytes."""
+def _decompress(packed: bytes, max_size: int, name: str) -> bytes:
+    """Decompress up to `max_size` bytes of the output of `zlib.compress`."""
     try:
-        return zlib.decompressobj().decompress(packed, most)
+        return zlib.decompressobj().decompress(packed, max_size)
     except zlib.error as error:
-        raise FormatError(f"{what} damaged ({error})") from error
+        raise FormatError(f"{name} damaged ({error})") from error
 
 
 def pack_surface(surface: Surface, mesh: Mesh) -> bytes:
-    """Return a packed surface, empty if it has nothing.
+    """Return a packed surface; empty if it has no attributes.
 
     A JSON list of the arrays' names, types and shapes (with all texts), a zero byte, the arrays' bytes;
     all of it compressed by zlib. Hard edges are coded by `mixseq.compression.bitstream.corner_values`, if they can be.
     Colours per vertex are in the order of the vertices, without indices.
     """
-    listed: list[list[Any]] = []
+    descriptions: list[list[Any]] = []
     data = []
-    for name, array in _arrays_on(surface, mesh).items():
+    for name, array in _compact_arrays(surface, mesh).items():
         if array.dtype.kind == "U":
-            listed.append([name, array.tolist()])
+            descriptions.append([name, array.tolist()])
         else:
             little = array.astype(array.dtype.newbyteorder("<"))
-            listed.append([name, little.dtype.str, little.shape])
+            descriptions.append([name, little.dtype.str, little.shape])
             flat = little.reshape(-1)
             if flat.dtype.kind == "i":  # first differences, with wrap-around
                 flat = np.diff(flat, prepend=flat.dtype.type(0))
-            data.append(_shuffled(flat))
-    if not listed:
+            data.append(_shuffle_bytes(flat))
+    if not descriptions:
         return b""
-    text = json.dumps(listed, separators=(",", ":")).encode("ascii")
+    text = json.dumps(descriptions, separators=(",", ":")).encode("ascii")
     return zlib.compress(b"\0".join([text, b"".join(data)]), 9)
 
 
-def _arrays_on(surface: Surface, mesh: Mesh) -> dict[str, NDArray[Any]]:
+def _compact_arrays(surface: Surface, mesh: Mesh) -> dict[str, NDArray[Any]]:
     """Return the arrays of a surface, shortened or omitted where they follow from the mesh."""
     polygons, vertex_count = mesh
     corners, colours = polygons.indices, surface.colours
-    of_vertices = colours is not None and colours.one_per_vertex(corners)
-    if colours is not None and of_vertices:
-        values = colours.at_vertices(corners, vertex_count, WHITE)
+    is_per_vertex = colours is not None and colours.one_per_vertex(corners)
+    if colours is not None and is_per_vertex:
+        values = colours.at_vertices(corners, vertex_count, DEFAULT_COLOUR)
         surface = replace(surface, colours=CornerValues(values, corners))
     arrays = surface_to_arrays(surface)
-    if of_vertices:
+    if is_per_vertex:
         del arrays["colour_indices"]
     coded = None if surface.hard_edges is None else encode_hard_edges(*mesh, surface.hard_edges)
     if coded is None:
@@ -295,13 +298,13 @@ def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
         return Surface()
     try:
         limit = max_memory()
-        whole = _decompressed(packed, limit, "the surface is")
-        if len(whole) == limit:  # it continues to an unknown length
+        unpacked = _decompress(packed, limit, "the surface is")
+        if len(unpacked) == limit:  # it continues to an unknown length
             raise FormatError(
                 f"the surface takes more than {format_gigabytes(limit)} of memory, the limit (--max-memory)"
             )
-        text, _, data = whole.partition(b"\0")
-        arrays = _arrays(json.loads(text), data)
+        text, _, data = unpacked.partition(b"\0")
+        arrays = _split_arrays(json.loads(text), data)
         coded = arrays.pop(_HARD_EDGES, None)
         if coded is not None:
             arrays["creases"] = decode_hard_edges(coded.tobytes(), *mesh)
@@ -312,16 +315,16 @@ def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
         raise FormatError(f"the surface is damaged ({error})") from error
 
 
-def _arrays(listed: list[list[Any]], data: bytes) -> dict[str, NDArray[Any]]:
+def _split_arrays(descriptions: list[list[Any]], data: bytes) -> dict[str, NDArray[Any]]:
     arrays: dict[str, NDArray[Any]] = {}
     start = 0
-    for name, *what in listed:
-        if len(what) == 1:
-            arrays[name] = np.array(what[0], dtype=np.str_)
+    for name, *description in descriptions:
+        if len(description) == 1:
+            arrays[name] = np.array(description[0], dtype=np.str_)
             continue
-        dtype, shape = np.dtype(what[0]), tuple(what[1])
+        dtype, shape = np.dtype(description[0]), tuple(description[1])
         count = int(np.prod(shape, dtype=np.int64))
-        flat = _unshuffled(data[start : start + count * dtype.itemsize], dtype, count)
+        flat = _unshuffle_bytes(data[start : start + count * dtype.itemsize], dtype, count)
         start += count * dtype.itemsize
         if dtype.kind == "i":
             flat = np.cumsum(flat, dtype=dtype)
@@ -329,80 +332,75 @@ def _arrays(listed: list[list[Any]], data: bytes) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _shuffled(array: NDArray[Any]) -> bytes:
+def _shuffle_bytes(array: NDArray[Any]) -> bytes:
     """Return the first bytes of all numbers, then their second bytes, and so on."""
     little = array.astype(array.dtype.newbyteorder("<"))
     return little.view(np.uint8).reshape(len(array), array.dtype.itemsize).T.tobytes()
 
 
-def _unshuffled(data: bytes, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
+def _unshuffle_bytes(data: bytes, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
     planes = np.frombuffer(data, dtype=np.uint8).reshape(dtype.itemsize, count)
     return np.ascontiguousarray(planes.T).view(dtype).reshape(count)
 
 
-_OF_ELEMENT, _OF_CORNER = 64, 256
-"""Memory in bytes that decoding takes per vertex, corner and frame, and extra per corner with a surface."""
-
-_DECODED = 16
-"""Memory in bytes that decoding takes per number of a basis and its coefficients."""
+_BYTES_PER_ELEMENT, _BYTES_PER_SURFACE_CORNER, _BYTES_PER_NUMBER = 64, 256, 16
+"""Memory that decoding takes per vertex, corner and frame, extra per corner with a surface, per number of signals."""
 
 
 def read_sequence(path: Path, container: Container) -> CompressedSequence:
     """Return the compressed sequence of a file, checked; raise `FormatError` with the damaged stream and its frames."""
     index = read_index(path, container)
 
-    def sound(stream: Stream) -> bytes:
+    def read(stream: Stream) -> bytes:
         data = stream.read(container.streams)
         if data is None:
-            raise FormatError(f"{path}: {stream.what} are damaged; restore the file")
+            raise FormatError(f"{path}: {stream.name} are damaged; restore the file")
         return data
 
-    # Everything is checked before anything is made of it.
-    ground = {name: sound(stream) for name, stream in index.ground.items()}
-    basis = tuple(sound(stream) for stream in index.basis)
+    # All streams are checked before any is decoded.
+    header_data = {name: read(stream) for name, stream in index.header.items()}
+    basis = tuple(map(read, index.basis))
     chunks = tuple(
-        Chunk(each.first, each.count, sound(each.coefficients), sound(each.residuals))
-        for each in index.chunks
+        Chunk(chunk.first, chunk.count, read(chunk.coefficients), read(chunk.residuals))
+        for chunk in index.chunks
     )
-    facts = facts_of(path, container)
+    facts = read_facts(path, container)
     parameters = _parameters(path, facts)
-    header = _header(path, facts, parameters, index, ground)
+    header = _header(path, facts, parameters, index, header_data)
     order: OrderName = facts.get("order", "keep")
     if order not in ORDERS:
-        raise FormatError(f"{path}: this mixseq does not know the order {order!r}; upgrade it")
+        raise FormatError(f"{path}: the order {order!r} is unknown to this mixseq; upgrade it")
     return CompressedSequence(header, parameters, basis, chunks, order, _between(path, facts))
 
 
 def _parameters(path: Path, facts: Mapping[str, Any]) -> CodingParameters:
     """Return the decoding parameters; raise `FormatError` if one is unknown, missing or out of range."""
-    given: dict[str, Any] = facts["coding"]
-    known = {field.name for field in fields(CodingParameters)}
-    unknown = sorted(set(given) - known)
+    coding: dict[str, Any] = facts["coding"]
+    unknown = sorted(set(coding) - {field.name for field in fields(CodingParameters)})
     if unknown:
-        raise FormatError(f"{path}: this mixseq does not know the parameter {unknown[0]!r}; upgrade it")
+        raise FormatError(f"{path}: the parameter {unknown[0]!r} is unknown to this mixseq; upgrade it")
     try:
-        parameters = CodingParameters(**given)
+        parameters = CodingParameters(**coding)
     except TypeError as error:
         raise FormatError(f"{path}: parameters are missing ({error}); it is damaged") from error
     except SettingsError as error:
         raise FormatError(f"{path}: {error}; it is damaged") from error
     if parameters.frame_count != facts.get("frame_count"):
-        raise FormatError(f"{path}: its two numbers of frames contradict each other; it is damaged")
+        raise FormatError(f"{path}: its two numbers of frames differ; it is damaged")
     return parameters
 
 
 def _between(path: Path, facts: Mapping[str, Any]) -> TemporalInterpolation | None:
-    """Return the prediction of coefficients between frames, None if absent; raise `FormatError` if it is invalid."""
-    given = facts.get("between")
-    if given is None:
+    """Return the interpolation of coefficients between frames, None if absent; raise `FormatError` if it is invalid."""
+    between = facts.get("between")
+    if between is None:
         return None
-    if not (isinstance(given, dict) and set(given) == {"length", "cubic"}):
-        raise FormatError(f"{path}: between is {given!r}; length and cubic are expected; it is damaged")
-    length, cubic = given["length"], given["cubic"]
+    if not (isinstance(between, dict) and set(between) == {"length", "cubic"}):
+        raise FormatError(f"{path}: between is {between!r}; length and cubic are expected; it is damaged")
+    length, cubic = between["length"], between["cubic"]
+    cubic = tuple(cubic) if isinstance(cubic, list) else cubic
     try:
-        return TemporalInterpolation(
-            inf if length is None else length, tuple(cubic) if isinstance(cubic, list) else cubic
-        )
+        return TemporalInterpolation(inf if length is None else length, cubic)
     except SettingsError as error:
         raise FormatError(f"{path}: between: {error}; it is damaged") from error
 
@@ -412,30 +410,30 @@ def _header(
     facts: Mapping[str, Any],
     parameters: CodingParameters,
     index: StreamIndex,
-    ground: Mapping[str, bytes],
+    data: Mapping[str, bytes],
 ) -> SequenceHeader:
-    """Decode mesh and times from `StreamIndex.ground`; raise `FormatError` for contradictions or too much memory."""
-    told = [facts.get(f"{what}_count") for what in ("vertex", "corner", "frame")]
-    elements = sum(each for each in told if isinstance(each, int))
-    on_corners = "uvs" in ground or ground["surface"]
-    corner = _OF_CORNER * told[1] if on_corners and isinstance(told[1], int) else 0
-    check_memory(path, _OF_ELEMENT * elements + corner, "mesh and times")
+    """Decode mesh and times from `StreamIndex.header`; raise `FormatError` for contradictions or too much memory."""
+    counts = [facts.get(f"{element}_count") for element in ("vertex", "corner", "frame")]
+    elements = sum(count for count in counts if isinstance(count, int))
+    has_surface = "uvs" in data or data["surface"]
+    surface_corners = counts[1] if has_surface and isinstance(counts[1], int) else 0
+    memory = _BYTES_PER_ELEMENT * elements + _BYTES_PER_SURFACE_CORNER * surface_corners
+    check_memory(path, memory, "mesh and times")
     try:
         vertices, polygons, corners, frames = (
-            int(facts[f"{what}_count"]) for what in ("vertex", "polygon", "corner", "frame")
+            int(facts[f"{element}_count"]) for element in ("vertex", "polygon", "corner", "frame")
         )
         fps = float(facts["fps"])
         if sum(chunk.count for chunk in index.chunks) != frames:
             raise FormatError(f"its chunks do not add up to {frames} frames")
-        mesh = decode_polygons(ground["connectivity"], polygons, corners, vertices)
-        surface = unpack_surface(ground["surface"], path.parent, (mesh, vertices))
-        if "uvs" in ground and parameters.uv_steps is not None:
-            uvs = decode_uvs(ground["uvs"], mesh, vertices, parameters.uv_steps)
-            surface = replace(surface, uvs=uvs)
+        mesh = decode_polygons(data["connectivity"], polygons, corners, vertices)
+        surface = unpack_surface(data["surface"], path.parent, (mesh, vertices))
+        if "uvs" in data and parameters.uv_steps is not None:
+            surface = replace(surface, uvs=decode_uvs(data["uvs"], mesh, vertices, parameters.uv_steps))
         return SequenceHeader(
             polygons=mesh,
             vertex_count=vertices,
-            times=unpack_times(ground["times"], float(facts["first_time"]), frames, fps),
+            times=unpack_times(data["times"], float(facts["first_time"]), frames, fps),
             fps=fps,
             up_axis=str(facts["up_axis"]),
             metres_per_unit=float(facts["metres_per_unit"]),
@@ -449,10 +447,10 @@ def _header(
 
 
 def decode_model(path: Path, coded: CompressedSequence) -> Model:
-    """Return the model of a sequence read from a file; raise `FormatError` for contradictions or too much memory."""
+    """Decode a sequence read from a file; raise `FormatError` for contradictions or too much memory."""
     width, frames = 3 if coded.parameters.factors == "shapes" else 1, coded.header.frame_count
     numbers = coded.parameters.rank * (width * coded.header.vertex_count + 3 * frames)
-    check_memory(path, _DECODED * numbers, "its basis and coefficients")
+    check_memory(path, _BYTES_PER_NUMBER * numbers, "its basis and coefficients")
     try:
         return to_model(coded)
     except (FormatError, MemoryError) as error:

@@ -1,6 +1,6 @@
-"""Animations of a glTF file: properties of nodes over time, frame times, and the points that follow.
+"""Animations of a glTF file: keyframes of node properties, frame times, and the points of animated meshes.
 
-Points are in world space: morph targets first, then the skin, or else the node's transform.
+World-space points result from morph targets, then from the skin, or without one from the node's transform.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#appendix-c-interpolation
 """
@@ -12,15 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from mixseq.errors import FormatError, SettingsError
-from mixseq.sequence.frame_rates import NTSC_RATES, exact_rate
+from mixseq.sequence.frame_rates import NTSC_RATES, snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS
-from mixseq.types import Float, FloatArray
+from mixseq.types import Float, FloatArray, Index, Single
 from mixseq_io.gltf.document import Document, Fields
-from mixseq_io.gltf.primitives import Weld, deltas, influences, target_count
+from mixseq_io.gltf.primitives import Weld, count_targets, read_deltas, read_influences
 from mixseq_io.gltf.scene import Pose, Scene
 from mixseq_io.reader import warn
 from mixseq_io.scene_meshes import (
@@ -31,160 +30,157 @@ from mixseq_io.scene_meshes import (
     snap_to_frames,
 )
 
-USUAL_RATES = (24.0, 30.0, 25.0, 60.0, 50.0, 48.0, 120.0, 100.0, 12.0, 15.0, 20.0, 10.0, *NTSC_RATES)
-"""Rates in Hz, the most usual first."""
+COMMON_FRAME_RATES = (24.0, 30.0, 25.0, 60.0, 50.0, 48.0, 120.0, 100.0, 12.0, 15.0, 20.0, 10.0, *NTSC_RATES)
+"""Frame rates in Hz, the most common first."""
 
-_MOST_FRAMES = 1_000_000
-_FASTEST_PLAYED = 60.0
-"""Highest rate in Hz at which keys count as frames; finer grids are hundredths of seconds or ticks."""
-_GAP = 1.5  # frames; a wider one has room for another
-_GRID = 2e-3  # of a frame; keys are float32
+_MAX_FRAME_COUNT = 1_000_000
+MAX_GRID_RATE = 60.0
+"""Highest rate in Hz of keys at frames; finer grids are hundredths of seconds or ticks."""
+
+_MIN_GAP_FRAMES = 1.5
+_GRID_TOLERANCE_FRAMES = 2e-3
+"""Distance of float32 keys from the frame grid, in frames."""
 
 
-def time_tolerance(times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the difference ``(n,)`` in s below which times are equal: a microsecond or a float32 step."""
+def time_tolerance(times: Float) -> Float:
+    """Return the distance ``(n,)`` in s within which times are equal: a microsecond or a float32 step."""
     return np.maximum(TIME_TOLERANCE, np.spacing(np.abs(times).astype(np.float32)).astype(np.float64))
 
 
-def key_times(channels: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return the times ``(n,)`` of all channels, increasing; equal times of two channels count once."""
-    found = np.empty(0)
+def merge_key_times(channels: Iterable[Float]) -> Float:
+    """Merge the key times of all channels into increasing times ``(n,)``."""
+    merged = np.empty(0)
     for times in sorted(channels, key=len, reverse=True):
-        found = insert_times(found, times, time_tolerance(times))
-    return found
+        merged = insert_times(merged, times, time_tolerance(times))
+    return merged
 
 
-def sampled_times(path: Path, keys: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
+def sample_times(path: Path, keys: Float, fps: float) -> Float:
     """Return times ``(n,)`` from the first key to the last, `fps` per second."""
     if not (np.isfinite(fps) and fps > 0):
         raise SettingsError(f"fps is {fps}; a positive number is expected")
     if not keys.size:
         return keys
-    count = (keys[-1] - keys[0]) * fps + _GRID
-    if not count < _MOST_FRAMES:
+    count = (keys[-1] - keys[0]) * fps + _GRID_TOLERANCE_FRAMES
+    if not count < _MAX_FRAME_COUNT:
         raise FormatError(
             f"{path}: {keys[-1] - keys[0]:g} s at {fps:g} frames per second are too many frames"
         )
-    times: NDArray[np.float64] = keys[0] + np.arange(int(count) + 1) / fps
+    times: Float = keys[0] + np.arange(int(count) + 1) / fps
     return times
 
 
-def played_times(keys: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
-    """Return the times of keys ``(n,)``, and of the frames played in wider gaps between them.
+def insert_frames(keys: Float, rate: float) -> Float:
+    """Insert frames into gaps between key times ``(n,)``, at least half a frame from every key.
 
-    These are ``k / rate`` if the first key is on that grid, else ``rate`` per second from the first key on. Frames less
-    than half a frame from a key are left out; nothing is added above 100 000 frames or where every frame has a key.
+    They are at ``k / rate`` if the first key is, else at multiples of the frame duration after it. More than 100 000
+    frames are not inserted.
 
     Examples
     --------
-    >>> played_times(np.array([0.5, 0.75, 2.1]), 4).tolist()
+    >>> insert_frames(np.array([0.5, 0.75, 2.1]), 4).tolist()
     [0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.1]
     """
     gaps = np.diff(keys) * rate
-    wide = gaps > _GAP
-    if not wide.any() or not gaps.sum() < MAX_INSERTED_FRAMES:
+    is_wide = gaps > _MIN_GAP_FRAMES
+    if not is_wide.any() or not gaps.sum() < MAX_INSERTED_FRAMES:
         return keys
     first = snap_to_frames(keys[:1], rate)[0] * rate
-    whole = np.rint(first)
-    start = whole if abs(first - whole) < _GRID else first
+    nearest = np.rint(first)
+    start = nearest if abs(first - nearest) < _GRID_TOLERANCE_FRAMES else first
     frames = (start + np.arange(int(gaps.sum()) + 2)) / rate
     after = np.searchsorted(keys, frames)
-    inside = (after > 0) & (after < keys.size)
-    frames, after = frames[inside], after[inside]
-    room = np.minimum(frames - keys[after - 1], keys[after] - frames) * rate >= 0.5 - _GRID
-    return np.union1d(keys, frames[room & wide[after - 1]])
+    is_inside = (after > 0) & (after < keys.size)
+    frames, after = frames[is_inside], after[is_inside]
+    distance = np.minimum(frames - keys[after - 1], keys[after] - frames) * rate
+    return np.union1d(keys, frames[(distance >= 0.5 - _GRID_TOLERANCE_FRAMES) & is_wide[after - 1]])
 
 
-def played_rate(keys: NDArray[np.float64]) -> float:
-    """Return the frame rate of keys ``(n,)``: that of their grid, 24 if it is finer than 60."""
-    rate = rate_of(keys)
-    return rate if rate <= _FASTEST_PLAYED else DEFAULT_FPS
-
-
-def rate_of(times: NDArray[np.float64]) -> float:
-    """Return the frame rate of even keys ``(n,)``, else of the grid that they lie on, 24 if there is none.
+def estimate_frame_rate(times: Float) -> float:
+    """Return the frame rate of uniform keys ``(n,)``, else of the grid that they lie on, 24 without any.
 
     Examples
     --------
-    >>> rate_of(np.arange(96) / np.float32(29.97)) == 30000 / 1001
+    >>> estimate_frame_rate(np.arange(96) / np.float32(29.97)) == 30000 / 1001
     True
-    >>> rate_of(np.array([0.0, 1, 2, 5]) / 12), rate_of(np.array([0.0, 0.5, 0.6]))
+    >>> estimate_frame_rate(np.array([0.0, 1, 2, 5]) / 12), estimate_frame_rate(np.array([0.0, 0.5, 0.6]))
     (12.0, 30.0)
     """
     if times.size < 2:
         return DEFAULT_FPS
-    even = _even_rate(times)
-    if even:
-        return even
-    steps = times - times[0]
-    own = 1 / float(np.median(np.diff(times)))
-    likely = [rate for rate in USUAL_RATES if abs(rate - own) < 1e-3 * own] or [own]
+    uniform = _uniform_rate(times)
+    if uniform:
+        return uniform
+    offsets = times - times[0]
+    median = 1 / float(np.median(np.diff(times)))
+    likely = [rate for rate in COMMON_FRAME_RATES if abs(rate - median) < 1e-3 * median] or [median]
     # A few distant keys determine no rate.
-    for rate in (*(likely if own >= min(USUAL_RATES) else []), *USUAL_RATES):
-        frames = steps * rate
-        if np.abs(frames - np.rint(frames)).max() < _GRID:
+    for rate in (*(likely if median >= min(COMMON_FRAME_RATES) else []), *COMMON_FRAME_RATES):
+        frames = offsets * rate
+        if np.abs(frames - np.rint(frames)).max() < _GRID_TOLERANCE_FRAMES:
             return rate
     return DEFAULT_FPS
 
 
-def _even_rate(times: NDArray[np.float64]) -> float | None:
-    """Return the rate of float32 keys ``(n,)`` at even frames, None for others and for keys far apart.
+def _uniform_rate(times: Float) -> float | None:
+    """Return the rate of uniform float32 keys ``(n,)``, None for others and for keys far apart.
 
-    Of the rates that round to the same keys it is a usual one, or else the one with the fewest digits.
+    Of the rates that round to the same keys it is a common one, or else the one with the fewest digits.
     """
     count, span = times.size - 1, float(times[-1] - times[0])
     rounding = 2 * float(np.spacing(np.float32(np.abs(times).max())))
     rate = count / span if 0 < span < np.inf else 0.0
-    if not rate >= min(USUAL_RATES):
+    if not rate >= min(COMMON_FRAME_RATES):
         return None
     if not np.abs(times - times[0] - np.arange(count + 1) / rate).max() <= rounding:
         return None
-    whole = round(float(times[-1]) * rate)
-    if (
-        whole > count
-        and np.abs(times * (whole / times[-1]) - np.arange(whole - count, whole + 1)).max() < _GRID
-    ):
-        rate, span = whole / float(times[-1]), float(times[-1])  # of frames from 0 on, the most precise
+    last, end = round(float(times[-1]) * rate), float(times[-1])
+    if last > count:
+        frames = np.arange(last - count, last + 1)
+        if np.abs(times * (last / times[-1]) - frames).max() < _GRID_TOLERANCE_FRAMES:
+            rate, span = last / end, end  # more precise, from frame 0 on
     error = rate * rounding / span
-    usual = min((*USUAL_RATES, round(rate * 1.001) / 1.001), key=lambda usual: abs(usual - rate))
-    # also what was rounded when somebody typed it, 29.97, as long as that makes no difference
-    if abs(usual - rate) <= max(error, _GRID * rate / count if exact_rate(rate) == usual else 0.0):
-        return usual
+    common = min((*COMMON_FRAME_RATES, round(rate * 1.001) / 1.001), key=lambda common: abs(common - rate))
+    # Includes exporters' rounding of NTSC rates to 29.97, if it displaces no key.
+    is_rounded = snap_to_ntsc(rate) == common
+    if abs(common - rate) <= max(error, _GRID_TOLERANCE_FRAMES * rate / count if is_rounded else 0.0):
+        return common
     rounded = (round(rate, digits) for digits in range(6))
     return next((simple for simple in rounded if abs(simple - rate) <= error), rate)
 
 
-_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
+_PROPERTY_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 _INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
 NO_ANIMATION = "none"
-"""Choice of animation that reads the nodes without any, mostly at rest."""
+"""Value of the option that selects the static nodes, mostly in the rest pose."""
 
-_LATEST = 1e9
+_MAX_EXTRA_NUMBER = 1e9
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """Keyframes of one property of one node."""
+    """Keyframes of a node's property at times ``(n,)``: values ``(n, k)``, or ``(n, 3, k)`` with tangents."""
 
     node: int
     name: str
-    times: NDArray[np.float64]
-    values: NDArray[np.float32]
+    times: Float
+    values: Single
     interpolation: str
 
     @property
-    def moves(self) -> bool:
+    def is_animated(self) -> bool:
         """Whether the property changes over time."""
-        at_keys = self.values[:, 1] if self.interpolation == "CUBICSPLINE" else self.values
-        tangents = self.values[:, ::2] if self.interpolation == "CUBICSPLINE" else self.values[:0]
+        is_cubic = self.interpolation == "CUBICSPLINE"
+        at_keys = self.values[:, 1] if is_cubic else self.values
+        tangents = self.values[:, ::2] if is_cubic else self.values[:0]
         return len(at_keys) > 1 and bool((at_keys[1:] != at_keys[:-1]).any() or tangents.any())
 
     @property
-    def moves_straight(self) -> bool:
+    def is_linear_motion(self) -> bool:
         """Whether points that follow this channel alone move linearly in time between keys."""
         return self.interpolation == "LINEAR" and self.name in ("translation", "weights")
 
-    def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+    def evaluate(self, times: Float) -> Float:
         """Return the values ``(B, k)`` at times ``(B,)`` in s, constant before the first key and after the last."""
         after = np.clip(np.searchsorted(self.times, times, side="right"), 1, max(len(self.times) - 1, 1))
         before, after = after - 1, np.minimum(after, len(self.times) - 1)
@@ -192,55 +188,51 @@ class Channel:
         s = np.clip((times - self.times[before]) / np.where(step > 0, step, 1.0), 0.0, 1.0)[:, None]
         first, second = self.values[before].astype(np.float64), self.values[after].astype(np.float64)
         if self.interpolation == "STEP":
-            # Keys are float32: frames at a rate may be just before the key that they are meant for.
-            almost = (s > 0) & ((self.times[after] - times)[:, None] <= time_tolerance(times)[:, None])
-            return np.where((s < 1) & ~almost, first, second)
+            # Frames on a grid may be just before their float32 key.
+            is_at_key = (s > 0) & ((self.times[after] - times)[:, None] <= time_tolerance(times)[:, None])
+            return np.where((s < 1) & ~is_at_key, first, second)
         if self.interpolation == "CUBICSPLINE":
-            return hermite(
-                first[:, 1], step[:, None] * first[:, 2], second[:, 1], step[:, None] * second[:, 0], s
-            )
+            step = step[:, None]
+            return hermite(first[:, 1], step * first[:, 2], second[:, 1], step * second[:, 0], s)
         if self.name == "rotation":
             return slerp(first, second, s)
         return (1 - s) * first + s * second
 
 
-def hermite(
-    a: NDArray[np.float64],
-    leaving: NDArray[np.float64],
-    b: NDArray[np.float64],
-    arriving: NDArray[np.float64],
-    s: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Return the Hermite cubics from `a` to `b` ``(n, k)``, tangents per step, at `s` ``(n, 1)``, not normalised."""
+def hermite(a: Float, out_tangent: Float, b: Float, in_tangent: Float, s: Float) -> Float:
+    """Evaluate Hermite cubics from `a` to `b` ``(n, k)`` at `s` ``(n, 1)``, with tangents per step."""
     return (
         (2 * s**3 - 3 * s**2 + 1) * a
-        + (s**3 - 2 * s**2 + s) * leaving
+        + (s**3 - 2 * s**2 + s) * out_tangent
         + (3 * s**2 - 2 * s**3) * b
-        + (s**3 - s**2) * arriving
+        + (s**3 - s**2) * in_tangent
     )
 
 
-def slerp(a: NDArray[np.float64], b: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.float64]:
+_MIN_SLERP_ANGLE = 1e-6
+"""Angle in radians below which an arc is straight to rounding."""
+
+
+def slerp(a: Float, b: Float, s: Float) -> Float:
     """Interpolate quaternions from `a` to `b` ``(n, 4)`` on the short arc, at fractions `s` ``(n, 1)``."""
     cosine = np.sum(a * b, axis=1, keepdims=True)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    small = angle < 1e-6  # a straight line is the arc to rounding
-    sine = np.where(small, 1.0, np.sin(angle))
-    first = np.where(small, 1 - s, np.sin((1 - s) * angle) / sine)
-    second = np.where(small, s, np.sin(s * angle) / sine)
+    is_straight = angle < _MIN_SLERP_ANGLE
+    sine = np.where(is_straight, 1.0, np.sin(angle))
+    first = np.where(is_straight, 1 - s, np.sin((1 - s) * angle) / sine)
+    second = np.where(is_straight, s, np.sin(s * angle) / sine)
     return first * a + np.where(cosine < 0, -second, second) * b
 
 
-def pose_at(channels: Collection[Channel], times: NDArray[np.float64]) -> Pose:
-    """Return the animated values at times ``(B,)`` in seconds."""
-    return {(channel.node, channel.name): channel.at(times) for channel in channels}
+def evaluate_pose(channels: Collection[Channel], times: Float) -> Pose:
+    """Return the animated values of all channels at times ``(B,)`` in seconds."""
+    return {(channel.node, channel.name): channel.evaluate(times) for channel in channels}
 
 
 def choose_animation(document: Document, choice: str | int | None) -> Fields | None:
-    """Return the animation chosen by name or number; the first by default, None if the file has none.
+    """Return the animation given by name or index, by default the first; None without any or for `NO_ANIMATION`.
 
-    The prefix that exporters write before a "|", as in ``AnimalArmature|Gallop``, may be left out of a name.
-    `NO_ANIMATION` selects the nodes as they stand in the file, unless an animation has that name.
+    Names may omit a prefix that ends in "|", as in ``AnimalArmature|Gallop``. An animation may be named "none", too.
     """
     animations = document.items("animations")
     names = [each.text("name") or f"animation {index}" for index, each in enumerate(animations)]
@@ -248,43 +240,41 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
         if len(animations) > 1:
             warn(
                 f"{document.path}: of {len(names)} animations the first, {names[0]!r}, is read; the option animation "
-                f"(--animation on the command line) chooses another one: {_numbered(names, 1)}"
+                f"(--animation on the command line) chooses another one: {_format_numbered(names, 1)}"
             )
         return animations[0] if animations else None
     if choice in names:
         return animations[names.index(str(choice))]
-    number = str(choice)
-    if number.isdecimal() and len(number) < 10 and int(number) < len(animations):
-        return animations[int(number)]
-    ending = [index for index, name in enumerate(names) if name.endswith(f"|{choice}")]
-    if len(ending) == 1:
-        return animations[ending[0]]
+    digits = str(choice)
+    if digits.isdecimal() and len(digits) < 10 and int(digits) < len(animations):
+        return animations[int(digits)]
+    matching = [index for index, name in enumerate(names) if name.endswith(f"|{choice}")]
+    if len(matching) == 1:
+        return animations[matching[0]]
     if choice == NO_ANIMATION:
         return None
     raise SettingsError(
-        f"{document.path} has {'several animations' if ending else 'no animation'} {choice!r}; "
-        f"there are {_numbered(names) or 'none'}"
+        f"{document.path} has {'several animations' if matching else 'no animation'} {choice!r}; "
+        f"there are {_format_numbered(names) or 'none'}"
     )
 
 
-def _numbered(names: Sequence[str], first: int = 0) -> str:
-    """Return at most 20 names with their numbers, from `first` on, for a message: ``1 'Dance', 2 'Death'``."""
-    return format_names([f"{number} {name!r}" for number, name in enumerate(names)][first:], str)
+def _format_numbered(names: Sequence[str], first: int = 0) -> str:
+    """Format numbered names from index `first` on for a message: "1 'Dance', 2 'Death'"."""
+    return format_names([f"{index} {name!r}" for index, name in enumerate(names)][first:], str)
 
 
-def told_by(animation: Fields | None, name: str, least: float = -_LATEST) -> float | None:
-    """Return an animation's number `name` written by mixseq, such as its rate or start, if above `least`."""
+def read_extra_number(animation: Fields | None, name: str, above: float = -_MAX_EXTRA_NUMBER) -> float | None:
+    """Return a number in the ``extras`` of an animation, such as its "fps" or "start"; None if it is not `above`."""
     extras = {} if animation is None else animation.values.get("extras")
     value = extras.get(name) if isinstance(extras, dict) else None
-    return (
-        float(value)
-        if isinstance(value, int | float) and not isinstance(value, bool) and least < value < _LATEST
-        else None
-    )
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return None
+    return float(value) if above < value < _MAX_EXTRA_NUMBER else None
 
 
 def read_channels(document: Document, animation: Fields | None, nodes: Collection[int]) -> list[Channel]:
-    """Read the channels of an animation that animate some of the given nodes."""
+    """Read the channels of an animation that target some nodes."""
     if animation is None:
         return []
     samplers = animation.objects("samplers")
@@ -294,12 +284,12 @@ def read_channels(document: Document, animation: Fields | None, nodes: Collectio
         target = fields.object("target")
         node, name = target.index("node"), target.text("path")
         pointers += name == "pointer"
-        if node not in nodes or node is None or name not in (*_WIDTHS, "weights"):
+        if node not in nodes or node is None or name not in (*_PROPERTY_WIDTHS, "weights"):
             continue
-        number = fields.integer("sampler")
-        if number >= len(samplers):
-            raise fields.error(f"has sampler {number} of {len(samplers)}; the file is damaged")
-        channel = _channel(document, node, name, samplers[number])
+        index = fields.integer("sampler")
+        if index >= len(samplers):
+            raise fields.error(f"has sampler {index} of {len(samplers)}; the file is damaged")
+        channel = _read_channel(document, node, name, samplers[index])
         numbers += channel.times.size + channel.values.size
         document.check_effort(numbers, animation.place)
         channels[node, name] = channel
@@ -310,7 +300,7 @@ def read_channels(document: Document, animation: Fields | None, nodes: Collectio
     return list(channels.values())
 
 
-def _channel(document: Document, node: int, name: str, sampler: Fields) -> Channel:
+def _read_channel(document: Document, node: int, name: str, sampler: Fields) -> Channel:
     interpolation = sampler.text("interpolation", "LINEAR")
     if interpolation not in _INTERPOLATIONS:
         raise sampler.error(
@@ -322,38 +312,39 @@ def _channel(document: Document, node: int, name: str, sampler: Fields) -> Chann
         raise sampler.error("has times that do not increase; the file is damaged")
     if not np.isfinite(values).all():
         raise sampler.error("has values that are not finite; the file is damaged")
-    tangents = 3 if interpolation == "CUBICSPLINE" else 1
-    per_key, rest = divmod(values.size, tangents * times.size)
-    width = _WIDTHS.get(name, per_key)
-    if rest or per_key != width or values.ndim != (1 if name == "weights" else 2):
+    is_cubic = interpolation == "CUBICSPLINE"
+    count = (3 if is_cubic else 1) * times.size
+    per_value, rest = divmod(values.size, count)
+    width = _PROPERTY_WIDTHS.get(name, per_value)
+    if rest or per_value != width or values.ndim != (1 if name == "weights" else 2):
         raise sampler.error(
             f"has {values.size} values for {times.size} keys of {name} ({interpolation}); "
-            f"{tangents * times.size} times {width or 'the number of weights'} are expected"
+            f"{count} times {width or 'the number of weights'} are expected"
         )
-    shape = (times.size, 3, width) if tangents == 3 else (times.size, width)
+    shape = (times.size, 3, width) if is_cubic else (times.size, width)
     return Channel(node, name, times, values.reshape(shape), interpolation)
 
 
 @dataclass(frozen=True, eq=False)
-class NodeSkin:
-    """Skin of a mesh: nodes of its J joints, weights ``(W, J)`` whose rows sum to 1, and `inverse_binds` ``(J, 4, 4)``.
+class MeshSkin:
+    """Nodes of J joints, skinning weights ``(W, J)`` whose rows sum to 1, and inverse bind matrices ``(J, 4, 4)``.
 
-    Inverse bind matrices take mesh space to each joint's space in the bind pose.
+    Inverse bind matrices map mesh space to each joint's space in the bind pose.
     """
 
     joints: Sequence[int]
-    inverse_binds: NDArray[np.float64]
+    inverse_binds: Float
     weights: csr_array
 
-    def matrices(self, world: Mapping[int, Float]) -> NDArray[np.float64]:
-        """Return the matrices ``(B, J, 4, 4)`` that move points bound to the joints."""
+    def joint_matrices(self, world: Mapping[int, Float]) -> Float:
+        """Return the matrices ``(B, J, 4, 4)`` from mesh space to the posed world space of each joint."""
         joints = np.broadcast_arrays(*(world[joint] for joint in self.joints))
         return np.stack(joints, axis=1) @ self.inverse_binds
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
-    """Node with a welded mesh: rest positions ``(W, 3)``, static morph weights ``(K,)``, and a skin or None.
+class MeshNode:
+    """Node with a welded mesh: rest points ``(W, 3)``, static morph weights ``(K,)``, and optionally a skin.
 
     A skin replaces the node's transform.
     """
@@ -361,63 +352,68 @@ class Shape:
     scene: Scene
     node: int
     weld: Weld
-    rest: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    skin: NodeSkin | None
+    rest: Float
+    weights: Float
+    skin: MeshSkin | None
 
     @property
-    def bearers(self) -> Sequence[int]:
+    def transform_nodes(self) -> Sequence[int]:
         """Nodes whose matrices move the mesh."""
         return [self.node] if self.skin is None else self.skin.joints
 
-    def handedness(self, world: Mapping[int, Float]) -> NDArray[np.float64]:
-        """Return the orientation ``(B,)``: 1 as modelled, -1 mirrored, 0 flat; of joints the majority decides."""
+    def orientation(self, world: Mapping[int, Float]) -> Float:
+        """Return 1 as modelled, -1 mirrored or 0 flat for each frame ``(B,)``, by majority of the joints."""
         if self.skin is None:
-            return _signs(world[self.node])
+            return _determinant_signs(world[self.node])
         used = np.unique(self.skin.weights.indices)
-        matrices = self.skin.matrices(world)
-        return np.asarray(np.sign(_signs(matrices[:, used]).sum(axis=1)))
+        matrices = self.skin.joint_matrices(world)
+        return np.asarray(np.sign(_determinant_signs(matrices[:, used]).sum(axis=1)))
 
-    def points(self, pose: Pose, world: Mapping[int, Float], frames: int) -> FloatArray:
-        """Return the points ``(B, W, 3)`` in world space for the B frames of a pose, given the bearers' matrices."""
-        own = self._morphed(pose, frames)
+    def world_points(self, pose: Pose, world: Mapping[int, Float], frame_count: int) -> FloatArray:
+        """Return the points ``(B, W, 3)`` of B frames in world space, given the matrices of `transform_nodes`."""
+        morphed = self._morph(pose, frame_count)
         if self.skin is None:
-            matrices = np.broadcast_to(world[self.node], (frames, 4, 4))
-            return own @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]
-        joints = self.skin.matrices(world)[:, :, :3].reshape(-1, len(self.skin.joints), 12)
-        joints = np.broadcast_to(joints, (frames, *joints.shape[1:]))
-        return np.stack([_skinned(*each, self.skin.weights) for each in zip(own, joints, strict=True)])
+            matrices = np.broadcast_to(world[self.node], (frame_count, 4, 4))
+            return morphed @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]
+        joints = self.skin.joint_matrices(world)[:, :, :3].reshape(-1, len(self.skin.joints), 12)
+        joints = np.broadcast_to(joints, (frame_count, *joints.shape[1:]))
+        return np.stack(
+            [
+                _blend_linearly(points, matrices, self.skin.weights)
+                for points, matrices in zip(morphed, joints, strict=True)
+            ]
+        )
 
-    def _morphed(self, pose: Pose, frames: int) -> NDArray[np.float64]:
-        points = np.tile(self.rest, (frames, 1, 1))
-        weights = np.broadcast_to(pose.get((self.node, "weights"), self.weights), (frames, len(self.weights)))
+    def _morph(self, pose: Pose, frame_count: int) -> Float:
+        points = np.tile(self.rest, (frame_count, 1, 1))
+        weights = pose.get((self.node, "weights"), self.weights)
+        weights = np.broadcast_to(weights, (frame_count, len(self.weights)))
         for target in np.flatnonzero(weights.any(axis=0)):
-            here = np.flatnonzero(weights[:, target])
-            delta = deltas(self.weld.primitives, int(target))[self.weld.representatives]
-            points[here] += weights[here, target, None, None] * delta
+            frames = np.flatnonzero(weights[:, target])
+            deltas = read_deltas(self.weld.primitives, int(target))[self.weld.representatives]
+            points[frames] += weights[frames, target, None, None] * deltas
         return points
 
 
-def _signs(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+def _determinant_signs(matrices: Float) -> Float:
     return np.asarray(np.nan_to_num(np.sign(np.linalg.det(matrices[..., :3, :3]))))
 
 
-def _skinned(
-    points: NDArray[np.float64], joints: NDArray[np.float64], weights: csr_array
-) -> NDArray[np.float64]:
-    blended = (weights @ joints).reshape(-1, 3, 4)
+def _blend_linearly(points: Float, matrices: Float, weights: csr_array) -> Float:
+    """Return points ``(W, 3)`` moved by joint matrices ``(J, 12)`` with weights ``(W, J)``."""
+    blended = (weights @ matrices).reshape(-1, 3, 4)
     return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], points) + blended[:, :, 3])
 
 
-def bearers(document: Document, node: Fields, index: int) -> list[int]:
+def find_transform_nodes(document: Document, node: Fields, index: int) -> list[int]:
     """Return the nodes whose matrices move a node's mesh: its skin's joints, or the node itself."""
     skin = node.index("skin")
     if skin is None:
         return [index]
-    return joints_of(document, document.item("skins", skin))
+    return read_joint_nodes(document, document.item("skins", skin))
 
 
-def joints_of(document: Document, skin: Fields) -> list[int]:
+def read_joint_nodes(document: Document, skin: Fields) -> list[int]:
     """Return the nodes of a skin's joints."""
     joints = skin.integers("joints")
     if not joints:
@@ -427,41 +423,41 @@ def joints_of(document: Document, skin: Fields) -> list[int]:
     return joints
 
 
-def read_shape(document: Document, scene: Scene, node: int, weld: Weld) -> Shape:
-    """Read the shape of a node's mesh."""
+def read_mesh_node(document: Document, scene: Scene, node: int, weld: Weld) -> MeshNode:
+    """Read a node with a welded mesh."""
     fields = scene.nodes[node]
     mesh = document.item("meshes", fields.integer("mesh"))
     positions = np.concatenate([each.positions for each in weld.primitives]).astype(np.float64)
-    count = target_count(weld.primitives)
+    count = count_targets(weld.primitives)
     owner = fields if "weights" in fields else mesh
     weights = owner.numbers("weights", count) if "weights" in owner and count else None
     skin = fields.index("skin")
-    return Shape(
+    return MeshNode(
         scene=scene,
         node=node,
         weld=weld,
         rest=positions[weld.representatives],
         weights=np.zeros(count) if weights is None else weights,
-        skin=None if skin is None else _read_skin(document, skin, bearers(document, fields, node), weld),
+        skin=None if skin is None else _read_skin(document, document.item("skins", skin), weld),
     )
 
 
-def _read_skin(document: Document, index: int, joints: Sequence[int], weld: Weld) -> NodeSkin:
-    fields = document.item("skins", index)
-    inverse_binds = inverse_binds_of(document, fields, len(joints))
-    joint, weight = influences(weld.primitives)
-    if not joint.size:
+def _read_skin(document: Document, fields: Fields, weld: Weld) -> MeshSkin:
+    nodes = read_joint_nodes(document, fields)
+    inverse_binds = read_inverse_binds(document, fields, len(nodes))
+    joints, weights = read_influences(weld.primitives)
+    if not joints.size:
         raise fields.error("moves a mesh that has no JOINTS_0 and WEIGHTS_0; the file is damaged")
-    if joint.max() >= len(joints):
+    if joints.max() >= len(nodes):
         raise fields.error(
-            f"has {len(joints)} joints, but vertices follow joint {joint.max()}; the file is damaged"
+            f"has {len(nodes)} joints, but vertices follow joint {joints.max()}; the file is damaged"
         )
-    rows = weld.representatives
-    return NodeSkin(joints, inverse_binds, _normalised(joint[rows], weight[rows], len(joints)))
+    kept = weld.representatives
+    return MeshSkin(nodes, inverse_binds, _normalise_weights(joints[kept], weights[kept], len(nodes)))
 
 
-def inverse_binds_of(document: Document, skin: Fields, count: int) -> NDArray[np.float64]:
-    """Return a skin's matrices ``(J, 4, 4)`` from the mesh to each of its `count` joints."""
+def read_inverse_binds(document: Document, skin: Fields, count: int) -> Float:
+    """Return a skin's matrices ``(J, 4, 4)`` from mesh space to each of its `count` joints."""
     binds = skin.index("inverseBindMatrices")
     if binds is None:
         return np.tile(np.eye(4), (count, 1, 1))
@@ -471,11 +467,12 @@ def inverse_binds_of(document: Document, skin: Fields, count: int) -> NDArray[np
     return matrices[:count].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
 
 
-def _normalised(joint: NDArray[np.int64], weight: NDArray[np.float64], joints: int) -> csr_array:
+def _normalise_weights(joints: Index, weights: Float, joint_count: int) -> csr_array:
     """Return weights ``(W, J)`` with row sums 1, as in renderers; vertices without weight follow the first joint."""
-    sums = weight.sum(axis=1, keepdims=True)
-    weight = np.where(sums != 0, weight / np.where(sums != 0, sums, 1), np.arange(weight.shape[1]) == 0)
-    rows = np.repeat(np.arange(len(weight)), weight.shape[1])
-    matrix = csr_array((weight.reshape(-1), (rows, joint.reshape(-1))), shape=(len(weight), joints))
+    vertex_count, per_vertex = weights.shape
+    sums = weights.sum(axis=1, keepdims=True)
+    weights = np.where(sums != 0, weights / np.where(sums != 0, sums, 1), np.arange(per_vertex) == 0)
+    rows = np.repeat(np.arange(vertex_count), per_vertex)
+    matrix = csr_array((weights.reshape(-1), (rows, joints.reshape(-1))), shape=(vertex_count, joint_count))
     matrix.eliminate_zeros()
     return matrix

@@ -25,13 +25,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import MissingExtraError, OutputError
+from mixseq.types import Single
 from mixseq.version import __version__
 from mixseq_io.gltf.document import DRACO_EXTENSION, MESHOPT_EXTENSIONS, Document, Fields, element_layout
 from mixseq_io.isolation import call_isolated
@@ -50,8 +50,10 @@ _MAX_GLB_BYTES = 2**32 - 1
 _MAX_TEXT_BUFFER_BYTES = 384 << 20  # in base64 as long as the longest strings of browsers, 512 MiB
 _ALIGNMENT_BYTES = 4
 _GLB_OVERHEAD_BYTES = 28
-_PLACEHOLDER_BOUNDS: Bounds = ([-1.2345678901234567e-100] * 3, [-1.2345678901234567e-100] * 3)
-"""Bounds with more digits than any float32, to reserve space."""
+_PLACEHOLDER_BOUNDS: Bounds = (
+    [-1.2345678901234567e-100] * 3,
+    [-1.2345678901234567e-100] * 3,
+)  # no float32 is longer
 
 
 class Layout:
@@ -83,7 +85,7 @@ class Layout:
         kind = {1: "SCALAR", 16: "MAT4"}.get(width, f"VEC{width}")
         return self.accessor(view, len(data), kind, component=COMPONENT_TYPES[data.dtype.str[1:]])
 
-    def add_points(self, points: NDArray[np.float32]) -> int:
+    def add_points(self, points: Single) -> int:
         """Add positions of vertices ``(n, 3)``, with their bounds; return their accessor."""
         accessor = self.add_array(points, target=ARRAY_BUFFER)
         self.set_bounds(accessor, compute_bounds(points))
@@ -93,14 +95,9 @@ class Layout:
         self, view: int, count: int, kind: str, offset: int = 0, component: int = FLOAT_COMPONENT
     ) -> int:
         """Add an accessor at an offset in bytes within a view; return its index."""
-        accessor = {
-            "bufferView": view,
-            "byteOffset": offset,
-            "componentType": component,
-            "count": count,
-            "type": kind,
-        }
-        return append(self.document, "accessors", accessor)
+        position = {"bufferView": view, "byteOffset": offset}
+        contents = {"componentType": component, "count": count, "type": kind}
+        return append(self.document, "accessors", position | contents)
 
     def set_bounds(self, accessor: int, bounds: Bounds = _PLACEHOLDER_BOUNDS) -> Json:
         """Set the bounds of an accessor, or reserve space for them; return its entry."""
@@ -109,7 +106,7 @@ class Layout:
         return entry
 
 
-def compute_bounds(points: NDArray[np.float32]) -> Bounds:
+def compute_bounds(points: Single) -> Bounds:
     """Return the minimum and maximum of points ``(n, 3)``."""
     return points.min(axis=0).tolist(), points.max(axis=0).tolist()
 
@@ -265,9 +262,8 @@ def _unpack_primitive(
             f"{document.path} is compressed with Draco; to read it: pip install 'mixseq[gltf]'"
         )
     data = document.read_view(document.item("bufferViews", packed.integer("bufferView")))
-    arrays = call_isolated(
-        "mixseq_io.gltf.codecs:decode_draco", document.path, data, packed.place, list(layouts)
-    )
+    function = "mixseq_io.gltf.codecs:decode_draco"
+    arrays = call_isolated(function, document.path, data, packed.place, list(layouts))
     return b"".join(array.tobytes().ljust(size, b"\0") for array, size in zip(arrays, sizes, strict=True))
 
 
@@ -319,14 +315,17 @@ class DracoTriangles:
     triangle_count: int
 
 
-def compress_triangles(
-    triangles: NDArray[np.uint32], attributes: Mapping[str, NDArray[np.float32]]
-) -> DracoTriangles:
+def compress_triangles(triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> DracoTriangles:
     """Compress triangles ``(F, 3)`` and attributes ``(n, k)`` by glTF name, colours as bytes."""
-    library = _import_draco()
+    if find_spec("DracoPy") is None:
+        raise MissingExtraError(
+            "a compressed still needs DracoPy: pip install 'mixseq[gltf]', or write a plain one (--still plain)"
+        )
+    import DracoPy
+
     uvs, colours = attributes.get("TEXCOORD_0"), attributes.get("COLOR_0")
     try:
-        data = library.encode(
+        data = DracoPy.encode(
             attributes["POSITION"],
             triangles,
             quantization_bits=_POSITION_BITS,
@@ -337,8 +336,8 @@ def compress_triangles(
             tex_coord=None if uvs is None else uvs.astype(np.float64),
             tex_coord_quantization_bits=None if uvs is None else _UV_BITS,
         )
-        decoded = library.decode(data)
-    except (library.EncodingFailedException, library.FileTypeException, ValueError) as error:
+        decoded = DracoPy.decode(data)
+    except (DracoPy.EncodingFailedException, DracoPy.FileTypeException, ValueError) as error:
         raise OutputError(f"Draco cannot compress the first frame ({error}); use --still plain") from error
     by_name = {_ATTRIBUTE_NAMES[each["attribute_type"]]: each for each in decoded.attributes}
     return DracoTriangles(
@@ -347,17 +346,6 @@ def compress_triangles(
         {name: int(attribute["unique_id"]) for name, attribute in by_name.items()},
         len(decoded.faces),
     )
-
-
-def _import_draco() -> ModuleType:
-    try:
-        import DracoPy
-    except ImportError as error:
-        raise MissingExtraError(
-            "a compressed still needs DracoPy: pip install 'mixseq[gltf]', or write a plain one (--still plain)"
-        ) from error
-    library: ModuleType = DracoPy
-    return library
 
 
 def decompress_document(document: Document) -> Document:
@@ -390,14 +378,11 @@ class _Decompression:
     def document(self) -> Document:
         """Return the edited document."""
         for member in ("extensionsUsed", "extensionsRequired"):
-            left = [
-                name
-                for name in self._compressed.top.texts(member)
-                if name not in (DRACO_EXTENSION, *MESHOPT_EXTENSIONS)
-            ]
+            names = self._compressed.top.texts(member)
+            others = [name for name in names if name not in (DRACO_EXTENSION, *MESHOPT_EXTENSIONS)]
             self._json.pop(member, None)
-            if left:
-                self._json[member] = left
+            if others:
+                self._json[member] = others
         if "buffers" in self._json:
             self._json["buffers"] = [
                 {key: value for key, value in each.items() if key != "extensions"}
@@ -428,9 +413,8 @@ class _Decompression:
             layouts = [self._layout(indices, None), *(self._layout(*each) for each in accessors.items())]
             sizes = [_align(layout.size) for layout in layouts]
             self._compressed.check_effort(sum(sizes) // 2, packed.place)
-            buffer = self._add_buffer(
-                sum(sizes), partial(_unpack_primitive, self._compressed, packed, layouts, sizes)
-            )
+            unpack = partial(_unpack_primitive, self._compressed, packed, layouts, sizes)
+            buffer = self._add_buffer(sum(sizes), unpack)
             starts = np.cumsum([0, *sizes]).tolist()
             for accessor, layout, start in zip((indices, *accessors), layouts, starts, strict=False):
                 if accessor not in self._unpacked_accessors:  # primitives may share accessors
@@ -451,9 +435,8 @@ class _Decompression:
     def _remove_extension(self, mesh: int, index: int) -> None:
         entry = self._json["meshes"][mesh]
         primitive = dict(entry["primitives"][index])
-        extensions = {
-            name: value for name, value in primitive.pop("extensions").items() if name != DRACO_EXTENSION
-        }
+        extensions = dict(primitive.pop("extensions"))
+        del extensions[DRACO_EXTENSION]
         if extensions:
             primitive["extensions"] = extensions
         primitives = [*entry["primitives"][:index], primitive, *entry["primitives"][index + 1 :]]

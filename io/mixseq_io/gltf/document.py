@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
+from mixseq.types import Float, Single
 from mixseq_io.files import check_memory
 from mixseq_io.reader import translate_read_errors
 
@@ -37,7 +38,6 @@ MESHOPT_EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 SEQUENCE_EXTENSION = "MIXSEQ_mesh_sequence"
 """Extension of meshes whose frames are compressed streams (`mixseq_io.gltf.mesh_sequence`)."""
 
-_GEOMETRY_EXTENSIONS = (*MESHOPT_EXTENSIONS, DRACO_EXTENSION, "KHR_mesh_quantization", SEQUENCE_EXTENSION)
 _APPEARANCE_PREFIXES = (
     "KHR_materials_",
     "KHR_texture_",
@@ -46,7 +46,11 @@ _APPEARANCE_PREFIXES = (
     "KHR_lights_",
     "EXT_lights_",
 )
-_IGNORED_EXTENSIONS = (
+_SUPPORTED_EXTENSIONS = (
+    *MESHOPT_EXTENSIONS,
+    DRACO_EXTENSION,
+    SEQUENCE_EXTENSION,
+    "KHR_mesh_quantization",
     "KHR_node_visibility",
     "KHR_node_selectability",
     "KHR_node_hoverability",
@@ -55,19 +59,7 @@ _IGNORED_EXTENSIONS = (
 )
 
 
-def check_extensions(top: Fields) -> None:
-    """Raise an error for files whose meshes need an unsupported extension."""
-    for name in top.texts("extensionsRequired"):
-        supported = name in (*_GEOMETRY_EXTENSIONS, *_IGNORED_EXTENSIONS)
-        if not supported and not name.startswith(_APPEARANCE_PREFIXES):
-            raise FormatError(
-                f"{top.file} requires the extension {name[:80]}, which is not supported; export without it"
-            )
-
-
-_EXACT_INTEGER_END = 2**53
-"""End of the integers that all JSON readers represent exactly."""
-
+_EXACT_INTEGER_END = 2**53  # of integers that all JSON readers represent exactly
 _MAX_JSON_NUMBER = 1e300
 
 
@@ -109,15 +101,13 @@ class Fields:
         value = self.values.get(key, default)
         return float(value) if _is_number(value) else self._unexpected(key, "a finite number")
 
-    def numbers(self, key: str, count: int | None = None) -> NDArray[np.float64] | None:
+    def numbers(self, key: str, count: int | None = None) -> Float | None:
         """Return a list of `count` finite numbers, None if absent."""
         if key not in self.values:
             return None
         numbers = self._list(key)
         if not all(map(_is_number, numbers)) or count not in (None, len(numbers)):
-            self._unexpected(
-                key, f"a list of {'finite numbers' if count is None else f'{count} finite numbers'}"
-            )
+            self._unexpected(key, f"a list of {'' if count is None else f'{count} '}finite numbers")
         return np.array(numbers, dtype=np.float64)
 
     def texts(self, key: str) -> list[str]:
@@ -342,12 +332,11 @@ class Document:
     @cached_property
     def data_size(self) -> int:
         """Size of the file and its buffers in bytes."""
-        stored = (index for index in range(len(self.items("buffers"))) if self._is_stored(index))
-        return self.size + sum(self.buffer(index).size for index in stored)
-
-    def _is_stored(self, index: int) -> bool:
-        """Whether a buffer is stored in a file, not computed."""
-        return "uri" in self.item("buffers", index) or (index == 0 and self.chunk is not None)
+        total = self.size
+        for index, buffer in enumerate(self.items("buffers")):
+            if "uri" in buffer or (index == 0 and self.chunk is not None):  # others are computed
+                total += self.buffer(index).size
+        return total
 
     def check_effort(self, numbers: int, label: str) -> None:
         """Raise an error for far more numbers than the file has bytes, as in damaged or hostile files."""
@@ -359,12 +348,9 @@ class Document:
         check_memory(self.path, 8 * numbers, label)
 
     def buffer(self, index: int) -> Data:
-        """Return the bytes of a buffer: a .glb chunk, a data URI, or a neighbouring file."""
-        if index not in self._buffers:
-            self._buffers[index] = self._read_buffer(index)
-        return self._buffers[index]
-
-    def _read_buffer(self, index: int) -> Data:
+        """Return the bytes of a buffer: a .glb chunk, a data URI, a neighbouring file, or computed ones."""
+        if index in self._buffers:
+            return self._buffers[index]
         buffer = self.item("buffers", index)
         length = buffer.integer("byteLength")
         if index in self.unpackers:
@@ -378,7 +364,8 @@ class Document:
             raise buffer.error("has no data; it is compressed or elsewhere, export it with its data")
         if length > data.size:
             raise buffer.error(f"has {data.size} bytes of {length}; it is truncated")
-        return data.part(0, length)
+        self._buffers[index] = data.part(0, length)
+        return self._buffers[index]
 
     def read_view(self, view: Fields) -> bytes:
         """Return the bytes of an object with ``buffer``, ``byteOffset`` and ``byteLength``."""
@@ -435,7 +422,11 @@ def load_document(path: Path) -> Document:
     version = top.object("asset").text("version")
     if not version.startswith("2."):
         raise FormatError(f"{path} is glTF version {version or 'unknown'}; convert it to version 2")
-    check_extensions(top)
+    for name in top.texts("extensionsRequired"):
+        if name not in _SUPPORTED_EXTENSIONS and not name.startswith(_APPEARANCE_PREFIXES):
+            raise FormatError(
+                f"{path} requires the extension {name[:80]}, which is not supported; export without it"
+            )
     document = Document(path, parsed, chunk, data.size)
     document.items("nodes")  # checks all lists
     return document
@@ -451,7 +442,7 @@ def element_layout(accessor: Fields) -> tuple[np.dtype[Any], int]:
     return np.dtype(COMPONENT_DTYPES[kind]), ELEMENT_WIDTHS[shape]
 
 
-def _normalise(values: NDArray[Any]) -> NDArray[np.float32]:
+def _normalise(values: NDArray[Any]) -> Single:
     """Return normalised integers as fractions of the largest, at least -1."""
     if values.dtype.kind == "f":
         return values

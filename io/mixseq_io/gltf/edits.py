@@ -1,7 +1,7 @@
-"""Edits of a glTF document that a sequence is laid over: detached nodes, pruned data, embedded images, other motion.
+"""Edits of the original glTF document that gets a sequence: nodes, unused data, images and the other animation.
 
-Other motion (cameras, lights, other meshes) keeps its own times, and gets keys at the frames of the sequence, so that
-the animation lasts as long. The file must have a single animation, since with several the matching one is unknown.
+The animation of other nodes (cameras, lights, other meshes) keeps its own times and is resampled at the frames of the
+sequence, so that both last as long. It is kept only if the file has a single animation.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import FormatError
 from mixseq.sequence.header import SequenceHeader
-from mixseq_io.gltf.animation import Channel, read_channels, told_by
+from mixseq_io.gltf.animation import Channel, find_transform_nodes, read_channels, read_extra_number
 from mixseq_io.gltf.codecs import Json, Layout, append
 from mixseq_io.gltf.document import Document, Fields, read_uri
 from mixseq_io.gltf.scene import Scene
@@ -24,25 +24,18 @@ from mixseq_io.originals import warn_of_unretimed_motion
 from mixseq_io.reader import warn
 from mixseq_io.scene_meshes import format_names
 
-_PRUNED = ("meshes", "accessors", "bufferViews")  # referrers before their targets
+_PRUNED_LISTS = ("meshes", "accessors", "bufferViews")  # referrers before their targets
 
-# Extensions that refer to none of these, or as is known here.
-_HARMLESS = (
-    "KHR_node_",
-    "KHR_materials_",
-    "KHR_texture_",
-    "EXT_texture_",
-    "KHR_lights_",
-    "KHR_xmp",
-)
+_PRUNABLE_PREFIXES = ("KHR_node_", "KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_xmp")
+"""Beginnings of extensions without references to the pruned lists, or with those in `_iterate_references`."""
 
 
 def prune(path: Path, document: Json) -> None:
     """Remove unused meshes, accessors and buffer views from a document, and renumber the others.
 
-    Unused skins stay without matrices: programs such as Blender use them to recognise bones.
+    Unused skins keep their joints, by which programs such as Blender recognise bones.
     """
-    unknown = sorted(name for name in used_extensions(document) if not name.startswith(_HARMLESS))
+    unknown = sorted(name for name in collect_extensions(document) if not name.startswith(_PRUNABLE_PREFIXES))
     if unknown:
         warn(
             f"{path}: the data of its old animation is kept, too, because {format_names(unknown)} may refer to it; "
@@ -50,122 +43,114 @@ def prune(path: Path, document: Json) -> None:
         )
         return
     bound = {node.get("skin") for node in document.get("nodes", ())}
-    for number, skin in enumerate(document.get("skins", ())):
-        if number not in bound:
-            for key in (
-                "inverseBindMatrices",
-                "skeleton",
-            ):  # the second may be wrong where meshes have left their place
-                skin.pop(key, None)
-    for kind in _PRUNED:
-        _prune(document, kind)
+    for index, skin in enumerate(document.get("skins", ())):
+        if index not in bound:
+            skin.pop("inverseBindMatrices", None)
+            skin.pop("skeleton", None)  # may be wrong after nodes have moved
+    for kind in _PRUNED_LISTS:
+        _prune_list(document, kind)
 
 
-def used_extensions(document: Json) -> set[str]:
+def collect_extensions(document: Json) -> set[str]:
     """Return the extensions used by objects of a document, declared or not."""
-    found: set[str] = set()
-    waiting: list[Any] = [document]
-    while waiting:
-        each = waiting.pop()
-        if isinstance(each, dict):
-            extensions = each.get("extensions")
-            found |= set(extensions) if isinstance(extensions, dict) else set()
-            waiting += each.values()
-        elif isinstance(each, list):
-            waiting += each
-    return found
+    names: set[str] = set()
+    stack: list[Any] = [document]
+    while stack:
+        value = stack.pop()
+        if isinstance(value, dict):
+            extensions = value.get("extensions")
+            names |= set(extensions) if isinstance(extensions, dict) else set()
+            stack += value.values()
+        elif isinstance(value, list):
+            stack += value
+    return names
 
 
-def _prune(document: Json, kind: str) -> None:
-    references = [(owner, key) for owner, key, of in _references(document) if of == kind]
+def _prune_list(document: Json, kind: str) -> None:
+    references = [
+        (owner, key)
+        for owner, key, target in _iterate_references(document)
+        if target == kind and key in owner
+    ]
     used = sorted({owner[key] for owner, key in references})
-    renumbered = {old: new for new, old in enumerate(used)}
+    new_indices = {old: new for new, old in enumerate(used)}
     for owner, key in references:
-        owner[key] = renumbered[owner[key]]
+        owner[key] = new_indices[owner[key]]
     entries = [document[kind][old] for old in used]
-    document.pop(kind, None)  # empty lists are not allowed
+    document.pop(kind, None)  # glTF forbids empty lists
     if entries:
         document[kind] = entries
 
 
-def _references(document: Json) -> Iterator[tuple[Json, str, str]]:
-    """Yield each reference: its object, its member and the kind of entry it refers to."""
+def _iterate_references(document: Json) -> Iterator[tuple[Json, str, str]]:
+    """Yield the owner, the optional member and the target list of every reference."""
     for node in document.get("nodes", ()):
-        yield from _members(node, {"mesh": "meshes"})
+        yield node, "mesh", "meshes"
     for mesh in document.get("meshes", ()):
         for primitive in mesh["primitives"]:
-            yield from _members(primitive, {"indices": "accessors"})
+            yield primitive, "indices", "accessors"
             for attributes in (primitive["attributes"], *primitive.get("targets", ())):
-                yield from _members(attributes, dict.fromkeys(attributes, "accessors"))
+                yield from ((attributes, name, "accessors") for name in attributes)
     for skin in document.get("skins", ()):
-        yield from _members(skin, {"inverseBindMatrices": "accessors"})
+        yield skin, "inverseBindMatrices", "accessors"
     for accessor in document.get("accessors", ()):
         sparse = accessor.get("sparse", {})
         for owner in (accessor, sparse.get("indices", {}), sparse.get("values", {})):
-            yield from _members(owner, {"bufferView": "bufferViews"})
+            yield owner, "bufferView", "bufferViews"
     for image in document.get("images", ()):
-        yield from _members(image, {"bufferView": "bufferViews"})
+        yield image, "bufferView", "bufferViews"
 
 
-def _members(owner: Json, kinds: dict[str, str]) -> Iterator[tuple[Json, str, str]]:
-    for key, kind in kinds.items():
-        if key in owner:
-            yield owner, key, kind
+_KEPT_MEMBERS = ("name", "mesh", "extras")
+_DEFORMATION_MEMBERS = ("skin", "weights")
+_CONTENT_MEMBERS = ("children", "camera", "extensions")
+_GROUP_MEMBERS = {"name", "matrix", "translation", "rotation", "scale"}
 
 
-_OF_THE_MESH = ("name", "mesh", "extras")
-_OF_THE_OLD_MESH = ("skin", "weights")
-_WORTH_A_NODE = ("children", "camera", "extensions")
-_OF_A_GROUP = {"name", "matrix", "translation", "rotation", "scale"}
-
-
-def detach(document: Json, node: int, in_place: bool = False) -> int | None:
-    """Take a node with a mesh out of the tree, without its transform; return the node left in its place, if any.
+def detach_node(document: Json, node: int, in_place: bool = False) -> int | None:
+    """Remove a node with a mesh from the tree, or `in_place` only its transform; return its substitute.
 
     A new node takes its place if it had children, a camera or a light, or was a joint.
     """
     entry = document["nodes"][node]
-    rest = {key: entry.pop(key) for key in list(entry) if key not in _OF_THE_MESH}
-    stays = {key: value for key, value in rest.items() if key not in _OF_THE_OLD_MESH}
-    skins = [
-        skin for skin in document.get("skins", ()) if node in skin["joints"] or node == skin.get("skeleton")
-    ]
-    place: list[int] = []
-    if skins or any(key in stays for key in _WORTH_A_NODE):
+    removed = {key: entry.pop(key) for key in list(entry) if key not in _KEPT_MEMBERS}
+    contents = {key: value for key, value in removed.items() if key not in _DEFORMATION_MEMBERS}
+    skins = [skin for skin in document.get("skins", ()) if node in (*skin["joints"], skin.get("skeleton"))]
+    substitutes: list[int] = []
+    if skins or any(key in contents for key in _CONTENT_MEMBERS):
         name = {"name": entry["name"]} if "name" in entry else {}
-        place = [append(document, "nodes", {**name, **stays})]
-    here = [node, *place] if in_place else place
+        substitutes = [append(document, "nodes", {**name, **contents})]
+    replacement = [node, *substitutes] if in_place else substitutes
     for each in document["nodes"]:
-        _replace(each, "children", node, here)
+        _replace_node(each, "children", node, replacement)
     for each in document.get("scenes", ()):
-        _replace(each, "nodes", node, here)
+        _replace_node(each, "nodes", node, replacement)
     for skin in skins:
-        skin["joints"] = [place[0] if joint == node else joint for joint in skin["joints"]]
+        skin["joints"] = [substitutes[0] if joint == node else joint for joint in skin["joints"]]
         if skin.get("skeleton") == node:
-            skin["skeleton"] = place[0]
-    return place[0] if place else None
+            skin["skeleton"] = substitutes[0]
+    return substitutes[0] if substitutes else None
 
 
-def vacant(document: Json, scene: Scene, above: Collection[int]) -> int | None:
-    """Return the former root of all detached nodes if it is now unused, such as that of `group`, else None."""
-    if len(above) != 1 or min(above) < 0 or scene.parents[min(above)] >= 0:
+def find_unused_root(document: Json, scene: Scene, parents: Collection[int]) -> int | None:
+    """Return the only former parent of detached nodes if it is a root and now empty (see `group_nodes`), else None."""
+    if len(parents) != 1 or min(parents) < 0 or scene.parents[min(parents)] >= 0:
         return None
-    (node,) = above
-    joints = {
-        joint for skin in document.get("skins", ()) for joint in (*skin["joints"], skin.get("skeleton"))
-    }
-    return node if node not in joints and set(document["nodes"][node]) <= _OF_A_GROUP else None
+    (node,) = parents
+    if any(node in (*skin["joints"], skin.get("skeleton")) for skin in document.get("skins", ())):
+        return None
+    return node if set(document["nodes"][node]) <= _GROUP_MEMBERS else None
 
 
-def _replace(owner: Json, key: str, node: int, place: Sequence[int]) -> None:
-    """Replace a node in a list of nodes by others; an empty list is removed where glTF forbids it."""
+def _replace_node(owner: Json, key: str, node: int, replacement: Sequence[int]) -> None:
+    """Replace a node in a list of nodes by others; an empty list is removed, since glTF forbids it."""
     if node in owner.get(key, ()):
-        owner[key] = [new for old in owner[key] for new in (place if old == node else [old])]
+        owner[key] = [new for old in owner[key] for new in (replacement if old == node else [old])]
         if not owner[key]:
             del owner[key]
 
 
-_BEGINNINGS = {
+_IMAGE_SIGNATURES = {
     b"\x89PNG\r\n": "image/png",
     b"\xff\xd8\xff": "image/jpeg",
     b"RIFF": "image/webp",
@@ -174,57 +159,57 @@ _BEGINNINGS = {
 
 
 def embed_images(layout: Layout, document: Document) -> None:
-    """Move images from files into the document's buffer, byte for byte."""
+    """Copy images from files into the document's buffer, byte for byte."""
     images = document.top.objects("images")
     for entry, image in zip(layout.document.get("images", ()), images, strict=True):
         uri = image.text("uri", "data:")
         if uri.startswith("data:"):
             continue
         try:
-            data, mime_type = content_of_image(image)
+            data, mime_type = read_image(image)
         except FormatError as error:
-            warn(f"{error}; the image is not taken along, only the reference to it")
+            warn(f"{error}; the image is not copied, only the reference to it")
             continue
         del entry["uri"]
         entry.update(bufferView=layout.add([data], len(data)), mimeType=mime_type)
 
 
-def content_of_image(image: Fields) -> tuple[bytes, str]:
+def read_image(image: Fields) -> tuple[bytes, str]:
     """Return the bytes that an image's URI refers to, and their MIME type."""
     uri = image.text("uri")
     file = read_uri(image, uri)
     data = file.read(0, file.size)
-    mime_type = next((kind for beginning, kind in _BEGINNINGS.items() if data.startswith(beginning)), "")
+    mime_type = next((kind for start, kind in _IMAGE_SIGNATURES.items() if data.startswith(start)), "")
     if not mime_type:
         raise image.error(f"is in {uri[:80]!r}, which is no PNG, JPEG, WebP or KTX2 image")
     return data, mime_type
 
 
-_SEEN = ("mesh", "camera", "extensions")
+_VISIBLE_MEMBERS = ("mesh", "camera", "extensions")
 
 
 @dataclass(frozen=True, eq=False)
 class OtherMotion:
-    """Channels of a file that go on beside the sequence."""
+    """Animation of nodes outside the sequence: their paths, channels, and the time in s of key time 0."""
 
-    things: Sequence[str] = ()
+    paths: Sequence[str] = ()
     channels: Sequence[Channel] = ()
     start: float = 0.0
 
-    def instead(self, stand_ins: Mapping[int, int | None]) -> OtherMotion:
-        """Replace animated nodes by others, without their morph weights; None drops their channels."""
+    def replace_nodes(self, substitutes: Mapping[int, int | None]) -> OtherMotion:
+        """Animate substitutes of nodes, without morph weights; None drops their channels."""
         channels = []
         for channel in self.channels:
-            node = stand_ins.get(channel.node, channel.node)
-            if node is not None and not (channel.node in stand_ins and channel.name == "weights"):
+            node = substitutes.get(channel.node, channel.node)
+            if node is not None and not (channel.node in substitutes and channel.name == "weights"):
                 channels.append(replace(channel, node=node))
         return replace(self, channels=channels)
 
-    def animate(self, layout: Layout, animation: Json, header: SequenceHeader) -> None:
+    def add_to(self, animation: Json, layout: Layout, header: SequenceHeader) -> None:
         """Add the channels to the sequence's animation, whose first sampler has a key at every frame."""
         keys = animation["samplers"][0]["input"]
         for channel in self.channels:
-            values = channel.at(header.times - self.start)
+            values = channel.evaluate(header.times - self.start)
             if channel.name == "rotation":
                 values /= np.linalg.norm(values, axis=1, keepdims=True)
             if channel.name == "weights":
@@ -238,42 +223,41 @@ class OtherMotion:
             animation["channels"].append({"sampler": len(animation["samplers"]), "target": target})
             animation["samplers"].append(sampler)
 
-    def warn_of_times(self, path: Path, header: SequenceHeader, sources: ArrayLike | None) -> None:
-        """Warn of other motion if the sequence shows other times, or the motion outlasts it by more than a frame."""
-        ends = [channel.times[[0, -1]] + self.start for channel in self.channels if channel.moves]
+    def warn_if_unretimed(self, path: Path, header: SequenceHeader, sources: ArrayLike | None) -> None:
+        """Warn if the sequence is retimed, or outlasts the animation by more than a frame."""
+        ends = [channel.times[[0, -1]] + self.start for channel in self.channels if channel.is_animated]
         if ends:
             span = float(np.min(ends)), float(np.max(ends))
-            warn_of_unretimed_motion(path, header, dict.fromkeys(self.things, span), sources)
+            warn_of_unretimed_motion(path, header, dict.fromkeys(self.paths, span), sources)
 
 
-NOTHING = OtherMotion()
+NO_OTHER_MOTION = OtherMotion()
 
 
-def other_motion(document: Document, scene: Scene, taken: Collection[int]) -> OtherMotion:
-    """Return the other motion of a file with one animation, given the nodes `taken` by the sequence."""
+def read_other_motion(document: Document, scene: Scene, excluded: Collection[int]) -> OtherMotion:
+    """Return the animation of nodes that are not `excluded`, if the file has a single animation."""
     animations = document.items("animations")
     if len(animations) != 1:
-        return NOTHING
-    moved = moved_by_animations(document.json, document.json["animations"], scene) - {*taken}
-    bearers = [bearer for node in moved for bearer in _bearers(document.json, node)]
-    channels = read_channels(document, animations[0], scene.with_ancestors(bearers))
-    return OtherMotion(
-        [scene.paths[node] for node in sorted(moved)], channels, told_by(animations[0], "start") or 0.0
-    )
+        return NO_OTHER_MOTION
+    animated = find_animated_nodes(document, scene) - {*excluded}
+    influencing = {each for node in animated for each in _influencing_nodes(document, scene, node)}
+    channels = read_channels(document, animations[0], influencing)
+    paths = [scene.paths[node] for node in sorted(animated)]
+    return OtherMotion(paths, channels, read_extra_number(animations[0], "start") or 0.0)
 
 
-def moved_by_animations(document: Json, animations: Sequence[Json], scene: Scene) -> set[int]:
-    """Return the nodes with visible contents that animations move: meshes, cameras, lights."""
+def find_animated_nodes(document: Document, scene: Scene) -> set[int]:
+    """Return the nodes with visible contents (meshes, cameras, lights) that any animation moves."""
+    animations = document.json.get("animations", ())
     targets = {channel["target"].get("node") for each in animations for channel in each["channels"]}
     return {
         node
         for node in scene.paths
-        if any(key in document["nodes"][node] for key in _SEEN)
-        and any(not targets.isdisjoint(scene.lineage(bearer)) for bearer in _bearers(document, node))
+        if any(key in scene.nodes[node] for key in _VISIBLE_MEMBERS)
+        and not targets.isdisjoint(_influencing_nodes(document, scene, node))
     }
 
 
-def _bearers(document: Json, node: int) -> list[int]:
-    """Return a node and its skin's joints."""
-    entry = document["nodes"][node]
-    return [node, *(document["skins"][entry["skin"]]["joints"] if "skin" in entry else ())]
+def _influencing_nodes(document: Document, scene: Scene, node: int) -> set[int]:
+    """Return a node, its skin's joints, and their ancestors."""
+    return scene.with_ancestors([node, *find_transform_nodes(document, scene.nodes[node], node)])

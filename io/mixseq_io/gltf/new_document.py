@@ -1,4 +1,4 @@
-"""A stand-alone glTF document of a sequence: a node per object, plain materials by name, frames as morph targets.
+"""New glTF documents of a sequence: a node per object, plain materials by name, frames as morph targets.
 
 Meshes become triangles by material. Vertices are split at seams of texture coordinates, hard edges and borders of
 materials, since glTF primitives have one material and one index for all attributes. The attribute ``_VERTEX`` stores
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import FaceSet
 from mixseq.sequence.header import SequenceHeader
@@ -36,7 +36,7 @@ from mixseq_io.gltf.codecs import (
     append,
     compute_bounds,
 )
-from mixseq_io.gltf.edits import NOTHING, OtherMotion
+from mixseq_io.gltf.edits import NO_OTHER_MOTION, OtherMotion
 from mixseq_io.reader import as_float32
 from mixseq_io.scene_meshes import SceneMesh, split_meshes
 from mixseq_io.surfaces import clip_to_unit, colours_to_exact_bytes
@@ -46,29 +46,29 @@ _BYTES_PER_VECTOR = 12
 
 @dataclass(frozen=True, eq=False)
 class MovingPrimitive:
-    """Primitive of the document with moving vertices."""
+    """Primitive of a document, with the mesh vertices and shared normals ``(n,)`` of its vertices."""
 
     entry: Json
-    vertices: IntArray
-    normals: IntArray | None
+    vertex_ids: IntArray
+    normal_ids: IntArray | None
 
 
 @dataclass(frozen=True, eq=False)
 class MovingMesh:
-    """Mesh of the document with moving vertices: its node, its mesh of the sequence, its primitives."""
+    """Mesh of a document that gets the points of a mesh of the sequence."""
 
     node: int
     scene_mesh: SceneMesh
     primitives: Sequence[MovingPrimitive]
 
-    def normals_of(self, points: FloatArray) -> Single:
+    def compute_normals(self, points: FloatArray) -> Single:
         """Return the shared normals ``(B, G, 3)`` for points ``(B, V, 3)`` of the sequence."""
         mesh = self.scene_mesh
-        return shared_normals(points[:, mesh.vertices], mesh.polygons, mesh.hard_edges)
+        return corner_normals(points[:, mesh.vertices], mesh.polygons, mesh.hard_edges)
 
 
 class MorphFrameWriter:
-    """Frames in the buffer: laid out on construction, then written one after the other."""
+    """Writer of frames as morph targets, laid out on construction and then written in order."""
 
     def __init__(
         self,
@@ -76,18 +76,20 @@ class MorphFrameWriter:
         meshes: Sequence[MovingMesh],
         header: SequenceHeader,
         keep_start: bool = False,
-        others: OtherMotion = NOTHING,
+        others: OtherMotion = NO_OTHER_MOTION,
     ) -> None:
         self._meshes = meshes
-        self._animate(layout, header, keep_start, others)
-        self._frames = [self._lay_out(layout, frame) for frame in range(header.frame_count)]
-        self._first: tuple[FloatArray, list[NDArray[np.float32]]] | None = None
+        self._add_animation(layout, header, keep_start, others)
+        self._frames = [self._reserve(layout, frame) for frame in range(header.frame_count)]
+        self._first: tuple[FloatArray, list[Single]] | None = None
 
-    def _animate(self, layout: Layout, header: SequenceHeader, keep_start: bool, others: OtherMotion) -> None:
-        """Add the animation that steps through the targets."""
+    def _add_animation(
+        self, layout: Layout, header: SequenceHeader, keep_start: bool, others: OtherMotion
+    ) -> None:
+        """Add the animation of the weights, 1 for the target of each frame."""
         if header.frame_count == 1:
             return
-        times, animation = new_animation(layout, header, keep_start)
+        times, animation = create_animation(layout, header, keep_start)
         count = header.frame_count * (header.frame_count - 1)
         targets = np.arange(1, header.frame_count)
         rows = ((targets == key).astype(np.float32) for key in range(header.frame_count))
@@ -96,66 +98,66 @@ class MorphFrameWriter:
         animation["channels"] += [
             {"sampler": 0, "target": {"node": mesh.node, "path": "weights"}} for mesh in self._meshes
         ]
-        others.animate(layout, animation, header)
+        others.add_to(animation, layout, header)
         append(layout.document, "animations", animation)
 
-    def _lay_out(self, layout: Layout, frame: int) -> tuple[int, list[Json]]:
-        """Return the offset of a frame's view, and the accessors of points without bounds."""
-        vectors = sum(
-            len(each.vertices) * (1 if each.normals is None else 2)
+    def _reserve(self, layout: Layout, frame: int) -> tuple[int, list[Json]]:
+        """Reserve a view for a frame; return its offset, and the accessors of points without bounds."""
+        vector_count = sum(
+            len(each.vertex_ids) * (1 if each.normal_ids is None else 2)
             for mesh in self._meshes
             for each in mesh.primitives
         )
-        view = layout.reserve(vectors * _BYTES_PER_VECTOR, byteStride=_BYTES_PER_VECTOR, target=ARRAY_BUFFER)
+        length = vector_count * _BYTES_PER_VECTOR
+        view = layout.reserve(length, byteStride=_BYTES_PER_VECTOR, target=ARRAY_BUFFER)
         offset, unbounded = 0, []
         for mesh in self._meshes:
             for each in mesh.primitives:
-                count = len(each.vertices)
+                count = len(each.vertex_ids)
                 attributes = each.entry["attributes"] if frame == 0 else {}
-                points = layout.accessor(view, count, "VEC3", offset)
-                attributes["POSITION"] = points
-                unbounded.append(layout.set_bounds(points))
+                attributes["POSITION"] = layout.accessor(view, count, "VEC3", offset)
+                unbounded.append(layout.set_bounds(attributes["POSITION"]))
                 offset += count * _BYTES_PER_VECTOR
-                if each.normals is not None:
+                if each.normal_ids is not None:
                     attributes["NORMAL"] = layout.accessor(view, count, "VEC3", offset)
                     offset += count * _BYTES_PER_VECTOR
                 if frame > 0:
                     append(each.entry, "targets", attributes)
         return layout.document["bufferViews"][view]["byteOffset"], unbounded
 
-    def write(self, frame: int, points: NDArray[np.float32], writer: BufferWriter) -> None:
+    def write(self, frame: int, points: Single, writer: BufferWriter) -> None:
         """Write a frame's points ``(V, 3)``; `InvalidSequenceError` if too far from the first frame for float32."""
-        normals = [mesh.normals_of(points[None])[0] for mesh in self._meshes]
+        normals = [mesh.compute_normals(points[None])[0] for mesh in self._meshes]
         if self._first is None:
             self._first = points.astype(np.float64), normals
         else:
-            base, base_normals = self._first
-            points = as_float32((points - base)[None], frame, "glTF")[0]
-            normals = [here - there for here, there in zip(normals, base_normals, strict=True)]
+            base_points, base_normals = self._first
+            points = as_float32((points - base_points)[None], frame, "glTF")[0]
+            normals = [own - base for own, base in zip(normals, base_normals, strict=True)]
         start, unbounded = self._frames[frame]
-        chunks: list[NDArray[np.float32]] = []
-        awaiting = iter(unbounded)
-        for mesh, of_mesh in zip(self._meshes, normals, strict=True):
+        accessors = iter(unbounded)
+        chunks: list[Single] = []
+        for mesh, own_normals in zip(self._meshes, normals, strict=True):
             for each in mesh.primitives:
-                here = points[mesh.scene_mesh.vertices][each.vertices]
-                accessor = next(awaiting)
-                accessor["min"], accessor["max"] = compute_bounds(here)
-                chunks.append(here)
-                if each.normals is not None:
-                    chunks.append(of_mesh[each.normals])
+                positions = points[mesh.scene_mesh.vertices][each.vertex_ids]
+                accessor = next(accessors)
+                accessor["min"], accessor["max"] = compute_bounds(positions)
+                chunks.append(positions)
+                if each.normal_ids is not None:
+                    chunks.append(own_normals[each.normal_ids])
         writer.put(start, chunks)
 
 
-def new_animation(layout: Layout, header: SequenceHeader, keep_start: bool = False) -> tuple[int, Json]:
+def create_animation(layout: Layout, header: SequenceHeader, keep_start: bool = False) -> tuple[int, Json]:
     """Add float32 key times ``(T,)`` of the frames; return their accessor, and an animation without channels.
 
     Its extras are ``fps``, and ``start``, the time in s at key 0, unless it is 0.
     """
-    start = time_shift(header, keep_start)
+    start = choose_start(header, keep_start)
     keys = (header.times - start).astype(np.float32)
-    close = np.diff(keys) <= 0
-    if close.any() or not np.isfinite(keys).all():
-        frame = int(np.argmax(close))
+    is_equal = np.diff(keys) <= 0
+    if is_equal.any() or not np.isfinite(keys).all():
+        frame = int(np.argmax(is_equal))
         raise InvalidSequenceError(
             f"frames {frame} and {frame + 1} are at {header.times[frame]:.9g} s and {header.times[frame + 1]:.9g} s, "
             "too close, or too late, for glTF's float32; let the times begin at 0, or write USD, .npz or .h5"
@@ -166,11 +168,10 @@ def new_animation(layout: Layout, header: SequenceHeader, keep_start: bool = Fal
     return times, {"name": header.name or "animation", "samplers": [], "channels": [], "extras": extras}
 
 
-def time_shift(header: SequenceHeader, keep_start: bool = False) -> float:
-    """Return the time in seconds that becomes 0: the first one.
+def choose_start(header: SequenceHeader, keep_start: bool = False) -> float:
+    """Return the time in s of key time 0: the first frame, until which players would show a static mesh.
 
-    Players would otherwise show the first frame until then: 40 s for a shot that begins at frame 1001. `keep_start`
-    moves only times that glTF cannot hold: those before 0, and that of a single frame.
+    `keep_start` returns 0 unless glTF cannot store the times: those before 0, and that of a single frame.
     """
     first = float(header.times[0])
     return 0.0 if keep_start and first >= 0 and header.frame_count > 1 else first
@@ -178,145 +179,147 @@ def time_shift(header: SequenceHeader, keep_start: bool = False) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SplitPrimitive:
-    """Triangles ``(m, 3)`` of one material by n split vertices, with uvs ``(n, 2)``, v up, and colours ``(n, 4)``.
+    """Triangles ``(F, 3)`` of one material by n split vertices, with uvs ``(n, 2)``, v up, and colours ``(n, 4)``.
 
-    `vertices` ``(n,)`` are the mesh's vertices that they copy, `normals` ``(n,)`` the indices of shared normals, see
-    `mixseq.mesh.measures.shared_normals`.
+    The split vertices copy the mesh's `vertex_ids` ``(n,)`` and have the shared normals `normal_ids` ``(n,)``, see
+    `mixseq.mesh.measures.corner_normals`.
     """
 
-    vertices: IntArray
-    normals: IntArray
-    uvs: NDArray[np.float32] | None
-    colours: NDArray[np.float32] | None
+    vertex_ids: IntArray
+    normal_ids: IntArray
+    uvs: Single | None
+    colours: Single | None
     triangles: NDArray[np.uint32]
     face_set: FaceSet | None
 
 
-def split_corners(mesh: SceneMesh) -> list[SplitPrimitive]:
-    """Split a mesh into primitives: one per face set with polygons of its own, one for the rest.
+def split_primitives(mesh: SceneMesh) -> list[SplitPrimitive]:
+    """Split a mesh into primitives: one per face set in `assign_face_sets`, one for the rest.
 
-    Vertices keep their order within a primitive. Unused vertices go into the first one, without triangles.
+    Vertices keep their order within a primitive. Unused vertices are in the first one, without triangles.
     """
-    owner = owners(mesh)
-    of_corner = np.repeat(owner, mesh.polygons.counts)
-    on = {name: each for name, each in (("uvs", mesh.uvs), ("colours", mesh.colours)) if each is not None}
-    keys = {"vertices": mesh.polygons.indices, **{name: each.indices for name, each in on.items()}}
+    owner_of_corner = np.repeat(assign_face_sets(mesh), mesh.polygons.counts)
+    layers = {
+        name: layer for name, layer in (("uvs", mesh.uvs), ("colours", mesh.colours)) if layer is not None
+    }
+    keys = {"vertices": mesh.polygons.indices, **{name: layer.indices for name, layer in layers.items()}}
     if mesh.hard_edges is not None:
         keys["normals"] = mesh.hard_edges
-    triangles = Polygons(mesh.polygons.counts, np.arange(of_corner.size)).triangles  # of corners
+    triangles = Polygons(mesh.polygons.counts, np.arange(owner_of_corner.size)).triangles  # of corners
     unused = np.flatnonzero(np.bincount(mesh.polygons.indices, minlength=mesh.vertex_count) == 0)
     primitives: list[SplitPrimitive] = []
-    place = np.zeros(of_corner.size, dtype=np.uint32)  # each owner's are set before they are used
-    of_triangle = of_corner[triangles[:, 0]]
-    for (number, corners), (_, own) in zip(_by_owner(of_corner), _by_owner(of_triangle), strict=True):
-        alone = unused if not primitives else unused[:0]
-        some = {
-            name: np.append(key[corners], alone if name == "vertices" else np.zeros_like(alone))
+    split_vertex = np.zeros(owner_of_corner.size, dtype=np.uint32)  # of corners, set owner by owner
+    owner_of_triangle = owner_of_corner[triangles[:, 0]]
+    groups = zip(_group_by_owner(owner_of_corner), _group_by_owner(owner_of_triangle), strict=True)
+    for (owner, corners), (_, own_triangles) in groups:
+        extra = unused if not primitives else unused[:0]
+        own_keys = {
+            name: np.append(key[corners], extra if name == "vertices" else np.zeros_like(extra))
             for name, key in keys.items()
         }
-        chosen, copies = _unique_tuples(list(some.values()))
-        place[corners] = copies[: corners.size]
-        rows = {name: key[chosen] for name, key in some.items()}
-        values = {name: each.values[rows[name]] for name, each in on.items()}
-        # A vertex that no polygon uses has the first normal, where normals are not those of vertices.
-        used = chosen < corners.size
+        first, copies = _unique_tuples(list(own_keys.values()))
+        split_vertex[corners] = copies[: corners.size]
+        indices = {name: key[first] for name, key in own_keys.items()}
+        values = {name: layer.values[indices[name]] for name, layer in layers.items()}
+        # Unused vertices have normal 0, since normals by hard edges have other indices than vertices.
+        normal_ids = np.where(first < corners.size, indices.get("normals", indices["vertices"]), 0)
         primitives.append(
             SplitPrimitive(
-                vertices=rows["vertices"],
-                normals=np.where(used, rows.get("normals", rows["vertices"]), 0),
+                vertex_ids=indices["vertices"],
+                normal_ids=normal_ids,
                 uvs=values.get("uvs"),
                 colours=values.get("colours"),
-                triangles=place[triangles[own]],
-                face_set=None if number < 0 else mesh.face_sets[number],
+                triangles=split_vertex[triangles[own_triangles]],
+                face_set=None if owner < 0 else mesh.face_sets[owner],
             )
         )
     return primitives
 
 
-def _by_owner(owner: IntArray) -> Iterator[tuple[int, IntArray]]:
-    """Yield each owner in ascending order, with the indices of its elements in ascending order."""
+def _group_by_owner(owner: IntArray) -> Iterator[tuple[int, IntArray]]:
+    """Yield each owner and the indices of its elements, both in ascending order."""
     order = np.argsort(owner, kind="stable")
-    found, starts = np.unique(owner[order], return_index=True)
-    yield from zip(found.tolist(), np.split(order, starts[1:])[: len(found)], strict=True)
+    owners, starts = np.unique(owner[order], return_index=True)
+    yield from zip(owners.tolist(), np.split(order, starts[1:])[: len(owners)], strict=True)
 
 
 def _unique_tuples(columns: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
-    """Return the rows of the distinct tuples of n columns ``(n,)``, and the index of each row's tuple."""
-    numbers = columns[0].astype(np.int64)
+    """Return a row of each distinct tuple of columns ``(n,)``, and the index ``(n,)`` of each row's tuple."""
+    labels = columns[0].astype(np.int64)
     for column in columns[1:]:
-        several = numbers * (int(column.max(initial=0)) + 1) + column
-        numbers = np.unique(several, return_inverse=True)[1].reshape(-1)
-    if numbers.max(initial=0) > _SPARSE * len(numbers):  # few corners of a large mesh
-        numbers = np.unique(numbers, return_inverse=True)[1].reshape(-1)
-    rows = np.full(int(numbers.max(initial=-1)) + 1, -1)
-    rows[numbers] = np.arange(len(numbers))
-    there = rows >= 0
-    return rows[there], (np.cumsum(there) - 1)[numbers]
+        combined = labels * (int(column.max(initial=0)) + 1) + column
+        labels = np.unique(combined, return_inverse=True)[1].reshape(-1)
+    if labels.max(initial=0) > _MAX_LABELS_PER_ROW * len(labels):  # few corners of a large mesh
+        labels = np.unique(labels, return_inverse=True)[1].reshape(-1)
+    rows = np.full(int(labels.max(initial=-1)) + 1, -1)
+    rows[labels] = np.arange(len(labels))
+    is_used = rows >= 0
+    return rows[is_used], (np.cumsum(is_used) - 1)[labels]
 
 
-def owners(mesh: SceneMesh) -> IntArray:
-    """Return the face set of each polygon ``(P,)``, -1 for none; the first with a material wins, then the first."""
+def assign_face_sets(mesh: SceneMesh) -> IntArray:
+    """Return the face set of each polygon ``(P,)``, -1 for none; the first with a material, else the first."""
     owner = np.full(len(mesh.polygons.counts), -1, dtype=np.int32)
-    numbers = [number for number, each in enumerate(mesh.face_sets) if distinguishes(each, mesh)]
-    for number in sorted(numbers, key=lambda number: not mesh.face_sets[number].material)[::-1]:
-        owner[mesh.face_sets[number].polygons] = number
+    indices = [index for index, each in enumerate(mesh.face_sets) if has_own_primitive(each, mesh)]
+    for index in sorted(indices, key=lambda index: not mesh.face_sets[index].material)[::-1]:
+        owner[mesh.face_sets[index].polygons] = index
     return owner
 
 
-def distinguishes(face_set: FaceSet, mesh: SceneMesh) -> bool:
+def has_own_primitive(face_set: FaceSet, mesh: SceneMesh) -> bool:
     """Whether a face set has a material or fewer polygons than the mesh."""
     return bool(face_set.material) or face_set.polygons.size < len(mesh.polygons.counts)
 
 
-_LARGEST_EXACT = 2**24
-_SPARSE = 4
-_LARGEST_SHORT = 2**16 - 1
+_MAX_EXACT_FLOAT32 = 2**24
+_MAX_LABELS_PER_ROW = 4
+_MAX_UINT16_INDEX = 2**16 - 1
 
 
 def create_scene(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
-    """Return a document of a sequence without frames, and its moving meshes; objects without polygons are left out."""
-    layout, meshes = new_meshes(header)
-    root = group(layout.document, [mesh.node for mesh in meshes], header)
+    """Create a document of a sequence without frames, and its meshes; objects without polygons are left out."""
+    layout, meshes = create_meshes(header)
+    root = group_nodes(layout.document, [mesh.node for mesh in meshes], header)
     layout.document["scene"], layout.document["scenes"] = 0, [{"nodes": [root]}]
     return layout, meshes
 
 
-def new_meshes(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
-    """Return a document of a sequence's meshes with a node each, without a scene, and its moving meshes."""
+def create_meshes(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
+    """Create a document of a sequence with a node for each mesh, without a scene."""
     layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR_NAME}})
     scene_meshes = [scene_mesh for scene_mesh in split_meshes(header) if scene_mesh.polygons.counts.size]
     names = [header.name if len(scene_meshes) == 1 else scene_mesh.name for scene_mesh in scene_meshes]
     materials: dict[str, int] = {}
     return layout, [
-        _new_mesh(layout, scene_mesh, name, materials)
+        _add_mesh(layout, scene_mesh, name, materials)
         for scene_mesh, name in zip(scene_meshes, names, strict=True)
     ]
 
 
-def group(document: Json, nodes: list[int], header: SequenceHeader, vacant: int | None = None) -> int:
-    """Return the root of a sequence's nodes, upright: the only node, or a parent of all (`vacant` if given)."""
-    entry = {**named(header.name), "children": nodes}
+def group_nodes(document: Json, nodes: list[int], header: SequenceHeader, unused: int | None = None) -> int:
+    """Return the root of a sequence's nodes with converted axes: the only node, or a parent (`unused` or new)."""
+    entry = {**name_member(header.name), "children": nodes}
     if len(nodes) == 1:
         root = nodes[0]
-    elif vacant is None:
+    elif unused is None:
         root = append(document, "nodes", entry)
     else:
-        root = vacant
+        root = unused
         document["nodes"][root] = entry
     document["nodes"][root].update(axis_conversion(header))
     return root
 
 
 def axis_conversion(header: SequenceHeader) -> Json:
-    """Return the transform of a node from the sequence's axes and units to glTF's, Y up and metres; {} for identity."""
+    """Return a node's transform from a sequence's axes and units to Y up and metres; {} for the identity."""
     columns = {"X": [(0, 1, 0), (-1, 0, 0), (0, 0, 1)], "Z": [(1, 0, 0), (0, 0, -1), (0, 1, 0)]}
     matrix = np.eye(4)
     matrix[:3, :3] = header.metres_per_unit * np.array(columns.get(header.up_axis, np.eye(3)))
     return {} if np.array_equal(matrix, np.eye(4)) else {"matrix": matrix.ravel().tolist()}
 
 
-def named(name: str) -> Json:
-    """Return the member ``name``, or no member for an empty name."""
+def name_member(name: str) -> Json:
+    """Return the member ``name``, {} for an empty name."""
     return {"name": name} if name else {}
 
 
@@ -326,67 +329,67 @@ def material_name(face_set: FaceSet) -> str:
     return (name.rstrip("/").rpartition("/")[2] if name.startswith("/") else name) or face_set.name
 
 
-def _new_mesh(layout: Layout, scene_mesh: SceneMesh, name: str, materials: dict[str, int]) -> MovingMesh:
-    primitives = [_new_primitive(layout, each, scene_mesh, materials) for each in split_corners(scene_mesh)]
-    entries = [primitive.entry for primitive in primitives]
-    mesh = append(layout.document, "meshes", {**named(name), "primitives": entries})
-    node = append(layout.document, "nodes", {**named(name), "mesh": mesh})
+def _add_mesh(layout: Layout, scene_mesh: SceneMesh, name: str, materials: dict[str, int]) -> MovingMesh:
+    primitives = [
+        _add_primitive(layout, each, scene_mesh, materials) for each in split_primitives(scene_mesh)
+    ]
+    entry = {**name_member(name), "primitives": [each.entry for each in primitives]}
+    mesh = append(layout.document, "meshes", entry)
+    node = append(layout.document, "nodes", {**name_member(name), "mesh": mesh})
     return MovingMesh(node, scene_mesh, primitives)
 
 
-def _new_primitive(
+def _add_primitive(
     layout: Layout, primitive: SplitPrimitive, scene_mesh: SceneMesh, materials: dict[str, int]
 ) -> MovingPrimitive:
     attributes: dict[str, int] = {}
     if primitive.uvs is not None:
-        attributes["TEXCOORD_0"] = layout.add_array(upside_down(primitive.uvs), target=ARRAY_BUFFER)
+        attributes["TEXCOORD_0"] = layout.add_array(flip_v(primitive.uvs), target=ARRAY_BUFFER)
     if primitive.colours is not None:
         attributes["COLOR_0"] = add_colours(layout, primitive.colours)
-    entry: Json = {
-        "attributes": attributes,
-        "indices": layout.add_array(narrow(primitive.triangles.reshape(-1)), target=ELEMENT_ARRAY_BUFFER),
-    }
+    indices = narrow_indices(primitive.triangles.reshape(-1))
+    entry: Json = {"attributes": attributes}
+    entry["indices"] = layout.add_array(indices, target=ELEMENT_ARRAY_BUFFER)
     if primitive.face_set is not None:
-        entry["material"] = material(layout.document, material_name(primitive.face_set), materials)
-    moving = MovingPrimitive(entry, primitive.vertices, primitive.normals)
+        entry["material"] = add_material(layout.document, material_name(primitive.face_set), materials)
+    moving = MovingPrimitive(entry, primitive.vertex_ids, primitive.normal_ids)
     add_vertex_numbers(layout, moving, scene_mesh.vertex_count)
     return moving
 
 
-def upside_down(uvs: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return texture coordinates ``(n, 2)`` with v pointing down, as in glTF."""
+def flip_v(uvs: Single) -> Single:
+    """Flip texture coordinates ``(n, 2)`` to v downwards, as in glTF."""
     return (uvs * (1, -1) + (0, 1)).astype(np.float32)
 
 
-def add_colours(layout: Layout, colours: NDArray[np.float32]) -> int:
+def add_colours(layout: Layout, colours: Single) -> int:
     """Add colours ``(n, 4)``, as bytes where that is exact; return their accessor."""
     exact = colours_to_exact_bytes(colours)
-    number = layout.add_array(clip_to_unit(colours) if exact is None else exact, target=ARRAY_BUFFER)
+    accessor = layout.add_array(clip_to_unit(colours) if exact is None else exact, target=ARRAY_BUFFER)
     if exact is not None:
-        layout.document["accessors"][number]["normalized"] = True
-    return number
+        layout.document["accessors"][accessor]["normalized"] = True
+    return accessor
 
 
-def narrow(indices: NDArray[np.uint32]) -> NDArray[np.uint32] | NDArray[np.uint16]:
+def narrow_indices(indices: NDArray[np.uint32]) -> NDArray[np.uint32] | NDArray[np.uint16]:
     """Return indices ``(n,)`` as uint16 if they fit; glTF reserves the largest number."""
-    return indices.astype(np.uint16) if indices.max(initial=0) < _LARGEST_SHORT else indices
+    return indices.astype(np.uint16) if indices.max(initial=0) < _MAX_UINT16_INDEX else indices
 
 
 def add_vertex_numbers(layout: Layout, primitive: MovingPrimitive, vertex_count: int) -> None:
-    """Store the sequence's vertex of each glTF vertex in ``_VERTEX``, as float32, unless the numbers are too large."""
-    if vertex_count <= _LARGEST_EXACT:
-        numbers = primitive.vertices.astype(np.float32)
+    """Store the mesh vertex of each split vertex in ``_VERTEX``, as float32, unless the numbers are too large."""
+    if vertex_count <= _MAX_EXACT_FLOAT32:
+        numbers = primitive.vertex_ids.astype(np.float32)
         primitive.entry["attributes"]["_VERTEX"] = layout.add_array(numbers, target=ARRAY_BUFFER)
 
 
-def material(document: Json, name: str, materials: dict[str, int]) -> int:
-    """Return the index of the material of a name, added if missing; `materials` are indices by name."""
-    if name in materials:
-        return materials[name]
-    entry = {
-        **named(name),
-        "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8},
-        "doubleSided": True,
-    }
-    materials[name] = append(document, "materials", entry)
+def add_material(document: Json, name: str, materials: dict[str, int]) -> int:
+    """Return the index of the material of a name, added if missing from the indices by name."""
+    if name not in materials:
+        entry = {
+            **name_member(name),
+            "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8},
+            "doubleSided": True,
+        }
+        materials[name] = append(document, "materials", entry)
     return materials[name]

@@ -1,4 +1,4 @@
-r"""Skins and morphs in glTF: a base mesh with morph targets, which may follow bones.
+r"""Skins and morph targets as glTF documents.
 
 A target is displacements ``d_m`` and weights ``w_tm`` from 0 to 1 (`rig_arrays.normalise_morph_weights`). glTF blends
 normals as it does points, ``n_t ~ n_0 + sum_m w_tm e_m`` before normalisation. The ``e_m`` are fitted to the true
@@ -11,8 +11,9 @@ inverse bind matrix takes them to the axes of the world at the origin,
 .. math:: \begin{pmatrix} A_b & p_b \\ 0 & 1 \end{pmatrix}^{-1} =
           \begin{pmatrix} A_b^T & -A_b^T p_b \\ 0 & 1 \end{pmatrix},
 
-so that a point goes to ``R_tb (r_v - p_b) + c_tb``, the formula of the skin; morph targets come before it. Constant
-properties have no track. The roots lie under one node with axes and unit: only nodes above joints move a skinned mesh.
+so that a point is mapped to ``R_tb (r_v - p_b) + c_tb``, the formula of the skin, after the morph targets. Constant
+properties are not animated. The root joints have a common parent that converts axes and units, since only joints and
+their ancestors move a skinned mesh.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#skins
 """
@@ -23,7 +24,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixseq.errors import OutputError
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
@@ -33,10 +33,10 @@ from mixseq_io.gltf.codecs import ARRAY_BUFFER, Json, Layout, append
 from mixseq_io.gltf.new_document import (
     MovingMesh,
     axis_conversion,
+    create_animation,
+    create_meshes,
     create_scene,
-    named,
-    new_animation,
-    new_meshes,
+    name_member,
 )
 from mixseq_io.reader import as_float32
 from mixseq_io.rig_arrays import (
@@ -46,7 +46,7 @@ from mixseq_io.rig_arrays import (
     numbered_names,
 )
 
-_KINDS = {"translation": "VEC3", "rotation": "VEC4", "weights": "SCALAR"}
+_ACCESSOR_TYPES = {"translation": "VEC3", "rotation": "VEC4", "weights": "SCALAR"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,50 +55,47 @@ class Track:
 
     nodes: Sequence[int]
     path: str
-    values: NDArray[np.float32]
+    values: Single
 
 
-def animate(layout: Layout, header: SequenceHeader, tracks: Sequence[Track]) -> None:
-    """Add the linear animation of a sequence, with keys at its frames and rotations on the short arc, to a document.
-
-    Constant tracks, and an animation without tracks, are left out: nodes have the values of the first frame.
-    """
-    moving = [track for track in tracks if (track.values != track.values[0]).any()]
-    if not moving:
+def add_animation(layout: Layout, header: SequenceHeader, tracks: Sequence[Track]) -> None:
+    """Add the linear animation of tracks with keys at the frames of a sequence, without constant tracks."""
+    varying = [track for track in tracks if (track.values != track.values[0]).any()]
+    if not varying:
         return
-    times, animation = new_animation(layout, header)
-    # One view for all of them, since there may be hundreds.
-    values = [np.ascontiguousarray(track.values) for track in moving]
-    view, offset = layout.add(values, sum(each.nbytes for each in values)), 0
-    for number, (track, each) in enumerate(zip(moving, values, strict=True)):
-        kind = _KINDS[track.path]
-        count = each.size if kind == "SCALAR" else len(each)
+    times, animation = create_animation(layout, header)
+    # One view for possibly hundreds of tracks.
+    arrays = [np.ascontiguousarray(track.values) for track in varying]
+    view, offset = layout.add(arrays, sum(array.nbytes for array in arrays)), 0
+    for index, (track, array) in enumerate(zip(varying, arrays, strict=True)):
+        kind = _ACCESSOR_TYPES[track.path]
+        count = array.size if kind == "SCALAR" else len(array)
         output = layout.accessor(view, count, kind, offset)
         animation["samplers"].append({"input": times, "output": output, "interpolation": "LINEAR"})
         animation["channels"] += [
-            {"sampler": number, "target": {"node": node, "path": track.path}} for node in track.nodes
+            {"sampler": index, "target": {"node": node, "path": track.path}} for node in track.nodes
         ]
-        offset += each.nbytes
+        offset += array.nbytes
     append(layout.document, "animations", animation)
 
 
-_ILL_DEFINED = 1e-6
-"""Singular values of the weights below this fraction of the largest are ignored for normals."""
+_MIN_SINGULAR_VALUE_RATIO = 1e-6
+"""Smallest singular value of the weights that is used for normals, relative to the largest."""
 
 
 def create_morphed_scene(morph: Morph) -> Layout:
-    """Return a document of a mesh with morph targets and the animation of their weights."""
+    """Create a document of a mesh with morph targets and the animation of their weights."""
     layout, meshes = create_scene(morph.header)
-    animate(layout, morph.header, add_targets(layout, meshes, normalise_morph_weights(morph)))
+    add_animation(layout, morph.header, add_morph_targets(layout, meshes, normalise_morph_weights(morph)))
     return layout
 
 
-def add_targets(layout: Layout, meshes: Sequence[MovingMesh], morph: Morph) -> list[Track]:
-    """Give the meshes of a document points, normals and targets; return the tracks of weights."""
+def add_morph_targets(layout: Layout, meshes: Sequence[MovingMesh], morph: Morph) -> list[Track]:
+    """Add points, normals and targets to the meshes of a document; return the tracks of weights."""
     base = as_float32(morph.base[None], 0, "glTF")[0]
     targets = as_float32(morph.targets, 0, "glTF", "a target of vertex")
     for mesh in meshes:
-        _add(layout, mesh, morph, base, targets)
+        _add_shapes(layout, mesh, morph, base, targets)
     if not len(targets):
         return []
     for mesh in meshes:
@@ -108,67 +105,72 @@ def add_targets(layout: Layout, meshes: Sequence[MovingMesh], morph: Morph) -> l
     return [Track([mesh.node for mesh in meshes], "weights", morph.weights.astype(np.float32))]
 
 
-def _add(layout: Layout, mesh: MovingMesh, morph: Morph, base: Single, targets: Single) -> None:
-    normals, normal_targets = _normals(mesh, morph)
-    for each in mesh.primitives:
-        shapes = [(base, normals), *zip(targets, normal_targets, strict=True)]
-        for number, (points, directions) in enumerate(shapes):
-            attributes = each.entry["attributes"] if number == 0 else {}
-            attributes["POSITION"] = layout.add_points(points[mesh.scene_mesh.vertices][each.vertices])
-            if each.normals is not None:
-                attributes["NORMAL"] = layout.add_array(directions[each.normals], target=ARRAY_BUFFER)
-            if number > 0:
-                append(each.entry, "targets", attributes)
+def _add_shapes(layout: Layout, mesh: MovingMesh, morph: Morph, base: Single, targets: Single) -> None:
+    base_normals, target_normals = _fit_normals(mesh, morph)
+    for primitive in mesh.primitives:
+        shapes = [(base, base_normals), *zip(targets, target_normals, strict=True)]
+        for index, (points, normals) in enumerate(shapes):
+            attributes = primitive.entry["attributes"] if index == 0 else {}
+            positions = points[mesh.scene_mesh.vertices][primitive.vertex_ids]
+            attributes["POSITION"] = layout.add_points(positions)
+            if primitive.normal_ids is not None:
+                attributes["NORMAL"] = layout.add_array(normals[primitive.normal_ids], target=ARRAY_BUFFER)
+            if index > 0:
+                append(primitive.entry, "targets", attributes)
 
 
-def _normals(mesh: MovingMesh, morph: Morph) -> tuple[Single, Single]:
-    """Return the normals of the base ``(G, 3)`` and of the targets ``(M, G, 3)``, see the module's head."""
-    (base,) = mesh.normals_of(morph.base[None])
+def _fit_normals(mesh: MovingMesh, morph: Morph) -> tuple[Single, Single]:
+    """Return the normals of the base ``(G, 3)``, and displacements for the targets ``(M, G, 3)``."""
+    (base,) = mesh.compute_normals(morph.base[None])
     targets = np.zeros((len(morph.targets), base.size))
     if len(targets):
-        inverse = np.linalg.pinv(morph.weights, rcond=_ILL_DEFINED)
+        inverse = np.linalg.pinv(morph.weights, rcond=_MIN_SINGULAR_VALUE_RATIO)
         frame = 0
         for block in morph.blocks():
-            turned = (mesh.normals_of(block) - base.astype(np.float64)).reshape(len(block), -1)
-            targets += inverse[:, frame : frame + len(block)] @ turned
+            displacements = (mesh.compute_normals(block) - base.astype(np.float64)).reshape(len(block), -1)
+            targets += inverse[:, frame : frame + len(block)] @ displacements
             frame += len(block)
     return base, targets.reshape(-1, *base.shape).astype(np.float32)
 
 
-MOST_BONES = 65535
-_MOST_OF_A_BYTE = 256
+_MAX_BONE_COUNT = 65535
+_MAX_BYTE_BONE_COUNT = 256
 
 
 def create_skinned_scene(skin: Skin) -> Layout:
-    """Return a document of a skinned mesh, its bones and their animation."""
-    if skin.bone_count > MOST_BONES:
+    """Create a document of a skinned mesh, its joints and their animation."""
+    if skin.bone_count > _MAX_BONE_COUNT:
         raise OutputError(
-            f"the skin has {skin.bone_count} bones, glTF has numbers for {MOST_BONES}; fit it with fewer (bones=N)"
+            f"the skin has {skin.bone_count} bones, glTF allows {_MAX_BONE_COUNT}; fit it with fewer (bones=N)"
         )
-    layout, meshes = new_meshes(skin.header)
+    layout, meshes = create_meshes(skin.header)
     document = layout.document
-    of_targets = add_targets(layout, meshes, normalise_morph_weights(skin))
-    root, joints, of_bones = _add_bones(document, skin)
+    morph_tracks = add_morph_targets(layout, meshes, normalise_morph_weights(skin))
+    root, joints, joint_tracks = _add_joints(document, skin)
     document["skins"] = [
         {
-            **named(skin.header.name),
-            "inverseBindMatrices": _inverse_binds(layout, skin),
+            **name_member(skin.header.name),
+            "inverseBindMatrices": _add_inverse_binds(layout, skin),
             "joints": joints,
             "skeleton": root,
         }
     ]
     bones, weights = four_influences(skin)
-    narrow = bones.astype(np.uint8) if skin.bone_count <= _MOST_OF_A_BYTE else bones.astype(np.uint16)
+    narrow_bones = bones.astype(np.uint8 if skin.bone_count <= _MAX_BYTE_BONE_COUNT else np.uint16)
     for mesh in meshes:
         document["nodes"][mesh.node]["skin"] = 0
-        _attach(layout, mesh, narrow, weights)
+        for primitive in mesh.primitives:
+            attributes = primitive.entry["attributes"]
+            for name, values in (("JOINTS_0", narrow_bones), ("WEIGHTS_0", weights)):
+                own = values[mesh.scene_mesh.vertices][primitive.vertex_ids]
+                attributes[name] = layout.add_array(own, target=ARRAY_BUFFER)
     document["scene"] = 0
     document["scenes"] = [{"nodes": [root, *(mesh.node for mesh in meshes)]}]
-    animate(layout, skin.header, [*of_bones, *of_targets])
+    add_animation(layout, skin.header, [*joint_tracks, *morph_tracks])
     return layout
 
 
-def _add_bones(document: Json, skin: Skin) -> tuple[int, list[int], list[Track]]:
+def _add_joints(document: Json, skin: Skin) -> tuple[int, list[int], list[Track]]:
     """Add a node for every bone in its first-frame pose, and a common root; return root, nodes and tracks."""
     skeleton = skin.skeleton
     rotations, translations = local_joint_transforms(skin, "glTF")
@@ -176,38 +178,21 @@ def _add_bones(document: Json, skin: Skin) -> tuple[int, list[int], list[Track]]
     joints: list[int] = []
     tracks: list[Track] = []
     for bone, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents.tolist(), strict=True)):
-        turn, place = rotations[:, bone], translations[:, bone]
-        joint = append(
-            document,
-            "nodes",
-            {"name": name, "rotation": turn[0].tolist(), "translation": place[0].tolist()},
-        )
-        above = document["nodes"][root if parent < 0 else joints[parent]]
-        above.setdefault("children", []).append(joint)
+        rotation, translation = rotations[:, bone], translations[:, bone]
+        entry = {"name": name, "rotation": rotation[0].tolist(), "translation": translation[0].tolist()}
+        joint = append(document, "nodes", entry)
+        parent_entry = document["nodes"][root if parent < 0 else joints[parent]]
+        parent_entry.setdefault("children", []).append(joint)
         joints.append(joint)
-        tracks += [Track([joint], "rotation", turn), Track([joint], "translation", place)]
+        tracks += [Track([joint], "rotation", rotation), Track([joint], "translation", translation)]
     return root, joints, tracks
 
 
-def _inverse_binds(layout: Layout, skin: Skin) -> int:
+def _add_inverse_binds(layout: Layout, skin: Skin) -> int:
     """Add the inverse bind matrices ``(B, 4, 4)``; return their accessor."""
     pivots = as_float32(skin.pivots[None], 0, "glTF", "the pivot of bone")[0].astype(np.float64)
-    back = rotation_matrices(skin.skeleton.axes).swapaxes(1, 2)
+    inverse_axes = rotation_matrices(skin.skeleton.axes).swapaxes(1, 2)
     matrices = np.tile(np.eye(4, dtype=np.float32), (skin.bone_count, 1, 1))
-    matrices[:, :3, :3] = back.swapaxes(1, 2)  # column by column
-    matrices[:, 3, :3] = -np.einsum("bij,bj->bi", back, pivots)
+    matrices[:, :3, :3] = inverse_axes.swapaxes(1, 2)  # column by column
+    matrices[:, 3, :3] = -np.einsum("bij,bj->bi", inverse_axes, pivots)
     return layout.add_array(matrices.reshape(-1, 16))
-
-
-def _attach(
-    layout: Layout,
-    mesh: MovingMesh,
-    bones: NDArray[np.unsignedinteger],
-    weights: NDArray[np.float32],
-) -> None:
-    """Give the vertices of a mesh their bones and weights ``(V, 4)``."""
-    for each in mesh.primitives:
-        attributes = each.entry["attributes"]
-        own = mesh.scene_mesh.vertices
-        attributes["JOINTS_0"] = layout.add_array(bones[own][each.vertices], target=ARRAY_BUFFER)
-        attributes["WEIGHTS_0"] = layout.add_array(weights[own][each.vertices], target=ARRAY_BUFFER)

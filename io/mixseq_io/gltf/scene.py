@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mixseq.rigging.rigs import rotation_matrices
@@ -25,16 +24,12 @@ from mixseq_io.scene_meshes import SceneObject
 WORLD_SPACE_MARK = "mixseq:world"
 """Member of the ``extras`` of a node whose points are in world space."""
 
-_LINEAR_TOLERANCE = 1e-6
-"""Rounding of rotations and scales by exporters."""
-
-_TRANSLATION_TOLERANCE = 1e-9
-"""Rounding of translations by `invert_transform`."""
-
+_LINEAR_TOLERANCE = 1e-6  # rounding of rotations and scales by exporters
+_TRANSLATION_TOLERANCE = 1e-9  # rounding by `invert_transform`
 _MIN_DETERMINANT = 1e-30
 
 
-def invert_transform(matrix: NDArray[np.float64]) -> dict[str, Any] | None:
+def invert_transform(matrix: Float) -> dict[str, Any] | None:
     """Return the inverse of a matrix ``(4, 4)`` as TRS members of a node, {} for the identity, None without one."""
     if np.array_equal(matrix, np.eye(4)):
         return {}
@@ -58,12 +53,11 @@ def invert_transform(matrix: NDArray[np.float64]) -> dict[str, Any] | None:
 def is_nearly_identity(matrices: Float) -> bool:
     """Whether matrices ``(B, 4, 4)`` are the identity within the rounding of exporters."""
     error = np.abs(matrices - np.eye(4))
-    return bool(
-        (error[:, :3, :3] < _LINEAR_TOLERANCE).all() and (error[:, :3, 3] < _TRANSLATION_TOLERANCE).all()
-    )
+    is_linear_close = (error[:, :3, :3] < _LINEAR_TOLERANCE).all()
+    return bool(is_linear_close and (error[:, :3, 3] < _TRANSLATION_TOLERANCE).all())
 
 
-Pose = Mapping[tuple[int, str], NDArray[np.float64]]
+Pose = Mapping[tuple[int, str], Float]
 """Animated values ``(B, k)`` by node and property: "translation", "rotation", "scale", "weights"."""
 
 _MAX_PATH_LENGTH = 1 << 14
@@ -218,7 +212,7 @@ def _local_matrices(node: Fields, index: int, pose: Pose) -> Float:
     return matrices
 
 
-def _read_property(node: Fields, index: int, name: str, pose: Pose) -> NDArray[np.float64]:
+def _read_property(node: Fields, index: int, name: str, pose: Pose) -> Float:
     """Return the animated values ``(B, k)`` of a node's property, or the static one ``(1, k)``."""
     if (index, name) in pose:
         return pose[index, name]
@@ -226,7 +220,7 @@ def _read_property(node: Fields, index: int, name: str, pose: Pose) -> NDArray[n
     return np.array(_IDENTITY_TRS[name] if values is None else values)[None]
 
 
-def _quaternion_matrices(quaternions: NDArray[np.float64]) -> Float:
+def _quaternion_matrices(quaternions: Float) -> Float:
     """Return rotation matrices ``(n, 3, 3)`` of quaternions ``(n, 4)``; the identity for zero length."""
     lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
     unit = quaternions / np.where(lengths > 0, lengths, 1)

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
-from mixseq.runtime.interrupts import unbroken
+from mixseq.runtime.interrupts import uninterrupted
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import LARGEST, SMALLEST
+from mixseq.sequence.sequence import MAX_LENGTH, MIN_LENGTH
 from mixseq.types import Float, Index
 from mixseq_io.files import atomic_file
 from mixseq_io.hdf5.contents import Contents
@@ -102,7 +102,7 @@ class DeferredErrorFile:
         if self._error is not None:
             raise self._error
 
-    @unbroken
+    @uninterrupted
     def write(self, data: memoryview) -> int:
         """Write all of the data."""
         try:
@@ -113,7 +113,7 @@ class DeferredErrorFile:
             self._error = error
         return len(data)
 
-    @unbroken
+    @uninterrupted
     def truncate(self, size: int) -> int:
         """Set the file's size."""
         try:
@@ -123,22 +123,22 @@ class DeferredErrorFile:
             self._error = error
         return size
 
-    @unbroken
+    @uninterrupted
     def seek(self, offset: int, whence: int = 0) -> int:
         """Move to a position in bytes."""
         return self._file.seek(offset, whence)
 
-    @unbroken
+    @uninterrupted
     def tell(self) -> int:
         """Return the position in bytes."""
         return self._file.tell()
 
-    @unbroken
+    @uninterrupted
     def read(self, size: int = -1) -> bytes:
         """Read bytes."""
         return self._file.read(size)
 
-    @unbroken
+    @uninterrupted
     def flush(self) -> None:
         """Do nothing: the file is unbuffered, and `atomic_file` flushes it to disk."""
 
@@ -194,7 +194,7 @@ def read_integers(
     return array.astype(np.int64)
 
 
-def read_floats(file: Contents, name: str, shape: tuple[int | None, ...], limit: float = LARGEST) -> Float:
+def read_floats(file: Contents, name: str, shape: tuple[int | None, ...], limit: float = MAX_LENGTH) -> Float:
     """Read finite numbers of a magnitude up to `limit`; None in the shape allows any length."""
     array = _read_array(file, name, shape, "floats")
     if not np.isfinite(array).all():
@@ -243,9 +243,10 @@ def _read_array(
 def read_scale(file: Contents) -> float:
     """Read the scale of a shape space, the length of its unit."""
     scale = float(file.attributes["space"]["scale"])
-    if not SMALLEST <= scale <= LARGEST:
+    if not MIN_LENGTH <= scale <= MAX_LENGTH:
         raise FormatError(
-            f"{file.path}: the scale of the space is {scale:g}; a number from {SMALLEST:g} to {LARGEST:g} is expected"
+            f"{file.path}: the scale of the space is {scale:g}; "
+            f"a number from {MIN_LENGTH:g} to {MAX_LENGTH:g} is expected"
         )
     return scale
 

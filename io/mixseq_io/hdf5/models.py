@@ -94,6 +94,9 @@ def read_mixed_space(file: Contents, header: SequenceHeader) -> MixedSpace:
     face_count = len(topology.faces)
     decomposition = _read_segmentation(file, topology)
     shape_rows = sum(map(len, decomposition.parts))
+    projection = read_settings(file, "projection", Projection.__dataclass_fields__)
+    if projection["placement"] not in PLACEMENTS:
+        raise FormatError(f"{file.path}: the placement {projection['placement']!r} is not known")
     steadiness = Steadiness(*(_read_steadiness(file, name) for name in Steadiness._fields))
     space = MixedSpace(
         topology=topology,
@@ -104,7 +107,7 @@ def read_mixed_space(file: Contents, header: SequenceHeader) -> MixedSpace:
         skinning_weights=_read_skinning(file, header.vertex_count, len(decomposition.parts)),
         steadiness=steadiness,
         joint_faces=_mask_of(read_integers(file, "space/joint_faces", (None,), 0, face_count), face_count),
-        projection=_read_projection(file),
+        projection=Projection(**projection),
     )
     counts = len(decomposition.parts), len(space.articulation.pairs)
     for name, values in steadiness._asdict().items():
@@ -121,13 +124,6 @@ def _read_steadiness(file: Contents, name: str) -> Float:
             f"{file.path}: space/steadiness/{name} has numbers outside {low:g} to {high:g}; it is damaged"
         )
     return values
-
-
-def _read_projection(file: Contents) -> Projection:
-    settings = read_settings(file, "projection", Projection.__dataclass_fields__)
-    if settings["placement"] not in PLACEMENTS:
-        raise FormatError(f"{file.path}: the placement {settings['placement']!r} is not known")
-    return Projection(**settings)
 
 
 def _mask_of(indices: Index, count: int) -> NDArray[np.bool_]:
@@ -302,7 +298,11 @@ def read_signals(file: Contents, header: SequenceHeader, space: StoredSpace) -> 
     knots = read_increasing_times(file, "signals/time/times")
     time = Curve(knots, read_floats(file, "signals/time/values", (len(knots), pose.dim)))
     shapes = _read_blocks(file, "signals/shape", shape_blocks(space), len(pose.offset))
-    placement = _read_placement(file, space)
+    placement_knots = read_increasing_times(file, "signals/placement/times")
+    placements = _read_blocks(file, "signals/placement", placement_blocks(space), len(placement_knots))
+    if (np.linalg.norm(space.unpack_placements(placements).rotations, axis=2) < _MIN_QUATERNION_NORM).any():
+        raise FormatError(f"{file.path}: signals/placement/rotations has quaternions that are nearly zero")
+    placement = Curve(placement_knots, placements)
     _check_time_range(file, header, time=time, placement=placement)
     if not space.correction_dim:
         return Model(header, space, time, pose, shapes, placement)
@@ -322,15 +322,6 @@ def _check_time_range(file: Contents, header: SequenceHeader, **curves: Curve) -
                 f"{file.path}: signals/time/frames has times from {first:g} to {last:g} s, but "
                 f"signals/{name}/times are only from {curve.start:g} to {curve.end:g} s"
             )
-
-
-def _read_placement(file: Contents, space: StoredSpace) -> Curve:
-    knots = read_increasing_times(file, "signals/placement/times")
-    placements = _read_blocks(file, "signals/placement", placement_blocks(space), len(knots))
-    norms = np.linalg.norm(space.unpack_placements(placements).rotations, axis=2)
-    if (norms < _MIN_QUATERNION_NORM).any():
-        raise FormatError(f"{file.path}: signals/placement/rotations has quaternions that are nearly zero")
-    return Curve(knots, placements)
 
 
 def _write_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) -> None:

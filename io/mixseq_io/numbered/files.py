@@ -1,8 +1,8 @@
 """Driver of numbered files of one frame each: names, frames, and what OBJ, PLY, STL and OFF share.
 
 Files are named by a pattern or a folder: ``walk_####.obj``, ``walk_%04d.obj``, ``walk_*.obj``. A format is a parser of
-one file and an encoder of one frame. Parsers of later files get the first frame's mesh, and skip faces stored in the
-same bytes.
+one file and an encoder of one frame. Parsers of later files get the first frame's mesh, and reuse its faces where they
+are stored in the same bytes.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import CornerValues, Surface
-from mixseq.sequence.frame_rates import number_at
+from mixseq.mesh.surface import Surface
+from mixseq.sequence.frame_rates import time_to_number
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.files import atomic_files
@@ -34,36 +34,34 @@ from mixseq_io.reader import (
 )
 from mixseq_io.surfaces import lost_scale, lost_times, scale_text_colours, warn_of_losses
 
-_PLACEHOLDER = re.compile(r"#+|%0?(\d*)d")
-_LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
+_FRAME_PATTERN = re.compile(r"#+|%0?(\d*)d")
+_LAST_NUMBER_PATTERN = re.compile(r"(\d+)(?=\D*$)")
 
 
 def is_pattern(path: Path) -> bool:
     """Whether a file name has a placeholder of the frame number: ``####`` or ``%04d``."""
-    return _PLACEHOLDER.search(path.name) is not None
+    return _FRAME_PATTERN.search(path.name) is not None
 
 
 def frame_file_name(pattern: Path, number: int) -> str:
-    """Return a pattern's name with a frame number, or the unchanged name without a placeholder."""
-    return _PLACEHOLDER.sub(lambda found: str(number).zfill(_width(found)), pattern.name, count=1)
+    """Insert a frame number into a pattern's name; names without a placeholder are unchanged."""
+    return _FRAME_PATTERN.sub(lambda match: str(number).zfill(_digit_count(match)), pattern.name, count=1)
 
 
-def find_frames(path: Path, allow_gaps: bool, extension: str = ".obj") -> tuple[list[Path], list[int]]:
+def find_frame_files(path: Path, allow_gaps: bool, extension: str = ".obj") -> tuple[list[Path], list[int]]:
     """Find the files of a sequence and their numbers, in order."""
     if path.is_file():
         return [path], [0]
     if path.is_dir():
-        numbered = _by_last_number(
-            path, [file for file in path.iterdir() if file.suffix.lower() == extension]
-        )
+        numbered = _number_files(path, [file for file in path.iterdir() if file.suffix.lower() == extension])
     elif is_pattern(path):
         numbered = find_numbered_files(path)
     elif "*" in path.name or "?" in path.name:
-        numbered = _by_last_number(path, path.parent.glob(path.name))
+        numbered = _number_files(path, path.parent.glob(path.name))
     else:
         raise FormatError(f"{path} does not exist")
     if not numbered:
-        raise FormatError(f"{path}: there are no files of this name with numbers in it")
+        raise FormatError(f"{path}: there are no numbered files of this name")
     numbered.sort()
     numbers = [number for number, _ in numbered]
     _check_numbers(path, numbered, allow_gaps)
@@ -71,32 +69,32 @@ def find_frames(path: Path, allow_gaps: bool, extension: str = ".obj") -> tuple[
 
 
 def find_numbered_files(path: Path) -> list[tuple[int, Path]]:
-    """Find the numbers and files that match a pattern, in no order."""
-    place = _PLACEHOLDER.search(path.name)
-    if place is None or not path.parent.is_dir():
+    """Find the numbers and files that match a pattern, unsorted."""
+    placeholder = _FRAME_PATTERN.search(path.name)
+    if placeholder is None or not path.parent.is_dir():
         return []
-    before, after = path.name[: place.start()], path.name[place.end() :]
-    expression = re.compile(rf"{re.escape(before)}(\d{{{_width(place)},}}){re.escape(after)}")
-    found = ((expression.fullmatch(file.name), file) for file in path.parent.iterdir())
-    return [(int(match[1]), file) for match, file in found if match]
+    before, after = path.name[: placeholder.start()], path.name[placeholder.end() :]
+    expression = re.compile(rf"{re.escape(before)}(\d{{{_digit_count(placeholder)},}}){re.escape(after)}")
+    matches = ((expression.fullmatch(file.name), file) for file in path.parent.iterdir())
+    return [(int(match[1]), file) for match, file in matches if match]
 
 
-def _by_last_number(path: Path, files: Iterable[Path]) -> list[tuple[int, Path]]:
-    """Return the last number in each name with its file; all names must be the same around it."""
+def _number_files(path: Path, files: Iterable[Path]) -> list[tuple[int, Path]]:
+    """Return the last number in each name with its file; the rest of all names must be equal."""
     series: dict[str, list[tuple[int, Path]]] = defaultdict(list)
     for file in sorted(files):
         if file.name.startswith("."):
             continue
-        number = _LAST_NUMBER.search(file.stem)
-        key = _LAST_NUMBER.sub("*", file.stem) + file.suffix.lower()
-        series[key].append((int(number[1]) if number else 0, file))
+        number = _LAST_NUMBER_PATTERN.search(file.stem)
+        pattern = _LAST_NUMBER_PATTERN.sub("*", file.stem) + file.suffix.lower()
+        series[pattern].append((int(number[1]) if number else 0, file))
     if len(series) > 1:
         names = ", ".join(sorted(series)[:10])
         raise AmbiguousError(f"{path} matches several sequences: {names}; give one of these patterns")
     return next(iter(series.values()), [])
 
 
-def _width(placeholder: re.Match[str]) -> int:
+def _digit_count(placeholder: re.Match[str]) -> int:
     """Return a placeholder's minimum number of digits."""
     text = placeholder[0]
     return len(text) if text.startswith("#") else int(placeholder[1] or 1)
@@ -104,10 +102,10 @@ def _width(placeholder: re.Match[str]) -> int:
 
 def _check_numbers(path: Path, numbered: Sequence[tuple[int, Path]], allow_gaps: bool) -> None:
     missing = []
-    for (number, file), (following, other) in pairwise(numbered):
+    for (number, file), (following, following_file) in pairwise(numbered):
         if number == following:
             raise InvalidSequenceError(
-                f"{path}: {file.name} and {other.name} have the same number; remove one"
+                f"{path}: {file.name} and {following_file.name} have the same number; remove one"
             )
         if following > number + 1:
             missing.append(str(number + 1) if following == number + 2 else f"{number + 1}-{following - 1}")
@@ -121,19 +119,15 @@ def _check_numbers(path: Path, numbered: Sequence[tuple[int, Path]], allow_gaps:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeshFile:
-    """Contents of one file: points ``(V, 3)``, polygons, name ("" for none), surface (later frames: colours only).
+    """Contents of one file."""
 
-    `source` and `colour_text` are the faces and colours as stored, to detect equal ones in other files. `told`: colour
-    changes were reported, so that later ones are skipped.
-    """
-
-    points: FloatArray
+    points: FloatArray  # (V, 3)
     polygons: Polygons
-    source: Any = None
+    stored_faces: Any = None  # faces as stored, to detect equal ones in other files
     name: str = ""
-    surface: Surface = Surface()  # noqa: RUF009 - frozen all the way down
-    colour_text: bytes = b""
-    told: bool = False
+    surface: Surface = Surface()  # noqa: RUF009 - frozen all the way down. Of later frames: colours only
+    colour_text: bytes = b""  # colours as stored, to detect equal ones in other files
+    has_changing_colours: bool = False  # a change was reported, so that colours of later files are skipped
 
 
 Parser = Callable[[Path, bytes, MeshFile | None], MeshFile]
@@ -145,24 +139,20 @@ Encoder = Callable[[FloatArray, int], Iterable[bytes]]
 
 @dataclass(frozen=True)
 class FrameFormat:
-    """Format of files with one frame; the lower-case name is the extension.
+    """Format of files with one frame."""
 
-    `encoder` makes a frame's encoder from the pattern, for warnings, and the header; `lost` returns a header's losses.
-    `damage` are exceptions of `parse` on damaged files besides mixseq's. Text files take more memory to parse.
-    """
-
-    name: str
+    name: str  # in lower case the extension
     parse: Parser
-    encoder: Callable[[Path, SequenceHeader], Encoder]
-    lost: Callable[[SequenceHeader], list[str]]
-    is_text: bool = False
-    damage: tuple[type[Exception], ...] = ()
+    make_encoder: Callable[[Path, SequenceHeader], Encoder]  # from the pattern, for warnings, and the header
+    find_losses: Callable[[SequenceHeader], list[str]]
+    is_text: bool = False  # text takes more memory to parse
+    damage_errors: tuple[type[Exception], ...] = ()  # of `parse` on damaged files, besides mixseq's
 
     def open(self, path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
         """Open numbered files."""
         if not (np.isfinite(fps) and fps > 0):
             raise SettingsError(f"fps is {fps}; a positive number is expected")
-        files, numbers = find_frames(path, allow_gaps, f".{self.name.lower()}")
+        files, numbers = find_frame_files(path, allow_gaps, f".{self.name.lower()}")
         with prefix_errors(files[0]):
             first = self.read(files[0])
             header = SequenceHeader(
@@ -175,10 +165,10 @@ class FrameFormat:
             )
         return _FilesReader(path, header, files, first, self)
 
-    def read(self, file: Path, like: MeshFile | None = None) -> MeshFile:
+    def read(self, file: Path, first: MeshFile | None = None) -> MeshFile:
         """Read a file, given the first frame's mesh for later frames."""
-        with translate_read_errors(file, with_article(self.name), *self.damage):
-            return self.parse(file, read_bytes(file, self.is_text), like)
+        with translate_read_errors(file, with_article(self.name), *self.damage_errors):
+            return self.parse(file, read_bytes(file, self.is_text), first)
 
     def write(
         self,
@@ -200,31 +190,31 @@ class FrameFormat:
                 f"{path}: {with_article(self.name)} holds one frame, this sequence has {header.frame_count}; give a "
                 f"pattern such as {path.stem.rstrip('*')}_####{path.suffix}"
             )
-        own = number_at(header.times[0], header.fps)
+        own = time_to_number(header.times[0], header.fps)  # of the first frame
         first = start if start is not None else int(own) if own >= 0 and own.is_integer() else 1
-        lost = lost_times(header, first if start is None else own)
-        lost += lost_scale(header, velocities is not None) + self.lost(header)
-        warn_of_losses(path, f"{self.name} files", lost)
+        losses = lost_times(header, first if start is None else own)
+        losses += lost_scale(header, velocities is not None) + self.find_losses(header)
+        warn_of_losses(path, f"{self.name} files", losses)
         names = [frame_file_name(path, number) for number in range(first, first + header.frame_count)]
-        encode = self.encoder(path, header)
+        encode = self.make_encoder(path, header)
         with atomic_files(path) as folder:
-            _, numbered = validate_blocks(header, blocks, velocities)
-            for done, block, _ in numbered:
-                for frame, points in enumerate(block, start=done):
+            _, frame_blocks = validate_blocks(header, blocks, velocities)
+            for start_frame, block, _ in frame_blocks:
+                for frame, points in enumerate(block, start=start_frame):
                     with (folder / names[frame]).open("wb") as file:
                         file.writelines(encode(points, frame))
         if is_pattern(path):
-            _warn_of_others(path, set(names))
+            _warn_of_leftover_files(path, set(names))
 
 
 class _FilesReader(SequenceReader):
     def __init__(
-        self, path: Path, header: SequenceHeader, files: Sequence[Path], first: MeshFile, form: FrameFormat
+        self, path: Path, header: SequenceHeader, files: Sequence[Path], first: MeshFile, codec: FrameFormat
     ) -> None:
         super().__init__(path, header)
         self._files = files
         self._first = first
-        self._form = form
+        self._codec = codec
 
     def _read(self, what: str, size: int) -> Iterator[FloatArray]:
         for start in range(0, len(self._files), size):
@@ -235,7 +225,7 @@ class _FilesReader(SequenceReader):
         first = self._files[0]
         where = f"{self._files[frame]} (frame {self.header.frame_number(frame)})"
         with prefix_errors(where):
-            mesh = self._form.read(self._files[frame], self._first)
+            mesh = self._codec.read(self._files[frame], self._first)
         if len(mesh.points) != self.header.vertex_count:
             raise InvalidSequenceError(
                 f"{where} has {len(mesh.points)} vertices, {first} has {self.header.vertex_count}; "
@@ -246,66 +236,64 @@ class _FilesReader(SequenceReader):
                 f"{where} has other faces than {first}; every frame needs the same faces in "
                 "the same order (export with the vertex order kept)"
             )
-        if not self._first.told and not _alike(mesh.surface.colours, self.header.surface.colours):
-            self._first = replace(self._first, told=True)
+        if not (self._first.has_changing_colours or _same_colours(mesh.surface, self.header.surface)):
+            self._first = replace(self._first, has_changing_colours=True)
             warn(
                 f"{self.path}: colours that change over time stay as they are in the first frame; {where} has others"
             )
         return mesh.points
 
 
-def _alike(colours: CornerValues | None, first: CornerValues | None) -> bool:
-    if colours is first or colours is None or first is None:
-        return colours is first
-    return np.array_equal(colours.at_corners, first.at_corners, equal_nan=True)
+def _same_colours(surface: Surface, first: Surface) -> bool:
+    a, b = surface.colours, first.colours
+    return a is b if a is None or b is None else np.array_equal(a.at_corners, b.at_corners, equal_nan=True)
 
 
-def with_article(kind: str) -> str:
-    """Return "a file" of a format with its article: "a PLY file", "an OBJ file"."""
-    return f"{'a' if kind.startswith('P') else 'an'} {kind} file"
+def with_article(format_name: str) -> str:
+    """Name a file of a format with its article: "a PLY file", "an OBJ file"."""
+    return f"{'a' if format_name.startswith('P') else 'an'} {format_name} file"
 
 
-def _warn_of_others(path: Path, written: set[str]) -> None:
+def _warn_of_leftover_files(path: Path, written: set[str]) -> None:
     """Warn of files left by a longer sequence, which would be read with this one."""
-    others = sorted({file.name for _, file in find_numbered_files(path)} - written)
-    if others:
+    leftover = sorted({file.name for _, file in find_numbered_files(path)} - written)
+    if leftover:
         warn(
-            f"{path}: {len(others)} files of another sequence, {others[0]} to {others[-1]}, match as well; "
-            "remove them, else they will be read as frames of this one"
+            f"{path}: {len(leftover)} files of another sequence, {leftover[0]} to {leftover[-1]}, match as well; "
+            "remove them, or they will be read as frames of this one"
         )
 
 
-WRITTEN_BY = b"# Written by mixseq, "
-"""Start of the comment in files of mixseq, followed by the points' precision: float32 or float64."""
+PRECISION_COMMENT = b"# Written by mixseq, "
+"""Start of the comment with the precision of points, float32 or float64."""
 
 
-def excerpt(line: bytes) -> str:
-    """Return the beginning of a line for a message."""
+def quote_line(line: bytes) -> str:
+    """Quote the beginning of a line for a message."""
     return repr(line.strip()[:40].decode("ascii", errors="replace"))
 
 
-def number_lines(keyword: str, rows: FloatArray, ends: Sequence[str] = ()) -> bytes:
-    """Return a line per row of numbers, with the digits that give back the same number, and optional ends."""
+def format_number_lines(keyword: str, rows: FloatArray, ends: Sequence[str] = ()) -> bytes:
+    """Format a line per row of numbers, with the digits that restore each number, and optional line ends."""
     line = keyword + " ".join(["%.9g" if rows.dtype == np.float32 else "%.17g"] * rows.shape[1])
     lines = "".join(f"{line}{end}\n" for end in ends) if ends else f"{line}\n" * len(rows)
     text: str = lines % tuple(rows.reshape(-1).tolist())
     return text.encode()
 
 
-def colours_of_words(
-    file: Path, vertices: Sequence[int], rows: Sequence[Sequence[bytes]], like: MeshFile | None
+def parse_colours(
+    file: Path, vertices: Sequence[int], rows: Sequence[Sequence[bytes]], first: MeshFile | None
 ) -> FloatArray:
-    """Return the colours ``(n, 3)`` or ``(n, 4)`` of some vertices; unreadable ones are NaN in later frames."""
+    """Parse the colours ``(n, 3)`` or ``(n, 4)`` of vertices; unreadable ones are NaN in later frames."""
     try:
         return scale_text_colours(np.array(rows, dtype=np.float64))
     except ValueError:
-        if like is not None:
+        if first is not None:
             return np.full((len(rows), len(rows[0])), np.nan)
-        vertex, row = next(
-            each for each in zip(vertices, rows, strict=True) if not all(map(_is_number, each[1]))
-        )
+        pairs = zip(vertices, rows, strict=True)
+        vertex, row = next((vertex, row) for vertex, row in pairs if not all(map(_is_number, row)))
         raise FormatError(
-            f"{file}, vertex {vertex}: the colour {excerpt(b' '.join(row))} is not {len(row)} numbers, which are "
+            f"{file}, vertex {vertex}: the colour {quote_line(b' '.join(row))} is not {len(row)} numbers, which are "
             "expected after the coordinates"
         ) from None
 

@@ -16,11 +16,11 @@ in the file                         here
 ==================================  ==============================================================
 
 The parser is mixseq's own to keep the order of vertices: trimesh merges and splits vertices and triangulates polygons.
-Points are written with the digits that give back the same float32 or float64. Comments in the files state which, and
-whether the file is whole; points of other files are read as float64. Normals are written for hard edges only, for every
-frame; hard edges that are flat in the first frame are lost when read. Names of materials are the last part of their
-path. OBJ has no place for times, frame rate, units, the up axis, velocities, subdivision, alpha, several colours at a
-vertex, and two materials on one polygon; the library of materials (``mtllib``) is not kept.
+Points are written with the digits that restore the same float32 or float64. Comments in the files state which, and
+whether the file is complete; points of other files are read as float64. Normals are written for hard edges only, for
+every frame; hard edges that are flat in the first frame are lost when read. Names of materials are the last part of
+their path. OBJ has no place for times, frame rate, units, the up axis, velocities, subdivision, alpha, several colours
+at a vertex, and two materials on one polygon; the library of materials (``mtllib``) is not kept.
 
 Specification: https://paulbourke.net/dataformats/obj/
 """
@@ -37,126 +37,129 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
-from mixseq.mesh.measures import hard_edges_of_normals, shared_normals
+from mixseq.mesh.measures import corner_normals, hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import WHITE, CornerValues, FaceSet, MeshObject, Surface
+from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.numbered.files import (
-    WRITTEN_BY,
+    PRECISION_COMMENT,
     Encoder,
     FrameFormat,
     MeshFile,
-    colours_of_words,
-    excerpt,
-    number_lines,
+    format_number_lines,
+    parse_colours,
+    quote_line,
 )
 from mixseq_io.reader import warn
 from mixseq_io.surfaces import format_vertex_colours, lost_colours, lost_surface
 
-NOTHING = "(null)"
-"""Name for no group or no material after faces that had one, as exporters write it."""
+NO_NAME = "(null)"
+"""Name that ends a group or material without starting another, as exporters write it."""
 
 
 @dataclass(frozen=True)
 class Statement:
-    """Line ``o``, ``g`` or ``usemtl``, which holds until the next of its kind."""
+    """Line ``o``, ``g`` or ``usemtl``, which applies until the next one of its kind."""
 
     kind: str
     text: str
-    face: int
-    vertex: int
+    face: int  # first face after it
+    vertex: int  # first vertex after it
 
 
-def grouped(
+def group_faces(
     statements: Sequence[Statement], polygons: Polygons, vertex_count: int
 ) -> tuple[str, tuple[FaceSet, ...], tuple[MeshObject, ...]]:
     """Return the name of the mesh ("" if there is none or several), its face sets and its objects."""
-    kinds = {kind: [each for each in statements if each.kind == kind] for kind in ("o", "g", "usemtl")}
+    by_kind = {kind: [item for item in statements if item.kind == kind] for kind in ("o", "g", "usemtl")}
     count = len(polygons.counts)
-    sets = [FaceSet(name, faces, name) for name, faces in _runs(kinds["usemtl"], count).items()]
-    sets += [FaceSet(name, faces) for name, faces in _runs(kinds["g"], count, several=True).items()]
-    if len(kinds["o"]) == 1:
-        return kinds["o"][0].text, tuple(sets), ()
-    objects = _objects(kinds["o"], polygons, vertex_count)
+    sets = [FaceSet(name, faces, name) for name, faces in _faces_by_name(by_kind["usemtl"], count).items()]
+    sets += [FaceSet(name, faces) for name, faces in _faces_by_name(by_kind["g"], count, split=True).items()]
+    if len(by_kind["o"]) == 1:
+        return by_kind["o"][0].text, tuple(sets), ()
+    objects = _split_objects(by_kind["o"], polygons, vertex_count)
     if len(objects) == 1:
         return objects[0].name, tuple(sets), ()
     if not objects:
-        sets += [FaceSet(name, faces) for name, faces in _runs(kinds["o"], count).items()]
+        sets += [FaceSet(name, faces) for name, faces in _faces_by_name(by_kind["o"], count).items()]
     return "", tuple(sets), objects
 
 
-def _runs(statements: Sequence[Statement], count: int, several: bool = False) -> dict[str, IntArray]:
-    """Return the faces of every name, or of each of `several` names in a statement."""
+def _faces_by_name(statements: Sequence[Statement], count: int, split: bool = False) -> dict[str, IntArray]:
+    """Return the faces of every name; `split` texts into several names."""
     faces: dict[str, list[IntArray]] = {}
-    ends = [*(each.face for each in statements[1:]), count]
-    for each, end in zip(statements, ends, strict=False):
-        for name in each.text.split() if several else [each.text]:
-            if end > each.face and name not in ("", NOTHING):
-                faces.setdefault(name, []).append(np.arange(each.face, end))
-    return {name: np.concatenate(parts) for name, parts in faces.items()}
+    ends = [*(statement.face for statement in statements[1:]), count]
+    for statement, end in zip(statements, ends, strict=False):
+        for name in statement.text.split() if split else [statement.text]:
+            if end > statement.face and name not in ("", NO_NAME):
+                faces.setdefault(name, []).append(np.arange(statement.face, end))
+    return {name: np.concatenate(ranges) for name, ranges in faces.items()}
 
 
-def _objects(
+def _split_objects(
     statements: Sequence[Statement], polygons: Polygons, vertex_count: int
 ) -> tuple[MeshObject, ...]:
     """Return the objects, or none if their vertices are not consecutive."""
     if not statements or statements[0].face > 0:
         return ()
-    faces = np.array([*(each.face for each in statements), len(polygons.counts)])
+    faces = np.array([*(statement.face for statement in statements), len(polygons.counts)])
     corners = np.concatenate([[0], np.cumsum(polygons.counts)])[faces]
-    used = [polygons.indices[a:b] for a, b in pairwise(corners)]
-    as_written = [0, *(each.vertex for each in statements[1:]), vertex_count]
-    for bounds in (as_written, _bounds_of_use(used, vertex_count)):
+    used = [polygons.indices[start:end] for start, end in pairwise(corners)]
+    bounds_in_file = [0, *(statement.vertex for statement in statements[1:]), vertex_count]
+    for bounds in (bounds_in_file, _vertex_bounds_of_faces(used, vertex_count)):
         if all(
-            a <= b and (not own.size or (own.min() >= a and own.max() < b))
-            for own, (a, b) in zip(used, pairwise(bounds), strict=True)
+            start <= end and (not indices.size or (indices.min() >= start and indices.max() < end))
+            for indices, (start, end) in zip(used, pairwise(bounds), strict=True)
         ):
-            sizes = zip(statements, np.diff(bounds).tolist(), np.diff(faces).tolist(), strict=True)
-            return tuple(MeshObject(each.text, "", own, count) for each, own, count in sizes if own or count)
+            names = (statement.text for statement in statements)
+            sizes = zip(names, np.diff(bounds).tolist(), np.diff(faces).tolist(), strict=True)
+            return tuple(
+                MeshObject(name, "", points, count) for name, points, count in sizes if points or count
+            )
     return ()
 
 
-def _bounds_of_use(used: Sequence[IntArray], vertex_count: int) -> list[int]:
-    """Return the first vertex of every object in files with all vertices before the objects."""
+def _vertex_bounds_of_faces(used: Sequence[IntArray], vertex_count: int) -> list[int]:
+    """Return bounds between the vertices of objects, for files with all vertices before the objects."""
     bounds = [vertex_count]
-    for own in reversed(used[1:]):
-        bounds.append(int(own.min()) if own.size else bounds[-1])
+    for indices in reversed(used[1:]):
+        bounds.append(int(indices.min()) if indices.size else bounds[-1])
     return [0, *reversed(bounds)]
 
 
-LAST_LINE = b"# end of mesh"
-_EXPECTED = {
+END_COMMENT = b"# end of mesh"
+_EXPECTED_VALUES = {
     b"v": "a vertex; three numbers are expected",
     b"vn": "a normal; three numbers are expected",
     b"vt": "a texture coordinate; one or two numbers are expected",
 }
-_FACES = (b"f", b"fo")
-_LEFT_OUT = frozenset(
+_FACE_KEYWORDS = (b"f", b"fo")
+_IGNORED_KEYWORDS = frozenset(
     b"vp cstype deg bmat step p l curv curv2 surf parm trim hole scrv sp end con s mg bevel c_interp d_interp lod "
     b"mtllib shadow_obj trace_obj ctech stech usemap maplib call csh res bsp bzp cdc cdp".split()
 )
-"""Statements of the specification, and of its older versions, that do not concern polygon meshes."""
-_COLOUR = 3
-"""Number of values behind a point that form a colour; a single one is a weight."""
-_LARGEST = 2**31 - 1
-_NONE = -(2**40)  # below whatever relative indices of a damaged file give
+"""Keywords of the specification, and of its older versions, that are not of polygon meshes."""
+_COLOUR_CHANNELS = 3
+"""Values after the coordinates of a vertex with a colour; a single one is a weight."""
+_MAX_INDEX = 2**31 - 1
+_MISSING_INDEX = -(2**40)  # below all relative indices of damaged files
 
 
-def parse_obj(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
+def parse_obj(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
     """Parse an OBJ file."""
-    lines = _read_lines(file, data, like)
-    faces = (lines.faces, lines.vertices_before)
-    if like is not None and len(lines.points) == len(like.points) and faces == like.source:
-        polygons = like.polygons
+    lines = _read_lines(file, data, first)
+    stored_faces = (lines.faces, lines.vertex_counts)
+    if first is not None and len(lines.points) == len(first.points) and stored_faces == first.stored_faces:
+        polygons = first.polygons
     else:
         counts, corners = _parse_faces(file, lines)
         polygons = Polygons(counts, corners[:, 0])
-    colours = _colours(file, polygons, lines, like)
-    if like is not None:
+    colours = _colours(file, polygons, lines, first)
+    if first is not None:
         surface = Surface(colours=colours)
-        return MeshFile(points=lines.points, polygons=polygons, source=faces, surface=surface)
-    name, face_sets, objects = grouped(lines.statements, polygons, len(lines.points))
+        return MeshFile(points=lines.points, polygons=polygons, stored_faces=stored_faces, surface=surface)
+    name, face_sets, objects = group_faces(lines.statements, polygons, len(lines.points))
     surface = Surface(
         uvs=_uvs(file, polygons, lines.uvs, corners[:, 1]),
         colours=colours,
@@ -167,83 +170,80 @@ def parse_obj(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
     return MeshFile(
         points=lines.points,
         polygons=polygons,
-        source=faces,
+        stored_faces=stored_faces,
         name=name,
         surface=surface,
-        colour_text=lines.colour_text,
+        colour_text=b"\n".join(lines.colour_texts),
     )
 
 
 @dataclass
 class _Lines:
-    """Lines of a file by kind, faces not yet parsed."""
+    """Lines of a file by kind, faces unparsed."""
 
     points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    behind_points: list[bytes] = field(default_factory=list)
+    colour_texts: list[bytes] = field(default_factory=list)  # after the coordinates of each vertex
     uvs: list[tuple[float, ...]] = field(default_factory=list)
     normals: list[tuple[float, ...]] = field(default_factory=list)
     faces: list[bytes] = field(default_factory=list)
-    vertices_before: list[int] = field(default_factory=list)
-    others_before: list[tuple[int, int]] = field(default_factory=list)
+    vertex_counts: list[int] = field(default_factory=list)  # vertices before each face
+    uv_and_normal_counts: list[tuple[int, int]] = field(default_factory=list)  # before each face
     statements: list[Statement] = field(default_factory=list)
 
-    @property
-    def colour_text(self) -> bytes:
-        return b"\n".join(self.behind_points)
 
-
-def _read_lines(file: Path, data: bytes, like: MeshFile | None) -> _Lines:
-    """Sort the lines of a first frame; of later ones only vertices and faces."""
-    whole, colours = like is None, like is None or not like.told
+def _read_lines(file: Path, data: bytes, first: MeshFile | None) -> _Lines:
+    """Sort the lines of a first frame by kind; of later ones only vertices and faces."""
+    is_first, has_colours = first is None, first is None or not first.has_changing_colours
     lines = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
-    if lines and lines[0].startswith(WRITTEN_BY) and lines[-1] != LAST_LINE:
+    if lines and lines[0].startswith(PRECISION_COMMENT) and lines[-1] != END_COMMENT:
         raise FormatError(f"{file} ends in the middle; it is truncated, write it again")
-    found = _Lines()
+    result = _Lines()
     coordinates: list[float] = []
     unknown: list[tuple[int, bytes]] = []
     for number, line in enumerate(lines, start=1):
         words = line.split(None, 1)
-        kind, rest = words if len(words) == 2 else (line.strip(), b"")
+        keyword, values = words if len(words) == 2 else (line.strip(), b"")
         try:
-            if kind == b"v":
-                x, y, z, *behind = rest.split(None, 3)
+            if keyword == b"v":
+                x, y, z, *colour = values.split(None, 3)
                 coordinates += (float(x), float(y), float(z))
-                if colours:
-                    found.behind_points += behind or (b"",)
-            elif kind in _FACES:
-                found.faces.append(rest)
-                found.vertices_before.append(len(coordinates) // 3)
-                if whole:
-                    found.others_before.append((len(found.uvs), len(found.normals)))
-            elif not whole:
+                if has_colours:
+                    result.colour_texts += colour or (b"",)
+            elif keyword in _FACE_KEYWORDS:
+                result.faces.append(values)
+                result.vertex_counts.append(len(coordinates) // 3)
+                if is_first:
+                    result.uv_and_normal_counts.append((len(result.uvs), len(result.normals)))
+            elif not is_first:
                 continue
-            elif kind == b"vt":
-                u, v = (*rest.split(), b"0")[:2]
-                found.uvs.append((float(u), float(v)))
-            elif kind == b"vn":
-                x, y, z = rest.split()[:3]
-                found.normals.append((float(x), float(y), float(z)))
-            elif kind in (b"o", b"g", b"usemtl"):
-                text = rest.strip().decode("utf-8", errors="replace")
-                found.statements.append(
-                    Statement(kind.decode(), text, len(found.faces), len(coordinates) // 3)
-                )
-            elif kind and kind not in _LEFT_OUT and not kind.startswith(b"#"):
+            elif keyword == b"vt":
+                u, v = (*values.split(), b"0")[:2]
+                result.uvs.append((float(u), float(v)))
+            elif keyword == b"vn":
+                x, y, z = values.split()[:3]
+                result.normals.append((float(x), float(y), float(z)))
+            elif keyword in (b"o", b"g", b"usemtl"):
+                text = values.strip().decode("utf-8", errors="replace")
+                vertex = len(coordinates) // 3
+                result.statements.append(Statement(keyword.decode(), text, len(result.faces), vertex))
+            elif keyword and keyword not in _IGNORED_KEYWORDS and not keyword.startswith(b"#"):
                 unknown.append((number, line))
         except ValueError:
-            raise FormatError(f"{file}, line {number}: {excerpt(line)} is not {_EXPECTED[kind]}") from None
+            expected = _EXPECTED_VALUES[keyword]
+            raise FormatError(f"{file}, line {number}: {quote_line(line)} is not {expected}") from None
     if not coordinates:
         raise FormatError(f"{file} cannot be read as an OBJ file: it has no vertices (lines starting with v)")
     if unknown:
         number, line = unknown[0]
         more = f", like {len(unknown) - 1} other lines" if unknown[1:] else ""
         warn(
-            f"{file}, line {number}: {excerpt(line)} is no statement of OBJ files and left out{more}; is it damaged?"
+            f"{file}, line {number}: {quote_line(line)} is not a statement of OBJ files and is skipped{more}; is the "
+            "file damaged?"
         )
-    dtype = np.float32 if lines[0] == WRITTEN_BY + b"float32" else np.float64
+    dtype = np.float32 if lines[0] == PRECISION_COMMENT + b"float32" else np.float64
     with np.errstate(over="ignore"):
-        found.points = np.array(coordinates).reshape(-1, 3).astype(dtype)
-    return found
+        result.points = np.array(coordinates).reshape(-1, 3).astype(dtype)
+    return result
 
 
 def _parse_faces(file: Path, lines: _Lines) -> tuple[IntArray, IntArray]:
@@ -253,59 +253,65 @@ def _parse_faces(file: Path, lines: _Lines) -> tuple[IntArray, IntArray]:
     """
     counts: list[int] = []
     corners: list[tuple[int, int, int]] = []
-    others = lines.others_before or [(0, 0)] * len(lines.faces)
+    other_counts = lines.uv_and_normal_counts or [(0, 0)] * len(lines.faces)
     for face, (line, vertices, (uvs, normals)) in enumerate(
-        zip(lines.faces, lines.vertices_before, others, strict=True)
+        zip(lines.faces, lines.vertex_counts, other_counts, strict=True)
     ):
         words = line.split()
         counts.append(len(words))
         try:
             for word in words:
                 vertex, uv, normal = (*word.split(b"/", 2), b"", b"")[:3]
-                corners.append((_index(vertex, vertices), _optional(uv, uvs), _optional(normal, normals)))
+                corners.append(
+                    (
+                        _parse_index(vertex, vertices),
+                        _parse_optional_index(uv, uvs),
+                        _parse_optional_index(normal, normals),
+                    )
+                )
         except ValueError:
             raise FormatError(
-                f"{file}, face {face}: {excerpt(b'f ' + line)} is not a face; vertex numbers from 1, or "
+                f"{file}, face {face}: {quote_line(b'f ' + line)} is not a face; vertex numbers from 1, or "
                 "from -1 backwards, are expected"
             ) from None
     return np.array(counts, dtype=np.int64), np.array(corners, dtype=np.int64).reshape(-1, 3)
 
 
-def _index(word: bytes, before: int) -> int:
+def _parse_index(word: bytes, before: int) -> int:
     number = int(word)
-    if number == 0 or abs(number) > _LARGEST:
+    if number == 0 or abs(number) > _MAX_INDEX:
         raise ValueError
     return number - 1 if number > 0 else before + number
 
 
-def _optional(word: bytes, before: int) -> int:
-    return _NONE if word in (b"", b"0") else _index(word, before)
+def _parse_optional_index(word: bytes, before: int) -> int:
+    return _MISSING_INDEX if word in (b"", b"0") else _parse_index(word, before)
 
 
 def _uvs(
     file: Path, polygons: Polygons, values: list[tuple[float, ...]], indices: IntArray
 ) -> CornerValues | None:
     """Return the texture coordinates, (0, 0) at corners without."""
-    if not values or (indices == _NONE).all():
+    missing_mask = indices == _MISSING_INDEX
+    if not values or missing_mask.all():
         return None
-    _check_numbers(file, polygons, indices, len(values), "texture coordinate")
-    missing = indices == _NONE
-    rows = np.array([*values, (0.0, 0.0)] if missing.any() else values)
+    _check_indices(file, polygons, indices, len(values), "texture coordinate")
+    rows = np.array([*values, (0.0, 0.0)] if missing_mask.any() else values)
     with np.errstate(over="ignore"):
-        uvs = CornerValues(rows.astype(np.float32), np.where(missing, len(values), indices))
-    return uvs.welded(polygons.indices)
+        uvs = CornerValues(rows.astype(np.float32), np.where(missing_mask, len(values), indices))
+    return uvs.weld(polygons.indices)
 
 
-def _colours(file: Path, polygons: Polygons, lines: _Lines, like: MeshFile | None) -> CornerValues | None:
-    """Return the colours behind the coordinates of vertices, white for vertices without."""
-    if like is not None and lines.colour_text == like.colour_text:
-        return like.surface.colours
-    words = (text.split() for text in lines.behind_points)
-    found = {vertex: each for vertex, each in enumerate(words) if len(each) == _COLOUR}
-    if not found:
+def _colours(file: Path, polygons: Polygons, lines: _Lines, first: MeshFile | None) -> CornerValues | None:
+    """Return the colours after the coordinates of vertices, white for vertices without."""
+    if first is not None and b"\n".join(lines.colour_texts) == first.colour_text:
+        return first.surface.colours
+    rows = {vertex: text.split() for vertex, text in enumerate(lines.colour_texts)}
+    rows = {vertex: words for vertex, words in rows.items() if len(words) == _COLOUR_CHANNELS}
+    if not rows:
         return None
-    values = np.tile(WHITE, (len(lines.points), 1))
-    values[list(found), :_COLOUR] = colours_of_words(file, list(found), list(found.values()), like)
+    values = np.tile(DEFAULT_COLOUR, (len(lines.points), 1))
+    values[list(rows), :_COLOUR_CHANNELS] = parse_colours(file, list(rows), list(rows.values()), first)
     return CornerValues(values, polygons.indices)
 
 
@@ -313,19 +319,19 @@ def _hard_edges(
     file: Path, polygons: Polygons, values: list[tuple[float, ...]], indices: IntArray
 ) -> NDArray[np.int32] | None:
     """Return the normal's index of every corner, None unless all corners have a normal."""
-    if not values or (indices == _NONE).any():
+    if not values or (indices == _MISSING_INDEX).any():
         return None
-    _check_numbers(file, polygons, indices, len(values), "normal")
+    _check_indices(file, polygons, indices, len(values), "normal")
     normals = np.array(values)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return hard_edges_of_normals(polygons, np.nan_to_num(normals)[indices])
+    return hard_edges_from_normals(polygons, np.nan_to_num(normals)[indices])
 
 
-def _check_numbers(file: Path, polygons: Polygons, indices: IntArray, count: int, what: str) -> None:
-    outside = (indices != _NONE) & ((indices < 0) | (indices >= count))
-    if outside.any():
-        corner = int(np.argmax(outside))
+def _check_indices(file: Path, polygons: Polygons, indices: IntArray, count: int, what: str) -> None:
+    outside_mask = (indices != _MISSING_INDEX) & ((indices < 0) | (indices >= count))
+    if outside_mask.any():
+        corner = int(np.argmax(outside_mask))
         face = int(np.searchsorted(np.cumsum(polygons.counts), corner, side="right"))
         raise FormatError(
             f"{file}, face {face} uses {what} {indices[corner] + 1}, but the file has {count}; it is damaged"
@@ -333,48 +339,48 @@ def _check_numbers(file: Path, polygons: Polygons, indices: IntArray, count: int
 
 
 def obj_encoder(path: Path, header: SequenceHeader) -> Encoder:
-    """Return the encoder of points ``(V, 3)`` into the parts of an OBJ file; other parts are made once."""
+    """Return the encoder of points ``(V, 3)`` into an OBJ file; all but points and normals is encoded once."""
     objects = header.objects
-    vertices = np.cumsum([0, *(each.vertex_count for each in objects)])
-    polygons = np.cumsum([0, *(each.polygon_count for each in objects)])
-    names = [f"o {_one_line(each.name)}\n".encode(errors="replace") for each in objects]
+    vertices = np.cumsum([0, *(part.vertex_count for part in objects)])
+    polygons = np.cumsum([0, *(part.polygon_count for part in objects)])
+    names = [f"o {_collapse_spaces(part.name)}\n".encode(errors="replace") for part in objects]
     lines = _face_lines(header)
     faces = ["".join(lines[a:b]).encode(errors="replace") for a, b in pairwise(polygons)]
-    uvs = b"" if header.surface.uvs is None else number_lines("vt ", header.surface.uvs.values)
+    uvs = b"" if header.surface.uvs is None else format_number_lines("vt ", header.surface.uvs.values)
     hard_edges = header.surface.hard_edges
     colours = format_vertex_colours(header, 3)
 
     def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
-        yield WRITTEN_BY + str(points.dtype).encode() + b"\n"
+        yield PRECISION_COMMENT + str(points.dtype).encode() + b"\n"
         yield uvs
         if hard_edges is not None:
-            yield number_lines("vn ", shared_normals(points[None], header.polygons, hard_edges)[0])
+            yield format_number_lines("vn ", corner_normals(points[None], header.polygons, hard_edges)[0])
         for name, (a, b), own in zip(names, pairwise(vertices), faces, strict=True):
             yield name
-            yield number_lines("v ", points[a:b], colours[a:b])
+            yield format_number_lines("v ", points[a:b], colours[a:b])
             yield own
-        yield LAST_LINE + b"\n"
+        yield END_COMMENT + b"\n"
 
     return encode
 
 
 def lost_in_obj(header: SequenceHeader) -> list[str]:
     """Return the parts of a sequence's surface that OBJ cannot hold."""
-    lost = lost_surface(header, held=("uvs", "colours", "hard_edges", "face_sets", "objects"))
-    lost += lost_colours(header, corners=False, alpha=False)
+    losses = lost_surface(header, held=("uvs", "colours", "hard_edges", "face_sets", "objects"))
+    losses += lost_colours(header, corners=False, alpha=False)
     sets = header.surface.face_sets
     names = _material_names(sets)
-    with_material = [each for each in sets if each.material]
-    used = np.zeros(len(header.polygons.counts), dtype=int)
-    for each in with_material:
-        used[each.polygons] += 1
-    if (used > 1).any():
-        lost.append("several materials on one polygon (the first one is written)")
-    if any(each.name != names[each.material] for each in with_material):
-        lost.append("names of face sets that differ from their materials' (the material's is written)")
-    if any(len(each.name.split()) != 1 for each in sets if not each.material):
-        lost.append("spaces in the names of face sets (underscores are written)")
-    return lost
+    with_material = [face_set for face_set in sets if face_set.material]
+    material_counts = np.zeros(len(header.polygons.counts), dtype=int)
+    for face_set in with_material:
+        material_counts[face_set.polygons] += 1
+    if (material_counts > 1).any():
+        losses.append("several materials on one polygon (the first one is written)")
+    if any(face_set.name != names[face_set.material] for face_set in with_material):
+        losses.append("names of face sets that differ from their materials' (the material's is written)")
+    if any(len(face_set.name.split()) != 1 for face_set in sets if not face_set.material):
+        losses.append("spaces in the names of face sets (underscores are written)")
+    return losses
 
 
 def _face_lines(header: SequenceHeader) -> list[str]:
@@ -390,25 +396,25 @@ def _face_lines(header: SequenceHeader) -> list[str]:
         corners = [f"{corner}{slashes}{normal}" for corner, normal in zip(corners, normals, strict=True)]
     ends = np.cumsum([0, *header.polygons.counts.tolist()]).tolist()
     lines = [f"f {' '.join(corners[a:b])}\n" for a, b in pairwise(ends)]
-    groups, materials = _labels(surface.face_sets, len(lines))
+    groups, materials = _polygon_labels(surface.face_sets, len(lines))
     for keyword, labels in (("g", groups), ("usemtl", materials)):
         previous = ""
         for polygon, label in enumerate(labels):
             if label != previous:
-                lines[polygon] = f"{keyword} {label or NOTHING}\n{lines[polygon]}"
+                lines[polygon] = f"{keyword} {label or NO_NAME}\n{lines[polygon]}"
             previous = label
     return lines
 
 
-def _labels(sets: Sequence[FaceSet], count: int) -> tuple[list[str], list[str]]:
+def _polygon_labels(sets: Sequence[FaceSet], count: int) -> tuple[list[str], list[str]]:
     """Return the groups and the material of every polygon."""
     names = _material_names(sets)
     groups, materials = [""] * count, [""] * count
-    for each in sets:
-        group = "_".join(each.name.split()) or "_"
-        for polygon in each.polygons.tolist():
-            if each.material:
-                materials[polygon] = materials[polygon] or names[each.material]
+    for face_set in sets:
+        group = "_".join(face_set.name.split()) or "_"
+        for polygon in face_set.polygons.tolist():
+            if face_set.material:
+                materials[polygon] = materials[polygon] or names[face_set.material]
             else:
                 groups[polygon] = f"{groups[polygon]} {group}".lstrip()
     return groups, materials
@@ -416,15 +422,17 @@ def _labels(sets: Sequence[FaceSet], count: int) -> tuple[list[str], list[str]]:
 
 def _material_names(sets: Sequence[FaceSet]) -> dict[str, str]:
     """Return the last part of every material's path, or the whole path for duplicates."""
-    materials = {each.material for each in sets if each.material}
-    last = {material: _one_line(material.rstrip("/").rpartition("/")[2]) for material in materials}
-    count = Counter(last.values())
-    several = {name for name in count if not name or count[name] > 1}
-    return {material: _one_line(material) if name in several else name for material, name in last.items()}
+    materials = {face_set.material for face_set in sets if face_set.material}
+    names = {material: _collapse_spaces(material.rstrip("/").rpartition("/")[2]) for material in materials}
+    counts = Counter(names.values())
+    return {
+        material: name if name and counts[name] == 1 else _collapse_spaces(material)
+        for material, name in names.items()
+    }
 
 
-def _one_line(name: str) -> str:
+def _collapse_spaces(name: str) -> str:
     return " ".join(name.split())
 
 
-OBJ = FrameFormat("OBJ", parse_obj, obj_encoder, lost_in_obj, is_text=True)
+OBJ_FORMAT = FrameFormat("OBJ", parse_obj, obj_encoder, lost_in_obj, is_text=True)

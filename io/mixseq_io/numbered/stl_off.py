@@ -1,14 +1,14 @@
 """Numbered OFF and STL files, which hold triangles only.
 
 OFF and COFF files are text, read by trimesh, which triangulates quads, with colours of vertices. Points are written
-with the digits that give back the same float32 or float64, stated by a comment; points of other files are read as
+with the digits that restore the same float32 or float64, stated by a comment; points of other files are read as
 float64. Specification: http://www.geomview.org/docs/html/OFF.html
 
 STL holds the three positions of every triangle. Equal positions in the first frame become one vertex, numbered in order
 of appearance. Sequences are refused if a vertex's corners separate later, as parts that only touch at first do.
 Binary files are float32; text is read as float64, with all solids as one mesh. Written are binary files with normals.
-The text parser is mixseq's own: trimesh 5.2 skips data after an unclosed solid and lines that are no vertices (of 732
-damaged files it read 100 that are refused here), and refuses a solid with "vertex" in its name.
+The text parser is mixseq's own: trimesh 5.2 skips data after an unclosed solid and invalid lines (of 732 damaged files
+it read 100 that are refused here), and refuses a solid with "vertex" in its name.
 Specification: https://www.loc.gov/preservation/digital/formats/fdd/fdd000504.shtml
 
 Neither has a place for polygons, the name, times, frame rate, units, the up axis, velocities, and the surface (but one
@@ -22,7 +22,6 @@ from io import StringIO
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.mesh.measures import vector_areas
@@ -31,13 +30,13 @@ from mixseq.mesh.surface import CornerValues, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.numbered.files import (
-    WRITTEN_BY,
+    PRECISION_COMMENT,
     Encoder,
     FrameFormat,
     MeshFile,
-    colours_of_words,
-    excerpt,
-    number_lines,
+    format_number_lines,
+    parse_colours,
+    quote_line,
 )
 from mixseq_io.reader import as_float32, warn
 from mixseq_io.surfaces import (
@@ -49,30 +48,30 @@ from mixseq_io.surfaces import (
     renumber_by_appearance,
 )
 
-_COLOUR = 4
-"""Largest number of values behind the corners of a face."""
+_MAX_FACE_COLOUR_VALUES = 4
+"""Largest number of colour values after the corners of a face."""
 
 
-def parse_off(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
+def parse_off(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
     """Parse an OFF file."""
     from trimesh.exchange.off import load_off
 
-    lines = [line for each in data.splitlines() if (line := each.partition(b"#")[0].strip())]
-    of_vertices = _check_lines(file, lines)
+    lines = [content for line in data.splitlines() if (content := line.partition(b"#")[0].strip())]
+    vertex_lines = _vertex_lines(file, lines)
     text = b"\n".join(lines).decode("ascii")
     if len(text.splitlines()) != len(lines):
-        raise ValueError("it has characters that end a line of text only")
+        raise ValueError("it has line breaks of text files within a line")
     mesh = load_off(StringIO(text))
-    is_single = data.removeprefix(b"C").startswith(b"OFF\n" + WRITTEN_BY + b"float32")
+    is_single = data.removeprefix(b"C").startswith(b"OFF\n" + PRECISION_COMMENT + b"float32")
     polygons = Polygons.from_triangles(np.asarray(mesh["faces"]).reshape(-1, 3).astype(np.int64))
-    coloured = lines[0].startswith(b"C") and not (like is not None and like.told)
-    texts = [b"".join(line.split(None, 3)[3:]) for line in of_vertices] if coloured else []
+    has_colours = lines[0].startswith(b"C") and not (first is not None and first.has_changing_colours)
+    texts = [b"".join(line.split(None, 3)[3:]) for line in vertex_lines] if has_colours else []
     colour_text = b"\n".join(texts)
-    if like is not None and colour_text == like.colour_text:
-        surface = like.surface
+    if first is not None and colour_text == first.colour_text:
+        surface = first.surface
     else:
-        numbers = _colours(file, texts, like)
-        surface = Surface(colours=None if numbers is None else CornerValues(numbers, polygons.indices))
+        colours = _colours(file, texts, first)
+        surface = Surface(colours=None if colours is None else CornerValues(colours, polygons.indices))
     return MeshFile(
         points=np.asarray(mesh["vertices"]).astype(np.float32 if is_single else np.float64),
         polygons=polygons,
@@ -81,20 +80,21 @@ def parse_off(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
     )
 
 
-def _colours(file: Path, texts: list[bytes], like: MeshFile | None) -> FloatArray | None:
+def _colours(file: Path, texts: list[bytes], first: MeshFile | None) -> FloatArray | None:
     """Return the colours ``(V, 4)`` of vertices, if all have three or all have four numbers."""
     rows = [text.split() for text in texts]
     if not rows or len(rows[0]) not in (3, 4) or any(len(row) != len(rows[0]) for row in rows):
         return None
-    return ensure_alpha(colours_of_words(file, range(len(rows)), rows, like))
+    return ensure_alpha(parse_colours(file, range(len(rows)), rows, first))
 
 
-def _check_lines(file: Path, lines: list[bytes]) -> list[bytes]:
-    """Return the lines of vertices; refuse other numbers of lines or corners than announced, which trimesh ignores."""
-    first = lines[0].removeprefix(b"C").removeprefix(b"OFF").split() if lines else []
-    counts = [int(word) for word in (first or (lines[1].split() if len(lines) > 1 else []))[:2]]
+def _vertex_lines(file: Path, lines: list[bytes]) -> list[bytes]:
+    """Return the lines of vertices; refuse numbers of lines or corners that differ from their counts."""
+    counts_on_first_line = lines[0].removeprefix(b"C").removeprefix(b"OFF").split() if lines else []
+    words = counts_on_first_line or (lines[1].split() if len(lines) > 1 else [])
+    counts = [int(word) for word in words[:2]]
     vertices, faces = counts if len(counts) == 2 and min(counts) >= 0 else (0, 0)
-    body = lines[1 if first else 2 :]
+    body = lines[1 if counts_on_first_line else 2 :]
     if not body or len(body) != vertices + faces:
         raise FormatError(
             f"{file} announces {vertices} vertices and {faces} faces and has {len(body)} lines of them; it is "
@@ -103,10 +103,10 @@ def _check_lines(file: Path, lines: list[bytes]) -> list[bytes]:
     for face, line in enumerate(body[vertices:]):
         words = line.split()
         corners = int(words[0])
-        if corners < 3 or not 0 <= len(words) - 1 - corners <= _COLOUR:
+        if corners < 3 or not 0 <= len(words) - 1 - corners <= _MAX_FACE_COLOUR_VALUES:
             raise FormatError(
-                f"{file}, face {face}: {excerpt(line)} is not a face; a number of corners, 3 or more, and so many "
-                "numbers of vertices are expected"
+                f"{file}, face {face}: {quote_line(line)} is not a face; a number of corners, 3 or more, and a vertex "
+                "number for each are expected"
             )
     return body[:vertices]
 
@@ -118,14 +118,14 @@ def _off_encoder(path: Path, header: SequenceHeader) -> Encoder:
     kind = b"COFF\n" if colours else b"OFF\n"
 
     def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
-        yield kind + WRITTEN_BY + str(points.dtype).encode() + b"\n" + counts
-        yield number_lines("", points, colours)
+        yield kind + PRECISION_COMMENT + str(points.dtype).encode() + b"\n" + counts
+        yield format_number_lines("", points, colours)
         yield faces
 
     return encode
 
 
-OFF = FrameFormat(
+OFF_FORMAT = FrameFormat(
     "OFF",
     parse_off,
     _off_encoder,
@@ -135,62 +135,61 @@ OFF = FrameFormat(
         *lost_polygons(header),
     ],
     is_text=True,
-    damage=(ValueError, TypeError, IndexError, NameError, OverflowError),
+    damage_errors=(ValueError, TypeError, IndexError, NameError, OverflowError),
 )
 
 
-_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_PREAMBLE = 80
+_TRIANGLE_DTYPE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_PREAMBLE_BYTES = 80
 
 
-def parse_stl(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
-    """Parse an STL file, with the vertices of the first frame `like` for later frames."""
+def parse_stl(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
+    """Parse an STL file; later frames have the vertices of the first."""
     corners = _read_corners(file, data)
-    if like is None:
-        indices, first = _weld(corners)
+    if first is None:
+        indices, first_corners = _weld(corners)
         polygons = Polygons(np.full(len(corners) // 3, 3), indices)
-        return MeshFile(points=corners[first], polygons=polygons, source=first)
-    indices = like.polygons.indices
+        return MeshFile(points=corners[first_corners], polygons=polygons, stored_faces=first_corners)
+    indices = first.polygons.indices
     if len(corners) != indices.size:
         raise InvalidSequenceError(
             f"it has {len(corners) // 3} triangles, the first frame has {indices.size // 3}; every frame needs the "
             "same triangles in the same order"
         )
-    points = corners[like.source]
-    together = (corners == points[indices]) | (
-        np.isnan(corners) & np.isnan(points[indices])
-    )  # nan is reported later
-    apart = ~together.all(axis=1)
-    if apart.any():
-        corner = int(np.argmax(apart))
+    points = corners[first.stored_faces]
+    welded = points[indices]
+    is_equal = (corners == welded) | (np.isnan(corners) & np.isnan(welded))  # nan is reported later
+    apart_mask = ~is_equal.all(axis=1)
+    if apart_mask.any():
+        corner = int(np.argmax(apart_mask))
         raise InvalidSequenceError(
-            f"vertex {indices[corner]}, one place in the first frame, is at {points[indices[corner]].tolist()} and at "
-            f"{corners[corner].tolist()}; STL does not say which corners belong together, export OBJ or PLY"
+            f"vertex {indices[corner]}, one place in the first frame, is at {welded[corner].tolist()} and at "
+            f"{corners[corner].tolist()}; STL stores no shared vertices, export OBJ or PLY"
         )
-    return MeshFile(points=points, polygons=like.polygons, source=like.source)
+    return MeshFile(points=points, polygons=first.polygons, stored_faces=first.stored_faces)
 
 
 def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
-    """Merge equal corners ``(3 F, 3)`` in order of appearance: return vertices ``(3 F,)``, first corners ``(V,)``."""
+    """Weld equal corners ``(3 F, 3)`` in order of appearance: return vertices ``(3 F,)``, first corners ``(V,)``."""
     return renumber_by_appearance(np.unique(corners + 0.0, axis=0, return_inverse=True)[1])  # -0 is 0
 
 
 def _read_corners(file: Path, data: bytes) -> FloatArray:
     """Return the corners ``(3 F, 3)``, float32 of a binary file, float64 of text."""
-    start = _PREAMBLE + 4
-    count = int.from_bytes(data[_PREAMBLE:start], "little")
-    if len(data) >= start and len(data) == start + count * _TRIANGLE.itemsize:
-        triangles = np.frombuffer(data, _TRIANGLE, count, start)
+    start = _PREAMBLE_BYTES + 4
+    count = int.from_bytes(data[_PREAMBLE_BYTES:start], "little")
+    if len(data) >= start and len(data) == start + count * _TRIANGLE_DTYPE.itemsize:
+        triangles = np.frombuffer(data, _TRIANGLE_DTYPE, count, start)
         return np.ascontiguousarray(triangles["corners"].reshape(-1, 3), dtype=np.float32)
     if data.lstrip()[:5].lower() == b"solid":
-        return _read_text(file, data)
+        return _parse_text(file, data)
     raise FormatError(
         f"{file} cannot be read as an STL file: it has {len(data)} bytes, {count} triangles need "
-        f"{start + count * _TRIANGLE.itemsize}; it is truncated, damaged or of another type"
+        f"{start + count * _TRIANGLE_DTYPE.itemsize}; it is truncated, damaged or of another type"
     )
 
 
-def _read_text(file: Path, data: bytes) -> FloatArray:
+def _parse_text(file: Path, data: bytes) -> FloatArray:
     corners: list[list[float]] = []
     open_solid = False
     facets = 0
@@ -205,12 +204,12 @@ def _read_text(file: Path, data: bytes) -> FloatArray:
             case [b"facet", *_] if open_solid and len(corners) == 3 * facets:
                 facets += 1
             case [b"vertex", x, y, z] if open_solid:
-                corners.append(_position(file, number, line, (x, y, z)))
+                corners.append(_parse_vertex(file, number, line, (x, y, z)))
             case [] | [b"outer" | b"endloop" | b"color", *_]:
                 pass
             case _:
                 raise FormatError(
-                    f"{file}, line {number}: {excerpt(line)} is not expected here; an STL file has solids of "
+                    f"{file}, line {number}: {quote_line(line)} is not expected here; an STL file has solids of "
                     "facets of three vertices"
                 )
     if open_solid:
@@ -218,12 +217,12 @@ def _read_text(file: Path, data: bytes) -> FloatArray:
     return np.array(corners, dtype=np.float64).reshape(-1, 3)
 
 
-def _position(file: Path, number: int, line: bytes, words: tuple[bytes, ...]) -> list[float]:
+def _parse_vertex(file: Path, number: int, line: bytes, words: tuple[bytes, ...]) -> list[float]:
     try:
         return [float(word) for word in words]
     except ValueError:
         raise FormatError(
-            f"{file}, line {number}: {excerpt(line)} is not a vertex; three numbers are expected"
+            f"{file}, line {number}: {quote_line(line)} is not a vertex; three numbers are expected"
         ) from None
 
 
@@ -231,33 +230,32 @@ def _stl_encoder(path: Path, header: SequenceHeader) -> Encoder:
     polygons = Polygons.from_triangles(header.faces)
 
     def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
-        rounded = as_float32(points[None], frame, "STL", header=header)
-        triangles = np.zeros(len(header.faces), dtype=_TRIANGLE)
-        triangles["normal"] = _unit(vector_areas(rounded, polygons)[0])
-        triangles["corners"] = rounded[0][header.faces]
+        single = as_float32(points[None], frame, "STL", header=header)
+        triangles = np.zeros(len(header.faces), dtype=_TRIANGLE_DTYPE)
+        areas = vector_areas(single, polygons)[0]
+        lengths = np.linalg.norm(areas, axis=1, keepdims=True)
+        triangles["normal"] = areas / np.where(lengths > 0, lengths, 1.0)
+        triangles["corners"] = single[0][header.faces]
         if frame == 0:
-            _warn_of_other_vertices(path, header, triangles["corners"].reshape(-1, 3))
-        yield b"Written by mixseq".ljust(_PREAMBLE) + len(triangles).to_bytes(4, "little")
+            _warn_of_changed_vertices(path, header, triangles["corners"].reshape(-1, 3))
+        yield b"Written by mixseq".ljust(_PREAMBLE_BYTES) + len(triangles).to_bytes(4, "little")
         yield triangles.tobytes()
 
     return encode
 
 
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return unit vectors ``(n, 3)``; zero vectors stay 0."""
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(lengths > 0, lengths, 1.0)
-
-
-def _warn_of_other_vertices(path: Path, header: SequenceHeader, corners: FloatArray) -> None:
-    indices, first = _weld(corners)
-    if len(first) != header.vertex_count:
+def _warn_of_changed_vertices(path: Path, header: SequenceHeader, corners: FloatArray) -> None:
+    indices, first_corners = _weld(corners)
+    if len(first_corners) != header.vertex_count:
         warn(
-            f"{path}: STL holds no vertices; {len(first)} will be read instead of {header.vertex_count}, because "
-            "those at the same place in the first frame become one and unused ones are lost; OBJ and PLY keep them"
+            f"{path}: STL stores no shared vertices; {len(first_corners)} will be read instead of "
+            f"{header.vertex_count}, as unused ones are lost and those at one position in the first frame are merged; "
+            "OBJ and PLY keep them"
         )
     elif not np.array_equal(indices, header.faces.reshape(-1)):
-        warn(f"{path}: STL holds no vertices; they will be read in another order; OBJ and PLY keep it")
+        warn(f"{path}: STL stores no vertex order; vertices will be read in another; OBJ and PLY keep it")
 
 
-STL = FrameFormat("STL", parse_stl, _stl_encoder, lambda header: lost_surface(header) + lost_polygons(header))
+STL_FORMAT = FrameFormat(
+    "STL", parse_stl, _stl_encoder, lambda header: lost_surface(header) + lost_polygons(header)
+)

@@ -1,14 +1,14 @@
 r"""Labels of faces derived from sets, colours or skeletons in a file.
 
-- *Sets*: a polygon's label is its sets, mostly one; without any it is `UNNAMED`.
-- *Colours*: equal colours, to 8 bits a channel, are one label. A polygon takes that of most of its corners, the lowest
-  on ties. More than `MOST_COLOURS` are a picture and no segmentation.
+- *Sets*: the label of a polygon is its sets, mostly one, and `UNNAMED_LABEL` without any.
+- *Colours*: colours equal to 8 bits a channel are one label. A polygon takes that of most of its corners, the lowest on
+  ties. More than `MAX_LABEL_COLOURS` are not a segmentation.
 - *Skeleton*: with the weights :math:`w_{vj}` of the vertices a polygon p takes the joint
 
   .. math:: \arg\max_j \sum_{v \in p} w_{vj},
 
-  the lowest on ties. Joints with a smaller share of the polygons than `smallest` join their parents, the deepest first,
-  so that fingers become a hand. Small disconnected regions of a joint join the label with most common edges.
+  the lowest on ties. Joints with a smaller fraction of the polygons are merged into their parents, the deepest first,
+  so that fingers become a hand. Small disconnected regions of a joint are merged into the label with most common edges.
 
 Labels belong to polygons, as authored; triangles have those of their polygons.
 """
@@ -36,132 +36,127 @@ from mixseq_io.text.labels import (
     triangle_labels,
 )
 
-UNNAMED = "(none)"
+UNNAMED_LABEL = "(none)"
 """Name of the label of polygons in no set."""
 
-MOST_COLOURS = 256
+MAX_LABEL_COLOURS = 256
 
-_BRIGHTEST = 1e6  # renderers allow colours above 1
+_MAX_COLOUR_VALUE = 1e6  # renderers allow colours above 1
 
 
-def labels_of_sets(sets: Sequence[FaceSet], polygons: Polygons) -> Labels:
+def labels_from_sets(sets: Sequence[FaceSet], polygons: Polygons) -> Labels:
     """Label polygons by their sets, in the order of the sets; polygons in no set come last.
 
     The label of several sets has all their names, joined by "+".
     """
-    number = {name: index for index, name in enumerate(dict.fromkeys(each.name for each in sets))}
-    label = np.zeros(len(polygons.counts), dtype=np.int64)
-    members: list[tuple[int, ...]] = [()]  # the sets that every label stands for
-    for name, index in number.items():
-        inside = np.unique(np.concatenate([each.polygons for each in sets if each.name == name]))
-        before, place = np.unique(label[inside], return_inverse=True)
-        label[inside] = len(members) + place
-        members += [(*members[each], index) for each in before.tolist()]
-    found, label = np.unique(label, return_inverse=True)
-    kinds = [members[each] for each in found.tolist()]
-    order = sorted(range(len(kinds)), key=lambda each: (not kinds[each], kinds[each]))
+    set_ids = {name: index for index, name in enumerate(dict.fromkeys(face_set.name for face_set in sets))}
+    labels = np.zeros(len(polygons.counts), dtype=np.int64)
+    members: list[tuple[int, ...]] = [()]  # set ids of every label
+    for name, set_id in set_ids.items():
+        inside = np.unique(np.concatenate([face_set.polygons for face_set in sets if face_set.name == name]))
+        old_labels, ids = np.unique(labels[inside], return_inverse=True)
+        labels[inside] = len(members) + ids
+        members += [(*members[label], set_id) for label in old_labels.tolist()]
+    used, labels = np.unique(labels, return_inverse=True)
+    used_members = [members[label] for label in used.tolist()]
+    order = sorted(range(len(used_members)), key=lambda label: (not used_members[label], used_members[label]))
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
-    texts = list(number)
-    return Labels(
-        triangle_labels(rank[label], polygons),
-        tuple("+".join(texts[each] for each in kinds[kind]) or UNNAMED for kind in order),
-    )
+    set_names = list(set_ids)
+    names = ("+".join(set_names[set_id] for set_id in used_members[label]) for label in order)
+    return Labels(triangle_labels(rank[labels], polygons), tuple(name or UNNAMED_LABEL for name in names))
 
 
-def labels_of_colours(colours: FloatArray, polygons: Polygons) -> Labels:
+def labels_from_colours(colours: FloatArray, polygons: Polygons) -> Labels:
     """Label polygons by the colours ``(sum of counts, k)`` of their corners."""
-    bytes_ = np.rint(255 * np.clip(np.nan_to_num(colours), 0, _BRIGHTEST)).astype(np.int64)
-    kinds, of_corner = np.unique(bytes_, axis=0, return_inverse=True)
-    if len(kinds) > MOST_COLOURS:
+    bytes_ = np.rint(255 * np.clip(np.nan_to_num(colours), 0, _MAX_COLOUR_VALUE)).astype(np.int64)
+    distinct, of_corner = np.unique(bytes_, axis=0, return_inverse=True)
+    if len(distinct) > MAX_LABEL_COLOURS:
         raise FormatError(
-            f"has {len(kinds)} vertex colours, which is no segmentation; paint every part in one colour, "
-            f"{MOST_COLOURS} at most"
+            f"has {len(distinct)} vertex colours, too many for a segmentation; paint every part in one colour, "
+            f"{MAX_LABEL_COLOURS} at most"
         )
-    of_polygon = most_frequent(
-        np.repeat(np.arange(len(polygons.counts)), polygons.counts), of_corner.reshape(-1)
-    )
-    used, dense = np.unique(of_polygon, return_inverse=True)
-    return Labels(triangle_labels(dense, polygons), tuple(_hexadecimal(kinds[kind]) for kind in used))
+    polygon_ids = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
+    used, labels = np.unique(most_frequent(polygon_ids, of_corner.reshape(-1)), return_inverse=True)
+    return Labels(triangle_labels(labels, polygons), tuple(_format_colour(distinct[label]) for label in used))
 
 
-def labels_of_skinning(
-    skinning: Skinning, polygons: Polygons, smallest: float = MIN_JOINT_FACE_RATIO
+def labels_from_skinning(
+    skinning: Skinning, polygons: Polygons, min_ratio: float = MIN_JOINT_FACE_RATIO
 ) -> Labels:
     """Label polygons by the joint with the largest sum of weights."""
-    count = len(polygons.counts)
+    count, vertex_count = len(polygons.counts), skinning.weights.shape[0]
     rows = np.repeat(np.arange(count), polygons.counts)
-    of_polygon = csr_array(
-        (np.ones(rows.size), (rows, polygons.indices)), shape=(count, skinning.weights.shape[0])
-    )
-    sums = (of_polygon @ skinning.weights).tocoo()
+    corners = csr_array((np.ones(rows.size), (rows, polygons.indices)), shape=(count, vertex_count))
+    sums = (corners @ skinning.weights).tocoo()
     # Rounded, so that sums of the same weights in another order are equal.
     order = np.lexsort((sums.col, -np.round(sums.data, 6), sums.row))
     _, first = np.unique(sums.row[order], return_index=True)
-    followed = np.asarray(sums.col[order][first], dtype=np.int64)
-    merged = _merged_up(skinning, followed, smallest * count)
-    tidy = without_small_regions(merged, polygons, skinning.weights.shape[0], smallest * count)
-    used, dense = np.unique(tidy, return_inverse=True)
-    texts = shorten_paths(skinning.joints[joint] for joint in used)
-    return Labels(triangle_labels(dense, polygons), tuple(texts.values()))
+    joints = np.asarray(sums.col[order][first], dtype=np.int64)
+    joints = _merge_small_joints(skinning, joints, min_ratio * count)
+    joints = merge_small_regions(joints, polygons, vertex_count, min_ratio * count)
+    used, labels = np.unique(joints, return_inverse=True)
+    names = shorten_paths(skinning.joints[joint] for joint in used)
+    return Labels(triangle_labels(labels, polygons), tuple(names.values()))
 
 
-def _merged_up(skinning: Skinning, joint: Index, fewest: float) -> Index:
-    """Return the joints ``(P,)`` after those of fewer than `fewest` polygons joined their parents, deepest first."""
-    number = {path: index for index, path in enumerate(skinning.joints)}
-    parent = [number.get(above, -1) for above in skinning.parents]
-    sizes = np.bincount(joint, minlength=len(parent)).tolist()
-    into = np.arange(len(parent))
-    for each in sorted(range(len(parent)), key=lambda each: -_depth(each, parent)):
-        if sizes[each] < fewest and parent[each] >= 0:
-            sizes[parent[each]] += sizes[each]
-            into[into == each] = parent[each]
-    return into[joint]
+def _merge_small_joints(skinning: Skinning, joints: Index, min_count: float) -> Index:
+    """Merge joints ``(P,)`` of fewer than `min_count` polygons into their parents, deepest first."""
+    joint_ids = {path: joint for joint, path in enumerate(skinning.joints)}
+    parents = [joint_ids.get(path, -1) for path in skinning.parents]
+    sizes = np.bincount(joints, minlength=len(parents)).tolist()
+    targets = np.arange(len(parents))
+    for joint in sorted(range(len(parents)), key=lambda joint: -_depth(joint, parents)):
+        if sizes[joint] < min_count and parents[joint] >= 0:
+            sizes[parents[joint]] += sizes[joint]
+            targets[targets == joint] = parents[joint]
+    return targets[joints]
 
 
-def _depth(joint: int, parent: Sequence[int]) -> int:
+def _depth(joint: int, parents: Sequence[int]) -> int:
     depth = 0
-    while joint >= 0 and depth <= len(parent):  # of a damaged file, joints may be above themselves
-        joint, depth = parent[joint], depth + 1
+    while joint >= 0 and depth <= len(parents):  # damaged files can have cycles
+        joint, depth = parents[joint], depth + 1
     return depth
 
 
-def _hexadecimal(colour: NDArray[np.int64]) -> str:
+def _format_colour(colour: NDArray[np.int64]) -> str:
     shown = colour[:3] if len(colour) < 4 or colour[3] == 255 else colour
     return "#" + "".join(f"{value:02x}" for value in shown.tolist())
 
 
-def without_small_regions(of_polygon: Index, polygons: Polygons, vertex_count: int, fewest: float) -> Index:
-    """Relabel ``(P,)`` regions of fewer than `fewest` polygons, smallest first, by the label with most common edges.
+def merge_small_regions(labels: Index, polygons: Polygons, vertex_count: int, min_count: float) -> Index:
+    """Relabel ``(P,)`` regions of fewer than `min_count` polygons, smallest first, by the label with most common edges.
 
     Skinning weights leave ragged borders and stray faces. Regions that are whole connected components stay.
     """
-    pairs = _beside(polygons, vertex_count)
-    count = len(of_polygon)
-    same = of_polygon[pairs[:, 0]] == of_polygon[pairs[:, 1]]
-    graph = coo_array((np.ones(int(same.sum())), tuple(pairs[same].T)), shape=(count, count))
-    region = connected_components(graph, directed=False)[1]
-    label = of_polygon[np.unique(region, return_index=True)[1]]
-    sizes = dict(enumerate(np.bincount(region).tolist()))
-    beside: dict[int, dict[int, int]] = {each: {} for each in sizes}  # shared edges of neighbouring regions
-    for a, b in region[pairs[~same]].tolist():
-        beside[a][b] = beside[a].get(b, 0) + 1
-        beside[b][a] = beside[b].get(a, 0) + 1
-    into = np.arange(len(sizes))
-    while small := [(size, each) for each, size in sizes.items() if size < fewest and beside[each]]:
+    pairs = _adjacent_polygons(polygons, vertex_count)
+    count = len(labels)
+    same_mask = labels[pairs[:, 0]] == labels[pairs[:, 1]]
+    graph = coo_array((np.ones(int(same_mask.sum())), tuple(pairs[same_mask].T)), shape=(count, count))
+    regions = connected_components(graph, directed=False)[1]
+    region_labels = labels[np.unique(regions, return_index=True)[1]]
+    sizes = dict(enumerate(np.bincount(regions).tolist()))
+    borders: dict[int, dict[int, int]] = {region: {} for region in sizes}  # shared with each neighbour
+    for a, b in regions[pairs[~same_mask]].tolist():
+        borders[a][b] = borders[a].get(b, 0) + 1
+        borders[b][a] = borders[b].get(a, 0) + 1
+    targets = np.arange(len(sizes))
+    while small := [(size, region) for region, size in sizes.items() if size < min_count and borders[region]]:
         smallest = min(small)[1]
-        keep = max(beside[smallest], key=lambda each: (beside[smallest][each], -each))
-        into[into == smallest] = keep
-        sizes[keep] += sizes.pop(smallest)
-        for each, edges in beside.pop(smallest).items():
-            del beside[each][smallest]
-            if each != keep:
-                beside[each][keep] = beside[keep][each] = beside[keep].get(each, 0) + edges
-    return np.asarray(label[into[region]], dtype=np.int64)
+        target = max(borders[smallest], key=lambda region: (borders[smallest][region], -region))
+        targets[targets == smallest] = target
+        sizes[target] += sizes.pop(smallest)
+        for region, edges in borders.pop(smallest).items():
+            del borders[region][smallest]
+            if region != target:
+                edges += borders[target].get(region, 0)
+                borders[region][target] = borders[target][region] = edges
+    return np.asarray(region_labels[targets[regions]], dtype=np.int64)
 
 
-def _beside(polygons: Polygons, vertex_count: int) -> Index:
+def _adjacent_polygons(polygons: Polygons, vertex_count: int) -> Index:
     """Return pairs of polygons ``(n, 2)``, one for each shared edge."""
-    owner = np.repeat(np.arange(len(polygons.counts)), polygons.counts - 2)
-    pairs = owner[Topology(polygons.triangles, vertex_count).hinge_faces]
+    polygon_ids = np.repeat(np.arange(len(polygons.counts)), polygons.counts - 2)
+    pairs = polygon_ids[Topology(polygons.triangles, vertex_count).hinge_faces]
     return np.asarray(pairs[pairs[:, 0] != pairs[:, 1]], dtype=np.int64)

@@ -12,7 +12,7 @@ source         meaning
 ``skeleton``   weights of skins: UsdSkel, glTF
 =============  ==========================================================================================
 
-`labels` come first, since they were made as labels. Sources with one label for all faces count only on request.
+`labels` come first, since they were made as labels. Sources with one label for all faces are used on request only.
 
 Parts are written as arrays of triangles (npz), or of polygons, each in the part of most of its triangles: as subsets of
 the faces (USD), or as groups (OBJ, Alembic, HDF5).
@@ -53,8 +53,8 @@ from mixseq_io.text.labels import (
 
 Sources = dict[str, Callable[[], Labels]]
 
-LABEL_ARRAYS = ("part_of_face", "labels")
-"""Names of label arrays in npz files; the first that exists counts."""
+LABEL_ARRAY_NAMES = ("part_of_face", "labels")
+"""Names of label arrays in npz files; the first that exists is read."""
 
 
 def read_labels(
@@ -67,7 +67,7 @@ def read_labels(
 ) -> Labels:
     """Read labels of a mesh's faces from a file, unchanged.
 
-    `mixseq.segmentation.segment_by_labels` makes a segmentation of them, whose parts are connected.
+    `mixseq.segmentation.segment_by_labels` converts them into a segmentation with connected parts.
 
     Examples
     --------
@@ -82,178 +82,162 @@ def read_labels(
     """
     file = Path(path)
     header = sequence if isinstance(sequence, SequenceHeader) else sequence.header
-    sources = _stored(file, header)
-    if _is_mesh(file) and not (sources and source in (None, LABELS_SOURCE)):
+    sources, is_mesh = _read_array(file, header)
+    if is_mesh and not (sources and source in (None, LABELS_SOURCE)):
         with open_sequence(file, **options) as reader:
-            sources |= _marked(reader, header, smallest_joint)
-    return _chosen(file, sources, source)()
+            sources |= _markings_sources(reader, header, smallest_joint)
+    return _choose_labels(file, sources, source)
 
 
 def extract_labels(
     reader: SequenceReader, source: str | None = None, *, smallest_joint: float = MIN_JOINT_FACE_RATIO
 ) -> Labels:
-    """Return the labels from an open sequence's own file; see `read_labels`."""
-    sources = _stored(reader.path, reader.header) | _marked(reader, reader.header, smallest_joint)
-    return _chosen(reader.path, sources, source)()
+    """Read the labels in the file of an open sequence; see `read_labels`."""
+    sources, _ = _read_array(reader.path, reader.header)
+    sources |= _markings_sources(reader, reader.header, smallest_joint)
+    return _choose_labels(reader.path, sources, source)
 
 
-def _chosen(file: Path, sources: Sources, wanted: str | None) -> Callable[[], Labels]:
-    if wanted == LABEL_SUBSET_FAMILY and wanted not in sources:
-        wanted = LABELS_SOURCE  # what the family that `mixseq segment` writes is called here
-    if wanted is not None:
-        if wanted not in sources:
-            raise FormatError(f"{file} has no {wanted!r} to label faces by; {_what_there_is(list(sources))}")
-        return sources[wanted]
+def _choose_labels(file: Path, sources: Sources, source: str | None) -> Labels:
+    available = f"it has {', '.join(sources)}"
+    if not sources:
+        available = "it has no labels, face sets, materials, vertex colours or skin; give another file"
+    if source == LABEL_SUBSET_FAMILY and source not in sources:
+        source = LABELS_SOURCE  # the family that `mixseq segment` writes
+    if source is not None:
+        if source not in sources:
+            raise FormatError(f"{file} has no {source!r} to label faces by; {available}")
+        return sources[source]()
     if LABELS_SOURCE in sources:
-        return sources[LABELS_SOURCE]
+        return sources[LABELS_SOURCE]()
     if len(sources) == 1:
-        return next(iter(sources.values()))
-    telling = {}
-    for name, make in sources.items():
-        # Sources that cannot be labels (a painted mesh), or have a single one, do not make the choice ambiguous.
+        return next(iter(sources.values()))()
+    candidates = {}
+    for name, make_labels in sources.items():
+        # Sources that are not labels (a painted mesh), or have a single one, are no candidates.
         try:
-            labels = make()
+            labels = make_labels()
         except FormatError:
             continue
         if len(labels.names) > 1:
-            telling[name] = labels
-    if len(telling) == 1:
-        (only,) = telling.values()
-        return lambda: only
-    if not telling:
-        raise FormatError(f"{file} has no labels of faces; {_what_there_is(list(sources))}")
-    raise AmbiguousError(
-        f"{file} has several sources of labels: {', '.join(telling)}; choose one with source=... (--source)"
-    )
-
-
-def _what_there_is(sources: list[str]) -> str:
-    if not sources:
-        return (
-            "it has no array of labels, sets of faces, materials, vertex colours or skin; give another file"
+            candidates[name] = labels
+    if not candidates:
+        raise FormatError(f"{file} has no labels of faces; {available}")
+    if len(candidates) > 1:
+        raise AmbiguousError(
+            f"{file} has several sources of labels: {', '.join(candidates)}; choose one with source=... (--source)"
         )
-    return f"it has {', '.join(sources)}"
+    return next(iter(candidates.values()))
 
 
-def _stored(file: Path, header: SequenceHeader) -> Sources:
-    """Return the label array of an npz file, if any, as a source."""
+def _read_array(file: Path, header: SequenceHeader) -> tuple[Sources, bool]:
+    """Return the label array of an npz file, if any, as a source, and whether the file has a mesh."""
     if file.suffix.lower() != ".npz":
-        return {}
+        return {}, True
     with open_archive(file) as archive:
         members = archive.names
-        name = next((each for each in LABEL_ARRAYS if each in members), "")
+        name = next((name for name in LABEL_ARRAY_NAMES if name in members), "")
         values = archive.read(name) if name else None
         names = archive.read("names") if "names" in members else None
     if values is not None:
-        labels = _of_array(file, name, values, names, header.polygons)
-        return {LABELS_SOURCE: lambda: labels}
+        labels = _labels_from_array(file, name, values, names, header.polygons)
+        return {LABELS_SOURCE: lambda: labels}, "points" in members
     if "points" not in members:
         raise FormatError(
             f"{file} has the arrays {', '.join(sorted(members)) or 'none'}; `part_of_face` or `labels`, a number for "
             "every triangle or polygon, is needed"
         )
-    return {}
+    return {}, True
 
 
-def _is_mesh(file: Path) -> bool:
-    """Whether a file is a sequence, as opposed to an array of labels."""
-    if file.suffix.lower() != ".npz":
-        return True
-    with open_archive(file) as archive:
-        return "points" in archive.names
-
-
-def _of_array(
+def _labels_from_array(
     file: Path, name: str, values: NDArray[Any], names: NDArray[Any] | None, polygons: Polygons
 ) -> Labels:
-    triangles, count = len(polygons.triangles), len(polygons.counts)
+    triangle_count, polygon_count = len(polygons.triangles), len(polygons.counts)
     if values.ndim != 1 or values.dtype.kind not in "iuU":
         raise FormatError(
             f"{file}: {name} has shape {values.shape} and type {values.dtype}; a list of whole numbers or names is "
             "expected"
         )
-    if len(values) not in (triangles, count):
+    if len(values) not in (triangle_count, polygon_count):
         raise FormatError(
-            f"{file} has {len(values)} labels, but the mesh has {triangles} triangles"
-            + (f" and {count} polygons" if count != triangles else "")
+            f"{file} has {len(values)} labels, but the mesh has {triangle_count} triangles"
+            + (f" and {polygon_count} polygons" if polygon_count != triangle_count else "")
             + "; give one for each"
         )
-    if (
-        names is not None
-        and values.dtype.kind != "U"
-        and values.size
-        and are_valid_indices(values, np.size(names))
-    ):
-        dense, texts = values, tuple(str(each) for each in np.ravel(names).tolist())
+    has_indices = values.dtype.kind != "U" and values.size > 0
+    if names is not None and has_indices and are_valid_indices(values, np.size(names)):
+        labels, label_names = values, np.ravel(names).tolist()
     else:
-        kinds, dense = np.unique(values, return_inverse=True)
-        texts = tuple(str(each) for each in kinds.tolist())
-    whole = len(values) != triangles
-    return Labels(triangle_labels(dense, polygons) if whole else dense, texts)
+        distinct, labels = np.unique(values, return_inverse=True)
+        label_names = distinct.tolist()
+    if len(values) != triangle_count:
+        labels = triangle_labels(labels, polygons)
+    return Labels(labels, tuple(map(str, label_names)))
 
 
-def _marked(reader: SequenceReader, header: SequenceHeader, smallest: float) -> Sources:
-    """Return labels from a file's markings, for a mesh with the same faces in any order."""
-    from mixseq_io.text.derived_labels import labels_of_sets, labels_of_skinning
+def _markings_sources(reader: SequenceReader, header: SequenceHeader, min_ratio: float) -> Sources:
+    """Return the sources of labels in a file's markings, for a mesh with the same faces in any order."""
+    from mixseq_io.text.derived_labels import labels_from_sets, labels_from_skinning
 
-    if not 0 <= smallest <= 1:
-        raise SettingsError(f"smallest_joint is {smallest}; a share of the faces, from 0 to 1, is expected")
+    if not 0 <= min_ratio <= 1:
+        raise SettingsError(f"smallest_joint is {min_ratio}; a fraction of the faces is expected, 0 to 1")
     file, polygons = reader.path, reader.header.polygons
-    face = _same_faces(file, header, reader.header)
+    face_ids = _match_faces(file, header, reader.header)
     markings = reader.markings()
-    sources: Sources = {name: partial(labels_of_sets, sets, polygons) for name, sets in markings.sets.items()}
+    sets = markings.sets.items()
+    sources: Sources = {name: partial(labels_from_sets, own, polygons) for name, own in sets}
     colours = reader.header.surface.colours
     if colours is not None:
-        sources[COLOURS_SOURCE] = partial(_colours, file, colours.at_corners, polygons)
+        sources[COLOURS_SOURCE] = partial(_labels_from_colours, file, colours.at_corners, polygons)
     if markings.skinning is not None:
-        sources[SKELETON_SOURCE] = partial(labels_of_skinning, markings.skinning, polygons, smallest)
-    if face is None:
+        sources[SKELETON_SOURCE] = partial(labels_from_skinning, markings.skinning, polygons, min_ratio)
+    if face_ids is None:
         return sources
-    return {name: partial(_carried, make, face) for name, make in sources.items()}
+    return {name: partial(_reorder_labels, make, face_ids) for name, make in sources.items()}
 
 
-def _carried(make: Callable[[], Labels], face: Index) -> Labels:
-    """Return the labels of reordered faces; all triangles of a polygon have the polygon's label."""
+def _reorder_labels(make: Callable[[], Labels], face_ids: Index) -> Labels:
+    """Make the labels of reordered faces ``(F,)``; all triangles of a polygon have the polygon's label."""
     labels = make()
-    return replace(labels, part_of_face=labels.part_of_face[face])
+    return replace(labels, part_of_face=labels.part_of_face[face_ids])
 
 
-def _colours(file: Path, colours: FloatArray, polygons: Polygons) -> Labels:
-    from mixseq_io.text.derived_labels import labels_of_colours
+def _labels_from_colours(file: Path, colours: FloatArray, polygons: Polygons) -> Labels:
+    from mixseq_io.text.derived_labels import labels_from_colours
 
     try:
-        return labels_of_colours(colours, polygons)
+        return labels_from_colours(colours, polygons)
     except FormatError as error:
         raise FormatError(f"{file} {error}") from None
 
 
-def _same_faces(file: Path, header: SequenceHeader, found: SequenceHeader) -> Index | None:
+def _match_faces(file: Path, header: SequenceHeader, stored: SequenceHeader) -> Index | None:
     """Return the file's triangle of each of the sequence's ``(F,)``, None if in the same order; refuse another mesh.
 
     In the same order vertices may be split or welded differently; in another one they must be equal.
     """
-    ours, theirs = header.faces, found.faces
-    if len(ours) != len(theirs):
+    a, b = header.faces.reshape(-1), stored.faces.reshape(-1)
+    if len(a) != len(b):
         raise FormatError(
-            f"{file} has {len(theirs)} triangles, the sequence {len(ours)}; labels need a file of the same mesh"
+            f"{file} has {len(b) // 3} triangles, the sequence {len(a) // 3}; labels need a file of the same mesh"
         )
-    a, b = ours.reshape(-1), theirs.reshape(-1)
-    if np.array_equal(a, b) or _follows(a, b) or _follows(b, a):
+    if np.array_equal(a, b) or _is_welded(a, b) or _is_welded(b, a):
         return None
     try:
-        return match_triangles(header.polygons, found.polygons, ("the sequence", str(file)))
+        return match_triangles(header.polygons, stored.polygons, ("the sequence", str(file)))
     except InvalidSequenceError as error:
         raise FormatError(f"{error}; labels need a file of the same mesh") from None
 
 
-def _follows(a: IntArray, b: IntArray) -> bool:
-    """Whether equal vertices of a are equal in b: b is a, with some vertices welded."""
+def _is_welded(a: IntArray, b: IntArray) -> bool:
+    """Whether the corners b are a with some vertices welded: equal vertices of a are equal in b."""
     pairs = np.unique(np.stack([a, b], axis=1), axis=0)
     return len(pairs) == len(np.unique(a))
 
 
-ARRAYS, SUBSETS, SETS = "npz", "USD", ("OBJ", "Alembic", "HDF5 sequence")
-"""Names of the formats that hold parts: as arrays, as subsets, as face sets."""
+_ARRAY_FORMAT, _SUBSET_FORMAT, _FACE_SET_FORMATS = "npz", "USD", ("OBJ", "Alembic", "HDF5 sequence")
+"""Names of the formats with a place for parts: as arrays, as subsets, as face sets."""
 
 
 def write_labels(
@@ -262,49 +246,41 @@ def write_labels(
     """Write the parts of a mesh; all but npz files include the animation.
 
     - ``.npz``: the arrays ``part_of_face`` (triangles), ``part_of_polygon`` and ``names``, nothing else.
-    - USD: a subset of the family ``mixseq`` for every part. Over a reader's file it is a layer that only adds these, so
-      that points, skeletons and materials are still those of the file.
+    - USD: a subset of the family ``mixseq`` for every part. For the file of a reader it is a layer that only adds these
+      to its points, skeletons and materials.
     - OBJ, Alembic and HDF5 sequences: a face set for every part in place of those without material.
     """
     file, header = Path(path), sequence.header
-    form = check_label_target(file)
-    if form == ARRAYS:
-        _write_arrays(file, header, labels)
-        return
+    format_name = check_label_target(file)
     of_polygon = polygon_labels(labels.part_of_face, header.polygons)
+    if format_name == _ARRAY_FORMAT:
+        faces, names = labels.part_of_face, np.array(labels.names)
+        with atomic_file(file) as temporary:
+            np.savez(temporary, part_of_face=faces, part_of_polygon=of_polygon, names=names)
+        return
     _warn_of_cut_polygons(file, header, labels, of_polygon)
-    if form == SUBSETS:
+    if format_name == _SUBSET_FORMAT:
         _write_subsets(file, sequence, of_polygon, labels.names, flatten)
         return
-    sets = tuple(FaceSet(name, np.flatnonzero(of_polygon == part)) for part, name in enumerate(labels.names))
-    kept = tuple(each for each in header.surface.face_sets if each.material)
-    surface = replace(header.surface, face_sets=kept + tuple(each for each in sets if each.polygons.size))
-    points, velocities = _values(sequence)
-    alone = {"flatten": True} if form == "Alembic" else {}  # a copy of the original would have its face sets
-    write_blocks(file, replace(header, surface=surface), points, velocities, **alone)
+    parts = (FaceSet(name, np.flatnonzero(of_polygon == part)) for part, name in enumerate(labels.names))
+    with_material = tuple(face_set for face_set in header.surface.face_sets if face_set.material)
+    face_sets = with_material + tuple(part for part in parts if part.polygons.size)
+    surface = replace(header.surface, face_sets=face_sets)
+    points, velocities = _blocks(sequence)
+    # a copy of the original would have its face sets
+    options = {"flatten": True} if format_name == "Alembic" else {}
+    write_blocks(file, replace(header, surface=surface), points, velocities, **options)
 
 
 def check_label_target(path: PathLike) -> str:
     """Return the name of a file's format; raise an error if it cannot hold parts."""
     extension = Path(path).suffix.lower()
-    able = [form for form in FORMATS if form.name in (ARRAYS, SUBSETS, *SETS)]
-    for form in able:
-        if extension in form.extensions:
-            return form.name
-    known = ", ".join(each for form in able for each in form.extensions)
-    raise OutputError(
-        f"{path}: {extension or 'a file without extension'} has no place for parts; write one of {known}"
-    )
-
-
-def _write_arrays(file: Path, header: SequenceHeader, labels: Labels) -> None:
-    with atomic_file(file) as temporary:
-        np.savez(
-            temporary,
-            part_of_face=labels.part_of_face,
-            part_of_polygon=polygon_labels(labels.part_of_face, header.polygons),
-            names=np.array(labels.names),
-        )
+    names = (_ARRAY_FORMAT, _SUBSET_FORMAT, *_FACE_SET_FORMATS)
+    formats = {known: form.name for form in FORMATS if form.name in names for known in form.extensions}
+    if extension not in formats:
+        kind = extension or "a file without extension"
+        raise OutputError(f"{path}: {kind} has no place for parts; write one of {', '.join(formats)}")
+    return formats[extension]
 
 
 def _write_subsets(
@@ -314,35 +290,36 @@ def _write_subsets(
     names: Sequence[str],
     flatten: bool,
 ) -> None:
-    from mixseq_io.usd.surface import Parts
-    from mixseq_io.usd.writer import write_usd, write_usd_parts
+    from mixseq_io.usd.writer import FaceParts, write_usd, write_usd_parts
 
     header = sequence.header
-    ends = np.cumsum([each.polygon_count for each in header.objects])[:-1]
-    parts = Parts(tuple(np.split(of_polygon, ends)), names)
+    ends = np.cumsum([mesh.polygon_count for mesh in header.objects])[:-1]
+    parts = FaceParts(tuple(np.split(of_polygon, ends)), names)
     origin = header.surface.origin
-    untouched = (
+    is_original = (
         isinstance(sequence, SequenceReader)
         and origin is not None
         and Path(origin.path).exists()
         and sequence.path.exists()
         and sequence.path.samefile(origin.path)
     )
-    if untouched and not flatten and file.suffix.lower() != ".usdz" and write_usd_parts(file, header, parts):
+    is_layer = is_original and not flatten and file.suffix.lower() != ".usdz"
+    if is_layer and write_usd_parts(file, header, parts):
         return
     if isinstance(sequence, SequenceReader):
-        header = _without(header, sequence.markings().sets.get(LABELS_SOURCE, ()))
-    write_usd(file, header, *_values(sequence), flatten=flatten, parts=parts)
+        header = _remove_face_sets(header, sequence.markings().sets.get(LABELS_SOURCE, ()))
+    write_usd(file, header, *_blocks(sequence), flatten=flatten, parts=parts)
 
 
-def _without(header: SequenceHeader, old: Sequence[FaceSet]) -> SequenceHeader:
-    """Return a header without the parts that its mesh had before."""
-    parts = {(each.name, each.polygons.tobytes()) for each in old}
-    kept = (each for each in header.surface.face_sets if (each.name, each.polygons.tobytes()) not in parts)
+def _remove_face_sets(header: SequenceHeader, old: Sequence[FaceSet]) -> SequenceHeader:
+    """Remove face sets, the old parts of a mesh, from its header."""
+    removed = {(face_set.name, face_set.polygons.tobytes()) for face_set in old}
+    face_sets = header.surface.face_sets
+    kept = (part for part in face_sets if (part.name, part.polygons.tobytes()) not in removed)
     return replace(header, surface=replace(header.surface, face_sets=tuple(kept)))
 
 
-def _values(
+def _blocks(
     sequence: MeshSequence | SequenceReader,
 ) -> tuple[Iterable[FloatArray], Iterable[FloatArray] | None]:
     """Return the blocks of a sequence's points, and of its velocities or None."""
@@ -352,10 +329,10 @@ def _values(
 
 
 def _warn_of_cut_polygons(file: Path, header: SequenceHeader, labels: Labels, of_polygon: IntArray) -> None:
-    apart = labels.part_of_face != triangle_labels(of_polygon, header.polygons)
-    cut = np.unique(np.repeat(np.arange(len(of_polygon)), header.polygons.counts - 2)[apart])
-    if cut.size:
+    cut_mask = labels.part_of_face != triangle_labels(of_polygon, header.polygons)
+    cut_ids = np.unique(np.repeat(np.arange(len(of_polygon)), header.polygons.counts - 2)[cut_mask])
+    if cut_ids.size:
         warn(
-            f"{file}: {cut.size} of {len(of_polygon)} polygons are in several parts; each goes to that of most of its "
-            "triangles (.npz keeps triangles)"
+            f"{file}: {cut_ids.size} of {len(of_polygon)} polygons are in several parts; each is written to the part "
+            "of most of its triangles (.npz keeps triangles)"
         )

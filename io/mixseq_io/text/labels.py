@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.mesh.polygons import Polygons, frozen
+from mixseq.mesh.polygons import Polygons, read_only
 from mixseq.mesh.surface import FaceSet
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Index
@@ -27,59 +27,56 @@ class Labels:
     names: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "part_of_face", frozen(np.ascontiguousarray(self.part_of_face, dtype=np.int64))
-        )
+        labels = np.ascontiguousarray(self.part_of_face, dtype=np.int64)
+        object.__setattr__(self, "part_of_face", read_only(labels))
 
 
 def triangle_labels(of_polygon: ArrayLike, polygons: Polygons) -> Index:
-    """Return the labels ``(F,)`` of triangles from those of polygons ``(P,)``."""
+    """Expand labels of polygons ``(P,)`` to triangles ``(F,)``."""
     return np.repeat(np.asarray(of_polygon, dtype=np.int64), polygons.counts - 2)
 
 
 def polygon_labels(of_triangle: Index, polygons: Polygons) -> Index:
-    """Return the most frequent label of each polygon's triangles ``(P,)``, the lowest on ties: from ``(F,)``."""
+    """Return the most frequent label of each polygon's triangles ``(F,)`` as ``(P,)``, the lowest on ties."""
     return most_frequent(np.repeat(np.arange(len(polygons.counts)), polygons.counts - 2), of_triangle)
 
 
-def most_frequent(owner: Index, value: Index) -> Index:
-    """Return the most frequent value of each owner 0, 1, ..., the lowest on ties: owner, value ``(n,)``."""
-    if not owner.size:
+def most_frequent(groups: Index, values: Index) -> Index:
+    """Return the most frequent value of each group 0, 1, ..., the lowest on ties: groups, values ``(n,)``."""
+    if not groups.size:
         return np.zeros(0, dtype=np.int64)
-    span = int(value.max()) + 1
-    pairs, times = np.unique(owner.astype(np.int64) * span + value, return_counts=True)
-    order = np.lexsort((pairs % span, -times, pairs // span))
-    _, first = np.unique(pairs[order] // span, return_index=True)
-    return np.asarray(pairs[order][first] % span, dtype=np.int64)
+    base = int(values.max()) + 1
+    pairs, counts = np.unique(groups.astype(np.int64) * base + values, return_counts=True)
+    order = np.lexsort((pairs % base, -counts, pairs // base))
+    _, first = np.unique(pairs[order] // base, return_index=True)
+    return np.asarray(pairs[order][first] % base, dtype=np.int64)
 
 
-LABELS_SOURCE, GROUPS_SOURCE, MATERIALS_SOURCE, COLOURS_SOURCE, SKELETON_SOURCE = (
-    "labels",
-    "groups",
-    "materials",
-    "colours",
-    "skeleton",
-)
-"""Names of sources; other families of USD subsets are sources by their own names."""
+LABELS_SOURCE = "labels"
+GROUPS_SOURCE = "groups"
+MATERIALS_SOURCE = "materials"
+COLOURS_SOURCE = "colours"
+SKELETON_SOURCE = "skeleton"
+"""Names of sources; any other family of USD subsets is a source of its own name."""
 
 LABEL_SUBSET_FAMILY = "mixseq"
 """Family of USD subsets that are parts: the source `LABELS_SOURCE`."""
 
 MIN_JOINT_FACE_RATIO = 0.01
-"""Smallest share of the polygons of a joint that is a part of its own."""
+"""Smallest fraction of the polygons of a joint that becomes a part."""
 
 
 @dataclass(frozen=True, eq=False)
 class Skinning:
     """Skinning weights of vertices by joint."""
 
-    weights: csr_array
-    joints: tuple[str, ...]
-    parents: tuple[str, ...]
+    weights: csr_array  # (V, J)
+    joints: tuple[str, ...]  # paths
+    parents: tuple[str, ...]  # paths, "" for roots
 
     @classmethod
     def rigid(cls, path: str, vertex_count: int) -> Skinning:
-        """Return the skinning of a mesh without a skin: it follows itself."""
+        """Make the skinning of a mesh without a skin, which follows itself."""
         from scipy.sparse import csr_array
 
         return cls(csr_array(np.ones((vertex_count, 1))), (path,), ("",))
@@ -94,36 +91,31 @@ class Markings:
 
 
 def group_face_sets(header: SequenceHeader) -> dict[str, tuple[FaceSet, ...]]:
-    """Return the face sets of a surface: those with materials, and the others."""
-    every = header.surface.face_sets
-    materials = shorten_paths(each.material for each in every if each.material)
-    named = {
-        GROUPS_SOURCE: tuple(each for each in every if not each.material),
-        MATERIALS_SOURCE: tuple(
-            FaceSet(materials[each.material], each.polygons) for each in every if each.material
-        ),
-    }
-    return {source: sets for source, sets in named.items() if sets}
+    """Group the face sets of a surface into groups and materials."""
+    face_sets = header.surface.face_sets
+    groups = tuple(face_set for face_set in face_sets if not face_set.material)
+    names = shorten_paths(face_set.material for face_set in face_sets if face_set.material)
+    materials = tuple(FaceSet(names[item.material], item.polygons) for item in face_sets if item.material)
+    return {source: sets for source, sets in ((GROUPS_SOURCE, groups), (MATERIALS_SOURCE, materials)) if sets}
 
 
 def concatenate_skinning(meshes: Sequence[Skinning]) -> Skinning:
     """Concatenate the skinning of several meshes; shared joints are merged."""
     from scipy.sparse import csr_array, vstack
 
-    parents = {
-        joint: above for each in meshes for joint, above in zip(each.joints, each.parents, strict=True)
-    }
-    column = {joint: number for number, joint in enumerate(parents)}
-    rows = []
-    for each in meshes:
-        own = each.weights.tocoo()
-        columns = np.array([column[joint] for joint in each.joints])[own.col]
-        rows.append(csr_array((own.data, (own.row, columns)), shape=(own.shape[0], len(column))))
-    return Skinning(csr_array(vstack(rows)), tuple(column), tuple(parents.values()))
+    parents = dict(pair for mesh in meshes for pair in zip(mesh.joints, mesh.parents, strict=True))
+    joint_ids = {joint: number for number, joint in enumerate(parents)}
+    blocks = []
+    for mesh in meshes:
+        weights = mesh.weights.tocoo()
+        columns = np.array([joint_ids[joint] for joint in mesh.joints])[weights.col]
+        shape = (weights.shape[0], len(joint_ids))
+        blocks.append(csr_array((weights.data, (weights.row, columns)), shape=shape))
+    return Skinning(csr_array(vstack(blocks)), tuple(joint_ids), tuple(parents.values()))
 
 
 def shorten_paths(paths: Iterable[str]) -> dict[str, str]:
-    """Return the last name of each path, or the whole path where it is ambiguous."""
-    last = {path: path.rstrip("/").rpartition("/")[2] or path for path in paths}
-    often = Counter(last.values())
-    return {path: name if often[name] == 1 else path for path, name in last.items()}
+    """Shorten each path to its last name, unless that is ambiguous."""
+    names = {path: path.rstrip("/").rpartition("/")[2] or path for path in paths}
+    counts = Counter(names.values())
+    return {path: name if counts[name] == 1 else path for path, name in names.items()}

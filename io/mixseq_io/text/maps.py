@@ -1,4 +1,4 @@
-"""Files of maps: the source vertex or triangle of every target vertex or triangle.
+"""Map files: the source vertex or triangle of every target vertex or triangle.
 
 ``.npz``, written and read by `write_map`: arrays ``version`` (1), ``corners``, ``weights``, ``faces``, ``leaders`` and
 ``sizes`` of a `Correspondence`, and ``source`` and ``target``, checksums of the triangles of the two meshes, to detect
@@ -10,17 +10,17 @@ of vertices. Items are rows, as below, as lists of numbers.
 
 Other files are text, a row a line, with numbers separated by spaces, commas, colons, semicolons or ``->``::
 
-    # vertices        which kind of map: vertices, triangles or barycentric; the word may stand without the #
+    # vertices        kind of map: vertices, triangles or barycentric; the # is optional
     750, 3386         source and target (vertices or triangles)
-    750               or the source alone, -1 for none: as many rows as the target has vertices or triangles
+    750               or the source alone, -1 for none: a row for every vertex or triangle of the target
     # barycentric
     17, 3386, 0.2, 0.5, 0.3   source triangle, target vertex, and weights of the triangle's corners
     17, 0.2, 0.5, 0.3         or without the target vertex
 
 Without that word, rows of one or two numbers are vertices, in files ``.tricorrs`` (Sumner and Popović's) triangles, of
-which the first source of a target counts; rows of four or five are barycentric. Comments (``#``) and empty lines are
-skipped. One line may announce the number of rows before rows of several numbers. Vertices and triangles are numbered
-from 0; targets without a row are left out of maps of pairs.
+which the first source of a target is used; rows of four or five are barycentric. Comments (``#``) and empty lines are
+skipped. One line may give the number of rows before rows of several numbers. Vertices and triangles are numbered from
+0; targets without a row are left out of maps of pairs.
 """
 
 from __future__ import annotations
@@ -45,31 +45,31 @@ from mixseq_io.text.markers import parse_json, read_text
 
 Kind = Literal["vertices", "triangles", "barycentric"]
 
-_COLUMNS: dict[str, tuple[int, int]] = {"vertices": (1, 2), "triangles": (1, 2), "barycentric": (4, 5)}
-"""Numbers in a row: with the source alone, and with the target."""
+_ROW_WIDTHS: dict[str, tuple[int, int]] = {"vertices": (1, 2), "triangles": (1, 2), "barycentric": (4, 5)}
+"""Length of a row by kind: with the source alone, and with the target."""
 
-_SEPARATOR = re.compile(r"\s*(?:->|[,:;\s])\s*")
+_SEPARATOR_PATTERN = re.compile(r"\s*(?:->|[,:;\s])\s*")
 
 _Rows = list[tuple[str, list[float]]]
-"""Rows with their place in the file."""
+"""Rows with their location in the file."""
 
-VERSION = 1
+MAP_VERSION = 1
 
-_STORED = ("corners", "weights", "faces", "leaders", "sizes", "source", "target")
+_STORED_ARRAYS = ("corners", "weights", "faces", "leaders", "sizes", "source", "target")
 
 
 @dataclass(frozen=True, eq=False)
 class MapFile:
-    """Map as stored in a file."""
+    """A map as stored in a file."""
 
-    file: Path  # the file, for messages
+    path: Path
     kind: str  # vertices, triangles, barycentric (rows), or the arrays of an npz file: corners, stored
-    rows: NDArray[np.float64]  # (n, k) rows in the order of the head of this module; empty for arrays
+    rows: NDArray[np.float64]  # (n, k) as at the head of this module; empty for arrays
     arrays: dict[str, NDArray[Any]]  # of an npz file
 
 
-FEW = 0.1
-"""Smallest mapped share of a mesh; a map with less is a list of markers given by mistake."""
+MIN_MAPPED_RATIO = 0.1
+"""Smallest mapped fraction of a mesh; smaller maps are lists of markers given by mistake."""
 
 
 def read_map(path: PathLike, kind: Kind | None = None) -> MapFile:
@@ -80,37 +80,40 @@ def read_map(path: PathLike, kind: Kind | None = None) -> MapFile:
     return MapFile(file, *_read_rows(file, kind), {})
 
 
-def to_correspondence(given: MapFile, source: RestMesh, target: RestMesh) -> Correspondence:
-    """Return a map's correspondence of two meshes: source, target ``(V, 3)``."""
+def to_correspondence(stored_map: MapFile, source: RestMesh, target: RestMesh) -> Correspondence:
+    """Apply a map to two meshes: source, target ``(V, 3)``."""
+    kind, arrays = stored_map.kind, stored_map.arrays
     try:
-        if given.kind == "stored":
-            return _stored(given.arrays, source, target)
-        if given.kind == "corners":
-            return from_barycentric(given.arrays["corners"], given.arrays["weights"], source, target)
-        if given.kind in given.arrays:
-            numbers, weights = given.arrays[given.kind], np.zeros((0, 0))
+        if kind == "stored":
+            return _stored_correspondence(arrays, source, target)
+        if kind == "corners":
+            return from_barycentric(arrays["corners"], arrays["weights"], source, target)
+        if kind in arrays:
+            source_ids, weights = arrays[kind], np.zeros((0, 0))
         else:
-            targets = len(target[1] if given.kind == "triangles" else target[0])
-            numbers, weights = _columns(given.rows, targets, given.kind)
-            if np.count_nonzero(numbers >= 0) < FEW * targets:
+            target_count = len(target[1] if kind == "triangles" else target[0])
+            source_ids, weights = _sort_by_target(stored_map.rows, target_count, kind)
+            mapped_count = np.count_nonzero(source_ids >= 0)
+            if mapped_count < MIN_MAPPED_RATIO * target_count:
                 raise SettingsError(
-                    f"it has rows for {np.count_nonzero(numbers >= 0)} of the target's {targets} {given.kind}, too few "
-                    "for a map; if these are markers, give them as markers"
+                    f"it has rows for {mapped_count} of the target's {target_count} {kind}, too few for a map; if "
+                    "these are markers, give them as markers"
                 )
-        if given.kind == "vertices":
-            return from_vertices(numbers, source, target)
-        if given.kind == "triangles":
-            return from_triangles(numbers, source, target)
-        outside = numbers[(numbers < -1) | (numbers >= len(source[1]))]
-        if outside.size:
-            place = int(np.flatnonzero(numbers == outside[0])[0])
+        if kind == "vertices":
+            return from_vertices(source_ids, source, target)
+        if kind == "triangles":
+            return from_triangles(source_ids, source, target)
+        outside_mask = (source_ids < -1) | (source_ids >= len(source[1]))
+        if outside_mask.any():
+            vertex = int(np.argmax(outside_mask))
             raise SettingsError(
-                f"target vertex {place} is on triangle {outside[0]}, but the source has {len(source[1])}, from 0"
+                f"target vertex {vertex} is on triangle {source_ids[vertex]}, but the source has {len(source[1])}, "
+                "numbered from 0"
             )
-        corners = np.where(numbers[:, None] >= 0, np.asarray(source[1])[numbers], -1)
+        corners = np.where(source_ids[:, None] >= 0, np.asarray(source[1])[source_ids], -1)
         return from_barycentric(corners, weights, source, target)
     except SettingsError as error:
-        raise FormatError(f"{given.file}: {error}") from None
+        raise FormatError(f"{stored_map.path}: {error}") from None
 
 
 def write_map(
@@ -122,7 +125,7 @@ def write_map(
         raise OutputError(f"{file}: maps are written as npz files; give it the extension .npz")
     sizes = correspondence.source_size, correspondence.target_size
     arrays: dict[str, Any] = {
-        "version": np.int64(VERSION),
+        "version": np.int64(MAP_VERSION),
         "corners": correspondence.corners.astype(np.int32),
         "weights": correspondence.weights,
         "faces": correspondence.faces.astype(np.int32),
@@ -136,7 +139,7 @@ def write_map(
 
 
 def mesh_checksum(vertex_count: int, faces: IntArray) -> str:
-    """Return the SHA-256 of a mesh's number of vertices and triangles ``(F, 3)``, its identity."""
+    """Return the SHA-256 of a mesh's vertex count and triangles ``(F, 3)``, which identifies it."""
     hashed = hashlib.sha256(str(vertex_count).encode())
     hashed.update(np.ascontiguousarray(faces, "<i8").tobytes())
     return hashed.hexdigest()
@@ -147,11 +150,11 @@ def _read_npz(file: Path) -> MapFile:
         arrays = {name: archive.read(name) for name in archive.names}
     empty = np.zeros((0, 0))
     if "version" in arrays and "corners" in arrays:
-        if arrays["version"].tolist() != VERSION:  # it may be of any type and shape
+        if arrays["version"].tolist() != MAP_VERSION:  # it may be of any type and shape
             raise FormatError(
-                f"{file} is a map of version {arrays['version']!s:.20}; this mixseq reads version {VERSION}"
+                f"{file} is a map of version {arrays['version']!s:.20}; this mixseq reads version {MAP_VERSION}"
             )
-        missing = [name for name in _STORED if name not in arrays]
+        missing = [name for name in _STORED_ARRAYS if name not in arrays]
         if missing:
             raise FormatError(f"{file} has no array {missing[0]!r}; it is damaged")
         return MapFile(file, "stored", empty, arrays)
@@ -166,14 +169,16 @@ def _read_npz(file: Path) -> MapFile:
     )
 
 
-def _stored(arrays: dict[str, NDArray[Any]], source: RestMesh, target: RestMesh) -> Correspondence:
+def _stored_correspondence(
+    arrays: dict[str, NDArray[Any]], source: RestMesh, target: RestMesh
+) -> Correspondence:
     """Return the correspondence written by `write_map`; raise an error for other meshes or damage."""
     sizes = [(len(points), len(faces)) for points, faces in (source, target)]
     for name, mesh in (("source", source), ("target", target)):
         if str(arrays[name]) != mesh_checksum(len(mesh[0]), mesh[1]):
             raise SettingsError(
-                f"this is a map of another {name}, of other vertices or triangles than the {len(mesh[0])} and "
-                f"{len(mesh[1])} given; make it anew from markers"
+                f"this is a map of another {name} with other vertices or triangles (this {name} has {len(mesh[0])} and "
+                f"{len(mesh[1])}); make a new map from markers"
             )
     (source_vertices, source_faces), (vertices, faces) = sizes
     limits = {
@@ -183,123 +188,117 @@ def _stored(arrays: dict[str, NDArray[Any]], source: RestMesh, target: RestMesh)
     }
     for name, (limit, shape, lowest) in limits.items():
         array = arrays[name]
-        sound = array.shape == shape and np.issubdtype(array.dtype, np.integer)
-        if not (sound and (array >= lowest).all() and (array < limit).all()):
+        has_indices = array.shape == shape and np.issubdtype(array.dtype, np.integer)
+        if not (has_indices and (array >= lowest).all() and (array < limit).all()):
             raise SettingsError(f"the array {name!r} does not fit the meshes; the file is damaged")
     weights = arrays["weights"]
     if weights.shape != (vertices, 3) or weights.dtype.kind != "f" or not np.isfinite(weights).all():
         raise SettingsError("the array 'weights' does not fit the meshes; the file is damaged")
-    numbers = (arrays[name].astype(np.int64) for name in limits)
-    corners, moved_by, leaders = numbers
-    return Correspondence(sizes[0], sizes[1], corners, weights.astype(np.float64), moved_by, leaders)
+    corners, source_triangles, leaders = (arrays[name].astype(np.int64) for name in limits)
+    return Correspondence(sizes[0], sizes[1], corners, weights.astype(np.float64), source_triangles, leaders)
 
 
 def _read_rows(file: Path, kind: Kind | None = None) -> tuple[Kind, Float]:
-    """Read rows ``(n, k)``; return their kind, too: `kind`, else as stated by the file, else by their length."""
+    """Read rows ``(n, k)``; also return their kind: `kind`, else as stated in the file, else by their length."""
     text = read_text(file, "a map")
-    said, rows = _of_json(file, text) if file.suffix.lower() == ".json" else _of_text(file, text)
+    stated, rows = _parse_json(file, text) if file.suffix.lower() == ".json" else _parse_text(file, text)
     if not rows:
         raise FormatError(f"{file} has no rows of a map")
     width = len(rows[0][1])
-    looks: Kind = (
-        "barycentric" if width > 2 else "triangles" if file.suffix.lower() == ".tricorrs" else "vertices"
-    )
-    chosen = kind or said or looks
-    for place, row in rows:
-        if len(row) != width or width not in _COLUMNS[chosen]:
-            few, many = _COLUMNS[chosen]
+    short_kind: Kind = "triangles" if file.suffix.lower() == ".tricorrs" else "vertices"
+    kind = kind or stated or ("barycentric" if width > 2 else short_kind)
+    widths = _ROW_WIDTHS[kind]
+    for location, row in rows:
+        if len(row) != width or width not in widths:
             raise FormatError(
-                f"{file}, {place} has {len(row)} numbers; a map of {chosen} has {few} or {many} in every row"
+                f"{file}, {location} has {len(row)} numbers; rows of a {kind} map have {widths[0]} or {widths[1]}"
             )
     table = np.array([row for _, row in rows], np.float64)
-    whole = table[:, : 1 + (width == _COLUMNS[chosen][1])]
-    wrong = np.argwhere(~((whole >= -1) & (whole < 1 << 53) & (whole == np.floor(whole))))
+    ids = table[:, : 1 + (width == widths[1])]
+    wrong = np.argwhere(~((ids >= -1) & (ids < 1 << 53) & (ids == np.floor(ids))))
     if wrong.size:
         row, column = wrong[0]
         raise FormatError(
-            f"{file}, {rows[row][0]}: {whole[row, column]:g} is no number of a vertex or triangle; they count from 0"
+            f"{file}, {rows[row][0]}: {ids[row, column]:g} is not the number of a vertex or triangle, counted from 0"
         )
-    return chosen, table
+    return kind, table
 
 
-def _of_text(file: Path, text: str) -> tuple[Kind | None, _Rows]:
-    said: Kind | None = None
+def _parse_text(file: Path, text: str) -> tuple[Kind | None, _Rows]:
+    stated: Kind | None = None
     rows: _Rows = []
     for number, line in enumerate(text.splitlines(), start=1):
         word = line.strip().lstrip("#").strip().lower()
         if not rows and word in get_args(Kind):
-            said = get_args(Kind)[get_args(Kind).index(word)]
+            stated = get_args(Kind)[get_args(Kind).index(word)]
             continue
         body = line.partition("#")[0].strip().rstrip(",;")
         if not body:
             continue
         try:
-            rows.append((f"line {number}", [float(part) for part in _SEPARATOR.split(body)]))
+            rows.append((f"line {number}", [float(part) for part in _SEPARATOR_PATTERN.split(body)]))
         except ValueError:
             raise FormatError(
-                f"{file}, line {number}: {body[:40]!r} is no row of a map; numbers of the source and of the target are "
-                "expected, separated by a space, comma, colon, semicolon or '->'"
+                f"{file}, line {number}: {body[:40]!r} is not a row of a map; numbers of the source and of the target "
+                "are expected, separated by a space, comma, colon, semicolon or '->'"
             ) from None
     if len(rows) > 1 and len(rows[0][1]) == 1 < len(rows[1][1]):
-        (announced,), rows = rows[0][1], rows[1:]
-        if announced != len(rows):
-            raise FormatError(
-                f"{file}: it announces {announced:g} rows, but {len(rows)} follow; is it truncated?"
-            )
-    return said, rows
+        (expected,), rows = rows[0][1], rows[1:]
+        if expected != len(rows):
+            raise FormatError(f"{file} announces {expected:g} rows, but {len(rows)} follow; is it truncated?")
+    return stated, rows
 
 
-def _of_json(file: Path, text: str) -> tuple[Kind | None, _Rows]:
+def _parse_json(file: Path, text: str) -> tuple[Kind | None, _Rows]:
     tree = parse_json(file, text)
-    said: Kind | None = None
+    stated: Kind | None = None
     if isinstance(tree, dict):
-        said = next((kind for kind in get_args(Kind) if kind in tree), None)
-        tree = tree.get(said)
+        stated = next((kind for kind in get_args(Kind) if kind in tree), None)
+        tree = tree.get(stated)
     if not isinstance(tree, list):
         raise FormatError(
             f"{file} has no map; a list is expected, by itself or as 'vertices', 'triangles' or 'barycentric'"
         )
-    return said, [
-        (f"row {number}", _json_row(file, number, item)) for number, item in enumerate(tree, start=1)
-    ]
+    rows = enumerate(tree, start=1)
+    return stated, [(f"row {number}", _parse_json_row(file, number, item)) for number, item in rows]
 
 
-def _json_row(file: Path, number: int, item: Any) -> list[float]:
+def _parse_json_row(file: Path, number: int, item: Any) -> list[float]:
     row = item if isinstance(item, list) else [-1 if item is None else item]
     try:
         if all(isinstance(value, int | float) and not isinstance(value, bool) for value in row):
             return [float(value) for value in row]
     except OverflowError:
         pass
-    raise FormatError(f"{file}, row {number}: {str(item)[:40]} is no row of numbers")
+    raise FormatError(f"{file}, row {number}: {str(item)[:40]} is not a row of numbers")
 
 
-def _columns(
-    rows: NDArray[np.float64], targets: int, kind: str
+def _sort_by_target(
+    rows: NDArray[np.float64], target_count: int, kind: str
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return source ``(n,)`` and weights ``(n, 3)`` of every target, from rows with or without the target's index."""
-    source, weights = rows[:, 0].astype(np.int64), rows[:, -3:] if kind == "barycentric" else rows[:, :0]
+    """Return source ids ``(n,)`` and weights ``(n, 3)`` of every target, from rows with or without target ids."""
+    source_ids = rows[:, 0].astype(np.int64)
+    weights = rows[:, -3:] if kind == "barycentric" else rows[:, :0]
     if rows.shape[1] in (1, 4):
-        if len(rows) != targets:
+        if len(rows) != target_count:
             raise SettingsError(
-                f"there are {len(rows)} rows; one for each of the target's {targets} is expected, or give pairs"
+                f"there are {len(rows)} rows; one for each of the target's {target_count} is expected, or give pairs"
             )
-        return source, weights
-    target = rows[:, 1].astype(np.int64)
-    outside = target[(target < 0) | (target >= targets)]
+        return source_ids, weights
+    target_ids = rows[:, 1].astype(np.int64)
+    outside = target_ids[(target_ids < 0) | (target_ids >= target_count)]
     if outside.size:
         raise SettingsError(
-            f"there is no target {outside[0]}: it has {targets} ({kind}), from 0; rows have the source's number first, "
-            "then the target's"
+            f"there is no target {outside[0]}: it has {target_count} ({kind}), from 0; rows have the source's number "
+            "first, then the target's"
         )
-    order = np.argsort(target, kind="stable")
     if kind != "triangles":
-        for first, second in pairwise(order.tolist()):
-            if target[first] == target[second] and not np.array_equal(rows[first], rows[second]):
+        for a, b in pairwise(np.argsort(target_ids, kind="stable").tolist()):
+            if target_ids[a] == target_ids[b] and not np.array_equal(rows[a], rows[b]):
                 raise SettingsError(
-                    f"target {target[first]} is given two sources, {source[first]} and {source[second]}"
+                    f"target {target_ids[a]} is given two sources, {source_ids[a]} and {source_ids[b]}"
                 )
-    once, first_row = np.unique(target, return_index=True)
-    numbers, shares = np.full(targets, -1), np.zeros((targets, weights.shape[1]))
-    numbers[once], shares[once] = source[first_row], weights[first_row]
-    return numbers, shares
+    unique_targets, first_rows = np.unique(target_ids, return_index=True)
+    sorted_ids, sorted_weights = np.full(target_count, -1), np.zeros((target_count, weights.shape[1]))
+    sorted_ids[unique_targets], sorted_weights[unique_targets] = source_ids[first_rows], weights[first_rows]
+    return sorted_ids, sorted_weights

@@ -1,19 +1,19 @@
-"""Files of markers, which are pairs of vertices of two meshes, the source's first, and of contacts.
+"""Files of markers, pairs of vertices of a source and a target mesh, and of contacts.
 
 =================  =================================================================================================
 file               contents
 =================  =================================================================================================
 ``.json``          a list of markers, or ``{"markers": list}``, or ``{"source": list, "target": list, "names": list}``
-``.yml, .yaml``    the same; a comment behind a marker is its name
-others             a marker a line: two numbers, separated by a space, comma, colon, semicolon or ``->``; a comment
-                   behind it (``#``) is its name; empty lines and comments on lines of their own are skipped. The first
+``.yml, .yaml``    the same; a comment after a marker is its name
+others             a marker per line: two numbers, separated by a space, comma, colon, semicolon or ``->``; a comment
+                   after it (``#``) is its name; empty lines and comments on lines of their own are skipped. The first
                    line may be the number of markers, or the words ``source`` and ``target``
 =================  =================================================================================================
 
 In lists, a marker is a pair of numbers ``[750, 3386]``, a text as on a line ``"750:3386"``, or an object
 ``{"source": 750, "target": 3386, "name": "nose"}``. That includes published files of Sumner and Popović's meshes:
-``.cons`` and ``.corr`` (lines), and lists of ``"750:3386"`` in YAML. YAML itself takes ``12:34`` for a time of day,
-754 seconds; here it is a pair.
+``.cons`` and ``.corr`` (lines), and lists of ``"750:3386"`` in YAML. In YAML itself ``12:34`` is a time of day, 754
+seconds; here it is a pair.
 
 Contacts are named groups of vertices of a target that rest on the ground, such as feet: JSON, ``{"left foot": [12, 13,
 20], "right foot": [40, 41]}``, or an object with that as ``"contacts"``. All vertices are numbered from 0.
@@ -36,7 +36,7 @@ from mixseq_io.reader import read_bytes, summarize_error, translate_read_errors
 
 
 def read_text(file: Path, what: str) -> str:
-    """Read a UTF-8 file, with or without a byte order mark; `what` names its expected contents in messages."""
+    """Read a UTF-8 file, with or without a byte order mark; `what` is its expected contents, for messages."""
     with translate_read_errors(file, what, UnicodeDecodeError):
         return read_bytes(file, text=True).decode("utf-8-sig")
 
@@ -69,32 +69,26 @@ def read_contacts(path: PathLike) -> dict[str, list[int]]:
         raise FormatError(f'{file} has no contacts; an object such as {{"left foot": [12, 13]}} is expected')
     for name, vertices in groups.items():
         if not isinstance(vertices, list) or not vertices:
-            raise FormatError(
-                f"{file}: contact '{name}' is no list of vertices; give at least one number, from 0"
-            )
+            raise FormatError(f"{file}: contact '{name}' is not a list of vertices; give numbers from 0")
         wrong = [vertex for vertex in vertices if type(vertex) is not int or vertex < 0]
         if wrong:
-            raise FormatError(
-                f"{file}: contact '{name}' names {wrong[0]!r}, which is no vertex; they count from 0"
-            )
+            raise FormatError(f"{file}: contact '{name}' has {wrong[0]!r}; vertices are numbered from 0")
     return groups
 
 
-YAML = (".yml", ".yaml")
+YAML_EXTENSIONS = (".yml", ".yaml")
 
-_PAIR = re.compile(r"(\d+)\s*(?:->|[\s,:;])\s*(\d+)")
-_COUNT = re.compile(r"\d{1,18}")
-_HEADING = re.compile(r"source\s*(?:->|[\s,:;])\s*target", re.IGNORECASE)
-_EXPECTED = (
-    "two numbers of vertices, from 0, are expected, separated by a space, comma, colon, semicolon or '->'"
-)
+_PAIR_PATTERN = re.compile(r"(\d+)\s*(?:->|[\s,:;])\s*(\d+)")
+_COUNT_PATTERN = re.compile(r"\d{1,18}")
+_HEADING_PATTERN = re.compile(r"source\s*(?:->|[\s,:;])\s*target", re.IGNORECASE)
+_PAIR_TEXT = "two vertex numbers, from 0, are expected, separated by a space, comma, colon, semicolon or '->'"
 
 
 @dataclass(frozen=True)
-class _Entry:
-    """Raw marker: its place in the file, its value, and the comment behind it."""
+class _RawMarker:
+    """A marker before validation."""
 
-    where: str
+    location: str  # in the file
     value: Any
     comment: str = ""
 
@@ -108,7 +102,7 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
     path : path-like
         The file; see the head of this module.
     reverse : bool
-        The target's vertices come first: exchange the two.
+        Exchange source and target: the target's vertices come first in the file.
 
     Returns
     -------
@@ -119,7 +113,7 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
     Raises
     ------
     FormatError
-        If there is no such file, or it is no list of pairs; the message names the line or the marker.
+        If there is no such file, or it is not a list of pairs; the message names the line or the marker.
 
     Examples
     --------
@@ -134,12 +128,19 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
     file = Path(path)
     if file.suffix.lower() == ".npz" and file.exists():
         raise FormatError(f"{file} is a map, not a list of markers; give it as the map (--map)")
-    entries = _entries(file, read_text(file, "markers"))
-    if not entries:
-        raise FormatError(f"{file} has no markers; {_EXPECTED}")
-    found = [_marker(f"{file}, {entry.where}", entry) for entry in entries]
-    pairs = [(target, source) if reverse else (source, target) for source, target, _ in found]
-    names = tuple(name for _, _, name in found)
+    text, extension = read_text(file, "markers"), file.suffix.lower()
+    if extension in YAML_EXTENSIONS:
+        raw_markers = _parse_yaml(file, text)
+    elif extension == ".json":
+        values = enumerate(_find_list(file, parse_json(file, text)), start=1)
+        raw_markers = [_RawMarker(f"marker {number}", value) for number, value in values]
+    else:
+        raw_markers = _parse_lines(file, text)
+    if not raw_markers:
+        raise FormatError(f"{file} has no markers; {_PAIR_TEXT}")
+    markers = [_parse_marker(f"{file}, {raw.location}", raw) for raw in raw_markers]
+    pairs = [(target, source) if reverse else (source, target) for source, target, _ in markers]
+    names = tuple(name for _, _, name in markers)
     return Markers.from_pairs(pairs, names if any(names) else ())
 
 
@@ -150,10 +151,10 @@ def write_markers(path: PathLike, markers: Markers) -> None:
     rows = list(zip(markers.source.tolist(), markers.target.tolist(), names, strict=True))
     comments = [f"  # {name}" if name else "" for name in names]
     if file.suffix.lower() == ".json":
-        listed = [{"source": s, "target": t} | ({"name": name} if name else {}) for s, t, name in rows]
-        body = ",\n".join(f"  {json.dumps(marker, ensure_ascii=False)}" for marker in listed)
+        objects = [{"source": s, "target": t} | ({"name": name} if name else {}) for s, t, name in rows]
+        body = ",\n".join(f"  {json.dumps(marker, ensure_ascii=False)}" for marker in objects)
         text = f'{{"markers": [\n{body}\n]}}\n'
-    elif file.suffix.lower() in YAML:
+    elif file.suffix.lower() in YAML_EXTENSIONS:
         lines = (f'  - "{s}:{t}"{comment}\n' for (s, t, _), comment in zip(rows, comments, strict=True))
         text = "markers:\n" + "".join(lines)
     else:
@@ -163,36 +164,27 @@ def write_markers(path: PathLike, markers: Markers) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def _entries(file: Path, text: str) -> list[_Entry]:
-    if file.suffix.lower() in YAML:
-        return _yaml(file, text)
-    if file.suffix.lower() == ".json":
-        values = _listed(file, parse_json(file, text))
-        return [_Entry(f"marker {number}", value) for number, value in enumerate(values, start=1)]
-    return _lines(file, text)
-
-
-def _lines(file: Path, text: str) -> list[_Entry]:
-    entries: list[_Entry] = []
-    announced = None
+def _parse_lines(file: Path, text: str) -> list[_RawMarker]:
+    markers: list[_RawMarker] = []
+    expected_count = None
     for number, line in enumerate(text.splitlines(), start=1):
-        body, _, comment = line.partition("#")
-        body = body.strip()
-        first = not entries and announced is None
-        if first and _COUNT.fullmatch(body):
-            announced = int(body)
-        elif body and not (first and _HEADING.fullmatch(body)):
-            entries.append(_Entry(f"line {number}", body, comment))
-    if announced is not None and announced != len(entries):
+        value, _, comment = line.partition("#")
+        value = value.strip()
+        is_first = not markers and expected_count is None
+        if is_first and _COUNT_PATTERN.fullmatch(value):
+            expected_count = int(value)
+        elif value and not (is_first and _HEADING_PATTERN.fullmatch(value)):
+            markers.append(_RawMarker(f"line {number}", value, comment))
+    if expected_count is not None and expected_count != len(markers):
         raise FormatError(
-            f"{file}: its first line announces {announced} markers, but {len(entries)} follow; "
+            f"{file}: its first line announces {expected_count} markers, but {len(markers)} follow; "
             "is it truncated? If not, leave that line out"
         )
-    return entries
+    return markers
 
 
-def _yaml(file: Path, text: str) -> list[_Entry]:
-    """Return raw markers of YAML, with numbers as text, since ``12:34`` is a time of day, and comments by line."""
+def _parse_yaml(file: Path, text: str) -> list[_RawMarker]:
+    """Return raw markers of YAML, with numbers as text, since ``12:34`` is a time of day, and comments of lines."""
     try:
         import yaml
     except ModuleNotFoundError as error:
@@ -201,46 +193,46 @@ def _yaml(file: Path, text: str) -> list[_Entry]:
         ) from error
     try:
         for token in yaml.scan(text, Loader=yaml.SafeLoader):
-            # A few lines of aliases of aliases stand for more values than fit into any memory.
+            # A few lines of aliases of aliases can expand beyond any memory.
             if isinstance(token, yaml.AnchorToken | yaml.AliasToken):
                 line = token.start_mark.line + 1
                 raise FormatError(
                     f"{file}, line {line}: anchors (&) and aliases (*) are not read; write it out"
                 )
         root = yaml.compose(text, Loader=yaml.SafeLoader)
-        values = _listed(file, _plain(root))
+        values = _find_list(file, _to_plain(root))
     except (yaml.YAMLError, RecursionError) as error:
-        where = getattr(error, "problem_mark", None)
-        what = getattr(error, "problem", None) or summarize_error(error)
-        line = f", line {where.line + 1}" if where else ""
-        raise FormatError(f"{file}{line} cannot be read as YAML: {what}") from None
+        mark = getattr(error, "problem_mark", None)
+        problem = getattr(error, "problem", None) or summarize_error(error)
+        line = f", line {mark.line + 1}" if mark else ""
+        raise FormatError(f"{file}{line} cannot be read as YAML: {problem}") from None
     nodes = root
     if isinstance(root, yaml.MappingNode):
         nodes = next((value for key, value in root.value if key.value == "markers"), None)
     if not isinstance(nodes, yaml.SequenceNode):  # lists of sources and of targets
-        return [_Entry(f"marker {number}", value) for number, value in enumerate(values, start=1)]
+        return [_RawMarker(f"marker {number}", value) for number, value in enumerate(values, start=1)]
     lines = text.splitlines()
-    entries = []
+    markers = []
     for node, value in zip(nodes.value, values, strict=True):
         end = node.end_mark
-        behind = lines[end.line][end.column :] if end.line == node.start_mark.line else ""
-        entries.append(_Entry(f"line {node.start_mark.line + 1}", value, behind.partition("#")[2]))
-    return entries
+        rest = lines[end.line][end.column :] if end.line == node.start_mark.line else ""
+        markers.append(_RawMarker(f"line {node.start_mark.line + 1}", value, rest.partition("#")[2]))
+    return markers
 
 
-def _plain(node: Any) -> Any:
-    """Return the lists, dictionaries and texts of a YAML node."""
+def _to_plain(node: Any) -> Any:
+    """Convert a YAML node to lists, dictionaries and texts."""
     if node is None:
         return None
     if isinstance(node.value, str):
         return node.value
     if node.id == "sequence":
-        return [_plain(child) for child in node.value]
-    return {_plain(key) if key.id == "scalar" else "": _plain(value) for key, value in node.value}
+        return [_to_plain(child) for child in node.value]
+    return {_to_plain(key) if key.id == "scalar" else "": _to_plain(value) for key, value in node.value}
 
 
-def _listed(file: Path, tree: Any) -> list[Any]:
-    """Return the list of markers in a file's contents."""
+def _find_list(file: Path, tree: Any) -> list[Any]:
+    """Find the list of markers in a file's contents."""
     if isinstance(tree, dict) and "markers" in tree:
         tree = tree["markers"]
     elif isinstance(tree, dict) and isinstance(tree.get("source"), list):
@@ -250,9 +242,8 @@ def _listed(file: Path, tree: Any) -> list[Any]:
         lengths = [len(column) if isinstance(column, list) else -1 for column in columns]
         if len(set(lengths)) != 1:
             raise FormatError(f"{file}: its lists 'source', 'target' (and 'names') are not equally long")
-        tree = [
-            dict(zip(("source", "target", "name"), row, strict=True)) for row in zip(*columns, strict=True)
-        ]
+        keys = ("source", "target", "name")
+        tree = [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)]
     if not isinstance(tree, list):
         raise FormatError(
             f"{file} has no list of markers; a list of pairs is expected, by itself or as 'markers', or lists "
@@ -261,34 +252,34 @@ def _listed(file: Path, tree: Any) -> list[Any]:
     return tree
 
 
-def _marker(where: str, entry: _Entry) -> tuple[int, int, str]:
+def _parse_marker(where: str, raw: _RawMarker) -> tuple[int, int, str]:
     """Return source, target and name of one marker."""
-    value, name = entry.value, entry.comment
+    value, name = raw.value, raw.comment
     if isinstance(value, str):
-        match = _PAIR.fullmatch(value.strip())
+        match = _PAIR_PATTERN.fullmatch(value.strip())
         if match is None:
-            raise FormatError(f"{where}: {_quoted(value)} is no pair of vertices; {_EXPECTED}")
+            raise FormatError(f"{where}: {_quote(value)} is not a pair of vertices; {_PAIR_TEXT}")
         value = match.groups()
     elif isinstance(value, dict):
         name = str(value.get("name") or name)
         value = [value.get("source"), value.get("target")]
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise FormatError(
-            f"{where}: {_quoted(value)} is no marker; a pair of vertices, a text such as '750:3386', or an object "
+            f"{where}: {_quote(value)} is not a marker; a pair of vertices, a text such as '750:3386', or an object "
             "with 'source' and 'target' is expected"
         )
-    source, target = (_vertex(where, number) for number in value)
+    source, target = (_parse_vertex(where, number) for number in value)
     return source, target, " ".join(name.split())
 
 
-def _vertex(where: str, value: Any) -> int:
-    if isinstance(value, str) and _COUNT.fullmatch(value.strip()):
+def _parse_vertex(where: str, value: Any) -> int:
+    if isinstance(value, str) and _COUNT_PATTERN.fullmatch(value.strip()):
         return int(value)
     if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 62:
         return value
-    raise FormatError(f"{where}: {_quoted(value)} is no number of a vertex; vertices are numbered from 0")
+    raise FormatError(f"{where}: {_quote(value)} is not a vertex number; vertices are numbered from 0")
 
 
-def _quoted(value: Any) -> str:
+def _quote(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 40 else f"{text[:36]}..."

@@ -1,14 +1,13 @@
-"""USD layers with samples: values of every frame in the spaces of their prims, in one file, clips or a package.
+"""Samples of USD layers: values of every frame in the local spaces of prims, in one file, in clips, or in a package.
 
-Values go into Sdf layers directly, so that an overlay need not compose its file anew for every sample. Binary layers
-are saved repeatedly while written, which frees samples: 400 frames of 50 000 vertices (240 MB) took 34 MB when saved
-every 20 frames, 268 MB when saved once. Text layers are held in memory.
+Values are set in Sdf layers directly; a stage would recompose the file below an overlay for every sample. Binary layers
+are saved repeatedly, which frees the memory of their samples; text layers stay in memory.
 
-World-space points and velocities of the sequence are multiplied by the inverse of the prim's local-to-world transform.
-Extents are computed from the written values, normals from every frame's points.
+Points and velocities are multiplied by the inverse of the prim's local-to-world transform. Extents are computed from
+the local points, normals from every frame's world-space points.
 
-Packages (.usdz) are uncompressed zip files of a layer and textures. Since original files may be untrusted, only
-textures in their folder, or in folders that the user names, are packed.
+Packages (.usdz) are uncompressed zip files of a layer and its textures. Files may be untrusted, so only textures in the
+folder of the original, or in folders that the user names, are packed.
 
 Clip ``i`` holds the frames from its first one to the first one of clip ``i + 1``, inclusive, so that USD interpolates
 within a clip. Clip times equal stage times and are authored for every frame: USD before 26.11 otherwise loses the
@@ -36,159 +35,163 @@ from numpy.typing import NDArray
 from pxr import Ar, Gf, Sdf, Usd, UsdUtils, Vt
 
 from mixseq.errors import OutputError
-from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.measures import corner_normals
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.files import backup_path, raise_system_error, temporary_prefix
 from mixseq_io.reader import FrameBlock, as_float32, warn
 from mixseq_io.scene_meshes import SceneMesh
-from mixseq_io.usd.stage import TILES, clips_folder, save_layer
+from mixseq_io.usd.stage import UDIM_PLACEHOLDER, clips_folder, save_layer
 
-Frame = tuple[float, Mapping[str, Any]]
-"""A time code, and values by the paths of their attributes."""
+FrameValues = tuple[float, Mapping[str, Any]]
+"""Time code of a frame, and values by attribute path."""
 
 
 @dataclass(frozen=True, eq=False)
-class Space:
-    """Space of a prim at some time."""
+class LocalSpace:
+    """Transforms ``(4, 4)`` from a prim's space to the world and back, for row vectors."""
 
     to_world: Float
     to_local: Float
 
 
-WORLD = Space(np.eye(4), np.eye(4))
-SpaceAt = Callable[[float], Space]
-"""Function from a time in seconds to a prim's space; exactly `WORLD` for the identity, to avoid rounding."""
+WORLD_SPACE = LocalSpace(np.eye(4), np.eye(4))
+LocalSpaceAt = Callable[[float], LocalSpace]
+"""Function from a time in seconds to a prim's space; `WORLD_SPACE` itself for the identity, which is not applied."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Normals:
-    """Attribute and interpolation of a mesh's normals."""
+@dataclass(frozen=True, eq=False)
+class SampledNormals:
+    """Sampled normals: the normal group of every corner, and the group of every written normal; None per vertex."""
 
     attribute: str
     interpolation: str
-    groups: IntArray | None = None
-    order: IntArray | None = None
+    groups: IntArray | None
+    order: IntArray | None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Placed:
-    """Mesh that gets samples, at a prim's path in a space.
-
-    `of_point` ``(P,)`` are the mesh's vertices of the prim's points, by default the same; `normals` may be None.
-    """
+class SampledMesh:
+    """Mesh with samples, at a prim's path in its space; `vertex_of_point` ``(P,)`` is None if points are vertices."""
 
     path: str
     scene_mesh: SceneMesh
-    of_point: IntArray | None = None
-    space: SpaceAt = lambda time: WORLD
-    normals: Normals | None = None
-    velocities: bool = False
+    vertex_of_point: IntArray | None = None
+    space: LocalSpaceAt = lambda time: WORLD_SPACE
+    normals: SampledNormals | None = None
+    has_velocities: bool = False
 
     @property
     def attributes(self) -> tuple[str, ...]:
         """Names of the sampled attributes."""
-        velocities = ("velocities",) if self.velocities else ()
+        velocities = ("velocities",) if self.has_velocities else ()
         normals = (self.normals.attribute,) if self.normals else ()
         return ("points", "extent", *velocities, *normals)
 
-    def points(self, values: FloatArray) -> FloatArray:
-        """Return the values ``(P, 3)`` of the prim's points, given values ``(V, 3)`` of the sequence's vertices."""
-        own = values[self.scene_mesh.vertices]
-        return own if self.of_point is None else own[self.of_point]
+    def point_values(self, values: FloatArray) -> FloatArray:
+        """Return values ``(P, 3)`` at the prim's points, from values ``(V, 3)`` at the sequence's vertices."""
+        vertex_values = values[self.scene_mesh.vertices]
+        return vertex_values if self.vertex_of_point is None else vertex_values[self.vertex_of_point]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Bounds:
-    """Prim above meshes with an extent of its own: the root of a skeleton."""
+class SampledExtent:
+    """Extent of a skeleton's root above meshes; `other_corners` are of boxes around other things below it."""
 
     path: str
     scene_meshes: tuple[SceneMesh, ...]
-    space: SpaceAt
-    others: Callable[[float], FloatArray]
+    space: LocalSpaceAt
+    other_corners: Callable[[float], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
-class Cast:
-    """All prims that get samples."""
+class SampledPrims:
+    """All prims with samples."""
 
-    meshes: tuple[Placed, ...]
-    bounds: tuple[Bounds, ...] = ()
-
-
-def frames(
-    cast: Cast, codes: NDArray[np.float64], times: NDArray[np.float64], numbered: Iterable[FrameBlock]
-) -> Iterator[Frame]:
-    """Yield the values of every frame: time codes, times in s ``(T,)``."""
-    for first, block, speeds in numbered:
-        for frame, points in enumerate(block, first):
-            velocities = None if speeds is None else speeds[frame - first]
-            yield float(codes[frame]), dict(_values(cast, frame, float(times[frame]), points, velocities))
+    meshes: tuple[SampledMesh, ...]
+    extents: tuple[SampledExtent, ...] = ()
 
 
-def _values(
-    cast: Cast, frame: int, time: float, points: FloatArray, velocities: FloatArray | None
+def compute_frame_values(
+    prims: SampledPrims,
+    codes: NDArray[np.float64],
+    times: NDArray[np.float64],
+    blocks: Iterable[FrameBlock],
+) -> Iterator[FrameValues]:
+    """Yield the values of every frame, from time codes and times in s ``(T,)``."""
+    for first_frame, block, velocity_block in blocks:
+        for frame, points in enumerate(block, first_frame):
+            velocities = None if velocity_block is None else velocity_block[frame - first_frame]
+            values = _attribute_values(prims, frame, float(times[frame]), points, velocities)
+            yield float(codes[frame]), dict(values)
+
+
+def _attribute_values(
+    prims: SampledPrims, frame: int, time: float, points: FloatArray, velocities: FloatArray | None
 ) -> Iterator[tuple[str, Any]]:
-    placed = [(mesh, mesh.space(time)) for mesh in cast.meshes]
-    local = as_float32(_in_spaces(points, placed, direction=False)[None], frame, "USD")[0]
-    for mesh, space in placed:
-        own = mesh.points(local)
-        yield f"{mesh.path}.points", Vt.Vec3fArrayFromBuffer(own)
-        yield f"{mesh.path}.extent", extent_of(own)
+    spaces = [mesh.space(time) for mesh in prims.meshes]
+    local = as_float32(_to_local(points, prims, spaces, 1.0)[None], frame, "USD")[0]
+    for mesh, space in zip(prims.meshes, spaces, strict=True):
+        mesh_points = mesh.point_values(local)
+        yield f"{mesh.path}.points", Vt.Vec3fArrayFromBuffer(mesh_points)
+        yield f"{mesh.path}.extent", compute_extent(mesh_points)
         if mesh.normals:
-            normals = _normals(mesh.normals, points[mesh.scene_mesh.vertices], mesh.scene_mesh, space)
+            normals = _compute_normals(mesh.normals, mesh.scene_mesh, points, space)
             yield f"{mesh.path}.{mesh.normals.attribute}", Vt.Vec3fArrayFromBuffer(normals)
     if velocities is not None:
-        turned = _in_spaces(velocities, placed, direction=True)
-        local = as_float32(turned[None], frame, "USD", "the velocity of vertex")[0]
-        for mesh, _ in placed:
-            if mesh.velocities:
-                yield f"{mesh.path}.velocities", Vt.Vec3fArrayFromBuffer(mesh.points(local))
-    for bounds in cast.bounds:
-        yield f"{bounds.path}.extent", extent_of(_box(bounds, points, time))
+        local_velocities = _to_local(velocities, prims, spaces, 0.0)
+        local = as_float32(local_velocities[None], frame, "USD", "the velocity of vertex")[0]
+        for mesh in prims.meshes:
+            if mesh.has_velocities:
+                yield f"{mesh.path}.velocities", Vt.Vec3fArrayFromBuffer(mesh.point_values(local))
+    for extent in prims.extents:
+        yield f"{extent.path}.extent", compute_extent(_box_corners(extent, points, time))
 
 
-def _in_spaces(vectors: FloatArray, placed: list[tuple[Placed, Space]], *, direction: bool) -> FloatArray:
-    """Transform world-space positions, or directions, ``(V, 3)`` into the spaces of their meshes."""
-    if all(space is WORLD for _, space in placed):
+def _to_local(
+    vectors: FloatArray, prims: SampledPrims, spaces: Sequence[LocalSpace], weight: float
+) -> FloatArray:
+    """Transform world-space points (homogeneous weight 1) or directions (weight 0) ``(V, 3)`` to their local spaces."""
+    if all(space is WORLD_SPACE for space in spaces):
         return vectors
     local = vectors.astype(np.float64)
-    for mesh, space in placed:
-        if space is not WORLD:
-            shift = 0.0 if direction else space.to_local[3, :3]
-            local[mesh.scene_mesh.vertices] = local[mesh.scene_mesh.vertices] @ space.to_local[:3, :3] + shift
+    for mesh, space in zip(prims.meshes, spaces, strict=True):
+        if space is not WORLD_SPACE:
+            vertices = mesh.scene_mesh.vertices
+            shift = space.to_local[3, :3] if weight else 0.0
+            local[vertices] = local[vertices] @ space.to_local[:3, :3] + shift
     return local
 
 
-def _normals(
-    normals: Normals, points: FloatArray, scene_mesh: SceneMesh, space: Space
+def _compute_normals(
+    normals: SampledNormals, scene_mesh: SceneMesh, points: FloatArray, space: LocalSpace
 ) -> NDArray[np.float32]:
     """Return normals in a mesh's space: for x' = x M normals are n' = n M⁻ᵀ, hence n = n' Mᵀ."""
-    unit = shared_normals(points[None], scene_mesh.polygons, normals.groups)[0]
-    if space is not WORLD:
+    unit = corner_normals(points[scene_mesh.vertices][None], scene_mesh.polygons, normals.groups)[0]
+    if space is not WORLD_SPACE:
         local = unit @ space.to_world[:3, :3].T
         unit = (local / np.linalg.norm(local, axis=1, keepdims=True)).astype(np.float32)
     return unit if normals.order is None else np.asarray(unit[normals.order])
 
 
-def _box(bounds: Bounds, points: FloatArray, time: float) -> FloatArray:
+def _box_corners(extent: SampledExtent, points: FloatArray, time: float) -> FloatArray:
     """Return the corners ``(n, 3)`` of boxes around everything below a prim, in the prim's space."""
-    own = [points[scene_mesh.vertices] for scene_mesh in bounds.scene_meshes if scene_mesh.vertex_count]
-    sides = [zip(each.min(axis=0), each.max(axis=0), strict=True) for each in own]
-    corners = np.array([corner for box in sides for corner in product(*box)], dtype=np.float64).reshape(-1, 3)
-    to_local = bounds.space(time).to_local
-    return np.concatenate([corners @ to_local[:3, :3] + to_local[3, :3], bounds.others(time)])
+    vertices = [points[scene_mesh.vertices] for scene_mesh in extent.scene_meshes if scene_mesh.vertex_count]
+    boxes = [zip(each.min(axis=0), each.max(axis=0), strict=True) for each in vertices]
+    corners = np.array([corner for box in boxes for corner in product(*box)], dtype=np.float64).reshape(-1, 3)
+    to_local = extent.space(time).to_local
+    return np.concatenate([corners @ to_local[:3, :3] + to_local[3, :3], extent.other_corners(time)])
 
 
-def extent_of(points: FloatArray) -> Any:
-    """Return the bounding box of points ``(n, 3)`` as USD's extent."""
+def compute_extent(points: FloatArray) -> Any:
+    """Return the bounding box of points ``(n, 3)`` as an extent of USD."""
     if not len(points):
-        return Vt.Vec3fArray([Gf.Range3f().GetMin(), Gf.Range3f().GetMax()])  # USD's box around nothing
+        return Vt.Vec3fArray([Gf.Range3f().GetMin(), Gf.Range3f().GetMax()])  # USD's empty box
     return Vt.Vec3fArrayFromBuffer(np.stack([points.min(axis=0), points.max(axis=0)]).astype(np.float32))
 
 
 _BYTES_BETWEEN_SAVES = 64 << 20
 
-_TYPES = {
+_VALUE_TYPES = {
     "points": Sdf.ValueTypeNames.Point3fArray,
     "extent": Sdf.ValueTypeNames.Float3Array,
     "velocities": Sdf.ValueTypeNames.Vector3fArray,
@@ -197,78 +200,77 @@ _TYPES = {
 }
 
 
-class Samples:
-    """Layer that takes frames in bounded memory, if it is binary."""
+class SampleWriter:
+    """Writer of samples to a layer, in bounded memory if it is binary."""
 
     def __init__(self, layer: Sdf.Layer) -> None:
         self._layer = layer
-        self._binary = not layer.realPath.lower().endswith(".usda")
-        self._unsaved = 0
+        self._is_binary = not layer.realPath.lower().endswith(".usda")
+        self._unsaved_bytes = 0
 
-    def put(self, frame: Frame) -> None:
+    def write(self, frames: Iterable[FrameValues]) -> None:
+        """Set the values of frames, and save the layer."""
+        for frame in frames:
+            self.put(frame)
+        self.save()
+
+    def put(self, frame: FrameValues) -> None:
         """Set the values of a frame."""
         code, values = frame
         for path, value in values.items():
             self._layer.SetTimeSample(path, code, value)
-            self._unsaved += 12 * (len(value) if isinstance(value, Sized) else 1)
-        if self._binary and self._unsaved > _BYTES_BETWEEN_SAVES:
+            self._unsaved_bytes += 12 * (len(value) if isinstance(value, Sized) else 1)
+        if self._is_binary and self._unsaved_bytes > _BYTES_BETWEEN_SAVES:
             self.save()
 
     def save(self) -> None:
         """Save the layer."""
         save_layer(self._layer)
-        self._unsaved = 0
+        self._unsaved_bytes = 0
 
 
-def save(layer: Sdf.Layer, frames: Iterable[Frame]) -> None:
-    """Save a layer with the samples of frames."""
-    samples = Samples(layer)
-    for frame in frames:
-        samples.put(frame)
-    samples.save()
-
-
-def declare(layer: Sdf.Layer, cast: Cast) -> None:
-    """Author sampled attributes without values."""
-    for mesh in cast.meshes:
+def declare_attributes(layer: Sdf.Layer, prims: SampledPrims) -> None:
+    """Author the sampled attributes without values."""
+    for mesh in prims.meshes:
         for name in mesh.attributes:
-            attribute = attribute_in(layer, f"{mesh.path}.{name}", _TYPES[name])
+            attribute = attribute_spec(layer, f"{mesh.path}.{name}", _VALUE_TYPES[name])
             if mesh.normals and name == mesh.normals.attribute:
                 attribute.SetInfo("interpolation", mesh.normals.interpolation)
-    for bounds in cast.bounds:
-        attribute_in(layer, f"{bounds.path}.extent", _TYPES["extent"])
+    for extent in prims.extents:
+        attribute_spec(layer, f"{extent.path}.extent", _VALUE_TYPES["extent"])
 
 
-def attribute_in(
+def attribute_spec(
     layer: Sdf.Layer,
     path: str,
     kind: Sdf.ValueTypeName,
     variability: Sdf.Variability = Sdf.VariabilityVarying,
 ) -> Sdf.AttributeSpec:
-    """Return the spec of an attribute in a layer, created with overs above it if missing."""
+    """Return the spec of an attribute in a layer; create it, with overs above it, if it is missing."""
     Sdf.JustCreatePrimAttributeInLayer(layer, Sdf.Path(path), kind, variability)
     return layer.GetAttributeAtPath(path)
 
 
-def override(layer: Sdf.Layer, attribute: Usd.Attribute) -> Sdf.AttributeSpec:
-    """Return the spec in a layer of an attribute of a file below."""
-    return attribute_in(layer, str(attribute.GetPath()), attribute.GetTypeName(), attribute.GetVariability())
+def override_spec(layer: Sdf.Layer, attribute: Usd.Attribute) -> Sdf.AttributeSpec:
+    """Return the spec with which a layer overrides an attribute of a sublayer."""
+    path, kind = str(attribute.GetPath()), attribute.GetTypeName()
+    return attribute_spec(layer, path, kind, attribute.GetVariability())
 
 
-def pack(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[Path]) -> list[str]:
-    """Write a package of a saved layer; return the files left out."""
+def write_package(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[Path]) -> list[str]:
+    """Write a package of a saved layer, with the textures in some folders; return the files left out."""
     left_out: dict[str, None] = {}
 
-    def packed(asset: str, folder: Path) -> str:
-        files = _files_of(layer, asset)
-        # USD would pack all files that scenes refer to, from anywhere.
-        refused = files if _is_scene(asset) else [file for file in files if not _within(file, folders)]
-        left_out.update(dict.fromkeys(refused))
-        return "" if refused else _unpacked(layer, asset, folder)
+    def rewrite(asset: str) -> str:
+        files = _resolve_files(layer, asset)
+        # USD would pack all files that a referenced scene refers to, wherever they are.
+        rejected = files if _is_scene(asset) else [file for file in files if not _is_inside(file, folders)]
+        left_out.update(dict.fromkeys(rejected))
+        return "" if rejected else _extract_texture(layer, asset, textures)
 
-    textures = Path(f"{package}.textures")  # goes with the temporary name that the package has
+    textures = Path(f"{package}.textures")  # deleted with all names of this temporary prefix
     textures.mkdir()
-    UsdUtils.ModifyAssetPaths(layer, lambda asset: packed(asset, textures))
+    UsdUtils.ModifyAssetPaths(layer, rewrite)
     save_layer(layer)
     if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(layer.realPath), str(package), name):
         raise_system_error("", package.parent)
@@ -276,164 +278,157 @@ def pack(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[Path]) ->
     return list(left_out)
 
 
-def _files_of(layer: Sdf.Layer, asset: str) -> list[str]:
+def _resolve_files(layer: Sdf.Layer, asset: str) -> list[str]:
     """Return the files of an asset path in a layer: one, none, or the tiles of a texture."""
     outer, _ = Ar.SplitPackageRelativePathOuter(asset)
-    named = layer.ComputeAbsolutePath(outer) if outer else ""
-    if TILES in named:
-        place = Path(named)
-        pattern = re.escape(place.name).replace(TILES, r"\d{4}")
-        beside = place.parent.iterdir() if place.parent.is_dir() else ()
-        return [str(file) for file in beside if re.fullmatch(pattern, file.name)]
-    found = str(Ar.GetResolver().Resolve(named))
-    return [found] if found else []
+    absolute = layer.ComputeAbsolutePath(outer) if outer else ""
+    if UDIM_PLACEHOLDER in absolute:
+        path = Path(absolute)
+        pattern = re.escape(path.name).replace(UDIM_PLACEHOLDER, r"\d{4}")
+        siblings = path.parent.iterdir() if path.parent.is_dir() else ()
+        return [str(file) for file in siblings if re.fullmatch(pattern, file.name)]
+    resolved = str(Ar.GetResolver().Resolve(absolute))
+    return [resolved] if resolved else []
 
 
 def _is_scene(asset: str) -> bool:
-    """Whether a texture's asset path is a USD file."""
+    """Whether an asset path refers to a USD file instead of a texture."""
     inner = Ar.SplitPackageRelativePathInner(asset)[1]
     return Sdf.FileFormat.FindByExtension(Path(inner or asset).suffix.lstrip(".")) is not None
 
 
-def _within(file: str, folders: Sequence[Path]) -> bool:
-    """Whether a path is a regular file in one of some folders, with links resolved."""
-    real = Path(file).resolve()
-    return real.is_file() and any(real.is_relative_to(folder.resolve()) for folder in folders)
+def _is_inside(file: str, folders: Sequence[Path]) -> bool:
+    """Whether a path, with links resolved, is a regular file in one of some folders."""
+    resolved = Path(file).resolve()
+    return resolved.is_file() and any(resolved.is_relative_to(folder.resolve()) for folder in folders)
 
 
-def _unpacked(layer: Sdf.Layer, asset: str, folder: Path) -> str:
-    """Return the path of a texture, extracted from a package since few viewers read nested ones."""
+def _extract_texture(layer: Sdf.Layer, asset: str, folder: Path) -> str:
+    """Return the asset path of a texture, extracted to a folder if it is in a package; few viewers read nested ones."""
     outer, inner = Ar.SplitPackageRelativePathOuter(asset)
-    if not inner:  # USD would take tiles of other folders into the package as "../wool.1001.png"
-        return layer.ComputeAbsolutePath(asset) if TILES in asset else asset
+    if not inner:  # relative paths of tiles in other folders would be packed as "../wool.1001.png"
+        return layer.ComputeAbsolutePath(asset) if UDIM_PLACEHOLDER in asset else asset
     with (
         suppress(OSError, KeyError, zipfile.BadZipFile),
-        zipfile.ZipFile(layer.ComputeAbsolutePath(outer)) as whole,
+        zipfile.ZipFile(layer.ComputeAbsolutePath(outer)) as package,
     ):
-        pattern = re.escape(inner).replace(TILES, r"\d{4}")
-        textures = [each for each in whole.infolist() if re.fullmatch(pattern, each.filename)]
-        if any(each.compress_type != zipfile.ZIP_STORED for each in textures):  # as the specification has it
+        pattern = re.escape(inner).replace(UDIM_PLACEHOLDER, r"\d{4}")
+        entries = [entry for entry in package.infolist() if re.fullmatch(pattern, entry.filename)]
+        if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):  # against the specification
             return asset
-        data = {Path(each.filename).name: whole.read(each) for each in textures}
-        own = folder / str(len(list(folder.iterdir())))
-        own.mkdir()
+        data = {Path(entry.filename).name: package.read(entry) for entry in entries}
+        subfolder = folder / str(len(list(folder.iterdir())))
+        subfolder.mkdir()
         for name, content in data.items():
-            (own / name).write_bytes(content)
-        return str(own / Path(inner).name)
+            (subfolder / name).write_bytes(content)
+        return str(subfolder / Path(inner).name)
     return asset
 
 
 _CLIP_SET = "mixseq"
-"""Name other than "default", which the file below may have; sets of one name are merged key by key."""
+"""Not "default", which the original may have: USD merges clip sets of the same name key by key."""
 
 
-def save_in_clips(
-    layer: Sdf.Layer, cast: Cast, frames: Iterable[Frame], length: int, folder: NewFolder
+def save_clips(
+    layer: Sdf.Layer, prims: SampledPrims, frames: Iterable[FrameValues], length: int, folder: ClipFolder
 ) -> None:
-    """Write frames into clips of `length` frames, and save a layer with their order."""
-    starts: list[float] = []
-    times: list[float] = []
-    clip: Samples | None = None
-    for number, frame in enumerate(frames):
-        times.append(frame[0])
-        if number % length == 0:
-            starts.append(frame[0])
+    """Write frames to clips of `length` frames, and save a layer that lists them."""
+    start_codes: list[float] = []
+    codes: list[float] = []
+    clip: SampleWriter | None = None
+    for index, frame in enumerate(frames):
+        codes.append(frame[0])
+        if index % length == 0:
+            start_codes.append(frame[0])
             if clip:
                 clip.put(frame)
                 clip.save()
-            clip = Samples(_empty(folder.path / folder.clip(len(starts)), cast, layer.timeCodesPerSecond))
+            file = folder.path / folder.clip_name(len(start_codes))
+            clip = SampleWriter(_create_layer(file, prims, layer.timeCodesPerSecond))
         if clip:
             clip.put(frame)
     if clip:
         clip.save()
-    save_layer(_empty(folder.path / folder.manifest, cast, layer.timeCodesPerSecond))
-    assets = Sdf.AssetPathArray(
-        [Sdf.AssetPath(folder.asset(folder.clip(number + 1))) for number in range(len(starts))]
-    )
-    for path in [*(mesh.path for mesh in cast.meshes), *(bounds.path for bounds in cast.bounds)]:
+    save_layer(_create_layer(folder.path / folder.manifest_name, prims, layer.timeCodesPerSecond))
+    clip_numbers = range(1, len(start_codes) + 1)
+    prefix = f"./{folder.target.name}/"
+    assets = [Sdf.AssetPath(prefix + folder.clip_name(number)) for number in clip_numbers]
+    for path in [*(mesh.path for mesh in prims.meshes), *(extent.path for extent in prims.extents)]:
         description = {
-            "assetPaths": assets,
-            "times": Vt.Vec2dArray([(time, time) for time in times]),
-            "active": Vt.Vec2dArray([(start, float(number)) for number, start in enumerate(starts)]),
+            "assetPaths": Sdf.AssetPathArray(assets),
+            "times": Vt.Vec2dArray([(code, code) for code in codes]),
+            "active": Vt.Vec2dArray([(code, float(clip)) for clip, code in enumerate(start_codes)]),
             "primPath": path,
-            "manifestAssetPath": Sdf.AssetPath(folder.asset(folder.manifest)),
+            "manifestAssetPath": Sdf.AssetPath(prefix + folder.manifest_name),
         }
         layer.GetPrimAtPath(path).SetInfo("clips", {_CLIP_SET: description})
     save_layer(layer)
 
 
-def _empty(file: Path, cast: Cast, rate: float) -> Sdf.Layer:
+def _create_layer(file: Path, prims: SampledPrims, rate: float) -> Sdf.Layer:
     layer = Sdf.Layer.CreateNew(str(file))
     layer.timeCodesPerSecond = rate
-    declare(layer, cast)
+    declare_attributes(layer, prims)
     return layer
 
 
-class NewFolder:
-    """Folder for the clips of a file, written under a temporary name and installed when complete."""
+class ClipFolder:
+    """Folder of a file's clips, written under a temporary name and installed when complete."""
 
     def __init__(self, owner: Path, resources: ExitStack) -> None:
-        self.target = self.path = self._old = clips_folder(owner)
+        self.target = self.path = self._backup = clips_folder(owner)
         self._stem = owner.stem
+        self.manifest_name = f"{owner.stem}.manifest.usdc"
         self._resources = resources
-        self._installed = False
+        self._is_installed = False
 
-    @property
-    def manifest(self) -> str:
-        """File name of the manifest."""
-        return f"{self._stem}.manifest.usdc"
-
-    def clip(self, number: int) -> str:
-        """Return the file name of a clip, counted from 1."""
+    def clip_name(self, number: int) -> str:
+        """Return the file name of a clip, numbered from 1."""
         return f"{self._stem}.{number:04d}.usdc"
 
-    def asset(self, name: str) -> str:
-        """Return the asset path, in a layer beside the folder, of a file in it."""
-        return f"./{self.target.name}/{name}"
-
     def make(self) -> None:
-        """Create the folder, empty."""
-        if self.target.exists() and not _is_of_clips(self.target, self._stem):
+        """Create an empty temporary folder."""
+        if self.target.exists() and not _holds_only_clips(self.target, self._stem):
             raise OutputError(
                 f"{self.target} has other files than clips, which are not deleted; move it away, or write to another "
                 "name"
             )
-        name = self._resources.enter_context(temporary_prefix(self.target.parent))
-        self.path, self._old = Path(f"{name}.new"), backup_path(name, self.target)
+        prefix = self._resources.enter_context(temporary_prefix(self.target.parent))
+        self.path, self._backup = Path(f"{prefix}.new"), backup_path(prefix, self.target)
         self.path.mkdir()
 
     def install(self) -> None:
-        """Move the folder into place; the replaced one is kept until the end."""
+        """Rename the folder to its target; the replaced one is kept until the end."""
         for file in self.path.iterdir():
             with file.open("rb") as stream:
                 os.fsync(stream.fileno())
         if self.target.exists():
-            self.target.rename(self._old)
+            self.target.rename(self._backup)
         self.path.rename(self.target)
-        self._installed = True
+        self._is_installed = True
 
     def warn_if_unused(self) -> None:
-        """Warn of clips left by an older file of this name that this one does not use."""
+        """Warn of a folder of clips that a file of this name without clips does not use."""
         with suppress(OSError):
-            if _is_of_clips(self.target, self._stem) and (self.target / self.manifest).exists():
+            if _holds_only_clips(self.target, self._stem) and (self.target / self.manifest_name).exists():
                 warn(
                     f"{self.target} has the clips of an older file of this name; the new one does not use them, remove "
                     "them if no other does"
                 )
 
     def undo(self) -> None:
-        """Restore the previous folder."""
-        if self._installed:
+        """Restore the replaced folder."""
+        if self._is_installed:
             self.target.rename(self.path)
-        if self._old.exists():
-            self._old.rename(self.target)
+        if self._backup.exists():
+            self._backup.rename(self.target)
 
 
 @contextmanager
-def new_folder(owner: Path) -> Iterator[NewFolder]:
-    """Yield a folder for the clips of a file; after an exception the previous state is restored."""
+def open_clip_folder(owner: Path) -> Iterator[ClipFolder]:
+    """Yield the folder for a file's clips; restore the replaced one after an exception."""
     with ExitStack() as resources:
-        folder = NewFolder(owner, resources)
+        folder = ClipFolder(owner, resources)
         try:
             yield folder
         except BaseException:
@@ -442,7 +437,7 @@ def new_folder(owner: Path) -> Iterator[NewFolder]:
             raise
 
 
-def _is_of_clips(folder: Path, stem: str) -> bool:
+def _holds_only_clips(folder: Path, stem: str) -> bool:
     return folder.is_dir() and all(
         file.name.startswith(f"{stem}.") and file.suffix == ".usdc" for file in folder.iterdir()
     )

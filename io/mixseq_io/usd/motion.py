@@ -1,16 +1,15 @@
-"""Motion of USD meshes: skins, welded points, sources of motion, and the map of a layer's time to the file below.
+"""Motion of USD meshes: skinning, welded points, animated attributes, and the time map of a layer over another file.
 
-The points of a skinned mesh are blended from its shapes, taken by ``geomBindTransform`` into skeleton space, moved by
-the joints (linear or dual quaternion skinning), and placed by the skeleton's transform instead of the mesh's. USD's own
-implementation (UsdSkel) computes them.
+UsdSkel skins a mesh: blend shapes, ``geomBindTransform`` into skeleton space, linear or dual quaternion skinning, and
+the transform of the skeleton instead of that of the mesh.
 
-Points are split where texture coordinates or normals differ. Meshes of skeletons are welded where position, joints,
-weights and blend shapes are bit-identical; game-engine characters would otherwise be cut open along all seams. Other
-meshes are not, since points with time samples would all have to be read. A layer with new points stores the vertex of
-every point in the attribute `VERTICES`.
+Game-engine characters have points split at seams of texture coordinates and normals. Meshes of skeletons are welded
+where position, joints, weights and blend shapes are bit-identical. Other meshes are not, since all their time samples
+would have to be read. A layer with new points stores the vertex of every point in `VERTICES_ATTRIBUTE`.
 
-A sublayer keeps its seconds at any rate of the layer above. When the whole stage is retimed, its moving attributes get
-samples in the layer, taken at the times that the frames show; a layer offset suffices for constant speed forwards only.
+Sublayers keep their times in seconds if the layer above has another rate. To retime the whole stage, the layer gets
+samples of all animated attributes, at the source times of its frames; a layer offset could express only a constant
+speed.
 
 Specification: https://openusd.org/release/api/_usd_skel__intro.html
 """
@@ -23,7 +22,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from mixseq.errors import InvalidSequenceError, SettingsError
@@ -31,27 +30,27 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import IntArray
 from mixseq_io.surfaces import are_valid_indices, renumber_by_appearance
-from mixseq_io.usd.stage import Notes, Placement, lineage, time_codes, varies
+from mixseq_io.usd.stage import PrimWarnings, WorldTransform, is_animated, self_and_ancestors, time_codes
 
 
 @dataclass(frozen=True)
 class Pose:
     """Pose of a skeleton at one time."""
 
-    joints: Vt.Matrix4dArray
-    weights: Vt.FloatArray
+    joint_transforms: Vt.Matrix4dArray
+    shape_weights: Vt.FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Skeleton prim, that of the instance where several share a prototype, its query, and its bound animation."""
+    """Skeleton prim (of an instance, not its prototype), its query, and its bound animation."""
 
     prim: Usd.Prim
     query: UsdSkel.SkeletonQuery
 
     @cached_property
     def has_joints(self) -> bool:
-        """Whether it has a pose of an animation or of rest."""
+        """Whether it has joints with a pose, animated or at rest."""
         return len(self.query.ComputeSkinningTransforms(Usd.TimeCode.EarliestTime())) > 0
 
     @cached_property
@@ -67,17 +66,17 @@ class Skeleton:
         return Pose(self.query.ComputeSkinningTransforms(Usd.TimeCode(code)), Vt.FloatArray(weights))
 
 
-def bound(skeleton: Skeleton, _: float) -> Pose:
+def bind_pose(skeleton: Skeleton, _: float) -> Pose:
     """Return the bind pose, without blend shapes."""
-    joints = len(skeleton.query.GetJointOrder())
+    joint_count = len(skeleton.query.GetJointOrder())
     query = skeleton.query.GetAnimQuery()
-    shapes = len(query.GetBlendShapeOrder()) if query else 0
-    return Pose(Vt.Matrix4dArray([Gf.Matrix4d(1)] * joints), Vt.FloatArray([0.0] * shapes))
+    shape_count = len(query.GetBlendShapeOrder()) if query else 0
+    return Pose(Vt.Matrix4dArray([Gf.Matrix4d(1)] * joint_count), Vt.FloatArray([0.0] * shape_count))
 
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """Skeleton and skinning query of a mesh; the cache is kept since it owns the queries' data."""
+    """Skeleton and skinning query of a mesh; the cache owns the data of the queries."""
 
     skeleton: Skeleton
     query: UsdSkel.SkinningQuery
@@ -92,11 +91,11 @@ class Skin:
     def has_shapes(self) -> bool:
         """Whether blend shapes move the mesh."""
         animation = self.skeleton.animation
-        weighted = animation is not None and animation.GetBlendShapeWeightsAttr().HasAuthoredValue()
-        return weighted and self.query.HasBlendShapes()
+        has_weights = animation is not None and animation.GetBlendShapeWeightsAttr().HasAuthoredValue()
+        return has_weights and self.query.HasBlendShapes()
 
     def attributes(self) -> Iterator[Usd.Attribute]:
-        """Yield the attributes, besides points, that determine the shape in skeleton space."""
+        """Yield the attributes that deform the mesh in skeleton space, except its points."""
         animation = self.skeleton.animation
         if self.has_joints:
             if animation is not None:
@@ -110,139 +109,128 @@ class Skin:
         if self.has_shapes and animation is not None:
             yield animation.GetBlendShapeWeightsAttr()
 
-    def deformed(self, points: Vt.Vec3fArray, pose: Pose, code: float) -> Vt.Vec3fArray:
-        """Return the mesh's posed points, in skeleton space if it has joints, else in mesh space.
-
-        Raises `InvalidSequenceError` if joints or shapes do not fit the points.
-        """
-        moved = Vt.Vec3fArray(points)  # USD works in place; copies are made when they are written to
-        if self.has_shapes and not self._blend(moved, pose):
+    def deform(self, points: Vt.Vec3fArray, pose: Pose, code: float) -> Vt.Vec3fArray:
+        """Return the points of the mesh in a pose, in skeleton space if it has joints, else in mesh space."""
+        deformed = Vt.Vec3fArray(points)  # USD modifies it in place; it is copied on the first write
+        if self.has_shapes and not self._add_blend_shapes(deformed, pose):
             raise InvalidSequenceError(
                 f"the blend shapes of {self.query.GetPrim().GetPath()} do not fit its {len(points)} points; "
                 "export the character again"
             )
-        if self.has_joints and not self.query.ComputeSkinnedPoints(pose.joints, moved, Usd.TimeCode(code)):
+        transforms = pose.joint_transforms
+        if self.has_joints and not self.query.ComputeSkinnedPoints(transforms, deformed, Usd.TimeCode(code)):
             raise InvalidSequenceError(
                 f"the joint indices and weights of {self.query.GetPrim().GetPath()} do not fit its "
-                f"{len(points)} points and its skeleton's {len(pose.joints)} joints; export the character again"
+                f"{len(points)} points and its skeleton's {len(transforms)} joints; export the character again"
             )
-        return moved
+        return deformed
 
-    def _blend(self, points: Vt.Vec3fArray, pose: Pose) -> bool:
-        shapes, indices, offsets = self._shapes
+    def _add_blend_shapes(self, points: Vt.Vec3fArray, pose: Pose) -> bool:
+        shapes, indices, offsets = self._blend_shapes
         mapper = self.query.GetBlendShapeMapper()
-        weights = mapper.Remap(pose.weights) if mapper else pose.weights
-        # Between a shape's inbetweens, two of them are weighted; USD calls shapes and inbetweens subshapes.
+        weights = mapper.Remap(pose.shape_weights) if mapper else pose.shape_weights
+        # A weight between inbetweens is split between two of them; USD calls shapes and inbetweens subshapes.
         subshapes = shapes.ComputeSubShapeWeights(weights)
-        deform: Any = shapes.ComputeDeformedPoints  # the type stubs miss its parameters
+        deform: Any = shapes.ComputeDeformedPoints  # its type stub has no parameters
         return bool(deform(*subshapes, indices, offsets, points))
 
     @cached_property
-    def _shapes(self) -> tuple[UsdSkel.BlendShapeQuery, list[Vt.IntArray], list[Vt.Vec3fArray]]:
+    def _blend_shapes(self) -> tuple[UsdSkel.BlendShapeQuery, list[Vt.IntArray], list[Vt.Vec3fArray]]:
         query = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(self.query.GetPrim()))
         return query, query.ComputeBlendShapePointIndices(), query.ComputeSubShapePointOffsets()
 
 
-def skins_of(meshes: Sequence[UsdGeom.Mesh], notes: Notes) -> dict[Sdf.Path, Skin]:
+def find_skins(meshes: Sequence[UsdGeom.Mesh], warnings: PrimWarnings) -> dict[Sdf.Path, Skin]:
     """Return the skins of meshes by path; bindings are inherited as in USD."""
-    roots = {
-        each.GetPath(): UsdSkel.Root(each)
-        for mesh in meshes
-        for each in lineage(mesh.GetPrim())
-        if UsdSkel.Root(each)
-    }
+    ancestors = (prim for mesh in meshes for prim in self_and_ancestors(mesh.GetPrim()))
+    roots = {prim.GetPath(): root for prim in ancestors if (root := UsdSkel.Root(prim))}
     instances = Usd.TraverseInstanceProxies()
     cache = UsdSkel.Cache()
     skins = {}
     for root in roots.values():
         cache.Populate(root, instances)
         for binding in cache.ComputeSkelBindings(root, instances):
-            found = binding.GetSkeleton()
-            skeleton = Skeleton(found.GetPrim(), cache.GetSkelQuery(found))
+            skel = binding.GetSkeleton()
+            skeleton = Skeleton(skel.GetPrim(), cache.GetSkelQuery(skel))
             for query in binding.GetSkinningTargets():
                 skin = Skin(skeleton, query, cache)
                 if skin.has_joints or skin.has_shapes:
                     skins[query.GetPrim().GetPath()] = skin
     for mesh in meshes:
-        prim = mesh.GetPrim()
-        if _wants_skeleton(prim) and mesh.GetPath() not in skins:
-            notes.add(prim, "bound to no skeleton with a pose below a SkelRoot, and not moved by one")
+        schema = UsdSkel.BindingAPI(mesh.GetPrim())
+        attributes = (schema.GetJointIndicesAttr(), schema.GetBlendShapesAttr()) if schema else ()
+        # Layers with new points block these attributes.
+        if any(each.HasAuthoredValue() for each in attributes) and mesh.GetPath() not in skins:
+            problem = "bound to no skeleton with a pose below a SkelRoot, and not moved by one"
+            warnings.add(mesh.GetPrim(), problem)
     return skins
 
 
-def _wants_skeleton(prim: Usd.Prim) -> bool:
-    """Whether a mesh has a binding to joints or blend shapes; layers of new points block it."""
-    binding = UsdSkel.BindingAPI(prim)
-    parts = (binding.GetJointIndicesAttr(), binding.GetBlendShapesAttr()) if binding else ()
-    return any(part.HasAuthoredValue() for part in parts)
-
-
-VERTICES = "mixseq:vertices"
+VERTICES_ATTRIBUTE = "mixseq:vertices"
 
 
 @dataclass(frozen=True, eq=False)
 class Weld:
-    """Map of a mesh's points to its vertices."""
+    """Vertices ``(P,)`` of a mesh's points, and a point of every vertex ``(W,)``."""
 
-    of_point: IntArray
-    representatives: IntArray
+    vertex_of_point: IntArray
+    point_of_vertex: IntArray
 
     @property
     def is_identity(self) -> bool:
-        """Whether every point is a separate vertex."""
-        return len(self.of_point) == len(self.representatives)
+        """Whether every point is a vertex of its own."""
+        return len(self.vertex_of_point) == len(self.point_of_vertex)
 
     @property
     def vertex_count(self) -> int:
         """Number W of vertices."""
-        return len(self.representatives)
+        return len(self.point_of_vertex)
 
-    def polygons(self, polygons: Polygons) -> Polygons:
+    @classmethod
+    def identity(cls, point_count: int) -> Weld:
+        """Return the weld that keeps all points apart."""
+        return cls(np.arange(point_count), np.arange(point_count))
+
+    @classmethod
+    def from_mesh(cls, mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> Weld:
+        """Weld a mesh's points ``(P, 3)``, as they are in some frame."""
+        labels = _stored_vertices(mesh, len(points))
+        return cls(*renumber_by_appearance(_identical_points(mesh, points) if labels is None else labels))
+
+    def weld_polygons(self, polygons: Polygons) -> Polygons:
         """Return polygons of points as polygons of vertices."""
-        return Polygons(polygons.counts, self.of_point[polygons.indices])
+        return Polygons(polygons.counts, self.vertex_of_point[polygons.indices])
 
 
-def unwelded(count: int) -> Weld:
-    """Return the identity map of `count` points."""
-    return Weld(np.arange(count), np.arange(count))
-
-
-def weld(mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> Weld:
-    """Return the weld of a mesh's points ``(P, 3)`` in some frame."""
-    labels = _told(mesh, len(points))
-    if labels is None:
-        labels = _found(mesh, points)
-    return Weld(*renumber_by_appearance(labels))
-
-
-def _told(mesh: UsdGeom.Mesh, count: int) -> IntArray | None:
-    """Return the vertices ``(P,)`` stored by a layer of mixseq, None if absent or of another size."""
-    attribute = mesh.GetPrim().GetAttribute(VERTICES)
+def _stored_vertices(mesh: UsdGeom.Mesh, point_count: int) -> IntArray | None:
+    """Return the vertices ``(P,)`` that a layer of mixseq stored; None if absent or of another size."""
+    attribute = mesh.GetPrim().GetAttribute(VERTICES_ATTRIBUTE)
     if not attribute or attribute.GetTypeName() != Sdf.ValueTypeNames.IntArray:
         return None
     labels = np.array(attribute.Get() or (), dtype=np.int32)
-    return labels if len(labels) == count else None
+    return labels if len(labels) == point_count else None
 
 
-def _found(mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> IntArray:
-    attribute = mesh.GetPointsAttr()
+def _identical_points(mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> IntArray:
+    """Label points ``(P,)``: the same label for the same position and influences."""
     influences = list(_influences(mesh, len(points)))
-    known = [each for each in influences if each is not None]
-    if attribute.ValueMightBeTimeVarying() or not known or len(known) < len(influences):
+    valid = [each for each in influences if each is not None]
+    if mesh.GetPointsAttr().ValueMightBeTimeVarying() or not valid or len(valid) < len(influences):
         return np.arange(len(points))
-    rows = np.hstack([points, *known])
-    return np.unique(np.ascontiguousarray(rows), axis=0, return_inverse=True)[1].reshape(-1)
+    features = np.ascontiguousarray(np.hstack([points, *valid]))
+    return np.unique(features, axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def _influences(mesh: UsdGeom.Mesh, count: int) -> Iterator[NDArray[np.float32] | None]:
-    """Yield arrays ``(P, n)`` of each influence on the points; None for one that is time-sampled or does not fit."""
+def _influences(mesh: UsdGeom.Mesh, point_count: int) -> Iterator[NDArray[np.float32] | None]:
+    """Yield joint indices, weights and shape offsets ``(P, n)``; None for one that is animated or does not fit."""
     binding = UsdSkel.BindingAPI(mesh.GetPrim())
     for primvar in (binding.GetJointIndicesPrimvar(), binding.GetJointWeightsPrimvar()):
         if not primvar or primvar.GetInterpolation() != UsdGeom.Tokens.vertex:
-            continue  # one for all points
+            continue  # constant: the same for all points
         values = np.array(primvar.ComputeFlattened() or (), dtype=np.float32)
-        fits = len(values) == count * primvar.GetElementSize() and not primvar.ValueMightBeTimeVarying()
-        yield values.reshape(count, -1) if fits else None
+        fits = len(values) == point_count * primvar.GetElementSize()
+        usable = fits and not primvar.ValueMightBeTimeVarying()
+        yield values.reshape(point_count, -1) if usable else None
     if not binding.GetBlendShapesAttr().HasAuthoredValue():
         return
     query = UsdSkel.BlendShapeQuery(binding)
@@ -251,102 +239,94 @@ def _influences(mesh: UsdGeom.Mesh, count: int) -> Iterator[NDArray[np.float32] 
         offsets = np.array(value or (), dtype=np.float32).reshape(-1, 3)
         if not len(offsets):
             continue  # the shape at weight 0
-        rows = indices[query.GetBlendShapeIndex(subshape)]
-        rows = rows if rows.size else np.arange(count)
-        if len(rows) != len(offsets) or not are_valid_indices(rows, count):
+        point_ids = indices[query.GetBlendShapeIndex(subshape)]
+        point_ids = point_ids if point_ids.size else np.arange(point_count)
+        if len(point_ids) != len(offsets) or not are_valid_indices(point_ids, point_count):
             yield None
             continue
-        dense = np.zeros((count, 3), dtype=np.float32)
-        dense[rows] = offsets
-        yield dense
+        dense_offsets = np.zeros((point_count, 3), dtype=np.float32)
+        dense_offsets[point_ids] = offsets
+        yield dense_offsets
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
-    """Time codes of the file below, by those of a layer."""
+class TimeMap:
+    """Time codes ``(T,)`` of a layer's frames, and the times of the original that they show, in s, if they differ."""
 
-    rate_below: float
+    original_rate: float
     rate: float
     codes: NDArray[np.float64]
-    sources: NDArray[np.float64] | None = None
+    source_times: NDArray[np.float64] | None = None
+
+    @classmethod
+    def from_header(
+        cls, header: SequenceHeader, original_rate: float, source_times: NDArray[np.float64] | None = None
+    ) -> TimeMap:
+        """Map a sequence's frames to a file with a rate, in time codes per second."""
+        if source_times is not None and not np.isfinite(source_times).all():
+            frame = int(np.argmin(np.isfinite(source_times)))
+            raise SettingsError(
+                f"frame {frame} shows no single time of the original, so that the whole stage cannot be retimed; leave "
+                "out whole_stage"
+            )
+        return cls(original_rate, header.fps, time_codes(header.times, header.fps), source_times)
 
     @property
-    def start(self) -> float:
+    def start_time(self) -> float:
         """Time of the layer's first frame, in seconds."""
         return float(self.codes[0]) / self.rate
 
-    def below(self, time: float) -> float:
-        """Return the file's time code at a time of the layer, in seconds."""
-        if self.sources is None:
-            return time * self.rate_below
-        return float(np.interp(time * self.rate, self.codes, self.sources)) * self.rate_below
+    def original_code(self, time: float) -> float:
+        """Return the original's time code at a time of the layer, in seconds."""
+        if self.source_times is None:
+            return time * self.original_rate
+        return float(np.interp(time * self.rate, self.codes, self.source_times)) * self.original_rate
 
     def samples(self, attribute: Usd.Attribute) -> Iterator[tuple[float, Any]]:
-        """Yield the layer's time codes with the values of a varying attribute of the file."""
-        if self.sources is None:
-            every = np.array(attribute.GetTimeSamples(), dtype=np.float64)
-            codes = every * (self.rate / self.rate_below)
+        """Yield the layer's time codes with the values of an animated attribute of the original."""
+        if self.source_times is None:
+            original_codes = np.array(attribute.GetTimeSamples(), dtype=np.float64)
+            codes = original_codes * (self.rate / self.original_rate)
         else:
-            codes, every = self.codes, self.sources * self.rate_below
-        for code, below in zip(codes.tolist(), every.tolist(), strict=True):
-            value = attribute.Get(Usd.TimeCode(below))
+            codes, original_codes = self.codes, self.source_times * self.original_rate
+        for code, original_code in zip(codes.tolist(), original_codes.tolist(), strict=True):
+            value = attribute.Get(Usd.TimeCode(original_code))
             yield code, Sdf.ValueBlock() if value is None else value
 
 
-def source_times(header: SequenceHeader, sources: ArrayLike) -> NDArray[np.float64]:
-    """Return the times ``(T,)`` of the original that frames show, in seconds."""
-    times = np.asarray(sources, dtype=np.float64)
-    if times.shape != header.times.shape:
-        raise SettingsError(
-            f"sources are {times.size} times for {header.frame_count} frames; give one for every frame"
-        )
-    return times
-
-
-def shown_by(header: SequenceHeader, rate_below: float, sources: NDArray[np.float64] | None = None) -> Shown:
-    """Return the map from a sequence's frames to a file with a rate."""
-    if sources is not None and not np.isfinite(sources).all():
-        frame = int(np.argmin(np.isfinite(sources)))
-        raise SettingsError(
-            f"frame {frame} shows no single time of the original, so that the whole stage cannot be retimed; leave out "
-            "whole_stage"
-        )
-    return Shown(rate_below, header.fps, time_codes(header.times, header.fps), sources)
-
-
 @dataclass(frozen=True, eq=False)
-class Mover:
-    """Mesh and its sources of motion."""
+class MeshMotion:
+    """Mesh and the attributes that animate it."""
 
     mesh: UsdGeom.Mesh
     skin: Skin | None
 
     @cached_property
-    def placement(self) -> Placement:
-        """Placement of the points' space: the skeleton's if joints move them, else the mesh's."""
-        return Placement(
+    def transform(self) -> WorldTransform:
+        """Transform of the points: that of the skeleton if joints move them, else that of the mesh."""
+        return WorldTransform(
             self.skin.skeleton.prim if self.skin and self.skin.has_joints else self.mesh.GetPrim()
         )
 
     @cached_property
-    def sources(self) -> tuple[Usd.Attribute, ...]:
+    def animated_attributes(self) -> tuple[Usd.Attribute, ...]:
         """Attributes that move the mesh over time."""
         deforming = self.skin.attributes() if self.skin else ()
-        transforms = (each.GetAttr() for each in self.placement.operations)
-        every = (self.mesh.GetPointsAttr(), *transforms, *deforming)
-        return tuple(each for each in every if varies(each))
+        transforming = (op.GetAttr() for op in self.transform.ops)
+        attributes = (self.mesh.GetPointsAttr(), *transforming, *deforming)
+        return tuple(attribute for attribute in attributes if is_animated(attribute))
 
     @property
-    def only_points_move(self) -> bool:
+    def only_points_are_animated(self) -> bool:
         """Whether neither transforms nor skeletons nor blend shapes move the mesh."""
-        return all(each == self.mesh.GetPointsAttr() for each in self.sources)
+        return all(attribute == self.mesh.GetPointsAttr() for attribute in self.animated_attributes)
 
 
 @dataclass(frozen=True, eq=False)
 class AnimatedMesh:
-    """Mesh over the frames of a sequence."""
+    """Mesh over the frames of a sequence, at time codes ``(T,)``."""
 
-    mover: Mover
+    motion: MeshMotion
     codes: NDArray[np.float64]
 
     @property
@@ -357,18 +337,18 @@ class AnimatedMesh:
     @property
     def mesh(self) -> UsdGeom.Mesh:
         """The mesh."""
-        return self.mover.mesh
+        return self.motion.mesh
 
     @cached_property
     def weld(self) -> Weld:
-        """Map of points to vertices, from the first frame, for all frames."""
+        """Map of points to vertices of all frames, from the points of the first one."""
         value = self.mesh.GetPointsAttr().Get(Usd.TimeCode(self.start))
-        return weld(self.mesh, np.array(value or (), dtype=np.float32).reshape(-1, 3))
+        return Weld.from_mesh(self.mesh, np.array(value or (), dtype=np.float32).reshape(-1, 3))
 
     @property
     def point_count(self) -> int:
         """Number of points."""
-        return len(self.weld.of_point)
+        return len(self.weld.vertex_of_point)
 
     @property
     def vertex_count(self) -> int:
@@ -377,21 +357,21 @@ class AnimatedMesh:
 
     @cached_property
     def _first_determinant(self) -> float:
-        """Determinant in the first frame with a nonzero one, since objects may appear by scaling up from zero."""
-        every = (self.mover.placement.to_world(code).GetDeterminant3() for code in self.codes.tolist())
-        return next((each for each in every if each), 1.0)
+        """First nonzero determinant of the transform; objects may appear by scaling up from zero."""
+        determinants = (self.motion.transform.at(code).GetDeterminant3() for code in self.codes.tolist())
+        return next((each for each in determinants if each), 1.0)
 
     @property
-    def mirrored(self) -> bool:
-        """Whether the transform to the world mirrors."""
-        skin = self.mover.skin
-        sign = self._first_determinant
+    def is_mirrored(self) -> bool:
+        """Whether the transform to the world mirrors the mesh."""
+        skin = self.motion.skin
+        determinant = self._first_determinant
         if skin and skin.has_joints:
-            sign *= skin.query.GetGeomBindTransform(Usd.TimeCode(self.start)).GetDeterminant3()
-        return sign < 0
+            determinant *= skin.query.GetGeomBindTransform(Usd.TimeCode(self.start)).GetDeterminant3()
+        return determinant < 0
 
     def points(self, code: float, pose: Pose | None) -> NDArray[np.float32]:
-        """Return the vertices ``(V, 3)`` in world space at a time code, with the skeleton in a pose."""
+        """Return the vertices ``(V, 3)`` in world space at a time code, in a pose of the skeleton."""
         path = self.mesh.GetPath()
         value = self.mesh.GetPointsAttr().Get(Usd.TimeCode(code))
         if value is None:
@@ -401,27 +381,28 @@ class AnimatedMesh:
                 f"{path} has {len(value)} points, the first frame {self.point_count}; every frame needs the same "
                 "vertices in the same order"
             )
-        if self.mover.skin and pose:
-            value = self.mover.skin.deformed(value, pose, code)
-        matrix = self.mover.placement.to_world(code)
+        if self.motion.skin and pose:
+            value = self.motion.skin.deform(value, pose, code)
+        matrix = self.motion.transform.at(code)
         if matrix.GetDeterminant3() * self._first_determinant < 0:
             raise InvalidSequenceError(
                 f"the transform of {path} mirrors it relative to earlier frames, which turns its faces inside "
                 "out; give the animated scale one sign"
             )
-        return _placed(value, matrix, 1.0)[self.weld.representatives]
+        return _transform_vectors(value, matrix, 1.0)[self.weld.point_of_vertex]
 
     def velocities(self, code: float) -> NDArray[np.float32]:
         """Return the velocities ``(V, 3)`` in world space, in units per second."""
         value = self.mesh.GetVelocitiesAttr().Get(Usd.TimeCode(code))
         if value is None or len(value) != self.point_count:
             raise InvalidSequenceError(
-                f"{self.mesh.GetPath()} has {len(value or ())} velocities for {self.point_count} points; give as many"
+                f"{self.mesh.GetPath()} has {len(value or ())} velocities for {self.point_count} points; give one "
+                "velocity per point"
             )
-        return _placed(value, self.mover.placement.to_world(code), 0.0)[self.weld.representatives]
+        return _transform_vectors(value, self.motion.transform.at(code), 0.0)[self.weld.point_of_vertex]
 
-    def has_velocities(self, notes: Notes) -> bool:
-        """Whether velocities can be read; problems are noted."""
+    def has_velocities(self, warnings: PrimWarnings) -> bool:
+        """Whether the mesh has velocities that can be read; add a warning if they cannot."""
         velocities = self.mesh.GetVelocitiesAttr()
         if not velocities.HasAuthoredValue():
             return False
@@ -430,19 +411,19 @@ class AnimatedMesh:
             problem = "are not sampled at the times of the points"
         elif len(first or ()) != self.point_count:
             problem = f"are {len(first or ())} for {self.point_count} points"
-        elif self.mover.skin or not self.mover.only_points_move:
-            problem = "are those under a transform or a skeleton that moves, too"
+        elif self.motion.skin or not self.motion.only_points_are_animated:
+            problem = "lack the motion of an animated transform or skeleton"
         else:
             return True
-        notes.add(self.mesh.GetPrim(), f"velocities {problem}; they are left out")
+        warnings.add(self.mesh.GetPrim(), f"velocities {problem}; they are left out")
         return False
 
 
-def _placed(value: Vt.Vec3fArray, to_world: Gf.Matrix4d, weight: float) -> NDArray[np.float32]:
-    """Return points (weight 1) or vectors (weight 0) ``(n, 3)`` in world space."""
-    rows = np.array(value, dtype=np.float32).reshape(-1, 3)
+def _transform_vectors(value: Vt.Vec3fArray, to_world: Gf.Matrix4d, weight: float) -> NDArray[np.float32]:
+    """Return points (homogeneous weight 1) or directions (weight 0) ``(n, 3)`` in world space."""
+    vectors = np.array(value, dtype=np.float32).reshape(-1, 3)
     if to_world == Gf.Matrix4d(1.0):
-        return rows
+        return vectors
     matrix = np.array(to_world, dtype=np.float64)
     with np.errstate(all="ignore"):  # overflow is reported by the reader, with its vertex
-        return np.asarray(rows @ matrix[:3, :3] + weight * matrix[3, :3], dtype=np.float32)
+        return np.asarray(vectors @ matrix[:3, :3] + weight * matrix[3, :3], dtype=np.float32)

@@ -1,15 +1,15 @@
-"""A USD layer with new points over an existing file, which keeps everything else.
+"""USD layers with new points over an existing file, which keep everything else in it.
 
-The file is a sublayer; the layer overrides points, extents, velocities, and authored normals that renderers use. USD
-scales time codes of sublayers with another ``timeCodesPerSecond``, so that its cameras keep their seconds. Meshes are
-unbound from skeletons and blend shapes, old velocities and accelerations are blocked
+The file is a sublayer. The layer overrides points, extents, velocities, and those authored normals that renderers use.
+USD scales time codes of sublayers with another ``timeCodesPerSecond``, so that they keep their seconds. Meshes are
+unbound from skeletons and blend shapes, stale velocities and accelerations are blocked
 (https://openusd.org/release/api/class_sdf_value_block.html), and instances are made unique.
 
-Meshes are held still below moving transforms, since the layer's points are their whole motion. Operations that move
-this mesh only are held at their first frame. Others are inverted: the outermost prim with nothing but the mesh below it
-gets their inverses with the same samples. ``!resetXformStack!`` is unsuitable: Blender 5 ignores it, Hydra 2 does where
-it stands alone (https://github.com/PixarAnimationStudios/OpenUSD/issues/3781), and it would detach the mesh from any
-referencing prim. Other motion of the file (cameras, hair, lights, materials) keeps its times, or is retimed.
+The layer's points are the whole motion of a mesh, so transforms above it are frozen. Operations that affect only this
+mesh keep their value at the first frame. Others are inverted: the carrier, the outermost prim with nothing but the mesh
+below it, gets their inverses with the same samples. ``!resetXformStack!`` is unsuitable: Blender 5 ignores it, Hydra 2
+where it stands alone (https://github.com/PixarAnimationStudios/OpenUSD/issues/3781), and it would detach the mesh from
+prims that reference it. Other motion of the file (cameras, hair, lights, materials) keeps its times, or is retimed.
 """
 
 from __future__ import annotations
@@ -24,149 +24,146 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from mixseq.errors import FormatError, OutputError
-from mixseq.mesh.polygons import PolygonMatch, Polygons, difference, reversed_corners
+from mixseq.mesh.polygons import PolygonMatch, Polygons, describe_difference, reversed_winding
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.originals import is_retimed, match_meshes
 from mixseq_io.reader import warn
-from mixseq_io.scene_meshes import SceneMesh
+from mixseq_io.scene_meshes import SceneMesh, format_names
 from mixseq_io.surfaces import are_valid_indices
 from mixseq_io.usd.layers import (
-    WORLD,
-    Bounds,
-    Cast,
-    Normals,
-    Placed,
-    Samples,
-    Space,
-    SpaceAt,
-    attribute_in,
-    override,
+    WORLD_SPACE,
+    LocalSpace,
+    LocalSpaceAt,
+    SampledExtent,
+    SampledMesh,
+    SampledNormals,
+    SampledPrims,
+    SampleWriter,
+    attribute_spec,
+    override_spec,
 )
-from mixseq_io.usd.motion import VERTICES, Mover, Shown, Skin, Weld, skins_of, unwelded, weld
+from mixseq_io.usd.motion import (
+    VERTICES_ATTRIBUTE,
+    MeshMotion,
+    Skin,
+    TimeMap,
+    Weld,
+    find_skins,
+)
 from mixseq_io.usd.stage import (
-    Notes,
-    Operations,
-    Placement,
+    PrimWarnings,
+    TransformOps,
+    WorldTransform,
+    compose_ops,
+    is_animated,
     is_spline,
-    lineage,
     open_stage,
-    operations_of,
-    prims_of,
-    product,
-    reference_to,
-    shortened,
+    relative_asset_path,
+    self_and_ancestors,
+    transform_ops,
     translate_usd_read_errors,
-    varies,
+    traverse_prims,
 )
 
-_INVERSE = "!invert!"
+_INVERSE_PREFIX = "!invert!"
 
 
 @dataclass(frozen=True, eq=False)
-class Holding:
-    """Operations that hold a mesh still."""
+class Freeze:
+    """Operations that keep a mesh still: own ones of its carrier, inverted ones above it, and constant ones on top."""
 
     carrier: Usd.Prim
-    own: Operations
-    undone: Operations
-    fixed: Operations
+    own_ops: TransformOps
+    inverted_ops: TransformOps
+    constant_ops: TransformOps
 
-    def to_world(self, code: float) -> Gf.Matrix4d:
-        """Return the mesh-to-world transform of a mesh that is held as at a time code."""
-        return product((*self.own, *self.fixed), code)
-
-    def author(self, layer: Sdf.Layer, shown: Shown) -> None:
-        """Author the operations in a layer, held as in its first frame."""
-        for attribute in dict.fromkeys(each.GetAttr() for each in self.own):
-            if varies(attribute):
-                held = attribute_in(layer, str(attribute.GetPath()), attribute.GetTypeName())
-                held.default = attribute.Get(Usd.TimeCode(shown.below(shown.start)))
-        if not self.undone:
+    def author(self, layer: Sdf.Layer, time_map: TimeMap) -> None:
+        """Author the operations in a layer, frozen at its first frame."""
+        for attribute in dict.fromkeys(op.GetAttr() for op in self.own_ops):
+            if is_animated(attribute):
+                spec = attribute_spec(layer, str(attribute.GetPath()), attribute.GetTypeName())
+                spec.default = attribute.Get(Usd.TimeCode(time_map.original_code(time_map.start_time)))
+        ops = self.inverted_ops
+        if not ops:
             return
-        copies = {
-            each: self._copy(layer, each, shown) for each in dict.fromkeys(op.GetAttr() for op in self.undone)
-        }
-        # The outermost operation comes first, and the first to be undone is the innermost.
-        undoing = [("" if each.IsInverseOp() else _INVERSE) + copies[each.GetAttr()] for each in self.undone]
+        attributes = dict.fromkeys(op.GetAttr() for op in ops)
+        names = {attribute: self._copy(layer, attribute, time_map) for attribute in attributes}
+        # The order attribute starts with the outermost operation; the innermost one is inverted first.
+        inverses = [("" if op.IsInverseOp() else _INVERSE_PREFIX) + names[op.GetAttr()] for op in ops]
         order = UsdGeom.Xformable(self.carrier).GetXformOpOrderAttr()
-        override(layer, order).default = Vt.TokenArray([*undoing, *(order.Get() or ())])
+        override_spec(layer, order).default = Vt.TokenArray([*inverses, *(order.Get() or ())])
 
-    def _copy(self, layer: Sdf.Layer, attribute: Usd.Attribute, shown: Shown) -> str:
-        """Copy an attribute of an ancestor to the carrier, and return its name."""
+    def _copy(self, layer: Sdf.Layer, attribute: Usd.Attribute, time_map: TimeMap) -> str:
+        """Copy an attribute of an ancestor to the carrier; return its new name."""
         name = f"{attribute.GetName()}:undo{attribute.GetPath().pathElementCount - 1}"
         while self.carrier.HasAttribute(name):
             name += "_"
         path = f"{self.carrier.GetPath()}.{name}"
-        copy = attribute_in(layer, path, attribute.GetTypeName())
-        if not varies(attribute):
-            copy.default = attribute.Get(Usd.TimeCode.EarliestTime())
-        elif is_spline(attribute) and shown.sources is None:
+        spec = attribute_spec(layer, path, attribute.GetTypeName())
+        if not is_animated(attribute):
+            spec.default = attribute.Get(Usd.TimeCode.EarliestTime())
+        elif is_spline(attribute) and time_map.source_times is None:
             raise OutputError(
                 f"{attribute.GetPath()} is a spline; bake it into time samples, or write a stand-alone file with "
                 "flatten=True (--flatten)"
             )
         else:
-            for code, value in shown.samples(attribute):
+            for code, value in time_map.samples(attribute):
                 layer.SetTimeSample(path, code, value)
         return name
 
 
-def holding_of(mesh: Usd.Prim) -> Holding | None:
-    """Return how a mesh can be held still; None if nothing moves it, or other prims are below it."""
-    carrier = _carrier(mesh)
-    if carrier is None or not Placement(mesh).moves:
+def find_freeze(mesh: Usd.Prim) -> Freeze | None:
+    """Return the freeze of a mesh; None if no transform moves it, or other prims are below it."""
+    carrier = _find_carrier(mesh)
+    if carrier is None or not WorldTransform(mesh).is_animated:
         return None
-    every = tuple(operations_of(mesh))
-    own = sum(each.GetAttr().GetPath().HasPrefix(carrier.GetPath()) for each in every)
-    moving = max(number for number, each in enumerate(every, 1) if varies(each.GetAttr()))
-    return Holding(carrier, every[:own], every[own:moving], every[max(own, moving) :])
+    ops = tuple(transform_ops(mesh))
+    own_end = sum(op.GetAttr().GetPath().HasPrefix(carrier.GetPath()) for op in ops)
+    animated_end = max(end for end, op in enumerate(ops, 1) if is_animated(op.GetAttr()))
+    return Freeze(carrier, ops[:own_end], ops[own_end:animated_end], ops[max(own_end, animated_end) :])
 
 
-def _carrier(mesh: Usd.Prim) -> Usd.Prim | None:
+def _find_carrier(mesh: Usd.Prim) -> Usd.Prim | None:
     """Return the outermost transformed prim with no other transforms below it but this mesh's, if any."""
     carrier = None
-    for each in lineage(mesh):
-        within = Usd.PrimRange(each, Usd.TraverseInstanceProxies())
-        others = (below for below in within if not mesh.GetPath().HasPrefix(below.GetPath()))
-        if UsdSkel.Root(each) or any(map(UsdGeom.Xformable, others)):  # roots have extents in their space
+    for prim in self_and_ancestors(mesh):
+        descendants = Usd.PrimRange(prim, Usd.TraverseInstanceProxies())
+        others = (other for other in descendants if not mesh.GetPath().HasPrefix(other.GetPath()))
+        if UsdSkel.Root(prim) or any(map(UsdGeom.Xformable, others)):  # a root has an extent in its own space
             return carrier
-        carrier = each if UsdGeom.Xformable(each) else carrier
+        carrier = prim if UsdGeom.Xformable(prim) else carrier
     return carrier
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """Mesh of the sequence matched with a mesh of the file.
+class MatchedMesh:
+    """Mesh of the sequence matched with a mesh of the original.
 
-    `corner_points` ``(C,)`` are the points at the file's corners, `match` maps its polygons and corners to the
-    sequence's, `turned` means reversed corner order, `weld` maps points to vertices.
+    `corner_points` ``(C,)`` are the points at the original's corners; `match` maps its polygons and corners to the
+    sequence's. `is_reversed` means that corner orders are opposite.
     """
 
     scene_mesh: SceneMesh
     mesh: UsdGeom.Mesh
     corner_points: IntArray
     match: PolygonMatch
-    turned: bool
+    is_reversed: bool
     weld: Weld
 
 
 @dataclass(frozen=True, eq=False)
 class Original:
-    """File that fits a sequence."""
+    """File that the layer is laid over, and its meshes that match the sequence's."""
 
     path: Path
     stage: Usd.Stage
-    fits: tuple[Fit, ...]
-
-    @property
-    def rate(self) -> float:
-        """Time codes per second."""
-        return self.stage.GetTimeCodesPerSecond()
+    meshes: tuple[MatchedMesh, ...]
 
 
 def open_original(path: Path, header: SequenceHeader) -> Original:
-    """Open a file that a sequence may be laid over."""
+    """Open a file that a sequence may be laid over; raise an error if it does not match."""
     try:
         with translate_usd_read_errors(path):
             stage = open_stage(path)
@@ -187,56 +184,57 @@ def open_original(path: Path, header: SequenceHeader) -> Original:
     if not 0 < rate < np.inf:
         raise OutputError(f"{path} has {rate:g} time codes per second, a positive number is needed")
     try:
-        meshes = {str(prim.GetPath()): mesh for prim in prims_of(path, stage) if (mesh := UsdGeom.Mesh(prim))}
-        return Original(path, stage, tuple(match_meshes(path, header, meshes, _fitted, _difference)))
+        meshes = {
+            str(prim.GetPath()): mesh for prim in traverse_prims(path, stage) if (mesh := UsdGeom.Mesh(prim))
+        }
+        return Original(
+            path, stage, tuple(match_meshes(path, header, meshes, _match_mesh, _describe_difference))
+        )
     except FormatError as error:
         raise OutputError(str(error)) from error
 
 
-def _difference(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> str:
-    """Return the first difference from the only candidate mesh, in words."""
-    stored, places = _stored(mesh)
-    if stored is None:
+def _describe_difference(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> str:
+    """Describe the first difference from the only candidate mesh; "" if that is invalid."""
+    point_polygons, points = _read_polygons(mesh)
+    if point_polygons is None:
         return ""
-    for seams in (weld(mesh, places), unwelded(len(places))):
-        if seams.vertex_count == scene_mesh.vertex_count:
-            theirs = seams.polygons(stored)
-            return difference(scene_mesh.polygons, theirs, ("the sequence", str(mesh.GetPath())))
-    return f"it has {len(places)} points, the sequence {scene_mesh.vertex_count} vertices"
+    for weld in (Weld.from_mesh(mesh, points), Weld.identity(len(points))):
+        if weld.vertex_count == scene_mesh.vertex_count:
+            names = "the sequence", str(mesh.GetPath())
+            return describe_difference(scene_mesh.polygons, weld.weld_polygons(point_polygons), names)
+    return f"it has {len(points)} points, the sequence {scene_mesh.vertex_count} vertices"
 
 
-def _fitted(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> Fit | None:
-    """Match a mesh of the sequence with one of the file; None if faces differ."""
-    stored, places = _stored(mesh)
-    if stored is None:
+def _match_mesh(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> MatchedMesh | None:
+    """Match a mesh of the sequence with one of the file; None if their faces differ."""
+    point_polygons, points = _read_polygons(mesh)
+    if point_polygons is None:
         return None
-    reverse = reversed_corners(stored.counts, keep_first=True)
-    # The sequence may have come from elsewhere, with a vertex for every point.
-    for seams in (weld(mesh, places), unwelded(len(places))):
-        if seams.vertex_count != scene_mesh.vertex_count:
+    reverse = reversed_winding(point_polygons.counts, keep_first=True)
+    # A sequence from another file may have a vertex for every point.
+    for weld in (Weld.from_mesh(mesh, points), Weld.identity(len(points))):
+        if weld.vertex_count != scene_mesh.vertex_count:
             continue
-        # Readers reverse left-handed faces.
-        for turned in (False, True):
-            found = scene_mesh.match(seams.polygons(stored), reverse if turned else None)
-            if found is not None:
-                ours, match = found
-                return Fit(ours, mesh, stored.indices, match, turned, seams)
+        for is_reversed in (False, True):  # as left-handed faces are when they are read
+            order = reverse if is_reversed else None
+            if matched := scene_mesh.match(weld.weld_polygons(point_polygons), order):
+                return MatchedMesh(matched[0], mesh, point_polygons.indices, matched[1], is_reversed, weld)
     return None
 
 
-def _stored(mesh: UsdGeom.Mesh) -> tuple[Polygons | None, FloatArray]:
-    """Return a mesh's faces by points, None if they are invalid, and its points ``(P, 3)``."""
+def _read_polygons(mesh: UsdGeom.Mesh) -> tuple[Polygons | None, FloatArray]:
+    """Return a mesh's polygons of points, None if they are invalid, and its points ``(P, 3)``."""
     earliest = Usd.TimeCode.EarliestTime()
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(earliest) or (), dtype=np.int32)
-    points = np.array(mesh.GetFaceVertexIndicesAttr().Get(earliest) or (), dtype=np.int32)
-    places = np.array(mesh.GetPointsAttr().Get(earliest) or (), dtype=np.float32).reshape(-1, 3)
-    sound = (
-        counts.min(initial=3) >= 3 and counts.sum() == points.size and are_valid_indices(points, len(places))
-    )
-    return (Polygons(counts, points) if sound else None), places
+    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(earliest) or (), dtype=np.int32)
+    points = np.array(mesh.GetPointsAttr().Get(earliest) or (), dtype=np.float32).reshape(-1, 3)
+    is_valid = counts.min(initial=3) >= 3 and counts.sum() == indices.size
+    is_valid = is_valid and are_valid_indices(indices, len(points))
+    return (Polygons(counts, indices) if is_valid else None), points
 
 
-_COPIED = (
+_COPIED_METADATA = (
     "defaultPrim",
     "expressionVariables",
     "kilogramsPerUnit",
@@ -244,250 +242,265 @@ _COPIED = (
     "colorConfiguration",
     "colorManagementSystem",
 )
-"""Metadata that USD reads from the root layer only."""
+"""Metadata that USD reads only from the root layer."""
 
 
-def lay_over(layer: Sdf.Layer, target: Path, original: Original, shown: Shown, velocities: bool) -> Cast:
+def author_overlay(
+    layer: Sdf.Layer, target: Path, original: Original, time_map: TimeMap, has_velocities: bool
+) -> SampledPrims:
     """Author everything but samples, and return the prims that get them."""
-    put_over(layer, target, original)
-    moving = [fit for fit in original.fits if Placement(fit.mesh.GetPrim()).moves]
-    holdings = {fit: held for fit in moving if (held := holding_of(fit.mesh.GetPrim()))}
-    for held in holdings.values():
-        held.author(layer, shown)
-    not_held = [str(fit.mesh.GetPath()) for fit in moving if fit not in holdings]
-    if not_held:
+    author_sublayer(layer, target, original)
+    moving = [matched for matched in original.meshes if WorldTransform(matched.mesh.GetPrim()).is_animated]
+    freezes = {matched: freeze for matched in moving if (freeze := find_freeze(matched.mesh.GetPrim()))}
+    for freeze in freezes.values():
+        freeze.author(layer, time_map)
+    if not_frozen := [str(matched.mesh.GetPath()) for matched in moving if matched not in freezes]:
         warn(
-            f"{target}: meshes with other things below them still move with what is above them, between frames and "
-            f"beyond them, and have no velocities: {shortened(not_held)}; flatten keeps everything"
+            f"{target}: meshes with other things below them still move with their parents, between frames and "
+            f"beyond them, and have no velocities: {format_names(not_frozen, str)}; flatten keeps everything"
         )
     meshes = tuple(
-        Placed(
-            path=str(fit.mesh.GetPath()),
-            scene_mesh=fit.scene_mesh,
-            of_point=None if fit.weld.is_identity else fit.weld.of_point,
-            space=_space(original, fit.mesh.GetPrim(), shown, holdings.get(fit)),
-            normals=_normals(fit),
-            velocities=velocities and (fit in holdings or fit not in moving),
+        SampledMesh(
+            path=str(matched.mesh.GetPath()),
+            scene_mesh=matched.scene_mesh,
+            vertex_of_point=None if matched.weld.is_identity else matched.weld.vertex_of_point,
+            space=_local_space(original, matched.mesh.GetPrim(), time_map, freezes.get(matched)),
+            normals=_replace_normals(matched),
+            has_velocities=has_velocities and (matched in freezes or matched not in moving),
         )
-        for fit in original.fits
+        for matched in original.meshes
     )
-    for fit, placed in zip(original.fits, meshes, strict=True):
-        _switch_off(layer, fit.mesh, placed)
-        _orient(layer, fit, placed, shown.start)
-        _tell_vertices(layer, fit)
-    return Cast(meshes, _bounds(original, shown))
+    for matched, sampled in zip(original.meshes, meshes, strict=True):
+        _block_stale_attributes(layer, matched.mesh, sampled)
+        _set_orientation(layer, matched, sampled, time_map.start_time)
+        _store_vertices(layer, matched)
+    return SampledPrims(meshes, _root_extents(original, time_map))
 
 
-def put_over(layer: Sdf.Layer, target: Path, original: Original) -> None:
-    """Make a file the sublayer of an empty layer."""
-    layer.subLayerPaths.append(reference_to(original.path, target))
+def author_sublayer(layer: Sdf.Layer, target: Path, original: Original) -> None:
+    """Add a file to an empty layer as its sublayer."""
+    layer.subLayerPaths.append(relative_asset_path(original.path, target))
     below = original.stage.GetRootLayer()
-    for key in _COPIED:
+    for key in _COPIED_METADATA:
         if below.pseudoRoot.HasInfo(key):
             layer.pseudoRoot.SetInfo(key, below.pseudoRoot.GetInfo(key))
-    split_instances(layer, target, [fit.mesh.GetPrim() for fit in original.fits])
+    disable_instancing(layer, target, [matched.mesh.GetPrim() for matched in original.meshes])
 
 
-def split_instances(layer: Sdf.Layer, target: Path, prims: Iterable[Usd.Prim]) -> None:
-    """Turn instances above some prims into ordinary prims, which can have opinions."""
-    above = [each for prim in prims for each in lineage(prim) if each.IsInstance()]
-    paths = list(dict.fromkeys(str(prim.GetPath()) for prim in above))
+def disable_instancing(layer: Sdf.Layer, target: Path, prims: Iterable[Usd.Prim]) -> None:
+    """Turn instances above some prims into ordinary prims, which can be overridden."""
+    instances = [each for prim in prims for each in self_and_ancestors(prim) if each.IsInstance()]
+    paths = list(dict.fromkeys(str(prim.GetPath()) for prim in instances))
     for path in paths:
         Sdf.CreatePrimInLayer(layer, path).SetInfo("instanceable", False)
     if paths:
-        warn(f"{target}: instances with moving meshes are instances no longer: {shortened(paths)}")
+        warn(f"{target}: instances with moving meshes are instances no longer: {format_names(paths, str)}")
 
 
-def _space(original: Original, prim: Usd.Prim, shown: Shown, holding: Holding | None = None) -> SpaceAt:
-    placement = Placement(prim)
+def _local_space(
+    original: Original, prim: Usd.Prim, time_map: TimeMap, freeze: Freeze | None = None
+) -> LocalSpaceAt:
+    transform = WorldTransform(prim)
 
-    def check(matrix: Gf.Matrix4d, time: float) -> None:
+    def check_invertible(matrix: Gf.Matrix4d, time: float) -> None:
         if np.linalg.matrix_rank(np.array(matrix)[:3, :3]) < 3:
             raise OutputError(
-                f"{original.path}: the transform of {prim.GetPath()} is singular at {time:g} s, so that points in its "
-                "space do not reach everywhere; write a stand-alone file with flatten=True (--flatten)"
+                f"{original.path}: the transform of {prim.GetPath()} is singular at {time:g} s, for example by a scale "
+                "of 0, so that its points cannot reach all places; write a stand-alone file with flatten=True "
+                "(--flatten)"
             )
 
-    def space(matrix: Gf.Matrix4d, time: float) -> Space:
+    def space_of(matrix: Gf.Matrix4d, time: float) -> LocalSpace:
         if matrix == Gf.Matrix4d(1.0):
-            return WORLD
-        check(matrix, time)
+            return WORLD_SPACE
+        check_invertible(matrix, time)
         to_world = np.array(matrix, dtype=np.float64)
-        return Space(to_world, np.asarray(np.linalg.inv(to_world), dtype=np.float64))
+        return LocalSpace(to_world, np.asarray(np.linalg.inv(to_world), dtype=np.float64))
 
-    if not holding and placement.moves:
-        return lambda time: space(placement.to_world(shown.below(time)), time)
-    start = shown.start
-    fixed = space(holding.to_world(shown.below(start)) if holding else placement.to_world(0.0), start)
+    if not freeze and transform.is_animated:
+        return lambda time: space_of(transform.at(time_map.original_code(time)), time)
+    start = time_map.start_time
+    matrix = transform.at(0.0)
+    if freeze:
+        matrix = compose_ops((*freeze.own_ops, *freeze.constant_ops), time_map.original_code(start))
+    constant_space = space_of(matrix, start)
 
-    def still(time: float) -> Space:
-        if holding:
-            check(product(holding.undone, shown.below(time)), time)
-        return fixed
+    def frozen_space(time: float) -> LocalSpace:
+        if freeze:
+            check_invertible(compose_ops(freeze.inverted_ops, time_map.original_code(time)), time)
+        return constant_space
 
-    return still
+    return frozen_space
 
 
-def _normals(fit: Fit) -> Normals | None:
-    """Return how to replace authored normals, None without any; subdivided meshes have none that matter."""
-    mesh, scene_mesh = fit.mesh, fit.scene_mesh
+def _replace_normals(matched: MatchedMesh) -> SampledNormals | None:
+    """Return the samples that replace authored normals; None without any, or if the mesh is subdivided."""
+    mesh, scene_mesh = matched.mesh, matched.scene_mesh
     if mesh.GetSubdivisionSchemeAttr().Get() != UsdGeom.Tokens.none:
         return None
-    primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")  # counts before the attribute
+    primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")  # takes precedence over the attribute
     if primvar.HasAuthoredValue():
         attribute, interpolation = "primvars:normals", primvar.GetInterpolation()
     elif mesh.GetNormalsAttr().HasAuthoredValue():
         attribute, interpolation = "normals", mesh.GetNormalsInterpolation()
     else:
         return None
-    of_corner = scene_mesh.normal_groups[fit.match.corners]
+    group_of_corner = scene_mesh.normal_groups[matched.match.corners]
     groups: IntArray | None = scene_mesh.normal_groups
-    order: IntArray | None = of_corner
+    order: IntArray | None = group_of_corner
     if interpolation == UsdGeom.Tokens.uniform:
         counts = scene_mesh.polygons.counts
-        groups, order = np.repeat(np.arange(len(counts)), counts), fit.match.polygons
+        groups, order = np.repeat(np.arange(len(counts)), counts), matched.match.polygons
     elif interpolation != UsdGeom.Tokens.faceVarying:
         interpolation = UsdGeom.Tokens.vertex
-        order = np.zeros(len(fit.weld.of_point), dtype=np.int64)
-        order[fit.corner_points] = of_corner  # all corners of a point share their normal
-        if fit.weld.is_identity:
+        order = np.zeros(len(matched.weld.vertex_of_point), dtype=np.int64)
+        order[matched.corner_points] = group_of_corner  # all corners of a point share a normal
+        if matched.weld.is_identity:
             groups = order = None
-    return Normals(attribute=attribute, interpolation=interpolation, groups=groups, order=order)
+    return SampledNormals(attribute, interpolation, groups, order)
 
 
-def _switch_off(layer: Sdf.Layer, mesh: UsdGeom.Mesh, placed: Placed) -> None:
-    """Block stale attributes of the old points, and unbind skeletons and blend shapes."""
+def _block_stale_attributes(layer: Sdf.Layer, mesh: UsdGeom.Mesh, sampled: SampledMesh) -> None:
+    """Block attributes that belong to the old points, and unbind skeletons and blend shapes."""
     prim = mesh.GetPrim()
-    skinned = any(UsdSkel.BindingAPI(each) for each in lineage(prim))
+    is_bound = any(UsdSkel.BindingAPI(each) for each in self_and_ancestors(prim))
     stale = [prim.GetAttribute(name) for name in ("velocities", "accelerations", "primvars:normals:indices")]
-    deforming = [each for each in prim.GetAuthoredAttributes() if _is_of_skeletons(each.GetName())]
-    for attribute in [*stale, *(deforming if skinned else [])]:
-        if attribute.HasAuthoredValue() and attribute.GetName() not in placed.attributes:
-            override(layer, attribute).default = Sdf.ValueBlock()
-    if skinned:  # also by a binding above it, which can be undone only where the schema is applied
-        over = Sdf.CreatePrimInLayer(layer, placed.path)
+    if is_bound:
+        stale += [each for each in prim.GetAuthoredAttributes() if _is_skel_property(each.GetName())]
+    for attribute in stale:
+        if attribute.HasAuthoredValue() and attribute.GetName() not in sampled.attributes:
+            override_spec(layer, attribute).default = Sdf.ValueBlock()
+    if is_bound:  # a binding of an ancestor is overridden, too, which needs the schema on the mesh
+        spec = Sdf.CreatePrimInLayer(layer, sampled.path)
         if not UsdSkel.BindingAPI(prim):
-            over.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["SkelBindingAPI"]))
+            spec.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["SkelBindingAPI"]))
         names = [each.GetName() for each in prim.GetAuthoredRelationships()]
-        for name in {"skel:skeleton", *filter(_is_of_skeletons, names)}:
-            unbound = Sdf.RelationshipSpec(over, name, False, Sdf.VariabilityUniform)
+        for name in {"skel:skeleton", *filter(_is_skel_property, names)}:
+            unbound = Sdf.RelationshipSpec(spec, name, False, Sdf.VariabilityUniform)
             unbound.targetPathList.ClearEditsAndMakeExplicit()
-    for each in lineage(prim):
-        hint = each.GetAttribute("extentsHint")
+    for ancestor in self_and_ancestors(prim):
+        hint = ancestor.GetAttribute("extentsHint")
         if hint and hint.HasAuthoredValue():
-            override(layer, hint).default = Sdf.ValueBlock()
+            override_spec(layer, hint).default = Sdf.ValueBlock()
 
 
-def _is_of_skeletons(name: str) -> bool:
+def _is_skel_property(name: str) -> bool:
     return name.startswith(("skel:", "primvars:skel:"))
 
 
-def _orient(layer: Sdf.Layer, fit: Fit, placed: Placed, start: float) -> None:
-    """Set the orientation of faces mirrored by their skeleton, or no longer by their transform."""
-    if not fit.corner_points.size:
+def _set_orientation(layer: Sdf.Layer, matched: MatchedMesh, sampled: SampledMesh, start: float) -> None:
+    """Override the orientation if the layer changes whether the mesh is mirrored on its way to the world."""
+    if not matched.corner_points.size:
         return
-    tokens, orientation = UsdGeom.Tokens, fit.mesh.GetOrientationAttr()
-    mirrored = np.linalg.det(placed.space(start).to_world[:3, :3]) < 0
-    # of the sequence, whose faces are counter-clockwise, the mesh has the reverse if it is turned
-    left_handed = fit.turned != mirrored
-    if left_handed != (orientation.Get() == tokens.leftHanded):
-        override(layer, orientation).default = tokens.leftHanded if left_handed else tokens.rightHanded
+    tokens, orientation = UsdGeom.Tokens, matched.mesh.GetOrientationAttr()
+    is_mirrored = np.linalg.det(sampled.space(start).to_world[:3, :3]) < 0
+    # Faces of the sequence are counter-clockwise in the world; those of the mesh are in reverse if reversed.
+    is_left_handed = matched.is_reversed != is_mirrored
+    if is_left_handed != (orientation.Get() == tokens.leftHanded):
+        override_spec(layer, orientation).default = (
+            tokens.leftHanded if is_left_handed else tokens.rightHanded
+        )
 
 
-def _tell_vertices(layer: Sdf.Layer, fit: Fit) -> None:
-    """Store the vertex of every point, which readers cannot derive from sampled points."""
-    if fit.weld.is_identity:
+def _store_vertices(layer: Sdf.Layer, matched: MatchedMesh) -> None:
+    """Store the vertex of every point, which cannot be derived from time-sampled points."""
+    if matched.weld.is_identity:
         return
-    path = f"{fit.mesh.GetPath()}.{VERTICES}"
-    vertices = attribute_in(layer, path, Sdf.ValueTypeNames.IntArray, Sdf.VariabilityUniform)
-    vertices.custom = True
-    vertices.default = Vt.IntArrayFromBuffer(fit.weld.of_point.astype(np.int32))
+    path = f"{matched.mesh.GetPath()}.{VERTICES_ATTRIBUTE}"
+    spec = attribute_spec(layer, path, Sdf.ValueTypeNames.IntArray, Sdf.VariabilityUniform)
+    spec.custom = True
+    spec.default = Vt.IntArrayFromBuffer(matched.weld.vertex_of_point.astype(np.int32))
 
 
-def _bounds(original: Original, shown: Shown) -> tuple[Bounds, ...]:
-    """Return the roots of skeletons, whose extents take precedence over those of their meshes."""
-    below: dict[Usd.Prim, list[SceneMesh]] = {}
-    for fit in original.fits:
-        for prim in lineage(fit.mesh.GetPrim()):
+def _root_extents(original: Original, time_map: TimeMap) -> tuple[SampledExtent, ...]:
+    """Return the extents of skeleton roots, which take precedence over those of meshes below them."""
+    meshes_of_root: dict[Usd.Prim, list[SceneMesh]] = {}
+    for matched in original.meshes:
+        for prim in self_and_ancestors(matched.mesh.GetPrim()):
             if UsdSkel.Root(prim):
-                below.setdefault(prim, []).append(fit.scene_mesh)
+                meshes_of_root.setdefault(prim, []).append(matched.scene_mesh)
     return tuple(
-        Bounds(
+        SampledExtent(
             path=str(root.GetPath()),
             scene_meshes=tuple(scene_meshes),
-            space=_space(original, root, shown),
-            others=_others(root, shown, len(scene_meshes)),
+            space=_local_space(original, root, time_map),
+            other_corners=_original_extent(root, time_map, len(scene_meshes)),
         )
-        for root, scene_meshes in below.items()
+        for root, scene_meshes in meshes_of_root.items()
     )
 
 
-def _others(root: Usd.Prim, shown: Shown, count: int) -> Callable[[float], FloatArray]:
-    """Return a root's extent in the file over time, empty unless it has other gprims below than the `count` meshes."""
-    nothing = np.zeros((0, 3))
+def _original_extent(root: Usd.Prim, time_map: TimeMap, mesh_count: int) -> Callable[[float], FloatArray]:
+    """Return the extent of a root in the original by time; empty if only the sequence's meshes are below it."""
+    empty = np.zeros((0, 3))
     gprims = [each for each in Usd.PrimRange(root, Usd.TraverseInstanceProxies()) if UsdGeom.Gprim(each)]
-    if len(gprims) <= count:
-        return lambda time: nothing
+    if len(gprims) <= mesh_count:
+        return lambda time: empty
     boundable = UsdGeom.Boundable(root)
 
-    def extent(time: float) -> FloatArray:
-        code = Usd.TimeCode(shown.below(time))
-        known = boundable.GetExtentAttr().Get(code) or UsdGeom.Boundable.ComputeExtentFromPlugins(
-            boundable, code
-        )
-        return nothing if known is None else np.array(known, dtype=np.float64)
+    def extent_at(time: float) -> FloatArray:
+        code = Usd.TimeCode(time_map.original_code(time))
+        extent = boundable.GetExtentAttr().Get(code)
+        extent = extent or UsdGeom.Boundable.ComputeExtentFromPlugins(boundable, code)
+        return empty if extent is None else np.array(extent, dtype=np.float64)
 
-    return extent
+    return extent_at
 
 
-def warn_of_rest(
+def warn_of_other_motion(
     target: Path, header: SequenceHeader, original: Original, times: NDArray[np.float64]
 ) -> None:
-    """Warn of visible prims of a file that move or change, if a sequence shows other `times` ``(T,)`` in s."""
+    """Warn of other visible prims that change over time, if the sequence shows the source times ``(T,)`` in s."""
     if not is_retimed(header, times):
         return
     cure = "; whole_stage=True (--whole-stage) retimes everything" if np.isfinite(times).all() else ""
-    ours = {fit.mesh.GetPath() for fit in original.fits}
-    prims = [each for each in prims_of(original.path, original.stage) if each.GetPath() not in ours]
-    skins = skins_of([mesh for each in prims if (mesh := UsdGeom.Mesh(each))], Notes(original.path))
-    if paths := [str(each.GetPath()) for each in prims if _is_seen(each) and _changes(each, skins)]:
-        warn(f"{target}: what else moves in {original.path} is not retimed: {shortened(paths)}{cure}")
+    matched_paths = {matched.mesh.GetPath() for matched in original.meshes}
+    prims = traverse_prims(original.path, original.stage)
+    others = [prim for prim in prims if prim.GetPath() not in matched_paths]
+    meshes = [mesh for prim in others if (mesh := UsdGeom.Mesh(prim))]
+    skins = find_skins(meshes, PrimWarnings(original.path))
+    animated = [prim for prim in others if _is_visible_type(prim) and _is_animated_prim(prim, skins)]
+    if paths := [str(prim.GetPath()) for prim in animated]:
+        warn(f"{target}: other motion in {original.path} is not retimed: {format_names(paths, str)}{cure}")
 
 
-def retime_rest(layer: Sdf.Layer, target: Path, original: Original, shown: Shown) -> None:
-    """Author samples, at the layer's frames, of moving attributes that the layer does not author itself."""
-    every = Usd.PrimRange.Stage(original.stage, Usd.TraverseInstanceProxies())
-    moving = [
-        each for prim in every for each in _animated(prim) if not layer.GetAttributeAtPath(each.GetPath())
+def retime_other_attributes(layer: Sdf.Layer, target: Path, original: Original, time_map: TimeMap) -> None:
+    """Author samples of animated attributes of the original that the layer does not override yet."""
+    prims = Usd.PrimRange.Stage(original.stage, Usd.TraverseInstanceProxies())
+    attributes = [
+        attribute
+        for prim in prims
+        for attribute in _animated_attributes(prim)
+        if not layer.GetAttributeAtPath(attribute.GetPath())
     ]
-    split_instances(layer, target, [each.GetPrim() for each in moving])
-    samples = Samples(layer)
-    for attribute in moving:
+    disable_instancing(layer, target, [attribute.GetPrim() for attribute in attributes])
+    samples = SampleWriter(layer)
+    for attribute in attributes:
         path = str(attribute.GetPath())
-        override(layer, attribute)
-        for code, value in shown.samples(attribute):
-            samples.put((code, {path: _as_named_from(target, value)}))
+        override_spec(layer, attribute)
+        for code, value in time_map.samples(attribute):
+            samples.put((code, {path: _rebase_asset_path(target, value)}))
 
 
-def _is_seen(prim: Usd.Prim) -> bool:
-    """Whether a prim is visible itself, unlike groups, skeletons and their animations."""
-    groups = (UsdGeom.Scope, UsdSkel.Root, UsdSkel.Skeleton, UsdSkel.Animation)
-    return prim.GetTypeName() not in ("", "Xform") and not any(kind(prim) for kind in groups)
+def _is_visible_type(prim: Usd.Prim) -> bool:
+    """Whether a prim can be visible itself, unlike groups, skeletons and their animations."""
+    schemas = (UsdGeom.Scope, UsdSkel.Root, UsdSkel.Skeleton, UsdSkel.Animation)
+    return prim.GetTypeName() not in ("", "Xform") and not any(schema(prim) for schema in schemas)
 
 
-def _changes(prim: Usd.Prim, skins: Mapping[Sdf.Path, Skin]) -> bool:
+def _is_animated_prim(prim: Usd.Prim, skins: Mapping[Sdf.Path, Skin]) -> bool:
     if mesh := UsdGeom.Mesh(prim):
-        return bool(Mover(mesh, skins.get(prim.GetPath())).sources)
-    moves = bool(UsdGeom.Xformable(prim)) and Placement(prim).moves
-    return moves or any(True for _ in _animated(prim))
+        return bool(MeshMotion(mesh, skins.get(prim.GetPath())).animated_attributes)
+    is_moving = bool(UsdGeom.Xformable(prim)) and WorldTransform(prim).is_animated
+    return is_moving or any(True for _ in _animated_attributes(prim))
 
 
-def _animated(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
+def _animated_attributes(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
     return (each for each in prim.GetAuthoredAttributes() if each.ValueMightBeTimeVarying())
 
 
-def _as_named_from(target: Path, value: Any) -> Any:
-    """Return a value with asset paths rewritten for another file."""
+def _rebase_asset_path(target: Path, value: Any) -> Any:
+    """Return a value; an asset path is rewritten for another file."""
     if isinstance(value, Sdf.AssetPath) and value.resolvedPath:
-        return Sdf.AssetPath(reference_to(Path(value.resolvedPath), target))
+        return Sdf.AssetPath(relative_asset_path(Path(value.resolvedPath), target))
     return value

@@ -1,9 +1,9 @@
-"""USD, reading: meshes over time, in world space (.usd, .usda, .usdc, .usdz).
+"""Reading of USD: meshes over time, in world space (.usd, .usda, .usdc, .usdz).
 
-Values come from the composed stage with references, layers, variants and value clips. Several meshes are joined. Points
-are float32, as in USD. Frames are at all samples of points, transforms, skeletons and blend shapes that move a mesh,
-interpolated by USD. Where more than points moves, points follow arcs, and gaps between samples are filled with the
-frames of the stage's rate, as in `UsdSkel.BakeSkinning`.
+Values are those of the composed stage, with references, layers, variants and value clips. Several meshes are joined.
+Points are float32, as in USD. Frames are at all samples of points, transforms, skeletons and blend shapes that move a
+mesh, as USD interpolates them. Where more than points moves, vertices move on arcs, so frames at the stage's rate fill
+the gaps between samples, as in `UsdSkel.BakeSkinning`.
 
 Specification: https://openusd.org/release/api/class_usd_stage.html (time codes and frames per second)
 """
@@ -16,10 +16,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Usd, UsdGeom
+from pxr import Usd, UsdGeom, UsdShade, UsdSkel
+from scipy.sparse import csr_array
 
-from mixseq.errors import FormatError, NoMeshError
-from mixseq.mesh.surface import Origin
+from mixseq.errors import FormatError, InvalidSequenceError, NoMeshError
+from mixseq.mesh.surface import FaceSet, Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.reader import SequenceReader, prefix_errors, warn
@@ -32,70 +33,80 @@ from mixseq_io.scene_meshes import (
     merge_times,
     select_moving_meshes,
 )
-from mixseq_io.text.labels import Markings
-from mixseq_io.usd.motion import AnimatedMesh, Mover, Pose, Skeleton, bound, skins_of
-from mixseq_io.usd.rigs import skeleton_prim
+from mixseq_io.text.labels import (
+    GROUPS_SOURCE,
+    LABEL_SUBSET_FAMILY,
+    LABELS_SOURCE,
+    MATERIALS_SOURCE,
+    Markings,
+    Skinning,
+    concatenate_skinning,
+    group_face_sets,
+)
+from mixseq_io.usd.motion import AnimatedMesh, MeshMotion, Pose, Skeleton, bind_pose, find_skins
+from mixseq_io.usd.rigs import find_skeleton_prim
 from mixseq_io.usd.stage import (
-    Notes,
-    absolute,
+    PART_NUMBER_KEY,
+    PrimWarnings,
+    absolute_path,
+    capture_diagnostics,
+    display_name,
+    find_meshes,
     is_spline,
-    meshes_of,
     open_stage,
-    places_of,
-    quiet,
+    scene_objects_of,
     translate_usd_read_errors,
 )
-from mixseq_io.usd.surface import markings_of, scene_mesh_of
+from mixseq_io.usd.surface import read_scene_mesh
 
 
 def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
     """Open a USD file."""
-    notes = Notes(path)
-    with quiet() as reports, translate_usd_read_errors(path), prefix_errors(path):
-        shot = _shot(path, open_stage(path), prim, notes)
-        header = _header(path, shot, notes)
-        speeds = [mesh.has_velocities(notes) for mesh in shot.meshes]
+    warnings = PrimWarnings(path)
+    with capture_diagnostics() as reports, translate_usd_read_errors(path), prefix_errors(path):
+        animation = _load_animation(path, open_stage(path), prim, warnings)
+        header = _header(path, animation, warnings)
+        have_velocities = [mesh.has_velocities(warnings) for mesh in animation.meshes]
     # Missing layers and references may be irrelevant, so reading continues with a warning.
     if reports:
         warn(f"{path}: USD reports: {'; '.join(reports[:3])}")
-    notes.warn()
-    if any(speeds) and not all(speeds):
+    warnings.emit()
+    if any(have_velocities) and not all(have_velocities):
         warn(f"{path}: only some of its meshes have velocities; they are left out")
-    return _UsdReader(path, header, shot, all(speeds))
+    return _UsdReader(path, header, animation, all(have_velocities))
 
 
 def open_usd_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
     """Open the meshes of a skeleton in their bind pose; see `mixseq_io.read_bind_pose`."""
-    notes = Notes(path)
-    with quiet(), translate_usd_read_errors(path), prefix_errors(path):
+    warnings = PrimWarnings(path)
+    with capture_diagnostics(), translate_usd_read_errors(path), prefix_errors(path):
         stage = open_stage(path)
-        wanted = skeleton_prim(path, stage, skeleton)
-        meshes = meshes_of(path, stage, None, notes)
-        skins = skins_of(meshes, notes)
-        movers = [Mover(mesh, skins.get(mesh.GetPath())) for mesh in meshes]
-        movers = [each for each in movers if each.skin and each.skin.skeleton.prim == wanted]
-        if not movers:
-            raise NoMeshError(f"{path} has no mesh on {wanted.GetPath()}; export the character with its mesh")
+        prim = find_skeleton_prim(path, stage, skeleton)
+        motions = _mesh_motions(path, stage, None, warnings)
+        motions = [each for each in motions if each.skin and each.skin.skeleton.prim == prim]
+        if not motions:
+            raise NoMeshError(f"{path} has no mesh on {prim.GetPath()}; export the character with its mesh")
         codes = np.array([stage.GetStartTimeCode()])
-        shot = _Shot(stage, [AnimatedMesh(mover, codes) for mover in movers], codes, bound)
-        return _UsdReader(path, _header(path, shot, notes), shot, moving=False)
+        meshes = [AnimatedMesh(motion, codes) for motion in motions]
+        animation = _Animation(stage, meshes, codes, bind_pose)
+        return _UsdReader(path, _header(path, animation, warnings), animation, has_velocities=False)
 
 
 @dataclass(frozen=True)
-class _Shot:
-    """Source of a sequence's frames."""
+class _Animation:
+    """Meshes of a stage at the time codes ``(T,)`` of all frames."""
 
     stage: Usd.Stage
     meshes: Sequence[AnimatedMesh]
     codes: NDArray[np.float64]
-    posed: Callable[[Skeleton, float], Pose] = Skeleton.pose
+    pose_at: Callable[[Skeleton, float], Pose] = Skeleton.pose
 
     def points(self, code: float) -> Iterator[FloatArray]:
-        """Yield the points ``(V, 3)`` of each mesh at a time code; every skeleton is posed once."""
-        skeletons = {mesh.mover.skin.skeleton for mesh in self.meshes if mesh.mover.skin}
-        poses = {skeleton: self.posed(skeleton, code) for skeleton in skeletons}
+        """Yield the points ``(V, 3)`` of each mesh at a time code; each skeleton is posed once."""
+        skeletons = {mesh.motion.skin.skeleton for mesh in self.meshes if mesh.motion.skin}
+        poses = {skeleton: self.pose_at(skeleton, code) for skeleton in skeletons}
         for mesh in self.meshes:
-            skin = mesh.mover.skin
+            skin = mesh.motion.skin
             yield mesh.points(code, poses[skin.skeleton] if skin else None)
 
     def velocities(self, code: float) -> Iterator[FloatArray]:
@@ -105,32 +116,34 @@ class _Shot:
 
 
 class _UsdReader(SequenceReader):
-    def __init__(self, path: Path, header: SequenceHeader, shot: _Shot, moving: bool) -> None:
-        super().__init__(path, header, has_velocities=moving)
-        self._shot: _Shot | None = shot
+    def __init__(
+        self, path: Path, header: SequenceHeader, animation: _Animation, has_velocities: bool
+    ) -> None:
+        super().__init__(path, header, has_velocities=has_velocities)
+        self._animation: _Animation | None = animation
 
     def markings(self) -> Markings:
-        """Return the families of subsets and the joints of the meshes."""
-        assert self._shot is not None, "the file is open"
-        with quiet(), translate_usd_read_errors(self.path):
-            return markings_of(self.header, self._shot.meshes)
+        """Return the families of subsets and the skinning weights of the meshes."""
+        assert self._animation is not None, "the file is open"
+        with capture_diagnostics(), translate_usd_read_errors(self.path):
+            return _read_markings(self.header, self._animation.meshes)
 
     def close(self) -> None:
         """Release the stage."""
         super().close()
-        self._shot = None
+        self._animation = None
 
-    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
-        shot = self._shot
-        if shot is None:
+    def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
+        animation = self._animation
+        if animation is None:
             return
-        values_at = shot.points if what == "points" else shot.velocities
-        ends = np.cumsum([mesh.vertex_count for mesh in shot.meshes])
+        values_at = animation.points if quantity == "points" else animation.velocities
+        ends = np.cumsum([mesh.vertex_count for mesh in animation.meshes])
         for start in range(0, self.header.frame_count, size):
             stop = min(start + size, self.header.frame_count)
             block = np.empty((stop - start, self.header.vertex_count, 3), np.float32)
-            with quiet(), translate_usd_read_errors(self.path):
-                for frame, code in enumerate(shot.codes[start:stop].tolist(), start):
+            with capture_diagnostics(), translate_usd_read_errors(self.path):
+                for frame, code in enumerate(animation.codes[start:stop].tolist(), start):
                     number = self.header.frame_number(frame)
                     with prefix_errors(f"{self.path}: frame {number} (time code {code:g})"):
                         for end, values in zip(ends, values_at(code), strict=True):
@@ -138,56 +151,61 @@ class _UsdReader(SequenceReader):
             yield block
 
 
-def _shot(path: Path, stage: Usd.Stage, prim: str | None, notes: Notes) -> _Shot:
-    meshes = meshes_of(path, stage, prim, notes)
-    skins = skins_of(meshes, notes)
-    movers = [Mover(mesh, skins.get(mesh.GetPath())) for mesh in meshes]
+def _mesh_motions(path: Path, stage: Usd.Stage, prim: str | None, warnings: PrimWarnings) -> list[MeshMotion]:
+    meshes = find_meshes(path, stage, prim, warnings)
+    skins = find_skins(meshes, warnings)
+    return [MeshMotion(mesh, skins.get(mesh.GetPath())) for mesh in meshes]
+
+
+def _load_animation(path: Path, stage: Usd.Stage, prim: str | None, warnings: PrimWarnings) -> _Animation:
+    motions = _mesh_motions(path, stage, prim, warnings)
     if prim is None:
-        numbers = select_moving_meshes(path, places_of(meshes), [bool(mover.sources) for mover in movers])
-        movers = [movers[i] for i in numbers]
-    codes = _frame_codes(path, stage, movers)
-    return _Shot(stage, [AnimatedMesh(mover, codes) for mover in movers], codes)
+        objects = scene_objects_of([motion.mesh for motion in motions])
+        are_moving = [bool(motion.animated_attributes) for motion in motions]
+        motions = [motions[i] for i in select_moving_meshes(path, objects, are_moving)]
+    codes = _frame_codes(path, stage, motions)
+    return _Animation(stage, [AnimatedMesh(motion, codes) for motion in motions], codes)
 
 
-def _header(path: Path, shot: _Shot, notes: Notes) -> SequenceHeader:
-    stage = shot.stage
+def _header(path: Path, animation: _Animation, warnings: PrimWarnings) -> SequenceHeader:
+    stage, meshes = animation.stage, animation.meshes
     rate = stage.GetTimeCodesPerSecond()
-    ends = np.cumsum([mesh.vertex_count for mesh in shot.meshes]).tolist()
+    ends = np.cumsum([mesh.vertex_count for mesh in meshes]).tolist()
     scene_meshes = [
-        scene_mesh_of(mesh, end - mesh.vertex_count, shot.codes, notes)
-        for mesh, end in zip(shot.meshes, ends, strict=True)
+        read_scene_mesh(mesh, end - mesh.vertex_count, warnings)
+        for mesh, end in zip(meshes, ends, strict=True)
     ]
-    polygons, surface = join_meshes(scene_meshes, Origin("USD", absolute(path)))
+    polygons, surface = join_meshes(scene_meshes, Origin("USD", absolute_path(path)))
     return SequenceHeader(
         polygons=polygons,
         vertex_count=ends[-1],
-        times=shot.codes / (rate if rate > 0 else 1.0),  # the header reports a rate that is none
+        times=animation.codes / (rate if rate > 0 else 1.0),  # the header rejects other rates
         fps=rate,
         up_axis=str(UsdGeom.GetStageUpAxis(stage)),
         metres_per_unit=UsdGeom.GetStageMetersPerUnit(stage),
-        name=common_name(places_of([each.mesh for each in shot.meshes])) or path.stem,
+        name=common_name(scene_objects_of([mesh.mesh for mesh in meshes])) or path.stem,
         surface=surface,
     )
 
 
-def _frame_codes(path: Path, stage: Usd.Stage, movers: Sequence[Mover]) -> NDArray[np.float64]:
+def _frame_codes(path: Path, stage: Usd.Stage, motions: Sequence[MeshMotion]) -> NDArray[np.float64]:
     """Return the time codes ``(T,)`` of the frames."""
-    sources = list(dict.fromkeys(each for mover in movers for each in mover.sources))
-    for each in sources:
-        if is_spline(each):
-            raise FormatError(f"{path}: {each.GetPath()} is a spline; bake it into time samples")
-    channels = dict.fromkeys(tuple(each.GetTimeSamples()) for each in sources)
-    codes = merge_times(map(np.array, channels), TIME_TOLERANCE * stage.GetTimeCodesPerSecond())
-    if not codes.size:  # the time of the only sample of the points, if there is one
-        return np.array(movers[0].mesh.GetPointsAttr().GetTimeSamples()[:1] or [0.0], dtype=np.float64)
-    if all(mover.only_points_move for mover in movers):
+    attributes = list(dict.fromkeys(each for motion in motions for each in motion.animated_attributes))
+    for attribute in attributes:
+        if is_spline(attribute):
+            raise FormatError(f"{path}: {attribute.GetPath()} is a spline; bake it into time samples")
+    samples = dict.fromkeys(tuple(attribute.GetTimeSamples()) for attribute in attributes)
+    codes = merge_times(map(np.array, samples), TIME_TOLERANCE * stage.GetTimeCodesPerSecond())
+    if not codes.size:  # static: the time of the only sample of the points, if there is one
+        return np.array(motions[0].mesh.GetPointsAttr().GetTimeSamples()[:1] or [0.0], dtype=np.float64)
+    if all(motion.only_points_are_animated for motion in motions):
         return codes
-    played, step = _played(stage, codes[0], codes[-1])
-    return insert_times(codes, played, step / 2)
+    inserted, step = _frame_rate_codes(stage, codes[0], codes[-1])
+    return insert_times(codes, inserted, step / 2)
 
 
-def _played(stage: Usd.Stage, first: float, last: float) -> tuple[NDArray[np.float64], float]:
-    """Return the time codes at the stage's frame rate from `first` to `last`, and their step."""
+def _frame_rate_codes(stage: Usd.Stage, first: float, last: float) -> tuple[NDArray[np.float64], float]:
+    """Return the time codes of the stage's frames from `first` to `last`, and their step; none without a valid rate."""
     start, rate = stage.GetStartTimeCode(), stage.GetFramesPerSecond()
     step = stage.GetTimeCodesPerSecond() / rate if rate else 0.0
     if not (stage.HasAuthoredTimeCodeRange() and np.isfinite(step) and step > 0 and np.isfinite(start)):
@@ -197,3 +215,75 @@ def _played(stage: Usd.Stage, first: float, last: float) -> tuple[NDArray[np.flo
     if not end - begin < MAX_INSERTED_FRAMES:
         return np.empty(0), 0.0
     return start + np.arange(begin, end + 1) * step, step
+
+
+def _read_markings(header: SequenceHeader, meshes: Sequence[AnimatedMesh]) -> Markings:
+    """Return the families of subsets and the skinning weights of meshes."""
+    is_skinned = any(mesh.motion.skin and mesh.motion.skin.has_joints for mesh in meshes)
+    materials = {
+        source: sets for source, sets in group_face_sets(header).items() if source == MATERIALS_SOURCE
+    }
+    return Markings(
+        sets=_face_sets_by_family(meshes) | materials,
+        skinning=concatenate_skinning([_read_skinning(mesh) for mesh in meshes]) if is_skinned else None,
+    )
+
+
+def _face_sets_by_family(meshes: Sequence[AnimatedMesh]) -> dict[str, tuple[FaceSet, ...]]:
+    """Return subsets of faces by family, without those that bind materials; mixseq's are sorted by part number."""
+    found: dict[str, list[tuple[int, FaceSet]]] = {}
+    first_face = 0
+    for animated in meshes:
+        code = Usd.TimeCode(animated.start)
+        face_count = len(animated.mesh.GetFaceVertexCountsAttr().Get(code) or ())
+        for subset in UsdGeom.Subset.GetAllGeomSubsets(animated.mesh):
+            family = str(subset.GetFamilyNameAttr().Get() or GROUPS_SOURCE)
+            if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
+                continue
+            if family == UsdShade.Tokens.materialBind:
+                continue
+            faces = np.array(subset.GetIndicesAttr().Get(code) or (), dtype=np.int32)
+            faces = faces[(faces >= 0) & (faces < face_count)]
+            number = subset.GetPrim().GetCustomDataByKey(PART_NUMBER_KEY)
+            face_set = FaceSet(display_name(subset.GetPrim()), faces + first_face)
+            source = LABELS_SOURCE if family == LABEL_SUBSET_FAMILY else family
+            found.setdefault(source, []).append((number if isinstance(number, int) else 0, face_set))
+        first_face += face_count
+    return {
+        source: tuple(face_set for _, face_set in sorted(sets, key=lambda pair: pair[0]))
+        for source, sets in found.items()
+    }
+
+
+def _read_skinning(animated: AnimatedMesh) -> Skinning:
+    skin = animated.motion.skin
+    if skin is None or not skin.has_joints:
+        return Skinning.rigid(str(animated.mesh.GetPath()), animated.vertex_count)
+    names = [str(each) for each in skin.query.GetJointOrder() or skin.skeleton.query.GetJointOrder()]
+    point_count, vertex_count = animated.point_count, animated.vertex_count
+    influences = skin.query.ComputeVaryingJointInfluences(point_count, Usd.TimeCode(animated.start))
+    joints = np.array(influences[0] or (), dtype=np.int64).reshape(point_count, -1)
+    weights = np.array(influences[1] or (), dtype=np.float64).reshape(point_count, -1)
+    if not joints.size or joints.min() < 0 or joints.max() >= len(names):
+        raise InvalidSequenceError(
+            f"the joint indices and weights of {animated.mesh.GetPath()} do not fit its {point_count} "
+            f"points and {len(names)} joints; export the character again"
+        )
+    rows = np.repeat(np.arange(vertex_count), joints.shape[1])
+    points = animated.weld.point_of_vertex
+    matrix = csr_array(
+        (weights[points].reshape(-1), (rows, joints[points].reshape(-1))), shape=(vertex_count, len(names))
+    )
+    root = str(skin.skeleton.prim.GetPath())
+    return Skinning(
+        matrix,
+        tuple(f"{root}/{name}" for name in names),
+        tuple(_parent_joint(root, name, skin.skeleton.query) for name in names),
+    )
+
+
+def _parent_joint(root: str, joint: str, skeleton: UsdSkel.SkeletonQuery) -> str:
+    """Return the path of a joint's parent joint, "" if it has none."""
+    joints = [str(each) for each in skeleton.GetJointOrder()]
+    parent = skeleton.GetTopology().GetParent(joints.index(joint)) if joint in joints else -1
+    return f"{root}/{joints[parent]}" if parent >= 0 else ""

@@ -1,13 +1,13 @@
-"""Skins and morphs in USD (UsdSkel): stand-alone files with joints and blend shapes, and skeletons read.
+"""Skins and morphs in USD (UsdSkel): stand-alone files with joints and blend shapes, and joints of skeletons.
 
-Bind transforms are in skeleton space, placed in the world by the skeleton's transform at the start of the stage. USD's
-matrices act on row vectors.
+When read, bind transforms are taken from skeleton space to the world by the skeleton's transform at the start of the
+stage. USD's matrices act on row vectors.
 
-Written, a SkelRoot holds the meshes, a Skeleton and a SkelAnimation. Bind transforms are in world space, with the axes
-``A_b`` at the pivot ``p_b``. The animation moves joints relative to their parents by `Skin.local_motion`,
-so that UsdSkel takes a point from the bind pose to ``R_tb (r_v - p_b) + c_tb``, the skin's formula; blend shapes come
-before joints. A morph has a Skeleton without joints. Joints are named by paths (``hips/leg``) of
-valid names; ``jointNames`` keeps the others. Materials are copied from the sequence's original USD file.
+A written file has a SkelRoot with the meshes, a Skeleton and a SkelAnimation. Bind transforms are in world space, with
+the axes ``A_b`` at the pivot ``p_b``. The animation moves joints relative to their parents by `Skin.local_motion`, so
+that UsdSkel takes a point from the bind pose to ``R_tb (r_v - p_b) + c_tb``, the skin's formula; blend shapes come
+before joints. The Skeleton of a morph has no joints. Joints are named by paths of valid names (``hips/leg``), with
+their own names in ``jointNames``. Materials are copied from the sequence's original USD file.
 
 Specification: https://openusd.org/release/api/_usd_skel__schemas.html
 """
@@ -34,57 +34,64 @@ from mixseq_io.rig_arrays import (
     normalise_morph_weights,
     numbered_names,
 )
-from mixseq_io.usd.layers import Cast, Placed, declare, extent_of, frames, pack
-from mixseq_io.usd.motion import shown_by
+from mixseq_io.usd.layers import (
+    SampledMesh,
+    compute_extent,
+    compute_frame_values,
+    declare_attributes,
+    write_package,
+)
+from mixseq_io.usd.motion import TimeMap
 from mixseq_io.usd.stage import (
     Identifiers,
-    Placement,
+    WorldTransform,
+    capture_diagnostics,
     open_stage,
-    prims_of,
-    quiet,
     save_layer,
     time_codes,
     translate_usd_read_errors,
     translate_usd_write_errors,
+    traverse_prims,
 )
 from mixseq_io.usd.writer import (
-    author_times,
-    check_not_needed,
+    author_time_range,
+    check_not_overwritten,
     check_up_axis,
     define_component,
-    folders_of,
-    warn_of_unpacked,
+    texture_folders,
+    warn_of_unpacked_files,
 )
 
 
 def read_skel_joints(path: Path, name: str | None) -> Skeleton:
     """Read the joints of a skeleton; see `mixseq_io.read_skeleton`."""
-    with quiet(), translate_usd_read_errors(path):
+    with capture_diagnostics(), translate_usd_read_errors(path):
         stage = open_stage(path)
-        prim = skeleton_prim(path, stage, name)
+        prim = find_skeleton_prim(path, stage, name)
         skeleton = UsdSkel.Skeleton(prim)
         joints = skeleton.GetJointsAttr().Get() or []
         binds = skeleton.GetBindTransformsAttr().Get() or []
         if not joints or len(binds) != len(joints):
             raise FormatError(
-                f"{path}: {prim.GetPath()} has {len(joints)} joints and {len(binds)} bind transforms; as many of "
-                "both, and one at least, are expected: export the character again"
+                f"{path}: {prim.GetPath()} has {len(joints)} joints and {len(binds)} bind transforms; one bind "
+                "transform per joint, and at least one joint, are expected: export the character again"
             )
         topology = UsdSkel.Topology(joints)
-        sound, reason = topology.Validate()
-        if not sound:
-            raise FormatError(f"{path}: the joints of {prim.GetPath()} are no tree: {reason}")
+        is_valid, reason = topology.Validate()
+        if not is_valid:
+            raise FormatError(f"{path}: the joints of {prim.GetPath()} are not a tree: {reason}")
         parents = [int(each) for each in topology.GetParentIndices()]
-        to_world = np.array(Placement(prim).to_world(stage.GetStartTimeCode()))
+        to_world = np.array(WorldTransform(prim).at(stage.GetStartTimeCode()))
         bind = (np.array(binds, dtype=np.float64).reshape(-1, 4, 4) @ to_world).swapaxes(1, 2)
-        told = list(skeleton.GetJointNamesAttr().Get() or [])
-        names = told if len(told) == len(joints) else [Sdf.Path(joint).name for joint in joints]
+        names = list(skeleton.GetJointNamesAttr().Get() or [])
+        if len(names) != len(joints):
+            names = [Sdf.Path(joint).name for joint in joints]
         return build_skeleton(names, parents, bind)
 
 
-def skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Prim:
-    """Return the chosen skeleton; see `mixseq_io.rig_arrays.choose_skeleton`."""
-    prims = [prim for prim in prims_of(path, stage) if UsdSkel.Skeleton(prim)]
+def find_skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Prim:
+    """Return the skeleton of a name, or the only one; see `mixseq_io.rig_arrays.choose_skeleton`."""
+    prims = [prim for prim in traverse_prims(path, stage) if UsdSkel.Skeleton(prim)]
     names = [(str(prim.GetPath()), prim.GetName(), prim.GetDisplayName()) for prim in prims]
     return prims[choose_skeleton(path, names, name)]
 
@@ -92,47 +99,47 @@ def skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Prim:
 def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
     """Author a skin or a morph."""
     shape = normalise_morph_weights(rig)
-    cast = define_component(layer, target, rig.header, velocities=False)
-    _put_base(layer, cast, shape)
+    prims = define_component(layer, target, rig.header, has_velocities=False)
+    declare_attributes(layer, prims)
+    base_block = (0, shape.base[None], None)
+    ((_, values),) = compute_frame_values(prims, np.zeros(1), np.zeros(1), [base_block])
+    for path, value in values.items():
+        layer.GetAttributeAtPath(path).default = value
     stage = Usd.Stage.Open(layer)
     root = stage.GetDefaultPrim()
     root.SetTypeName("SkelRoot")
-    names = Identifiers(*(child.GetName() for child in root.GetChildren()))
-    skeleton = UsdSkel.Skeleton.Define(stage, root.GetPath().AppendChild(names.take("skeleton")))
+    identifiers = Identifiers(*(child.GetName() for child in root.GetChildren()))
+    skeleton_path = root.GetPath().AppendChild(identifiers.reserve("skeleton"))
+    skeleton = UsdSkel.Skeleton.Define(stage, skeleton_path)
     animation = UsdSkel.Animation.Define(stage, skeleton.GetPath().AppendChild("animation"))
     codes = time_codes(rig.header.times, rig.header.fps)
-    modes = numbered_names("mode", len(shape.targets))
+    shape_names = numbered_names("mode", len(shape.targets))
     if isinstance(rig, Skin):
         _define_joints(skeleton, rig.skeleton)
         _animate_joints(animation, skeleton, rig, codes)
-    _animate_shapes(animation, modes, shape, codes)
+    if shape_names:
+        animation.CreateBlendShapesAttr(Vt.TokenArray(shape_names))
+        weights = [Vt.FloatArrayFromBuffer(each) for each in shape.weights.astype(np.float32)]
+        _set_samples(animation.CreateBlendShapeWeightsAttr(), weights, codes)
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
-    for mesh in cast.meshes:
+    for mesh in prims.meshes:
         binding = UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath(mesh.path))
         binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
-        _add_shapes(stage, binding, mesh, modes, shape.targets)
+        _add_shapes(stage, binding, mesh, shape_names, shape.targets)
         if isinstance(rig, Skin):
             _add_influences(binding, mesh, rig)
     extent = UsdGeom.Boundable(root).CreateExtentAttr()
-    every = (points for block in rig.blocks() for points in block)
-    for code, points in zip(codes.tolist(), every, strict=True):
-        extent.Set(extent_of(points), code)
-
-
-def _put_base(layer: Sdf.Layer, cast: Cast, shape: Morph) -> None:
-    """Author the base points of the meshes and derived attributes, without time samples."""
-    declare(layer, cast)
-    ((_, values),) = frames(cast, np.zeros(1), np.zeros(1), [(0, shape.base[None], None)])
-    for path, value in values.items():
-        layer.GetAttributeAtPath(path).default = value
+    frames = (points for block in rig.blocks() for points in block)
+    for code, points in zip(codes.tolist(), frames, strict=True):
+        extent.Set(compute_extent(points), code)
 
 
 def _define_joints(skeleton: UsdSkel.Skeleton, joints: Skeleton) -> None:
     paths: list[str] = []
     siblings: dict[int, Identifiers] = {}
     for name, parent in zip(joints.names, joints.parents.tolist(), strict=True):
-        own = siblings.setdefault(parent, Identifiers()).take(name)
-        paths.append(own if parent < 0 else f"{paths[parent]}/{own}")
+        identifier = siblings.setdefault(parent, Identifiers()).reserve(name)
+        paths.append(identifier if parent < 0 else f"{paths[parent]}/{identifier}")
     rest = joints.local_rest()
     skeleton.CreateJointsAttr(Vt.TokenArray(paths))
     skeleton.CreateJointNamesAttr(Vt.TokenArray(joints.names))
@@ -153,24 +160,18 @@ def _animate_joints(
 ) -> None:
     rotations, translations = local_joint_transforms(skin, "USD", skin.header)
     animation.CreateJointsAttr(skeleton.GetJointsAttr().Get())
-    # The numbers of a Gf.Quatf lie in memory as x, y, z, w.
-    _set(animation.CreateRotationsAttr(), [Vt.QuatfArrayFromBuffer(each) for each in rotations], codes)
-    _set(animation.CreateTranslationsAttr(), [Vt.Vec3fArrayFromBuffer(each) for each in translations], codes)
+    # Gf.Quatf is stored as x, y, z, w.
+    _set_samples(
+        animation.CreateRotationsAttr(), [Vt.QuatfArrayFromBuffer(each) for each in rotations], codes
+    )
+    _set_samples(
+        animation.CreateTranslationsAttr(), [Vt.Vec3fArrayFromBuffer(each) for each in translations], codes
+    )
     animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * skin.bone_count))
 
 
-def _animate_shapes(
-    animation: UsdSkel.Animation, modes: list[str], shape: Morph, codes: NDArray[np.float64]
-) -> None:
-    if not modes:
-        return
-    animation.CreateBlendShapesAttr(Vt.TokenArray(modes))
-    weights = [Vt.FloatArrayFromBuffer(each) for each in shape.weights.astype(np.float32)]
-    _set(animation.CreateBlendShapeWeightsAttr(), weights, codes)
-
-
-def _set(attribute: Usd.Attribute, values: list[Any], codes: NDArray[np.float64]) -> None:
-    """Set an attribute at every time code, or a single value if it is constant."""
+def _set_samples(attribute: Usd.Attribute, values: list[Any], codes: NDArray[np.float64]) -> None:
+    """Set an attribute at every time code, or once if it is constant."""
     if all(value == values[0] for value in values):
         attribute.Set(values[0])
         return
@@ -178,31 +179,31 @@ def _set(attribute: Usd.Attribute, values: list[Any], codes: NDArray[np.float64]
         attribute.Set(value, code)
 
 
-def _add_influences(binding: UsdSkel.BindingAPI, mesh: Placed, skin: Skin) -> None:
+def _add_influences(binding: UsdSkel.BindingAPI, mesh: SampledMesh, skin: Skin) -> None:
     bones, weights = (each[mesh.scene_mesh.vertices] for each in four_influences(skin))
-    of_vertex, width = False, bones.shape[1]
+    is_constant, width = False, bones.shape[1]
     joints = Vt.IntArrayFromBuffer(bones.astype(np.int32).reshape(-1))
-    binding.CreateJointIndicesPrimvar(of_vertex, width).Set(joints)
-    binding.CreateJointWeightsPrimvar(of_vertex, width).Set(Vt.FloatArrayFromBuffer(weights.reshape(-1)))
+    binding.CreateJointIndicesPrimvar(is_constant, width).Set(joints)
+    binding.CreateJointWeightsPrimvar(is_constant, width).Set(Vt.FloatArrayFromBuffer(weights.reshape(-1)))
     binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1))
 
 
 def _add_shapes(
-    stage: Usd.Stage, binding: UsdSkel.BindingAPI, mesh: Placed, modes: list[str], targets: Float
+    stage: Usd.Stage, binding: UsdSkel.BindingAPI, mesh: SampledMesh, names: list[str], targets: Float
 ) -> None:
-    """Add the targets that move a mesh, each with its moved points only."""
+    """Add the morph targets that move a mesh, each with the offsets of its moving points only."""
     path = Sdf.Path(mesh.path)
-    names = Identifiers(*(child.GetName() for child in stage.GetPrimAtPath(path).GetChildren()))
+    identifiers = Identifiers(*(child.GetName() for child in stage.GetPrimAtPath(path).GetChildren()))
     used, paths = [], []
-    for mode, target in zip(modes, as_float32(targets, 0, "USD", "a target of vertex"), strict=True):
+    for name, target in zip(names, as_float32(targets, 0, "USD", "a target of vertex"), strict=True):
         offsets = target[mesh.scene_mesh.vertices]
-        moved = np.flatnonzero(offsets.any(axis=1))
-        if not moved.size:
+        point_ids = np.flatnonzero(offsets.any(axis=1))
+        if not point_ids.size:
             continue
-        shape = UsdSkel.BlendShape.Define(stage, path.AppendChild(names.take(mode)))
-        shape.CreateOffsetsAttr(Vt.Vec3fArrayFromBuffer(offsets[moved]))
-        shape.CreatePointIndicesAttr(Vt.IntArrayFromBuffer(moved.astype(np.int32)))
-        used.append(mode)
+        shape = UsdSkel.BlendShape.Define(stage, path.AppendChild(identifiers.reserve(name)))
+        shape.CreateOffsetsAttr(Vt.Vec3fArrayFromBuffer(offsets[point_ids]))
+        shape.CreatePointIndicesAttr(Vt.IntArrayFromBuffer(point_ids.astype(np.int32)))
+        used.append(name)
         paths.append(shape.GetPath())
     if used:
         binding.CreateBlendShapesAttr(Vt.TokenArray(used))
@@ -215,14 +216,15 @@ def write_usd_rig(path: Path, rig: Skin | Morph) -> None:
     check_up_axis(path, header)
     origin = header.surface.origin
     if origin is not None:
-        check_not_needed(path, Path(origin.path))
-    packed = path.suffix.lower() == ".usdz"
-    elsewhere: list[str] = []
-    with atomic_file(path) as temporary, quiet(), translate_usd_write_errors(path):
-        layer = Sdf.Layer.CreateNew(str(temporary.with_suffix(".usdc") if packed else temporary))
-        author_times(layer, header, shown_by(header, header.fps), None)
+        check_not_overwritten(path, Path(origin.path))
+    is_package = path.suffix.lower() == ".usdz"
+    left_out: list[str] = []
+    with atomic_file(path) as temporary, capture_diagnostics(), translate_usd_write_errors(path):
+        layer = Sdf.Layer.CreateNew(str(temporary.with_suffix(".usdc") if is_package else temporary))
+        author_time_range(layer, header, TimeMap.from_header(header, header.fps), None)
         define_rig(layer, path, rig)
         save_layer(layer)
-        if packed:
-            elsewhere = pack(layer, temporary, path.with_suffix(".usdc").name, folders_of(header))
-    warn_of_unpacked(path, elsewhere)
+        if is_package:
+            name = path.with_suffix(".usdc").name
+            left_out = write_package(layer, temporary, name, texture_folders(header))
+    warn_of_unpacked_files(path, left_out)

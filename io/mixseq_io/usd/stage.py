@@ -1,8 +1,8 @@
-"""Stages of USD: diagnostics, names and paths, prims, transforms, and the choice of meshes.
+"""USD stages: diagnostics, prim names and asset paths, traversal, transforms, and the choice of meshes.
 
-USD's diagnostics, printed to stderr from C++ or raised with C++ file names, are turned into mixseq's errors.
-Transforming operations that invert the next one at all times, as written by `mixseq_io.usd.overlay`, are dropped with
-it, so that the transform is exact and their samples make no frames.
+USD prints its diagnostics to stderr from C++, or raises them with C++ file names; here they become mixseq's errors.
+Transform operations that are inverse at all times, as written by `mixseq_io.usd.overlay`, cancel exactly, so that they
+cause neither rounding nor additional frames.
 
 Specification: https://openusd.org/release/api/class_usd_stage.html
 """
@@ -30,76 +30,80 @@ from mixseq_io.files import out_of_memory_error, raise_system_error
 from mixseq_io.reader import check_regular_file, warn
 from mixseq_io.scene_meshes import SceneObject, format_names, select_meshes
 
-_LONGEST_REASON = 200
+ROUNDING_TOLERANCE = 1e-9
+_MAX_REASON_LENGTH = 200
 
-_TEMPORARY = re.compile(r"\.mixseq\.[\w-]+\.[0-9a-f]{8}(?:(\.new)|\.\w+)")
-"""Temporary file names, see `mixseq_io.files` and `mixseq_io.usd.layers`."""
+_TEMPORARY_NAME = re.compile(r"\.mixseq\.[\w-]+\.[0-9a-f]{8}(?:(\.new)|\.\w+)")
+"""Names of temporary files, see `mixseq_io.files`, and of folders of clips, see `mixseq_io.usd.layers`."""
 
 
 @contextmanager
-def quiet() -> Iterator[list[str]]:
-    """Yield a list that collects USD's warnings; it is complete when the block ends."""
+def capture_diagnostics() -> Iterator[list[str]]:
+    """Yield a list that receives USD's warnings when the block ends; keep them off stderr."""
     messages: list[str] = []
-    delegate = UsdUtils.CoalescingDiagnosticDelegate()  # listens as long as it lives
+    delegate = UsdUtils.CoalescingDiagnosticDelegate()  # collects until it is deleted
     try:
         yield messages
     finally:
-        messages.extend(_text(report) for report in delegate.TakeUncoalescedDiagnostics())
+        messages.extend(_format_diagnostic(report) for report in delegate.TakeUncoalescedDiagnostics())
         del delegate
 
 
 @contextmanager
 def translate_usd_read_errors(path: Path) -> Iterator[None]:
-    """Translate USD's errors (`RuntimeError`), and those of damaged values, about a file read into `FormatError`."""
+    """Translate errors of USD (`RuntimeError`), and of damaged values, into `FormatError`."""
     try:
         yield
     except MemoryError:
         raise out_of_memory_error(path) from None
     except (RuntimeError, ValueError, TypeError) as error:
         raise FormatError(
-            f"{path} cannot be read as USD; it is damaged, truncated or of another type ({_reasons(error)})"
+            f"{path} cannot be read as USD; it is damaged, truncated or of another type ({_join_diagnostics(error)})"
         ) from error
 
 
 @contextmanager
 def translate_usd_write_errors(path: Path) -> Iterator[None]:
-    """Translate USD's errors about a file that is written into `OutputError`, except for errors of the system."""
+    """Translate errors of USD about a file that is written into `OutputError`, or `OSError` if the disk caused them."""
     try:
         yield
     except Tf.ErrorException as error:
-        reasons = _reasons(error)
-        raise_system_error(reasons, path.resolve().parent)
-        named = _TEMPORARY.sub(lambda found: f"{path.name}{'.clips' if found[1] else ''}", reasons)
-        short = shorten(named, _LONGEST_REASON, placeholder=" ...")
+        message = _join_diagnostics(error)
+        raise_system_error(message, path.resolve().parent)
+        message = _TEMPORARY_NAME.sub(lambda match: f"{path.name}{'.clips' if match[1] else ''}", message)
+        reason = shorten(message, _MAX_REASON_LENGTH, placeholder=" ...")
         raise OutputError(
-            f"cannot write {path}: {short}; check the free space of the disk and the path"
+            f"cannot write {path}: {reason}; check the free space of the disk and the path"
         ) from error
 
 
 def save_layer(layer: Sdf.Layer) -> None:
-    """Save a layer; raise an error even if USD gives no reason."""
+    """Save a layer; raise an error if that fails, even without a diagnostic."""
     if not layer.Save():
         raise Tf.ErrorException("USD does not save it, and does not say why")
 
 
-def _reasons(error: Exception) -> str:
-    return "; ".join(dict.fromkeys(map(_text, error.args))) or type(error).__name__
+def _join_diagnostics(error: Exception) -> str:
+    return "; ".join(dict.fromkeys(map(_format_diagnostic, error.args))) or type(error).__name__
 
 
-def _text(report: object) -> str:
-    """Return a diagnostic, or an argument of another error, in one line."""
+def _format_diagnostic(diagnostic: object) -> str:
+    """Format a diagnostic, or an argument of another error, in one line."""
     try:
-        return " ".join(str(getattr(report, "commentary", report)).split())
+        return " ".join(str(getattr(diagnostic, "commentary", diagnostic)).split())
     except UnicodeDecodeError:  # the message quotes a damaged file
-        return "what it holds is not text"
+        return "its contents are not text"
 
 
-TILES = "<UDIM>"
-"""Placeholder in a texture's name for the number of its tiles, from 1001 on."""
+PART_NUMBER_KEY = "mixseq:part"
+"""Key of a part's index in the custom data of its subset."""
+
+UDIM_PLACEHOLDER = "<UDIM>"
+"""Placeholder for the tile number, from 1001 on, in the file name of a texture."""
 
 
 def time_codes(times: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
-    """Return ``times * fps`` ``(T,)``, rounded where only floating-point error keeps them from whole numbers.
+    """Convert times ``(T,)`` to time codes; round those that differ from a whole number by floating-point error only.
 
     Examples
     --------
@@ -108,13 +112,13 @@ def time_codes(times: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
     """
     codes = times * fps
     nearest = np.rint(codes)
-    near = np.abs(codes - nearest) <= 1e-9 * np.maximum(1.0, np.abs(codes))
-    rounded = np.where(near, nearest, codes)
+    is_whole = np.abs(codes - nearest) <= ROUNDING_TOLERANCE * np.maximum(1.0, np.abs(codes))
+    rounded = np.where(is_whole, nearest, codes)
     return rounded if (np.diff(rounded) > 0).all() else codes
 
 
 def identifier(name: str) -> str:
-    """Return the closest valid prim name, letters of any script, digits, underscores: "2nd try" becomes "_2nd_try"."""
+    """Return a valid prim name with invalid characters replaced by underscores: "2nd try" becomes "_2nd_try"."""
     cleaned = (
         "".join(letter if Sdf.Path.IsValidIdentifier("_" + letter) else "_" for letter in name) or "mesh"
     )
@@ -122,21 +126,21 @@ def identifier(name: str) -> str:
 
 
 class Identifiers:
-    """Unique valid prim names of siblings: a second "leg" becomes "leg_1"."""
+    """Generator of valid prim names that are unique among siblings: a second "leg" becomes "leg_1"."""
 
-    def __init__(self, *taken: str) -> None:
-        self._taken = set(taken)
-        self._next: dict[str, int] = {}
+    def __init__(self, *reserved: str) -> None:
+        self._reserved = set(reserved)
+        self._next_suffix: dict[str, int] = {}
 
-    def take(self, name: str) -> str:
-        """Return the closest free name, and reserve it."""
-        free = identifier(name)
-        number = self._next.get(free, 0)
-        while (numbered := f"{free}_{number}" if number else free) in self._taken:
-            number += 1
-        self._next[free] = number + 1
-        self._taken.add(numbered)
-        return numbered
+    def reserve(self, name: str) -> str:
+        """Return a free name for an object, and reserve it."""
+        base = identifier(name)
+        suffix = self._next_suffix.get(base, 0)
+        while (unique := f"{base}_{suffix}" if suffix else base) in self._reserved:
+            suffix += 1
+        self._next_suffix[base] = suffix + 1
+        self._reserved.add(unique)
+        return unique
 
 
 def is_prim_path(text: str) -> bool:
@@ -145,7 +149,7 @@ def is_prim_path(text: str) -> bool:
     return bool(path.IsAbsolutePath() and path.IsPrimPath())
 
 
-def reference_to(file: Path, target: Path) -> str:
+def relative_asset_path(file: Path, target: Path) -> str:
     """Return the path of `file` in `target`: relative in a shared folder, absolute where symbolic links interfere."""
     absolute, folder = file.absolute(), target.absolute().parent
     try:
@@ -153,53 +157,54 @@ def reference_to(file: Path, target: Path) -> str:
         shared = os.path.commonpath([absolute, folder])
     except ValueError:  # on different drives
         return absolute.as_posix()
-    real = (folder.resolve() / relative).parent
-    if Path(shared) == Path(absolute.anchor) or not (real.exists() and real.samefile(absolute.parent)):
+    resolved = (folder.resolve() / relative).parent
+    is_same = resolved.exists() and resolved.samefile(absolute.parent)
+    if Path(shared) == Path(absolute.anchor) or not is_same:
         return absolute.as_posix()
-    named = Path(relative).as_posix()
-    return named if named.startswith("../") else f"./{named}"
+    path = Path(relative).as_posix()
+    return path if path.startswith("../") else f"./{path}"
 
 
 def find_sublayer(path: Path) -> str:
-    """Return the path of the file that a USD file is a layer over, as written there; "" if it stands alone."""
+    """Return the asset path of a USD file's first sublayer; "" without any."""
     layer = Sdf.Layer.FindOrOpen(str(path))
     return next(iter(layer.subLayerPaths), "") if layer else ""
 
 
 def clips_folder(path: Path) -> Path:
-    """Return the folder for a USD file's value clips; it includes the extension, to keep x.usda and x.usdc apart."""
+    """Return the folder of a USD file's value clips; its name has the extension, to tell x.usda from x.usdc."""
     return path.with_name(f"{path.name}.clips")
 
 
 def find_clips(path: Path) -> list[Path]:
-    """Return the clips and the manifest that a USD file uses; none without clips."""
+    """Return the files of the value clips and the manifest that a USD file uses."""
     folder = clips_folder(path)
     layer = Sdf.Layer.FindOrOpen(str(path)) if folder.is_dir() else None
     if not layer:
         return []
     used: set[str] = set()
 
-    def visit(place: Sdf.Path | str) -> None:
-        prim = layer.GetPrimAtPath(place)
+    def collect(prim_path: Sdf.Path | str) -> None:
+        prim = layer.GetPrimAtPath(prim_path)
         for clips in prim.GetInfo("clips").values() if prim else ():
             assets = [*clips.get("assetPaths", ()), clips.get("manifestAssetPath", Sdf.AssetPath())]
             used.update(asset.path for asset in assets)
 
-    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
+    layer.Traverse(Sdf.Path.absoluteRootPath, collect)
     return [file for file in sorted(folder.iterdir()) if f"./{folder.name}/{file.name}" in used]
 
 
-_MOST_PRIMS = 1_000_000
-"""Largest number of prims visited; nested instances multiply without bound in a few lines."""
+_MAX_PRIMS = 1_000_000
+"""Limit on visited prims; a few lines of nested instances can multiply without bound."""
 
 
 def open_stage(path: Path) -> Usd.Stage:
-    """Open a file as it is on disk, with all payloads."""
+    """Open a file, as it is on disk, with all payloads."""
     if not path.is_file():
         raise FormatError(f"{path} does not exist")
-    # A process shares layers by identifier, with unsaved edits of an application or contents that were replaced on
-    # disk. A unique argument makes this one private.
-    layer = Sdf.Layer.FindOrOpen(absolute(path), {"mixseq": token_hex(8)})
+    # Layers are shared within a process by identifier, with unsaved edits and outdated contents. A unique argument
+    # gives this one an identifier of its own.
+    layer = Sdf.Layer.FindOrOpen(absolute_path(path), {"mixseq": token_hex(8)})
     if not layer:
         raise FormatError(f"{path} cannot be read as USD; it is damaged, truncated or of another type")
     for asset in layer.GetCompositionAssetDependencies():
@@ -207,115 +212,112 @@ def open_stage(path: Path) -> Usd.Stage:
     return Usd.Stage.Open(layer, Usd.Stage.LoadAll)
 
 
-def absolute(path: Path) -> str:
-    """Return the absolute path by which USD opens a file, without resolving links.
+def absolute_path(path: Path) -> str:
+    """Return the absolute path by which USD opens a file.
 
-    References start at the link's folder, and data stores (git-annex, DVC) keep files elsewhere, without extension.
+    Links are not resolved: references are relative to the link, and stores (git-annex, DVC) drop extensions.
     """
     return os.path.abspath(path)  # noqa: PTH100 - Path.resolve follows links
 
 
-def prims_of(path: Path, stage: Usd.Stage) -> Iterator[Usd.Prim]:
-    """Yield a stage's prims depth-first, native instances resolved, without point instancers' prototypes."""
+def traverse_prims(path: Path, stage: Usd.Stage) -> Iterator[Usd.Prim]:
+    """Yield the prims of a stage depth-first, in instances too, but not the prototypes of point instancers."""
     prims = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
     for count, prim in enumerate(prims):
-        if count == _MOST_PRIMS:
-            raise FormatError(f"{path} holds more than {_MOST_PRIMS} prims; export what is needed only")
+        if count == _MAX_PRIMS:
+            raise FormatError(
+                f"{path} holds more than {_MAX_PRIMS} prims; export only the meshes that are needed"
+            )
         if UsdGeom.PointInstancer(prim):
             prims.PruneChildren()
         yield prim
 
 
-def lineage(prim: Usd.Prim) -> Iterator[Usd.Prim]:
+def self_and_ancestors(prim: Usd.Prim) -> Iterator[Usd.Prim]:
     """Yield a prim and its ancestors."""
     while prim and not prim.IsPseudoRoot():
         yield prim
         prim = prim.GetParent()
 
 
-def define(layer: Sdf.Layer, path: Sdf.Path, type_name: str) -> None:
-    """Define a prim in a layer, also within an `Sdf.ChangeBlock`, where a stage recomposes siblings only once."""
+def define_prim_spec(layer: Sdf.Layer, path: Sdf.Path, type_name: str) -> None:
+    """Define a prim in a layer; works in an `Sdf.ChangeBlock`, which avoids recomposition for every sibling."""
     spec = Sdf.CreatePrimInLayer(layer, path)
     spec.specifier, spec.typeName = Sdf.SpecifierDef, type_name
 
 
 @dataclass(frozen=True)
-class Notes:
-    """Warnings about prims, merged by problem."""
+class PrimWarnings:
+    """Collected warnings about the prims of a file."""
 
     path: Path
-    found: dict[str, list[str]] = field(default_factory=dict)
+    paths_of_problem: dict[str, list[str]] = field(default_factory=dict)
 
     def add(self, prim: Usd.Prim, problem: str) -> None:
-        """Note a problem, in words that the paths of the prims may follow."""
-        self.found.setdefault(problem, []).append(str(prim.GetPath()))
+        """Add a warning, in words that a list of prim paths may follow."""
+        self.paths_of_problem.setdefault(problem, []).append(str(prim.GetPath()))
 
-    def warn(self) -> None:
-        """Warn of all problems."""
-        for problem, paths in self.found.items():
-            warn(f"{self.path}: {problem}: {shortened(paths)}")
-
-
-def shortened(paths: list[str]) -> str:
-    """Return a list of paths for a message, truncated if long."""
-    return format_names(paths, str)
+    def emit(self) -> None:
+        """Warn of every problem once, with the prims that have it."""
+        for problem, paths in self.paths_of_problem.items():
+            warn(f"{self.path}: {problem}: {format_names(paths, str)}")
 
 
-Operations = tuple[UsdGeom.XformOp, ...]
+TransformOps = tuple[UsdGeom.XformOp, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Placement:
+class WorldTransform:
     """Transform from a prim's space to the world."""
 
     prim: Usd.Prim
 
     @cached_property
-    def operations(self) -> Operations:
-        """Operations on points, the innermost first, without mutually inverse ones."""
-        left: list[UsdGeom.XformOp] = []
-        for operation in self._all:
-            if left and _undo_each_other(left[-1], operation):
-                left.pop()
+    def ops(self) -> TransformOps:
+        """Operations on points, the innermost first, without pairs that cancel."""
+        remaining: list[UsdGeom.XformOp] = []
+        for op in self._all_ops:
+            if remaining and _are_inverse(remaining[-1], op):
+                remaining.pop()
             else:
-                left.append(operation)
-        return tuple(left)
+                remaining.append(op)
+        return tuple(remaining)
 
     @property
-    def moves(self) -> bool:
+    def is_animated(self) -> bool:
         """Whether the transform changes over time."""
-        return any(varies(each.GetAttr()) for each in self.operations)
+        return any(is_animated(op.GetAttr()) for op in self.ops)
 
-    def to_world(self, code: float) -> Gf.Matrix4d:
-        """Return the local-to-world transform at a time code, for row vectors: p' = p M."""
-        if len(self.operations) == len(self._all):
+    def at(self, code: float) -> Gf.Matrix4d:
+        """Return the matrix at a time code, for row vectors: p' = p M."""
+        if len(self.ops) == len(self._all_ops):
             return UsdGeom.XformCache(Usd.TimeCode(code)).GetLocalToWorldTransform(self.prim)
-        return product(self.operations, code)
+        return compose_ops(self.ops, code)
 
     @cached_property
-    def _all(self) -> Operations:
-        return tuple(operations_of(self.prim))
+    def _all_ops(self) -> TransformOps:
+        return tuple(transform_ops(self.prim))
 
 
-def operations_of(prim: Usd.Prim) -> Iterator[UsdGeom.XformOp]:
-    """Yield the operations on a prim's points, the innermost first."""
-    for each in lineage(prim):
-        if xformable := UsdGeom.Xformable(each):
+def transform_ops(prim: Usd.Prim) -> Iterator[UsdGeom.XformOp]:
+    """Yield the transform operations on a prim's points, the innermost first."""
+    for ancestor in self_and_ancestors(prim):
+        if xformable := UsdGeom.Xformable(ancestor):
             yield from reversed(xformable.GetOrderedXformOps())
             if xformable.GetResetXformStack():
                 return
 
 
-def product(operations: Operations, code: float) -> Gf.Matrix4d:
-    """Return the product of operations, the innermost first, at a time code."""
+def compose_ops(ops: TransformOps, code: float) -> Gf.Matrix4d:
+    """Return the matrix product of operations, the innermost first, at a time code."""
     matrix = Gf.Matrix4d(1.0)
-    for each in operations:
-        matrix *= each.GetOpTransform(Usd.TimeCode(code))
+    for op in ops:
+        matrix *= op.GetOpTransform(Usd.TimeCode(code))
     return matrix
 
 
-def varies(attribute: Usd.Attribute) -> bool:
-    """Whether an attribute changes over time; a single sample is constant."""
+def is_animated(attribute: Usd.Attribute) -> bool:
+    """Whether an attribute has several time samples or a spline."""
     return attribute.GetNumTimeSamples() > 1 or is_spline(attribute)
 
 
@@ -324,65 +326,68 @@ def is_spline(attribute: Usd.Attribute) -> bool:
     return bool(attribute.ValueMightBeTimeVarying()) and not attribute.GetNumTimeSamples()
 
 
-def _undo_each_other(one: UsdGeom.XformOp, other: UsdGeom.XformOp) -> bool:
+def _are_inverse(first: UsdGeom.XformOp, second: UsdGeom.XformOp) -> bool:
     """Whether two operations of different prims are inverse at all times."""
-    mine, theirs = one.GetAttr(), other.GetAttr()
-    if one.IsInverseOp() == other.IsInverseOp() or mine.GetPrim() == theirs.GetPrim():
+    a, b = first.GetAttr(), second.GetAttr()
+    if first.IsInverseOp() == second.IsInverseOp() or a.GetPrim() == b.GetPrim():
         return False
-    if one.GetOpType() != other.GetOpType() or mine.GetTypeName() != theirs.GetTypeName():
+    if first.GetOpType() != second.GetOpType() or a.GetTypeName() != b.GetTypeName():
         return False
-    if not (varies(mine) or varies(theirs)):
+    if not (is_animated(a) or is_animated(b)):
         earliest = Usd.TimeCode.EarliestTime()
-        return bool(mine.Get(earliest) == theirs.Get(earliest))
-    times, same = mine.GetTimeSamples(), theirs.GetTimeSamples()
-    if len(times) != len(same) or is_spline(mine) or is_spline(theirs):
+        return bool(a.Get(earliest) == b.Get(earliest))
+    a_codes, b_codes = a.GetTimeSamples(), b.GetTimeSamples()
+    if len(a_codes) != len(b_codes) or is_spline(a) or is_spline(b):
         return False
-    # USD scales the times of a layer that has another rate than the one above it.
-    if not np.allclose(times, same, rtol=1e-12, atol=1e-9):
+    # USD scales the time codes of a sublayer with another rate, which rounds them.
+    if not np.allclose(a_codes, b_codes, rtol=1e-12, atol=1e-9):
         return False
-    return all(mine.Get(a) == theirs.Get(b) for a, b in zip(times, same, strict=True))
+    return all(a.Get(a_code) == b.Get(b_code) for a_code, b_code in zip(a_codes, b_codes, strict=True))
 
 
-def meshes_of(path: Path, stage: Usd.Stage, prim: str | None, notes: Notes) -> list[UsdGeom.Mesh]:
-    """Return the meshes of a stage, or those at or below `prim`, in stage order.
+def find_meshes(
+    path: Path, stage: Usd.Stage, prim_path: str | None, warnings: PrimWarnings
+) -> list[UsdGeom.Mesh]:
+    """Return the meshes of a stage, or those at or below a prim path, in stage order.
 
-    Hidden meshes, guides, proxies, and meshes without points are used only if there are no others.
+    Hidden meshes, guides, proxies, and meshes without points are returned only if there are no others.
     """
-    prims = list(prims_of(path, stage))
-    meshes = [mesh for each in prims if (mesh := UsdGeom.Mesh(each))]
-    instancers = [each for each in prims if UsdGeom.PointInstancer(each)]
+    prims = list(traverse_prims(path, stage))
+    meshes = [mesh for prim in prims if (mesh := UsdGeom.Mesh(prim))]
+    instancers = [prim for prim in prims if UsdGeom.PointInstancer(prim)]
     if not meshes:
-        raise NoMeshError(f"{path} holds no mesh; {_what_else(prims, instancers)}")
-    if prim is not None:
-        places = places_of(meshes)
-        instancers = [instancers[i] for i in select_meshes(path, places, prim, among=places_of(instancers))]
-        meshes = [meshes[i] for i in select_meshes(path, places, prim)]
-    for each in instancers:
-        notes.add(each, "point instances cannot be read and are left out; make them real first")
+        raise NoMeshError(f"{path} holds no mesh; {_describe_contents(prims, instancers)}")
+    if prim_path is not None:
+        objects = scene_objects_of(meshes)
+        among = scene_objects_of(instancers)
+        instancers = [instancers[i] for i in select_meshes(path, objects, prim_path, among=among)]
+        meshes = [meshes[i] for i in select_meshes(path, objects, prim_path)]
+    for instancer in instancers:
+        warnings.add(instancer, "point instances cannot be read and are left out; make them real first")
     visibility = cache(_visibility)
-    shown = [mesh for mesh in meshes if not _is_hidden(mesh.GetPrim(), visibility)] or meshes
-    found = [mesh for mesh in shown if mesh.GetPointsAttr().HasAuthoredValue()] or shown
-    for mesh in found:
-        if any(len(visibility(each)) > 1 for each in lineage(mesh.GetPrim())):
-            notes.add(
-                mesh.GetPrim(), "visibility that changes over time is left out; these are always visible"
-            )
-    return found
+    visible = [mesh for mesh in meshes if not _is_hidden(mesh.GetPrim(), visibility)] or meshes
+    selected = [mesh for mesh in visible if mesh.GetPointsAttr().HasAuthoredValue()] or visible
+    for mesh in selected:
+        if any(len(visibility(prim)) > 1 for prim in self_and_ancestors(mesh.GetPrim())):
+            warnings.add(mesh.GetPrim(), "animated visibility is left out; these meshes are always visible")
+    return selected
 
 
-def places_of(objects: Sequence[UsdGeom.Mesh | Usd.Prim]) -> list[SceneObject]:
-    """Return meshes or other prims as scene objects with shared ancestors."""
-    places: dict[Sdf.Path, SceneObject] = {}
-    for each in objects:
-        new = takewhile(lambda prim: prim.GetPath() not in places, lineage(each.GetPrim()))
-        for prim in reversed(list(new)):
+def scene_objects_of(schemas: Sequence[UsdGeom.Mesh | Usd.Prim]) -> list[SceneObject]:
+    """Return meshes or other prims as scene objects that share their ancestors."""
+    objects: dict[Sdf.Path, SceneObject] = {}
+    for schema in schemas:
+        new_prims = takewhile(
+            lambda prim: prim.GetPath() not in objects, self_and_ancestors(schema.GetPrim())
+        )
+        for prim in reversed(list(new_prims)):
             path, names = prim.GetPath(), (display_name(prim), prim.GetName())
-            places[path] = SceneObject(str(path), names, places.get(path.GetParentPath()))
-    return [places[each.GetPath()] for each in objects]
+            objects[path] = SceneObject(str(path), names, objects.get(path.GetParentPath()))
+    return [objects[schema.GetPath()] for schema in schemas]
 
 
 def display_name(prim: Usd.Prim) -> str:
-    """Return the display name of a prim."""
+    """Return the display name of a prim, by default its name."""
     return prim.GetDisplayName() or prim.GetName()
 
 
@@ -390,18 +395,18 @@ def _is_hidden(prim: Usd.Prim, visibility: Callable[[Usd.Prim], frozenset[str]])
     """Whether a prim is always invisible, a guide or a proxy."""
     if UsdGeom.Imageable(prim).ComputePurpose() in (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy):
         return True
-    return any(visibility(each) == {UsdGeom.Tokens.invisible} for each in lineage(prim))
+    return any(visibility(each) == {UsdGeom.Tokens.invisible} for each in self_and_ancestors(prim))
 
 
 def _visibility(prim: Usd.Prim) -> frozenset[str]:
-    """Return the values of a prim's own visibility over time; some exporters repeat one at every frame."""
+    """Return the distinct values of a prim's visibility over time; some exporters repeat one at every frame."""
     attribute = prim.GetAttribute(UsdGeom.Tokens.visibility)
     return frozenset(attribute.Get(code) for code in attribute.GetTimeSamples() or [0.0])
 
 
-def _what_else(prims: Sequence[Usd.Prim], instancers: Sequence[Usd.Prim]) -> str:
+def _describe_contents(prims: Sequence[Usd.Prim], instancers: Sequence[Usd.Prim]) -> str:
     if instancers:
-        paths = shortened([str(each.GetPath()) for each in instancers])
+        paths = format_names([str(each.GetPath()) for each in instancers], str)
         return f"it has point instancers, whose instances cannot be read; make them real first: {paths}"
     kinds = Counter(str(each.GetTypeName()) or "untyped" for each in prims)
     return "it has " + (", ".join(f"{count} {kind}" for kind, count in kinds.most_common()) or "nothing")

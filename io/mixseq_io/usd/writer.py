@@ -1,87 +1,250 @@
-"""USD, writing (.usd and .usdc binary, .usda text, .usdz packages), points rounded to float32.
+"""Writing of USD (.usd and .usdc binary, .usda text, .usdz packages), with points rounded to float32.
 
 Sequences from a USD file become a layer over it (`overlay`), others a stand-alone component file: the default prim
 ``/<name>`` is an Xform with one Mesh per object and the materials in ``/<name>/Looks``. Meshes are right-handed and in
 world space. Normals are written only for hard edges on meshes without subdivision.
 
-Specification: https://openusd.org/release/glossary.html#usdglossary-component
+Materials are copied from the original, as flattened networks of its composed stage; connections that leave a material
+are lost. Textures stay in place, with rewritten asset paths. Parts are a family of subsets that partitions the faces of
+every mesh.
+
+Specification: https://openusd.org/release/glossary.html#usdglossary-component,
+https://openusd.org/release/api/class_usd_geom_subset.html (families and their types)
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pxr import Ar, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
+from pxr import Ar, Kind, Sdf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
 from mixseq.errors import FormatError, OutputError, SettingsError
-from mixseq.mesh.surface import WHITE, CornerValues, FaceSet
+from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet, Origin
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import FloatArray
+from mixseq.types import FloatArray, IntArray
 from mixseq_io.files import atomic_file
 from mixseq_io.reader import validate_blocks, warn
-from mixseq_io.scene_meshes import SceneMesh, split_meshes
+from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
+from mixseq_io.text.labels import LABEL_SUBSET_FAMILY
 from mixseq_io.usd.layers import (
-    Cast,
-    Frame,
-    Normals,
-    Placed,
-    declare,
-    frames,
-    new_folder,
-    pack,
-    save,
-    save_in_clips,
+    FrameValues,
+    SampledMesh,
+    SampledNormals,
+    SampledPrims,
+    SampleWriter,
+    compute_frame_values,
+    declare_attributes,
+    open_clip_folder,
+    save_clips,
+    write_package,
 )
-from mixseq_io.usd.motion import Mover, Shown, shown_by, skins_of, source_times
-from mixseq_io.usd.overlay import Original, lay_over, open_original, put_over, retime_rest, warn_of_rest
+from mixseq_io.usd.motion import MeshMotion, TimeMap, find_skins
+from mixseq_io.usd.overlay import (
+    Original,
+    author_overlay,
+    author_sublayer,
+    open_original,
+    retime_other_attributes,
+    warn_of_other_motion,
+)
 from mixseq_io.usd.stage import (
+    PART_NUMBER_KEY,
+    ROUNDING_TOLERANCE,
+    UDIM_PLACEHOLDER,
     Identifiers,
-    Notes,
-    define,
+    PrimWarnings,
+    capture_diagnostics,
+    define_prim_spec,
     identifier,
+    is_prim_path,
     open_stage,
-    quiet,
+    relative_asset_path,
     save_layer,
-    shortened,
+    self_and_ancestors,
     translate_usd_read_errors,
     translate_usd_write_errors,
 )
-from mixseq_io.usd.surface import Parts, define_materials, is_gone, write_parts
-
-_LOOKS = "Looks"
 
 
-def define_component(layer: Sdf.Layer, target: Path, header: SequenceHeader, velocities: bool) -> Cast:
+@dataclass(frozen=True, eq=False)
+class FaceParts:
+    """Part of every polygon ``(P,)`` of every mesh, and the names of the parts."""
+
+    part_of_polygon: tuple[IntArray, ...]
+    names: Sequence[str]
+
+
+def _author_parts(
+    layer: Sdf.Layer, paths: Sequence[str], parts: FaceParts, original: Original | None
+) -> None:
+    """Author a subset for every part of every mesh; replace those of an earlier layer."""
+    stage = Usd.Stage.Open(layer)
+    for index, path in enumerate(paths):
+        part_of_polygon = parts.part_of_polygon[index]
+        if original:
+            part_of_polygon = part_of_polygon[original.meshes[index].match.polygons]
+        mesh = UsdGeom.Mesh(stage.GetPrimAtPath(path))
+        subsets = UsdGeom.Subset.GetGeomSubsets(mesh, "", LABEL_SUBSET_FAMILY)
+        old = {subset.GetPrim().GetName() for subset in subsets}
+        children = mesh.GetPrim().GetFilteredChildren(Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate))
+        kept = {name for child in children if (name := child.GetName()) not in old}
+        identifiers = Identifiers(*kept)
+        for part in np.unique(part_of_polygon).tolist():
+            name = identifiers.reserve(parts.names[part])
+            kept.add(name)
+            faces = Vt.IntArrayFromBuffer(np.flatnonzero(part_of_polygon == part).astype(np.int32))
+            subset = UsdGeom.Subset.CreateGeomSubset(
+                mesh, name, UsdGeom.Tokens.face, faces, LABEL_SUBSET_FAMILY
+            )
+            prim = subset.GetPrim()
+            prim.SetCustomDataByKey(PART_NUMBER_KEY, part)
+            if parts.names[part] != name or prim.GetDisplayName():
+                prim.SetDisplayName(parts.names[part])
+        for name in old.difference(kept):
+            mesh.GetPrim().GetChild(name).SetActive(False)
+        UsdGeom.Subset.SetFamilyType(mesh, LABEL_SUBSET_FAMILY, UsdGeom.Tokens.partition)
+
+
+_LOOKS_SCOPE = "Looks"
+
+_UV_NAME_INPUTS = {
+    "UsdPrimvarReader_float2": "inputs:varname",
+    "ND_UsdPrimvarReader_vector2": "inputs:varname",
+    "ND_geompropvalue_vector2": "inputs:geomprop",
+}
+"""Inputs with the name of texture coordinates, by shader id."""
+
+
+def _define_materials(
+    stage: Usd.Stage, target: Path, scope: str, names: Iterable[str], origin: Origin | None
+) -> Mapping[str, UsdShade.Material]:
+    """Define materials below a scope; return them by name."""
+    used = list(dict.fromkeys(names))
+    if not used:
+        return {}
+    UsdGeom.Scope.Define(stage, scope)
+    layer = stage.GetRootLayer()
+    source = _flatten_materials(Path(origin.path), used) if origin and origin.format == "USD" else None
+    identifiers = Identifiers()
+    paths = {name: Sdf.Path(scope).AppendChild(identifiers.reserve(name.rpartition("/")[2])) for name in used}
+    with Sdf.ChangeBlock():
+        for name, path in paths.items():
+            material = source.GetPrimAtPath(name) if source and is_prim_path(name) else None
+            if source and material and material.typeName == "Material":
+                _copy_material(source, name, layer, path)
+            define_prim_spec(layer, path, "Material")
+    materials = {name: UsdShade.Material.Get(stage, path) for name, path in paths.items()}
+    empty = [name for name, each in materials.items() if not each.GetPrim().GetAuthoredProperties()]
+    if empty and not _is_missing(origin):
+        warn(
+            f"{target}: materials are written by name only: {format_names(empty, str)}; bind them to networks again"
+        )
+    origin_path = origin.path if origin else ""
+    UsdUtils.ModifyAssetPaths(layer, lambda asset: _rebase_texture(target, asset, origin_path))
+    return materials
+
+
+def _is_missing(origin: Origin | None) -> bool:
+    """Whether the original is a USD file that no longer exists."""
+    return origin is not None and origin.format == "USD" and not Path(origin.path).is_file()
+
+
+def _flatten_materials(origin: Path, materials: Iterable[str]) -> Sdf.Layer | None:
+    """Return a flattened layer of a file with only some materials; None if it cannot be read."""
+    try:
+        with translate_usd_read_errors(origin):
+            original = open_stage(origin)
+    except FormatError:
+        return None
+    mask = Usd.StagePopulationMask()
+    session = Sdf.Layer.CreateAnonymous()
+    for path in filter(is_prim_path, materials):
+        mask.Add(path)
+        for prim in self_and_ancestors(original.GetPrimAtPath(path)):
+            if prim.IsInstance():
+                Sdf.CreatePrimInLayer(session, prim.GetPath()).SetInfo("instanceable", False)
+    return Usd.Stage.OpenMasked(original.GetRootLayer(), session, mask).Flatten()
+
+
+def _copy_material(source: Sdf.Layer, name: str, layer: Sdf.Layer, path: Sdf.Path) -> None:
+    Sdf.CopySpec(source, name, layer, path)
+    disconnected = []
+    for prim in _walk_specs(layer.GetPrimAtPath(path)):
+        _read_written_uvs(prim)
+        for attribute in prim.attributes:
+            if any(not each.HasPrefix(path) for each in attribute.connectionPathList.explicitItems):
+                attribute.connectionPathList.ClearEdits()
+                disconnected.append(str(attribute.path))
+    if disconnected:
+        outside = format_names(disconnected, str)
+        warn(f"the material {name} uses networks outside of it, which are left out at {outside}")
+
+
+def _read_written_uvs(shader: Sdf.PrimSpec) -> None:
+    """Let a reader of texture coordinates use ``st``, the name under which they are written."""
+    shader_id = shader.attributes.get("info:id")
+    name = _UV_NAME_INPUTS.get(shader_id.default) if shader_id else None
+    if name:
+        if existing := shader.attributes.get(name):
+            shader.RemoveProperty(existing)
+        Sdf.AttributeSpec(shader, name, Sdf.ValueTypeNames.String).default = "st"
+
+
+def _walk_specs(prim: Sdf.PrimSpec) -> Iterator[Sdf.PrimSpec]:
+    yield prim
+    for child in prim.nameChildren:
+        yield from _walk_specs(child)
+
+
+def _rebase_texture(target: Path, asset: str, origin: str) -> str:
+    """Return the asset path of a texture, possibly inside a .usdz file, as the target refers to it."""
+    # USD has made paths absolute, except those of tiles in packages.
+    if UDIM_PLACEHOLDER in asset and origin.endswith(".usdz") and not Path(asset).is_absolute():
+        asset = Ar.JoinPackageRelativePath(origin, asset)
+    outer, inner = Ar.SplitPackageRelativePathOuter(asset)
+    file = Path(outer)
+    if not (file.is_absolute() and file.parent.is_dir()):
+        return asset
+    path = relative_asset_path(file, target)
+    return Ar.JoinPackageRelativePath(path, inner) if inner else path
+
+
+def define_component(
+    layer: Sdf.Layer, target: Path, header: SequenceHeader, has_velocities: bool
+) -> SampledPrims:
     """Author everything but samples, and return the prims that get them."""
     stage = Usd.Stage.Open(layer)
     name = identifier(header.name)
-    root = UsdGeom.Xform.Define(stage, f"/{name}")
-    _show_name(root.GetPrim(), header.name)
-    stage.SetDefaultPrim(root.GetPrim())
-    Usd.ModelAPI(root.GetPrim()).SetKind(Kind.Tokens.component)
+    root = UsdGeom.Xform.Define(stage, f"/{name}").GetPrim()
+    _set_display_name(root, header.name)
+    stage.SetDefaultPrim(root)
+    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
     scene_meshes = split_meshes(header)
-    wanted = [each.material for scene_mesh in scene_meshes for each in scene_mesh.face_sets if each.material]
-    materials = define_materials(stage, target, f"/{name}/{_LOOKS}", wanted, header.surface.origin)
-    placed, names = [], Identifiers(_LOOKS)
+    used = [each.material for scene_mesh in scene_meshes for each in scene_mesh.face_sets if each.material]
+    materials = _define_materials(stage, target, f"/{name}/{_LOOKS_SCOPE}", used, header.surface.origin)
+    meshes, identifiers = [], Identifiers(_LOOKS_SCOPE)
     for scene_mesh in scene_meshes:
-        path = f"/{name}/{names.take(scene_mesh.name)}"
+        path = f"/{name}/{identifiers.reserve(scene_mesh.name)}"
         _define_mesh(stage, path, scene_mesh)
-        _bind(stage.GetPrimAtPath(path), target, scene_mesh, materials)
-        placed.append(
-            Placed(path=path, scene_mesh=scene_mesh, normals=_normals(scene_mesh), velocities=velocities)
+        _bind_materials(stage.GetPrimAtPath(path), target, scene_mesh, materials)
+        normals = None
+        if scene_mesh.hard_edges is not None and scene_mesh.subdivision == "none":
+            normals = SampledNormals("normals", UsdGeom.Tokens.faceVarying, *[scene_mesh.hard_edges] * 2)
+        meshes.append(
+            SampledMesh(path=path, scene_mesh=scene_mesh, normals=normals, has_velocities=has_velocities)
         )
-    return Cast(tuple(placed))
+    return SampledPrims(tuple(meshes))
 
 
 def _define_mesh(stage: Usd.Stage, path: str, scene_mesh: SceneMesh) -> None:
     mesh = UsdGeom.Mesh.Define(stage, path)
-    _show_name(mesh.GetPrim(), scene_mesh.name)
+    _set_display_name(mesh.GetPrim(), scene_mesh.name)
     mesh.CreateSubdivisionSchemeAttr(scene_mesh.subdivision)
     mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArrayFromBuffer(scene_mesh.polygons.counts))
@@ -99,139 +262,128 @@ def _define_mesh(stage: Usd.Stage, path: str, scene_mesh: SceneMesh) -> None:
 
 
 def _define_colours(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh, colours: CornerValues) -> None:
-    """Author colours in the interpolation with the fewest numbers; opacity if any is below 1."""
-    vertices, values, rows = scene_mesh.polygons.indices, colours.values, None
+    """Author colours in the most compact interpolation, and opacity if any is below 1."""
+    vertices, values, indices = scene_mesh.polygons.indices, colours.values, None
     if len(values) == 1:
         interpolation = UsdGeom.Tokens.constant
     elif colours.one_per_vertex(vertices):
         interpolation = UsdGeom.Tokens.vertex
-        values = colours.at_vertices(vertices, scene_mesh.vertex_count, WHITE)
+        values = colours.at_vertices(vertices, scene_mesh.vertex_count, DEFAULT_COLOUR)
     else:
-        interpolation, rows = UsdGeom.Tokens.faceVarying, Vt.IntArrayFromBuffer(colours.indices)
+        interpolation, indices = UsdGeom.Tokens.faceVarying, Vt.IntArrayFromBuffer(colours.indices)
     primvars = [mesh.CreateDisplayColorPrimvar(interpolation)]
     primvars[0].Set(Vt.Vec3fArrayFromBuffer(np.ascontiguousarray(values[:, :3])))
     if (values[:, 3] != 1).any():
         primvars.append(mesh.CreateDisplayOpacityPrimvar(interpolation))
         primvars[1].Set(Vt.FloatArrayFromBuffer(np.ascontiguousarray(values[:, 3])))
-    if rows is not None:
-        for each in primvars:
-            each.SetIndices(rows)
+    if indices is not None:
+        for primvar in primvars:
+            primvar.SetIndices(indices)
 
 
-def _show_name(prim: Usd.Prim, name: str) -> None:
-    """Store a name that is invalid for a prim as its display name."""
+def _set_display_name(prim: Usd.Prim, name: str) -> None:
+    """Set the display name of a prim if it differs from its name."""
     if prim.GetName() != name:
         prim.SetDisplayName(name)
 
 
-def _normals(scene_mesh: SceneMesh) -> Normals | None:
-    if scene_mesh.hard_edges is None or scene_mesh.subdivision != "none":
-        return None
-    return Normals(
-        attribute="normals",
-        interpolation=UsdGeom.Tokens.faceVarying,
-        groups=scene_mesh.hard_edges,
-        order=scene_mesh.hard_edges,
-    )
-
-
-def _bind(
+def _bind_materials(
     prim: Usd.Prim, target: Path, scene_mesh: SceneMesh, materials: Mapping[str, UsdShade.Material]
 ) -> None:
     """Bind a material to the whole mesh, and others to non-overlapping subsets of its faces."""
-    count = len(scene_mesh.polygons.counts)
-    whole = next(
-        (each for each in scene_mesh.face_sets if each.material and each.polygons.size == count), None
-    )
+    face_count = len(scene_mesh.polygons.counts)
+    candidates = (each for each in scene_mesh.face_sets if each.material and each.polygons.size == face_count)
+    whole = next(candidates, None)
     if whole:
         UsdShade.MaterialBindingAPI.Apply(prim).Bind(materials[whole.material])
-    owners = [""] * count
-    names = Identifiers()
-    subsets = [(names.take(each.name), each) for each in scene_mesh.face_sets if each is not whole]
+    owner_of_face = [""] * face_count
+    identifiers = Identifiers()
+    subsets = [(identifiers.reserve(each.name), each) for each in scene_mesh.face_sets if each is not whole]
     with Sdf.ChangeBlock():
         for name, _ in subsets:
-            define(prim.GetStage().GetRootLayer(), prim.GetPath().AppendChild(name), "GeomSubset")
-    for name, each in subsets:
-        faces = (
-            _unowned(each, owners, f"{target}: {scene_mesh.name!r}")
-            if each.material
-            else each.polygons.tolist()
-        )
+            define_prim_spec(prim.GetStage().GetRootLayer(), prim.GetPath().AppendChild(name), "GeomSubset")
+    for name, face_set in subsets:
+        faces = face_set.polygons.tolist()
+        if face_set.material:
+            faces = _unassigned_faces(face_set, owner_of_face, f"{target}: {scene_mesh.name!r}")
         subset = UsdGeom.Subset.CreateGeomSubset(
             UsdGeom.Mesh(prim),
             name,
             UsdGeom.Tokens.face,
             Vt.IntArray(faces),
-            UsdShade.Tokens.materialBind if each.material else "",
+            UsdShade.Tokens.materialBind if face_set.material else "",
         )
-        _show_name(subset.GetPrim(), each.name)
-        if each.material:
-            UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(materials[each.material])
+        _set_display_name(subset.GetPrim(), face_set.name)
+        if face_set.material:
+            UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(materials[face_set.material])
             for face in faces:
-                owners[face] = each.name
-    if any(owners):
-        kind = UsdGeom.Tokens.partition if all(owners) else UsdGeom.Tokens.nonOverlapping
+                owner_of_face[face] = face_set.name
+    if any(owner_of_face):
+        kind = UsdGeom.Tokens.partition if all(owner_of_face) else UsdGeom.Tokens.nonOverlapping
         UsdGeom.Subset.SetFamilyType(UsdGeom.Mesh(prim), UsdShade.Tokens.materialBind, kind)
 
 
-def _unowned(face_set: FaceSet, owners: Sequence[str], place: str) -> list[int]:
-    """Return the faces of a set that no set of another material owns."""
+def _unassigned_faces(face_set: FaceSet, owner_of_face: Sequence[str], location: str) -> list[int]:
+    """Return the faces of a set that have no material yet."""
     faces: list[int] = face_set.polygons.tolist()
-    before = dict.fromkeys(repr(owners[face]) for face in faces if owners[face])
-    if before:
-        warn(f"{place}: the material of {face_set.name!r} gives way to that of {', '.join(before)}")
-    return [face for face in faces if not owners[face]]
+    owners = dict.fromkeys(repr(owner_of_face[face]) for face in faces if owner_of_face[face])
+    if owners:
+        warn(f"{location}: the material of {face_set.name!r} gives way to that of {', '.join(owners)}")
+    return [face for face in faces if not owner_of_face[face]]
 
 
-_SAME_END = 1.0 - 1e-3
-"""Fraction of a frame by which frames at whole time codes may miss the end of a motion."""
+_RANGE_TOLERANCE_FRAMES = 1.0 - 1e-3
+"""Distance within which frames at whole time codes reach the end of a motion."""
 
 
-def author_times(layer: Sdf.Layer, header: SequenceHeader, shown: Shown, original: Original | None) -> None:
+def author_time_range(
+    layer: Sdf.Layer, header: SequenceHeader, time_map: TimeMap, original: Original | None
+) -> None:
     """Author units, rates and the time range.
 
-    The range is that of the frames. On a side where they cover the meshes' motion in the file, the file's range is kept
-    if it is longer, since the meshes are at rest there.
+    The range is that of the frames. At an end where they cover the motion of the original's meshes, a longer range of
+    the original is kept, since the meshes are at rest there.
     """
     layer.timeCodesPerSecond = layer.framesPerSecond = header.fps
-    start, end = float(shown.codes[0]), float(shown.codes[-1])
+    start, end = float(time_map.codes[0]), float(time_map.codes[-1])
     if original:
-        below = original.stage
-        scale = shown.rate / shown.rate_below
+        stage = original.stage
+        scale = time_map.rate / time_map.original_rate
         if scale == 1.0:
-            layer.framesPerSecond = below.GetFramesPerSecond()
-        if below.HasAuthoredTimeCodeRange() and shown.sources is None:
-            first, last = _motion(original, start / scale, end / scale)
-            if start < first * scale + _SAME_END:
-                start = min(start, _scaled(below.GetStartTimeCode(), scale, np.ceil))
-            if end > last * scale - _SAME_END:
-                end = max(end, _scaled(below.GetEndTimeCode(), scale, np.floor))
+            layer.framesPerSecond = stage.GetFramesPerSecond()
+        if stage.HasAuthoredTimeCodeRange() and time_map.source_times is None:
+            first, last = _motion_range(original, start / scale, end / scale)
+            if start < first * scale + _RANGE_TOLERANCE_FRAMES:
+                start = min(start, _scale_code(stage.GetStartTimeCode(), scale, np.ceil))
+            if end > last * scale - _RANGE_TOLERANCE_FRAMES:
+                end = max(end, _scale_code(stage.GetEndTimeCode(), scale, np.floor))
     layer.startTimeCode, layer.endTimeCode = start, end
     layer.pseudoRoot.SetInfo("upAxis", header.up_axis)
     layer.pseudoRoot.SetInfo("metersPerUnit", header.metres_per_unit)
 
 
-def _motion(original: Original, *otherwise: float) -> tuple[float, float]:
-    """Return the first and last time code of the meshes' motion, or the given defaults."""
-    meshes = [fit.mesh for fit in original.fits]
-    skins = skins_of(meshes, Notes(original.path))
-    sources = [each for mesh in meshes for each in Mover(mesh, skins.get(mesh.GetPath())).sources]
-    codes = [code for each in sources for code in each.GetTimeSamples()] or otherwise
+def _motion_range(original: Original, *default: float) -> tuple[float, float]:
+    """Return the first and last time code of the meshes' motion, or the default if they do not move."""
+    meshes = [matched.mesh for matched in original.meshes]
+    skins = find_skins(meshes, PrimWarnings(original.path))
+    motions = [MeshMotion(mesh, skins.get(mesh.GetPath())) for mesh in meshes]
+    attributes = [attribute for motion in motions for attribute in motion.animated_attributes]
+    codes = [code for attribute in attributes for code in attribute.GetTimeSamples()] or default
     return min(codes), max(codes)
 
 
-def _scaled(code: float, scale: float, inwards: Callable[[float], float]) -> float:
-    """Return an end of a range at another rate, kept whole and within the range if it was whole.
+def _scale_code(code: float, scale: float, round_inwards: Callable[[float], float]) -> float:
+    """Return an end of a time range at another rate; a whole time code stays whole and within the range.
 
     Examples
     --------
-    >>> _scaled(1, 30 / 24, np.ceil), _scaled(0.5, 30 / 24, np.ceil), _scaled(1001, 29.97 / 999, np.floor)
+    >>> _scale_code(1, 30 / 24, np.ceil), _scale_code(0.5, 30 / 24, np.ceil), _scale_code(1001, 29.97 / 999, np.floor)
     (2.0, 0.625, 30.0)
     """
     scaled, nearest = scale * code, np.rint(scale * code)
-    if abs(scaled - nearest) <= 1e-9 * max(1.0, abs(scaled)):
+    if abs(scaled - nearest) <= ROUNDING_TOLERANCE * max(1.0, abs(scaled)):
         return float(nearest)
-    return float(inwards(scaled)) if float(code).is_integer() else scaled
+    return float(round_inwards(scaled)) if float(code).is_integer() else scaled
 
 
 def write_usd(
@@ -245,86 +397,92 @@ def write_usd(
     pack_from: str | PathLike[str] | None = None,
     sources: ArrayLike | None = None,
     whole_stage: bool = False,
-    parts: Parts | None = None,
+    parts: FaceParts | None = None,
 ) -> None:
     """Write a USD file; options as in `FORMATS`.
 
     `sources` are ``(T,)`` in seconds, NaN for frames that show no single time of the original; `parts` are written as
     subsets of the faces, see `mixseq_io.text.label_files`.
     """
-    packed = path.suffix.lower() == ".usdz"
-    _check_options(packed, flatten, onto, clips, pack_from)
-    if whole_stage and (flatten or packed or sources is None):
+    is_package = path.suffix.lower() == ".usdz"
+    _check_options(is_package, flatten, onto, clips, pack_from)
+    if whole_stage and (flatten or is_package or sources is None):
         raise SettingsError(
             "whole_stage retimes what a layer is laid over; leave out flatten, write .usdc, and give sources=..., the "
             "time of the original that every frame shows"
         )
     check_up_axis(path, header)
-    original = _original(path, header, flatten, onto)
+    original = _open_original(path, header, flatten, onto)
     if whole_stage and not original:
         raise OutputError(
             f"{path} stands alone, without a stage that could be retimed; leave out whole_stage"
         )
-    times = None if sources is None else source_times(header, sources)
-    shown = shown_by(header, original.rate if original else header.fps, times if whole_stage else None)
-    _, numbered = validate_blocks(header, blocks, velocities)
-
-    def begun(file: Path) -> tuple[Sdf.Layer, Cast, Iterable[Frame]]:
-        layer = Sdf.Layer.CreateNew(str(file))
-        author_times(layer, header, shown, original)
-        moving = velocities is not None
-        cast = (
-            lay_over(layer, path, original, shown, moving)
-            if original
-            else define_component(layer, path, header, moving)
+    times = None if sources is None else np.asarray(sources, dtype=np.float64)
+    if times is not None and times.shape != header.times.shape:
+        raise SettingsError(
+            f"sources are {times.size} times for {header.frame_count} frames; give one for every frame"
         )
-        declare(layer, cast)
-        if original and whole_stage:
-            retime_rest(layer, path, original, shown)
-        elif original and times is not None:
-            warn_of_rest(path, header, original, times)
-        if parts is not None:
-            write_parts(layer, [each.path for each in cast.meshes], _laid(parts, original))
-        return layer, cast, frames(cast, shown.codes, header.times, numbered)
+    original_rate = original.stage.GetTimeCodesPerSecond() if original else header.fps
+    time_map = TimeMap.from_header(header, original_rate, times if whole_stage else None)
+    _, frame_blocks = validate_blocks(header, blocks, velocities)
 
-    elsewhere: list[str] = []
+    def create_layer(file: Path) -> tuple[Sdf.Layer, SampledPrims, Iterable[FrameValues]]:
+        layer = Sdf.Layer.CreateNew(str(file))
+        author_time_range(layer, header, time_map, original)
+        has_velocities = velocities is not None
+        if original:
+            prims = author_overlay(layer, path, original, time_map, has_velocities)
+        else:
+            prims = define_component(layer, path, header, has_velocities)
+        declare_attributes(layer, prims)
+        if original and whole_stage:
+            retime_other_attributes(layer, path, original, time_map)
+        elif original and times is not None:
+            warn_of_other_motion(path, header, original, times)
+        if parts is not None:
+            _author_parts(layer, [mesh.path for mesh in prims.meshes], parts, original)
+        return layer, prims, compute_frame_values(prims, time_map.codes, header.times, frame_blocks)
+
+    left_out: list[str] = []
     with (
-        new_folder(path) as folder,
+        open_clip_folder(path) as folder,
         atomic_file(path) as temporary,
-        quiet(),
+        capture_diagnostics(),
         translate_usd_write_errors(path),
     ):
         if clips:
             folder.make()
-            save_in_clips(*begun(temporary), clips, folder)
+            save_clips(*create_layer(temporary), clips, folder)
             folder.install()
         else:
-            layer, _, samples = begun(temporary.with_suffix(".usdc") if packed else temporary)
-            save(layer, samples)
-            if packed:
+            layer, _, frames = create_layer(temporary.with_suffix(".usdc") if is_package else temporary)
+            SampleWriter(layer).write(frames)
+            if is_package:
                 name = path.with_suffix(".usdc").name
-                elsewhere = pack(layer, temporary, name, folders_of(header, pack_from))
-    warn_of_unpacked(path, elsewhere)
+                left_out = write_package(layer, temporary, name, texture_folders(header, pack_from))
+    warn_of_unpacked_files(path, left_out)
     if not clips:
         folder.warn_if_unused()
 
 
-def write_usd_parts(path: Path, header: SequenceHeader, parts: Parts) -> bool:
-    """Write a layer over a sequence's original file that only adds parts; return whether that was possible."""
-    original = _original(path, header, flatten=False, onto=None)
+def write_usd_parts(path: Path, header: SequenceHeader, parts: FaceParts) -> bool:
+    """Write a layer over a sequence's original that only adds parts; return whether that was possible."""
+    original = _open_original(path, header, flatten=False, onto=None)
     if original is None:
         return False
-    with atomic_file(path) as temporary, quiet(), translate_usd_write_errors(path):
+    with atomic_file(path) as temporary, capture_diagnostics(), translate_usd_write_errors(path):
         layer = Sdf.Layer.CreateNew(str(temporary))
-        author_times(layer, header, shown_by(header, original.rate), original)
-        put_over(layer, path, original)
-        write_parts(layer, [str(fit.mesh.GetPath()) for fit in original.fits], _laid(parts, original))
+        time_map = TimeMap.from_header(header, original.stage.GetTimeCodesPerSecond())
+        author_time_range(layer, header, time_map, original)
+        author_sublayer(layer, path, original)
+        paths = [str(matched.mesh.GetPath()) for matched in original.meshes]
+        _author_parts(layer, paths, parts, original)
         save_layer(layer)
     return True
 
 
 def check_up_axis(path: Path, header: SequenceHeader) -> None:
-    """Raise an error for an up axis that USD does not support."""
+    """Raise an error for an up axis that USD does not have."""
     if header.up_axis == "X":
         raise OutputError(
             f"{path}: USD stages have Y or Z up, this mesh has X; turn it with convert_units (--convert-axes Y), or "
@@ -332,78 +490,71 @@ def check_up_axis(path: Path, header: SequenceHeader) -> None:
         )
 
 
-def warn_of_unpacked(path: Path, files: list[str]) -> None:
-    """Warn of files that `pack` left out."""
+def warn_of_unpacked_files(path: Path, files: list[str]) -> None:
+    """Warn of files that `write_package` left out."""
     if files:
         warn(
-            f"{path}: what is no texture in the original's folder is not packed: {shortened(files)}; if textures "
-            "may be shared, name their folder with pack_from=... (--pack-from)"
+            f"{path}: only textures in the original's folder are packed, not {format_names(files, str)}; if these may "
+            "be shared, name their folder with pack_from=... (--pack-from)"
         )
 
 
-def folders_of(header: SequenceHeader, pack_from: str | PathLike[str] | None = None) -> list[Path]:
-    """Return the folders of textures that may be packed, and the file itself, which may be a package."""
+def texture_folders(header: SequenceHeader, pack_from: str | PathLike[str] | None = None) -> list[Path]:
+    """Return the folders of textures that may be packed, and the original itself, which may be a package."""
     origin = header.surface.origin
-    file = [Path(origin.path)] if origin and origin.format == "USD" else []
-    return [*file, *(each.parent for each in file), *([] if pack_from is None else [Path(pack_from)])]
+    original = [Path(origin.path)] if origin and origin.format == "USD" else []
+    parents = [path.parent for path in original]
+    return [*original, *parents, *([] if pack_from is None else [Path(pack_from)])]
 
 
-def _laid(parts: Parts, original: Original | None) -> Parts:
-    """Return parts by the polygons of the file that they are laid over."""
-    if original is None:
-        return parts
-    own = zip(parts.of_polygon, original.fits, strict=True)
-    return replace(parts, of_polygon=tuple(of_polygon[fit.match.polygons] for of_polygon, fit in own))
-
-
-def _check_options(packed: bool, flatten: bool, onto: object, clips: int, pack_from: object) -> None:
+def _check_options(is_package: bool, flatten: bool, onto: object, clips: int, pack_from: object) -> None:
     if clips < 0:
         raise SettingsError(f"clips is {clips}; give the number of frames per file, or 0 for a single file")
     if onto is not None and flatten:
         raise SettingsError("a flattened USD file stands alone; leave out either onto or flatten")
-    if packed and (onto is not None or clips):
+    if is_package and (onto is not None or clips):
         raise SettingsError("a .usdz file has everything in itself; leave out onto and clips, or write .usdc")
-    if pack_from is not None and not packed:
+    if pack_from is not None and not is_package:
         raise SettingsError("only .usdz files have textures packed; leave out pack_from, or write .usdz")
 
 
-def _original(
+def _open_original(
     path: Path, header: SequenceHeader, flatten: bool, onto: str | PathLike[str] | None
 ) -> Original | None:
-    """Return the file to lay the points over, None for a stand-alone file."""
+    """Open the file to lay the points over; return None for a stand-alone file."""
     origin = header.surface.origin
-    known = origin.path if origin and origin.format == "USD" else None
-    if onto is None and known is None:
+    origin_path = origin.path if origin and origin.format == "USD" else None
+    if onto is None and origin_path is None:
         return None
-    file, packed = Path(onto or known or ""), path.suffix.lower() == ".usdz"
-    named = is_gone(origin) and any(each.material for each in header.surface.face_sets)
-    bare = ", and materials are written by name only" if named else ""
+    file = Path(onto or origin_path or "")
+    loses_materials = _is_missing(origin) and any(each.material for each in header.surface.face_sets)
+    loss = ", and materials are written by name only" if loses_materials else ""
     if not flatten:
-        check_not_needed(path, file)
-    if flatten or packed:
-        if is_gone(origin) and (bare or not flatten):
-            warn(f"{path} stands alone: the original {file} is gone{bare}")
+        check_not_overwritten(path, file)
+    if flatten or path.suffix.lower() == ".usdz":
+        if _is_missing(origin) and (loss or not flatten):
+            warn(f"{path} stands alone: the original {file} is gone{loss}")
         elif not flatten:
             warn(
                 f"{path} stands alone, as .usdz files do: only the mesh and its materials are kept of {file}"
             )
         return None
     try:
-        with quiet():
+        with capture_diagnostics():
             return open_original(file, header)
     except OutputError as error:
         if onto is not None:
             raise
-        warn(f"{path} stands alone: {error}{bare}; onto=... (--onto) names the file where it is now")
+        warn(f"{path} stands alone: {error}{loss}; onto=... (--onto) names the file where it is now")
         return None
 
 
-def check_not_needed(path: Path, original: Path) -> None:
-    """Raise an error if an original, or a layer that it uses, would be replaced."""
+def check_not_overwritten(path: Path, original: Path) -> None:
+    """Raise an error if `path` is the original, or a layer that it uses."""
     if not path.exists():
         return
     stage = None
-    with suppress(FormatError), quiet(), translate_usd_read_errors(original):
+    with suppress(FormatError), capture_diagnostics(), translate_usd_read_errors(original):
         stage = open_stage(original)
     layers = stage.GetUsedLayers() if stage else []
     files = [Path(Ar.SplitPackageRelativePathOuter(each.realPath)[0]) for each in layers if each.realPath]

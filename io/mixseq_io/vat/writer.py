@@ -1,6 +1,6 @@
-"""Vertex animation textures, writing: pictures, the mesh that refers to them, ``vat.json``, and shaders.
+"""Writer of vertex animation textures: images, the mesh that refers to them, ``vat.json``, and shaders.
 
-`mixseq_io.vat.textures` describes the encoding. Errors are those of the pictures' numbers, without float32 rounding in
+`mixseq_io.vat.textures` describes the encoding. Errors are those of the decoded images, without float32 rounding in
 shaders.
 """
 
@@ -17,44 +17,43 @@ import numpy as np
 
 from mixseq.errors import OutputError, SettingsError
 from mixseq.rigging.low_rank import fit_low_rank
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq_io.files import atomic_folder
 from mixseq_io.gltf.codecs import open_buffer_writer
 from mixseq_io.reader import warn
 from mixseq_io.vat.textures import (
-    Frames,
-    Kind,
+    PixelType,
     Texels,
     Textures,
-    exr_library,
-    low_rank,
-    plain,
-    png_of,
+    VertexFrames,
+    encode_low_rank,
+    encode_plain,
+    encode_png,
+    import_openexr,
     write_exr,
 )
 
-SHADERS = ("webgl2.js", "godot.gdshader", "unity.shader", "unreal.hlsl")
-"""Names of the shaders."""
+SHADER_NAMES = ("webgl2.js", "godot.gdshader", "unity.shader", "unreal.hlsl")
 
 
-def shader(name: str, told: dict[str, Any]) -> str:
-    """Return the text of a shader, given the contents of ``vat.json``."""
+def format_shader(name: str, metadata: dict[str, Any]) -> str:
+    """Fill in the text of a shader from the contents of ``vat.json``."""
     text = files("mixseq_io.vat").joinpath("shaders", name).read_text(encoding="utf-8")
-    values = {key.upper(): str(told[key]) for key in ("frames", "width", "height", "rows", "layers", "fps")}
-    values["FPS"] = (
-        f"{float(told['fps']):.9g}" if "." in f"{float(told['fps']):.9g}" else f"{told['fps']:.1f}"
-    )
-    values["LOW_RANK"] = str(int(told["kind"] != "plain"))
-    values["PART_SCALE"] = f"{told['part_scale']:.1f}"
-    values["COLUMNS"] = str(told["textures"].get("coefficients", {"width": 1})["width"])
-    values["NORMALS_HEIGHT"] = str(told["textures"]["normals"]["height"])
+    keys = ("frames", "width", "height", "rows", "layers", "fps")
+    values = {key.upper(): str(metadata[key]) for key in keys}
+    fps = f"{float(metadata['fps']):.9g}"
+    values["FPS"] = fps if "." in fps else f"{metadata['fps']:.1f}"
+    values["LOW_RANK"] = str(int(metadata["kind"] != "plain"))
+    values["PART_SCALE"] = f"{metadata['part_scale']:.1f}"
+    values["COLUMNS"] = str(metadata["textures"].get("coefficients", {"width": 1})["width"])
+    values["NORMALS_HEIGHT"] = str(metadata["textures"]["normals"]["height"])
     for key in ("points", "normals", "coefficients"):
-        texture = told["textures"].get(key, {"offset": 0.0, "scale": 1.0})
-        for part in ("offset", "scale"):
-            numbers = texture[part] if isinstance(texture[part], list) else [texture[part]]
-            values[f"{key}_{part}".upper()] = ", ".join(repr(float(each)) for each in numbers)
+        texture = metadata["textures"].get(key, {"offset": 0.0, "scale": 1.0})
+        for field in ("offset", "scale"):
+            numbers = texture[field] if isinstance(texture[field], list) else [texture[field]]
+            values[f"{key}_{field}".upper()] = ", ".join(repr(float(number)) for number in numbers)
     for key, value in values.items():
         text = text.replace(f"@{key}@", value)
     return text
@@ -62,19 +61,20 @@ def shader(name: str, told: dict[str, Any]) -> str:
 
 VAT_EXTENSION = ".vat"
 TextureName = Literal["png16", "exr"]
-TEXTURES: tuple[TextureName, ...] = get_args(TextureName)
+TEXTURE_NAMES: tuple[TextureName, ...] = get_args(TextureName)
 
 VAT_FILE_NAMES = {
-    *("vat.json", "mesh.glb", *SHADERS),
+    *("vat.json", "mesh.glb", *SHADER_NAMES),
     *(f"{name}.{suffix}" for name in ("points", "normals", "coefficients") for suffix in ("png", "exr")),
 }
 """Names of the written files; those of an older run are removed."""
 
-_TRIES = 6
-_CAUTION = 0.98
-"""Initial share of the error bound for the fit; the rest is for rounding."""
+_MAX_ATTEMPTS = 6
+_INITIAL_BOUND_RATIO = 0.98
+"""Initial fraction of the error bound for the fit; the rest is for rounding."""
 
-_UNEVEN = 1e-3
+_MAX_STEP_VARIATION = 1e-3
+"""Largest difference of frame durations without a warning, relative to their mean."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def write_vat(
     sequence: MeshSequence,
     max_error: float | None = None,
     texture: TextureName = "png16",
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> VatReport:
     """Write a sequence as vertex animation textures: a folder with pictures, a mesh, ``vat.json`` and shaders.
 
@@ -106,7 +106,7 @@ def write_vat(
         The folder, whose name ends in ``.vat``. If it exists, its textures are replaced when all is written; other
         files in it stay.
     sequence : MeshSequence
-        What to write.
+        The sequence.
     max_error : float, optional
         Error bound of low-rank textures in diagonals, for all frames; by default a texel for every vertex and frame.
     texture : {"png16", "exr"}
@@ -130,33 +130,31 @@ def write_vat(
     """
     folder = Path(path)
     check_vat_target(folder)
-    if texture not in TEXTURES:
-        raise SettingsError(f"texture is {texture!r}; one of {', '.join(TEXTURES)} is expected")
+    if texture not in TEXTURE_NAMES:
+        raise SettingsError(f"texture is {texture!r}; one of {', '.join(TEXTURE_NAMES)} is expected")
     if texture == "exr":
-        exr_library(folder)
-    kind: Kind = np.uint16 if texture == "png16" else np.float32
+        import_openexr(folder)
+    pixel_type: PixelType = np.uint16 if texture == "png16" else np.float32
     steps = np.diff(sequence.times)
-    if steps.size and np.ptp(steps) > _UNEVEN * steps.mean():
-        warn(
-            f"{folder}: frames of textures are evenly spaced, those of the sequence are not; resample it (--fps)"
-        )
-    texels = Texels.of(sequence.header)
-    frames = Frames.of(sequence.points, texels)
+    if steps.size and np.ptp(steps) > _MAX_STEP_VARIATION * steps.mean():
+        warn(f"{folder}: textures need evenly spaced frames; resample the sequence (--fps)")
+    texels = Texels.from_header(sequence.header)
+    frames = VertexFrames.from_points(sequence.points, texels)
     if max_error is None:
-        textures = plain(frames, texels, kind)
-        report = _measured(frames, _diagonal(sequence), textures)
+        textures = encode_plain(frames, texels, pixel_type)
+        report = _measure_errors(sequence, frames, textures)
     else:
-        textures, report = _bounded(sequence, frames, texels, kind, max_error, progress)
+        textures, report = _fit_within_bound(sequence, frames, texels, pixel_type, max_error, progress)
     texels.add_vertices(np.asarray(sequence.points[0]), len(textures.images["points"].pixels) // texels.rows)
     with atomic_folder(folder, VAT_FILE_NAMES) as temporary:
         report = replace(report, file_bytes=sum(_write_images(temporary, textures, texture)))
         mesh = temporary / "mesh.glb"
         with open_buffer_writer(mesh, mesh, texels.layout):
             pass
-        told = _told(sequence, texels, textures, texture, report)
-        (temporary / "vat.json").write_text(json.dumps(told, indent=1), encoding="utf-8")
-        for name in SHADERS:
-            (temporary / name).write_text(shader(name, told), encoding="utf-8")
+        metadata = _make_metadata(sequence, texels, textures, texture, report)
+        (temporary / "vat.json").write_text(json.dumps(metadata, indent=1), encoding="utf-8")
+        for name in SHADER_NAMES:
+            (temporary / name).write_text(format_shader(name, metadata), encoding="utf-8")
     return report
 
 
@@ -168,16 +166,22 @@ def check_vat_target(path: Path) -> None:
         raise OutputError(f"{path} is a file, and vertex animation textures are a folder; give another name")
 
 
-def _bounded(
-    sequence: MeshSequence, frames: Frames, texels: Texels, kind: Kind, max_error: float, progress: Progress
+def _fit_within_bound(
+    sequence: MeshSequence,
+    frames: VertexFrames,
+    texels: Texels,
+    pixel_type: PixelType,
+    max_error: float,
+    progress: Progress,
 ) -> tuple[Textures, VatReport]:
-    """Return low-rank textures within an error in diagonals, including rounding."""
+    """Fit low-rank textures within an error in diagonals, including rounding."""
     if not max_error > 0:
         raise SettingsError(f"max_error is {max_error:g}; a positive number of diagonals is expected")
-    bound, diagonal = _CAUTION * max_error, _diagonal(sequence)
-    for _ in range(_TRIES):
-        textures = low_rank(fit_low_rank(sequence, bound, progress=progress), frames, texels, kind)
-        report = _measured(frames, diagonal, textures)
+    bound = _INITIAL_BOUND_RATIO * max_error
+    for _ in range(_MAX_ATTEMPTS):
+        fitted = fit_low_rank(sequence, bound, progress=progress)
+        textures = encode_low_rank(fitted, frames, texels, pixel_type)
+        report = _measure_errors(sequence, frames, textures)
         excess = report.max_error - max_error
         if excess <= 0:
             return textures, report
@@ -190,68 +194,62 @@ def _bounded(
     )
 
 
-def _diagonal(sequence: MeshSequence) -> float:
-    return bounding_diagonal(np.asarray(sequence.points[0], dtype=np.float64)) or 1.0
-
-
-def _measured(frames: Frames, diagonal: float, textures: Textures) -> VatReport:
-    shown = textures.shown
-    squares = np.square(shown.points - frames.points).sum(axis=2)
-    lengths = np.linalg.norm(shown.normals, axis=2)
-    cosines = np.sum(shown.normals * frames.normals, axis=2) / np.where(lengths > 0, lengths, 1)
+def _measure_errors(sequence: MeshSequence, frames: VertexFrames, textures: Textures) -> VatReport:
+    decoded = textures.decoded
+    diagonal = bounding_diagonal(np.asarray(sequence.points[0], dtype=np.float64)) or 1.0
+    squares = np.square(decoded.points - frames.points).sum(axis=2)
+    lengths = np.linalg.norm(decoded.normals, axis=2)
+    cosines = np.sum(decoded.normals * frames.normals, axis=2) / np.where(lengths > 0, lengths, 1)
     angles = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
     return VatReport(
-        kind=textures.told["kind"],
+        kind=textures.metadata["kind"],
         rank=textures.rank,
         max_error=float(np.sqrt(squares.max(initial=0))) / diagonal,
         rms_error=float(np.sqrt(squares.mean())) / diagonal,
         normal_degrees=float(np.sqrt(np.square(angles).mean())),
         file_bytes=0,
         # On a graphics card pixels have four channels.
-        memory_bytes=sum(4 * each.pixels[..., 0].nbytes for each in textures.images.values()),
+        memory_bytes=sum(4 * image.pixels[..., 0].nbytes for image in textures.images.values()),
     )
 
 
 def _write_images(folder: Path, textures: Textures, texture: TextureName) -> list[int]:
     sizes = []
-    for name, each in textures.images.items():
-        file = folder / _file(name, texture)
+    for name, image in textures.images.items():
+        file = folder / _image_name(name, texture)
         if texture == "exr":
-            write_exr(file, np.asarray(each.pixels, dtype=np.float32))
+            write_exr(file, np.asarray(image.pixels, dtype=np.float32))
         else:
-            file.write_bytes(png_of(each.pixels))
+            file.write_bytes(encode_png(image.pixels))
         sizes.append(file.stat().st_size)
     return sizes
 
 
-def _file(name: str, texture: TextureName) -> str:
+def _image_name(name: str, texture: TextureName) -> str:
     return f"{name}.{'exr' if texture == 'exr' else 'png'}"
 
 
-def _told(
+def _make_metadata(
     sequence: MeshSequence, texels: Texels, textures: Textures, texture: TextureName, report: VatReport
 ) -> dict[str, Any]:
     """Return the contents of ``vat.json``."""
     header = sequence.header
     points = np.asarray(sequence.points)
     images = {}
-    for name, each in textures.images.items():
-        height, width = each.pixels.shape[:2]
-        # One number is enough where all channels have the same.
-        same = name == "coefficients" or textures.rank > 0
-        offset = float(each.offset[0]) if same else each.offset.tolist()
-        scale = float(each.scale[0]) if same else each.scale.tolist()
+    for name, image in textures.images.items():
+        height, width = image.pixels.shape[:2]
+        is_uniform = name == "coefficients" or textures.rank > 0  # the same in all channels
         images[name] = {
-            "file": _file(name, texture),
+            "file": _image_name(name, texture),
             "width": width,
             "height": height,
-            "offset": offset,
-            "scale": scale,
+            "offset": float(image.offset[0]) if is_uniform else image.offset.tolist(),
+            "scale": float(image.scale[0]) if is_uniform else image.scale.tolist(),
         }
     return {
         "format": "mixseq vertex animation texture",
         "version": 1,
-        **textures.told,
+        **textures.metadata,
         "rank": textures.rank,
         "texture": texture,
         "mesh": "mesh.glb",
@@ -267,9 +265,5 @@ def _told(
         "bounds": {"min": points.min(axis=(0, 1)).tolist(), "max": points.max(axis=(0, 1)).tolist()},
         "up_axis": header.up_axis,
         "metres_per_unit": header.metres_per_unit,
-        "error": {
-            "max": report.max_error,
-            "rms": report.rms_error,
-            "normal_degrees": report.normal_degrees,
-        },
+        "error": {"max": report.max_error, "rms": report.rms_error, "normal_degrees": report.normal_degrees},
     }

@@ -11,7 +11,7 @@ from bpy.props import BoolProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
 from mixseq.blender.motion import MeshParts, Placement, find_placement, part_names
-from mixseq.mesh.polygons import Polygons, matched
+from mixseq.mesh.polygons import Polygons, match_polygons
 from mixseq.signals.model import Model
 
 from . import live
@@ -127,7 +127,7 @@ def _has_same_polygons(mesh: bpy.types.Mesh, model: Model, part: str) -> bool:
     counts, corners = (np.empty(len(elements), dtype=np.int32) for elements in (mesh.polygons, mesh.loops))
     mesh.polygons.foreach_get("loop_total", counts)
     mesh.loops.foreach_get("vertex_index", corners)
-    return matched(Polygons(expected.counts, expected.corners), Polygons(counts, corners)) is not None
+    return match_polygons(Polygons(expected.counts, expected.corners), Polygons(counts, corners)) is not None
 
 
 def _add_menu_entry(menu: Any, context: Any) -> None:

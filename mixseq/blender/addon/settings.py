@@ -30,12 +30,8 @@ class MotionSettings(bpy.types.PropertyGroup):
         options=_PATH_OPTIONS,
         update=_tag_mesh,
     )
-    part: StringProperty(
-        name="Mesh", description="Mesh of the model; leave empty for all meshes", update=_tag_mesh
-    )
-    is_live: BoolProperty(
-        name="Live", default=True, description="Update the mesh at every frame", update=_tag_mesh
-    )
+    part: StringProperty(name="Mesh", description="Mesh of the model, empty for all", update=_tag_mesh)
+    is_live: BoolProperty(name="Live", default=True, description="Update at every frame", update=_tag_mesh)
     up_axis: EnumProperty(name="Up", items=UP_AXES, default="Y", update=_tag_mesh)
     scale: FloatProperty(
         name="Scale",
@@ -51,7 +47,7 @@ class MotionSettings(bpy.types.PropertyGroup):
         update=_tag_mesh,
     )
     frame_offset: FloatProperty(
-        name="Offset", description="Scene frame at which the model's time 0 is displayed", update=_tag_mesh
+        name="Offset", description="Scene frame of the model's time 0", update=_tag_mesh
     )
 
     @property

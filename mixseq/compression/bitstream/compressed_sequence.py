@@ -16,15 +16,15 @@ from mixseq.choices import OrderName
 from mixseq.compression.bitstream.residual_layer import CodedResidualLayer
 from mixseq.compression.bitstream.signal_graph import SignalGraph, mesh_graph
 from mixseq.compression.bitstream.spatial_basis import (
-    MOST_PARTS,
+    MAX_PARTS,
     BasisKind,
     SpatialBasis,
     assemble_basis,
-    groups_of_parts,
+    part_groups,
     read_basis,
     read_coefficients,
 )
-from mixseq.compression.bitstream.uv_values import LARGEST
+from mixseq.compression.bitstream.uv_values import MAX_COORDINATE
 from mixseq.errors import FormatError, SettingsError
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.sequence.header import SequenceHeader
@@ -37,8 +37,8 @@ from mixseq.spaces.temporal import TemporalOperator, insert_midpoints, select_op
 from mixseq.spaces.vertex import BasisSpace, VertexSpace
 from mixseq.types import Float
 
-SHORTEST, LONGEST = 0.5, 64.0
-"""Range of lengths in files. Frozen: part of the format."""
+MIN_COVARIANCE_LENGTH, MAX_COVARIANCE_LENGTH = 0.5, 64.0
+"""Range of covariance lengths in files, in mean steps between frames. Frozen: part of the format."""
 
 
 @dataclass(frozen=True)
@@ -74,10 +74,9 @@ class CodingParameters:
     uv_error: float | None = None
 
     def __post_init__(self) -> None:
-        if self.factors not in get_args(BasisKind):
-            raise SettingsError(
-                f"factors is {self.factors!r}; {' or '.join(get_args(BasisKind))} is expected"
-            )
+        kinds = get_args(BasisKind)
+        if self.factors not in kinds:
+            raise SettingsError(f"factors is {self.factors!r}; {' or '.join(kinds)} is expected")
         for name in ("rank", "frame_count"):
             value = getattr(self, name)
             if not (isinstance(value, int) and value > 0):
@@ -89,7 +88,7 @@ class CodingParameters:
                     f"{name} is {value!r}; a {'positive' if positive else 'non-negative'} number is expected"
                 )
         object.__setattr__(self, "ranks", tuple(self.ranks))
-        if self.ranks and not (len(self.ranks) <= MOST_PARTS and sum(self.ranks) == self.rank):
+        if self.ranks and not (len(self.ranks) <= MAX_PARTS and sum(self.ranks) == self.rank):
             raise SettingsError(
                 f"the parts have {self.ranks} basis vectors, which are not {self.rank} in all"
             )
@@ -97,13 +96,11 @@ class CodingParameters:
             raise SettingsError("shapes are of the whole mesh, not of parts")
         if any(not (isinstance(rank, int) and rank > 0) for rank in self.ranks):
             raise SettingsError(f"ranks are {self.ranks}; whole numbers above zero are expected")
-        steps, error = self.uv_steps, self.uv_error
+        steps, error, most = self.uv_steps, self.uv_error, MAX_COORDINATE
         if (steps is None) != (error is None):
             raise SettingsError("uv_steps and uv_error come together")
-        if steps is not None and not (
-            isinstance(steps, int) and not isinstance(steps, bool) and 0 < steps <= LARGEST
-        ):
-            raise SettingsError(f"uv_steps is {steps!r}; a whole number from 1 to {LARGEST} is expected")
+        if steps is not None and not (type(steps) is int and 0 < steps <= most):
+            raise SettingsError(f"uv_steps is {steps!r}; a whole number from 1 to {most} is expected")
         if error is not None and not (isinstance(error, int | float) and 0 <= error < inf):
             raise SettingsError(f"uv_error is {error!r}; a non-negative number is expected")
         if not isinstance(self.promised, bool):
@@ -112,24 +109,21 @@ class CodingParameters:
 
 @dataclass(frozen=True)
 class TemporalInterpolation:
-    """The prediction of coefficients between frames, as found by `mixseq.spaces.temporal.select_operator`."""
+    """The interpolation of coefficients between frames, as found by `mixseq.spaces.temporal.select_operator`."""
 
     length: float  # length of the covariance, in mean steps between frames: from 0.5 to 64, or infinite
-    # Shares of the usual cubic spline in the first and in the last interval, from 0 to 1.
+    # Weights of the usual cubic spline in the first and in the last interval, from 0 to 1.
     cubic: tuple[float, float]
 
     def __post_init__(self) -> None:
-        if not (_is_number(self.length) and (SHORTEST <= self.length <= LONGEST or self.length == inf)):
+        length, cubic, least, most = self.length, self.cubic, MIN_COVARIANCE_LENGTH, MAX_COVARIANCE_LENGTH
+        if not (_is_number(length) and (least <= length <= most or length == inf)):
             raise SettingsError(
-                f"length is {self.length!r}; a number from {SHORTEST:g} to {LONGEST:g} is expected, or infinity"
+                f"length is {length!r}; a number from {least:g} to {most:g} is expected, or infinity"
             )
-        shares = self.cubic
-        if not (
-            isinstance(shares, tuple)
-            and len(shares) == 2
-            and all(_is_number(share) and 0 <= share <= 1 for share in shares)
-        ):
-            raise SettingsError(f"cubic is {shares!r}; two numbers from 0 to 1 are expected")
+        is_pair = isinstance(cubic, tuple) and len(cubic) == 2
+        if not (is_pair and all(_is_number(value) and 0 <= value <= 1 for value in cubic)):
+            raise SettingsError(f"cubic is {cubic!r}; two numbers from 0 to 1 are expected")
 
 
 def _is_number(value: object) -> bool:
@@ -145,9 +139,9 @@ class CompressedSequence:
     # The spatial basis, in groups; each group needs those before it, and makes the sequence more accurate.
     basis: tuple[bytes, ...]
     chunks: tuple[Chunk, ...]  # signals over time: all frames, in order
-    # Numbers kept from the original: vertices and polygons, vertices only, or neither. Decoders ignore it.
+    # Numbering kept from the original: of vertices and polygons, of vertices only, or neither. Decoders ignore it.
     order: OrderName = "keep"
-    # Prediction of coefficients between frames. None if the decoder chooses it.
+    # Interpolation of coefficients between frames. None if the decoder chooses it.
     between: TemporalInterpolation | None = None
 
 
@@ -157,36 +151,30 @@ def to_model(coded: CompressedSequence) -> Model:
 
 
 def decode(coded: CompressedSequence) -> tuple[Model, TemporalInterpolation]:
-    """Decode a compressed sequence as `to_model` does; also return the prediction of coefficients between frames."""
+    """Decode a compressed sequence; also return the interpolation of coefficients between frames."""
     parameters, header = coded.parameters, coded.header
     graph = mesh_graph(header.faces, header.vertex_count)
-    # Numbers that are not finite are those of damaged files.
+    # Damaged files may have numbers that are not finite.
     with one_blas_thread(), np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         basis = decode_basis(coded, graph)
         coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
         if not (np.isfinite(basis.norms).all() and np.isfinite(coefficients).all()):
             raise FormatError("coded signals are not finite; the file is damaged")
-        space, scores, mean, directions = _affine(basis, coefficients, parameters.diagonal)
+        space, scores, mean, directions = _principal_frames(basis, coefficients, parameters.diagonal)
         pose, shapes = pose_signal_from_modes(scores, mean, directions)
     residual_layer = None
     if any(chunk.residuals for chunk in coded.chunks):
+        chunks = tuple((chunk.count, chunk.residuals) for chunk in coded.chunks)
         residual_layer = CodedResidualLayer(
-            header.times,
-            tuple((chunk.count, chunk.residuals) for chunk in coded.chunks),
-            header.faces,
-            header.vertex_count,
-            parameters.correction,
-            graph,
+            header.times, chunks, header.faces, header.vertex_count, parameters.correction, graph
         )
     between = coded.between
     if between is None:
         operator = select_operator(header.times, scores)
         between = TemporalInterpolation(operator.length_scale, operator.cubic_shares)
     times = insert_midpoints(header.times)
-    time = Curve(
-        times,
-        TemporalOperator(header.times, between.length, between.cubic).weights_at(times).interpolate(scores),
-    )
+    operator = TemporalOperator(header.times, between.length, between.cubic)
+    time = Curve(times, operator.weights_at(times).interpolate(scores))
     placement = Curve(times, np.zeros((len(times), 0)))
     return Model(header, space, time, pose, shapes, placement, residual_layer=residual_layer), between
 
@@ -195,38 +183,39 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
     """Return the spatial basis of a compressed sequence."""
     parameters = coded.parameters
     ranks = parameters.ranks or (parameters.rank,)
-    most = 3 * min(len(ranks) * parameters.frame_count, graph.size) + len(ranks)
-    if parameters.rank > most:
+    max_rank = 3 * min(len(ranks) * parameters.frame_count, graph.size) + len(ranks)
+    if parameters.rank > max_rank:
         raise FormatError(
-            f"{parameters.rank} basis vectors are more than the {most} that such a sequence can have; "
+            f"{parameters.rank} basis vectors are more than the {max_rank} that such a sequence can have; "
             "the file is damaged"
         )
-    groups = len(groups_of_parts(ranks))
-    if len(coded.basis) != groups:
+    count, expected = len(coded.basis), len(part_groups(ranks))
+    if count != expected:
         raise FormatError(
-            f"the spatial basis has {len(coded.basis)} groups, {groups} are expected; the file is damaged"
+            f"the spatial basis has {count} groups, {expected} are expected; the file is damaged"
         )
-    coordinates = 1 if parameters.factors == "trajectories" else 3
-    vectors, parts = read_basis(coded.basis, ranks, coordinates, parameters.step, coded.header.faces, graph)
-    return assemble_basis(parameters.factors, vectors, parts, parameters.frame_count)
+    coordinates, step = 1 if parameters.factors == "trajectories" else 3, parameters.step
+    vectors, vertices = read_basis(coded.basis, ranks, coordinates, step, coded.header.faces, graph)
+    return assemble_basis(parameters.factors, vectors, vertices, parameters.frame_count)
 
 
 def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialBasis) -> Float:
     """Return the coefficients ``(n, K, d)`` of a chunk's frames, for the K varying vectors of the basis."""
-    parameters = coded.parameters
-    return read_coefficients(basis, chunk.coefficients, chunk.count, parameters.step)
+    return read_coefficients(basis, chunk.coefficients, chunk.count, coded.parameters.step)
 
 
-def _affine(basis: SpatialBasis, coefficients: Float, unit: float) -> tuple[ShapeSpace, Float, Float, Float]:
+def _principal_frames(
+    basis: SpatialBasis, coefficients: Float, unit: float
+) -> tuple[ShapeSpace, Float, Float, Float]:
     """Return a shape space, and its frames as mean plus scores ``(T, r)`` times directions ``(r, D)``."""
     if basis.kind == "shapes":
         vectors = basis.vectors.transpose(0, 2, 1).reshape(len(basis.vectors), -1) / unit
         mean = vectors[0] / np.sqrt(basis.frame_count)
         return VertexSpace(basis.vertex_count, unit), coefficients[..., 0], mean, vectors[1:]
     space = BasisSpace(basis.vectors[:, 0], unit)
-    rows = coefficients.reshape(len(coefficients), -1) / unit
-    mean = rows.mean(axis=0)
+    frames = coefficients.reshape(len(coefficients), -1) / unit
+    mean = frames.mean(axis=0)
     # PCA: coordinates of the pose space are those of most motion.
-    left, sizes, right = np.linalg.svd((rows - mean) * space.weights, full_matrices=False)
-    kept = sizes > NEGLIGIBLE_MODE * sizes.max(initial=0.0)
-    return space, left[:, kept] * sizes[kept], mean, right[kept] / space.weights
+    left, values, right = np.linalg.svd((frames - mean) * space.weights, full_matrices=False)
+    kept = values > NEGLIGIBLE_MODE * values.max(initial=0.0)
+    return space, left[:, kept] * values[kept], mean, right[kept] / space.weights

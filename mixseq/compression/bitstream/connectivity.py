@@ -1,13 +1,13 @@
 """Code polygons without loss: the order of vertices and faces, and first corners, are kept.
 
 Users number vertices and faces, so they cannot be renumbered as Edgebreaker does. Corners are coded in their order, and
-predicted from the mesh so far, from the polygons before, and from the numbers of their neighbours (in the spirit of the
+predicted from the known mesh, from the last polygons, and from the numbers of their neighbours (in the spirit of the
 index codec of *meshoptimizer*). Probabilities of the predictions are learned bit by bit
 (`mixseq.compression.bitstream.arithmetic`). Meshes in coherent order take 2 to 10 bits per triangle; random order takes
 about half a logarithm of V! F!.
 
 *The bits.* For every polygon, its number of corners minus that of the polygon before (3 for the first), then its
-corners, as specified in `mixseq.compression.bitstream.connectivity_kernels`. Then the check of both.
+corners, as specified in `mixseq.compression.bitstream.connectivity_kernels`. Then the checksum of both.
 
 *The growing order* of polygons, in which texture coordinates are coded, is breadth first, those with the fewest unknown
 nodes first, so that values at a node are predicted from complete polygons around it.
@@ -31,20 +31,28 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.compression.bitstream.arithmetic import (
-    bits_to_read,
-    bits_to_write,
-    check_of,
-    with_check,
-    without_check,
-    written,
+    HashedBits,
+    append_checksum,
+    checksum_of,
+    finish_stream,
+    new_hashed_bits,
+    new_hashed_output,
+    new_input_stream,
+    split_checksum,
 )
-from mixseq.compression.bitstream.connectivity_kernels import GUESSES, KINDS, no_half_edges, no_past, walk
+from mixseq.compression.bitstream.connectivity_kernels import (
+    BIT_KINDS,
+    GUESS_COUNT,
+    code_polygons,
+    new_half_edges,
+    new_history,
+)
 from mixseq.errors import FormatError, InvalidSequenceError
-from mixseq.mesh.polygons import Polygons, in_canonical_order
+from mixseq.mesh.polygons import Polygons, canonical_order
 from mixseq.runtime.jit import compiled
 from mixseq.types import Index
 
-_BUCKETS = 4
+_QUEUE_COUNT = 4
 """Number of queues, by unknown nodes per polygon; the last takes all larger counts. Frozen: breaks old files."""
 
 
@@ -54,14 +62,14 @@ class Corners(NamedTuple):
     starts: Index  # (P + 1,) the first corner of every polygon, and the number C of corners
     polygon: Index  # (C,) the polygon of every corner
     node: Index  # (C,) the node of every corner
-    # (C,) a half-edge runs from a corner to the next one of its polygon. The corner from which one runs the other way,
-    # -1 if there is none. Of several between the same nodes, the first is the twin of the first, and so on.
+    # (C,) a half-edge runs from a corner to the next one of its polygon. The corner of the opposite half-edge, -1 if
+    # there is none. Of several between the same nodes, the first is the twin of the first, and so on.
     twin: Index
     around_starts: Index  # (N + 1,) row offsets of around
     around: Index  # (C,) the corners at node n, ascending: around[around_starts[n] : around_starts[n + 1]]
 
 
-def corners_of(polygons: Polygons, node_count: int) -> Corners:
+def corners_on_nodes(polygons: Polygons, node_count: int) -> Corners:
     """Return the corners of polygons on nodes."""
     counts, node = polygons.counts.astype(np.int64), polygons.indices.astype(np.int64)
     starts = np.concatenate([[0], np.cumsum(counts)])
@@ -71,27 +79,27 @@ def corners_of(polygons: Polygons, node_count: int) -> Corners:
         starts=starts,
         polygon=np.repeat(np.arange(len(counts)), counts),
         node=node,
-        twin=_twins(node, node[following], node_count),
+        twin=_find_twins(node, node[following], node_count),
         around_starts=np.concatenate([[0], np.cumsum(np.bincount(node, minlength=node_count))]),
         around=np.argsort(node, kind="stable"),
     )
 
 
-def _twins(tails: Index, heads: Index, node_count: int) -> Index:
-    """Return the twins of half-edges from `tails` to `heads`."""
-    forth, back = tails * node_count + heads, heads * node_count + tails
-    order, others = np.argsort(forth, kind="stable"), np.argsort(back, kind="stable")
-    there, wanted = forth[order], back[others]
-    first = np.searchsorted(there, wanted)
-    place = first + np.arange(len(wanted)) - np.searchsorted(wanted, wanted)
-    found = (place < np.searchsorted(there, wanted, side="right")) & (tails != heads)[others]
+def _find_twins(tails: Index, heads: Index, node_count: int) -> Index:
+    """Return the twins ``(C,)`` of half-edges from `tails` to `heads` ``(C,)``."""
+    keys, twin_keys = tails * node_count + heads, heads * node_count + tails
+    order, edges = np.argsort(keys, kind="stable"), np.argsort(twin_keys, kind="stable")
+    keys, twin_keys = keys[order], twin_keys[edges]
+    first, end = np.searchsorted(keys, twin_keys), np.searchsorted(keys, twin_keys, side="right")
+    places = first + np.arange(len(twin_keys)) - np.searchsorted(twin_keys, twin_keys)
+    found_mask = (places < end) & (tails != heads)[edges]
     twins = np.full(len(tails), -1, dtype=np.int64)
-    twins[others[found]] = order[place[found]]
+    twins[edges[found_mask]] = order[places[found_mask]]
     return twins
 
 
 @compiled
-def after(corners: Corners, corner: int) -> int:
+def next_corner(corners: Corners, corner: int) -> int:
     """Return the next corner of the polygon."""
     starts, polygon = corners.starts, corners.polygon[corner]
     following: int = corner + 1 if corner + 1 < starts[polygon + 1] else starts[polygon]
@@ -99,7 +107,7 @@ def after(corners: Corners, corner: int) -> int:
 
 
 @compiled
-def before(corners: Corners, corner: int) -> int:
+def previous_corner(corners: Corners, corner: int) -> int:
     """Return the previous corner of the polygon."""
     starts, polygon = corners.starts, corners.polygon[corner]
     previous: int = corner - 1 if corner > starts[polygon] else starts[polygon + 1] - 1
@@ -114,88 +122,87 @@ def growing_order(corners: Corners) -> Index:
     Next is the first of the first queue whose count still holds; with none, the lowest unvisited polygon.
     """
     starts, node = corners.starts, corners.node
-    count = len(starts) - 1
-    unknown = starts[1:] - starts[:-1]
-    known = np.zeros(len(corners.around_starts) - 1, dtype=np.bool_)
-    visited = np.zeros(count, dtype=np.bool_)
-    heads, tails = np.full(_BUCKETS, -1, dtype=np.int64), np.full(_BUCKETS, -1, dtype=np.int64)
+    polygon_count = len(starts) - 1
+    unknown_counts = starts[1:] - starts[:-1]
+    known_mask = np.zeros(len(corners.around_starts) - 1, dtype=np.bool_)
+    visited_mask = np.zeros(polygon_count, dtype=np.bool_)
+    heads, tails = np.full(_QUEUE_COUNT, -1, dtype=np.int64), np.full(_QUEUE_COUNT, -1, dtype=np.int64)
+    # Queues are linked lists of entries: their polygons, and the entries that follow.
     queued, following = np.empty(len(node), dtype=np.int64), np.full(len(node), -1, dtype=np.int64)
-    order = np.empty(count, dtype=np.int64)
+    order = np.empty(polygon_count, dtype=np.int64)
     lowest = entries = 0
-    for place in range(count):
+    for place in range(polygon_count):
         chosen = -1
-        for bucket in range(_BUCKETS):
-            while chosen < 0 and heads[bucket] >= 0:
-                polygon = queued[heads[bucket]]
-                heads[bucket] = following[heads[bucket]]
-                if not visited[polygon] and min(unknown[polygon], _BUCKETS - 1) == bucket:
+        for queue in range(_QUEUE_COUNT):
+            while chosen < 0 and heads[queue] >= 0:
+                polygon = queued[heads[queue]]
+                heads[queue] = following[heads[queue]]
+                if not visited_mask[polygon] and min(unknown_counts[polygon], _QUEUE_COUNT - 1) == queue:
                     chosen = polygon
         if chosen < 0:
-            while visited[lowest]:
+            while visited_mask[lowest]:
                 lowest += 1
             chosen = lowest
-        visited[chosen] = True
+        visited_mask[chosen] = True
         order[place] = chosen
         for corner in range(starts[chosen], starts[chosen + 1]):
-            at = node[corner]
-            if known[at]:
+            new = node[corner]
+            if known_mask[new]:
                 continue
-            known[at] = True
-            for other in range(corners.around_starts[at], corners.around_starts[at + 1]):
-                polygon = corners.polygon[corners.around[other]]
-                if visited[polygon]:
+            known_mask[new] = True
+            for around in range(corners.around_starts[new], corners.around_starts[new + 1]):
+                polygon = corners.polygon[corners.around[around]]
+                if visited_mask[polygon]:
                     continue
-                unknown[polygon] -= 1
-                bucket = min(unknown[polygon], _BUCKETS - 1)
+                unknown_counts[polygon] -= 1
+                queue = min(unknown_counts[polygon], _QUEUE_COUNT - 1)
                 queued[entries] = polygon
-                if heads[bucket] < 0:
-                    heads[bucket] = entries
+                if heads[queue] < 0:
+                    heads[queue] = entries
                 else:
-                    following[tails[bucket]] = entries
-                tails[bucket] = entries
+                    following[tails[queue]] = entries
+                tails[queue] = entries
                 entries += 1
     return order
 
 
 def walk_polygons(polygons: Polygons, vertex_count: int) -> tuple[Index, Index]:
     """Return the polygons ``(P,)`` in walk order, and their entry corners ``(P,)``; components by lowest vertex."""
-    canonical = in_canonical_order(polygons)
-    listed = Polygons(polygons.counts[canonical.polygons], polygons.indices[canonical.corners])
-    corners = corners_of(listed, vertex_count)
-    entered = _walk(corners)
-    return canonical.polygons[corners.polygon[entered]], canonical.corners[entered]
+    canonical = canonical_order(polygons)
+    sorted_polygons = Polygons(polygons.counts[canonical.polygons], polygons.indices[canonical.corners])
+    corners = corners_on_nodes(sorted_polygons, vertex_count)
+    entry_corners = _walk_corners(corners)
+    return canonical.polygons[corners.polygon[entry_corners]], canonical.corners[entry_corners]
 
 
 @compiled
-def _walk(corners: Corners) -> Index:
+def _walk_corners(corners: Corners) -> Index:
     """Return the corners at which polygons are entered, in the order of the walk."""
-    count = len(corners.starts) - 1
-    seen = np.zeros(count, dtype=np.bool_)
-    entered = np.empty(count, dtype=np.int64)
-    waiting = np.empty(
-        len(corners.node) + 1, dtype=np.int64
-    )  # where polygons may be entered, the newest last
-    place = 0
+    polygon_count = len(corners.starts) - 1
+    visited_mask = np.zeros(polygon_count, dtype=np.bool_)
+    entry_corners = np.empty(polygon_count, dtype=np.int64)
+    stack = np.empty(len(corners.node) + 1, dtype=np.int64)  # where polygons may be entered, the newest last
+    entered_count = 0
     for seed in corners.around:
-        waiting[0] = seed
-        ready = 1
-        while ready:
-            ready -= 1
-            corner = waiting[ready]
+        stack[0] = seed
+        stack_size = 1
+        while stack_size:
+            stack_size -= 1
+            corner = stack[stack_size]
             polygon = corners.polygon[corner]
-            if seen[polygon]:
+            if visited_mask[polygon]:
                 continue
-            seen[polygon] = True
-            entered[place] = corner
-            place += 1
+            visited_mask[polygon] = True
+            entry_corners[entered_count] = corner
+            entered_count += 1
             edge = corner
             for _ in range(corners.starts[polygon + 1] - corners.starts[polygon]):
-                edge = before(corners, edge)
+                edge = previous_corner(corners, edge)
                 twin = corners.twin[edge]
-                if twin >= 0 and not seen[corners.polygon[twin]]:
-                    waiting[ready] = twin
-                    ready += 1
-    return entered
+                if twin >= 0 and not visited_mask[corners.polygon[twin]]:
+                    stack[stack_size] = twin
+                    stack_size += 1
+    return entry_corners
 
 
 def encode_polygons(polygons: Polygons, vertex_count: int) -> bytes:
@@ -209,30 +216,34 @@ def encode_polygons(polygons: Polygons, vertex_count: int) -> bytes:
         )
     counts, indices = polygons.counts.astype(np.int64), polygons.indices.astype(np.int64)
     # Bits at most: guesses, and numbers for counts, states (up to 1) and distances.
-    count, state, distance = (2 + 2 * most.bit_length() for most in (len(indices), 1, vertex_count))
-    room = len(counts) * count + len(indices) * (GUESSES + state + distance)
-    bits = bits_to_write(room, KINDS)
-    walk(bits, no_half_edges(len(indices), vertex_count), no_past(vertex_count), counts, indices)
-    return with_check(written(bits.coded), check_of(indices, check_of(counts)))
+    count, state, distance = (2 + 2 * largest.bit_length() for largest in (len(indices), 1, vertex_count))
+    capacity = len(counts) * count + len(indices) * (GUESS_COUNT + state + distance)
+    bits = new_hashed_output(capacity, BIT_KINDS)
+    checksum = _code_polygons(bits, vertex_count, counts, indices)
+    return append_checksum(finish_stream(bits.stream), checksum)
+
+
+def _code_polygons(bits: HashedBits, vertex_count: int, counts: Index, indices: Index) -> int:
+    """Code polygons, or decode them in place; return their checksum."""
+    mesh, history = new_half_edges(len(indices), vertex_count), new_history(vertex_count)
+    code_polygons(bits, mesh, history, counts, indices)
+    return checksum_of(indices, checksum_of(counts))
 
 
 def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_count: int) -> Polygons:
     """Decode the polygons written by `encode_polygons`."""
-    mesh = f"{polygon_count} polygons with {corner_count} corners and {vertex_count} vertices"
-    if (
-        polygon_count < 0
-        or not 0 <= vertex_count < 1 << 31
-        or not 3 * polygon_count <= corner_count < 1 << 31
-    ):
-        raise FormatError(f"a mesh cannot have {mesh}; the file is damaged")
+    described = f"{polygon_count} polygons with {corner_count} corners and {vertex_count} vertices"
+    in_range = polygon_count >= 0 and corner_count < 1 << 31 and 0 <= vertex_count < 1 << 31
+    if not in_range or corner_count < 3 * polygon_count:
+        raise FormatError(f"a mesh cannot have {described}; the file is damaged")
     if not polygon_count or not vertex_count:
         if data or corner_count:
-            raise FormatError(f"a mesh with {mesh} has no coded corners; the file is damaged")
+            raise FormatError(f"a mesh with {described} has no coded corners; the file is damaged")
         return Polygons(np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int32))
-    stream, expected = without_check(data)
-    bits = bits_to_read(stream, KINDS)
+    stream, expected = split_checksum(data)
+    bits = new_hashed_bits(new_input_stream(stream), BIT_KINDS)
     counts, indices = np.zeros(polygon_count, dtype=np.int64), np.zeros(corner_count, dtype=np.int64)
-    walk(bits, no_half_edges(corner_count, vertex_count), no_past(vertex_count), counts, indices)
-    if bits.failed[0] or check_of(indices, check_of(counts)) != expected:
-        raise FormatError(f"coded polygons are damaged, or those of another mesh than one of {mesh}")
+    checksum = _code_polygons(bits, vertex_count, counts, indices)
+    if bits.failed[0] or checksum != expected:
+        raise FormatError(f"coded polygons are damaged, or those of another mesh than one of {described}")
     return Polygons(counts, indices)

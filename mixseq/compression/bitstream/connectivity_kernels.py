@@ -1,9 +1,9 @@
 """The compiled loop over all corners of a mesh, for coding and decoding connectivity.
 
 *Half-edges* of a mesh that grows polygon by polygon run from a corner's vertex to the next corner's. A half-edge is
-*open* until another one runs the other way. A vertex is *unused* until a polygon has it, then *open* while open
-half-edges end or start there, else *closed*; it may open again. Vertices of a state have ranks, in the order of their
-numbers, by a tree of partial sums (Fenwick 1994, *A new data structure for cumulative frequency tables*).
+*open* until its opposite is added. A vertex is *unused* until a polygon has it, then *open* while open half-edges end
+or start there, otherwise *closed*; it may open again. Vertices of a state have ranks, in the order of their numbers, by
+a tree of partial sums (Fenwick 1994, *A new data structure for cumulative frequency tables*).
 
 *Guesses.* The *place* of a corner is 0 for the first, 1 for the second, 3 for the last and 2 for those between. With
 *b* the corner before (of any polygon; 0 at the start), *s* the first corner of this polygon (*b* at place 0), and
@@ -41,11 +41,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compression.bitstream.arithmetic import INPUTS, SPREAD, Bits, bit_length, code_hashed, has_failed
-from mixseq.runtime.jit import compiled, joined
-from mixseq.types import Index
-
-Small = NDArray[np.int32]
+from mixseq.compression.bitstream.arithmetic import (
+    CONTEXTS_PER_BIT,
+    HASH_MULTIPLIER,
+    HashedBits,
+    bit_length,
+    code_hashed_bit,
+    has_failed,
+)
+from mixseq.runtime.jit import compiled, force_inlined
+from mixseq.types import Index, Int32
 
 UNUSED, OPEN, CLOSED = 0, 1, 2
 """States of vertices. Frozen: breaks old files."""
@@ -53,30 +58,30 @@ UNUSED, OPEN, CLOSED = 0, 1, 2
 INTO, OUT_OF = 0, 1
 """Half-edges that end, or start, at a vertex. Free: rows of tables."""
 
-_SEARCHED_HALF_EDGES = 32
+_MAX_SEARCHED_HALF_EDGES = 32
 """Open half-edges at a vertex, after the first, searched for the opposite one. Frozen: breaks old files."""
 
 
 class HalfEdges(NamedTuple):
-    """The mesh so far. A half-edge has the number of its first corner."""
+    """The mesh of the polygons that are coded. A half-edge has the number of its first corner."""
 
-    tails: Small  # (C,) start vertex of every half-edge that was opened
-    heads: Small  # (C,) end vertex of every half-edge that was opened
+    tails: Int32  # (C,) start vertex of every half-edge that was opened
+    heads: Int32  # (C,) end vertex of every half-edge that was opened
     # (2, V) the newest open half-edge into (0) and out of (1) every vertex, -1 if there is none.
-    newest: Small
-    older: Small  # (2, C) next older open half-edge into the head (0) and out of the tail (1), -1 for none
-    newer: Small  # (2, C) next newer open half-edge into the head (0) and out of the tail (1), -1 for none
-    open_edges: Small  # (V,) number of open half-edges that end or start at a vertex
-    degrees: Small  # (V,) number of corners at a vertex
+    newest: Int32
+    older: Int32  # (2, C) next older open half-edge into the head (0) and out of the tail (1), -1 for none
+    newer: Int32  # (2, C) next newer open half-edge into the head (0) and out of the tail (1), -1 for none
+    open_edges: Int32  # (V,) number of open half-edges that end or start at a vertex
+    degrees: Int32  # (V,) number of corners at a vertex
     states: NDArray[np.uint8]  # (V,) UNUSED, OPEN, or CLOSED
-    members: Index  # (3,) number of vertices in every state
-    trees: Small  # (3, V + 1) partial sums over the vertices of every state
+    state_counts: Index  # (3,) number of vertices in every state
+    trees: Int32  # (3, V + 1) partial sums over the vertices of every state
     # (2, V + 2) for vertex v at v + 1, the next unused vertex below (0) and above (1), also at v + 1; of used vertices,
     # as it was when they came into use. The ends are no vertices.
-    unused: Small
+    unused: Int32
 
 
-def no_half_edges(corner_count: int, vertex_count: int) -> HalfEdges:
+def new_half_edges(corner_count: int, vertex_count: int) -> HalfEdges:
     """Return a mesh of unused vertices."""
     trees = np.zeros((3, vertex_count + 1), dtype=np.int32)
     numbers = np.arange(vertex_count + 1, dtype=np.int32)
@@ -90,14 +95,14 @@ def no_half_edges(corner_count: int, vertex_count: int) -> HalfEdges:
         open_edges=np.zeros(vertex_count, dtype=np.int32),
         degrees=np.zeros(vertex_count, dtype=np.int32),
         states=np.zeros(vertex_count, dtype=np.uint8),
-        members=np.array([vertex_count, 0, 0], dtype=np.int64),
+        state_counts=np.array([vertex_count, 0, 0], dtype=np.int64),
         trees=trees,
         unused=np.stack([np.arange(-1, vertex_count + 1), np.arange(1, vertex_count + 3)]).astype(np.int32),
     )
 
 
 @compiled
-def rank_of(mesh: HalfEdges, state: int, vertex: int) -> int:
+def vertex_rank(mesh: HalfEdges, state: int, vertex: int) -> int:
     """Return the number of vertices of a state before a vertex, from 0 to V."""
     rank = 0
     while vertex > 0:
@@ -107,7 +112,7 @@ def rank_of(mesh: HalfEdges, state: int, vertex: int) -> int:
 
 
 @compiled
-def vertex_of(mesh: HalfEdges, state: int, rank: int) -> int:
+def vertex_at_rank(mesh: HalfEdges, state: int, rank: int) -> int:
     """Return the vertex of a state and rank, which must be below the number of vertices of that state."""
     count = mesh.trees.shape[1]
     step = 1
@@ -123,48 +128,48 @@ def vertex_of(mesh: HalfEdges, state: int, rank: int) -> int:
 
 
 @compiled
-def move(mesh: HalfEdges, vertex: int, state: int) -> None:
+def set_state(mesh: HalfEdges, vertex: int, state: int) -> None:
     """Set the state of a vertex."""
     old = mesh.states[vertex]
     if old == state:
         return
     mesh.states[vertex] = state
-    mesh.members[old] -= 1
-    mesh.members[state] += 1
+    mesh.state_counts[old] -= 1
+    mesh.state_counts[state] += 1
     if old == UNUSED:
         below, above = mesh.unused[0, vertex + 1], mesh.unused[1, vertex + 1]
         mesh.unused[1, below] = above
         mesh.unused[0, above] = below
-    at = vertex + 1
-    while at < mesh.trees.shape[1]:
-        mesh.trees[old, at] -= 1
-        mesh.trees[state, at] += 1
-        at += at & -at
+    node = vertex + 1
+    while node < mesh.trees.shape[1]:
+        mesh.trees[old, node] -= 1
+        mesh.trees[state, node] += 1
+        node += node & -node
 
 
 @compiled
 def add_polygon(mesh: HalfEdges, indices: Index, start: int, stop: int) -> None:
     """Add the polygon with the corners from `start` to below `stop`."""
     for corner in range(start, stop):
-        _add(mesh, corner, indices[corner], indices[corner + 1 if corner + 1 < stop else start])
+        _add_half_edge(mesh, corner, indices[corner], indices[corner + 1 if corner + 1 < stop else start])
     for corner in range(start, stop):
         vertex = indices[corner]
         mesh.degrees[vertex] += 1
-        move(mesh, vertex, OPEN if mesh.open_edges[vertex] else CLOSED)
+        set_state(mesh, vertex, OPEN if mesh.open_edges[vertex] else CLOSED)
 
 
-@joined
-def _add(mesh: HalfEdges, edge: int, tail: int, head: int) -> None:
+@force_inlined
+def _add_half_edge(mesh: HalfEdges, edge: int, tail: int, head: int) -> None:
     """Close the opposite half-edge, or open this one."""
-    other = mesh.newest[INTO, tail]
-    for _ in range(_SEARCHED_HALF_EDGES):
-        if other < 0 or mesh.tails[other] == head:
+    opposite = mesh.newest[INTO, tail]
+    for _ in range(_MAX_SEARCHED_HALF_EDGES):
+        if opposite < 0 or mesh.tails[opposite] == head:
             break
-        other = mesh.older[INTO, other]
+        opposite = mesh.older[INTO, opposite]
     change = 1
-    if other >= 0 and mesh.tails[other] == head:
-        _unlink(mesh, INTO, tail, other)
-        _unlink(mesh, OUT_OF, head, other)
+    if opposite >= 0 and mesh.tails[opposite] == head:
+        _unlink(mesh, INTO, tail, opposite)
+        _unlink(mesh, OUT_OF, head, opposite)
         change = -1
     else:
         mesh.tails[edge] = tail
@@ -175,100 +180,98 @@ def _add(mesh: HalfEdges, edge: int, tail: int, head: int) -> None:
     mesh.open_edges[head] += change
 
 
-@joined
-def _link(mesh: HalfEdges, way: int, vertex: int, edge: int) -> None:
-    newest = mesh.newest[way, vertex]
-    mesh.older[way, edge] = newest
+@force_inlined
+def _link(mesh: HalfEdges, side: int, vertex: int, edge: int) -> None:
+    newest = mesh.newest[side, vertex]
+    mesh.older[side, edge] = newest
     if newest >= 0:
-        mesh.newer[way, newest] = edge
-    mesh.newest[way, vertex] = edge
+        mesh.newer[side, newest] = edge
+    mesh.newest[side, vertex] = edge
 
 
-@joined
-def _unlink(mesh: HalfEdges, way: int, vertex: int, edge: int) -> None:
-    older, newer = mesh.older[way, edge], mesh.newer[way, edge]
+@force_inlined
+def _unlink(mesh: HalfEdges, side: int, vertex: int, edge: int) -> None:
+    older, newer = mesh.older[side, edge], mesh.newer[side, edge]
     if older >= 0:
-        mesh.newer[way, older] = newer
+        mesh.newer[side, older] = newer
     if newer >= 0:
-        mesh.older[way, newer] = older
+        mesh.older[side, newer] = older
     else:
-        mesh.newest[way, vertex] = older
+        mesh.newest[side, vertex] = older
 
 
-GUESSES = 16
-"""Number of guesses at a corner. Frozen: breaks old files."""
+GUESS_COUNT, BASE_COUNT = 16, 9
+"""Number of guesses at a corner, and of vertices from which unguessed ones are counted. Frozen: breaks old files."""
 
-BASES = 9
-"""Number of vertices from which unguessed vertices are counted. Frozen: breaks old files."""
-
-_REPEATS = 1 << 16
+_REPEAT_SLOTS = 1 << 16
 """Slots of the table from three corner differences to the corner that followed. Frozen: breaks old files."""
 
-_NEXT, _PLACES, _MIDDLE = np.uint64(1000003), np.uint64(4), np.uint64(32)
+_HASH_FACTOR, _HASH_PLACES, _HASH_SHIFT = np.uint64(1000003), np.uint64(4), np.uint64(32)
 """Constants of the hash from differences to a slot, and its lowest bit used. Frozen: breaks old files."""
 
 
-class Past(NamedTuple):
+class History(NamedTuple):
     """History of earlier corners beside the mesh."""
 
-    guesses: Index  # (GUESSES,) guesses at the current corner, -1 if there is none
-    successes: Index  # (4, GUESSES) at every place, whether the last 8 guesses were right, as bits
-    # (4, 2) at every place of the last polygons: which guess was right, or GUESSES and the state of the vertex.
+    guesses: Index  # (GUESS_COUNT,) guesses at the current corner, -1 if there is none
+    successes: Index  # (4, GUESS_COUNT) at every place, whether the last 8 guesses were right, as bits
+    # (4, 2) at every place of the last polygons: which guess was right, or GUESS_COUNT and the state of the vertex.
     winners: Index
-    trail: Index  # (3,) the same for the last corners
-    near: Index  # (6,) first, second and last corner of the polygon before, and of the one before that
-    bases: Index  # (BASES,) vertices from which the current one is counted
-    # (3, 4, BASES) for every state, place and base: mean of the number of bits of the distance, in 256ths.
+    recent_winners: Index  # (3,) the same for the last corners
+    recent_corners: Index  # (6,) first, second and last corner of the last polygon, and of the one before it
+    bases: Index  # (BASE_COUNT,) vertices from which the current one is counted
+    # (3, 4, BASE_COUNT) for every state, place and base: mean of the number of bits of the distance, in 256ths.
     distances: Index
-    named: Index  # (4,) the last unguessed vertex at every place
+    last_unguessed: Index  # (4,) the last unguessed vertex at every place
     last_distances: Index  # (3,) the last distance for every state
-    repeats: Index  # (_REPEATS,) corners that come after certain differences, 0 for none
-    about: Index  # (INPUTS,) contexts of the current number
-    used: NDArray[np.int32]  # (V,) the polygon that had a vertex last, -1 if there is none
+    repeats: Index  # (_REPEAT_SLOTS,) corners that follow certain differences, 0 for none
+    facts: Index  # (CONTEXTS_PER_BIT,) known facts, contexts of the current number
+    last_polygons: Int32  # (V,) the polygon that had a vertex last, -1 if there is none
 
 
-def no_past(vertex_count: int) -> Past:
+def new_history(vertex_count: int) -> History:
     """Return an empty history."""
 
     def zeros(*shape: int) -> Index:
         return np.zeros(shape, dtype=np.int64)
 
-    return Past(
-        guesses=zeros(GUESSES),
-        successes=zeros(4, GUESSES),
+    return History(
+        guesses=zeros(GUESS_COUNT),
+        successes=zeros(4, GUESS_COUNT),
         winners=zeros(4, 2),
-        trail=zeros(3),
-        near=zeros(6),
-        bases=zeros(BASES),
-        distances=zeros(3, 4, BASES),
-        named=zeros(4),
+        recent_winners=zeros(3),
+        recent_corners=zeros(6),
+        bases=zeros(BASE_COUNT),
+        distances=zeros(3, 4, BASE_COUNT),
+        last_unguessed=zeros(4),
         last_distances=zeros(3),
-        repeats=zeros(_REPEATS),
-        about=zeros(INPUTS),
-        used=np.full(vertex_count, -1, dtype=np.int32),
+        repeats=zeros(_REPEAT_SLOTS),
+        facts=zeros(CONTEXTS_PER_BIT),
+        last_polygons=np.full(vertex_count, -1, dtype=np.int32),
     )
 
 
-@joined
-def make_guesses(mesh: HalfEdges, past: Past, place: int, before: int, first: int, last_new: int) -> None:
+@force_inlined
+def make_guesses(
+    mesh: HalfEdges, history: History, place: int, previous: int, first: int, last_new: int
+) -> None:
     """Guess the vertex of the corner at a place 0 to 3 of a polygon with the first vertex `first`.
 
-    `before` is the vertex of the corner before, `last_new` the one last used for the first time.
+    `previous` is the vertex of the corner before, `last_new` the one last used for the first time.
     """
-    guesses = past.guesses
-    for g in range(GUESSES):
-        guesses[g] = -1
+    guesses, corners = history.guesses, history.recent_corners
+    guesses[:] = -1
     if place == 0:
         for i in range(3):
-            edge = mesh.newest[INTO, past.near[i]]
+            edge = mesh.newest[INTO, corners[i]]
             if edge >= 0:
                 guesses[i] = mesh.tails[edge]
-            edge = mesh.newest[OUT_OF, past.near[i]]
+            edge = mesh.newest[OUT_OF, corners[i]]
             if edge >= 0:
                 guesses[3 + i] = mesh.heads[edge]
-        guesses[9] = 2 * past.near[0] - past.near[3]
+        guesses[9] = 2 * corners[0] - corners[3]
     else:
-        edge = mesh.newest[INTO, before]
+        edge = mesh.newest[INTO, previous]
         for i in range(3):
             if edge >= 0:
                 guesses[i] = mesh.tails[edge]
@@ -282,106 +285,113 @@ def make_guesses(mesh: HalfEdges, past: Past, place: int, before: int, first: in
     guesses[6] = mesh.unused[1, last_new + 1] - 1
     guesses[7] = mesh.unused[0, last_new + 1] - 1
     for i in range(3):
-        guesses[11 + i] = past.near[i]
-    guesses[14] = before + 1
-    guesses[15] = before - 1
+        guesses[11 + i] = corners[i]
+    guesses[14] = previous + 1
+    guesses[15] = previous - 1
 
 
-@joined
-def remember(past: Past, place: int, vertex: int, winner: int) -> None:
-    """Record the right guesses at a corner; `winner` is the first of them, or `GUESSES` plus the state."""
-    for g in range(GUESSES):
-        if past.guesses[g] >= 0:
-            right = 1 if past.guesses[g] == vertex else 0
-            past.successes[place, g] = (past.successes[place, g] << 1 | right) & 255
-    past.trail[2], past.trail[1], past.trail[0] = past.trail[1], past.trail[0], winner
-    past.winners[place, 1], past.winners[place, 0] = past.winners[place, 0], winner
+@force_inlined
+def record_guesses(history: History, place: int, vertex: int, winner: int) -> None:
+    """Record the right guesses at a corner; `winner` is the first of them, or `GUESS_COUNT` plus the state."""
+    successes, winners, recent = history.successes, history.winners, history.recent_winners
+    for g in range(GUESS_COUNT):
+        if history.guesses[g] >= 0:
+            is_right = 1 if history.guesses[g] == vertex else 0
+            successes[place, g] = (successes[place, g] << 1 | is_right) & 255
+    recent[2], recent[1], recent[0] = recent[1], recent[0], winner
+    winners[place, 1], winners[place, 0] = winners[place, 0], winner
 
 
-@joined
-def slot_of(indices: Index, corner: int, place: int) -> int:
-    """Return the slot in `Past.repeats` of the last three differences of corners."""
+@force_inlined
+def repeat_slot(indices: Index, corner: int, place: int) -> int:
+    """Return the slot in `History.repeats` of the last three differences of corners."""
     key = np.uint64(indices[corner] - indices[corner - 1])
-    key = key * _NEXT + np.uint64(indices[corner - 1] - indices[corner - 2])
-    key = key * _NEXT + np.uint64(indices[corner - 2] - indices[corner - 3])
-    slot = np.int64((key * _PLACES + np.uint64(place)) * SPREAD >> _MIDDLE)
-    return int(slot) & (_REPEATS - 1)
+    key = key * _HASH_FACTOR + np.uint64(indices[corner - 1] - indices[corner - 2])
+    key = key * _HASH_FACTOR + np.uint64(indices[corner - 2] - indices[corner - 3])
+    slot = np.int64((key * _HASH_PLACES + np.uint64(place)) * HASH_MULTIPLIER >> _HASH_SHIFT)
+    return int(slot) & (_REPEAT_SLOTS - 1)
 
 
-KINDS = 4 * GUESSES + 4 * 5
+BIT_KINDS = 4 * GUESS_COUNT + 4 * 5
 """Kinds of bits with mixing weights of their own: guesses by place, numbers by topic. Frozen: breaks old files."""
 
-_COUNTS, _STATES = 3, 4
-"""Topics of numbers: 0 to 2 ranks of unused, open, closed vertices; corner counts; states. Frozen: breaks old files."""
+_COUNT_TOPIC, _STATE_TOPIC = 3, 4
+"""Topics of numbers, after 0 to 2: ranks of unused, open, closed vertices. Frozen: breaks old files."""
 
-_LONGEST = 33
+_MAX_NUMBER_BITS = 33
 """Bits of the largest numbers. Frozen: breaks old files."""
 
-_LOOKED_AT = 32
+_MAX_SEARCHED_CORNERS = 32
 """Corners of a polygon searched for a repeated vertex, which bounds the time. Frozen: breaks old files."""
 
 
 @compiled
-def walk(bits: Bits, mesh: HalfEdges, past: Past, counts: Index, indices: Index) -> None:
+def code_polygons(bits: HashedBits, mesh: HalfEdges, history: History, counts: Index, indices: Index) -> None:
     """Code all polygons, or decode them into `counts` (P,) and `indices` (C,); set `bits.failed` on failure."""
+    guesses, recent_corners = history.guesses, history.recent_corners
     corner = 0
-    first = previous = 0  # first corners of the last two polygons
-    last_new = -1
+    last_start = older_start = 0  # first corners of the last two polygons
+    last_new = -1  # vertex last used for the first time
     repeat = run = 0  # the corner after the same differences, and for how long it was right
     for polygon in range(len(counts)):
         start = corner
-        old = counts[polygon - 1] if polygon else 3
-        older = counts[polygon - 2] if polygon > 1 else 3
-        for i in range(INPUTS):
-            past.about[i] = min(old, 63) << 6 | min(older, 63)
-        counts[polygon] = old + _number(bits, past, _COUNTS, counts[polygon] - old)
+        last_count = counts[polygon - 1] if polygon else 3
+        older_count = counts[polygon - 2] if polygon > 1 else 3
+        for i in range(CONTEXTS_PER_BIT):
+            history.facts[i] = min(last_count, 63) << 6 | min(older_count, 63)
+        counts[polygon] = last_count + _code_number(bits, history, _COUNT_TOPIC, counts[polygon] - last_count)
         stop = start + counts[polygon]
         if has_failed(bits) or counts[polygon] < 3 or stop > len(indices):
             bits.failed[0] = 1
             return
         for corner in range(start, stop):
-            j = corner - start
-            place = 3 if corner == stop - 1 else min(j, 2)
-            before = indices[corner - 1] if corner else 0
-            make_guesses(mesh, past, place, before, indices[start] if j else before, last_new)
+            offset = corner - start
+            place = 3 if corner == stop - 1 else min(offset, 2)
+            previous = indices[corner - 1] if corner else 0
+            make_guesses(mesh, history, place, previous, indices[start] if offset else previous, last_new)
             if repeat:
-                past.guesses[8] = before + indices[repeat] - indices[repeat - 1]
-            if j and first + j < start:
-                past.guesses[9] = before + indices[first + j] - indices[first + j - 1]
-            if j and previous + j < first:
-                past.guesses[10] = before + indices[previous + j] - indices[previous + j - 1]
-            vertex, winner = _vertex(bits, mesh, past, indices, polygon, start, corner, place, last_new, run)
+                guesses[8] = previous + indices[repeat] - indices[repeat - 1]
+            same = last_start + offset  # the same corner of the last polygon
+            if offset and same < start:
+                guesses[9] = previous + indices[same] - indices[same - 1]
+            same = older_start + offset
+            if offset and same < last_start:
+                guesses[10] = previous + indices[same] - indices[same - 1]
+            vertex, winner = _code_vertex(
+                bits, mesh, history, indices, polygon, start, corner, place, last_new, run
+            )
             if has_failed(bits):
                 return
             indices[corner] = vertex
-            remember(past, place, vertex, winner)
-            if repeat and past.guesses[8] == vertex:
+            record_guesses(history, place, vertex, winner)
+            if repeat and guesses[8] == vertex:
                 repeat, run = repeat + 1, run + 1
             else:
                 repeat = run = 0
             if corner > 2:
-                slot = slot_of(indices, corner, place)
-                repeat = repeat or past.repeats[slot]
-                past.repeats[slot] = corner + 1
+                slot = repeat_slot(indices, corner, place)
+                repeat = repeat or history.repeats[slot]
+                history.repeats[slot] = corner + 1
             if mesh.states[vertex] == UNUSED:
                 last_new = vertex
-                move(mesh, vertex, OPEN)
-            past.used[vertex] = polygon
+                set_state(mesh, vertex, OPEN)
+            history.last_polygons[vertex] = polygon
         corner = stop
         add_polygon(mesh, indices, start, stop)
         for i in range(3):
-            past.near[3 + i] = past.near[i]
-        past.near[0], past.near[1], past.near[2] = indices[start], indices[start + 1], indices[stop - 1]
-        previous, first = first, start
+            recent_corners[3 + i] = recent_corners[i]
+        recent_corners[0], recent_corners[1] = indices[start], indices[start + 1]
+        recent_corners[2] = indices[stop - 1]
+        older_start, last_start = last_start, start
     if corner != len(indices):
         bits.failed[0] = 1
 
 
-@joined
-def _vertex(
-    bits: Bits,
+@force_inlined
+def _code_vertex(
+    bits: HashedBits,
     mesh: HalfEdges,
-    past: Past,
+    history: History,
     indices: Index,
     polygon: int,
     start: int,
@@ -391,124 +401,123 @@ def _vertex(
     run: int,
 ) -> tuple[int, int]:
     """Code the vertex of a corner: the first right guess, or its state and rank. Also return the index of the guess."""
-    count = len(mesh.states)
     vertex = indices[corner]
-    before = indices[corner - 1] if corner else 0
-    first = indices[start] if corner > start else before
-    around = 0
+    previous = indices[corner - 1] if corner else 0
+    first = indices[start] if corner > start else previous
+    previous_context = 0
     if corner:
-        around = min(mesh.degrees[before], 8) * 4 + min(mesh.open_edges[before], 3)
-    trail, guesses, contexts = past.trail, past.guesses, bits.contexts
-    winners = past.winners[place]
-    for g in range(GUESSES):
+        previous_context = min(mesh.degrees[previous], 8) * 4 + min(mesh.open_edges[previous], 3)
+    guesses, contexts = history.guesses, bits.contexts
+    winners, recent = history.winners[place], history.recent_winners
+    for g in range(GUESS_COUNT):
         guess = guesses[g]
-        if guess < 0 or guess >= count:
+        if guess < 0 or guess >= len(mesh.states):
             continue
         agreeing = 0
-        for h in range(GUESSES):
-            agreeing |= (guesses[h] == guess) << h
+        for other in range(GUESS_COUNT):
+            agreeing |= (guesses[other] == guess) << other
         if agreeing & ((1 << g) - 1):
             continue  # excluded already
-        again = 0
-        for other in range(max(start, corner - _LOOKED_AT), corner):
-            again |= indices[other] == guess
-        kind = place * GUESSES + g
-        fan = (again * 4 + min(mesh.open_edges[guess], 3)) * 9 + min(mesh.degrees[guess], 8)
-        age = bit_length(polygon - past.used[guess]) if past.used[guess] >= 0 else 63
-        successes = past.successes[place, g]
-        contexts[0] = (successes << 7 | (fan if again else 0)) << 7 | kind
-        contexts[1] = (agreeing << 1 | again) << 7 | kind
-        contexts[2] = ((trail[0] << 5 | trail[1]) << 5 | trail[2]) << 7 | kind
-        contexts[3] = ((winners[0] << 5 | winners[1]) << 5 | trail[0]) << 7 | kind
-        contexts[4] = (fan << 6 | around) << 7 | kind
-        contexts[5] = ((_clamped(guess - before) << 6 | _clamped(guess - first)) << 5 | trail[0]) << 7 | kind
-        contexts[6] = ((agreeing << 5 | trail[0]) << 7 | fan) << 7 | kind
+        is_repeated = 0
+        for earlier in range(max(start, corner - _MAX_SEARCHED_CORNERS), corner):
+            is_repeated |= indices[earlier] == guess
+        kind = place * GUESS_COUNT + g
+        fan = (is_repeated * 4 + min(mesh.open_edges[guess], 3)) * 9 + min(mesh.degrees[guess], 8)
+        last_polygon, successes = history.last_polygons[guess], history.successes[place, g]
+        age = bit_length(polygon - last_polygon) if last_polygon >= 0 else 63
+        contexts[0] = (successes << 7 | (fan if is_repeated else 0)) << 7 | kind
+        contexts[1] = (agreeing << 1 | is_repeated) << 7 | kind
+        contexts[2] = ((recent[0] << 5 | recent[1]) << 5 | recent[2]) << 7 | kind
+        contexts[3] = ((winners[0] << 5 | winners[1]) << 5 | recent[0]) << 7 | kind
+        contexts[4] = (fan << 6 | previous_context) << 7 | kind
+        contexts[5] = ((_clamp(guess - previous) << 6 | _clamp(guess - first)) << 5 | recent[0]) << 7 | kind
+        contexts[6] = ((agreeing << 5 | recent[0]) << 7 | fan) << 7 | kind
         contexts[7] = ((age << 4 | min(run, 15)) << 3 | (successes & 7)) << 7 | kind
-        if code_hashed(bits, kind, 1 if guess == vertex else 0):
+        if code_hashed_bit(bits, kind, 1 if guess == vertex else 0):
             return guess, g
-    return _named(bits, mesh, past, vertex, before, place, last_new)
+    return _code_unguessed(bits, mesh, history, vertex, previous, place, last_new)
 
 
-@joined
-def _named(
-    bits: Bits, mesh: HalfEdges, past: Past, vertex: int, before: int, place: int, last_new: int
+@force_inlined
+def _code_unguessed(
+    bits: HashedBits, mesh: HalfEdges, history: History, vertex: int, previous: int, place: int, last_new: int
 ) -> tuple[int, int]:
     """Code a vertex that was not guessed: its state, and its distance from a base among the vertices of this state."""
-    about, bases = past.about, past.bases
-    about[0] = about[4] = place
-    about[1] = about[5] = (past.trail[0] << 5 | past.trail[1]) << 2 | place
-    about[2] = about[6] = past.winners[place, 0] << 2 | place
-    about[3] = about[7] = about[1] << 5 | past.winners[place, 0]
-    state = 0 if bits.coded.decoding else mesh.states[vertex] - OPEN
-    state = _number(bits, past, _STATES, state) + OPEN
+    facts, bases, recent = history.facts, history.bases, history.recent_winners
+    facts[0] = facts[4] = place
+    facts[1] = facts[5] = (recent[0] << 5 | recent[1]) << 2 | place
+    facts[2] = facts[6] = history.winners[place, 0] << 2 | place
+    facts[3] = facts[7] = facts[1] << 5 | history.winners[place, 0]
+    state = 0 if bits.stream.is_input else mesh.states[vertex] - OPEN
+    state = _code_number(bits, history, _STATE_TOPIC, state) + OPEN
     if state < UNUSED or state > CLOSED:
         bits.failed[0] = 1
         return 0, 0
 
-    bases[0], bases[1], bases[2] = last_new + 1, before, past.named[place]
+    bases[0], bases[1], bases[2] = last_new + 1, previous, history.last_unguessed[place]
     for i in range(6):
-        bases[3 + i] = past.near[i]
-    distances = past.distances[state, place]
+        bases[3 + i] = history.recent_corners[i]
+    distances = history.distances[state, place]
     best, second = 0, 1
-    for base in range(1, BASES):
+    for base in range(1, BASE_COUNT):
         if distances[base] < distances[best]:
             best, second = base, best
         elif distances[base] < distances[second]:
             second = base
-    origin = rank_of(mesh, state, bases[best])
-    apart = rank_of(mesh, state, bases[second]) - origin
-    members = mesh.members[state]
-    last = bit_length(past.last_distances[state]) << 2 | place
-    near = min(max(apart, -7), 7) + 7 << 2 | place
-    far = best << 7 | bit_length(apart) << 1 | (apart < 0)
-    about[0] = 0
-    about[1] = near
-    about[2] = far
-    about[3] = far << 8 | near
-    about[4] = last
-    about[5] = last << 8 | near
-    about[6] = (origin * 16 // (members + 1)) << 6 | bit_length(members)
-    about[7] = (distances[best] >> 6) << 2 | place
-    distance = 0 if bits.coded.decoding else rank_of(mesh, state, vertex) - origin
-    distance = _number(bits, past, state, distance)
-    past.last_distances[state] = distance
+    origin = vertex_rank(mesh, state, bases[best])
+    offset = vertex_rank(mesh, state, bases[second]) - origin  # of the second base
+    count = mesh.state_counts[state]
+    last_distance = bit_length(history.last_distances[state]) << 2 | place
+    small_offset = min(max(offset, -7), 7) + 7 << 2 | place
+    any_offset = best << 7 | bit_length(offset) << 1 | (offset < 0)
+    facts[0] = 0
+    facts[1] = small_offset
+    facts[2] = any_offset
+    facts[3] = any_offset << 8 | small_offset
+    facts[4] = last_distance
+    facts[5] = last_distance << 8 | small_offset
+    facts[6] = (origin * 16 // (count + 1)) << 6 | bit_length(count)
+    facts[7] = (distances[best] >> 6) << 2 | place
+    distance = 0 if bits.stream.is_input else vertex_rank(mesh, state, vertex) - origin
+    distance = _code_number(bits, history, state, distance)
+    history.last_distances[state] = distance
     rank = origin + distance
-    if rank < 0 or rank >= members:
+    if rank < 0 or rank >= count:
         bits.failed[0] = 1
         return 0, 0
-    for base in range(BASES):
-        off = 256 * bit_length(rank_of(mesh, state, bases[base]) - rank)
-        distances[base] += (off - distances[base]) >> 4
-    vertex = vertex_of(mesh, state, rank)
-    past.named[place] = vertex
-    return vertex, GUESSES + state
+    for base in range(BASE_COUNT):
+        distance_bits = 256 * bit_length(vertex_rank(mesh, state, bases[base]) - rank)
+        distances[base] += (distance_bits - distances[base]) >> 4
+    vertex = vertex_at_rank(mesh, state, rank)
+    history.last_unguessed[place] = vertex
+    return vertex, GUESS_COUNT + state
 
 
 @compiled
-def _number(bits: Bits, past: Past, what: int, number: int) -> int:
+def _code_number(bits: HashedBits, history: History, topic: int, number: int) -> int:
     """Code a number: whether it is 0, its sign, the bit length of its magnitude, and the bits after the first."""
     magnitude = abs(number)
     stage = length = negative = shift = 0
     value = 1
     while True:
-        node, bit = negative, 1 if magnitude else 0
+        prefix, bit = negative, 1 if magnitude else 0
         if stage == 1:
-            node, bit = 0, 1 if number < 0 else 0
+            prefix, bit = 0, 1 if number < 0 else 0
         elif stage == 2:
-            node, bit = length << 1 | negative, 1 if magnitude >> length else 0
+            prefix, bit = length << 1 | negative, 1 if magnitude >> length else 0
         elif stage == 3:
-            node, bit = length << 6 | (value if value < 16 else 16 + shift), (magnitude >> shift) & 1
-        for i in range(INPUTS):
-            about = past.about[i] if value < 4 else 0
-            bits.contexts[i] = about << 20 | node << 5 | what << 2 | stage | 1 << 60
-        bit = code_hashed(bits, 4 * (GUESSES + what) + stage, bit)
+            prefix, bit = length << 6 | (value if value < 16 else 16 + shift), (magnitude >> shift) & 1
+        for i in range(CONTEXTS_PER_BIT):
+            fact = history.facts[i] if value < 4 else 0
+            bits.contexts[i] = fact << 20 | prefix << 5 | topic << 2 | stage | 1 << 60
+        bit = code_hashed_bit(bits, 4 * (GUESS_COUNT + topic) + stage, bit)
         if stage == 0:
             if not bit:
                 return 0
             stage = 1
         elif stage == 1:
             negative, stage, length = bit, 2, 1
-        elif stage == 2 and bit and length < _LONGEST:
+        elif stage == 2 and bit and length < _MAX_NUMBER_BITS:
             length += 1
         else:
             if stage == 2:
@@ -520,7 +529,7 @@ def _number(bits: Bits, past: Past, what: int, number: int) -> int:
                 return -value if negative else value
 
 
-@joined
-def _clamped(number: int) -> int:
+@force_inlined
+def _clamp(number: int) -> int:
     """Clamp a number for use as a context, which is from 1 to 63."""
     return min(max(number, -31), 31) + 32

@@ -19,163 +19,165 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.mesh.polygons import frozen
+from mixseq.mesh.polygons import read_only
 from mixseq.runtime.jit import compiled
 from mixseq.types import Float, Index, Mask
 
-MOST = 12
+MAX_NEIGHBOURS = 12
 """Largest number of neighbours that predict a node. Frozen: breaks old files."""
 
-NEIGHBOUR_COUNTS = MOST + 1
-"""Number of possible counts of these neighbours, from none on. Frozen: breaks old files."""
+NEIGHBOUR_COUNTS = MAX_NEIGHBOURS + 1
+"""Number of possible counts of these neighbours, from 0 on. Frozen: breaks old files."""
 
-WIDEST = 6
+MAX_REMOVED_DEGREE = 6
 """Largest number of neighbours of a removed node, if there are any such nodes. Frozen: breaks old files."""
 
-ROOTS = 6
+MAX_ROOT_NEIGHBOURS = 6
 """Number of earlier roots that predict a node without neighbours. Frozen: breaks old files."""
 
-_HUB = 32
-"""Ratio of neighbour counts above which shared ones are found by binary search. Free: affects time only."""
+_HUB_DEGREE_RATIO = 32
+"""Ratio of degrees above which shared neighbours are found by binary search. Free: affects time only."""
 
 
 @compiled
-def adjacency(starts: Index, beside: Index, left: Mask, edges: Index) -> tuple[Index, Index]:
-    """Return the neighbours of all nodes of a graph with further edges ``(E, 2)``, of nodes that are `left` ``(N,)``.
+def update_adjacency(
+    starts: Index, adjacent: Index, remaining_mask: Mask, new_edges: Index
+) -> tuple[Index, Index]:
+    """Return the adjacency of the remaining nodes ``(N,)`` of a graph, with new edges ``(E, 2)``.
 
-    Neighbours are starts ``(N + 1,)`` and ``beside[starts[node] : starts[node + 1]]``, ascending and unique. Edges may
-    repeat, exist already, or join a node to itself; both of their ends are left.
+    The neighbours of a node are ``adjacent[starts[node] : starts[node + 1]]``, ascending and unique, with starts
+    ``(N + 1,)``. New edges join remaining nodes; they may repeat, exist already, or join a node to itself.
     """
-    count = len(left)
+    count = len(remaining_mask)
     rows = np.zeros(count + 1, dtype=np.int64)
     for node in range(count):
-        if left[node]:
+        if remaining_mask[node]:
             for place in range(starts[node], starts[node + 1]):
-                rows[node + 1] += left[beside[place]]
-    for edge in range(len(edges)):
-        if edges[edge, 0] != edges[edge, 1]:
-            rows[edges[edge, 0] + 1] += 1
-            rows[edges[edge, 1] + 1] += 1
+                rows[node + 1] += remaining_mask[adjacent[place]]
+    for edge in range(len(new_edges)):
+        if new_edges[edge, 0] != new_edges[edge, 1]:
+            rows[new_edges[edge, 0] + 1] += 1
+            rows[new_edges[edge, 1] + 1] += 1
     for node in range(count):
         rows[node + 1] += rows[node]
-    mixed = np.empty(rows[count], dtype=np.int32)
-    places = rows[:-1].copy()
+    unsorted = np.empty(rows[count], dtype=np.int32)
+    ends = rows[:-1].copy()
     for node in range(count):
-        if left[node]:
+        if remaining_mask[node]:
             for place in range(starts[node], starts[node + 1]):
-                if left[beside[place]]:
-                    mixed[places[node]] = beside[place]
-                    places[node] += 1
-    for edge in range(len(edges)):
-        one, other = edges[edge]
-        if one != other:
-            mixed[places[one]], mixed[places[other]] = other, one
-            places[one] += 1
-            places[other] += 1
-    # Nodes enter the rows of their neighbours in their order, so that rows are ascending.
-    ascending = np.empty(len(mixed), dtype=np.int32)
-    places[:] = rows[:-1]
+                if remaining_mask[adjacent[place]]:
+                    unsorted[ends[node]] = adjacent[place]
+                    ends[node] += 1
+    for edge in range(len(new_edges)):
+        tail, head = new_edges[edge]
+        if tail != head:
+            unsorted[ends[tail]], unsorted[ends[head]] = head, tail
+            ends[tail] += 1
+            ends[head] += 1
+    # Nodes are added to the rows of their neighbours in ascending order, so rows are ascending.
+    ascending = np.empty(len(unsorted), dtype=np.int32)
+    ends[:] = rows[:-1]
     for node in range(count):
         for place in range(rows[node], rows[node + 1]):
-            other = mixed[place]
-            if places[other] == rows[other] or ascending[places[other] - 1] != node:
-                ascending[places[other]] = node
-                places[other] += 1
+            other = unsorted[place]
+            if ends[other] == rows[other] or ascending[ends[other] - 1] != node:
+                ascending[ends[other]] = node
+                ends[other] += 1
     new_starts = np.zeros(count + 1, dtype=np.int64)
     for node in range(count):
-        new_starts[node + 1] = new_starts[node] + places[node] - rows[node]
-    new_beside = np.empty(new_starts[count], dtype=np.int64)
+        new_starts[node + 1] = new_starts[node] + ends[node] - rows[node]
+    new_adjacent = np.empty(new_starts[count], dtype=np.int64)
     for node in range(count):
-        for place in range(new_starts[node + 1] - new_starts[node]):
-            new_beside[new_starts[node] + place] = ascending[rows[node] + place]
-    return new_starts, new_beside
+        for i in range(new_starts[node + 1] - new_starts[node]):
+            new_adjacent[new_starts[node] + i] = ascending[rows[node] + i]
+    return new_starts, new_adjacent
 
 
 @compiled
-def renumbered(starts: Index, beside: Index, order: Index, place: Index) -> tuple[Index, Index]:
-    """Return the neighbours of nodes in the order ``(N,)``: node i becomes ``place[i]``, the inverse of it."""
+def renumber_adjacency(starts: Index, adjacent: Index, order: Index, inverse: Index) -> tuple[Index, Index]:
+    """Return the adjacency of nodes in the order ``(N,)``: node i becomes ``inverse[i]``."""
     new_starts = np.empty(len(order) + 1, dtype=np.int64)
-    new_beside = np.empty(len(beside), dtype=np.int64)
+    new_adjacent = np.empty(len(adjacent), dtype=np.int64)
     count = 0
     for new, node in enumerate(order):
         new_starts[new] = count
-        for at in range(starts[node], starts[node + 1]):
-            new_beside[count] = place[beside[at]]
+        for place in range(starts[node], starts[node + 1]):
+            new_adjacent[count] = inverse[adjacent[place]]
             count += 1
     new_starts[len(order)] = count
-    return new_starts, new_beside
+    return new_starts, new_adjacent
 
 
 @compiled
-def independent(nodes: Index, starts: Index, beside: Index, fewest: int, most: int) -> Index:
-    """Return nodes of which no two are neighbours, with at most `most` neighbours, by increasing number of neighbours.
+def find_independent_nodes(
+    nodes: Index, starts: Index, adjacent: Index, min_degree: int, max_degree: int
+) -> Index:
+    """Return nodes of at most `max_degree` neighbours, no two of them adjacent, by increasing degree.
 
-    Ties among nodes ``(n,)`` int64, with `fewest` or more neighbours, keep their order; the neighbours of a node are
-    ``beside[starts[node] : starts[node + 1]]``, with starts ``(N + 1,)``.
+    Ties among nodes ``(n,)`` int64, of `min_degree` or more neighbours, keep their order.
     """
-    blocked = np.zeros(len(starts) - 1, dtype=np.bool_)
-    chosen = np.empty(len(nodes), dtype=np.int64)
+    blocked_mask = np.zeros(len(starts) - 1, dtype=np.bool_)
+    independent = np.empty(len(nodes), dtype=np.int64)
     count = 0
-    for degree in range(fewest, most + 1):
+    for degree in range(min_degree, max_degree + 1):
         for node in nodes:
-            if blocked[node] or starts[node + 1] - starts[node] != degree:
+            if blocked_mask[node] or starts[node + 1] - starts[node] != degree:
                 continue
-            chosen[count] = node
+            independent[count] = node
             count += 1
             for place in range(starts[node], starts[node + 1]):
-                blocked[beside[place]] = True
-    return chosen[:count].copy()
+                blocked_mask[adjacent[place]] = True
+    return independent[:count].copy()
 
 
 @compiled
-def collapse(gone: Index, starts: Index, beside: Index, neighbours: Index, counts: Index) -> Index:
+def collapse_nodes(removed: Index, starts: Index, adjacent: Index, neighbours: Index, counts: Index) -> Index:
     """Write neighbours ``(N, n)`` and counts ``(N,)`` of removed nodes; return edges ``(E, 2)`` that close the holes.
 
-    All neighbours of a node are joined to the one adjacent to most of the others, ties to the one of fewest neighbours.
+    A node is collapsed onto its neighbour that is adjacent to most others, among equals that of fewest neighbours.
     """
-    most = neighbours.shape[1]
     size = 0
-    for node in gone:
+    for node in removed:
         size += starts[node + 1] - starts[node]
-    new = np.empty((size, 2), dtype=np.int64)
+    edges = np.empty((size, 2), dtype=np.int64)
     mark = np.full(len(starts) - 1, -1, dtype=np.int64)
     count = 0
-    for node in gone:
+    for node in removed:
         first, last = starts[node], starts[node + 1]
-        counts[node] = min(last - first, most)
-        for place in range(counts[node]):
-            neighbours[node, place] = beside[first + place]
+        counts[node] = min(last - first, neighbours.shape[1])
+        for i in range(counts[node]):
+            neighbours[node, i] = adjacent[first + i]
         for place in range(first, last):
-            mark[beside[place]] = node
-        best, shared_best, degree_best = beside[first], -1, 0
+            mark[adjacent[place]] = node
+        best, best_shared, best_degree = adjacent[first], -1, 0
         for place in range(first, last):
-            other = beside[place]
+            other = adjacent[place]
             shared = 0
             degree = starts[other + 1] - starts[other]
-            if degree > _HUB * (last - first):
-                for at in range(first, last):
-                    low, high = starts[other], starts[other + 1]
+            if degree > _HUB_DEGREE_RATIO * (last - first):
+                for wanted in adjacent[first:last]:
                     # The first that is not less; NumPy's search would import SciPy when it is loaded.
+                    low, high = starts[other], starts[other + 1]
                     while low < high:
                         middle = (low + high) // 2
-                        if beside[middle] < beside[at]:
+                        if adjacent[middle] < wanted:
                             low = middle + 1
                         else:
                             high = middle
-                    if low < starts[other + 1] and beside[low] == beside[at]:
+                    if low < starts[other + 1] and adjacent[low] == wanted:
                         shared += 1
             else:
-                for at in range(starts[other], starts[other + 1]):
-                    if mark[beside[at]] == node:
+                for neighbour in adjacent[starts[other] : starts[other + 1]]:
+                    if mark[neighbour] == node:
                         shared += 1
-            if shared > shared_best or (shared == shared_best and degree < degree_best):
-                best, shared_best, degree_best = other, shared, degree
-        for place in range(first, last):
-            if beside[place] != best:
-                new[count, 0] = best
-                new[count, 1] = beside[place]
+            if shared > best_shared or (shared == best_shared and degree < best_degree):
+                best, best_shared, best_degree = other, shared, degree
+        for other in adjacent[first:last]:
+            if other != best:
+                edges[count, 0] = best
+                edges[count, 1] = other
                 count += 1
-    return new[:count].copy()
+    return edges[:count].copy()
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,25 +190,24 @@ class SignalGraph:
     weights: Float  # (N, n) their initial weights; rows add up to one
     ring: Index  # (R,) all nodes beside every node, before or after it, node by node
     ring_starts: Index  # (N + 1,) row offsets of ring: ring[ring_starts[i] : ring_starts[i + 1]] of node i
-    over_time: bool = False  # whether nodes are frames, not vertices
+    is_over_time: bool = False  # whether nodes are frames, not vertices
 
     def __post_init__(self) -> None:
         for name in ("order", "neighbours", "counts", "weights", "ring", "ring_starts"):
             # Always: numba would compile again for writable arrays, which have another type.
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def size(self) -> int:
         """Number N of nodes."""
         return len(self.order)
 
-    def with_more(self, nodes: NDArray[np.integer], sizes: NDArray[np.integer]) -> SignalGraph:
+    def with_extra_neighbours(self, nodes: NDArray[np.integer], sizes: NDArray[np.integer]) -> SignalGraph:
         """Return the graph with further neighbours ``(N, k)``: node i has ``sizes[i]``, with initial weight zero."""
         neighbours = np.concatenate([self.neighbours, np.zeros_like(nodes)], axis=1)
-        rows = np.arange(self.size)
-        for place in range(nodes.shape[1]):
-            some = sizes > place
-            neighbours[rows[some], self.counts[some] + place] = nodes[some, place]
+        for i in range(nodes.shape[1]):
+            node_ids = np.flatnonzero(sizes > i)
+            neighbours[node_ids, self.counts[node_ids] + i] = nodes[node_ids, i]
         weights = np.concatenate([self.weights, np.zeros((self.size, nodes.shape[1]))], axis=1)
         return replace(self, neighbours=neighbours, counts=self.counts + sizes, weights=weights)
 
@@ -214,66 +215,63 @@ class SignalGraph:
 def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
     """Return the graph of a mesh: vertices and edges; faces ``(F, 3)``."""
     ring_starts, ring = mesh_neighbours(faces, vertex_count)
-    neighbours = np.zeros((vertex_count, MOST), dtype=np.int64)
+    neighbours = np.zeros((vertex_count, MAX_NEIGHBOURS), dtype=np.int64)
     counts = np.zeros(vertex_count, dtype=np.int64)
-    left = np.ones(vertex_count, dtype=bool)
-    levels: list[Index] = []
-    for level in coarser_levels(ring_starts, ring, neighbours, counts):
-        left[level.gone] = False
-        levels.append(level.gone)
-    roots = np.flatnonzero(left)
-    for place in range(1, len(roots)):
-        before = roots[max(0, place - ROOTS) : place]
-        neighbours[roots[place], : len(before)] = before
-        counts[roots[place]] = len(before)
-    known = np.arange(MOST) < counts[:, None]
-    weights = known / np.maximum(counts, 1)[:, None]
-    # Every root needs those before it, and is a level of its own.
-    return _graph([roots, *levels[::-1]], neighbours, counts, weights, ring, ring_starts)
+    levels = [level.removed for level in coarser_levels(ring_starts, ring, neighbours, counts)]
+    root_mask = np.ones(vertex_count, dtype=bool)
+    for removed in levels:
+        root_mask[removed] = False
+    roots = np.flatnonzero(root_mask)
+    for number, root in enumerate(roots):
+        earlier = roots[max(0, number - MAX_ROOT_NEIGHBOURS) : number]
+        neighbours[root, : len(earlier)] = earlier
+        counts[root] = len(earlier)
+    neighbour_mask = np.arange(MAX_NEIGHBOURS) < counts[:, None]
+    weights = neighbour_mask / np.maximum(counts, 1)[:, None]
+    # Roots are coded one by one, as each needs those before it.
+    return _order_graph([roots, *levels[::-1]], neighbours, counts, weights, ring, ring_starts)
 
 
 class Level(NamedTuple):
     """Nodes removed together, and the graphs before and after, both of N nodes; removed nodes have no edges."""
 
-    gone: Index  # (n,) removed nodes
-    starts: Index  # (N + 1,) row offsets of the graph before, see adjacency
-    beside: Index  # (2 E,) neighbours in the graph before, row by row
-    new: Index  # (n', 2) edges that close the holes; some twice, or there already
+    removed: Index  # (n,) removed nodes
+    starts: Index  # (N + 1,) row offsets of the graph before, see update_adjacency
+    adjacent: Index  # (2 E,) neighbours in the graph before, row by row
+    new_edges: Index  # (n', 2) edges that close the holes; some twice, or there already
     new_starts: Index  # (N + 1,) row offsets of the graph after
-    new_beside: Index  # (2 E',) neighbours in the graph after, row by row
+    new_adjacent: Index  # (2 E',) neighbours in the graph after, row by row
 
 
 def mesh_neighbours(faces: NDArray[np.integer], vertex_count: int) -> tuple[Index, Index]:
-    """Return the neighbours of all vertices of triangles ``(F, 3)``, as `adjacency` lists them."""
-    sides = np.empty((3, len(faces), 2), dtype=np.int64)
-    for corner, side in enumerate(sides):
-        side[:, 0], side[:, 1] = faces[:, corner], faces[:, (corner + 1) % 3]
-    return neighbours_of(sides.reshape(-1, 2), vertex_count)
+    """Return the adjacency of the vertices of triangles ``(F, 3)``, as `update_adjacency` does."""
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1)
+    return edge_neighbours(edges.reshape(-1, 2).astype(np.int64), vertex_count)
 
 
-def neighbours_of(edges: Index, count: int) -> tuple[Index, Index]:
-    """Return the neighbours of `count` nodes, as `adjacency` lists them, of edges ``(E, 2)``."""
-    none = np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    return adjacency(*none, np.ones(count, dtype=bool), edges)
+def edge_neighbours(edges: Index, count: int) -> tuple[Index, Index]:
+    """Return the adjacency of `count` nodes with edges ``(E, 2)``, as `update_adjacency` does."""
+    empty = np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    return update_adjacency(*empty, np.ones(count, dtype=bool), edges)
 
 
-def coarser_levels(starts: Index, beside: Index, neighbours: Index, counts: Index) -> Iterator[Level]:
-    """Remove nodes until no edge is left, and yield the levels, fine to coarse.
+def coarser_levels(starts: Index, adjacent: Index, neighbours: Index, counts: Index) -> Iterator[Level]:
+    """Remove nodes of a graph until no edge is left, and yield the levels, fine to coarse.
 
-    Starts ``(N + 1,)`` and beside ``(2 E,)`` are the neighbours of all nodes, as `adjacency` lists
-    them. Neighbours ``(N, MOST)`` and counts ``(N,)`` of removed nodes are written.
+    `starts` ``(N + 1,)`` and `adjacent` ``(2 E,)`` are those of `update_adjacency`. The `neighbours`
+    ``(N, MAX_NEIGHBOURS)`` and `counts` ``(N,)`` of removed nodes are written.
     """
-    left = np.ones(len(counts), dtype=bool)
-    while len(beside):
+    remaining_mask = np.ones(len(counts), dtype=bool)
+    while len(adjacent):
         degrees = np.diff(starts)
         nodes = np.flatnonzero(degrees)
         fewest = int(degrees[nodes].min())
-        gone = independent(nodes, starts, beside, fewest, max(WIDEST, fewest))
-        new = collapse(gone, starts, beside, neighbours, counts)
-        left[gone] = False
-        before = starts, beside
-        starts, beside = adjacency(*before, left, new)
-        yield Level(gone, *before, new, starts, beside)
+        removed = find_independent_nodes(nodes, starts, adjacent, fewest, max(MAX_REMOVED_DEGREE, fewest))
+        new_edges = collapse_nodes(removed, starts, adjacent, neighbours, counts)
+        remaining_mask[removed] = False
+        graph = starts, adjacent
+        starts, adjacent = update_adjacency(*graph, remaining_mask, new_edges)
+        yield Level(removed, *graph, new_edges, starts, adjacent)
 
 
 @lru_cache(maxsize=64)
@@ -296,33 +294,33 @@ def path_graph(count: int) -> SignalGraph:
         new = np.setdiff1d(np.arange(step, count - 1, 2 * step), known)
         for node in new:
             place = int(np.searchsorted(known, node))
-            beside = known[max(place - 2, 0) : place + 2]
-            weights[node, : len(beside)] = _lagrange(beside, int(node))
-            others = np.setdiff1d(np.append(known, new[new < node]), beside)
-            others = others[np.argsort(np.abs(others - node), kind="stable")][: 6 - len(beside)]
-            counts[node] = len(beside) + len(others)
-            neighbours[node, : counts[node]] = np.append(beside, others)
+            around = known[max(place - 2, 0) : place + 2]
+            weights[node, : len(around)] = _lagrange_weights(around, int(node))
+            others = np.setdiff1d(np.append(known, new[new < node]), around)
+            others = others[np.argsort(np.abs(others - node), kind="stable")][: 6 - len(around)]
+            counts[node] = len(around) + len(others)
+            neighbours[node, : counts[node]] = np.append(around, others)
         known = np.union1d(known, new)
         levels.append(new)
     frames = np.arange(count)
     pairs = np.stack([frames[:-1], frames[1:]], axis=1)
-    ring_starts, ring = neighbours_of(pairs, count)
-    return replace(_graph(levels, neighbours, counts, weights, ring, ring_starts), over_time=True)
+    ring_starts, ring = edge_neighbours(pairs, count)
+    return replace(_order_graph(levels, neighbours, counts, weights, ring, ring_starts), is_over_time=True)
 
 
-def _lagrange(nodes: Index, at: int) -> Float:
+def _lagrange_weights(nodes: Index, at: int) -> Float:
     """Return the weights of the polynomial through values at nodes: quotients of integers, the same on all machines."""
     weights = np.ones(len(nodes))
-    for one, node in enumerate(nodes.tolist()):
-        over = under = 1
+    for i, node in enumerate(nodes.tolist()):
+        numerator = denominator = 1
         for other in nodes.tolist():
             if other != node:
-                over, under = over * (at - other), under * (node - other)
-        weights[one] = over / under
+                numerator, denominator = numerator * (at - other), denominator * (node - other)
+        weights[i] = numerator / denominator
     return weights
 
 
-def _graph(
+def _order_graph(
     levels: list[Index],
     neighbours: Index,
     counts: Index,
@@ -330,12 +328,12 @@ def _graph(
     ring: Index,
     ring_starts: Index,
 ) -> SignalGraph:
+    """Return a graph with the numbers of vertices, or frames, with its nodes in coding order."""
     order = np.concatenate(levels)
-    place = np.empty(len(order), dtype=np.int64)
-    place[order] = np.arange(len(order))
+    inverse = np.argsort(order)
     # Frozen as those of stencils are: one type to numba.
-    starts, ring = renumbered(frozen(ring_starts), frozen(ring), order, frozen(place))
+    starts, ring = renumber_adjacency(read_only(ring_starts), read_only(ring), order, read_only(inverse))
     counts = counts[order]
-    known = np.arange(neighbours.shape[1]) < counts[:, None]
-    neighbours = np.where(known, place[neighbours[order]], 0)
+    neighbour_mask = np.arange(neighbours.shape[1]) < counts[:, None]
+    neighbours = np.where(neighbour_mask, inverse[neighbours[order]], 0)
     return SignalGraph(order, neighbours, counts, weights[order], ring, starts)

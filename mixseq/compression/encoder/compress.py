@@ -1,6 +1,6 @@
 """Compress a sequence to an error or a size, and measure the error by decoding the result.
 
-The step is found by `mixseq.compression.encoder.search`; guaranteed errors are measured ones.
+Guaranteed errors are measured ones. The step is found by `mixseq.compression.encoder.search`.
 """
 
 from __future__ import annotations
@@ -12,24 +12,24 @@ import numpy as np
 from mixseq.choices import OrderName
 from mixseq.compression.bitstream.compressed_sequence import CodingParameters, CompressedSequence, decode
 from mixseq.compression.bitstream.signal_graph import mesh_graph
-from mixseq.compression.encoder.search import ROUNDS, Search
-from mixseq.compression.encoder.trial import CHUNK, FEWEST, width
+from mixseq.compression.encoder.search import MAX_ROUNDS, Search
+from mixseq.compression.encoder.trial import DEFAULT_CHUNK_FRAMES, MIN_CHUNK_FRAMES, residual_unit
 from mixseq.compression.encoder.uvs import UV_ERROR, with_quantised_uvs
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, Stages, silent
+from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import (
     Frames,
     FrameStore,
-    blocks_of,
     bounding_diagonal,
     check_frames,
-    digits_end,
-    farthest,
-    frame_store,
+    iterate_blocks,
     largest_coordinate,
+    largest_offset,
+    load_frames,
+    rounding_error,
 )
 
 
@@ -39,16 +39,16 @@ def compress(
     max_error: float | None = None,
     kg: float | None = None,
     size: int | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     *,
     uv_error: float = UV_ERROR,
     uvs: bool = True,
     order: OrderName = "keep",
-    chunk: int = CHUNK,
+    chunk: int = DEFAULT_CHUNK_FRAMES,
 ) -> CompressedSequence:
     """Compress a sequence.
 
-    It works on `mixseq.runtime.parallel.thread_count` threads; the bytes are the same for any number.
+    The bytes are the same for any number of threads (`mixseq.runtime.parallel.thread_count`).
 
     Parameters
     ----------
@@ -69,10 +69,11 @@ def compress(
     uvs : bool
         Whether to keep texture coordinates.
     order : {"keep", "vertices", "free"}
-        Numbers to keep: of vertices and faces; of vertices only; or neither. The others are chosen for the fewest
-        bytes; attributes of vertices, faces and corners are reordered too.
+        Numbering to keep: of vertices and faces; of vertices only; or neither. The others are chosen for the fewest
+        bytes; attributes of vertices, faces and corners are reordered as well.
     chunk : int
-        About this many frames, 16 or more, are decoded together, or lost together. Small chunks take more bytes.
+        Approximate number of frames, 16 or more, that are decoded together, or lost together. Small chunks take more
+        bytes.
 
     Returns
     -------
@@ -86,36 +87,35 @@ def compress(
         or `max_error` is beyond the digits of the coordinates, or `uv_error` is not from 0 to 0.25,
         or there is no such `order`, or `chunk` is below 16.
     FormatError, InvalidSequenceError
-        If a sequence that is read turns out to be damaged or unsound, or too small or too large for doubles.
+        If the sequence is damaged or invalid, or too small or too large for double precision.
     """
     check_frames(sequence)
-    _check(max_error, kg, size)
-    if not chunk >= FEWEST:
-        raise SettingsError(f"chunk is {chunk}; {FEWEST} frames or more are expected")
+    _check_target(max_error, kg, size)
+    if not chunk >= MIN_CHUNK_FRAMES:
+        raise SettingsError(f"chunk is {chunk}; {MIN_CHUNK_FRAMES} frames or more are expected")
     numbering = cheapest_numbering(sequence.header, order)
     sequence = numbering.renumber_frames(sequence)
     header, uv_steps = with_quantised_uvs(sequence.header, uv_error, uvs)
-    stages = Stages(progress, 2 + ROUNDS, sequence.header.frame_count)
+    stages = StagedProgress(progress, 2 + MAX_ROUNDS, sequence.header.frame_count)
     with one_blas_thread():
-        frames = frame_store(sequence, stages.at(0))
+        frames = load_frames(sequence, stages.at(0))
         unit = bounding_diagonal(frames.points[:1][0]) or 1.0
-        coded = _found(frames, stages, chunk, unit, max_error, kg, size)
-        stages.at(1 + ROUNDS)(0, 1, "checking")
-        coded = replace(_checked(frames, coded, max_error, kg), order=numbering.order)
+        coded = _search_streams(frames, stages, chunk, unit, max_error, kg, size)
+        stages.at(1 + MAX_ROUNDS)(0, 1, "checking")
+        coded = replace(_measure_errors(frames, coded, max_error, kg), order=numbering.order)
     parameters = coded.parameters
     if uv_steps is not None:
         parameters = replace(parameters, uv_steps=uv_steps, uv_error=float(uv_error))
     return replace(coded, header=replace(coded.header, surface=header.surface), parameters=parameters)
 
 
-def _check(max_error: float | None, kg: float | None, size: int | None) -> None:
-    given = {"max_error": max_error, "kg": kg, "size": size}
-    values = {name: value for name, value in given.items() if value is not None}
-    if len(values) != 1:
-        raise SettingsError(
-            f"{' and '.join(values) or 'nothing'} is given; give one of max_error, kg and size"
-        )
-    [(name, value)] = values.items()
+def _check_target(max_error: float | None, kg: float | None, size: int | None) -> None:
+    targets = {"max_error": max_error, "kg": kg, "size": size}
+    given = [(name, value) for name, value in targets.items() if value is not None]
+    if len(given) != 1:
+        names = " and ".join(name for name, _ in given) or "nothing"
+        raise SettingsError(f"{names} is given; give one of max_error, kg and size")
+    [(name, value)] = given
     least = 1 if name == "size" else 0
     if not (np.isfinite(value) and value > 0 and value >= least):
         raise SettingsError(f"{name} is {value}; a positive number{' of bytes' * least} is expected")
@@ -124,22 +124,22 @@ def _check(max_error: float | None, kg: float | None, size: int | None) -> None:
 def _with_margin(bound: float, sequence: FrameStore) -> float:
     """Reduce a bound by the last digits, which vary between machines, and by the rounding of single-precision files."""
     largest = largest_coordinate(sequence.points)
-    last = digits_end(largest)
-    if bound < last:
-        place = bound >= digits_end(farthest(sequence.points))
+    least = rounding_error(largest)
+    if bound < least:
+        centred_least = rounding_error(largest_offset(sequence.points))
+        cure = ", or move the sequence to the origin" if bound >= centred_least else ""
         raise SettingsError(
             f"max_error is {bound:.3g} in units of the sequence, beyond the digits of coordinates of up to "
-            f"{largest:.3g}; give at least {last:.3g} of these units{', or move the sequence to the origin' * place}"
+            f"{largest:.3g}; give at least {least:.3g} of these units{cure}"
         )
-    single = sequence.points.dtype == np.float32
-    rounding = largest * 2.0**-24 * 3**0.5 if single else last
+    rounding = largest * 2.0**-24 * 3**0.5 if sequence.points.dtype == np.float32 else least
     return bound - min(1e-9 * bound + rounding, bound / 2)
 
 
-def _deviation(sequence: FrameStore) -> float:
+def _total_deviation(sequence: FrameStore) -> float:
     """Return the root of the sum of all squared distances from the centroids of the frames."""
     squares = largest = 0.0
-    for block in blocks_of(sequence.points):
+    for block in iterate_blocks(sequence.points):
         points = block.astype(np.float64)
         squares += float(np.square(points - points.mean(axis=1, keepdims=True)).sum())
         largest = max(largest, float(np.abs(points).max()))
@@ -148,23 +148,23 @@ def _deviation(sequence: FrameStore) -> float:
     return float(np.sqrt(squares))
 
 
-def _found(
+def _search_streams(
     frames: FrameStore,
-    stages: Stages,
+    stages: StagedProgress,
     chunk: int,
     unit: float,
     max_error: float | None,
     kg: float | None,
     size: int | None,
 ) -> CompressedSequence:
-    """Return the streams found by a search. Its other results, some kB a vertex, are freed."""
+    """Return the streams found by a search; its other results, some kB a vertex, are freed."""
     search = Search(frames, mesh_graph(frames.header.faces, frames.header.vertex_count), stages, chunk)
     if max_error is not None:
-        best = search.within(_with_margin(max_error * unit, frames))
+        best = search.find_for_bound(_with_margin(max_error * unit, frames))
     elif kg is not None:
-        best = search.with_error(kg / 100 * _deviation(frames))
+        best = search.find_for_error(kg / 100 * _total_deviation(frames))
     else:
-        best = search.with_size(int(size or 0), _deviation(frames))
+        best = search.find_for_size(int(size or 0), _total_deviation(frames))
     parameters = CodingParameters(
         factors=best.basis.kind,
         rank=sum(best.ranks),
@@ -174,36 +174,36 @@ def _found(
         max_error=0.0,
         kg_percent=0.0,
         promised=max_error is not None,
-        correction=0.0 if best.bound is None else width(best.bound),
+        correction=0.0 if best.bound is None else residual_unit(best.bound),
         ranks=best.ranks if len(best.ranks) > 1 else (),
     )
     return CompressedSequence(frames.header, parameters, best.coding.streams.basis, best.chunks)
 
 
-def _checked(
+def _measure_errors(
     sequence: FrameStore, coded: CompressedSequence, bound: float | None, kg: float | None
 ) -> CompressedSequence:
     """Decode the compressed sequence, and measure its errors."""
     model, between = decode(coded)
     unit = coded.parameters.diagonal
     squares = variation = largest = 0.0
-    done = 0
+    frame_count = 0
     for block in model.blocks(model.times):
-        points = sequence.points[done : done + len(block)].astype(np.float64)
+        points = sequence.points[frame_count : frame_count + len(block)].astype(np.float64)
         distances = np.square(points - block).sum(axis=2)
         squares, largest = squares + float(distances.sum()), max(largest, float(distances.max()))
         variation += float(np.square(points - points.mean(axis=1, keepdims=True)).sum())
-        done += len(block)
+        frame_count += len(block)
     error = float(np.sqrt(largest)) / unit
     if bound is not None and error > bound:
         raise ReconstructionError(
-            f"a vertex is off by {error:.3g} diagonals after decoding, more than {bound:g}; please report this"
+            f"the error of a decoded vertex is {error:.3g} diagonals, more than {bound:g}; please report this"
         )
-    rounding = sequence.points.shape[1] * done * (1e-12 * unit) ** 2
+    rounding = sequence.points.shape[1] * frame_count * (1e-12 * unit) ** 2
     kg_percent = 100 * float(np.sqrt(squares / variation)) if variation > rounding else 0.0
     if kg is not None and kg_percent > (1 + 1e-9) * kg:
         raise ReconstructionError(
-            f"the KG error is {kg_percent:.6g} % after decoding, more than {kg:g}; please report this"
+            f"the KG error of the decoded frames is {kg_percent:.6g} %, more than {kg:g}; please report this"
         )
     parameters = replace(coded.parameters, max_error=error if bound is None else bound, kg_percent=kg_percent)
     return replace(coded, parameters=parameters, between=between)

@@ -1,11 +1,11 @@
 """A trial: one compression with a given step, its bytes and its error.
 
 The spatial basis is rounded first. The coefficients are then fitted to the sequence with the *decoded* basis, which
-compensates some of the rounding error; then they are rounded. If there is a bound, residuals are displacements where
-decoded frames are farther than it from the original.
+compensates some of the rounding error, and rounded as well. If there is a bound, residuals are displacements where
+decoded frames exceed it.
 
-Parts are independent, and two are rounded at a time, to limit memory. Rounding determines the error of a trial; its
-bytes take as long again, and are made on demand by `code_basis` and `code_coefficients`.
+Parts are independent, and two are rounded at a time, to limit memory. Rounding determines the error of a trial. Its
+bytes take as long again, and are computed on demand by `code_basis` and `code_coefficients`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,18 +27,17 @@ from mixseq.compression.bitstream.spatial_basis import (
     Part,
     SpatialBasis,
     assemble_basis,
-    groups_of_parts,
-    parts_of,
-    whole,
+    part_groups,
+    split_parts,
     write_labels,
 )
 from mixseq.compression.encoder.components import PartComponents, PrincipalComponents
-from mixseq.runtime.parallel import on_threads, on_two_threads
-from mixseq.sequence.sequence import FrameStore, block_size, blocks_of
+from mixseq.runtime.parallel import thread_executor, two_thread_executor
+from mixseq.sequence.sequence import FrameStore, block_size, iterate_blocks
 from mixseq.types import Float, Index
 
-CHUNK, FEWEST = 512, 16
-"""Number of frames in a chunk by default, approximately, and smallest number."""
+DEFAULT_CHUNK_FRAMES, MIN_CHUNK_FRAMES = 512, 16
+"""Approximate number of frames in a chunk by default, and smallest number."""
 
 
 class RoundedPart(NamedTuple):
@@ -50,74 +49,77 @@ class RoundedPart(NamedTuple):
 
 def round_basis(parts: Sequence[PartComponents], step: float) -> list[RoundedPart]:
     """Round the components of every part until they vanish, without the constant one of trajectories."""
-    return list(on_two_threads()(_round_part, step, parts))
+    return list(two_thread_executor()(_round_part, step, parts))
 
 
 def _round_part(step: float, part: PartComponents) -> RoundedPart:
-    coder, signals, rank = SignalCoder(part.part.graph, part.coordinates), list[Signal](), part.rank(step)
-    vectors = np.empty((rank, part.coordinates, part.part.graph.size))
-    for place, coordinate in np.ndindex(vectors.shape[:2]):
-        vectors[place, coordinate], signal = coder.round(part.vector(place)[coordinate] / step)
-        signals.append(signal)
-    return RoundedPart(step * vectors, signals)
+    shape = part.rank(step), part.coordinates
+    values, signals = _round_vectors(part.part.graph, shape, lambda k: part.vector(k) / step)
+    return RoundedPart(step * values, signals)
+
+
+def _round_vectors(
+    graph: SignalGraph, shape: tuple[int, int], vector_of: Callable[[int], Float]
+) -> tuple[Float, list[Signal]]:
+    """Round vectors ``(c, N)`` in steps, K of them for a shape ``(K, c)``; return their values ``(K, c, N)``."""
+    coder, signals = SignalCoder(graph, shape[1]), list[Signal]()
+    values = np.empty((*shape, graph.size))
+    for k in range(shape[0]):
+        for coordinate, target in enumerate(vector_of(k)):
+            values[k, coordinate], signal = coder.round(target)
+            signals.append(signal)
+    return values, signals
 
 
 def code_basis(rounded: Sequence[RoundedPart], labels: Index, graph: SignalGraph) -> tuple[bytes, ...]:
     """Return the streams of the groups of a basis, as `read_basis` reads them: labels ``(V,)``."""
     models, streams = NumberModels(), []
-    for number, of_parts in enumerate(groups_of_parts([len(part.vectors) for part in rounded])):
+    for number, group in enumerate(part_groups([len(part.vectors) for part in rounded])):
         writer = Writer()
         if number == 0 and len(rounded) > 1:
             write_labels(writer, labels, graph)
-        for place, group in of_parts:
-            coordinates = rounded[place].vectors.shape[1]
-            for signal in rounded[place].signals[coordinates * group.start : coordinates * group.stop]:
+        for part, vectors in group:
+            coordinates = rounded[part].vectors.shape[1]
+            for signal in rounded[part].signals[coordinates * vectors.start : coordinates * vectors.stop]:
                 writer.write(signal, models)
         streams.append(writer.finish())
     return tuple(streams)
 
 
-def chunks(frame_count: int, size: int = CHUNK) -> list[range]:
+def chunk_ranges(frame_count: int, size: int = DEFAULT_CHUNK_FRAMES) -> list[range]:
     """Return the frames of every chunk of about `size` frames."""
-    number = max(1, round(frame_count / size))
-    ends = [frame_count * place // number for place in range(number + 1)]
+    count = max(1, round(frame_count / size))
+    ends = [frame_count * chunk // count for chunk in range(count + 1)]
     return [range(a, b) for a, b in pairwise(ends)]
 
 
 def round_coefficients(
-    basis: SpatialBasis, coefficients: Float, step: float, size: int = CHUNK
+    basis: SpatialBasis, coefficients: Float, step: float, size: int = DEFAULT_CHUNK_FRAMES
 ) -> tuple[Float, list[list[Signal]]]:
-    """Round coefficients ``(T, K, d)`` of the vectors that vary."""
-    scales, owners = basis.norms[basis.varying] / step, basis.parts[basis.varying]
-    decoded, spans = np.empty_like(coefficients), chunks(len(coefficients), size)
-    numbers = coefficients * scales[:, None]
-    of_parts = [np.flatnonzero(owners == part) for part in range(len(basis.blocks))]
-    work = [(frames, places) for frames in spans for places in of_parts]
+    """Round coefficients ``(T, K, d)`` of the varying vectors; return decoded ones, and the signals of every chunk."""
+    scales, part_ids = basis.norms[basis.varying] / step, basis.part_ids[basis.varying]
+    decoded = np.empty_like(coefficients)
+    vector_ids = [np.flatnonzero(part_ids == part) for part in range(len(basis.part_bases))]
+    work = [(frames, ids) for frames in chunk_ranges(len(coefficients), size) for ids in vector_ids]
+    rounded = two_thread_executor()(_round_chunk, coefficients * scales[:, None], work)
     signals: list[list[Signal]] = []
-    for (frames, places), (values, some) in zip(
-        work, on_two_threads()(_round_chunk, numbers, work), strict=True
-    ):
-        decoded[frames.start : frames.stop, places] = values / scales[places, None]
-        signals.append(some)
-    order = np.argsort(np.concatenate(of_parts), kind="stable")
-    dim, count = coefficients.shape[2], len(of_parts)
-    in_turn = []
-    for first in range(0, len(signals), count):
-        ready = [signal for some in signals[first : first + count] for signal in some]
-        in_turn.append([ready[dim * place + coordinate] for place in order for coordinate in range(dim)])
-    return decoded, in_turn
+    for (frames, ids), (values, part_signals) in zip(work, rounded, strict=True):
+        decoded[frames.start : frames.stop, ids] = values.transpose(2, 0, 1) / scales[ids, None]
+        signals.append(part_signals)
+    order = np.argsort(np.concatenate(vector_ids), kind="stable")
+    dim, part_count = coefficients.shape[2], len(vector_ids)
+    chunk_signals = []
+    for first in range(0, len(signals), part_count):
+        by_part = list(chain.from_iterable(signals[first : first + part_count]))
+        chunk_signals.append([by_part[dim * k + coordinate] for k in order for coordinate in range(dim)])
+    return decoded, chunk_signals
 
 
 def _round_chunk(numbers: Float, work: tuple[range, Index]) -> tuple[Float, list[Signal]]:
     """Round the numbers ``(T, K, d)`` of one part, those ``(n,)`` of its vectors, in the frames of a chunk."""
-    frames, places = work
-    some = numbers[frames.start : frames.stop, places]
-    coder, signals = SignalCoder(path_graph(len(frames)), some.shape[2]), list[Signal]()
-    values = np.empty_like(some)
-    for place, coordinate in np.ndindex(some.shape[1:]):
-        values[:, place, coordinate], signal = coder.round(some[:, place, coordinate])
-        signals.append(signal)
-    return values, signals
+    frames, vector_ids = work
+    chunk = numbers[frames.start : frames.stop, vector_ids].transpose(1, 2, 0)
+    return _round_vectors(path_graph(len(frames)), (chunk.shape[0], chunk.shape[1]), chunk.__getitem__)
 
 
 def code_coefficients(signals: Sequence[Signal]) -> bytes:
@@ -128,13 +130,13 @@ def code_coefficients(signals: Sequence[Signal]) -> bytes:
     return writer.finish()
 
 
-FINER = 0.35
+LATE_VERTEX_SIZE = 0.35
 """Bytes of a late-coded vertex, relative to the mean of those before it: it is predicted better."""
 
-MANY = 1 << 22
-"""Count of numbers above which signals are coded at once, asked for or not: pending ones take 20 bytes each."""
+MAX_PENDING_NUMBERS = 1 << 22
+"""Count of numbers above which signals are coded at once: pending ones take 20 bytes each."""
 
-DIGITS = 1e-10
+MIN_ALGEBRAIC_ERROR = 1e-10
 """Share of the squared motion below which squared errors are measured on frames, as algebra loses too many digits."""
 
 
@@ -149,23 +151,21 @@ class Candidate:
     share: float = 1.0  # these vertices' share of a larger mesh
 
     @classmethod
-    def of(
+    def from_labels(
         cls,
         components: PrincipalComponents,
         labels: Index,
         faces: NDArray[np.integer],
         graph: SignalGraph,
-        least: float = 0.0,
+        min_norm: float = 0.0,
         share: float = 1.0,
     ) -> Candidate:
-        """Make a candidate with parts by labels ``(V,)``, without components of parts with a norm below `least`."""
-        parts = parts_of(labels, faces) if labels.any() else whole(graph)
-        found = tuple(on_two_threads()(_components_of, (components, least), parts))
-        return cls(components, found, graph, labels, share)
-
-
-def _components_of(known: tuple[PrincipalComponents, float], part: Part) -> PartComponents:
-    return PartComponents(known[0], part, known[1])
+        """Make a candidate with parts by labels ``(V,)``, without their components of norms below `min_norm`."""
+        parts = split_parts(labels, faces) if labels.any() else [Part(np.arange(graph.size), graph)]
+        of_parts = two_thread_executor()(
+            lambda _, part: PartComponents(components, part, min_norm), None, parts
+        )
+        return cls(components, tuple(of_parts), graph, labels, share)
 
 
 class Streams(NamedTuple):
@@ -176,7 +176,7 @@ class Streams(NamedTuple):
 
 
 class Coding:
-    """The streams of rounded signals, made when first asked for."""
+    """The streams of rounded signals, computed on demand."""
 
     def __init__(self, candidate: Candidate, basis: list[RoundedPart], chunks: list[list[Signal]]) -> None:
         self._work: list[Callable[[], Any]] = [
@@ -186,19 +186,15 @@ class Coding:
 
     @cached_property
     def streams(self) -> Streams:
-        """The streams, made in parallel."""
-        basis, *coefficients = on_threads()(_result_of, None, self._work)
+        """The streams, computed in parallel."""
+        basis, *coefficients = thread_executor()(lambda _, work: work(), None, self._work)
         self._work = []  # signals take the most memory of a trial
         return Streams(basis, tuple(coefficients))
 
 
-def _result_of(_: None, work: Callable[[], Any]) -> Any:
-    return work()
-
-
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A sequence, rounded with one step."""
+    """A sequence, rounded with one step. Sizes are numbers of bytes; on part of a mesh, about those of the whole."""
 
     candidate: Candidate  # the way it is coded
     step: float  # the step, in the units of the sequence
@@ -216,100 +212,99 @@ class Trial:
     def chunks(self) -> tuple[Chunk, ...]:
         """Streams of the chunks."""
         residuals = self.residuals or (b"",) * len(self.spans)
-        return tuple(
-            Chunk(frames.start, len(frames), stream, rest)
-            for frames, stream, rest in zip(
-                self.spans, self.coding.streams.coefficients, residuals, strict=True
-            )
-        )
-
-    @property
-    def signals(self) -> int:
-        """Number of bytes without the residual layer."""
-        return self.basis_size + sum(map(len, self.coding.streams.coefficients))
+        streams = zip(self.spans, self.coding.streams.coefficients, residuals, strict=True)
+        return tuple(Chunk(frames.start, len(frames), *of_frames) for frames, *of_frames in streams)
 
     @property
     def basis_size(self) -> int:
-        """Number of bytes of the basis; for a share of a larger mesh, about those of the whole."""
-        finer = FINER * (1 / self.candidate.share - 1)
-        return round((1 + finer) * sum(map(len, self.coding.streams.basis)))
+        """Size of the basis."""
+        late = LATE_VERTEX_SIZE * (1 / self.candidate.share - 1)
+        return round((1 + late) * sum(map(len, self.coding.streams.basis)))
+
+    @property
+    def signal_size(self) -> int:
+        """Size without the residual layer."""
+        return self.basis_size + sum(map(len, self.coding.streams.coefficients))
 
     @property
     def size(self) -> int:
-        """Number of bytes; for a share of a larger mesh, about those of the whole."""
-        return self.signals + sum(map(len, self.residuals))
+        """Size of everything."""
+        return self.signal_size + sum(map(len, self.residuals))
 
 
-def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int = CHUNK) -> Trial:
+def try_step(
+    sequence: FrameStore, candidate: Candidate, step: float, chunk: int = DEFAULT_CHUNK_FRAMES
+) -> Trial:
     """Round a sequence with one step."""
     rounded = round_basis(candidate.parts, step)
     vectors = [part.vectors for part in rounded]
-    parts = [one.part.vertices for one in candidate.parts]
-    basis = assemble_basis(candidate.components.kind, vectors, parts, len(sequence.points))
-    fits = [part.fitted(block) for part, block in zip(candidate.parts, basis.blocks, strict=True)]
-    scales, owners = basis.norms[basis.varying], basis.parts[basis.varying]
+    vertices = [components.part.vertices for components in candidate.parts]
+    basis = assemble_basis(candidate.components.kind, vectors, vertices, len(sequence.points))
+    fits = [part.fit(part_basis) for part, part_basis in zip(candidate.parts, basis.part_bases, strict=True)]
+    scales, part_ids = basis.norms[basis.varying], basis.part_ids[basis.varying]
     # Vectors over the larger mesh are longer: coefficients get the accuracy that they would have there.
-    longer = candidate.share**-0.5
-    nearest = in_order(basis, [fit.coefficients for fit in fits])
-    decoded, signals = round_coefficients(basis, nearest * (longer / scales[:, None]), step, chunk)
-    moved = decoded * (scales[:, None] / longer)
+    length_ratio = candidate.share**-0.5
+    exact = order_coefficients(basis, [fit.coefficients for fit in fits])
+    decoded, signals = round_coefficients(basis, exact * (length_ratio / scales[:, None]), step, chunk)
+    unit_coefficients = decoded * (scales[:, None] / length_ratio)
     squares = candidate.components.left_out
-    for place, fit in enumerate(fits):
-        squares += fit.squares_of(moved[:, owners == place].transpose(1, 0, 2)) / candidate.share
-    if squares <= DIGITS * np.square(candidate.components.norms).sum() and candidate.share == 1:
+    for part, fit in enumerate(fits):
+        squares += fit.squares_of(unit_coefficients[:, part_ids == part].transpose(1, 0, 2)) / candidate.share
+    motion = np.square(candidate.components.norms).sum()
+    if squares <= MIN_ALGEBRAIC_ERROR * motion and candidate.share == 1:
         squares = squared_error(sequence, basis, decoded)
     ranks = tuple(map(len, vectors))
     error = float(np.sqrt(max(squares, 0.0)))
-    spans, coding = tuple(chunks(len(decoded), chunk)), Coding(candidate, rounded, signals)
-    if sum(part.vectors.size for part in rounded) + decoded.size > MANY:
+    spans, coding = tuple(chunk_ranges(len(decoded), chunk)), Coding(candidate, rounded, signals)
+    if sum(part.size for part in vectors) + decoded.size > MAX_PENDING_NUMBERS:
         _ = coding.streams
     return Trial(candidate, step, ranks, basis, decoded, spans, coding, error)
 
 
-def in_order(basis: SpatialBasis, coefficients: Sequence[Float]) -> Float:
+def order_coefficients(basis: SpatialBasis, coefficients: Sequence[Float]) -> Float:
     """Return coefficients ``(K, T, d)`` of all parts in coding order, ``(T, K, d)``."""
-    owners = basis.parts[basis.varying]
-    ordered = np.empty((len(owners), *coefficients[0].shape[1:]))
-    for place, some in enumerate(coefficients):
-        ordered[owners == place] = some
+    part_ids = basis.part_ids[basis.varying]
+    ordered = np.empty((len(part_ids), *coefficients[0].shape[1:]))
+    for part, of_part in enumerate(coefficients):
+        ordered[part_ids == part] = of_part
     return ordered.transpose(1, 0, 2)
 
 
 def squared_error(sequence: FrameStore, basis: SpatialBasis, coefficients: Float) -> float:
     """Return the sum of all squared distances of decoded frames from those of a sequence."""
-    blocks = zip(blocks_of(sequence.points), decoded_blocks(basis, coefficients), strict=True)
+    blocks = zip(iterate_blocks(sequence.points), decode_blocks(basis, coefficients), strict=True)
     return sum(float(np.square(points - block).sum()) for points, block in blocks)
 
 
-def decoded_blocks(basis: SpatialBasis, coefficients: Float) -> Iterator[Float]:
-    """Yield decoded frames of coefficients in the blocks of `mixseq.sequence.sequence.blocks_of`."""
+def decode_blocks(basis: SpatialBasis, coefficients: Float) -> Iterator[Float]:
+    """Yield decoded frames of coefficients in the blocks of `mixseq.sequence.sequence.iterate_blocks`."""
     size = block_size(basis.vertex_count)
     for start in range(0, len(coefficients), size):
         yield basis.frames(coefficients[start : start + size])
 
 
-def width(bound: float) -> float:
+def residual_unit(bound: float) -> float:
     """Return the unit w of the residual layer for a bound, both in the units of the sequence."""
     return float(2.0 * bound / np.sqrt(3.0))
 
 
-def needed(apart: Float, bound: float) -> Index:
-    r"""Return the residuals ``(T, V, 3)`` that bring differences ``(T, V, 3)`` within a bound :math:`\varepsilon`.
+def quantise_residuals(errors: Float, bound: float) -> Index:
+    r"""Return the residuals ``(T, V, 3)`` that bring errors ``(T, V, 3)`` within a bound :math:`\varepsilon`.
 
-    Where a difference exceeds the bound, it is rounded to multiples of :math:`w = 2 \varepsilon / \sqrt 3` in every
-    coordinate, which leaves at most :math:`w / 2` in each, so :math:`\varepsilon` in all. Elsewhere residuals are zero.
+    An error above the bound is rounded to multiples of :math:`w = 2 \varepsilon / \sqrt 3` in every coordinate, which
+    leaves at most :math:`w / 2` in each, so :math:`\varepsilon` in all. All other residuals are zero.
     """
-    far = np.einsum("tvi,tvi->tv", apart, apart) > bound * bound
-    return np.where(far[..., None], np.rint(apart / width(bound)), 0.0).astype(np.int64)
+    exceeds_mask = np.einsum("tvi,tvi->tv", errors, errors) > bound * bound
+    return np.where(exceeds_mask[..., None], np.rint(errors / residual_unit(bound)), 0.0).astype(np.int64)
 
 
-def with_residuals(sequence: FrameStore, trial: Trial, bound: float) -> Trial:
+def add_residuals(sequence: FrameStore, trial: Trial, bound: float) -> Trial:
     """Return a trial with the residual layer that keeps a bound, in the units of the sequence."""
 
-    def numbers(frame: int) -> NDArray[np.int64]:
-        one = slice(frame, frame + 1)
-        apart = np.asarray(sequence.points[one] - trial.basis.frames(trial.coefficients[one]))
-        return np.asarray(needed(apart, bound)[0])
+    def frame_residuals(frame: int) -> Index:
+        frames = slice(frame, frame + 1)
+        errors = np.asarray(sequence.points[frames] - trial.basis.frames(trial.coefficients[frames]))
+        return np.asarray(quantise_residuals(errors, bound)[0])
 
-    layers = (write_residuals(numbers, frames, trial.candidate.graph) for frames in trial.spans)
+    layers = (write_residuals(frame_residuals, frames, trial.candidate.graph) for frames in trial.spans)
     return replace(trial, residuals=tuple(layers), bound=bound)

@@ -16,31 +16,31 @@ from math import ceil
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mixseq.compression.bitstream.connectivity import Corners, after, before
-from mixseq.compression.bitstream.corner_values import CodedUVs, code_uvs, grid_values
+from mixseq.compression.bitstream.connectivity import Corners, next_corner, previous_corner
+from mixseq.compression.bitstream.corner_values import CodedUVs, code_uvs, from_grid
+from mixseq.compression.bitstream.uv_seams import next_image
 from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues
 from mixseq.runtime.jit import compiled
 from mixseq.sequence.header import SequenceHeader, header_fields
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, Mask
 
-_WIDE, _NARROW = (100, 0.2, 12.0), (12, 0.05, 24.0)
+_WIDE_SEARCH, _NARROW_SEARCH = (100, 0.2, 12.0), (12, 0.05, 24.0)
 """Number of candidates, largest distance of their shapes (in logarithms), and bits that a region has to save."""
 
-_HEAVY = 8.0
+_MIN_ERROR_BITS = 8.0
 """Bits of errors of a polygon from which it is tested as the start of a copy."""
 
-_MOST_ASKED = 4096
+_MAX_TESTED_POLYGONS = 4096
 """Largest number of tested polygons, those with the largest errors first, which bounds the time."""
 
-_TRIED = 256
+_SAMPLED_POLYGONS = 256
 """Number of polygons examined to estimate the saving of a candidate."""
 
-_OFF = 6.0, 0.01
-"""Tolerance of a copy: in steps, and as a share of its distance."""
+_COPY_TOLERANCE = 6.0, 0.01
+"""Tolerance of a copy: in steps, and relative to its distance."""
 
 
 class _Search(NamedTuple):
@@ -50,41 +50,41 @@ class _Search(NamedTuple):
     places: Index  # (P,) when polygons are visited
     values: Index  # (N, 2) coordinates
     bits: Float  # (N,) bits of a node's error without a copy
-    covered: NDArray[np.bool_]  # (P,) which polygons are copies already
-    polygons: Index  # (P,) number of the last try that reached a polygon
-    nodes: Index  # (N,) number of the last try that reached a node
+    copied: Mask  # (P,) whether polygons are in a region
+    polygon_stamps: Index  # (P,) number of the last trial that reached a polygon
+    node_stamps: Index  # (N,) number of the last trial that reached a node
 
 
 def encode_uvs(polygons: Polygons, vertex_count: int, numbers: Index) -> bytes:
     """Code texture coordinates ``(sum of counts, 2)`` in steps, with or without copies, whichever is smallest."""
     plain = code_uvs(polygons, vertex_count, numbers)
-    tried = [plain.data]
-    for settings in (_WIDE, _NARROW):
+    streams = [plain.data]
+    for settings in (_WIDE_SEARCH, _NARROW_SEARCH):
         regions = find_regions(plain, *settings)
         if regions.any():
-            tried.append(code_uvs(polygons, vertex_count, numbers, regions).data)
-    return min(tried, key=len)
+            streams.append(code_uvs(polygons, vertex_count, numbers, regions).data)
+    return min(streams, key=len)
 
 
-def find_regions(coded: CodedUVs, candidates: int, apart: float, least: float) -> Index:
+def find_regions(coded: CodedUVs, max_candidates: int, max_distance: float, min_saving: float) -> Index:
     """Return where copies begin, as `code_uvs` takes it, in coordinates coded without copies."""
     from scipy.spatial import cKDTree
 
     corners, places = coded.corners, coded.copies.places
     regions = np.zeros(len(places), dtype=np.int64)
-    bits = np.log2(1.0 + coded.known.sizes)
+    bits = np.log2(1.0 + coded.known.errors)
     starts = corners.starts[:-1]
-    shapes, sound = _shapes(corners, coded.known.values)
-    count = len(corners.node)
-    misses = np.where(sound[starts], np.add.reduceat(bits[corners.node], starts), 0.0)
-    asked = np.argsort(-misses, kind="stable")[:_MOST_ASKED]
-    asked = asked[misses[asked] >= _HEAVY]
-    asked = asked[np.argsort(places[asked])]
-    there = np.flatnonzero(np.concatenate([sound, sound]))
-    if not len(asked):
+    shapes, valid_mask = _corner_shapes(corners, coded.known.values)
+    corner_count = len(corners.node)
+    errors = np.where(valid_mask[starts], np.add.reduceat(bits[corners.node], starts), 0.0)
+    tested = np.argsort(-errors, kind="stable")[:_MAX_TESTED_POLYGONS]
+    tested = tested[errors[tested] >= _MIN_ERROR_BITS]
+    tested = tested[np.argsort(places[tested])]
+    shape_ids = np.flatnonzero(np.concatenate([valid_mask, valid_mask]))
+    if not len(tested):
         return regions
-    _, found = cKDTree(shapes[there]).query(
-        shapes[starts[asked]], k=min(candidates, len(there)), distance_upper_bound=apart
+    _, nearest = cKDTree(shapes[shape_ids]).query(
+        shapes[starts[tested]], k=min(max_candidates, len(shape_ids)), distance_upper_bound=max_distance
     )
     search = _Search(
         corners,
@@ -95,133 +95,135 @@ def find_regions(coded: CodedUVs, candidates: int, apart: float, least: float) -
         np.zeros(len(places), dtype=np.int64),
         np.zeros(len(bits), dtype=np.int64),
     )
-    tries = 0
-    for polygon, row in zip(asked.tolist(), found.reshape(len(asked), -1).tolist(), strict=True):
-        if search.covered[polygon]:
+    stamp = 0
+    for polygon, candidates in zip(tested.tolist(), nearest.reshape(len(tested), -1).tolist(), strict=True):
+        if search.copied[polygon]:
             continue
-        best, saved = (0, False), least
-        for each in there[[place for place in row if place < len(there)]].tolist():
-            image, mirrored = each % count, each >= count
+        best, best_saving = (0, False), min_saving
+        for shape in shape_ids[[place for place in candidates if place < len(shape_ids)]].tolist():
+            image, mirrored = shape % corner_count, shape >= corner_count
             if places[corners.polygon[image]] < places[polygon]:
-                tries += 1
-                saves = _cover(search, tries, polygon, image, mirrored, _TRIED, False)
-                if saves > saved:
-                    best, saved = (image, mirrored), saves
-        if saved > least:
-            tries += 1
+                stamp += 1
+                saving = _grow_region(search, stamp, polygon, image, mirrored, _SAMPLED_POLYGONS, False)
+                if saving > best_saving:
+                    best, best_saving = (image, mirrored), saving
+        if best_saving > min_saving:
+            stamp += 1
             regions[polygon] = 2 * best[0] + best[1] + 1
-            _cover(search, tries, polygon, *best, len(places), True)
+            _grow_region(search, stamp, polygon, *best, len(places), True)
     return regions
 
 
-def _shapes(corners: Corners, values: Index) -> tuple[Float, Index]:
+def _corner_shapes(corners: Corners, values: Index) -> tuple[Float, Mask]:
     """Return the shapes ``(2 C, 2)`` of corners, then of their mirror images; also which corners ``(C,)`` have one."""
     number = np.arange(len(corners.node))
     start, end = corners.starts[corners.polygon], corners.starts[corners.polygon + 1]
-    at = values @ np.array([1, 1j])
-    here = at[corners.node]
-    side = at[corners.node[np.where(number + 1 < end, number + 1, start)]] - here
-    other = at[corners.node[np.where(number > start, number - 1, end - 1)]] - here
-    sound = (side != 0) & (other != 0)
-    shape = np.where(sound, other, 1) / np.where(sound, side, 1)
-    both = np.log(np.concatenate([shape, np.conj(1 / shape)]))
-    return np.stack([both.real, both.imag], axis=1), sound
+    points = values @ np.array([1, 1j])
+    here = points[corners.node]
+    following = points[corners.node[np.where(number + 1 < end, number + 1, start)]] - here
+    previous = points[corners.node[np.where(number > start, number - 1, end - 1)]] - here
+    valid_mask = (following != 0) & (previous != 0)
+    quotients = np.where(valid_mask, previous, 1) / np.where(valid_mask, following, 1)
+    shapes = np.log(np.concatenate([quotients, np.conj(1 / quotients)]))
+    return np.stack([shapes.real, shapes.imag], axis=1), valid_mask
 
 
 @compiled
-def _cover(
-    search: _Search, stamp: int, polygon: int, image: int, mirrored: bool, most: int, mark: bool
+def _grow_region(
+    search: _Search, stamp: int, polygon: int, image: int, mirrored: bool, max_polygons: int, mark: bool
 ) -> float:
     """Return the bits saved by giving a polygon's first corner an image, and growing the region from it.
 
-    With `mark`, the polygons of the region, at most `most`, are marked as covered.
+    With `mark`, the polygons of the region, at most `max_polygons`, are marked as copied.
     """
     corners, places, values = search.corners, search.places, search.values
     node, twin, starts = corners.node, corners.twin, corners.starts
-    queue = np.empty((most, 2), dtype=np.int64)
+    queue = np.empty((max_polygons, 2), dtype=np.int64)
     queue[0, 0], queue[0, 1] = starts[polygon], image
-    search.polygons[polygon] = stamp
-    head, tail, saved = 0, 1, 0.0
-    # two nodes far from each other, and their images
+    search.polygon_stamps[polygon] = stamp
+    head, tail, saving = 0, 1, 0.0
+    # Two nodes far from each other, and their images.
     first, first_image = node[starts[polygon]], node[image]
     second = second_image = -1
-    far = 0
+    farthest = 0
     while head < tail:
         start, start_image = queue[head]
         head += 1
         own, other = corners.polygon[start], corners.polygon[start_image]
         size = starts[own + 1] - starts[own]
-        if starts[other + 1] - starts[other] != size or places[other] >= places[own] or search.covered[own]:
+        if starts[other + 1] - starts[other] != size or places[other] >= places[own] or search.copied[own]:
             continue
-        agrees, local = True, 0.0
-        corner, there = start, start_image
+        agrees, polygon_saving = True, 0.0
+        corner, corner_image = start, start_image
         for _ in range(size):
-            x, y = node[corner], node[there]
+            x, y = node[corner], node[corner_image]
             if second >= 0:
-                off = _off(values, x, y, first, first_image, second, second_image, mirrored)
-                distance = abs(values[y, 0] - values[first_image, 0]) + abs(
-                    values[y, 1] - values[first_image, 1]
-                )
-                if off > _OFF[0] + _OFF[1] * distance:
+                error = _copy_error(values, x, y, first, first_image, second, second_image, mirrored)
+                if error > _COPY_TOLERANCE[0] + _COPY_TOLERANCE[1] * _distance(values, y, first_image):
                     agrees = False
                     break
-                if search.nodes[x] != stamp:
-                    local += search.bits[x] - np.log2(1 + off)
-            corner = after(corners, corner)
-            there = before(corners, there) if mirrored else after(corners, there)
+                if search.node_stamps[x] != stamp:
+                    polygon_saving += search.bits[x] - np.log2(1 + error)
+            corner = next_corner(corners, corner)
+            corner_image = next_image(corners, corner_image, mirrored)
         if not agrees:
             continue
-        saved += local
+        saving += polygon_saving
         if mark:
-            search.covered[own] = True
-        corner, there = start, start_image
+            search.copied[own] = True
+        corner, corner_image = start, start_image
         for _ in range(size):
-            x, y = node[corner], node[there]
-            search.nodes[x] = stamp
-            distance = abs(values[y, 0] - values[first_image, 0]) + abs(values[y, 1] - values[first_image, 1])
-            if distance > far:
-                second, second_image, far = x, y, distance
-            beside = twin[corner]
-            edge = twin[before(corners, there)] if mirrored else twin[there]
-            if (
-                beside >= 0
-                and edge >= 0
-                and search.polygons[corners.polygon[beside]] != stamp
-                and tail < most
-            ):
-                search.polygons[corners.polygon[beside]] = stamp
-                queue[tail, 0] = beside
-                queue[tail, 1] = after(corners, edge) if mirrored else edge
+            x, y = node[corner], node[corner_image]
+            search.node_stamps[x] = stamp
+            distance = _distance(values, y, first_image)
+            if distance > farthest:
+                second, second_image, farthest = x, y, distance
+            across = twin[corner]
+            edge = twin[previous_corner(corners, corner_image)] if mirrored else twin[corner_image]
+            reached = corners.polygon[across]  # any, if there is none across
+            if across >= 0 and edge >= 0 and search.polygon_stamps[reached] != stamp and tail < max_polygons:
+                search.polygon_stamps[reached] = stamp
+                queue[tail, 0] = across
+                queue[tail, 1] = next_corner(corners, edge) if mirrored else edge
                 tail += 1
-            corner = after(corners, corner)
-            there = before(corners, there) if mirrored else after(corners, there)
-    return saved
+            corner = next_corner(corners, corner)
+            corner_image = next_image(corners, corner_image, mirrored)
+    return saving
 
 
 @compiled
-def _off(values: Index, x: int, y: int, p: int, p_image: int, q: int, q_image: int, mirrored: bool) -> float:
-    """Return the distance of a node from its position predicted by its image y, and p and q with theirs."""
+def _distance(values: Index, x: int, y: int) -> int:
+    """Return the distance of two nodes in steps, u and v added."""
+    distance: int = abs(values[x, 0] - values[y, 0]) + abs(values[x, 1] - values[y, 1])
+    return distance
+
+
+@compiled
+def _copy_error(
+    values: Index, x: int, y: int, p: int, p_image: int, q: int, q_image: int, mirrored: bool
+) -> float:
+    """Return the distance of node x from its position predicted by its image y, and p and q with their images."""
     sign = -1.0 if mirrored else 1.0
-    here_u, here_v = values[q, 0] - values[p, 0], values[q, 1] - values[p, 1]
-    there_u = values[q_image, 0] - values[p_image, 0]
-    there_v = sign * (values[q_image, 1] - values[p_image, 1])
-    away_u = values[y, 0] - values[p_image, 0]
-    away_v = sign * (values[y, 1] - values[p_image, 1])
-    whole = there_u * there_u + there_v * there_v
-    turn_u = (here_u * there_u + here_v * there_v) / whole
-    turn_v = (here_v * there_u - here_u * there_v) / whole
-    off: float = abs(values[p, 0] + turn_u * away_u - turn_v * away_v - values[x, 0])
-    off += abs(values[p, 1] + turn_u * away_v + turn_v * away_u - values[x, 1])
-    return off
+    side_u, side_v = values[q, 0] - values[p, 0], values[q, 1] - values[p, 1]
+    image_u = values[q_image, 0] - values[p_image, 0]
+    image_v = sign * (values[q_image, 1] - values[p_image, 1])
+    offset_u = values[y, 0] - values[p_image, 0]
+    offset_v = sign * (values[y, 1] - values[p_image, 1])
+    norm = image_u * image_u + image_v * image_v
+    turn_u = (side_u * image_u + side_v * image_v) / norm
+    turn_v = (side_v * image_u - side_u * image_v) / norm
+    error: float = abs(values[p, 0] + turn_u * offset_u - turn_v * offset_v - values[x, 0])
+    error += abs(values[p, 1] + turn_u * offset_v + turn_v * offset_u - values[x, 1])
+    return error
 
 
 UV_ERROR = 2.0**-16
 """Default largest error of u and v: 1/16 of a texel of a texture of 4096 x 4096."""
 
-MOST_UV_ERROR = 0.25
+MAX_UV_ERROR = 0.25
 """Largest allowed error: coarser grids have no steps between 0, 1/2 and 1."""
 
-_MOST_STEPS = 1 << 23
+_MAX_STEPS = 1 << 23
 """Largest coordinate in steps for which float32 separates adjacent steps."""
 
 
@@ -229,29 +231,29 @@ def with_quantised_uvs(
     header: SequenceHeader, uv_error: float = UV_ERROR, uvs: bool = True
 ) -> tuple[SequenceHeader, int | None]:
     """Return a header with rounded texture coordinates, and the number of grid steps per unit."""
-    if not 0 <= uv_error <= MOST_UV_ERROR:
-        raise SettingsError(f"uv_error is {uv_error}; a number from 0 to {MOST_UV_ERROR} is expected")
+    if not 0 <= uv_error <= MAX_UV_ERROR:
+        raise SettingsError(f"uv_error is {uv_error}; a number from 0 to {MAX_UV_ERROR} is expected")
     exact = header.surface.uvs
     if exact is None or (uvs and uv_error == 0):
         return header, None
     if not uvs:
         return _with_uvs(header, None), None
-    for steps in _numbers_of_steps(exact, uv_error):
+    for steps in _candidate_steps(exact, uv_error):
         values = exact.values.astype(np.float64)
-        rounded = grid_values(np.rint(values * steps).astype(np.int64), steps)
+        rounded = from_grid(np.rint(values * steps).astype(np.int64), steps)
         if (np.abs(rounded - values) <= uv_error).all():
             return _with_uvs(header, CornerValues(rounded, exact.indices)), steps
     return header, None
 
 
-def _numbers_of_steps(uvs: CornerValues, error: float) -> list[int]:
-    """Return candidate numbers of steps: the smallest possible, and one for which rounding to float32 does no harm."""
+def _candidate_steps(uvs: CornerValues, error: float) -> list[int]:
+    """Return candidate numbers of steps: the smallest possible, and one that allows for rounding to float32."""
     largest = float(np.abs(uvs.values).max(initial=0.0))
     if not np.isfinite(largest):
         return []
-    errors = [each for each in (error, error - largest * 2.0**-24) if each > 0]
-    numbers = [2 * ceil(0.25 / each) for each in errors]
-    return [steps for steps in numbers if max(largest, 1.0) * steps < _MOST_STEPS]
+    errors = [bound for bound in (error, error - largest * 2.0**-24) if bound > 0]
+    numbers = [2 * ceil(0.25 / bound) for bound in errors]
+    return [steps for steps in numbers if max(largest, 1.0) * steps < _MAX_STEPS]
 
 
 def _with_uvs(header: SequenceHeader, uvs: CornerValues | None) -> SequenceHeader:

@@ -26,18 +26,18 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.mesh.measures import triangle_areas
-from mixseq.mesh.nearest import attach
+from mixseq.mesh.nearest import attach_pieces
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import (
-    continuous_vectors,
-    inverse,
-    normalised,
-    product,
-    quaternions,
-    rotations_of,
-    turned,
+    continuous_rotvec,
+    matrix_to_quat,
+    normalise_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    rotate_vectors,
 )
-from mixseq.mesh.topology import Topology, connected
+from mixseq.mesh.topology import Topology, connected_components
 from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import Decomposition
 from mixseq.spaces.mixed import posing_kernels as kernels
@@ -176,8 +176,8 @@ class Articulation:
         rest = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.body_of_part]
         away = poses.centres - centres[:, self.body_of_part]
         moments = np.einsum("p,tpa,pb->tpab", self.masses, away, rest)
-        moments += (self.masses * np.square(self.radii))[:, None, None] * rotations_of(poses.rotations)
-        return Poses(quaternions(nearest_rotations(self._body_sums(moments))), centres)
+        moments += (self.masses * np.square(self.radii))[:, None, None] * quat_to_matrix(poses.rotations)
+        return Poses(matrix_to_quat(nearest_rotations(self._body_sums(moments))), centres)
 
     def _body_means(self, centres: Float) -> Float:
         """Means ``(T, B, 3)`` of the centres ``(T, p, 3)`` of parts."""
@@ -195,23 +195,23 @@ class Articulation:
 
     def to_body_axes(self, poses: Poses, bodies: Poses) -> Poses:
         """Return poses of parts ``(T, p)`` as seen from their bodies ``(T, B)``."""
-        back = inverse(normalised(bodies.rotations))[:, self.body_of_part]
+        back = quat_conjugate(normalise_quat(bodies.rotations))[:, self.body_of_part]
         away = poses.centres - bodies.centres[:, self.body_of_part]
-        return Poses(product(back, poses.rotations), turned(rotations_of(back), away))
+        return Poses(quat_multiply(back, poses.rotations), rotate_vectors(quat_to_matrix(back), away))
 
     def to_world_axes(self, poses: Poses, bodies: Poses) -> Poses:
         """Return poses of parts in the world; the inverse of `seen_from_bodies`."""
-        turns = normalised(bodies.rotations)[:, self.body_of_part]
-        centres = turned(rotations_of(turns), poses.centres) + bodies.centres[:, self.body_of_part]
-        return Poses(product(turns, poses.rotations), centres)
+        turns = normalise_quat(bodies.rotations)[:, self.body_of_part]
+        centres = rotate_vectors(quat_to_matrix(turns), poses.centres) + bodies.centres[:, self.body_of_part]
+        return Poses(quat_multiply(turns, poses.rotations), centres)
 
     def add_relations(self, poses: Poses) -> PartPoses:
         """Return poses ``(T, p)``, in any axes, with their relations."""
         i, j = self.pairs.T
-        back = inverse(poses.rotations[:, i])
-        pivots = turned(rotations_of(poses.rotations[:, j]), self.pivots) + poses.centres[:, j]
-        points = turned(rotations_of(back), pivots - poses.centres[:, i])
-        return PartPoses(*poses, product(back, poses.rotations[:, j]), points)
+        back = quat_conjugate(poses.rotations[:, i])
+        pivots = rotate_vectors(quat_to_matrix(poses.rotations[:, j]), self.pivots) + poses.centres[:, j]
+        points = rotate_vectors(quat_to_matrix(back), pivots - poses.centres[:, i])
+        return PartPoses(*poses, quat_multiply(back, poses.rotations[:, j]), points)
 
     # To frames ---------------------------------------------------------------------------------------------
 
@@ -233,7 +233,7 @@ class Articulation:
         radii = self.radii, np.minimum(self.radii[i], self.radii[j])
         found = []
         for turns, places, radius in zip(poses[::2], poses[1::2], radii, strict=True):
-            mean = normalised(turns.mean(axis=0))
+            mean = normalise_quat(turns.mean(axis=0))
             cosines = np.minimum(np.abs(np.einsum("tpi,pi->tp", turns, mean)), 1.0)
             angles = 2.0 * np.arccos(cosines) * radius
             away = np.linalg.norm(places - places.mean(axis=0), axis=2)
@@ -243,7 +243,9 @@ class Articulation:
 
     def pose_corrections(self, poses: Poses, targets: Poses) -> Float:
         """Return rotation vectors and shifts ``(T, 6 p)`` from poses to targets at increasing times."""
-        spins = continuous_vectors(rotations_of(product(inverse(poses.rotations), targets.rotations)))
+        spins = continuous_rotvec(
+            quat_to_matrix(quat_multiply(quat_conjugate(poses.rotations), targets.rotations))
+        )
         shifts = targets.centres - poses.centres
         return np.concatenate([each.reshape(len(each), -1) for each in (spins, shifts)], axis=1)
 
@@ -276,10 +278,10 @@ def find_articulation(
     `relation_weight` is the weight of a relation against a pose; by default all are equally steady.
     """
     labels, count = decomposition.part_of_face, len(decomposition.parts)
-    boundaries = Boundaries.of(topology, labels)
+    boundaries = Boundaries.from_labels(topology, labels)
     pairs, places = boundaries.parts, boundaries.middles(reference)
     areas = np.bincount(labels, triangle_areas(reference, topology.faces), minlength=count).astype(np.float64)
-    component = connected(count, pairs)
+    component = connected_components(count, pairs)
     part_of_vertex = np.full(topology.vertex_count, -1, dtype=np.int64)
     for number, part in enumerate(decomposition.parts):
         part_of_vertex[part] = number
@@ -288,8 +290,8 @@ def find_articulation(
         np.flatnonzero((part_of_vertex >= 0) & (component[part_of_vertex] == piece))
         for piece in range(component.max(initial=-1) + 1)
     ]
-    held = attach(pieces, reference, np.arange(len(reference)))
-    ends = np.stack([held.own, held.other], axis=1)
+    held = attach_pieces(pieces, reference, np.arange(len(reference)))
+    ends = np.stack([held.vertices, held.holder_vertices], axis=1)
     near = np.linalg.norm(np.diff(reference[ends], axis=1)[:, 0], axis=1) <= CONTACT_DISTANCE
     pairs = np.concatenate([pairs, part_of_vertex[ends[near]]])
     places = np.concatenate([places, reference[ends[near]].mean(axis=1)])
@@ -299,7 +301,7 @@ def find_articulation(
         radii=radii,
         masses=np.array([len(part) for part in decomposition.parts], dtype=np.float64),
         areas=areas,
-        body_of_part=connected(count, pairs),
+        body_of_part=connected_components(count, pairs),
         pairs=pairs,
         pivots=places - rest_centres[pairs[:, 1]],
         steadiness=Steadiness.uniform(count, len(pairs)) if steadiness is None else steadiness,

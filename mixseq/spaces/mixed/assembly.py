@@ -18,10 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.mesh.measures import edge_lengths, sound_lengths
+from mixseq.mesh.measures import clamp_lengths, edge_lengths
 from mixseq.mesh.rigid import kabsch
-from mixseq.mesh.rotations import inverse, product, quaternions, rotations_of
-from mixseq.mesh.topology import Topology, connected
+from mixseq.mesh.rotations import matrix_to_quat, quat_conjugate, quat_multiply, quat_to_matrix
+from mixseq.mesh.topology import Topology, connected_components
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells.face_frames import (
     FrameGraph,
@@ -97,7 +97,7 @@ class Assembly(PickledWithoutCaches):
     @cached_property
     def _seed_nodes(self) -> Index:
         """First node ``(r,)`` of every component connected across hinges: a part, if it has one."""
-        component = connected(self._node_count, self._node_of_face[self.topology.hinge_faces])
+        component = connected_components(self._node_count, self._node_of_face[self.topology.hinge_faces])
         return np.unique(component, return_index=True)[1]
 
     @cached_property
@@ -145,7 +145,9 @@ class Assembly(PickledWithoutCaches):
     @cached_property
     def _component_of_vertex(self) -> Index:
         """Component ``(V,)`` of every vertex, connected by edges and ties."""
-        return connected(self.topology.vertex_count, np.concatenate([self.topology.edges, self._ties[:, 1:]]))
+        return connected_components(
+            self.topology.vertex_count, np.concatenate([self.topology.edges, self._ties[:, 1:]])
+        )
 
     @cached_property
     def _components(self) -> list[tuple[Index, list[int]]]:
@@ -157,14 +159,14 @@ class Assembly(PickledWithoutCaches):
             for body in np.unique(of_seed)
         ]
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.frame_graph, self.shell, self._components
 
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:
         """Return the target lengths ``(E,)`` and angles ``(H,)`` of all edges and hinges."""
         lengths, angles = lengths_and_angles(frame.rest_vertices, self.topology.edges, self.topology.hinges)
-        lengths[self.edge_ids] = sound_lengths(frame.lengths, self.shell.length_weights[self.edge_ids])
+        lengths[self.edge_ids] = clamp_lengths(frame.lengths, self.shell.length_weights[self.edge_ids])
         angles[self.hinge_ids] = frame.angles
         return lengths, angles
 
@@ -194,12 +196,12 @@ class Assembly(PickledWithoutCaches):
         own[~loose] = triangle_frames(frame.rest_vertices, t.faces[~loose])
         first, second = own[t.hinge_faces[crossing]].transpose(1, 0, 2)
         across = self.hinges.rotations(flat, angles)[crossing]
-        turns = product(product(first, across), inverse(second))
+        turns = quat_multiply(quat_multiply(first, across), quat_conjugate(second))
         frames = self.frame_graph.chain(turns, self._seed_frames(frame))
         frames = self.frame_graph.average(frames, turns, AVERAGING_ROUNDS)
         sides = np.empty((len(t.faces), 3, 3))
         sides[loose] = rotate_sides(frames[self._node_of_face[loose]], flat[loose])
-        matrices = rotations_of(frames[:parts])
+        matrices = quat_to_matrix(frames[:parts])
         corners = frame.rest_vertices[t.faces[~loose]]
         inside = np.roll(corners, -1, axis=1) - corners
         sides[~loose] = inside @ np.swapaxes(matrices, 1, 2)[self._node_of_face[~loose]]
@@ -213,7 +215,7 @@ class Assembly(PickledWithoutCaches):
         for node, vertices in zip(self._seed_nodes, self._seed_vertices, strict=True):
             if node < len(self._rigid_parts):
                 found.append(
-                    quaternions(kabsch(frame.rest_vertices[vertices], frame.skinned_vertices[vertices])[0])
+                    matrix_to_quat(kabsch(frame.rest_vertices[vertices], frame.skinned_vertices[vertices])[0])
                 )
             else:
                 found.append(triangle_frames(frame.skinned_vertices[vertices], np.arange(3)[None])[0])

@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 
 from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, flat_faces, wrap
+from mixseq.mesh.measures import degenerate_faces, dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.rigid import mean_shape
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
-from mixseq.runtime.progress import Progress, silent
-from mixseq.segmentation.joints import Decomposition, frames_to_look_at
+from mixseq.runtime.progress import Progress, no_progress
+from mixseq.segmentation.joints import Decomposition, sample_frame_ids
 from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from mixseq.spaces.mixed.skinning_weights import fit_skinning_weights
-from mixseq.types import Float, FloatArray, Mask, evenly
+from mixseq.types import Float, FloatArray, Mask, evenly_spaced
 
 Purpose = Literal["sequence", "reduced", "blends"]
 """Use of a space: frames in time; models of a given rank or knots; blends of poses that may be far apart."""
@@ -85,7 +85,7 @@ def mixed_space(
     decomposition: Decomposition,
     placement: PlacementName = "anchored",
     purpose: Purpose = "sequence",
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> MixedSpace:
     """Make the mixed shape space of points ``(T, V, 3)`` in any unit.
 
@@ -96,7 +96,7 @@ def mixed_space(
         raise SettingsError(f"placement is {placement!r}; {' or '.join(map(repr, PLACEMENTS))} is expected")
     first = points[:1][0]
     scale = bounding_diagonal(first) or 1.0
-    frames = points[frames_to_look_at(len(points), MAX_SHAPE_FRAMES)]
+    frames = points[sample_frame_ids(len(points), MAX_SHAPE_FRAMES)]
     shapes = _round_positions(
         np.concatenate([mean_shape(frames[:, part] / scale) for part in decomposition.parts])
     )
@@ -180,7 +180,7 @@ def _limit_joint_faces(posed: MixedSpace, wrong: Float) -> Mask:
 
 def faces_without_area(topology: Topology, frames: FloatArray) -> Mask:
     """Mark the faces ``(F,)`` that have no area in some of the frames ``(S, V, 3)``."""
-    flat = [flat_faces(frame.astype(np.float64), topology.faces, MIN_HEIGHT_RATIO) for frame in frames]
+    flat = [degenerate_faces(frame.astype(np.float64), topology.faces, MIN_HEIGHT_RATIO) for frame in frames]
     return np.asarray(np.any(flat, axis=0))
 
 
@@ -233,14 +233,14 @@ def _all_pairs(frames: FloatArray) -> Iterator[FloatArray]:
 
 def _neighbour_pairs(frames: LargeArray) -> Iterator[FloatArray]:
     """Yield evenly spread pairs of neighbours among frames ``(T, V, 3)``."""
-    return (frames[first : first + 2] for first in frames_to_look_at(len(frames) - 1, MAX_NEIGHBOUR_PAIRS))
+    return (frames[first : first + 2] for first in sample_frame_ids(len(frames) - 1, MAX_NEIGHBOUR_PAIRS))
 
 
 def _torn_share(
     space: MixedSpace, pair: FloatArray, between: Callable[[MixedSpace, FloatArray], Float]
 ) -> float:
     """Share of faces, or of `SAMPLED_FACES` of them, that are torn in a mesh between two frames."""
-    faces = space.topology.faces[evenly(len(space.topology.faces), SAMPLED_FACES)]
+    faces = space.topology.faces[evenly_spaced(len(space.topology.faces), SAMPLED_FACES)]
     sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
     torn = _length_errors(between(space, pair), pair, sides) > TORN_STRETCH
     return float(torn.reshape(-1, 3).any(axis=1).mean())
@@ -266,5 +266,5 @@ def _length_errors(middle: Float, pair: FloatArray, edges: NDArray[np.integer]) 
 def _angle_errors(middle: Float, pair: FloatArray, hinges: NDArray[np.integer]) -> Float:
     """Return errors of angles ``(H,)``, in degrees, against those half-way between two frames."""
     first, second = dihedral_angles(pair.astype(np.float64), hinges)
-    wanted = first + 0.5 * wrap(second - first)
-    return np.degrees(np.abs(wrap(dihedral_angles(middle, hinges) - wanted)))
+    wanted = first + 0.5 * wrap_angles(second - first)
+    return np.degrees(np.abs(wrap_angles(dihedral_angles(middle, hinges) - wanted)))

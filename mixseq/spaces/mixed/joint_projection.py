@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.mesh.measures import edge_lengths, wrap
+from mixseq.mesh.measures import edge_lengths, wrap_angles
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.jit import compiled, inlined
 from mixseq.runtime.lazy import PickledWithoutCaches
@@ -334,8 +334,8 @@ class JointProjection(PickledWithoutCaches):
     joint_faces: Mask  # (F,) faces whose lengths and angles have targets
     position_weight: float  # weight of posed vertices and frames against sides and hinges
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.frame_factor, self.vertex_factor
 
     @cached_property
@@ -478,7 +478,7 @@ class JointProjection(PickledWithoutCaches):
         all_lengths, all_angles = lengths_and_angles(x, topology.edges, topology.hinges)
         sound = triangle_quality(flatten_triangles(all_lengths, topology.face_edges.astype(np.int64)))
         part = sound[topology.hinge_faces[self.hinge_ids]].prod(axis=1)
-        all_angles[self.hinge_ids] += part * wrap(angles - all_angles[self.hinge_ids])
+        all_angles[self.hinge_ids] += part * wrap_angles(angles - all_angles[self.hinge_ids])
         all_lengths[self.edge_ids] = np.maximum(lengths, 0.0)
         return all_lengths, all_angles
 

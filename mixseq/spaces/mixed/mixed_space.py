@@ -32,11 +32,19 @@ from scipy import sparse
 
 from mixseq.choices import PlacementName
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, wrap
-from mixseq.mesh.rotations import continued, exponentials, inverse, product, quaternions, rotations_of, turned
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, wrap_angles
+from mixseq.mesh.rotations import (
+    align_quat_signs,
+    matrix_to_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_matrix,
+    rotate_vectors,
+    rotvec_to_quat,
+)
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, silent
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.shell import Relaxation
 from mixseq.spaces.base import ANGLE_WEIGHT, ShapeSpace, radii_of_gyration
@@ -201,7 +209,7 @@ class MixedSpace(ShapeSpace):
     def _rest_poses(self) -> Poses:
         """Poses of the parts in the reference frame, from their mean shapes."""
         _, rotations, centres = register_parts(self.shapes, self.decomposition.parts, self.reference)
-        return Poses(quaternions(rotations)[None], centres[None])
+        return Poses(matrix_to_quat(rotations)[None], centres[None])
 
     @cached_property
     def part_radii(self) -> Float:
@@ -221,8 +229,8 @@ class MixedSpace(ShapeSpace):
             self.projection.relations,
         )
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         _ = self.articulation._systems, self.articulation._tree, self._skinning, self.block_sizes
         if self.placement == "free":
             return (self.assembly,)
@@ -359,7 +367,7 @@ class MixedSpace(ShapeSpace):
         frames = [frame.astype(np.float64) / self.scale for frame in points]
         found = [register_parts(self.shapes, self.decomposition.parts, x)[1:] for x in frames]
         rotations, centres = (np.stack(each) for each in zip(*found, strict=True))
-        turns = product(quaternions(rotations), inverse(self._rest_poses.rotations))
+        turns = quat_multiply(matrix_to_quat(rotations), quat_conjugate(self._rest_poses.rotations))
         world = Poses(turns, centres)
         bodies = self.articulation.fit_bodies(world)
         parts = self.articulation.add_relations(self.articulation.to_body_axes(world, bodies))
@@ -390,7 +398,9 @@ class MixedSpace(ShapeSpace):
         before = None if previous is None else self.split(previous[None])
         start = self.measure_joints(self.reference)[1] if before is None else before.angles[0]
         signed = {
-            name: continued(getattr(blocks, name), None if before is None else getattr(before, name)[0])
+            name: align_quat_signs(
+                getattr(blocks, name), None if before is None else getattr(before, name)[0]
+            )
             for name in QUATERNION_BLOCKS
         }
         return self.join(blocks._replace(angles=unwrap_angles(blocks.angles, start), **signed))
@@ -405,7 +415,7 @@ class MixedSpace(ShapeSpace):
 
     # Decoding ----------------------------------------------------------------------------------------------
 
-    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
+    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
         """Implement `ShapeSpace.decode`: the projection P_m, frame by frame."""
         blocks = self.split(np.asarray(vectors, dtype=np.float64))
         points = np.empty((len(vectors), self.vertex_count, 3))
@@ -474,7 +484,7 @@ class MixedSpace(ShapeSpace):
         first, second = (x / self.scale for x in (before, after))
         (lengths, angles), (other_lengths, other_angles) = map(self.measure_joints, (first, second))
         unposed = self._unskin(duals, second) - self._unskin(duals, first)
-        change = other_lengths - lengths, wrap(other_angles - angles), unposed.reshape(-1)
+        change = other_lengths - lengths, wrap_angles(other_angles - angles), unposed.reshape(-1)
         return np.concatenate([*change, np.zeros(self.pose_dim)])
 
     # Between frames ----------------------------------------------------------------------------------------
@@ -485,7 +495,7 @@ class MixedSpace(ShapeSpace):
         """Implement `ShapeSpace.interpolate_poses`: in the world, optionally in the body, and by neighbours."""
         found, seen = self.pose_interpolation(operator, poses, placements, in_body).at(times)
         before = self.unpack_placements(placements[:1]).rotations[0]
-        placed = self.pack_placements(found._replace(rotations=continued(found.rotations, before)))
+        placed = self.pack_placements(found._replace(rotations=align_quat_signs(found.rotations, before)))
         return np.concatenate([each.reshape(len(times), -1) for each in seen], axis=1), placed
 
     def pose_interpolation(
@@ -496,7 +506,7 @@ class MixedSpace(ShapeSpace):
         world = self.articulation.to_world_axes(
             Poses(parts.rotations, parts.centres), self.unpack_placements(placements)
         )
-        world = world._replace(rotations=continued(world.rotations))
+        world = world._replace(rotations=align_quat_signs(world.rotations))
         return PoseInterpolation(self.articulation, operator, world, in_body)
 
     def to_body_axes(self, points: Float, vertices: Index, placements: Float) -> Float:
@@ -504,8 +514,8 @@ class MixedSpace(ShapeSpace):
         bodies = self.unpack_placements(placements)
         weights = self.skinning_weights[vertices]
         body = self.articulation.body_of_part[np.asarray(weights.argmax(axis=1)).reshape(-1)]
-        back = np.swapaxes(rotations_of(bodies.rotations), -1, -2)[:, body]
-        return turned(back, points - self.scale * bodies.centres[:, body])
+        back = np.swapaxes(quat_to_matrix(bodies.rotations), -1, -2)[:, body]
+        return rotate_vectors(back, points - self.scale * bodies.centres[:, body])
 
     def quaternion_signs(self, poses: Float, before: Float) -> Float:
         """Implement `ShapeSpace.quaternion_signs`."""
@@ -530,7 +540,7 @@ class MixedSpace(ShapeSpace):
         """Return part poses ``(T, p)`` relative to bodies, of pose columns and corrections ``(T, ...)``."""
         agreed = self.articulation.reconcile(self.split_poses(poses))
         spins, shifts = corrections.reshape(len(poses), 2, -1, 3).swapaxes(0, 1)
-        return Poses(product(agreed.rotations, exponentials(spins)), agreed.centres + shifts)
+        return Poses(quat_multiply(agreed.rotations, rotvec_to_quat(spins)), agreed.centres + shifts)
 
 
 def as_mixed(space: ShapeSpace) -> MixedSpace:

@@ -25,7 +25,7 @@ from functools import cached_property
 import numpy as np
 
 from mixseq.mesh.rigid import nearest_rotations
-from mixseq.mesh.rotations import continued, quaternions, rotations_of, turned
+from mixseq.mesh.rotations import align_quat_signs, matrix_to_quat, quat_to_matrix, rotate_vectors
 from mixseq.spaces.mixed.articulation import Articulation
 from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, chain_rotations, interpolate_poses
 from mixseq.types import Float, Index, Mask
@@ -89,7 +89,7 @@ class PoseInterpolation:
         parts = self.articulation.pairs
         if not len(parts):
             turns = np.swapaxes(mean[:, :, :3], -1, -2)
-            return bodies, Poses(quaternions(nearest_rotations(turns)), mean[:, :, 3])
+            return bodies, Poses(matrix_to_quat(nearest_rotations(turns)), mean[:, :, 3])
         seen = _interpolate_relations(rows, self._frame_relations, self.articulation.pivots)
         return bodies, Poses(*_fuse(mean, own, seen, RELATION_WEIGHT * self._relation_precisions, parts))
 
@@ -103,9 +103,9 @@ class PoseInterpolation:
     def _frame_poses(self) -> tuple[Poses, Poses]:
         """Body poses at the frames, and part poses relative to them."""
         bodies = self.articulation.fit_bodies(self.poses)
-        bodies = bodies._replace(rotations=continued(bodies.rotations))
+        bodies = bodies._replace(rotations=align_quat_signs(bodies.rotations))
         seen = self.articulation.to_body_axes(self.poses, bodies)
-        return bodies, seen._replace(rotations=continued(seen.rotations))
+        return bodies, seen._replace(rotations=align_quat_signs(seen.rotations))
 
     @cached_property
     def _left_out(self) -> tuple[Index, FrameWeights]:
@@ -136,7 +136,7 @@ class PoseInterpolation:
     def _frame_relations(self) -> Poses:
         """Relations at the frames ``(T, n)``: rotations, and places of pivots."""
         related = self.articulation.add_relations(self.poses)
-        return Poses(continued(related.relation_rotations), related.relation_points)
+        return Poses(align_quat_signs(related.relation_rotations), related.relation_points)
 
     @cached_property
     def _relation_precisions(self) -> Float:
@@ -152,16 +152,16 @@ class PoseInterpolation:
 
 def _keep_frames(frames: Poses, predicted: Poses, known: Mask) -> Poses:
     """Return predicted poses, replaced by those of the frames at known times ``(N, 1, 1)``."""
-    turns = continued(predicted.rotations, frames.rotations[0])
+    turns = align_quat_signs(predicted.rotations, frames.rotations[0])
     return Poses(np.where(known, frames.rotations, turns), np.where(known, frames.centres, predicted.centres))
 
 
 def _interpolate_relations(rows: FrameWeights, related: Poses, pivots: Float) -> Float:
     """Predict relations, as matrices G ``(N, n, 4, 4)``."""
-    rotations = rotations_of(chain_rotations(rows, related.rotations))
+    rotations = quat_to_matrix(chain_rotations(rows, related.rotations))
     result = np.zeros((*rotations.shape[:2], 4, 4))
     result[..., :3, :3] = np.swapaxes(rotations, -1, -2)
-    result[..., 3, :3] = rows.interpolate(related.centres) - turned(rotations, pivots)
+    result[..., 3, :3] = rows.interpolate(related.centres) - rotate_vectors(rotations, pivots)
     result[..., 3, 3] = 1.0
     return result
 
@@ -198,10 +198,10 @@ def _fuse(alone: Float, own: Float, seen: Float, relative: Float, parts: Index) 
         right[:, first] += np.swapaxes(forth[:, link], -1, -2) @ residuals[:, link]
     change = np.linalg.solve(system.reshape(count, 4 * size, 4 * size), right.reshape(count, 4 * size, 3))
     together = alone + change.reshape(count, size, 4, 3)
-    return quaternions(nearest_rotations(np.swapaxes(together[:, :, :3], -1, -2))), together[:, :, 3]
+    return matrix_to_quat(nearest_rotations(np.swapaxes(together[:, :, :3], -1, -2))), together[:, :, 3]
 
 
 def _pose_matrices(poses: Poses) -> Float:
     """Poses as matrices X ``(T, p, 4, 3)``."""
-    rotations = np.swapaxes(rotations_of(poses.rotations), -1, -2)
+    rotations = np.swapaxes(quat_to_matrix(poses.rotations), -1, -2)
     return np.concatenate([rotations, poses.centres[:, :, None]], axis=2)

@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.rotations import turned
-from mixseq.mesh.topology import Topology, vertices_near
+from mixseq.mesh.rotations import rotate_vectors
+from mixseq.mesh.topology import Topology, dilate_vertices
 from mixseq.runtime.jit import compiled
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.solvers import factorise
@@ -172,7 +172,7 @@ def fit_skinning_weights(
             x = frame.astype(np.float64)
             _, rotations, centres = register_parts(shapes, decomposition.parts, x)
             turns = rotations @ np.swapaxes(rest, 1, 2)
-            shifts = centres - turned(turns, rest_centres)
+            shifts = centres - rotate_vectors(turns, rest_centres)
             accumulate_errors(some, parts, shares, turns, shifts, reference[near], x[near], products, apart)
         starts, others = graph.indptr.astype(np.int64), graph.indices.astype(np.int64)
         strengths = SMOOTHNESS_WEIGHT * apart + MOTION_NOISE * len(frames)
@@ -201,7 +201,7 @@ def _split_vertices(topology: Topology, decomposition: Decomposition) -> tuple[I
         near[topology.faces] = True
     else:
         near[topology.faces[part[topology.faces] != labels]] = True
-        near = vertices_near(topology, near, FITTED_BOUNDARY_RINGS)
+        near = dilate_vertices(topology, near, FITTED_BOUNDARY_RINGS)
     far = np.flatnonzero(~near)
     return np.flatnonzero(near), far, part[far]
 

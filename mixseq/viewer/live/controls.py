@@ -19,25 +19,14 @@ from mixseq.operations import cut, drag, exaggerate, exaggerate_part, hold, loop
 from mixseq.operations.sketch import default_reach
 from mixseq.pictures.colours import Colouring, SceneColours
 from mixseq.pictures.scene import Scene
-from mixseq.sequence.frame_rates import frame_text, number_at, time_of
+from mixseq.sequence.frame_rates import format_frame, number_to_time, time_to_number
 from mixseq.signals.model import Model
 from mixseq.signals.pose import Plane
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.viewer.export import script_json
 from mixseq.viewer.live.stage import LiveStage
 from mixseq.viewer.playback import Moment, Playback
-from mixseq.viewer.session import (
-    Drag,
-    Edit,
-    Message,
-    RayHit,
-    Retime,
-    Seek,
-    Session,
-    Sketch,
-    before_retiming,
-    chart_data,
-)
+from mixseq.viewer.session import Drag, Edit, Message, RayHit, Retime, Seek, Session, Sketch, chart_data
 
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 SLIDER_HOLD_SECONDS = 0.5
@@ -66,11 +55,11 @@ class TimeBase:
 
     def number(self, elapsed: float) -> float:
         """Return the frame number at elapsed seconds."""
-        return number_at(self.start + elapsed, self.fps)
+        return time_to_number(self.start + elapsed, self.fps)
 
     def elapsed(self, number: float) -> float:
         """Return the elapsed seconds of a frame number."""
-        return time_of(number, self.fps) - self.start
+        return number_to_time(number, self.fps) - self.start
 
     @property
     def slider(self) -> tuple[float, float, float, int]:
@@ -82,7 +71,10 @@ class TimeBase:
 
     def text(self, elapsed: float) -> str:
         """Format elapsed seconds as frame and time, with those of the last frame."""
-        number, end = frame_text(self.start + elapsed, self.fps), frame_text(self.start + self.last, self.fps)
+        number, end = (
+            format_frame(self.start + elapsed, self.fps),
+            format_frame(self.start + self.last, self.fps),
+        )
         return f"frame {number} of {end}, {self.start + elapsed:.3f} of {self.start + self.last:.3f} s"
 
 
@@ -102,7 +94,7 @@ class PlayControls:
         self._text = gui.add_html("")
         speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1")
         self._rate = gui.add_number(
-            "Frames/s", playback.scene.fps, min=1e-3, max=1e4, hint="Models are decoded at any frame rate"
+            "Frames/s", playback.scene.fps, min=1e-3, max=1e4, hint="Playback frame rate"
         )
         self._button.on_click(lambda _: self.toggle())
         self._slider.on_update(self._scrub)
@@ -168,21 +160,14 @@ class DisplayControls:
             self._colour = gui.add_dropdown("Colour", colours.names, initial_value="clay")
             self._legend = gui.add_html("")
             wireframe = gui.add_checkbox("Wireframe", False)
-            follow = gui.add_checkbox(
-                "Follow", stage.following, hint="Keep bodies that travel in the middle of the view"
-            )
+            follow = gui.add_checkbox("Follow", stage.following, hint="Follow bodies that travel")
             if len(names) > 1:
-                arrangement = gui.add_dropdown(
-                    "Meshes",
-                    (SIDE_BY_SIDE, OVERLAID),
-                    initial_value=OVERLAID if stage.overlaid else SIDE_BY_SIDE,
-                )
+                initial = OVERLAID if stage.overlaid else SIDE_BY_SIDE
+                arrangement = gui.add_dropdown("Meshes", (SIDE_BY_SIDE, OVERLAID), initial_value=initial)
                 arrangement.on_update(lambda _: self._arrange(playback, arrangement.value == SIDE_BY_SIDE))
                 for index, name in enumerate(names):
-                    checkbox = gui.add_checkbox(name, True)
-                    checkbox.on_update(
-                        lambda _, of=index, checkbox=checkbox: stage.set_visible(of, checkbox.value)
-                    )
+                    box = gui.add_checkbox(name, True)
+                    box.on_update(lambda _, index=index, box=box: stage.set_visible(index, box.value))
             self._picked = gui.add_html(_text_line("Click a mesh for its vertex and part", "mixseq-picked"))
         self._colour.on_update(lambda event: self._set_colour(event, playback))
         wireframe.on_update(lambda _: stage.set_wireframe(wireframe.value))
@@ -312,7 +297,7 @@ class Charts:
             history = self._session.history
             data = chart_data(history.current.model, self._plane) | {"reach": self._reach}
             if keys := history.current.keys:  # the keys can still be moved
-                source = before_retiming(history).current.model
+                source = history.undo().current.model
                 data |= {"keys": keys, "source": [source.start, source.end]}
             self._signals.content = (
                 f'<script type="application/json" id="mixseq-signals" data-version="{self._version}">'
@@ -352,9 +337,8 @@ class Charts:
                 edit = partial(drag, time=time, to=target.tolist(), reach=self._reach, plane=self._plane)
                 session.edit("drag", edit, preview=not is_done)
             case Sketch(points):
-                session.edit(
-                    "sketch", partial(sketch, curve=points, duration=self._seconds, plane=self._plane)
-                )
+                edit = partial(sketch, curve=points, duration=self._seconds, plane=self._plane)
+                session.edit("sketch", edit)
             case Retime(keys, is_done):
                 session.retime(keys, preview=not is_done)
 
@@ -382,8 +366,8 @@ NO_HOLD_MESSAGE = (
     "keys of the retiming"
 )
 
-MIN_DURATION_SECONDS = 1e-3
-"""Smallest duration in controls."""
+MIN_DURATION = 1e-3
+"""Smallest duration in controls, in seconds."""
 
 
 class Editor:
@@ -406,24 +390,20 @@ class Editor:
             self._undo = gui.add_button_group("Steps", ("Undo", "Redo"))
             self._steps = gui.add_html("")
             pen = gui.add_checkbox("Pen", False, hint="Draw a new curve (or drag with shift)")
-            self._seconds = gui.add_number(
-                "Draw for (s)", duration(model), min=MIN_DURATION_SECONDS, step=0.05
-            )
+            self._seconds = gui.add_number("Draw for (s)", duration(model), min=MIN_DURATION, step=0.05)
             self._reach = gui.add_number(
                 "Drag over (s)",
                 reach_of(model),
-                min=MIN_DURATION_SECONDS,
+                min=MIN_DURATION,
                 step=0.01,
                 hint="Time before and after the point within which the curve follows it",
             )
-            self._section = gui.add_multi_slider(
-                "Section (s)", *span(model), MIN_DURATION_SECONDS, span(model)
-            )
+            self._section = gui.add_multi_slider("Section (s)", *span(model), MIN_DURATION, span(model))
             self._frames = gui.add_html("")
             self._times = gui.add_number("Times", 2, min=1, max=100, step=1, hint="Number of repetitions")
             sections = gui.add_button_group("", ("Repeat", "Cut", "Loop", "Reverse"))
             self._part = gui.add_dropdown(
-                "Part", (WHOLE_BODY, *_parts(model)), hint="Click a part of the mesh to choose it"
+                "Part", (WHOLE_BODY, *_parts(model)), hint="Or click a part of the mesh"
             )
             self._gain = gui.add_number("Gain", 1.5, min=-10.0, max=10.0, step=0.1)
             parts = gui.add_button_group("", ("Exaggerate", "Hold"))
@@ -502,9 +482,8 @@ class Editor:
             notify(client, "Hold: not done", NO_HOLD_MESSAGE)
         else:
             start, end = self._section_times
-            self._session.edit(
-                "hold", partial(hold, part=int(part), time=self._current_time, start=start, end=end)
-            )
+            time = self._current_time
+            self._session.edit("hold", partial(hold, part=int(part), time=time, start=start, end=end))
 
     @property
     def _section_times(self) -> tuple[float, float]:
@@ -515,7 +494,7 @@ class Editor:
 
     def _show_section_frames(self) -> None:
         fps = self._session.model.header.fps
-        first, last = (frame_text(time, fps) for time in self._section_times)
+        first, last = (format_frame(time, fps) for time in self._section_times)
         self._frames.content = _text_line(f"frames {first} to {last}", "mixseq-section")
 
     @property
@@ -532,20 +511,20 @@ class Editor:
 
 def span(model: Model) -> tuple[float, float]:
     """Return start and end of a model in seconds, at least a frame apart, rounded outwards to steps of the slider."""
-    first = float(np.floor(model.start / MIN_DURATION_SECONDS + 1e-6) * MIN_DURATION_SECONDS)
-    last = float(np.ceil(model.end / MIN_DURATION_SECONDS - 1e-6) * MIN_DURATION_SECONDS)
-    return first, max(last, first + max(1 / model.header.fps, MIN_DURATION_SECONDS))
+    first = float(np.floor(model.start / MIN_DURATION + 1e-6) * MIN_DURATION)
+    last = float(np.ceil(model.end / MIN_DURATION - 1e-6) * MIN_DURATION)
+    return first, max(last, first + max(1 / model.header.fps, MIN_DURATION))
 
 
 def duration(model: Model) -> float:
     """Return the duration of a model in seconds, at least a frame, rounded up to steps of the controls."""
-    seconds = max(model.end - model.start, 1 / model.header.fps, MIN_DURATION_SECONDS)
-    return float(np.ceil(seconds / MIN_DURATION_SECONDS - 1e-6) * MIN_DURATION_SECONDS)
+    seconds = max(model.end - model.start, 1 / model.header.fps, MIN_DURATION)
+    return float(np.ceil(seconds / MIN_DURATION - 1e-6) * MIN_DURATION)
 
 
 def reach_of(model: Model) -> float:
     """Return the default reach of drags, in seconds."""
-    return max(round(default_reach(model), 3), MIN_DURATION_SECONDS)
+    return max(round(default_reach(model), 3), MIN_DURATION)
 
 
 def _parts(model: Model) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import SCENE_SIZE, Scene, SceneItem
 from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.suggestions import MIN_EXAMINED_MARKERS, Examination
-from mixseq.sequence.sequence import MeshSequence, frame_store
+from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.types import Float, Index
 from mixseq.viewer.live.controls import notify_all
 from mixseq.viewer.live.stage import LiveStage
@@ -90,7 +90,7 @@ class MarkingStage:
     """Balls and numbers of markers in the scene of a viser server."""
 
     def __init__(
-        self, server: Any, topologies: tuple[Topology, Topology], on_click: Callable[[int, int], None]
+        self, server: Any, topologies: Sequence[Topology], on_click: Callable[[int, int], None]
     ) -> None:
         from trimesh.creation import icosphere
 
@@ -276,9 +276,7 @@ def _hint_text(marking: Marking, names: tuple[str, str]) -> str:
     count = len(marking.pairs)
     pair_count = f"{count} pair{'' if count == 1 else 's'}. "
     if marking.selected is not None:
-        text = (
-            f"{_format_number(marking.selected)} is selected: click its new place on either mesh, or Delete"
-        )
+        text = f"{_format_number(marking.selected)} is selected: click its new place, or Delete"
     elif marking.started is None:
         text = (
             f"Click a point of {escape(names[0])} or {escape(names[1])}; click a number to move or delete it"
@@ -307,15 +305,15 @@ def _map_lines(marking: Marking, examination: Examination | None, work: str) -> 
         worst_ids = np.argsort(-percent, kind="stable")[:MAX_LISTED_MARKERS]
         worst = ", ".join(f"{_format_number(int(k))} {percent[k]:.1f} %" for k in worst_ids)
         lines = [
-            f"error of the markers in a stiff map: {np.median(percent):.1f} % of the diagonal (median), "
+            f"Error of the markers in a stiff map: {np.median(percent):.1f} % of the diagonal (median), "
             f"{percent.max():.1f} % (largest)",
-            f"largest errors: {worst}",
+            f"Largest errors: {worst}",
             f"{100 * examination.coverage:.0f} % of the target covered",
         ]
     elif examination.refusal:
         lines = [escape(examination.refusal)]
     elif count < MIN_EXAMINED_MARKERS:
-        lines = [f"shows how well pairs fit, from {MIN_EXAMINED_MARKERS} pairs on"]
+        lines = [f"Shows how well pairs fit, from {MIN_EXAMINED_MARKERS} pairs on"]
     warnings = (escape(suspicion.message) for suspicion in examination.suspicions)
     return [*lines, *(f'<span style="color: #c92a2a">{warning}</span>' for warning in warnings)]
 
@@ -361,7 +359,7 @@ class MarkedMeshes:
             points = np.asarray(mesh.points[:1], np.float64)
             size = float(np.linalg.norm(np.ptp(points[0], axis=0))) or 1.0
             rest = MeshSequence.from_header(mesh.header.with_times([0.0]), points / size)
-            items.append(SceneItem(name, frame_store(rest)))
+            items.append(SceneItem(name, load_frames(rest)))
         return Scene(tuple(items))
 
 
@@ -384,14 +382,11 @@ class MarkingViewer:
         self._controls: MarkingControls | None = None  # the session may change before they exist
         scene = meshes.scene
         topologies = [Topology(mesh.faces, mesh.vertex_count) for mesh in (meshes.source, meshes.target)]
-        self._balls = MarkingStage(
-            server, (topologies[0], topologies[1]), lambda side, row: self.session.click_ball(side, row)
-        )
+        self._balls = MarkingStage(server, topologies, lambda side, row: self.session.click_ball(side, row))
         camera = settings.camera or VIEWS["Left"]
         self._stage = LiveStage(server, SceneColours(scene), settings.material, False, lambda _: None, camera)
-        self._playback = stack.enter_context(
-            Playback(scene, self._stage, self._on_playback_failure, threads=1)
-        )
+        playback = Playback(scene, self._stage, self._on_playback_failure, threads=1)
+        self._playback = stack.enter_context(playback)
         self.session = stack.enter_context(MarkingSession(meshes.source, meshes.target, meshes.markers, self))
         add_bridge(server, self._on_message)
         self._controls = MarkingControls(

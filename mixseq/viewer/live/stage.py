@@ -18,7 +18,7 @@ GROUND_COLOUR = (243, 243, 240)
 GRID_COLOUR = (222, 222, 218)
 PICK_COLOUR = (20, 20, 20)
 
-GRID_CELL_SIZE = SCENE_SIZE / 2
+GRID_CELL = SCENE_SIZE / 2
 """Size of the cells of the ground's grid, in scene units."""
 
 ASPECT_TOLERANCE = 0.02
@@ -108,18 +108,13 @@ class LiveStage:
             for index, (points, colours) in enumerate(zip(moment.poses, self.colours, strict=True)):
                 placed, shift = self._world_points(self._arrangement, index, points)
                 if index == 0:
-                    self._ground.position = (
-                        -shift[0] % GRID_CELL_SIZE,
-                        -1e-3 * SCENE_SIZE,
-                        -shift[2] % GRID_CELL_SIZE,
-                    )
+                    self._ground.position = (-shift[0] % GRID_CELL, -1e-3 * SCENE_SIZE, -shift[2] % GRID_CELL)
                 self._meshes[index].vertices = placed - self._arrangement.offsets[index].astype(np.float32)
                 if self._picked is not None and self._picked[0] == index:
                     self._pick_ball.position = placed[self._picked[1]]
                 if not colours.is_constant or self._sent_colourings[index] is not colours:
-                    self._colour_clouds[index].colors = srgb_to_linear(colours.palette)[
-                        colours.entries(points, elapsed)
-                    ]
+                    entries = colours.entries(points, elapsed)
+                    self._colour_clouds[index].colors = srgb_to_linear(colours.palette)[entries]
                     self._sent_colourings[index] = colours
             self._on_show(moment)
 
@@ -211,7 +206,7 @@ class LiveStage:
             extent,
             plane="xz",
             cell_size=SCENE_SIZE / 10,
-            section_size=GRID_CELL_SIZE,
+            section_size=GRID_CELL,
             cell_color=GRID_COLOUR,
             section_color=GRID_COLOUR,
             plane_color=GROUND_COLOUR,

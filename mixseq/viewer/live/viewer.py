@@ -18,7 +18,7 @@ from typing import Any
 
 from mixseq.errors import MissingExtraError, SettingsError
 from mixseq.pictures.colours import SceneColours
-from mixseq.runtime.progress import warnings_heard
+from mixseq.runtime.progress import forward_warnings
 from mixseq.viewer.export import chart_scripts, read_script, script_json
 from mixseq.viewer.live.controls import DisplayControls, Editor, PlayControls, notify_all
 from mixseq.viewer.live.stage import LiveStage
@@ -236,5 +236,5 @@ def run_viewer(colours: SceneColours, settings: ViewSettings, save: Save) -> Ite
         server, address = stack.enter_context(run_server(settings.host, settings.port))
         running = Viewer(server, address, colours, settings, save, stack)
         # warnings of background threads
-        stack.enter_context(warnings_heard(lambda text: notify_all(server, "Warning", text)))
+        stack.enter_context(forward_warnings(lambda text: notify_all(server, "Warning", text)))
         yield running

@@ -1,93 +1,93 @@
-// The camera: an orthographic view that is turned, moved and zoomed by mouse, fingers and keys.
+// The camera: an orthographic view with orbit, pan and zoom by mouse, touch and keys.
 "use strict";
 
-/** The rotation to the screen (right, up, towards the camera) of an orthographic view, as mixseq/plots/camera.py has it; degrees. */
+/** Rotation to the screen (right, up, towards the camera) of an orthographic view; as View.rotation in mixseq/pictures/scene.py. Degrees. */
 var mixseqRotation = function (azimuth, elevation) {
   const [ca, sa, ce, se] = [azimuth, elevation].map((d) => (d * Math.PI) / 180).flatMap((a) => [Math.cos(a), Math.sin(a)]);
   return [[ca, 0, -sa], [-se * sa, ce, -se * ca], [ce * sa, se, ce * ca]];
 };
 
 /**
- * Make a camera that listens to an element. `changed()` is told when it moved; `middleOf(event)` is the middle of the
- * picture that an event is in, in pixels of the window.
+ * Make a camera that listens to an element. `onChange()` is called when it moves; `centreOf(event)` returns the centre of
+ * the panel of an event, in pixels of the window.
  *
- * It has `yaw` and `pitch`, degrees that are added to where meshes are seen from first, `zoom`, and `pan`, in pixels.
+ * It has `yaw` and `pitch`, degrees relative to the initial view, `zoom`, and `pan`, in pixels.
  */
-var mixseqCamera = function (element, changed, middleOf) {
-  const DEGREES_PER_PIXEL = 0.4, ZOOM = [0.2, 40];
-  const start = { yaw: 0, pitch: 0, zoom: 1, pan: [0, 0] };
-  const camera = { ...start, rows, reset, turn, zoomBy };
-  const fingers = new Map();
-  let lowest = -90, highest = 90;
+var mixseqCamera = function (element, onChange, centreOf) {
+  const DEGREES_PER_PIXEL = 0.4, ZOOM_LIMITS = [0.2, 40];
+  const initial = { yaw: 0, pitch: 0, zoom: 1, pan: [0, 0] };
+  const camera = { ...initial, rotation, reset, orbit, zoomBy };
+  const pointers = new Map();
+  let minPitch = -90, maxPitch = 90;
 
-  /** The rotation to the screen for what is first seen from somewhere. */
-  function rows(azimuth, elevation) {
-    [lowest, highest] = [-90 - elevation, 90 - elevation];
+  /** Current rotation to the screen of meshes with an initial view. */
+  function rotation(azimuth, elevation) {
+    [minPitch, maxPitch] = [-90 - elevation, 90 - elevation];
     return mixseqRotation(azimuth + camera.yaw, elevation + camera.pitch);
   }
 
   function reset() {
-    Object.assign(camera, start);
-    changed();
+    Object.assign(camera, initial);
+    onChange();
   }
 
-  function turn(right, down) {
+  function orbit(right, down) {
     camera.yaw = (camera.yaw - right * DEGREES_PER_PIXEL) % 360;
-    camera.pitch = Math.min(Math.max(camera.pitch + down * DEGREES_PER_PIXEL, lowest), highest);
-    changed();
+    camera.pitch = Math.min(Math.max(camera.pitch + down * DEGREES_PER_PIXEL, minPitch), maxPitch);
+    onChange();
   }
 
-  function move(right, down) {
+  function pan(right, down) {
     camera.pan = [camera.pan[0] + right, camera.pan[1] + down];
-    changed();
+    onChange();
   }
 
-  /** Zoom such that a place, in pixels from the middle, stays where it is. */
-  function zoomBy(factor, place = [0, 0]) {
-    const zoom = Math.min(Math.max(camera.zoom * factor, ZOOM[0]), ZOOM[1]), share = zoom / camera.zoom;
-    camera.pan = camera.pan.map((value, k) => place[k] - (place[k] - value) * share);
+  /** Zoom about a fixed point, in pixels from the centre. */
+  function zoomBy(factor, fixed = [0, 0]) {
+    const zoom = Math.min(Math.max(camera.zoom * factor, ZOOM_LIMITS[0]), ZOOM_LIMITS[1]), ratio = zoom / camera.zoom;
+    camera.pan = camera.pan.map((value, k) => fixed[k] - (fixed[k] - value) * ratio);
     camera.zoom = zoom;
-    changed();
+    onChange();
   }
 
-  function placeOf(event) {
-    const [x, y] = middleOf(event);
+  function offsetOf(event) {
+    const [x, y] = centreOf(event);
     return [event.clientX - x, event.clientY - y];
   }
 
-  /** The middle of all fingers, and how far they are from it. */
+  /** Centre of all pointers, and their mean distance from it. */
   function spread() {
-    const all = [...fingers.values()], count = all.length;
-    const x = all.reduce((sum, finger) => sum + finger[0], 0) / count;
-    const y = all.reduce((sum, finger) => sum + finger[1], 0) / count;
-    return { x, y, size: all.reduce((sum, finger) => sum + Math.hypot(finger[0] - x, finger[1] - y), 0) / count };
+    const all = [...pointers.values()], count = all.length;
+    const x = all.reduce((sum, pointer) => sum + pointer[0], 0) / count;
+    const y = all.reduce((sum, pointer) => sum + pointer[1], 0) / count;
+    return { x, y, size: all.reduce((sum, pointer) => sum + Math.hypot(pointer[0] - x, pointer[1] - y), 0) / count };
   }
 
   function drag(event) {
-    if (!fingers.has(event.pointerId)) return;
+    if (!pointers.has(event.pointerId)) return;
     const before = spread();
-    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
     const after = spread(), right = after.x - before.x, down = after.y - before.y;
-    if (fingers.size > 1) {
-      if (before.size > 0) zoomBy(after.size / before.size, placeOf({ clientX: after.x, clientY: after.y }));
-      move(right, down);
-    } else if (event.shiftKey || event.buttons & 6) move(right, down);
-    else turn(right, down);
+    if (pointers.size > 1) {
+      if (before.size > 0) zoomBy(after.size / before.size, offsetOf({ clientX: after.x, clientY: after.y }));
+      pan(right, down);
+    } else if (event.shiftKey || event.buttons & 6) pan(right, down);
+    else orbit(right, down);
   }
 
   function wheel(event) {
     event.preventDefault();
     const pixels = event.deltaY * [1, 16, 400][event.deltaMode];
-    // a trackpad's pinch comes as a wheel with ctrl, in small steps
-    zoomBy(Math.exp(-pixels * (event.ctrlKey ? 0.01 : 0.0015)), placeOf(event));
+    // trackpads report a pinch as a wheel event with ctrl, in small steps
+    zoomBy(Math.exp(-pixels * (event.ctrlKey ? 0.01 : 0.0015)), offsetOf(event));
   }
 
   element.addEventListener("pointerdown", (event) => {
-    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
     element.setPointerCapture(event.pointerId);
   });
   element.addEventListener("pointermove", drag);
-  for (const end of ["pointerup", "pointercancel"]) element.addEventListener(end, (event) => fingers.delete(event.pointerId));
+  for (const end of ["pointerup", "pointercancel"]) element.addEventListener(end, (event) => pointers.delete(event.pointerId));
   element.addEventListener("wheel", wheel, { passive: false });
   element.addEventListener("contextmenu", (event) => event.preventDefault());
   element.addEventListener("dblclick", reset);

@@ -2,35 +2,35 @@
 "use strict";
 
 (function (parts) {
-  /** Round numbers from low to high, as many as there can be but no more than `most`, and how they are written. */
-  parts.ticks = function (low, high, most) {
-    const ten = 10 ** Math.floor(Math.log10((high - low) / (most + 1)));
+  /** Up to `maxCount` round numbers from low to high, and a function that formats them. */
+  parts.ticks = function (low, high, maxCount) {
+    const ten = 10 ** Math.floor(Math.log10((high - low) / (maxCount + 1)));
     const count = (step) => Math.floor(high / step + 1e-9) - Math.ceil(low / step - 1e-9) + 1;
-    const step = [1, 2, 5, 10, 20].map((k) => k * ten).find((size) => count(size) <= most);
+    const step = [1, 2, 5, 10, 20].map((k) => k * ten).find((size) => count(size) <= maxCount);
     const digits = parts.clamp(-Math.floor(Math.log10(step) + 1e-9), 0, 12), values = [];
     for (let k = Math.ceil(low / step - 1e-9); k <= high / step + 1e-9; k++) values.push(k * step);
-    const write = (value) => (Math.abs(value) < step / 2 ? 0 : value).toFixed(digits).replace("-", "\u2212");
-    return { values, write };
+    const format = (value) => (Math.abs(value) < step / 2 ? 0 : value).toFixed(digits).replace("-", "\u2212");
+    return { values, write: format };
   };
 
-  /** The length 1, 2 or 5 times a power of ten that is nearest below another. */
+  /** Largest length of 1, 2 or 5 times a power of ten that is not above another. */
   parts.roundBelow = function (length) {
     const ten = 10 ** Math.floor(Math.log10(length) + 1e-9);
     return ten * [5, 2, 1].find((k) => k * ten <= length * (1 + 1e-9));
   };
 
-  /** A time for people: as many digits as pixels of a chart that spans so many seconds can tell. */
+  /** Format a time, with the digits that a chart of a duration can resolve. */
   parts.seconds = (time, span) => time.toFixed(span > 20 ? 1 : span > 2 ? 2 : 3).replace("-", "\u2212") + " s";
 
-  /** The same without zeros at the end, where it need not keep its width. */
+  /** Format a time without trailing zeros, where its width may change. */
   parts.brief = (time, span) => String(Number(time.toFixed(span > 20 ? 1 : span > 2 ? 2 : 3))).replace("-", "\u2212") + " s";
 
   /**
-   * Draw axes into a pane and return the maps between numbers and pixels.
-   * `x` and `y` are the ends [low, high]; `under` is what x is, beside its last tick; `now` is the present time, whose
-   * place on the axis is left free; `tell` writes a time.
+   * Draw axes in a pane, and return the conversions between values and pixels.
+   * `x` and `y` are the ranges [low, high], `label` is that of the x axis. The current time `now` is kept free of ticks;
+   * `formatTime` formats it.
    */
-  parts.axes = function (context, pane, x, y, under, now, tell) {
+  parts.axes = function (context, pane, x, y, label, now, formatTime) {
     const look = pane.look, inner = { top: 7, bottom: pane.height - 20 };
     const up = parts.ticks(y[0], y[1], parts.clamp(Math.floor((inner.bottom - inner.top) / 26), 3, 8));
     const labels = up.values.map(up.write);
@@ -51,25 +51,25 @@
     for (const value of along.values) line(axes.x(value), inner.top, axes.x(value), inner.bottom);
     Object.assign(context, { textAlign: "right", textBaseline: "middle" });
     up.values.forEach((value, k) => context.fillText(labels[k], inner.left - 6, axes.y(value)));
-    const free = inner.right - context.measureText(under).width - 8;
+    const free = inner.right - context.measureText(label).width - 8;
     axes.chip = (time) => {
-      const half = context.measureText(tell(time)).width / 2 + 5;
+      const half = context.measureText(formatTime(time)).width / 2 + 5;
       return [parts.clamp(axes.x(time), half + 1, pane.width - half - 1), half];
     };
     const [taken, reach] = axes.chip(now);
     Object.assign(context, { textAlign: "center", textBaseline: "top" });
     for (const value of along.values) {
-      const label = along.write(value), half = context.measureText(label).width / 2;
+      const text = along.write(value), half = context.measureText(text).width / 2;
       const clear = Math.abs(axes.x(value) - taken) > half + reach + 2;
-      if (clear && axes.x(value) + half <= free) context.fillText(label, axes.x(value), inner.bottom + 5);
+      if (clear && axes.x(value) + half <= free) context.fillText(text, axes.x(value), inner.bottom + 5);
     }
     context.textAlign = "right";
-    if (taken + reach <= free + 6) context.fillText(under, inner.right, inner.bottom + 5);
+    if (taken + reach <= free + 6) context.fillText(label, inner.right, inner.bottom + 5);
     return axes;
   };
 
-  /** The line of the present time, which `tell` writes on the axis. */
-  parts.playhead = function (context, pane, axes, time, tell) {
+  /** Draw the playhead, with its time on the axis. */
+  parts.playhead = function (context, pane, axes, time, formatTime) {
     const place = axes.x(time), [middle, half] = axes.chip(time);
     if (place < axes.left - 1 || place > axes.right + 1) return;
     Object.assign(context, { strokeStyle: pane.look.now, lineWidth: 1.5 });
@@ -82,11 +82,11 @@
     context.roundRect(middle - half, axes.bottom + 2, 2 * half, 17, 4);
     context.fill();
     Object.assign(context, { fillStyle: pane.look.background, textAlign: "center", textBaseline: "middle" });
-    context.fillText(tell(time), middle, axes.bottom + 11);
+    context.fillText(formatTime(time), middle, axes.bottom + 11);
   };
 
-  /** Say why a chart is empty. */
-  parts.tell = function (context, pane, text) {
-    parts.words(context, pane.look, text, pane.width / 2, pane.height / 2, { colour: pane.look.quiet });
+  /** Write the reason why a chart is empty. */
+  parts.writeNote = function (context, pane, text) {
+    parts.drawText(context, pane.look, text, pane.width / 2, pane.height / 2, { colour: pane.look.quiet });
   };
 })(mixseqChartParts);

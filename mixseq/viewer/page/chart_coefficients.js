@@ -1,4 +1,4 @@
-// The largest coordinates of the time signal over time; a click or a drag goes there.
+// The coordinates of the time signal with the largest movement over time; click or drag to scrub.
 "use strict";
 
 (function (parts) {
@@ -17,10 +17,10 @@
       const context = pane.begin(), signals = shared.signals;
       axes = null;
       if (!signals || !pane.width) return;
-      const { start, end, times, coefficients } = signals, tell = shared.tell(end - start);
-      if (!coefficients.length) return parts.tell(context, pane, "the model has no shape modes");
+      const { start, end, times, coefficients } = signals, formatTime = shared.timeFormatter(end - start);
+      if (!coefficients.length) return parts.writeNote(context, pane, "the model has no shape modes");
       const ends = end > start ? [start, end] : [start - 0.5, start + 0.5];
-      axes = parts.axes(context, pane, ends, range(coefficients), "time (s)", shared.now, tell);
+      axes = parts.axes(context, pane, ends, range(coefficients), "time (s)", shared.now, formatTime);
       Object.assign(context, { strokeStyle: look.faint, lineWidth: 1 });
       parts.trace(context, [[axes.left, axes.y(0)], [axes.right, axes.y(0)]]);
       context.stroke();
@@ -32,7 +32,7 @@
         context.stroke();
         if (values.length === 1) context.fillRect(axes.x(times[0]) - 3, axes.y(values[0]) - 3, 6, 6);
       });
-      parts.playhead(context, pane, axes, shared.now, tell);
+      parts.playhead(context, pane, axes, shared.now, formatTime);
     }
 
     const seek = ([x]) => shared.seek(parts.clamp(axes.fromX(x), shared.signals.start, shared.signals.end));

@@ -1,16 +1,16 @@
-// The time signal in the plane that shows most of it: the curve, frames as dots, handles, the present time.
+// The time signal in the plane of its principal directions: the curve, frames as dots, handles, the current time.
 "use strict";
 
 (function (parts) {
-  const MARGIN = 24;     // pixels around the curve, for labels
+  const MARGIN = 24; // pixels around the curve, for labels
 
-  /** From 0 until start to 1 from end on, as `smoothstep` of mixseq.operations.sculpt. */
+  /** Rise from 0 at start to 1 at end, as `smoothstep` of mixseq.operations.sculpt. */
   function smoothstep(time, start, end) {
     const x = 3 * parts.clamp((time - start) / (end - start), 0, 1);
     return (x ** 3 - 3 * Math.max(x - 1, 0) ** 3 + 3 * Math.max(x - 2, 0) ** 3) / 6;
   }
 
-  const { distance, dot, TREMBLE } = parts;
+  const { distance, dot, DRAG_THRESHOLD } = parts;
 
   function boundsOf(points) {
     const xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
@@ -19,16 +19,16 @@
 
   parts.layoutChart = function (pane, shared, handlers) {
     const look = pane.look;
-    let bounds = [-1, 1, -1, 1];  // what is shown, in diagonals
-    let map = null;               // between diagonals and pixels, as drawn last
-    let hand = null;              // {kind: "handle" | "stroke" | "seek", ...} while a pointer is down
-    let kept = null;              // what was dropped or drawn last, until the answer is shown
+    let bounds = [-1, 1, -1, 1];  // visible range, in diagonals
+    let map = null;               // conversion between diagonals and pixels
+    let drag = null;              // {kind: "handle" | "stroke" | "seek", ...} while a pointer is down
+    let pending = null;           // last drag, until its result arrives
     let hovered = -1;
 
-    /** The handle that is dragged, or was dropped and is not answered yet. */
-    const dragged = () => [hand, kept].find((each) => each?.kind === "handle" && each.moved) ?? null;
+    /** The handle that is dragged, or was dropped and has no result yet. */
+    const dragged = () => [drag, pending].find((each) => each?.kind === "handle" && each.moved) ?? null;
 
-    /** Handles, the one in the hand where the hand is. */
+    /** Handles, the dragged one at the pointer. */
     function handles() {
       const held = dragged(), all = shared.signals.handles;
       if (!held || !all.length) return all;
@@ -36,7 +36,7 @@
       return all.map((handle) => (handle === own ? { time: held.time, at: held.to } : handle));
     }
 
-    /** Show all of a curve; what already shows well stays as it is. */
+    /** Fit the visible range to a curve, unless it is visible and large enough. */
     function fit(force) {
       const { path, frames, handles } = shared.signals;
       const [x0, x1, y0, y1] = boundsOf([...path, ...frames, ...handles.map((h) => h.at)]);
@@ -61,11 +61,11 @@
 
     const share = (time) => (time - shared.signals.start) / (shared.signals.end - shared.signals.start || 1);
 
-    /** The path as a drag bends it, where it does (mixseq.operations.sketch); it is shown before it is computed. */
+    /** Preview of a drag: the changed section of the path (mixseq.operations.sketch). */
     function bent({ time, to }) {
       const { times, path, reach } = shared.signals;
       const from = parts.pointAt(times, path, time), change = to.map((value, axis) => value - from[axis]);
-      if (Math.hypot(...change) * map.scale < TREMBLE) return [];
+      if (Math.hypot(...change) * map.scale < DRAG_THRESHOLD) return [];
       const weight = (at) => smoothstep(at, time - reach, time) * (1 - smoothstep(at, time, time + reach));
       const near = times.map((at, k) => k).filter((k) => Math.abs(times[k] - time) < reach);
       return near.map((k) => map.to(path[k].map((value, axis) => value + weight(times[k]) * change[axis])));
@@ -104,16 +104,16 @@
       }
       if (shared.editable) {
         handles().forEach((handle, k) => {
-          const inHand = hand?.kind === "handle" && hand.time === handle.time, lit = inHand || k === hovered;
+          const isDragged = drag?.kind === "handle" && drag.time === handle.time, lit = isDragged || k === hovered;
           dot(context, map.to(handle.at), lit ? 7 : 5);
-          Object.assign(context, { fillStyle: inHand ? look.hand : look.background, strokeStyle: lit ? look.hand : look.ink, lineWidth: lit ? 2.5 : 1.5 });
+          Object.assign(context, { fillStyle: isDragged ? look.hand : look.background, strokeStyle: lit ? look.hand : look.ink, lineWidth: lit ? 2.5 : 1.5 });
           context.fill();
           context.stroke();
         });
       }
-      const stroke = hand?.kind === "stroke" ? hand.points : kept?.kind === "stroke" ? kept.points : null;
+      const stroke = drag?.kind === "stroke" ? drag.points : pending?.kind === "stroke" ? pending.points : null;
       if (stroke) {
-        Object.assign(context, { strokeStyle: look.hand, lineWidth: 2.5, globalAlpha: hand ? 1 : 0.5 });
+        Object.assign(context, { strokeStyle: look.hand, lineWidth: 2.5, globalAlpha: drag ? 1 : 0.5 });
         parts.trace(context, stroke.map(map.to));
         context.stroke();
         context.globalAlpha = 1;
@@ -135,7 +135,7 @@
       return map.to(parts.pointAt(times, path, shared.now));
     }
 
-    /** The time of the place of the path that is nearest to a pointer, if it is within reach. */
+    /** Time of the point of the path nearest to a pointer, null if it is out of reach. */
     function timeNear(place, reach) {
       const { times, path } = shared.signals;
       let best = null, least = reach;
@@ -163,49 +163,49 @@
       down(place, event) {
         if (!map) return false;
         if (drawing(event)) {
-          hand = { kind: "stroke", points: [map.from(place)] };
+          drag = { kind: "stroke", points: [map.from(place)] };
         } else {
           const number = handleAt(place, event);
           const time = number < 0 ? timeNear(place, pane.reach(event)) : handles()[number].time;
           if (time === null) return false;
           if (number < 0) {
-            hand = { kind: "seek" };
+            drag = { kind: "seek" };
             shared.seeking = true;
             shared.seek(time);
           } else {
             const at = handles()[number].at, seen = map.to(at);
-            hand = { kind: "handle", time, to: at, down: place, grip: [seen[0] - place[0], seen[1] - place[1]], moved: false };
+            drag = { kind: "handle", time, to: at, down: place, grip: [seen[0] - place[0], seen[1] - place[1]], moved: false };
             pane.canvas.style.cursor = "grabbing";
           }
         }
-        kept = null;
+        pending = null;
         shared.redraw();
         return true;
       },
       move(place, event) {
-        if (hand.kind === "stroke") {
+        if (drag.kind === "stroke") {
           for (const each of event.getCoalescedEvents?.() ?? []) extend(pane.place(each));
           extend(place);
-        } else if (hand.kind === "seek") {
+        } else if (drag.kind === "seek") {
           const time = timeNear(place, Infinity);
           if (time !== null) shared.seek(time);
-        } else if (hand.moved || distance(place, hand.down) > TREMBLE) {
-          hand.moved = true;
-          hand.to = map.from([place[0] + hand.grip[0], place[1] + hand.grip[1]]);
-          handlers.onDrag?.({ time: hand.time, to: hand.to, done: false });
+        } else if (drag.moved || distance(place, drag.down) > DRAG_THRESHOLD) {
+          drag.moved = true;
+          drag.to = map.from([place[0] + drag.grip[0], place[1] + drag.grip[1]]);
+          handlers.onDrag?.({ time: drag.time, to: drag.to, done: false });
         }
         shared.redraw();
       },
       up() {
-        const done = hand;
-        hand = null;
+        const done = drag;
+        drag = null;
         shared.seeking = false;
         pane.canvas.style.cursor = "";
-        if (done.kind === "stroke" && lengthOf(done.points) * map.scale > 4 * TREMBLE) {
-          kept = done;
+        if (done.kind === "stroke" && lengthOf(done.points) * map.scale > 4 * DRAG_THRESHOLD) {
+          pending = done;
           handlers.onSketch?.(done.points);
         } else if (done.kind === "handle" && done.moved) {
-          kept = done;
+          pending = done;
           handlers.onDrag?.({ time: done.time, to: done.to, done: true });
         } else if (done.kind === "handle") {
           shared.seek(done.time);
@@ -221,7 +221,7 @@
     });
 
     function extend(place) {
-      const points = hand.points, last = map.to(points[points.length - 1]);
+      const points = drag.points, last = map.to(points[points.length - 1]);
       if (distance(last, place) >= 2) points.push(map.from(place));
     }
 
@@ -235,8 +235,8 @@
     return {
       draw,
       show(first) {
-        kept = null;
-        if (hand === null || hand.kind === "seek") fit(first);
+        pending = null;
+        if (drag === null || drag.kind === "seek") fit(first);
         hovered = Math.min(hovered, shared.signals.handles.length - 1);
         hint();
       },

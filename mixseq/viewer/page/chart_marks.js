@@ -1,4 +1,4 @@
-// What stands around a curve: dots, labels that find a free place, and the scales of lengths and of colours.
+// Marks around a curve: dots, labels in free places, and scales of length and time.
 "use strict";
 
 (function (parts) {
@@ -7,7 +7,7 @@
     context.arc(x, y, radius, 0, 2 * Math.PI);
   };
 
-  /** Write a label around a place where it is farthest from others; returns places that it takes. */
+  /** Write a label beside a point, as far as possible from others; returns points that it covers. */
   parts.label = function (context, pane, text, at, avoid) {
     const half = context.measureText(text).width / 2;
     let best = null;
@@ -20,11 +20,11 @@
       if (!best || room > best.room + 1) best = { place, room };
     }
     const place = best ? best.place : at;
-    parts.words(context, pane.look, text, ...place);
+    parts.drawText(context, pane.look, text, ...place);
     return [-1, -0.5, 0, 0.5, 1].flatMap((part) => [-8, 8].map((up) => [place[0] + part * half, place[1] + up]));
   };
 
-  /** Draw how long a round number of diagonals is, of `scale` pixels each; returns where that ends. */
+  /** Draw a scale bar of a round number of diagonals, of `scale` pixels each; returns its right end. */
   parts.scaleBar = function (context, pane, scale) {
     const length = parts.roundBelow(Math.min(90, pane.width / 4) / scale), y = pane.height - 9, left = 1;
     const right = left + length * scale;
@@ -32,22 +32,22 @@
     parts.trace(context, [[left, y - 4], [left, y], [right, y], [right, y - 4]]);
     context.stroke();
     const text = `${Number(length.toPrecision(1))} diagonal${length === 1 ? "" : "s"}`;
-    parts.words(context, pane.look, text, right + 7, y - 2, { align: "left", colour: pane.look.quiet });
+    parts.drawText(context, pane.look, text, right + 7, y - 2, { align: "left", colour: pane.look.quiet });
     return right + 7 + context.measureText(text).width;
   };
 
-  /** Draw which colours the times from start to end have, if there is room beside what is taken. */
-  parts.timeBar = function (context, pane, { start, end }, taken) {
+  /** Draw the colour bar of times from start to end, if there is space to the right of `minLeft`. */
+  parts.timeBar = function (context, pane, { start, end }, minLeft) {
     const y = pane.height - 14, width = 56, colour = pane.look.quiet;
     if (!(end > start)) return;
     const late = parts.brief(end, end - start), early = parts.brief(start, end - start);
     const right = pane.width - 2 - context.measureText(late).width - 5, left = right - width;
-    if (left - context.measureText(early).width - 12 < taken) return;
+    if (left - context.measureText(early).width - 12 < minLeft) return;
     const fill = context.createLinearGradient(left, 0, right, 0);
     for (let k = 0; k <= 9; k++) fill.addColorStop(k / 9, parts.viridis(k / 9));
     context.fillStyle = fill;
     context.fillRect(left, y, width, 6);
-    parts.words(context, pane.look, early, left - 5, y + 3, { align: "right", colour });
-    parts.words(context, pane.look, late, right + 5, y + 3, { align: "left", colour });
+    parts.drawText(context, pane.look, early, left - 5, y + 3, { align: "right", colour });
+    parts.drawText(context, pane.look, late, right + 5, y + 3, { align: "left", colour });
   };
 })(mixseqChartParts);

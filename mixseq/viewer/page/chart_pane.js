@@ -1,4 +1,4 @@
-// What all charts share: a canvas under a heading, sharp on any screen, its pointer, and the colours.
+// Common parts of all charts: panes with a heading and a canvas, pointer events, and colours.
 "use strict";
 
 var mixseqChartParts = {};
@@ -7,7 +7,7 @@ var mixseqChartParts = {};
   const FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif";
   parts.font = "12px " + FONT;
 
-  // Orange is what is now, blue is what the hand does; red means joints, and joints are not here.
+  // Orange is the current time, blue is a drag; red is reserved for joints.
   parts.LIGHT = {
     background: "#ffffff", ink: "#3a3a3a", quiet: "#76736e", faint: "#b9b6b0", grid: "#e9e7e3", dotEdge: "#ffffff",
     curve: "#a5a29c", now: "#e8590c", hand: "#1c7ed6", lines: ["#31688e", "#d08c2c", "#4a9d6e", "#8d5fa8", "#8a8a8a"],
@@ -20,7 +20,7 @@ var mixseqChartParts = {};
   const VIRIDIS = ["#440154", "#482878", "#3e4989", "#31688e", "#26828e", "#1f9e89", "#35b779", "#6ece58", "#b5de2b", "#fde725"];
   const STOPS = VIRIDIS.map((hex) => [1, 3, 5].map((k) => parseInt(hex.slice(k, k + 2), 16)));
 
-  /** The colour of a share from 0 to 1 in viridis (Smith and van der Walt 2015), between ten of its colours. */
+  /** Colour of a number from 0 to 1 in viridis (Smith and van der Walt 2015), interpolated between ten of its colours. */
   parts.viridis = function (share) {
     const place = Math.min(Math.max(share, 0), 1) * (STOPS.length - 1);
     const first = Math.min(Math.floor(place), STOPS.length - 2);
@@ -28,14 +28,14 @@ var mixseqChartParts = {};
     return `rgb(${mixed.join(",")})`;
   };
 
-  /** So many pixels a hand may move without meaning it. */
-  parts.TREMBLE = 3;
+  /** Pixels that a pointer may move without a drag. */
+  parts.DRAG_THRESHOLD = 3;
 
   parts.distance = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
 
   parts.clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
-  /** The last place in increasing times that is not after a time, such that there is a next one if there are two. */
+  /** Index of the interval of increasing times that contains a time, the first or last one outside. */
   parts.interval = function (times, time) {
     let low = 0, high = times.length - 1;
     while (high - low > 1) {
@@ -45,7 +45,7 @@ var mixseqChartParts = {};
     return low;
   };
 
-  /** Where a polygon through points is at a time. */
+  /** Point of a polyline at a time. */
   parts.pointAt = function (times, points, time) {
     const first = parts.interval(times, time), next = Math.min(first + 1, times.length - 1);
     const share = next > first ? parts.clamp((time - times[first]) / (times[next] - times[first]), 0, 1) : 0;
@@ -76,8 +76,8 @@ var mixseqChartParts = {};
     return made;
   }
 
-  /** Make an element the place of charts; what was in it is gone. */
-  parts.furnish = function (root, look, editable) {
+  /** Replace the content of an element by charts. */
+  parts.initialize = function (root, look, editable) {
     root.replaceChildren();
     root.classList.add("mixseq-charts");
     root.classList.toggle("editable", editable);
@@ -85,7 +85,7 @@ var mixseqChartParts = {};
     child(root, "style", STYLE);
   };
 
-  /** A canvas under a heading. `begin` clears it and returns its context; lengths are pixels of the page. */
+  /** Make a canvas with a heading. `begin` clears it and returns its context; lengths are CSS pixels. */
   parts.pane = function (root, look, title) {
     const section = child(root, "section"), header = child(section, "header");
     child(header, "b", title);
@@ -120,22 +120,22 @@ var mixseqChartParts = {};
       Object.assign(context, { font: parts.font, lineJoin: "round", lineCap: "round" });
       return context;
     };
-    /** Where a pointer is on the canvas, in its pixels. */
+    /** Position of a pointer on the canvas. */
     pane.place = function (event) {
       const box = canvas.getBoundingClientRect();
       return [event.clientX - box.left, event.clientY - box.top];
     };
-    /** Where a place of the canvas is in the window. */
+    /** Position in the window of a point of the canvas. */
     pane.outside = function ([x, y]) {
       const box = canvas.getBoundingClientRect();
       return [x + box.left, y + box.top];
     };
-    /** How far from a thing a pointer still means it: fingers are thicker than mice. */
+    /** Distance within which a pointer picks something, larger for touch. */
     pane.reach = (event) => (event.pointerType === "touch" ? 24 : 11);
     return pane;
   };
 
-  /** Follow a pointer on a pane: `down(place, event)` tells whether it is taken, and then it is until up. */
+  /** Handle drags on a pane: `down(place, event)` returns whether a drag starts; hover is called otherwise. */
   parts.follow = function (pane, { down, move, up, hover }) {
     const canvas = pane.canvas;
     let taken = null;
@@ -159,7 +159,7 @@ var mixseqChartParts = {};
     canvas.addEventListener("pointerleave", (event) => taken === null && hover(null, event));
   };
 
-  /** The number of the place that is nearest to another and within reach, or -1. */
+  /** Index of the point nearest to another within reach, or -1. */
   parts.nearest = function (places, from, reach) {
     let best = -1, least = reach;
     places.forEach((place, k) => {
@@ -169,13 +169,14 @@ var mixseqChartParts = {};
     return best;
   };
 
-  /** Words on a halo, so that they can be read on lines. */
-  parts.words = function (context, look, text, x, y, { align = "center", baseline = "middle", colour = look.ink } = {}) {
+  /** Draw text with a halo, readable on lines. */
+  parts.drawText = function (context, look, text, x, y, { align = "center", baseline = "middle", colour = look.ink } = {}) {
     Object.assign(context, { textAlign: align, textBaseline: baseline, lineWidth: 4, strokeStyle: look.background, fillStyle: colour });
     context.strokeText(text, x, y);
     context.fillText(text, x, y);
   };
 
+  /** Begin a path through points. */
   parts.trace = function (context, places) {
     context.beginPath();
     for (const [x, y] of places) context.lineTo(x, y);

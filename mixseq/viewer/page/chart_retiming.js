@@ -1,13 +1,13 @@
-// Which time of the source is shown at which time of the output: a curve through keys.
+// The retiming: source time over output time, a curve through keys.
 "use strict";
 
 (function (parts) {
   const HINT = "drag a key · double-click adds or removes";
-  const GAP = 1e-3;      // of the source's duration, between the outputs of neighbours
+  const MIN_KEY_DISTANCE = 1e-3; // between output times, as a fraction of the source's duration
 
   /**
-   * The monotone cubic through keys (Fritsch and Carlson 1980), as the Python class Retiming makes it: weighted harmonic
-   * means of slopes inside, three-point formulas at the ends. Returns time -> [source, speed].
+   * Monotone cubic interpolation of keys (Fritsch and Carlson 1980), as in the Python class Retiming: weighted harmonic
+   * means of slopes inside, three-point formulas at the ends. Returns a function from output time to [source, speed].
    */
   parts.monotone = function (keys) {
     const n = keys.length, steps = [], slopes = [];
@@ -39,9 +39,9 @@
 
   parts.retimingChart = function (pane, shared, handlers) {
     const look = pane.look;
-    let keys = [], source = [0, 1];  // source: where the source starts and ends
-    let outputs = [0, 1];            // the ends of the output's axis, with room to drag the ends
-    let axes = null, hand = null, hovered = -1, reading = null;
+    let keys = [], source = [0, 1];  // keys [output, source]; start and end of the source
+    let outputs = [0, 1];            // range of the output axis, with space to drag the ends
+    let axes = null, drag = null, hovered = -1, reading = null;
 
     const places = () => keys.map(([output, time]) => [axes.x(output), axes.y(time)]);
     const copy = () => keys.map((key) => key.slice());
@@ -50,10 +50,10 @@
       const context = pane.begin();
       axes = null;
       if (!shared.signals || !pane.width) return;
-      if (keys.length < 2) return parts.tell(context, pane, "one frame: nothing to retime");
-      const span = source[1] - source[0], tell = shared.tell(span), room = 0.06 * span;
-      axes = parts.axes(context, pane, outputs, [source[0] - room, source[1] + room], "output (s)", shared.now, tell);
-      parts.words(context, look, "source (s)", axes.left + 5, axes.top, { align: "left", baseline: "top", colour: look.quiet });
+      if (keys.length < 2) return parts.writeNote(context, pane, "one frame: nothing to retime");
+      const span = source[1] - source[0], formatTime = shared.timeFormatter(span), room = 0.06 * span;
+      axes = parts.axes(context, pane, outputs, [source[0] - room, source[1] + room], "output (s)", shared.now, formatTime);
+      parts.drawText(context, look, "source (s)", axes.left + 5, axes.top, { align: "left", baseline: "top", colour: look.quiet });
       const low = Math.max(source[0], outputs[0]), high = Math.min(source[1], outputs[1]);
       Object.assign(context, { strokeStyle: look.faint, lineWidth: 1 });
       context.setLineDash([3, 4]);
@@ -70,10 +70,10 @@
       Object.assign(context, { strokeStyle: look.lines[0], lineWidth: 1.8 });
       parts.trace(context, line);
       context.stroke();
-      parts.playhead(context, pane, axes, shared.now, tell);
+      parts.playhead(context, pane, axes, shared.now, formatTime);
 
       places().forEach(([x, y], k) => {
-        const held = hand?.number === k, size = held || k === hovered ? 8 : 6.5;
+        const held = drag?.number === k, size = held || k === hovered ? 8 : 6.5;
         parts.trace(context, [[x - size, y], [x, y - size], [x + size, y], [x, y + size]]);
         context.closePath();
         const lit = held || k === hovered;
@@ -81,38 +81,38 @@
         context.fill();
         context.stroke();
       });
-      const at = hand ? keys[hand.number][0] : reading;
+      const at = drag ? keys[drag.number][0] : reading;
       if (at === null) return pane.hint(HINT);
       const [time, speed] = curve(at);
-      if (!hand && hovered < 0) {
+      if (!drag && hovered < 0) {
         context.fillStyle = look.hand;
         context.beginPath();
         context.arc(axes.x(at), axes.y(time), 3.5, 0, 2 * Math.PI);
         context.fill();
       }
-      const pace = speed.toFixed(2).replace("-", "\u2212");
-      pane.hint(`output ${tell(at)} shows ${tell(time)} · speed ${pace}×`);
+      const rate = speed.toFixed(2).replace("-", "\u2212");
+      pane.hint(`output ${formatTime(at)} shows ${formatTime(time)} · speed ${rate}×`);
     }
 
-    /** The output's axis: the keys' and the source's times, and room to pull the ends out. */
+    /** Set the range of the output axis: the times of keys and source, and space to drag the ends. */
     function fit() {
       const [first, last] = [keys[0][0], keys[keys.length - 1][0]], span = Math.max(last - first, source[1] - source[0]);
       outputs = [Math.min(first, source[0]) - 0.05 * span, Math.max(last, source[1]) + 0.15 * span];
     }
 
     function put(number, [x, y]) {
-      const gap = GAP * (source[1] - source[0]);
+      const gap = MIN_KEY_DISTANCE * (source[1] - source[0]);
       const low = number ? keys[number - 1][0] + gap : outputs[0], high = number + 1 < keys.length ? keys[number + 1][0] - gap : outputs[1];
       keys[number] = [parts.clamp(axes.fromX(x), low, high), parts.clamp(axes.fromY(y), ...source)];
     }
 
-    const tell = (done) => handlers.onRetime?.({ keys: copy(), done });
+    const notify = (done) => handlers.onRetime?.({ keys: copy(), done });
 
     function remove(number) {
       if (number <= 0 || number >= keys.length - 1) return;
       keys.splice(number, 1);
       hovered = -1;
-      tell(true);
+      notify(true);
       shared.redraw();
     }
 
@@ -125,24 +125,24 @@
           return false;
         }
         const at = places()[number];
-        hand = { number, down: place, grip: [at[0] - place[0], at[1] - place[1]], moved: false };
+        drag = { number, down: place, grip: [at[0] - place[0], at[1] - place[1]], moved: false };
         pane.canvas.style.cursor = "grabbing";
         shared.redraw();
         return true;
       },
       move(place) {
-        if (!hand.moved && parts.distance(place, hand.down) <= parts.TREMBLE) return;
-        hand.moved = true;
-        put(hand.number, [place[0] + hand.grip[0], place[1] + hand.grip[1]]);
-        tell(false);
+        if (!drag.moved && parts.distance(place, drag.down) <= parts.DRAG_THRESHOLD) return;
+        drag.moved = true;
+        put(drag.number, [place[0] + drag.grip[0], place[1] + drag.grip[1]]);
+        notify(false);
         shared.redraw();
       },
       up() {
-        const moved = hand.moved;
-        hand = null;
+        const moved = drag.moved;
+        drag = null;
         pane.canvas.style.cursor = "";
         if (moved) {
-          tell(true);
+          notify(true);
           fit();
         }
         shared.redraw();
@@ -164,17 +164,17 @@
       const output = axes.fromX(place[0]), after = keys.findIndex((key) => key[0] > output);
       if (after <= 0) return;  // outside of the output
       keys.splice(after, 0, [output, parts.clamp(parts.monotone(keys)(output)[0], ...source)]);
-      tell(true);
+      notify(true);
       shared.redraw();
     });
 
     return {
       draw,
       show() {
-        if (hand) return;
+        if (drag) return;
         const signals = shared.signals;
         keys = signals.keys.map((key) => key.slice());
-        source = signals.source ?? [signals.start, signals.end]; // before the retiming that is drawn, if it was done
+        source = signals.source ?? [signals.start, signals.end]; // of the model before a retiming
         if (keys.length > 1) fit();
         pane.hint(keys.length > 1 ? HINT : "");
       },

@@ -1,59 +1,59 @@
-// Charts of a model's signals in an element of a page: the layout, coefficients over time and, to edit, the retiming.
+// Charts of a model's signals in an element of a page: time curve, coefficients and, if editable, retiming.
 "use strict";
 
 /**
- * Make charts in an element. Times are seconds of the model, places are in diagonals.
+ * Make charts in an element. Times are seconds of the model, points are in diagonals.
  *
  * handlers, all optional:
- *   onDrag({time, to: [x, y], done})    a handle of the layout is dragged; done when it is let go
+ *   onDrag({time, to: [x, y], done})    a handle of the time curve is dragged; done when it is released
  *   onSketch([[x, y], ...])             a new curve was drawn
  *   onRetime({keys: [[output, source], ...], done})
- *   onSeek(seconds)                     the present time was chosen
+ *   onSeek(seconds)                     the current time was changed
  * options: editable (handles, sketching and retiming), dark.
- * Returns {show(signals), at(seconds), pen(on), resize(), remove()}; `signals` is what mixseq.viewer.signals makes.
+ * Returns {show(signals), at(seconds), pen(on), resize(), remove()}; `signals` are made by mixseq.viewer.session.chart_data.
  */
 var mixseqCharts = function (root, handlers = {}, options = {}) {
   const parts = mixseqChartParts, look = options.dark ? parts.DARK : parts.LIGHT;
   const shared = { signals: null, now: 0, pen: false, seeking: false, editable: !!options.editable };
-  let asked = 0;
+  let frameRequest = 0;
 
-  parts.furnish(root, look, shared.editable);
+  parts.initialize(root, look, shared.editable);
   const layout = parts.layoutChart(parts.pane(root, look, "Time curve"), shared, handlers);
   const coefficients = parts.coefficientChart(parts.pane(root, look, "Coefficients"), shared);
   const retiming = shared.editable ? parts.retimingChart(parts.pane(root, look, "Retiming"), shared, handlers) : null;
   const charts = [layout, coefficients, ...(retiming ? [retiming] : [])];
 
   function draw() {
-    cancelAnimationFrame(asked);
-    asked = 0;
+    cancelAnimationFrame(frameRequest);
+    frameRequest = 0;
     arrange();
     charts.forEach((chart) => chart.draw());
   }
 
   shared.redraw = function () {
-    asked ||= requestAnimationFrame(draw);
+    frameRequest ||= requestAnimationFrame(draw);
   };
   shared.seek = function (seconds) {
-    present(seconds);
+    setTime(seconds);
     handlers.onSeek?.(seconds);
   };
 
-  /** How times of signals that last `span` seconds are told: with the frame, or on pages, which move on between frames, the nearest. */
-  shared.tell = (span) => (time) => {
+  /** Function that formats times of a duration with their frame numbers, on exported pages with that of the nearest frame. */
+  shared.timeFormatter = (span) => (time) => {
     const number = time * shared.signals.fps;
     return `${parts.seconds(time, span)} \u00b7 ${mixseqFrame(shared.editable ? number : Math.round(number))}`;
   };
 
-  function present(seconds) {
+  function setTime(seconds) {
     if (seconds === shared.now) return;
     shared.now = seconds;
     shared.redraw();
   }
 
   function at(seconds) {
-    if (shared.seeking || seconds === shared.now) return;  // what comes from outside is late while a hand moves the time
+    if (shared.seeking || seconds === shared.now) return;  // times from outside lag behind while the user scrubs
     shared.now = seconds;
-    draw();  // at once, with the mesh that is drawn in this very frame
+    draw();  // at once, in the same frame as the mesh
   }
 
   function show(signals) {
@@ -72,7 +72,7 @@ var mixseqCharts = function (root, handlers = {}, options = {}) {
     shared.redraw();
   }
 
-  /** Beside each other where there is room. Within a frame: an observer that changes sizes would call itself. */
+  /** Arrange charts side by side if there is space. Called while drawing, as an observer that changes sizes would call itself. */
   function arrange() {
     const { clientWidth, clientHeight } = root;
     root.classList.toggle("wide", clientWidth >= 640 && clientWidth > 1.5 * clientHeight);
@@ -82,7 +82,7 @@ var mixseqCharts = function (root, handlers = {}, options = {}) {
   observer.observe(root);
   root.querySelectorAll("canvas").forEach((canvas) => observer.observe(canvas));
 
-  // For tests: where things are in the window of the page, in pixels.
+  // For tests: positions in the window, in pixels.
   root.mixseqCharts = {
     handlePixels: layout.handlePixels,
     pathPixels: layout.pathPixels,
@@ -93,12 +93,12 @@ var mixseqCharts = function (root, handlers = {}, options = {}) {
     timePixel: coefficients.timePixel,
     keyPixels: () => (retiming ? retiming.keyPixels() : []),
     keys: () => (retiming ? retiming.keys() : []),
-    settled: () => asked === 0,
+    settled: () => frameRequest === 0,
   };
 
   function remove() {
     observer.disconnect();
-    cancelAnimationFrame(asked);
+    cancelAnimationFrame(frameRequest);
     root.replaceChildren();
     delete root.mixseqCharts;
   }

@@ -1,31 +1,31 @@
-// What the live page has beside viser: colours of vertices, charts, and messages to Python.
+// Extensions of viser's page: vertex colours, charts, and messages to Python.
 //
-// viser has no meshes with a colour at every vertex. Python sends these as the colours of a hidden point cloud
-// /paint/k beside every mesh /mesh/k, and here both are made to share one array. Where viser keeps its scene and its
-// line to Python, __viserMutable, is not documented: tests/viewer/test_live.py notices if it moves.
+// viser has no meshes with vertex colours. Python sends them as the colours of a hidden point cloud /paint/k for every
+// mesh /mesh/k, and this script makes both share one array. The object with viser's scene and connection,
+// __viserMutable, is not documented: tests/viewer/test_live.py fails if it changes.
 "use strict";
 
 window.mixseqLive ??= (function () {
-  const self = Math.random().toString(36).slice(2); // several pages may talk to one server
-  const seen = new Map(); // of every mesh: which positions and colours were drawn last
-  let bridge = "", line = null, said = 0, charts = null;
+  const self = Math.random().toString(36).slice(2); // several pages may be connected to one server
+  const drawn = new Map(); // positions and colours of each mesh that were drawn last
+  let inputId = "", connection = null, messageCount = 0, charts = null;
 
-  function say(message) {
-    const value = JSON.stringify({ ...message, from: self, number: ++said });
-    window.__viserMutable.sendMessage({ type: "GuiUpdateMessage", uuid: bridge, updates: { value } });
+  function send(message) {
+    const value = JSON.stringify({ ...message, from: self, number: ++messageCount });
+    window.__viserMutable.sendMessage({ type: "GuiUpdateMessage", uuid: inputId, updates: { value } });
   }
 
-  /** The first object of a node of the scene that has what is asked for. */
-  function find(name, wanted) {
+  /** First object of a node of the scene that matches a condition. */
+  function find(name, matches) {
     let found = null;
     window.__viserMutable.nodeRefFromName[name]?.traverse((each) => {
-      if (!found && wanted(each)) found = each;
+      if (!found && matches(each)) found = each;
     });
     return found;
   }
 
-  /** Give a mesh its colours; returns whether anything about it is new. */
-  function paint(name) {
+  /** Set the colours of a mesh; returns whether its positions or colours have changed. */
+  function updateColours(name) {
     const mesh = find(name, (each) => each.isMesh && each.geometry?.attributes.position && !each.material.isShadowMaterial);
     const cloud = find(name.replace("/mesh/", "/paint/"), (each) => each.isPoints);
     if (!mesh) return false;
@@ -37,18 +37,18 @@ window.mixseqLive ??= (function () {
         mesh.material.needsUpdate = true;
       }
     }
-    const before = seen.get(name) ?? {};
+    const before = drawn.get(name) ?? {};
     const now = { position, moved: position.version, colours, painted: colours?.version };
-    seen.set(name, now);
+    drawn.set(name, now);
     return Object.keys(now).some((key) => now[key] !== before[key]);
   }
 
-  /** Keep the charts true to what Python wrote beside them. */
-  function chart() {
+  /** Update the charts from the elements that Python has written. */
+  function updateCharts() {
     const root = document.getElementById("mixseq-charts");
     const signals = document.getElementById("mixseq-signals"), now = document.getElementById("mixseq-now");
     if (!root || !signals || !now) {
-      charts = null; // the panel is folded away
+      charts = null; // the panel is collapsed
       return;
     }
     if (charts?.root !== root) {
@@ -56,10 +56,10 @@ window.mixseqLive ??= (function () {
       const made = mixseqCharts(
         root,
         {
-          onDrag: (drag) => say({ kind: "drag", ...drag }),
-          onSketch: (points) => say({ kind: "sketch", points }),
-          onRetime: (retiming) => say({ kind: "retime", ...retiming }),
-          onSeek: (time) => say({ kind: "seek", time }),
+          onDrag: (drag) => send({ kind: "drag", ...drag }),
+          onSketch: (points) => send({ kind: "sketch", points }),
+          onRetime: (retiming) => send({ kind: "retime", ...retiming }),
+          onSeek: (time) => send({ kind: "seek", time }),
         },
         { editable: true, dark }
       );
@@ -75,42 +75,41 @@ window.mixseqLive ??= (function () {
 
   function tick() {
     requestAnimationFrame(tick);
-    if (!bridge || !window.__viserMutable?.nodeRefFromName) return;
+    if (!inputId || !window.__viserMutable?.nodeRefFromName) return;
     mixseqWindow.arrange();
-    mixseqWindow.say(window.__viserMutable.sendMessage !== line); // viser puts another one there when its line is cut
+    mixseqWindow.showEnded(window.__viserMutable.sendMessage !== connection); // viser replaces it when it is disconnected
     const meshes = Object.keys(window.__viserMutable.nodeRefFromName).filter((name) => /^\/mesh\/\d+$/.test(name));
-    if (meshes.map(paint).some(Boolean)) {
+    if (meshes.map(updateColours).some(Boolean)) {
       window.__viserMutable.requestRender?.();
-      say({ kind: "drawn" });
+      send({ kind: "drawn" });
     }
-    chart();
+    updateCharts();
   }
   tick();
 
-  // the browser has a cookie now; the token need not be seen, nor stay among the pages that were visited
-  const here = new URL(location.href);
-  if (here.searchParams.has("token")) {
-    here.searchParams.delete("token");
-    history.replaceState(history.state, "", here);
+  // the browser has a cookie now; the token is removed from the address and the history
+  const address = new URL(location.href);
+  if (address.searchParams.has("token")) {
+    address.searchParams.delete("token");
+    history.replaceState(history.state, "", address);
   }
 
-  // Keys that move a slider or are typed should not turn the camera as well, which listens farther out. Other keys of
-  // a slider are for viser: P plays.
+  // Keys that move a slider or are typed must not move the camera as well. Other keys are for viser: P plays.
   for (const kind of ["keydown", "keyup"]) {
     document.getElementById("root").addEventListener(kind, (event) => {
-      const slides = event.target.closest?.("[role=slider]") && /^(Arrow|Home|End|Page)/.test(event.key);
-      if (slides || event.target.closest?.("input:not([type=checkbox]), textarea")) event.stopPropagation();
+      const isSliderKey = event.target.closest?.("[role=slider]") && /^(Arrow|Home|End|Page)/.test(event.key);
+      if (isSliderKey || event.target.closest?.("input:not([type=checkbox]), textarea")) event.stopPropagation();
     });
   }
-  // viser has no keys while a box to tick is in focus
+  // viser ignores keys while a checkbox has the focus
   document.addEventListener("change", (event) => event.target.type === "checkbox" && event.target.blur());
 
   return {
-    /** Talk to the text input of this name; again after every reconnection. */
-    connect(to) {
-      bridge = to;
-      line = window.__viserMutable.sendMessage;
-      seen.clear();
+    /** Send messages to the text input of an ID; called after every reconnection. */
+    connect(id) {
+      inputId = id;
+      connection = window.__viserMutable.sendMessage;
+      drawn.clear();
     },
   };
 })();

@@ -1,4 +1,4 @@
-// Unpacks the page: what is in its streams, see mixseq/viewer/export_data.py, and then its style, body and scripts.
+// Unpacks the page: its streams (see mixseq/viewer/export_data.py), then its style, body and scripts.
 "use strict";
 
 (async function () {
@@ -11,7 +11,7 @@
     page.documentElement.dataset.state = "failed";
   };
 
-  /** The bytes of a script element: two of a unit; after a 1 its highest bit is another one. */
+  /** Bytes of a script element: two per code unit; after U+0001 the highest bit is flipped. */
   function bytesOf({ textContent: text, dataset }) {
     const bytes = new Uint8Array(+dataset.size);
     for (let k = 0, place = 0; k < text.length; k++, place += 2) {
@@ -29,7 +29,7 @@
   }
 
   if (!window.DecompressionStream) {
-    return mixseqFail("This browser cannot unpack the page: it has no DecompressionStream. Browsers from 2023 on have it, such as Chrome 80, Firefox 113 and Safari 16.4.");
+    return mixseqFail("This browser is too old for the page: it has no DecompressionStream. Use Chrome 80, Firefox 113, Safari 16.4 or later.");
   }
   try {
     const [code, ...data] = [...page.querySelectorAll("script[data-size]")].map(bytesOf);
@@ -39,6 +39,6 @@
     message.insertAdjacentHTML("beforebegin", body);
     add(page.body, "script", scripts);
   } catch (error) {
-    mixseqFail(`The page is damaged: ${error.message}. Try to get it again.`);
+    mixseqFail(`The page is damaged: ${error.message}. Download or export it again.`);
   }
 })();

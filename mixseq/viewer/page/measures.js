@@ -1,19 +1,19 @@
-// How far a pose is from a pose at rest, at every vertex: mixseq/pictures/colours.py tells what is measured.
+// Strain and curvature of a pose at its vertices, as in mixseq/pictures/colours.py.
 "use strict";
 
 var mixseqMeasures = (function () {
-  const FLAT = 1e-6; // a triangle lower than this, relative to its longest side, has no normal to speak of
+  const DEGENERATE_HEIGHT_RATIO = 1e-6; // height of a triangle relative to its longest side below which it has no normal
   const subtract = (x, a, b) => [x[3 * b] - x[3 * a], x[3 * b + 1] - x[3 * a + 1], x[3 * b + 2] - x[3 * a + 2]];
   const cross = ([a, b, c], [d, e, f]) => [b * f - c * e, c * d - a * f, a * e - b * d];
   const dot = ([a, b, c], [d, e, f]) => a * d + b * e + c * f;
 
-  /** A function from places to the means, at every vertex, of what is measured at pairs of vertices. */
-  function means(vertices, pairs, measured) {
+  /** Function from positions to the means at vertices of values measured on pairs of vertices. */
+  function means(vertices, pairs, measure) {
     const counts = new Uint32Array(vertices).fill(0);
     pairs.forEach((vertex) => counts[vertex]++);
     return (places) => {
       const sums = new Float64Array(vertices);
-      measured(places).forEach((value, k) => {
+      measure(places).forEach((value, k) => {
         sums[pairs[2 * k]] += value;
         sums[pairs[2 * k + 1]] += value;
       });
@@ -21,7 +21,7 @@ var mixseqMeasures = (function () {
     };
   }
 
-  /** Change of the lengths of edges, in percent. */
+  /** Relative change of edge lengths, in percent. */
   function strain(mesh, rest) {
     const { edges } = mixseqTopology(mesh);
     const lengths = (places) => Float64Array.from({ length: edges.length / 2 }, (_, k) => Math.hypot(...subtract(places, edges[2 * k], edges[2 * k + 1])));
@@ -29,17 +29,17 @@ var mixseqMeasures = (function () {
     return means(mesh.vertices, edges, (places) => lengths(places).map((length, k) => (before[k] > 0 ? 100 * Math.abs(length / before[k] - 1) : 0)));
   }
 
-  /** Change of the angles at edges, in degrees. */
+  /** Change of dihedral angles, in degrees. */
   function curvature({ faces, vertices }, rest) {
     const { hinges, end } = mixseqTopology({ faces, vertices });
     const pairs = Uint32Array.from({ length: hinges.length }, (_, k) => (k % 2 ? end(hinges[k - 1]) : faces[hinges[k]]));
 
-    /** Normals of the triangles, twice as long as their areas; 0 where there is none. */
+    /** Normals of triangles, with twice the areas as lengths; null for degenerate triangles. */
     function normals(places) {
       return Array.from({ length: faces.length / 3 }, (_, k) => {
         const [a, b, c] = faces.subarray(3 * k, 3 * k + 3), u = subtract(places, a, b), v = subtract(places, a, c), w = subtract(places, b, c);
         const normal = cross(u, v), longest = Math.max(dot(u, u), dot(v, v), dot(w, w));
-        return dot(normal, normal) > (FLAT * longest) ** 2 ? normal : null;
+        return dot(normal, normal) > (DEGENERATE_HEIGHT_RATIO * longest) ** 2 ? normal : null;
       });
     }
 
@@ -48,7 +48,7 @@ var mixseqMeasures = (function () {
       return Float64Array.from({ length: hinges.length / 2 }, (_, k) => {
         const first = all[Math.floor(hinges[2 * k] / 3)], other = all[Math.floor(hinges[2 * k + 1] / 3)];
         if (!first || !other) return NaN;
-        // the second triangle goes back along the edge, if it has the same orientation
+        // the second triangle has the reverse edge if both have the same orientation
         const sign = faces[hinges[2 * k + 1]] === faces[hinges[2 * k]] ? -1 : 1;
         const second = other.map((value) => sign * value), edge = subtract(places, pairs[2 * k], pairs[2 * k + 1]);
         return Math.atan2(dot(cross(first, second), edge), dot(first, second) * Math.sqrt(dot(edge, edge)));
@@ -58,7 +58,7 @@ var mixseqMeasures = (function () {
     const before = angles(rest);
     return means(vertices, pairs, (places) => angles(places).map((angle, k) => {
       const change = Math.abs(angle - before[k]), turn = Math.min(change, 2 * Math.PI - change);
-      return turn > 0 ? (180 / Math.PI) * turn : 0; // NaN where there is no angle
+      return turn > 0 ? (180 / Math.PI) * turn : 0; // 0 for NaN, where an angle is undefined
     }));
   }
 

@@ -1,13 +1,14 @@
-// Draws meshes with WebGL 2: poses, normals and colours go to the graphics card when a frame is shown.
+// Draws meshes with WebGL 2: poses, normals and colours are uploaded when a frame is shown.
 "use strict";
 
 /**
- * Make a renderer of a canvas, or null where there is no WebGL 2.
+ * Make a renderer of a canvas; null without WebGL 2.
  *
- * `meshOf(item)` makes a mesh of {vertices, faces, centre, colourings: [{palette, top}]}; `warmUp(look)` draws a first point while there
- * are none; `draw(panels, look, quality)` draws pictures beside each other, with a share of the pixels. A panel is {box: [left, top, width, height] in pixels of the
- * page, shown: [{mesh, now, next, share, colouring, tint, moved}], rows: rotation to the screen, target: what is looked at, scale: pixels per unit, shift: pixels from the middle, ground: its height,
- * reach: half the side of the ground that has shadows, size: of what moves}. The look is {background, line, shade, ink, wires, grid}; colours are 0 to 1.
+ * `meshOf(item)` makes a mesh of {vertices, faces, centre, colourings: [{palette, top}]}; `warmUp(look)` draws a point before
+ * meshes are loaded; `draw(panels, look, quality)` draws panels, with a fraction of the pixels per side. A panel is {box: [left,
+ * top, width, height] in CSS pixels, shown: [{mesh, now, next, share, colouring, tint, moved}], rows: rotation to the screen,
+ * target of the camera, scale: pixels per unit, shift: pixels from the centre, ground: height, reach: half the side of the
+ * shadow's square, size: of the meshes}. A look is {background, line, shade, ink, wires, grid}; colours are 0 to 1.
  */
 var mixseqRenderer = function (canvas) {
   const ATTRIBUTES = ["p0", "p1", "n0", "n1", "c0", "c1"];
@@ -28,7 +29,7 @@ var mixseqRenderer = function (canvas) {
     return mesh;
   }
 
-  /** Buffers of one pose. Poses take turns: the even ones are in one slot, the odd ones in the other. */
+  /** Buffers of one pose. Even poses are in one slot, odd poses in the other. */
   function newSlot({ vertices }) {
     const [places, normals, colours] = [12, 12, 1].map((bytes) => newBuffer(gl.ARRAY_BUFFER, bytes * vertices));
     return { pose: null, shown: null, places, normals, colours };
@@ -36,13 +37,13 @@ var mixseqRenderer = function (canvas) {
 
   function newBuffer(target, dataOrSize) {
     const buffer = gl.createBuffer();
-    gl.bindVertexArray(null); // buffers of triangles would become those of the array
+    gl.bindVertexArray(null); // index buffers would be bound to the vertex array
     gl.bindBuffer(target, buffer);
     gl.bufferData(target, dataOrSize, typeof dataOrSize === "number" ? gl.DYNAMIC_DRAW : gl.STATIC_DRAW);
     return buffer;
   }
 
-  /** Of colours that mean numbers the page has some of 256, and those between are mixed. */
+  /** Texture of a palette; measured palettes are stored with fewer than 256 colours, and interpolated. */
   function newPalette({ palette, top }) {
     const texture = gl.createTexture(), last = palette.length - 1;
     const mixed = (place) => palette[Math.floor(place)].map((value, k) => value + (place % 1) * (palette[Math.ceil(place)][k] - value));
@@ -54,7 +55,7 @@ var mixseqRenderer = function (canvas) {
     return texture;
   }
 
-  /** The slot with a pose and its colours, which are sent to the card unless they are there. */
+  /** Slot with a pose and its colours, uploaded if needed. */
   function slotOf(mesh, pose, colouring) {
     const slot = mesh.slots[pose.number & 1], shown = pose.colours ?? mesh.colourings[colouring].of?.(pose.number) ?? new Uint8Array(mesh.vertices);
     if (slot.pose !== pose) {
@@ -70,7 +71,7 @@ var mixseqRenderer = function (canvas) {
     gl.bufferSubData(gl.ARRAY_BUFFER, 0, data);
   }
 
-  /** The edges of a mesh as a buffer of pairs; made when it is first wanted. */
+  /** Edges of a mesh as an index buffer, created at first use. */
   function edgesOf(mesh) {
     if (!mesh.edges) {
       const { edges } = mixseqTopology(mesh);
@@ -79,7 +80,7 @@ var mixseqRenderer = function (canvas) {
     return mesh.edges;
   }
 
-  /** Prepare what is shown for drawing; returns the uniforms that place it. */
+  /** Bind the buffers of a mesh for drawing; returns its uniforms. */
   function bindPose({ mesh, now, next, share, colouring, moved }, target) {
     const slots = [now, next].map((pose) => slotOf(mesh, pose, colouring));
     gl.bindVertexArray(arrays);
@@ -105,7 +106,7 @@ var mixseqRenderer = function (canvas) {
 
   // Shadows -------------------------------------------------------------------------------------------------------
 
-  /** A small picture to draw into, with one channel. */
+  /** Framebuffer of a shadow, with one channel. */
   function newPicture() {
     const texture = gl.createTexture(), frame = gl.createFramebuffer();
     gl.bindTexture(gl.TEXTURE_2D, texture);
@@ -126,7 +127,7 @@ var mixseqRenderer = function (canvas) {
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
     gl.enable(gl.BLEND);
-    gl.blendEquation(gl.MAX); // what is closest to the ground counts, however many layers there are
+    gl.blendEquation(gl.MAX); // the point closest to the ground counts
     for (const item of shown) {
       use("shadow", { ...bindPose(item, target), ground: ground - target[1], reach, size });
       drawElements(gl.TRIANGLES, item.mesh.triangles, item.mesh.faces.length);
@@ -146,7 +147,7 @@ var mixseqRenderer = function (canvas) {
 
   // Pictures ------------------------------------------------------------------------------------------------------
 
-  /** Draw a point with all programs: cards finish programs when they first draw. */
+  /** Draw a point with all programs: drivers finish compiling them at the first draw. */
   function warmUp(look) {
     const zero = [0, 0, 0], pose = { number: 0, places: new Float32Array(3), normals: new Float32Array(3), colours: new Uint8Array(1) };
     const mesh = meshOf({ vertices: 1, faces: new Uint32Array(3), centre: zero, colourings: [{ palette: [zero] }] });
@@ -161,7 +162,7 @@ var mixseqRenderer = function (canvas) {
     gl.disable(gl.SCISSOR_TEST);
     gl.clearColor(...look.background, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    // pictures beside each other fade into each other
+    // adjacent panels fade into each other
     panels.forEach((panel) => drawPanel(panel, { ...look, edge: panels.length > 1 ? 60 * ratio : 1e-3 }));
   }
 
@@ -176,7 +177,7 @@ var mixseqRenderer = function (canvas) {
       turn: panel.rows,
       scale: [(2 * panel.scale) / panel.box[2], (2 * panel.scale) / panel.box[3]],
       shift: [(2 * panel.shift[0]) / panel.box[2], (-2 * panel.shift[1]) / panel.box[3]],
-      depth: 0.2 / panel.size, // nothing that moves is farther away than a few times its size
+      depth: 0.2 / panel.size, // meshes are within a few times their size
     };
     if (look.grid) drawGround(panel, look, screen, [left, bottom, left + width, bottom + height]);
     gl.enable(gl.DEPTH_TEST);
@@ -192,7 +193,7 @@ var mixseqRenderer = function (canvas) {
     gl.bindTexture(gl.TEXTURE_2D, shadows[0].texture);
     use("ground", {
       ...screen, ground: ground - target[1], radius, reach, cell, shadow: 0, line: look.line, shade: look.shade, window, edge: look.edge,
-      origin: [0, 2].map((k) => -(target[k] + shown[0].moved[k]) % cell), opacity: Math.min(Math.max(1 + 12 * upward(rows), 0), 1), // from below there is no ground
+      origin: [0, 2].map((k) => -(target[k] + shown[0].moved[k]) % cell), opacity: Math.min(Math.max(1 + 12 * upward(rows), 0), 1), // no ground from below
     });
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
     gl.disable(gl.BLEND);
@@ -202,7 +203,7 @@ var mixseqRenderer = function (canvas) {
     const { mesh, colouring } = item, place = bindPose(item, target);
     gl.bindTexture(gl.TEXTURE_2D, mesh.textures[colouring]);
     use("mesh", { ...screen, ...place, palette: 0, tint: item.tint, contrast: mesh.colourings[colouring].top ? HEAT_CONTRAST : 1 });
-    if (look.wires) gl.enable(gl.POLYGON_OFFSET_FILL); // edges are in front of the triangles that they bound
+    if (look.wires) gl.enable(gl.POLYGON_OFFSET_FILL); // draws edges in front of their triangles
     gl.polygonOffset(1, 1);
     drawElements(gl.TRIANGLES, mesh.triangles, mesh.faces.length);
     gl.disable(gl.POLYGON_OFFSET_FILL);
@@ -216,10 +217,10 @@ var mixseqRenderer = function (canvas) {
     gl.disable(gl.BLEND);
   }
 
-  /** How much the camera looks from above: the sine of its elevation. */
+  /** Sine of the camera's elevation. */
   const upward = (rows) => rows[2][1];
 
-  /** 1, 2 or 5 times a power of ten, near a length. */
+  /** Round a length to 1, 2 or 5 times a power of ten. */
   function roundLength(length) {
     const power = 10 ** Math.floor(Math.log10(length)), first = length / power;
     return power * (first < 1.5 ? 1 : first < 3.5 ? 2 : first < 7.5 ? 5 : 10);

@@ -1,9 +1,8 @@
-// Normals at the vertices of a mesh.
+// Vertex normals.
 "use strict";
 
 /**
- * Normals of the vertices, not of unit length: the sum of those of the triangles around them, by area; x, y and z of one
- * vertex after the other, as the places are.
+ * Area-weighted vertex normals, not of unit length; x, y and z of one vertex after the other, as in `places`.
  */
 var mixseqNormals = function ({ faces }, places) {
   const normals = new Float32Array(places.length);

@@ -1,32 +1,32 @@
-// The page: opens the meshes that it holds, and connects the controls with the clock and with what is drawn.
+// The page: opens its meshes, and connects controls, clock and renderer.
 "use strict";
 
 (async function () {
   const element = (id) => document.getElementById(id);
   const { decoder, data, description } = mixseqPage;
   const canvas = element("view");
-  const SLOW = 90; // milliseconds between frames
-  const AHEAD = 8; // poses that are decoded before they are shown
+  const SLOW_FRAME = 90; // milliseconds per frame above which the resolution is halved
+  const POSES_AHEAD = 8; // poses that are decoded before they are shown
   const darkness = window.matchMedia("(prefers-color-scheme: dark)");
   const LIGHT = { line: [0.45, 0.44, 0.42, 0.38], shade: [0.25, 0.24, 0.28, 0.42], ink: [0.1, 0.1, 0.12, 0.45] };
   const DARK = { line: [0.75, 0.75, 0.78, 0.26], shade: [0, 0, 0, 0.6], ink: [0.05, 0.05, 0.06, 0.5] };
 
-  // What is in the page -------------------------------------------------------------------------------------------
+  // Contents of the page ------------------------------------------------------------------------------------------
 
   function fail(text) {
     element("bar").hidden = element("side").hidden = true;
     mixseqFail(text);
   }
 
-  /** How all is drawn; the background is that of the page, of which the canvas is a part. */
+  /** Colours and options of the renderer; the background is that of the page. */
   function look() {
     const background = getComputedStyle(document.body).backgroundColor.match(/[\d.]+/g).slice(0, 3).map((value) => value / 255);
     return { ...(darkness.matches ? DARK : LIGHT), background, wires: state.wires, grid: state.grid };
   }
 
-  const damaged = (error) => fail(`The page is damaged: ${error.message}. Try to get it again.`);
+  const damaged = (error) => fail(`The page is damaged: ${error.message}. Download or export it again.`);
 
-  /** Colours that are stored: of all poses one after the other, or once for all. */
+  /** Unpack stored colours, of all poses one after the other or once for all. */
   async function unpackColours(colouring, { vertices, times }, bytes) {
     const rows = new Uint8Array(await mixseqInflated(bytes)), all = rows.length === vertices * times.length;
     for (let k = 0; k < rows.length; k++) {
@@ -36,7 +36,7 @@
     colouring.of = (pose) => rows.subarray(all ? pose * vertices : 0).subarray(0, vertices);
   }
 
-  /** Open a mesh: its triangles, its times, and the colours that are stored. */
+  /** Open a mesh: its triangles, times and stored colours. */
   async function openItem(item) {
     const [streams, ...stored] = data.splice(0, 1 + item.colourings.filter((colouring) => colouring.data).length);
     const opened = await source.ask("open", { coding: item.coding, streams });
@@ -46,12 +46,12 @@
 
   const items = description.items, source = mixseqPoseSource(decoder, () => opened && redraw(), damaged);
   let opened = false;
-  const opening = Promise.all(items.map(openItem)); // while the graphics card gets its programs
+  const opening = Promise.all(items.map(openItem)); // while the shaders are compiled
   const state = { wires: false, grid: true, overlaid: description.overlaid && items.length > 1, following: description.following, colour: "" };
   source.want(items.map((_, mesh) => request(mesh, 0)));
   let renderer = mixseqRenderer(canvas);
   if (!renderer) {
-    return fail("This browser cannot draw the page: it has no WebGL 2, or it is turned off. Try another browser, or turn hardware acceleration on.");
+    return fail("This browser cannot draw the page: WebGL 2 is missing or disabled. Use another browser, or enable hardware acceleration.");
   }
   renderer.warmUp(look());
   try {
@@ -66,13 +66,13 @@
 
   const period = description.period, clock = mixseqClock(items, period, redraw);
   const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
-  let panels = [], drawn = 0, asked = false, last = null, pace = 0;
+  let panels = [], drawn = 0, isRequested = false, last = null, frameTime = 0;
 
   const stage = mixseqStage(element("stage"), element("names"), element("legend"));
-  const camera = mixseqCamera(canvas, redraw, middleOf);
+  const camera = mixseqCamera(canvas, redraw, centreOf);
 
-  /** The middle of the panel that a pointer is in, in pixels of the window. */
-  function middleOf({ clientX, clientY }) {
+  /** Centre of the panel under a pointer, in pixels of the window. */
+  function centreOf({ clientX, clientY }) {
     const corner = canvas.getBoundingClientRect(), x = clientX - corner.left, y = clientY - corner.top;
     const inside = ({ box: [left, top, width, height] }) => x >= left && x < left + width && y >= top && y < top + height;
     const [left, top, width, height] = (panels.find(inside) || panels[0]).box;
@@ -82,37 +82,37 @@
   // Drawing -------------------------------------------------------------------------------------------------------
 
   function redraw() {
-    if (!asked) requestAnimationFrame(draw);
-    asked = true;
+    if (!isRequested) requestAnimationFrame(draw);
+    isRequested = true;
   }
 
   function draw(now) {
-    asked = false;
+    isRequested = false;
     if (clock.playing && last !== null) {
       clock.advance((now - last) / 1000);
-      pace = 0.8 * pace + 0.2 * (now - last);
+      frameTime = 0.8 * frameTime + 0.2 * (now - last);
     }
     const shown = items.map(shownOf);
     source.want(upcoming());
     if (shown.every(Boolean)) show(shown);
-    last = clock.playing && drawn ? now : null; // time begins with the first pose
-    tellTime();
+    last = clock.playing && drawn ? now : null; // playback starts with the first drawn pose
+    showTime();
     if (clock.playing && drawn) redraw();
   }
 
-  /** Which pose of a mesh: where its vertices are, and what colours show. */
+  /** Request for a pose of a mesh, with its measured colours if they are shown. */
   function request(mesh, pose) {
     const { name, top, data: stored } = items[mesh].colourings[colouringOf(items[mesh])];
     return { mesh, pose, time: pose && items[mesh].times[pose], ...(top && !stored ? { measure: name, top } : {}) };
   }
 
-  /** The poses of this moment and of those to come, the first first. */
+  /** Requests for the current poses and the following ones, in order. */
   function upcoming() {
     const poses = items.map((item) => clock.poseAt(item).pose);
-    return Array.from({ length: AHEAD }, (_, k) => poses.map((pose, mesh) => request(mesh, (pose + k) % items[mesh].times.length))).flat();
+    return Array.from({ length: POSES_AHEAD }, (_, k) => poses.map((pose, mesh) => request(mesh, (pose + k) % items[mesh].times.length))).flat();
   }
 
-  /** What is shown of a mesh now: two poses, and how far it is between them; those of before, until they are decoded. */
+  /** Two poses of a mesh at the current time and their interpolation weight; the last ones until they are decoded. */
   function shownOf(item, mesh) {
     const { pose, share } = clock.poseAt(item), now = source.find(request(mesh, pose)), next = share > 0 ? source.find(request(mesh, pose + 1)) : now;
     item.ready = Boolean(now && next);
@@ -129,22 +129,22 @@
     drawn++;
   }
 
-  /** How far the camera has gone with a body. */
+  /** Distance by which the camera follows a body. */
   function movedBy({ now, next, share }, { centre }) {
     return now.middle.map((value, k) => (state.following && k !== 1 ? value + share * (next.middle[k] - value) + centre[k] : 0));
   }
 
-  /** Where there is no graphics card, half the pixels each way have to do while it moves. */
-  const quality = () => (clock.playing && pace > SLOW ? 0.5 : 1);
+  /** Half the resolution while playing on slow machines. */
+  const quality = () => (clock.playing && frameTime > SLOW_FRAME ? 0.5 : 1);
 
   const tinted = () => state.overlaid && state.colour === "clay";
 
-  /** The number of the chosen colouring of an item, or of its first one if it has no such. */
+  /** Index of the selected colouring of an item, or of its first one if it lacks that. */
   function colouringOf({ colourings }) {
     return Math.max(colourings.findIndex(({ name }) => name === state.colour), 0);
   }
 
-  function tellTime() {
+  function showTime() {
     const { start, fps } = base(), frame = (time) => mixseqFrame((start + time) * fps), slider = element("time");
     const number = frame(clock.moments[clock.number()]), last = frame(clock.moments[clock.moments.length - 1]);
     const seconds = (start + clock.time).toFixed(3);
@@ -167,7 +167,7 @@
   const withSignals = items.filter((item) => item.signals);
   let charts = null, chosen = withSignals[0], chosenSignals = chosen?.signals;
 
-  /** The mesh in whose times all is told: the one whose charts are shown, or the first. */
+  /** The mesh whose times are displayed: the one whose charts are shown, or the first. */
   function base() {
     return chosen ?? items[0];
   }
@@ -222,13 +222,13 @@
     select.onchange();
   }
 
-  function tellFacts() {
+  function showFacts() {
     element("help-title").textContent = description.title;
     const number = (value) => value.toLocaleString("en");
     const frames = ({ times, start, fps }) => [...new Set([0, times.length - 1])].map((k) => mixseqFrame((start + times[k]) * fps)).join(" to ");
     const facts = items.map((item) => ({ ...item, numbers: frames(item) })).map(({ name, vertices, faces, times, numbers, error }) =>
       `${name}: ${number(vertices)} vertices, ${number(faces.length / 3)} triangles, ${number(times.length)} ${times.length > 1 ? "frames" : "frame"} (${numbers}), ` +
-      `no vertex off by more than ${error} units in a frame`);
+      `vertex error at most ${error} units in every frame`);
     facts.push(`Made with mixseq ${description.version}.`);
     element("facts").replaceChildren(...facts.map((text) => Object.assign(document.createElement("p"), { textContent: text })));
   }
@@ -238,13 +238,13 @@
     Home: () => clock.scrub(0), End: () => clock.scrub(period),
     "+": () => camera.zoomBy(1.2), "=": () => camera.zoomBy(1.2), "-": () => camera.zoomBy(1 / 1.2), 0: () => camera.reset(), c: nextColour,
   };
-  const TURNS = { ArrowLeft: [-20, 0], ArrowRight: [20, 0], ArrowUp: [0, -20], ArrowDown: [0, 20] };
+  const ORBIT_STEPS = { ArrowLeft: [-20, 0], ArrowRight: [20, 0], ArrowUp: [0, -20], ArrowDown: [0, 20] };
 
   function key(event) {
     const inside = event.target, typing = inside instanceof HTMLSelectElement || element("help").open;
     if (typing || event.ctrlKey || event.altKey || event.metaKey) return;
-    if (event.key === " " && inside instanceof HTMLButtonElement) return; // presses the button
-    const action = event.shiftKey && TURNS[event.key] ? () => camera.turn(...TURNS[event.key]) : KEYS[event.key];
+    if (event.key === " " && inside instanceof HTMLButtonElement) return; // presses the focused button
+    const action = event.shiftKey && ORBIT_STEPS[event.key] ? () => camera.orbit(...ORBIT_STEPS[event.key]) : KEYS[event.key];
     if (!action || (!period && ["ArrowLeft", "ArrowRight", "Home", "End", " "].includes(event.key) && !event.shiftKey)) return;
     event.preventDefault();
     action();
@@ -288,7 +288,7 @@
       redraw();
     });
     new ResizeObserver(arrange).observe(element("stage"));
-    // a card that was taken away, by sleep or by another page, comes back empty
+    // a lost context, after sleep or by another page, is restored empty
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     canvas.addEventListener("webglcontextrestored", () => {
       renderer = mixseqRenderer(canvas);
@@ -299,23 +299,23 @@
 
   element("bar").hidden = false;
   connect();
-  tellFacts();
+  showFacts();
   fillColours();
   makeCharts();
   if (withSignals.length) fold(window.innerWidth > 860);
   arrange();
   clock.play(!still);
 
-  // For tests: what is shown, and where.
+  // For tests: the state of the player.
   window.mixseqPlayer = {
     seek: clock.seek, play: clock.play, items, source,
     state: () => {
       const { time, playing, speed, loop, smooth, moments } = clock, { yaw, pitch, zoom, pan } = camera;
       return { ...state, time, playing, speed, loop, smooth, drawn, period, moments: moments.length, frame: clock.number(), yaw, pitch, zoom, pan };
     },
-    /** Wait until all is decoded and drawn that was asked for. */
+    /** Wait until everything is decoded and drawn. */
     settled: async () => {
-      while (asked || !items.every((item) => item.ready)) await new Promise(requestAnimationFrame);
+      while (isRequested || !items.every((item) => item.ready)) await new Promise(requestAnimationFrame);
     },
   };
   document.documentElement.dataset.state = "ready";

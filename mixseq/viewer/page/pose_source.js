@@ -1,79 +1,79 @@
-// Where the player has its poses from: a worker decodes them as they are wanted, and what was decoded is kept for a while.
+// Poses for the player, decoded by a worker on request, with a cache.
 "use strict";
 
 /**
- * Make a source of poses from the text of what decodes them. `ask(ask, about)` asks it anything; `want(requests)` tells
- * which poses are wanted, the most urgent first, each {mesh, pose, time, measure, top}; `find(request)` is such a pose,
- * or undefined if it is not there yet. `changed()` is told about every pose that comes, `failed(error)` what went wrong.
+ * Make a source of poses from the script that decodes them. `ask(ask, about)` sends a request to the decoder;
+ * `want(requests)` sets the wanted poses {mesh, pose, time, measure, top}, the most urgent first; `find(request)` returns
+ * such a pose, undefined if it is not decoded yet. `onPose()` is called for every decoded pose, `onError(error)` on failure.
  */
-var mixseqPoseSource = function (script, changed, failed) {
-  const MEMORY = 3e8, AT_ONCE = 2; // bytes that are kept; questions that wait at the worker
-  const kept = new Map(), waiting = [];
-  let worker = newWorker(), here = null, wanted = [], used = 0, asked = new Set();
+var mixseqPoseSource = function (script, onPose, onError) {
+  const MAX_CACHE_BYTES = 3e8, MAX_PENDING = 2; // pending requests keep the worker busy
+  const cache = new Map(), waiting = [];
+  let worker = newWorker(), local = null, wanted = [], cacheBytes = 0, pending = new Set();
 
   function newWorker() {
     try {
       const made = new Worker(URL.createObjectURL(new Blob([script], { type: "text/javascript" })));
       made.onmessage = ({ data }) => waiting.shift().take(data);
-      made.onerror = workHere; // some browsers have none for pages from files
+      made.onerror = decodeLocally; // some browsers forbid workers in local files
       return made;
     } catch {
       return null;
     }
   }
 
-  /** Without a worker the page does it, a question at a time. */
-  function workHere() {
+  /** Decode in the page if there is no worker. */
+  function decodeLocally() {
     worker = null;
-    waiting.splice(0).forEach(({ question, take }) => answerHere(question, take));
+    waiting.splice(0).forEach(({ request, take }) => answerLocally(request, take));
   }
 
-  function answerHere(question, take) {
-    if (!here) document.head.append(Object.assign(document.createElement("script"), { textContent: script }));
-    here = mixseqPoses;
-    setTimeout(async () => take(await here.answer(question)));
+  function answerLocally(request, take) {
+    if (!local) document.head.append(Object.assign(document.createElement("script"), { textContent: script }));
+    local = mixseqPoses;
+    setTimeout(async () => take(await local.answer(request)));
   }
 
   function ask(ask, about) {
     return new Promise((resolve, reject) => {
-      const take = (said) => (said.error ? reject(new Error(said.error)) : resolve(said));
-      if (!worker) return answerHere({ ask, about }, take);
-      waiting.push({ question: { ask, about }, take });
+      const take = (answer) => (answer.error ? reject(new Error(answer.error)) : resolve(answer));
+      if (!worker) return answerLocally({ ask, about }, take);
+      waiting.push({ request: { ask, about }, take });
       worker.postMessage({ ask, about });
     });
   }
 
   const key = ({ mesh, pose, measure }) => `${mesh} ${pose} ${measure ?? ""}`;
-  const find = (request) => kept.get(key(request));
+  const find = (request) => cache.get(key(request));
 
   function want(requests) {
     wanted = requests;
-    pump();
+    requestNext();
   }
 
-  function pump() {
+  function requestNext() {
     for (const request of wanted) {
       const name = key(request);
-      if (asked.size >= AT_ONCE) return;
-      if (kept.has(name) || asked.has(name)) continue;
-      asked.add(name);
-      ask("pose", request).then((pose) => keep(name, { ...pose, number: request.pose }), failed);
+      if (pending.size >= MAX_PENDING) return;
+      if (cache.has(name) || pending.has(name)) continue;
+      pending.add(name);
+      ask("pose", request).then((pose) => store(name, { ...pose, number: request.pose }), onError);
     }
   }
 
-  function keep(name, pose) {
-    asked.delete(name);
-    kept.set(name, pose);
-    used += sizeOf(pose);
+  function store(name, pose) {
+    pending.delete(name);
+    cache.set(name, pose);
+    cacheBytes += sizeOf(pose);
     const needed = new Set(wanted.map(key));
-    for (const [old, each] of kept) {
-      if (used < MEMORY) break;
+    for (const [old, each] of cache) {
+      if (cacheBytes < MAX_CACHE_BYTES) break;
       if (needed.has(old)) continue;
-      kept.delete(old);
-      used -= sizeOf(each);
+      cache.delete(old);
+      cacheBytes -= sizeOf(each);
     }
-    changed();
-    pump();
+    onPose();
+    requestNext();
   }
 
   const sizeOf = ({ places, colours }) => 2 * places.byteLength + (colours?.length ?? 0);

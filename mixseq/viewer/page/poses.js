@@ -1,25 +1,25 @@
-// Poses of compressed meshes: decoded, with their normals, and with what colours measure. It runs in a worker, or in the page where there are none.
+// Decodes poses of compressed meshes, with normals and measured colours. Runs in a worker, or in the page without workers.
 "use strict";
 
 var mixseqPoses = (function () {
-  const AXES = { X: [2, 0, 1], Y: [0, 1, 2], Z: [1, 2, 0] }; // which become x, y and z, where y is up
+  const AXES = { X: [2, 0, 1], Y: [0, 1, 2], Z: [1, 2, 0] }; // axes that become x, y and z, with y up
   const meshes = [];
-  let last = Promise.resolve(); // questions are answered in turn
+  let last = Promise.resolve(); // requests are answered in order
 
-  /** Open a mesh of the attribute coding and its streams; returns its triangles, and the times of its frames since the first. */
+  /** Open a mesh from its description and streams; returns its triangles, and the times of its frames since the first. */
   async function open({ coding, streams }) {
     const sequence = await mixseqDecoder.open(coding, streams), faces = sequence.triangles();
     meshes.push({ sequence, faces, vertices: sequence.vertexCount, measures: {} });
     return { faces, vertices: sequence.vertexCount, times: Array.from(sequence.times, (time) => time - sequence.times[0]) };
   }
 
-  /** Where vertices are at a time since the first frame, x, y and z of one after the other, Y up. */
+  /** Vertex positions at a time since the first frame, Y up: x, y and z of one after the other. */
   function placesOf({ sequence }, time) {
     const points = sequence.at(sequence.times[0] + time), axes = AXES[sequence.upAxis];
     return sequence.upAxis === "Y" ? points : points.map((_, k) => points[k - (k % 3) + axes[k % 3]]);
   }
 
-  /** The mean of the vertices, on the ground. */
+  /** Mean of the vertices along the ground. */
   function middleOf(places) {
     const sum = [0, 0, 0];
     for (let k = 0; k < places.length; k += 3) {
@@ -29,7 +29,7 @@ var mixseqPoses = (function () {
     return sum.map((value) => (3 * value) / places.length);
   }
 
-  /** The pose of a mesh at a time; with the name of what colours measure, and where their scale ends, also places in their palette. */
+  /** Pose of a mesh at a time, with palette entries of a measured colouring whose scale ends at `top`. */
   function pose({ mesh: number, time, measure, top }) {
     const mesh = meshes[number], places = placesOf(mesh, time), normals = mixseqNormals(mesh, places);
     if (!measure) return { places, normals, middle: middleOf(places) };
@@ -38,7 +38,7 @@ var mixseqPoses = (function () {
     return { places, normals, middle: middleOf(places), colours };
   }
 
-  /** Answer a question {ask: "open" or "pose", about}, with what went wrong as {error}. */
+  /** Answer a request {ask: "open" or "pose", about}; failures are answered with {error}. */
   function answer({ ask, about }) {
     last = last.then(() => (ask === "open" ? open(about) : pose(about))).catch(({ message }) => ({ error: message }));
     return last;
@@ -46,8 +46,8 @@ var mixseqPoses = (function () {
 
   if (typeof document === "undefined") {
     onmessage = async ({ data }) => {
-      const said = await answer(data);
-      postMessage(said, [said.places, said.normals].filter(Boolean).map(({ buffer }) => buffer));
+      const result = await answer(data);
+      postMessage(result, [result.places, result.normals].filter(Boolean).map(({ buffer }) => buffer));
     };
   }
   return { answer };

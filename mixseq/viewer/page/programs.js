@@ -1,10 +1,9 @@
-// Programs of the graphics card: compiled from GLSL, with their uniforms by name.
+// Shader programs: compiled from GLSL, with uniforms by name.
 "use strict";
 
 /**
- * Compile programs `{name: [vertex, fragment]}`, in which attributes have the places that a list gives them. Returns
- * `use(name, values)`, which makes a program the current one and sets its uniforms; values that it has none for are
- * left out, so that programs can be given the same ones.
+ * Compile programs `{name: [vertex, fragment]}` with the attribute locations of a list. Returns `use(name, values)`, which
+ * activates a program and sets its uniforms; values without a uniform are ignored, so that programs can share them.
  */
 var mixseqPrograms = function (gl, texts, attributes) {
   const programs = Object.fromEntries(Object.entries(texts).map(([name, each]) => [name, newProgram(...each)]));

@@ -1,15 +1,15 @@
-// What the graphics card does, in GLSL. The light is that of mixseq/pictures/raster.py, shadows are much like those of shadow.py.
+// Shaders in GLSL. Lighting is that of mixseq/pictures/raster.py, shadows are similar to its shadows.
 "use strict";
 
 var mixseqShaders = (function () {
-  // Attributes: a pose and the next one; `share` is how far the mesh is between them.
+  // Attributes: a pose and the next one; `share` is the weight of the next one.
   const POSE = `#version 300 es
     in vec3 p0, p1;
     uniform float share;
-    uniform vec3 origin;  // seen from what the camera looks at
+    uniform vec3 origin;  // relative to the camera's target
     vec3 place() { return origin + mix(p0, p1, share); }`;
 
-  // Orthographic: pixels per unit, and where the camera's target is on the screen.
+  // Orthographic projection: scale, and position of the camera's target on the screen.
   const SCREEN = `
     uniform mat3 turn;
     uniform vec2 scale, shift;
@@ -42,7 +42,7 @@ var mixseqShaders = (function () {
     const vec3 COOL = vec3(1.0, 0.6, 0.0);
     void main() {
       vec3 n = normal / max(length(normal), 1e-6);
-      if (!gl_FrontFacing) n = -n;  // sheets are lit from both sides
+      if (!gl_FrontFacing) n = -n;  // lit from both sides
       float light = 0.50 + 0.14 * n.y + 0.52 * max(dot(n, KEY), 0.0) + 0.06 * n.z;
       light = 1.0 + contrast * (light - 1.0);
       vec3 shade = 1.0 - 0.10 * contrast * clamp(1.0 - light, 0.0, 1.0) * COOL;
@@ -58,7 +58,7 @@ var mixseqShaders = (function () {
     out vec4 pixel;
     void main() { pixel = ink; }`;
 
-  // The shadow is a picture of the ground from above: the darker, the closer the mesh is to it.
+  // The shadow is an image of the ground from above, darker where the mesh is closer.
   const shadowVertex = POSE + `
     uniform float ground, reach, size;
     out float dark;
@@ -74,7 +74,7 @@ var mixseqShaders = (function () {
     out vec4 pixel;
     void main() { pixel = vec4(dark / 1.4); }`;
 
-  // A square that covers everything, for the two passes that blur the shadow.
+  // A square over the whole image, for the two passes that blur the shadow.
   const squareVertex = `#version 300 es
     out vec2 place;
     void main() {
@@ -87,7 +87,7 @@ var mixseqShaders = (function () {
     precision highp float;
     in vec2 place;
     uniform sampler2D picture;
-    uniform vec2 sigma;  // in widths of the picture, along one axis
+    uniform vec2 sigma;  // in widths of the image, along one axis
     out vec4 pixel;
     void main() {
       float sum = 0.0, weights = 0.0;
@@ -99,7 +99,7 @@ var mixseqShaders = (function () {
       pixel = vec4(sum / weights);
     }`;
 
-  // The ground: lines of a grid that fade out, and the shadow.
+  // The ground: a grid that fades out, and the shadow.
   const groundVertex = `#version 300 es` + SCREEN + `
     uniform float ground, radius;
     out vec2 place;
@@ -112,16 +112,16 @@ var mixseqShaders = (function () {
     precision highp float;
     in vec2 place;
     uniform sampler2D shadow;
-    uniform vec2 origin;  // where the grid's lines meet
+    uniform vec2 origin;  // a crossing of grid lines
     uniform float radius, reach, cell, opacity;
     uniform vec4 line, shade;
-    uniform vec4 window;  // left, bottom, right, top of the picture in pixels
-    uniform float edge;   // pixels over which the ground fades out there
+    uniform vec4 window;  // left, bottom, right, top of the panel in pixels
+    uniform float edge;   // pixels over which the ground fades out at its edge
     out vec4 pixel;
     float lines(float size) {
       vec2 at = (place - origin) / size, width = fwidth(at);
       vec2 distance = abs(fract(at - 0.5) - 0.5) / max(width, 1e-6);
-      // where lines are closer than pixels they are an even grey
+      // lines that are closer than pixels become an even grey
       vec2 cover = mix(clamp(1.0 - distance, 0.0, 1.0), min(width, 1.0), smoothstep(0.3, 0.7, width));
       return max(cover.x, cover.y);
     }

@@ -1,28 +1,28 @@
-// The stage: where meshes stand on it, side by side or overlaid, their names above them, and the legend of the colours.
+// The stage: panels of meshes side by side or overlaid, their names, and the legend of the colours.
 "use strict";
 
 /**
- * Make a stage in the elements of the page. `panels(items, camera, state)` tells the renderer what to look at, without
- * what is shown; `placeNames` writes the names, `legend` tells what colours mean.
+ * Make a stage in the elements of the page. `panels(items, camera, state)` returns the panels for the renderer, without
+ * their meshes; `placeNames` draws the names, `legend` the meaning of the colours.
  */
 var mixseqStage = function (stage, names, legendElement) {
   const NAME_HEIGHT = 34, LEGEND_HEIGHT = 52, MARGIN = 0.05;
   const TINTS = [[1, 1, 1], [0.72, 0.92, 1.16], [0.8, 1.1, 0.8], [1.08, 0.86, 1.12], [1.12, 1.02, 0.7]];
 
-  const MEANINGS = { parts: "Each colour is a rigid part, red are joints", own: "Its own colours" };
+  const MEANINGS = { parts: "One colour per rigid part, joints in red", own: "Vertex colours" };
 
-  /** Factors of the clay of overlaid meshes, by which they can be told apart. */
+  /** RGB factors that distinguish overlaid meshes of clay. */
   const tint = (number, overlaid) => (overlaid ? TINTS[number % TINTS.length] : TINTS[0]);
 
-  /** What holds several extents, and how it is first seen; `view` is 0 for their own views, 1 for that of the first item. */
-  function frame(extents, view) {
+  /** Union of extents, with its centre as the camera's target; `view` is 0 for their own views, 1 for that of the first item. */
+  function union(extents, view) {
     const low = [0, 1, 2].map((k) => Math.min(...extents.map((extent) => extent.low[k])));
     const high = [0, 1, 2].map((k) => Math.max(...extents.map((extent) => extent.high[k])));
     const seen = [Math.min, Math.max, Math.min, Math.max].map((nearest, k) => nearest(...extents.map((extent) => extent.seen[view][k])));
     return { low, high, seen, target: low.map((value, k) => (value + high[k]) / 2) };
   }
 
-  /** Boxes beside each other, in as many columns as make the pictures largest. */
+  /** Divide the stage into boxes, with the number of columns that draws the meshes largest. */
   function boxes(count, width, height, aspect) {
     let best = null;
     for (let columns = 1; columns <= count; columns++) {
@@ -32,7 +32,7 @@ var mixseqStage = function (stage, names, legendElement) {
     }
     return Array.from({ length: count }, (_, k) => {
       const row = Math.floor(k / best.columns), inRow = Math.min(best.columns, count - row * best.columns);
-      const indent = ((best.columns - inRow) * best.across) / 2; // a last row that is not full is centred
+      const indent = ((best.columns - inRow) * best.across) / 2; // an incomplete last row is centred
       return [indent + (k % best.columns) * best.across, row * best.down, best.across, best.down];
     });
   }
@@ -41,11 +41,11 @@ var mixseqStage = function (stage, names, legendElement) {
     const view = overlaid ? 1 : 0, first = items[0], hasLegend = legendElement.dataset.wanted === "true";
     const extents = (group) => group.map((item) => (following ? item.following : item.still));
     const together = overlaid ? [items] : items.map((item) => (item.likeFirst ? items.filter((other) => other.likeFirst) : [item]));
-    const below = hasLegend ? LEGEND_HEIGHT : 0, frames = together.map((group) => ({ ...frame(extents(group), view), ...viewOf(overlaid ? first : group[0]) }));
+    const below = hasLegend ? LEGEND_HEIGHT : 0, frames = together.map((group) => ({ ...union(extents(group), view), ...viewOf(overlaid ? first : group[0]) }));
     const sizes = frames.map(pictureSize), width = stage.clientWidth, height = stage.clientHeight - below;
     const aspect = sizes.map((size) => size[0] / size[1]).sort((a, b) => a - b)[sizes.length >> 1];
     return boxes(frames.length, width, height, aspect).map(([left, top, across, down], k) => {
-      const last = top + down > height - 1; // the ground goes on under the legend
+      const last = top + down > height - 1; // the ground continues under the legend
       const room = [left, top + NAME_HEIGHT, across, down - NAME_HEIGHT];
       return panel(frames[k], sizes[k], [left, top, across, last ? down + below : down], room, camera);
     });
@@ -53,7 +53,7 @@ var mixseqStage = function (stage, names, legendElement) {
 
   const viewOf = ({ azimuth, elevation }) => ({ azimuth, elevation });
 
-  /** Width and height of what is first seen, and of what is seen when it is turned. */
+  /** Width and height of the meshes in the initial view and in any other azimuth. */
   function pictureSize({ low, high, seen }) {
     const across = Math.max(seen[1] - seen[0], Math.hypot(high[0] - low[0], high[2] - low[2]));
     const larger = Math.max(across, seen[3] - seen[2]) || 1;
@@ -61,18 +61,18 @@ var mixseqStage = function (stage, names, legendElement) {
   }
 
   function panel({ low, high, seen, target, azimuth, elevation }, size, box, room, camera) {
-    const [, , width, height] = room, middle = (at) => at[1] + at[3] / 2;
+    const [, , width, height] = room, centre = (rectangle) => rectangle[1] + rectangle[3] / 2;
     const fit = (1 - 2 * MARGIN) * Math.min(width / size[0], Math.max(height, 1) / size[1]);
-    // what is first seen is in the middle of the room under the name
+    // the meshes of the initial view are centred in the space below the name
     const first = mixseqRotation(azimuth, elevation).map((row) => row[0] * target[0] + row[1] * target[1] + row[2] * target[2]);
     const scale = fit * camera.zoom, aside = (seen[0] + seen[1]) / 2 - first[0], above = (seen[2] + seen[3]) / 2 - first[1];
-    const shift = [camera.pan[0] - aside * scale, camera.pan[1] + above * scale + (middle(room) - middle(box)) * camera.zoom];
-    const rows = camera.rows(azimuth, elevation), sides = high.map((value, k) => value - low[k]);
+    const shift = [camera.pan[0] - aside * scale, camera.pan[1] + above * scale + (centre(room) - centre(box)) * camera.zoom];
+    const rows = camera.rotation(azimuth, elevation), sides = high.map((value, k) => value - low[k]);
     const largest = Math.max(...sides) || 1;
     return { box, rows, target, scale, shift, ground: low[1], size: largest, reach: 0.6 * Math.max(sides[0], sides[2]) + 0.08 * largest };
   }
 
-  /** Write the names above the panels; overlaid meshes share one. */
+  /** Draw the names above the panels; overlaid meshes share a panel. */
   function placeNames(items, panels, overlaid, tinted) {
     names.replaceChildren(...panels.map(({ box }, k) => {
       const name = document.createElement("div");
@@ -84,7 +84,7 @@ var mixseqStage = function (stage, names, legendElement) {
     }));
   }
 
-  /** The name of an overlaid mesh, with its colour where it has one. */
+  /** Name of an overlaid mesh, with its tint if it has one. */
   function chip(item, number, tinted) {
     const text = document.createElement("span");
     if (tinted) {
@@ -96,7 +96,7 @@ var mixseqStage = function (stage, names, legendElement) {
     return text;
   }
 
-  /** Tell what the colours of a colouring mean, if they mean anything. */
+  /** Show the meaning of the colours, except for clay. */
   function legend(colouring) {
     const [name, scale] = legendElement.children, [bar, numbers] = scale.children;
     legendElement.hidden = !colouring || colouring.name === "clay";

@@ -1,9 +1,9 @@
-// What follows from the triangles of a mesh: its edges and hinges, as mixseq/mesh/topology.py has them.
+// Edges and hinges of a triangle mesh, as in mixseq/mesh/topology.py.
 "use strict";
 
 /**
- * The edges of triangles, as pairs of vertices, and their hinges, as pairs of sides that are one edge in two triangles. Side k goes from
- * corner k of all to the next corner of its triangle.
+ * Edges, as pairs of vertices, and hinges, as pairs of half-edges (sides) with the same vertices. Side k goes from corner k
+ * of all corners to the next corner of its triangle.
  */
 var mixseqTopology = function ({ faces, vertices }) {
   const end = (side) => faces[side % 3 === 2 ? side - 2 : side + 1];

@@ -1,9 +1,9 @@
-// Bytes become bits, by how likely these are (arithmetic decoding). Mirrors coding/bitstream/arithmetic.py.
+// Arithmetic decoding: bits from bytes, by their probabilities. Mirrors mixseq/compression/bitstream/arithmetic.py.
 
-const BEYOND = 8; // bytes after the end that may be asked for: they are zero
+const PADDING_BYTES = 8; // zero bytes that may be read after the end
 
-/** Reads bits from bytes. */
-export class Bits {
+/** Bytes with the state of reading bits from them. */
+export class BitStream {
   constructor(data) {
     this.data = data;
     this.place = 4;
@@ -11,13 +11,13 @@ export class Bits {
     this.interval = Uint32Array.of(0, 0xffffffff, (data[0] << 24) | (data[1] << 16) | (data[2] << 8) | data[3]);
   }
 
-  /** A bit that is 1 with a chance of so many 65536ths. */
-  read(chance) {
+  /** Read a bit; `probability`, that it is 1, is in 65536ths. */
+  read(probability) {
     const interval = this.interval;
     let low = interval[0], high = interval[1], bit = 1;
     const range = (high - low) >>> 0;
-    // floor(range chance / 65536), in 32 bits
-    const part = Math.imul(range >>> 16, chance) + (Math.imul(range & 0xffff, chance) >>> 16);
+    // floor(range probability / 65536), in 32 bits
+    const part = Math.imul(range >>> 16, probability) + (Math.imul(range & 0xffff, probability) >>> 16);
     const middle = (low + part) >>> 0;
     if (interval[2] <= middle) high = middle;
     else {
@@ -35,15 +35,15 @@ export class Bits {
     return bit;
   }
 
-  /** A number of so many bits of which nothing is known. */
-  number(size) {
-    let found = 0;
-    for (let bit = 0; bit < size; bit++) found = 2 * found + this.read(32768);
-    return found;
+  /** Read a number of `size` bits without a model. */
+  rawBits(size) {
+    let value = 0;
+    for (let bit = 0; bit < size; bit++) value = 2 * value + this.read(32768);
+    return value;
   }
 
-  /** Whether more was read than there is. */
-  isBeyond() {
-    return this.place > this.data.length + BEYOND;
+  /** Whether more bits were read than there are. */
+  isPastEnd() {
+    return this.place > this.data.length + PADDING_BYTES;
   }
 }

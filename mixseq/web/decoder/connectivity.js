@@ -1,14 +1,14 @@
-// Polygons without loss, in their order, as mixseq/compression/bitstream/connectivity.py and its kernels decode them.
-import { BASES, GUESSES, makeGuesses, noPast, remember, slotOf } from "./corner_guesses.js";
-import { checkOf, refuseOthers, withoutCheck } from "./decoded_check.js";
+// Decode polygons, in their order. Mirrors mixseq/compression/bitstream/connectivity.py and its kernels.
+import { BASE_COUNT, GUESS_COUNT, makeGuesses, newHistory, recordGuesses, repeatSlot } from "./corner_guesses.js";
+import { checksumOf, verifyChecksum, splitChecksum } from "./decoded_check.js";
 import { MixseqError } from "./errors.js";
-import { CLOSED, OPEN, UNUSED, addPolygon, move, noHalfEdges, rankOf, vertexOf } from "./half_edges.js";
-import { INPUTS, hashedBits } from "./hashed_contexts.js";
+import { CLOSED, OPEN, UNUSED, addPolygon, setState, newHalfEdges, vertexRank, vertexAtRank } from "./half_edges.js";
+import { CONTEXTS_PER_BIT, hashedBits } from "./hashed_contexts.js";
 
-const COUNTS = 3, STATES = 4; // what numbers are about; 0 to 2 are distances among unused, open, closed vertices
-const KINDS = 4 * GUESSES + 4 * 5, LONGEST = 33, LOOKED_AT = 32;
+const COUNT_TOPIC = 3, STATE_TOPIC = 4; // topics of numbers; 0 to 2 are distances among unused, open, closed vertices
+const BIT_KINDS = 4 * GUESS_COUNT + 4 * 5, MAX_NUMBER_BITS = 33, MAX_SEARCHED_CORNERS = 32;
 
-/** Polygons `{counts, corners}`: their numbers of corners, and the vertices of these. */
+/** Decode polygons `{counts, corners}`: their numbers of corners, and the vertices of these. */
 export function decodePolygons(bytes, polygonCount, cornerCount, vertexCount) {
   const whole = [polygonCount, cornerCount, vertexCount].every((count) => count >= 0 && count < 2 ** 31 && count % 1 === 0);
   if (!whole || cornerCount < 3 * polygonCount) throw damaged();
@@ -17,136 +17,136 @@ export function decodePolygons(bytes, polygonCount, cornerCount, vertexCount) {
     return { counts: new Uint32Array(0), corners: new Uint32Array(0) };
   }
   const mesh = { counts: new Uint32Array(polygonCount), corners: new Uint32Array(cornerCount) };
-  const { data, expected } = withoutCheck(bytes);
-  walk(hashedBits(data, KINDS), noHalfEdges(cornerCount, vertexCount), noPast(vertexCount), mesh.counts, mesh.corners);
-  refuseOthers(checkOf(mesh.corners, checkOf(mesh.counts)), expected);
+  const { data, expected } = splitChecksum(bytes);
+  readPolygons(hashedBits(data, BIT_KINDS), newHalfEdges(cornerCount, vertexCount), newHistory(vertexCount), mesh.counts, mesh.corners);
+  verifyChecksum(checksumOf(mesh.corners, checksumOf(mesh.counts)), expected);
   return mesh;
 }
 
 const damaged = () => new MixseqError("the mesh is damaged");
 
 /** Decode all polygons into `counts` and `corners`. */
-function walk(bits, mesh, past, counts, corners) {
-  const { guesses, near } = past;
-  let corner = 0, first = 0, previous = 0; // corners that the polygon before, and the one before that, start from
-  let lastNew = -1, repeat = 0, run = 0; // the corner that comes after the same differences, and for how long it was right
+function readPolygons(bits, mesh, history, counts, corners) {
+  const { guesses, recentCorners } = history;
+  let corner = 0, first = 0, previous = 0; // first corners of the last two polygons
+  let lastNew = -1, repeat = 0, run = 0; // the corner after the same differences, and for how long it was right
   for (let polygon = 0; polygon < counts.length; polygon++) {
-    const start = corner, old = polygon ? counts[polygon - 1] : 3, older = polygon > 1 ? counts[polygon - 2] : 3;
-    past.about.fill((Math.min(old, 63) << 6) | Math.min(older, 63));
-    const count = old + readNumber(bits, past.about, COUNTS), stop = start + count;
+    const start = corner, lastCount = polygon ? counts[polygon - 1] : 3, olderCount = polygon > 1 ? counts[polygon - 2] : 3;
+    history.facts.fill((Math.min(lastCount, 63) << 6) | Math.min(olderCount, 63));
+    const count = lastCount + readNumber(bits, history.facts, COUNT_TOPIC), stop = start + count;
     if (count < 3 || stop > corners.length) throw damaged();
     counts[polygon] = count;
     for (; corner < stop; corner++) {
       const j = corner - start, place = corner === stop - 1 ? 3 : Math.min(j, 2), before = corner ? corners[corner - 1] : 0;
-      makeGuesses(mesh, past, place, before, j ? corners[start] : before, lastNew);
+      makeGuesses(mesh, history, place, before, j ? corners[start] : before, lastNew);
       if (repeat) guesses[8] = before + corners[repeat] - corners[repeat - 1];
       if (j && first + j < start) guesses[9] = before + corners[first + j] - corners[first + j - 1];
       if (j && previous + j < first) guesses[10] = before + corners[previous + j] - corners[previous + j - 1];
-      const winner = readWinner(bits, mesh, past, corners, polygon, start, corner, place, run);
-      const vertex = winner < GUESSES ? guesses[winner] : readNamed(bits, mesh, past, winner - GUESSES, before, place, lastNew);
+      const winner = readWinner(bits, mesh, history, corners, polygon, start, corner, place, run);
+      const vertex = winner < GUESS_COUNT ? guesses[winner] : readUnguessed(bits, mesh, history, winner - GUESS_COUNT, before, place, lastNew);
       corners[corner] = vertex;
-      remember(past, place, vertex, winner);
+      recordGuesses(history, place, vertex, winner);
       if (repeat && guesses[8] === vertex) {
         repeat++;
         run++;
       } else repeat = run = 0;
       if (corner > 2) {
-        const slot = slotOf(corners, corner, place);
-        repeat ||= past.repeats[slot];
-        past.repeats[slot] = corner + 1;
+        const slot = repeatSlot(corners, corner, place);
+        repeat ||= history.repeats[slot];
+        history.repeats[slot] = corner + 1;
       }
       if (mesh.states[vertex] === UNUSED) {
         lastNew = vertex;
-        move(mesh, vertex, OPEN);
+        setState(mesh, vertex, OPEN);
       }
-      past.used[vertex] = polygon;
+      history.lastPolygons[vertex] = polygon;
     }
     addPolygon(mesh, corners, start, stop);
-    near.copyWithin(3, 0, 3);
-    near.set([corners[start], corners[start + 1], corners[stop - 1]]);
+    recentCorners.copyWithin(3, 0, 3);
+    recentCorners.set([corners[start], corners[start + 1], corners[stop - 1]]);
     previous = first;
     first = start;
   }
   if (corner !== corners.length) throw damaged();
 }
 
-/** The first right guess at a corner, or `GUESSES` and the state of the vertex that none had. */
-function readWinner(bits, mesh, past, corners, polygon, start, corner, place, run) {
-  const { degrees, openEdges } = mesh, { guesses, trail, used } = past, { contexts, above } = bits;
+/** Read the first right guess at a corner, or `GUESS_COUNT` plus the state of an unguessed vertex. */
+function readWinner(bits, mesh, history, corners, polygon, start, corner, place, run) {
+  const { degrees, openEdges } = mesh, { guesses, recentWinners, lastPolygons } = history, { contexts, above } = bits;
   const before = corner ? corners[corner - 1] : 0, first = corner > start ? corners[start] : before;
   const around = corner ? Math.min(degrees[before], 8) * 4 + Math.min(openEdges[before], 3) : 0;
-  const winners = past.winners[place], successes = past.successes[place];
-  for (let g = 0; g < GUESSES; g++) {
+  const winners = history.winners[place], successes = history.successes[place];
+  for (let g = 0; g < GUESS_COUNT; g++) {
     const guess = guesses[g];
     if (guess < 0 || guess >= degrees.length) continue;
-    let agreeing = 0, again = 0;
-    for (let h = 0; h < GUESSES; h++) if (guesses[h] === guess) agreeing |= 1 << h;
-    if (agreeing & ((1 << g) - 1)) continue; // it was said already that it is not this one
-    for (let other = Math.max(start, corner - LOOKED_AT); other < corner; other++) if (corners[other] === guess) again = 1;
-    const kind = place * GUESSES + g, fan = (again * 4 + Math.min(openEdges[guess], 3)) * 9 + Math.min(degrees[guess], 8);
-    const age = used[guess] >= 0 ? bitLength(polygon - used[guess]) : 63, right = successes[g];
-    const long = (((agreeing << 5) | trail[0]) << 7) | fan;
-    contexts[0] = (((right << 7) | (again ? fan : 0)) << 7) | kind;
-    contexts[1] = (((agreeing << 1) | again) << 7) | kind;
-    contexts[2] = (((((trail[0] << 5) | trail[1]) << 5) | trail[2]) << 7) | kind;
-    contexts[3] = (((((winners[0] << 5) | winners[1]) << 5) | trail[0]) << 7) | kind;
+    let agreeing = 0, isRepeated = 0;
+    for (let h = 0; h < GUESS_COUNT; h++) if (guesses[h] === guess) agreeing |= 1 << h;
+    if (agreeing & ((1 << g) - 1)) continue; // excluded already
+    for (let other = Math.max(start, corner - MAX_SEARCHED_CORNERS); other < corner; other++) if (corners[other] === guess) isRepeated = 1;
+    const kind = place * GUESS_COUNT + g, fan = (isRepeated * 4 + Math.min(openEdges[guess], 3)) * 9 + Math.min(degrees[guess], 8);
+    const age = lastPolygons[guess] >= 0 ? bitLength(polygon - lastPolygons[guess]) : 63, right = successes[g];
+    const long = (((agreeing << 5) | recentWinners[0]) << 7) | fan;
+    contexts[0] = (((right << 7) | (isRepeated ? fan : 0)) << 7) | kind;
+    contexts[1] = (((agreeing << 1) | isRepeated) << 7) | kind;
+    contexts[2] = (((((recentWinners[0] << 5) | recentWinners[1]) << 5) | recentWinners[2]) << 7) | kind;
+    contexts[3] = (((((winners[0] << 5) | winners[1]) << 5) | recentWinners[0]) << 7) | kind;
     contexts[4] = (((fan << 6) | around) << 7) | kind;
-    contexts[5] = (((((clamped(guess - before) << 6) | clamped(guess - first)) << 5) | trail[0]) << 7) | kind;
+    contexts[5] = (((((clamp(guess - before) << 6) | clamp(guess - first)) << 5) | recentWinners[0]) << 7) | kind;
     contexts[6] = (long << 7) | kind;
     contexts[7] = (((((age << 4) | Math.min(run, 15)) << 3) | (right & 7)) << 7) | kind;
     above.fill(0);
     above[6] = long >>> 25;
     if (bits.next(kind)) return g;
   }
-  const { about } = past, last = winners[0], two = (((trail[0] << 5) | trail[1]) << 2) | place;
-  [place, two, (last << 2) | place, (two << 5) | last].forEach((known, i) => (about[i] = about[4 + i] = known));
-  const state = OPEN + readNumber(bits, about, STATES);
+  const { facts } = history, last = winners[0], two = (((recentWinners[0] << 5) | recentWinners[1]) << 2) | place;
+  [place, two, (last << 2) | place, (two << 5) | last].forEach((known, i) => (facts[i] = facts[4 + i] = known));
+  const state = OPEN + readNumber(bits, facts, STATE_TOPIC);
   if (state < UNUSED || state > CLOSED) throw damaged();
-  return GUESSES + state;
+  return GUESS_COUNT + state;
 }
 
-/** The vertex that no guess had, by its distance among the vertices of its state from a base. */
-function readNamed(bits, mesh, past, state, before, place, lastNew) {
-  const { about, bases } = past, distances = past.distances[state][place], members = mesh.members[state];
+/** Read an unguessed vertex, by its distance from a base among the vertices of its state. */
+function readUnguessed(bits, mesh, history, state, before, place, lastNew) {
+  const { facts, bases } = history, distances = history.distances[state][place], stateCounts = mesh.stateCounts[state];
   bases[0] = lastNew + 1;
   bases[1] = before;
-  bases[2] = past.named[place];
-  bases.set(past.near, 3);
+  bases[2] = history.lastUnguessed[place];
+  bases.set(history.recentCorners, 3);
   let best = 0, second = 1;
-  for (let base = 1; base < BASES; base++) {
+  for (let base = 1; base < BASE_COUNT; base++) {
     if (distances[base] < distances[best]) [best, second] = [base, best];
     else if (distances[base] < distances[second]) second = base;
   }
-  const origin = rankOf(mesh, state, bases[best]), apart = rankOf(mesh, state, bases[second]) - origin;
-  const last = (bitLength(past.lastDistances[state]) << 2) | place, near = ((Math.min(Math.max(apart, -7), 7) + 7) << 2) | place;
+  const origin = vertexRank(mesh, state, bases[best]), apart = vertexRank(mesh, state, bases[second]) - origin;
+  const last = (bitLength(history.lastDistances[state]) << 2) | place, recentCorners = ((Math.min(Math.max(apart, -7), 7) + 7) << 2) | place;
   const far = (best << 7) | (bitLength(apart) << 1) | (apart < 0 ? 1 : 0);
-  const share = (Math.floor((origin * 16) / (members + 1)) << 6) | bitLength(members);
-  about.set([0, near, far, (far << 8) | near, last, (last << 8) | near, share, ((distances[best] >> 6) << 2) | place]);
-  const distance = readNumber(bits, about, state), rank = origin + distance;
-  if (rank < 0 || rank >= members) throw damaged();
-  past.lastDistances[state] = distance;
-  for (let base = 0; base < BASES; base++) distances[base] += (256 * bitLength(rankOf(mesh, state, bases[base]) - rank) - distances[base]) >> 4;
-  return (past.named[place] = vertexOf(mesh, state, rank));
+  const share = (Math.floor((origin * 16) / (stateCounts + 1)) << 6) | bitLength(stateCounts);
+  facts.set([0, recentCorners, far, (far << 8) | recentCorners, last, (last << 8) | recentCorners, share, ((distances[best] >> 6) << 2) | place]);
+  const distance = readNumber(bits, facts, state), rank = origin + distance;
+  if (rank < 0 || rank >= stateCounts) throw damaged();
+  history.lastDistances[state] = distance;
+  for (let base = 0; base < BASE_COUNT; base++) distances[base] += (256 * bitLength(vertexRank(mesh, state, bases[base]) - rank) - distances[base]) >> 4;
+  return (history.lastUnguessed[place] = vertexAtRank(mesh, state, rank));
 }
 
-/** A number: whether it is not 0, its sign, how many bits its magnitude has, and those after the first. */
-function readNumber(bits, about, what) {
+/** Read a number: whether it is not 0, its sign, the bit length of its magnitude, and the bits after the first. */
+function readNumber(bits, facts, topic) {
   const next = (stage, node, known) => {
-    for (let i = 0; i < INPUTS; i++) {
-      bits.contexts[i] = (known ? about[i] << 20 : 0) | (node << 5) | (what << 2) | stage;
-      bits.above[i] = (known ? about[i] >>> 12 : 0) | (1 << 28);
+    for (let i = 0; i < CONTEXTS_PER_BIT; i++) {
+      bits.contexts[i] = (known ? facts[i] << 20 : 0) | (node << 5) | (topic << 2) | stage;
+      bits.above[i] = (known ? facts[i] >>> 12 : 0) | (1 << 28);
     }
-    return bits.next(4 * (GUESSES + what) + stage);
+    return bits.next(4 * (GUESS_COUNT + topic) + stage);
   };
   if (!next(0, 0, true)) return 0;
   const negative = next(1, 0, true);
   let length = 1, value = 1;
-  while (next(2, (length << 1) | negative, true) && length < LONGEST) length++;
+  while (next(2, (length << 1) | negative, true) && length < MAX_NUMBER_BITS) length++;
   for (let shift = length - 2; shift >= 0; shift--) value = 2 * value + next(3, (length << 6) | (value < 16 ? value : 16 + shift), value < 4);
   return negative ? -value : value;
 }
 
 const bitLength = (number) => 32 - Math.clz32(Math.abs(number));
 
-/** A small number as one from 1 to 63, larger ones as the nearest of these. */
-const clamped = (number) => Math.min(Math.max(number, -31), 31) + 32;
+/** Clamp a number for use as a context, which is from 1 to 63. */
+const clamp = (number) => Math.min(Math.max(number, -31), 31) + 32;

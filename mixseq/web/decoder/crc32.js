@@ -19,7 +19,7 @@ function tables() {
   return found;
 }
 
-/** The CRC-32 of bytes, after others with the CRC-32 `before`. */
+/** The CRC-32 of bytes, continued from the CRC-32 `before`. */
 export function crc32(bytes, before = 0) {
   const table = TABLES[0];
   let code = ~before;

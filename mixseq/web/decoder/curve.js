@@ -1,28 +1,28 @@
-// The curve through rows of numbers at frames, and what the operator in time says of the middles between them. Mirrors
-// signals/curve.py, of a model that was compressed.
-import { Operator, placeIn } from "./operator.js";
+// The curve through the rows of frames, and rows at their midpoints from the temporal operator. Mirrors
+// mixseq/signals/curve.py, for compressed models.
+import { TemporalOperator, lowerBound } from "./operator.js";
 import { splineWeights } from "./spline_weights.js";
 
-const REACH = 24; // knots on either side: those farther away have no weight that could be seen
-const KEPT = 256; // middles that are known
+const KNOTS_PER_SIDE = 24; // knots on either side; the weights of others are negligible
+const MAX_CACHED_MIDDLES = 256; // rows at midpoints
 
-/** A curve through `row(frame)`, as long as `width`, at `times`; rows are asked for where they are needed. */
+/** A curve through rows `row(frame)` of `width` numbers at `times`, which are decoded on demand. */
 export class Curve {
   constructor(times, between, width, row) {
-    Object.assign(this, { times, width, row, operator: new Operator(times, between), middles: new Map() });
+    Object.assign(this, { times, width, row, operator: new TemporalOperator(times, between), middles: new Map() });
     this.count = 2 * times.length - 1; // of knots
   }
 
-  /** Where the curve is at a time. */
+  /** The row at a time. */
   at(time) {
-    const place = placeIn(this.times, time), { count } = this;
+    const place = lowerBound(this.times, time), { count } = this;
     if (this.times[place] === time) return this.row(place);
-    const first = Math.max(2 * place - 1 - REACH, 0), end = Math.min(2 * place + REACH, count);
+    const first = Math.max(2 * place - 1 - KNOTS_PER_SIDE, 0), end = Math.min(2 * place + KNOTS_PER_SIDE, count);
     const knots = Float64Array.from({ length: end - first }, (_, k) => this.knot(first + k));
     return this.sum(splineWeights(knots, time, true), (k) => this.value(first + k));
   }
 
-  /** The time of a frame, or of the middle after it. */
+  /** The time of a frame, or of the midpoint after it. */
   knot(number) {
     const frame = number >> 1;
     return number & 1 ? (this.times[frame] + this.times[frame + 1]) / 2 : this.times[frame];
@@ -30,22 +30,22 @@ export class Curve {
 
   value(number) {
     if (!(number & 1)) return this.row(number >> 1);
-    let found = this.middles.get(number);
-    if (!found) {
+    let sum = this.middles.get(number);
+    if (!sum) {
       const { first, weights } = this.operator.at(this.knot(number));
-      found = this.sum(weights, (k) => this.row(first + k));
-      this.middles.set(number, found);
-      if (this.middles.size > KEPT) this.middles.delete(this.middles.keys().next().value);
+      sum = this.sum(weights, (k) => this.row(first + k));
+      this.middles.set(number, sum);
+      if (this.middles.size > MAX_CACHED_MIDDLES) this.middles.delete(this.middles.keys().next().value);
     }
-    return found;
+    return sum;
   }
 
   sum(weights, row) {
-    const found = new Float64Array(this.width);
+    const sum = new Float64Array(this.width);
     weights.forEach((weight, k) => {
       const values = row(k);
-      for (let i = 0; i < found.length; i++) found[i] += weight * values[i];
+      for (let i = 0; i < sum.length; i++) sum[i] += weight * values[i];
     });
-    return found;
+    return sum;
   }
 }

@@ -1,7 +1,7 @@
-// Decompression by the browser, which is asynchronous: it is done once, when a sequence is opened.
+// Decompression by the browser. It is asynchronous, so it is done once, when a sequence is opened.
 import { MixseqError } from "./errors.js";
 
-/** Undo zlib, up to `most` bytes; no bytes stay none. `what` names them in messages. */
+/** Decompress up to `most` bytes of zlib data; empty data stays empty. `what` names it in messages. */
 export async function decompressed(data, most, what) {
   if (!data.length) return data;
   const reader = new Blob([data]).stream().pipeThrough(new DecompressionStream("deflate")).getReader(), parts = [];
@@ -13,7 +13,7 @@ export async function decompressed(data, most, what) {
     size += part.value.length;
     if (size > most) {
       reader.cancel();
-      throw new MixseqError(`${what} take more than the ${most} bytes that they may`);
+      throw new MixseqError(`${what} take more than the allowed ${most} bytes`);
     }
     parts.push(part.value);
   }

@@ -1,4 +1,4 @@
-// The one error of the decoder: what was given is damaged, or of another kind. Mirrors mixseq/errors.py.
+// The error of the decoder, for damaged or unsupported data. Mirrors mixseq/errors.py.
 
 export class MixseqError extends Error {
   constructor(message) {
@@ -7,7 +7,7 @@ export class MixseqError extends Error {
   }
 }
 
-/** What work returns; whatever is wrong there ends in one error that tells where. */
+/** Return the result of some work; raise all its errors as `MixseqError`, with `what` was decoded. */
 export function guarded(what, work) {
   try {
     return work();

@@ -1,6 +1,6 @@
-// From fields and their weights to positions.
+// Positions from fields and their weights.
 
-/** Write the positions of all vertices: the sums of fields, as `Sequence.fields` tells them, times weights. */
+/** Write the positions of all vertices: the sums of fields (`Sequence.fields`) times weights. */
 export function evaluate({ parts }, weights, positions) {
   for (const { vertices, fields, values } of parts) {
     const count = fields.length, own = new Float64Array(3 * count);

@@ -1,12 +1,12 @@
-// Corners of polygons, and an order of polygons in which each is beside those before it, as in mixseq/compression/bitstream/connectivity.py.
+// Corners of polygons, and the growing order of polygons. Mirrors mixseq/compression/bitstream/connectivity.py.
 
-const BUCKETS = 4;
+const QUEUE_COUNT = 4;
 
 /**
- * The corners of polygons on nodes: on vertices, or on texture coordinates. The names are those of the Python module, but for
- * `after` and `before`, which have the next corner and the one before of every corner.
+ * The corners of polygons on nodes: vertices, or texture coordinates. The names are those of the Python module; `after` and
+ * `before` have the next and the previous corner of every corner.
  */
-export function cornersOf(counts, node, nodeCount) {
+export function cornersOnNodes(counts, node, nodeCount) {
   const size = node.length, starts = new Int32Array(counts.length + 1), polygon = new Int32Array(size);
   const all = Int32Array.from(node, (_, corner) => corner), after = all.map((corner) => corner + 1), before = all.map((corner) => corner - 1);
   counts.forEach((count, p) => {
@@ -16,10 +16,10 @@ export function cornersOf(counts, node, nodeCount) {
     before[start] = stop - 1;
   });
   const { order: around, starts: aroundStarts } = sorted(all, node, nodeCount);
-  return { starts, polygon, node, after, before, twin: twins(node, after, around, nodeCount), aroundStarts, around };
+  return { starts, polygon, node, after, before, twin: findTwins(node, after, around, nodeCount), aroundStarts, around };
 }
 
-/** Corners in the order of their keys, which are below `size`; of equal ones as they were. Also where each key starts. */
+/** Sort corners by their keys below `size`, stably; also return where each key starts. */
 function sorted(corners, keys, size) {
   const starts = new Int32Array(size + 1), order = new Int32Array(corners.length);
   for (const key of keys) starts[key + 1]++;
@@ -29,8 +29,8 @@ function sorted(corners, keys, size) {
   return { order, starts };
 }
 
-/** Twins of half-edges: of those between the same nodes, the k-th one way is the twin of the k-th the other way. */
-function twins(tails, after, around, nodeCount) {
+/** Twins of half-edges: of several between the same nodes, the k-th is the twin of the k-th opposite one. */
+function findTwins(tails, after, around, nodeCount) {
   const heads = tails.map((_, corner) => tails[after[corner]]), twin = new Int32Array(tails.length).fill(-1);
   const back = sorted(around, heads, nodeCount).order, forth = sorted(sorted(twin.map((_, corner) => corner), heads, nodeCount).order, tails, nodeCount).order;
   for (let i = 0, j = 0; i < forth.length && j < back.length; ) {
@@ -46,16 +46,16 @@ function twins(tails, after, around, nodeCount) {
 export function growingOrder({ starts, polygon, node, aroundStarts, around }) {
   const count = starts.length - 1, unknown = new Int32Array(count), visited = new Uint8Array(count), order = new Int32Array(count);
   const known = new Uint8Array(aroundStarts.length - 1), queued = new Int32Array(node.length), following = new Int32Array(node.length).fill(-1);
-  const heads = new Int32Array(BUCKETS).fill(-1), tails = new Int32Array(BUCKETS);
+  const heads = new Int32Array(QUEUE_COUNT).fill(-1), tails = new Int32Array(QUEUE_COUNT);
   let lowest = 0, entries = 0;
   for (let p = 0; p < count; p++) unknown[p] = starts[p + 1] - starts[p];
 
   function next() {
-    for (let bucket = 0; bucket < BUCKETS; bucket++) {
-      while (heads[bucket] >= 0) {
-        const p = queued[heads[bucket]];
-        heads[bucket] = following[heads[bucket]];
-        if (!visited[p] && Math.min(unknown[p], BUCKETS - 1) === bucket) return p;
+    for (let queue = 0; queue < QUEUE_COUNT; queue++) {
+      while (heads[queue] >= 0) {
+        const p = queued[heads[queue]];
+        heads[queue] = following[heads[queue]];
+        if (!visited[p] && Math.min(unknown[p], QUEUE_COUNT - 1) === queue) return p;
       }
     }
     while (visited[lowest]) lowest++;
@@ -63,11 +63,11 @@ export function growingOrder({ starts, polygon, node, aroundStarts, around }) {
   }
 
   function enqueue(p) {
-    const bucket = Math.min(unknown[p], BUCKETS - 1);
+    const queue = Math.min(unknown[p], QUEUE_COUNT - 1);
     queued[entries] = p;
-    if (heads[bucket] < 0) heads[bucket] = entries;
-    else following[tails[bucket]] = entries;
-    tails[bucket] = entries++;
+    if (heads[queue] < 0) heads[queue] = entries;
+    else following[tails[queue]] = entries;
+    tails[queue] = entries++;
   }
 
   for (let place = 0; place < count; place++) {

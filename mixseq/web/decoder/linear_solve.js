@@ -1,7 +1,7 @@
-// Systems of a few linear equations.
+// Small systems of linear equations.
 
-/** Solve a system, a list of rows, for one right side, by Gauss's elimination with pivots; both are used up. */
-export function solved(rows, right) {
+/** Solve a system, a list of rows, for a right side, by Gaussian elimination with pivoting; both are overwritten. */
+export function solveLinear(rows, right) {
   const size = right.length;
   for (let k = 0; k < size; k++) {
     let best = k;
@@ -24,4 +24,4 @@ export function solved(rows, right) {
 }
 
 /** A matrix of zeros, as a list of rows. */
-export const zeros = (size) => Array.from({ length: size }, () => new Float64Array(size));
+export const zeroMatrix = (size) => Array.from({ length: size }, () => new Float64Array(size));

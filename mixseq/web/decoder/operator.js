@@ -1,11 +1,11 @@
-// Weights of frames at any time: one temporal operator. Mirrors prediction/operator.py, but for choosing one.
-import { solved, zeros } from "./linear_solve.js";
+// The temporal operator: weights of frames at any time. Mirrors mixseq/spaces/temporal.py, without its selection.
+import { solveLinear, zeroMatrix } from "./linear_solve.js";
 import { splineWeights } from "./spline_weights.js";
 
-export const WINDOW = 48; // frames that are looked at
+export const WINDOW_FRAMES = 48; // nearest frames that have weights
 
-/** Of frames at `times`; with the `length` of the covariance, null if infinite, and the shares of the usual `cubic`. */
-export class Operator {
+/** Weights of frames at `times`: `length` of the covariance, null if infinite; weights of the usual `cubic` spline at both ends. */
+export class TemporalOperator {
   constructor(times, { length, cubic }) {
     Object.assign(this, { times, length, cubic });
     this.step = (times[times.length - 1] - times[0]) / Math.max(times.length - 1, 1) || 1;
@@ -13,20 +13,20 @@ export class Operator {
 
   /** The weights of the frames from `first` on at a time. */
   at(time) {
-    const { times, step, cubic } = this, count = times.length, size = Math.min(WINDOW, count);
-    const first = Math.min(Math.max(placeIn(times, time) - (size >> 1), 0), count - size);
+    const { times, step, cubic } = this, count = times.length, size = Math.min(WINDOW_FRAMES, count);
+    const first = Math.min(Math.max(lowerBound(times, time) - (size >> 1), 0), count - size);
     const own = times.subarray(first, first + size);
     if (size === 1) return { first, weights: Float64Array.of(1) };
     const knots = own.map((knot) => (knot - own[0]) / step), wanted = (time - own[0]) / step;
     const weights = this.length === null ? splineWeights(knots, wanted, false) : kriging(knots, wanted, this.length);
-    const share = count < 3 ? 0 : time < times[1] ? cubic[0] : time > times[count - 2] ? cubic[1] : 0;
-    if (share) splineWeights(knots, wanted, true).forEach((usual, k) => (weights[k] += share * (usual - weights[k])));
+    const weight = count < 3 ? 0 : time < times[1] ? cubic[0] : time > times[count - 2] ? cubic[1] : 0;
+    if (weight) splineWeights(knots, wanted, true).forEach((cubicWeight, k) => (weights[k] += weight * (cubicWeight - weights[k])));
     return { first, weights };
   }
 }
 
-/** How many of ascending numbers are below another one. */
-export function placeIn(numbers, wanted) {
+/** The number of ascending numbers that are below another one. */
+export function lowerBound(numbers, wanted) {
   let low = 0, high = numbers.length;
   while (low < high) {
     const middle = (low + high) >> 1;
@@ -42,7 +42,7 @@ function kriging(knots, time, length) {
     const scaled = (Math.sqrt(3) * Math.abs(distance)) / length;
     return (1 + scaled) * Math.exp(-scaled);
   };
-  const trend = (at) => (at - mean) / count, system = zeros(count + 2), right = new Float64Array(count + 2);
+  const trend = (at) => (at - mean) / count, system = zeroMatrix(count + 2), right = new Float64Array(count + 2);
   knots.forEach((knot, k) => {
     knots.forEach((other, j) => (system[k][j] = covariance(knot - other)));
     system[k][count] = system[count][k] = 1;
@@ -51,5 +51,5 @@ function kriging(knots, time, length) {
   });
   right[count] = 1;
   right[count + 1] = trend(time);
-  return solved(system, right).slice(0, count);
+  return solveLinear(system, right).slice(0, count);
 }

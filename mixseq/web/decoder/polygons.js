@@ -1,4 +1,4 @@
-// Triangles of polygons, as mixseq/mesh/polygons.py has them.
+// Triangles of polygons. Mirrors mixseq/mesh/polygons.py.
 
 /**
  * The triangles `Uint32Array(3F)` of polygons: the fans about their first corners. `counts` are the numbers of corners,

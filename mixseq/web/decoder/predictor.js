@@ -1,102 +1,102 @@
-// Predict the values of signals over a graph, from those before it. Mirrors coding/bitstream/predictor.py.
-import { UNIT, entries, learn, nearest, rounded, solve, trust } from "./predictor_kernels.js";
+// Predict signals over a graph from earlier ones. Mirrors mixseq/compression/bitstream/predictor.py.
+import { UNITS_PER_STEP, entries, accumulateGram, findSimilarNodes, roundWeights, solveWeights, computeTrust } from "./predictor_kernels.js";
 import { copyRows } from "./stencils.js";
 
-const SIMILAR = 8, SIMILAR_FRAMES = 16; // nodes that are most like a node are joined to it: vertices, or frames
-const SEARCHED = 5; // signals, times their coordinates, when these are looked for
-const EXHAUSTIVE = 2048; // nodes that look at all nodes before them
-const RIDGE = 0.5; // squared rounding error of a known signal, in steps
-const ROUGH = 10; // signals whose squared differences are above this teach less
-const DOUBLED = 16, AGES = 512; // every so many signals trust is doubled, at most so many times
-const SELDOM = 2; // weights are renewed after a share of the signals, as a power of 1/2
-const FINER = 9, FINEST = 38; // tenths of a step that that of a coarser level is, at least so many units
-const EQUAL = 3; // signals, times their coordinates, of which all nodes have the same step
+const SIMILAR_VERTICES = 8, SIMILAR_FRAMES = 16; // most similar nodes joined to a node: vertices, or frames
+const SIMILARITY_SEARCH_SIGNALS = 5; // signals, times their coordinates, at which these are searched for
+const EXHAUSTIVE_SEARCH_NODES = 2048; // first nodes that search all nodes before them
+const RIDGE_PER_SIGNAL = 0.5; // squared rounding error of a known signal, in steps
+const ROUGHNESS_SCALE = 10; // mean squared difference of neighbours, in squared steps, above which trust falls
+const TRUST_DOUBLING_SIGNALS = 16, MAX_TRUST_DOUBLINGS = 512; // signals after which trust is doubled; largest number of doublings
+const RENEWAL_SHIFT = 2; // weights are updated after a quarter more signals: 1/2 to this power
+const STEP_RATIO_TENTHS = 9, MIN_STEP_UNITS = 38; // ratio of steps of successive coarser levels, in tenths; smallest step
+const UNIFORM_STEP_SIGNALS = 3; // signals, times their coordinates, with the same step at all nodes
 
 /**
- * What is known about signals over a graph. Whoever decodes fills `values` node by node, and calls `finish` after the last.
- * `stencil` is what nodes are predicted from at first; a graph over time is its own.
+ * Weights fitted to signals over a graph. The decoder fills `values` node by node, and calls `finish` after the last one.
+ * `stencil` has the initial neighbours and weights; a graph over time is its own stencil.
  */
 export class Predictor {
   constructor(graph, stencil, coordinates) {
     const size = graph.order.length;
     this.graph = graph;
-    this.searched = SEARCHED * coordinates;
-    this.equal = graph.overTime ? Infinity : EQUAL * coordinates;
-    this.known = 0;
-    this.due = 1;
-    this.pending = []; // signals that the weights do not know yet
-    this.signals = []; // all, until similar nodes are looked for
+    this.similaritySearchAt = SIMILARITY_SEARCH_SIGNALS * coordinates;
+    this.uniformStepsUntil = graph.isOverTime ? Infinity : UNIFORM_STEP_SIGNALS * coordinates;
+    this.signalCount = 0;
+    this.nextUpdate = 1;
+    this.pending = []; // signals that are not in the Gram matrices
+    this.signals = []; // all, until similar nodes are searched for
     this.values = new Float64Array(size);
-    this.steps = new Float64Array(size).fill(UNIT);
-    this.join(stencil);
+    this.steps = new Float64Array(size).fill(UNITS_PER_STEP);
+    this.setNeighbours(stencil);
   }
 
-  /** Predict nodes from these, with these weights as long as nothing is known about them. */
-  join({ width, neighbours, counts, weights }) {
-    this.start = rounded(weights);
-    this.from = { width, neighbours, counts, weights: this.start.slice() };
+  /** Set the neighbours of nodes, and their initial weights. */
+  setNeighbours({ width, neighbours, counts, weights }) {
+    this.initialWeights = roundWeights(weights);
+    this.stencil = { width, neighbours, counts, weights: this.initialWeights.slice() };
     this.gram = new Float64Array(counts.reduce((sum, count) => sum + entries(count), 0));
     this.ridge = 0;
   }
 
-  /** Learn from the signal whose values are all known, and be ready for the next one. */
+  /** Learn from the finished signal, and prepare for the next one. */
   finish() {
-    const signal = this.values.slice(), known = ++this.known;
+    const signal = this.values.slice(), signalCount = ++this.signalCount;
     this.pending.push(signal);
-    if (known === this.equal) this.steps = finerSteps(this.steps.length);
-    if (known <= this.searched) this.signals.push(signal);
-    if (known === this.searched) this.joinSimilar();
-    if (known === this.searched || known >= this.due) {
-      this.renew();
-      this.due = known + Math.max(1, known >> SELDOM);
+    if (signalCount === this.uniformStepsUntil) this.steps = levelSteps(this.steps.length);
+    if (signalCount <= this.similaritySearchAt) this.signals.push(signal);
+    if (signalCount === this.similaritySearchAt) this.addSimilarNodes();
+    if (signalCount === this.similaritySearchAt || signalCount >= this.nextUpdate) {
+      this.updateWeights();
+      this.nextUpdate = signalCount + Math.max(1, signalCount >> RENEWAL_SHIFT);
     }
   }
 
-  /** Learn from the signals that are waiting, and find weights. */
-  renew() {
-    const { from, pending, gram } = this, first = this.known - pending.length;
+  /** Add the pending signals to the Gram matrices, and solve for weights. */
+  updateWeights() {
+    const { stencil, pending, gram } = this, first = this.signalCount - pending.length;
     const trusts = pending.map((signal, k) => {
-      let share = trust(signal, ROUGH * UNIT * UNIT, from);
-      for (let age = Math.min(Math.floor((first + k) / DOUBLED), AGES); age > 0; age--) share *= 2;
-      return share;
+      let trust = computeTrust(signal, ROUGHNESS_SCALE * UNITS_PER_STEP * UNITS_PER_STEP, stencil);
+      for (let age = Math.min(Math.floor((first + k) / TRUST_DOUBLING_SIGNALS), MAX_TRUST_DOUBLINGS); age > 0; age--) trust *= 2;
+      return trust;
     });
-    this.ridge += RIDGE * UNIT * UNIT * trusts.reduce((sum, one) => sum + one, 0);
-    learn(pending, trusts, from, gram);
-    solve(this.ridge, from, gram, this.start, from.weights);
+    this.ridge += RIDGE_PER_SIGNAL * UNITS_PER_STEP * UNITS_PER_STEP * trusts.reduce((sum, one) => sum + one, 0);
+    accumulateGram(pending, trusts, stencil, gram);
+    solveWeights(this.ridge, stencil, gram, this.initialWeights, stencil.weights);
     this.pending = [];
   }
 
-  /** Join every node to those before it that are most like it in all signals that are known. */
-  joinSimilar() {
-    const { graph, signals } = this, most = graph.overTime ? SIMILAR_FRAMES : SIMILAR;
-    this.join(withMore(graph, nearest(signals, graph, EXHAUSTIVE, most), most));
+  /** Join every node to the most similar nodes before it in all known signals. */
+  addSimilarNodes() {
+    const { graph, signals } = this, most = graph.isOverTime ? SIMILAR_FRAMES : SIMILAR_VERTICES;
+    this.setNeighbours(withExtraNeighbours(graph, findSimilarNodes(signals, graph, EXHAUSTIVE_SEARCH_NODES, most), most));
     this.pending = signals;
     this.signals = [];
   }
 }
 
-/** The neighbours of a graph, and `most` further ones at most, at first without weight. */
-function withMore(graph, { similar, found }, most) {
+/** The neighbours of a graph, and up to `most` more with initial weight zero. */
+function withExtraNeighbours(graph, { similar, similarCounts }, most) {
   const size = graph.order.length, width = graph.width + most;
   const neighbours = new Int32Array(size * width), weights = new Float64Array(size * width);
-  const counts = graph.counts.map((count, node) => count + found[node]);
+  const counts = graph.counts.map((count, node) => count + similarCounts[node]);
   copyRows(graph, { width, neighbours, weights });
-  addSimilar(graph.counts, similar, found, most, neighbours, width);
+  copySimilar(graph.counts, similar, similarCounts, most, neighbours, width);
   return { width, neighbours, counts, weights };
 }
 
-function addSimilar(counts, similar, found, most, neighbours, width) {
+function copySimilar(counts, similar, similarCounts, most, neighbours, width) {
   for (let node = 0; node < counts.length; node++) {
     const first = node * width + counts[node];
-    for (let i = 0; i < found[node]; i++) neighbours[first + i] = similar[node * most + i];
+    for (let i = 0; i < similarCounts[node]; i++) neighbours[first + i] = similar[node * most + i];
   }
 }
 
-/** Steps of so many nodes, in units: smaller on coarse levels, whose errors finer ones inherit. */
-function finerSteps(size) {
-  const steps = new Float64Array(size).fill(UNIT);
-  for (let first = size >> 1, step = UNIT; first; first >>= 1) {
-    step = Math.max(Math.floor((step * FINER) / 10), FINEST);
+/** Steps of `size` nodes in units, smaller on coarse levels, whose errors finer ones inherit. */
+function levelSteps(size) {
+  const steps = new Float64Array(size).fill(UNITS_PER_STEP);
+  for (let first = size >> 1, step = UNITS_PER_STEP; first; first >>= 1) {
+    step = Math.max(Math.floor((step * STEP_RATIO_TENTHS) / 10), MIN_STEP_UNITS);
     steps.fill(step, 0, first);
   }
   return steps;

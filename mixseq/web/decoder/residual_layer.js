@@ -1,22 +1,22 @@
-// What is added to decoded frames to bring every vertex below a bound. Mirrors coding/bitstream/residual_layer.py.
+// The residual layer: corrections of decoded frames that bring every vertex within a bound. Mirrors mixseq/compression/bitstream/residual_layer.py.
 import { MixseqError, guarded } from "./errors.js";
-import { placeIn } from "./operator.js";
+import { lowerBound } from "./operator.js";
 import { Reader } from "./signal_coder.js";
-import { emptyFrame, readFrame, residualModels } from "./residual_kernels.js";
+import { emptyFrame, readFrame, newResidualModels } from "./residual_kernels.js";
 
-const RUN = 16; // frames that are coded together
-const KEPT = 8; // decoded runs
-const NEAR = 1e-9; // frames: a frame is a frame, after rounding
+const FRAMES_PER_RUN = 16; // frames coded together
+const MAX_CACHED_RUNS = 8; // decoded runs that are kept
+const FRAME_TOLERANCE = 1e-9; // times this near to a frame, in frames, are the frame's
 
 /**
- * The residual layer of a sequence, decoded where it is asked for: of `chunks` with `first`, `count` and `residuals`.
- * `graphOf()` is the graph of the mesh.
+ * The residual layer of a sequence, decoded on demand from `chunks` with `first`, `count` and `residuals`. `graphOf()` is the
+ * graph of the mesh.
  */
 export class ResidualLayer {
   constructor(times, chunks, graphOf, unit) {
     Object.assign(this, { times, chunks, graphOf, unit });
     this.runs = new Map();
-    this.taken = []; // frames of chunks that were decoded elsewhere
+    this.taken = []; // frames of chunks that were decoded in another thread
   }
 
   /** The residuals of all frames of a chunk. */
@@ -25,69 +25,69 @@ export class ResidualLayer {
     return Array.from({ length: count }, (_, k) => this.frame(first + k));
   }
 
-  /** Take what `chunk` made. */
+  /** Take the frames that `chunk` returned in another thread. */
   take(number, frames) {
     this.taken[number] = frames;
   }
 
-  /** Add the displacements at a time to positions; whether there were any. */
+  /** Add the displacements at a time to positions; return whether there were any. */
   addTo(positions, time) {
-    const { frame, share } = placeOf(this.times, time);
-    const before = this.addFrame(positions, frame, 1 - share);
-    return (share > 0 && this.addFrame(positions, frame + 1, share)) || before;
+    const { frame, fraction } = locateTime(this.times, time);
+    const before = this.addFrame(positions, frame, 1 - fraction);
+    return (fraction > 0 && this.addFrame(positions, frame + 1, fraction)) || before;
   }
 
-  addFrame(positions, frame, share) {
-    const { vertices, numbers } = this.frame(frame), unit = share * this.unit;
+  addFrame(positions, frame, fraction) {
+    const { vertices, numbers } = this.frame(frame), unit = fraction * this.unit;
     for (let i = 0; i < vertices.length; i++) {
       for (let axis = 0; axis < 3; axis++) positions[3 * vertices[i] + axis] += unit * numbers[3 * i + axis];
     }
     return vertices.length > 0;
   }
 
-  /** Which vertices of a frame are displaced, and how far, in units of the layer. */
+  /** The displaced vertices of a frame, and their displacements in units of the layer. */
   frame(frame) {
     const place = this.chunks.findIndex(({ first, count }) => frame < first + count), chunk = this.chunks[place];
     if (this.taken[place]) return this.taken[place][frame - chunk.first];
-    const number = Math.floor((frame - chunk.first) / RUN), key = chunk.first + number * RUN;
+    const number = Math.floor((frame - chunk.first) / FRAMES_PER_RUN), key = chunk.first + number * FRAMES_PER_RUN;
     let run = this.runs.get(key);
     if (!run) {
       run = guarded(`the residuals of frames ${key} and on`, () => readResiduals(chunk, number, this.graphOf()));
       this.runs.set(key, run);
-      if (this.runs.size > KEPT) this.runs.delete(this.runs.keys().next().value);
+      if (this.runs.size > MAX_CACHED_RUNS) this.runs.delete(this.runs.keys().next().value);
     }
     return run[frame - key];
   }
 }
 
-/** The frame at or before a time, and how far it is on the way to the next. */
-function placeOf(times, time) {
-  const after = placeIn(times, time), share = after && (time - times[after - 1]) / (times[after] - times[after - 1]);
-  if (!after || share > 1 - NEAR) return { frame: after, share: 0 };
-  return { frame: after - 1, share: share < NEAR ? 0 : share };
+/** The frame at or before a time, and the fraction of the way to the next. */
+function locateTime(times, time) {
+  const after = lowerBound(times, time), fraction = after && (time - times[after - 1]) / (times[after] - times[after - 1]);
+  if (!after || fraction > 1 - FRAME_TOLERANCE) return { frame: after, fraction: 0 };
+  return { frame: after - 1, fraction: fraction < FRAME_TOLERANCE ? 0 : fraction };
 }
 
 /** The residuals of a run of frames. */
 function readResiduals({ count, residuals }, run, graph) {
-  const frames = Math.min(RUN, count - run * RUN), runs = Math.ceil(count / RUN), nothing = { vertices: [], numbers: [] };
+  const frames = Math.min(FRAMES_PER_RUN, count - run * FRAMES_PER_RUN), runs = Math.ceil(count / FRAMES_PER_RUN), noResiduals = { vertices: [], numbers: [] };
   let start = 4 * runs, from = 0, to = 0;
-  if (!residuals.length) return new Array(frames).fill(nothing);
+  if (!residuals.length) return new Array(frames).fill(noResiduals);
   const view = new DataView(residuals.buffer, residuals.byteOffset, residuals.length);
   for (let k = 0; k < runs && start <= residuals.length; k++) {
     from = k === run ? start : from;
     start += view.getUint32(4 * k, true);
     to = k === run ? start : to;
   }
-  if (start !== residuals.length) throw new MixseqError("a residual layer has another length than it says; it is damaged");
-  return from === to ? new Array(frames).fill(nothing) : readRun(residuals.subarray(from, to), frames, graph);
+  if (start !== residuals.length) throw new MixseqError("a residual layer has another length than stated; it is damaged");
+  return from === to ? new Array(frames).fill(noResiduals) : readRun(residuals.subarray(from, to), frames, graph);
 }
 
 function readRun(stream, count, graph) {
-  const reader = new Reader(stream), models = residualModels(), frames = [];
+  const reader = new Reader(stream), models = newResidualModels(), frames = [];
   let last = emptyFrame(graph.order.length);
   for (let frame = 0; frame < count; frame++) {
-    last = readFrame(reader.bits(), models, graph, last);
-    reader.checked(last.numbers);
+    last = readFrame(reader.stream(), models, graph, last);
+    reader.addToChecksum(last.numbers);
     frames.push(residualsOf(last, graph.order));
   }
   reader.finish();

@@ -1,4 +1,4 @@
-// A compressed sequence: what it is, and its frames at any time.
+// A compressed sequence: its mesh, and its frames at any time.
 import { decodePolygons } from "./connectivity.js";
 import { Curve } from "./curve.js";
 import { decompressed } from "./decompression.js";
@@ -10,10 +10,10 @@ import { ResidualLayer } from "./residual_layer.js";
 import { meshGraph } from "./signal_graph.js";
 import { readBasis, readWeights } from "./spatial_basis.js";
 import { readIndex } from "./stream_index.js";
-import { timesOf } from "./times.js";
+import { readTimes } from "./times.js";
 export { MixseqError };
 
-const OF_CORNER = 64, OF_TEXTS = 1 << 24; // bytes that a surface may have
+const SURFACE_BYTES_PER_CORNER = 64, TEXT_BYTES = 1 << 24; // limits of the size of a surface
 
 /**
  * Open a sequence: `text` is the attribute `coding` of a compressed model, `bytes` are those of its dataset. All bytes
@@ -22,12 +22,12 @@ const OF_CORNER = 64, OF_TEXTS = 1 << 24; // bytes that a surface may have
 export async function open(text, bytes) {
   const facts = guarded("the sequence", () => readFacts(text)), { parameters, cornerCount, frameCount } = facts;
   const streams = guarded("the sequence", () => readIndex(text, bytes, parameters.uvSteps !== null));
-  const surface = await decompressed(streams.surface, OF_CORNER * cornerCount + OF_TEXTS, "the surface's bytes");
+  const surface = await decompressed(streams.surface, SURFACE_BYTES_PER_CORNER * cornerCount + TEXT_BYTES, "the surface's bytes");
   const times = await decompressed(streams.times, 8 * frameCount, "the times");
   return guarded("the sequence", () => new Sequence(facts, streams, surface, times));
 }
 
-/** Decoded as it is asked for: the mesh, the fields over it, and chunk by chunk their weights over time. */
+/** A sequence that is decoded on demand: the mesh, the fields over it, and chunk by chunk their weights over time. */
 export class Sequence {
   #between;
   #polygons;
@@ -41,24 +41,24 @@ export class Sequence {
     if (this.chunks.reduce((sum, { count }) => sum + count, 0) !== this.frameCount) {
       throw new MixseqError(`its chunks are not of ${this.frameCount} frames; it is damaged`);
     }
-    this.times = timesOf(times, firstTime, this.frameCount, this.fps);
+    this.times = readTimes(times, firstTime, this.frameCount, this.fps);
     this.#between = between;
   }
 
-  /** How many corners the polygons have, `counts`, and the vertices of all `corners`. */
+  /** The numbers of corners of the polygons, `counts`, and the vertices of all `corners`. */
   polygons() {
     return (this.#polygons ??= guarded("the connectivity", () =>
       decodePolygons(this.streams.connectivity, this.polygonCount, this.cornerCount, this.vertexCount)));
   }
 
-  /** The triangles that polygons are drawn as: three vertices each. */
+  /** The triangles of the polygons, three vertices each. */
   triangles() {
     const { counts, corners } = this.polygons();
     return (this.#triangles ??= guarded("the polygons", () => triangulated(counts, corners)));
   }
 
   /**
-   * Fields over the mesh: their `count`, and `parts` of the mesh, each vertex in one of them. A part has `vertices`, the
+   * Fields over the mesh: their `count`, and `parts` of the mesh, which share no vertices. A part has `vertices`, the
    * numbers of its `fields`, and their `values` at the vertices, vertex by vertex. A frame is the sum of all fields times
    * their `weights`.
    */
@@ -66,7 +66,7 @@ export class Sequence {
     return this.#decoded().basis.fields;
   }
 
-  /** Decode the weights in the frames of a chunk, unless they are known. */
+  /** Decode the weights in the frames of a chunk, unless they are decoded. */
   load(number) {
     const chunk = this.chunks[number];
     if (!chunk || chunk.loaded) return;
@@ -76,38 +76,38 @@ export class Sequence {
     chunk.loaded = true;
   }
 
-  /** The weights of all fields at a time, x, y and z of each; before the first and after the last frame, of that. */
+  /** The weights of all fields at a time, x, y and z of each; times are clamped to the first and last frame. */
   weights(time, out = new Float32Array(this.#decoded().width)) {
     out.set(this.#at(time));
     return out;
   }
 
-  /** Where the vertices are at a time. */
+  /** The positions of the vertices at a time. */
   at(time, out = new Float32Array(3 * this.vertexCount)) {
     evaluate(this.fields(), this.#at(time), out);
     this.#residuals()?.addTo(out, this.#inside(time));
     return out;
   }
 
-  /** Where the vertices are in a frame. */
+  /** The positions of the vertices in a frame. */
   frame(number, out) {
     return this.at(this.times[Math.min(Math.max(Math.round(number), 0), this.frameCount - 1)], out);
   }
 
-  /** What is to be added to the sum of the fields at a time; null if nothing is. */
+  /** The displacements to add to the sum of the fields at a time; null if there are none. */
   residuals(time) {
     const out = this.#residuals() && new Float32Array(3 * this.vertexCount);
     return out && this.#residuals().addTo(out, this.#inside(time)) ? out : null;
   }
 
-  /** All that is decoded of mesh, fields and a chunk, which can be sent to another thread, for `take` there. */
+  /** The decoded mesh, fields and weights of a chunk, which another thread can `take`. */
   share(number) {
     this.load(number);
     const { basis, residuals } = this.#decoded();
     return { polygons: this.polygons(), triangles: this.triangles(), basis, number, weights: this.#weights[number], residuals: residuals?.chunk(number) };
   }
 
-  /** Take what `share` of the same sequence made, instead of decoding it. */
+  /** Take the result of `share` of the same sequence, instead of decoding it. */
   take({ polygons, triangles, basis, number, weights, residuals }) {
     this.#polygons ??= polygons;
     this.#triangles ??= triangles;

@@ -1,40 +1,42 @@
-// Signals over a graph, one after another: basis vectors over a mesh, coefficients over time. Mirrors
-// coding/bitstream/signal_coder.py.
-import { Bits } from "./arithmetic.js";
+// Read signals over a graph: basis vectors over a mesh, coefficients over time. Mirrors
+// mixseq/compression/bitstream/signal_coder.py.
+import { BitStream } from "./arithmetic.js";
 import { BitModels } from "./bit_models.js";
-import { checkOf, refuseOthers, withoutCheck } from "./decoded_check.js";
+import { checksumOf, verifyChecksum, splitChecksum } from "./decoded_check.js";
 import { MixseqError } from "./errors.js";
 import { Predictor } from "./predictor.js";
-import { CONTEXTS, INPUTS, POSITIONS, learnSizes, readSignal } from "./signal_kernels.js";
+import { CONTEXT_VALUES, CONTEXTS_PER_BIT, POSITION_COUNT, updateActivity, readSignal } from "./signal_kernels.js";
 
-/** A stream, and a check of what it decodes to. */
+/** A stream, and the checksum of its decoded values. */
 export class Reader {
+  #stream;
+
   constructor(stream) {
-    const { data, expected } = withoutCheck(stream);
-    this.coded = new Bits(data);
+    const { data, expected } = splitChecksum(stream);
+    this.#stream = new BitStream(data);
     this.expected = expected;
-    this.check = 0;
+    this.checksum = 0;
   }
 
-  /** Where to read. */
-  bits() {
-    if (this.coded.isBeyond()) throw new MixseqError("coded numbers end early; it is damaged");
-    return this.coded;
+  /** The stream; it must not have ended. */
+  stream() {
+    if (this.#stream.isPastEnd()) throw new MixseqError("coded numbers end early; it is damaged");
+    return this.#stream;
   }
 
-  /** Add whole numbers to what was found. */
-  checked(numbers) {
-    this.check = checkOf(numbers, this.check);
+  /** Add decoded values to the checksum. */
+  addToChecksum(numbers) {
+    this.checksum = checksumOf(numbers, this.checksum);
   }
 
-  /** Make sure that what was read is what was written. */
+  /** Verify that the decoded values are those that were written. */
   finish() {
-    refuseOthers(this.check, this.expected);
+    verifyChecksum(this.checksum, this.expected);
   }
 }
 
-/** What is known of the bits of numbers; coders of several graphs can share it. */
-export const numberModels = () => new BitModels(INPUTS, CONTEXTS, POSITIONS);
+/** Models of the bits of numbers; coders of several graphs can share them. */
+export const newNumberModels = () => new BitModels(CONTEXTS_PER_BIT, CONTEXT_VALUES, POSITION_COUNT);
 
 /** Reads signals over a graph; `coordinates` of them belong together. */
 export class SignalCoder {
@@ -45,19 +47,19 @@ export class SignalCoder {
     this.predictor = new Predictor(graph, stencil, coordinates);
     this.numbers = new Float64Array(size);
     this.activity = new Float64Array(size);
-    this.around = new Float64Array(size);
-    this.known = 0;
+    this.ringActivity = new Float64Array(size);
+    this.signalCount = 0;
   }
 
   /** The next signal, in 64ths of a step, in the order of vertices, or frames. */
   read(reader) {
-    const { graph, predictor, numbers, activity, around } = this;
-    if (this.known) { // nothing has to be learned from the last signal
-      learnSizes(numbers, graph, activity, around);
+    const { graph, predictor, numbers, activity, ringActivity } = this;
+    if (this.signalCount) { // the last signal of all needs no update
+      updateActivity(numbers, graph, activity, ringActivity);
       predictor.finish();
     }
-    readSignal(reader.bits(), this.models, this.known++, predictor, numbers, activity, around);
-    reader.checked(predictor.values);
+    readSignal(reader.stream(), this.models, this.signalCount++, predictor, numbers, activity, ringActivity);
+    reader.addToChecksum(predictor.values);
     return inOrderOf(graph.order, predictor.values);
   }
 }

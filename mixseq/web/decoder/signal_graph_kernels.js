@@ -1,60 +1,59 @@
-// Who is beside whom in a graph, who goes, who is joined. Mirrors coding/bitstream/signal_graph_kernels.py.
+// Adjacency of graphs, and the removal of nodes. Mirrors mixseq/compression/bitstream/signal_graph.py.
 
-export const MOST = 12; // neighbours that a node is predicted from
-const HUB = 32; // neighbours that are so many times more are searched, not gone through
+export const MAX_NEIGHBOURS = 12; // largest number of neighbours that predict a node
+const HUB_DEGREE_RATIO = 32; // ratio of degrees above which shared neighbours are found by binary search
 
 /**
- * Starts (N + 1) and neighbours, ascending, each once, of all nodes, from pairs of nodes, some of which may be there
- * twice, or be one node.
+ * Starts (N + 1) and neighbours of all nodes, ascending and unique, from edges, which may repeat, or join a node to itself.
  *
- * Each loop is a function of its own, here and elsewhere: browsers compile a loop while it runs for the first time, and throw that
- * away if it goes on to lines that they have not seen yet.
+ * Each loop is a function of its own, here and elsewhere: browsers compile a loop while it runs for the first time, and discard
+ * the code if the function continues with lines that were not executed before.
  */
-export function adjacency(ends, others, size, count) {
-  const starts = new Int32Array(count + 1), loose = new Int32Array(2 * size), beside = new Int32Array(2 * size);
-  countBoth(ends, others, size, starts);
+export function buildAdjacency(ends, others, size, count) {
+  const starts = new Int32Array(count + 1), unsorted = new Int32Array(2 * size), adjacent = new Int32Array(2 * size);
+  countEnds(ends, others, size, starts);
   accumulate(starts);
-  listBoth(ends, others, size, starts.slice(), loose);
-  giveBack(loose, starts, starts.slice(), beside);
-  const kept = dropRepeated(starts, beside);
-  return { starts, beside: beside.slice(0, kept) };
+  listEnds(ends, others, size, starts.slice(), unsorted);
+  sortRows(unsorted, starts, starts.slice(), adjacent);
+  const kept = dropRepeated(starts, adjacent);
+  return { starts, adjacent: adjacent.slice(0, kept) };
 }
 
-function countBoth(ends, others, size, starts) {
+function countEnds(ends, others, size, starts) {
   for (let k = 0; k < size; k++) {
     starts[ends[k] + 1]++;
     starts[others[k] + 1]++;
   }
 }
 
-/** Make sums of counts. */
+/** Replace counts by their cumulative sums. */
 function accumulate(counts) {
   for (let k = 1; k < counts.length; k++) counts[k] += counts[k - 1];
 }
 
-function listBoth(ends, others, size, places, loose) {
+function listEnds(ends, others, size, places, unsorted) {
   for (let k = 0; k < size; k++) {
-    loose[places[ends[k]]++] = others[k];
-    loose[places[others[k]]++] = ends[k];
+    unsorted[places[ends[k]]++] = others[k];
+    unsorted[places[others[k]]++] = ends[k];
   }
 }
 
-/** Give each node to its neighbours, so that these get theirs in ascending order. */
-function giveBack(loose, starts, places, beside) {
+/** Sort rows, by adding each node to the rows of its neighbours. */
+function sortRows(unsorted, starts, places, adjacent) {
   for (let node = 0; node < starts.length - 1; node++) {
-    for (let at = starts[node]; at < starts[node + 1]; at++) beside[places[loose[at]]++] = node;
+    for (let at = starts[node]; at < starts[node + 1]; at++) adjacent[places[unsorted[at]]++] = node;
   }
 }
 
-/** Leave out what is there twice, and nodes beside themselves; returns how many are left. */
-function dropRepeated(starts, beside) {
+/** Remove repeated neighbours, and nodes that are their own neighbours; return the number left. */
+function dropRepeated(starts, adjacent) {
   let kept = 0;
   for (let node = 0, first = 0; node < starts.length - 1; node++) {
     const end = starts[node + 1];
     for (let at = first, last = node; at < end; at++) {
-      const other = beside[at];
+      const other = adjacent[at];
       if (other === last || other === node) continue;
-      beside[kept++] = last = other;
+      adjacent[kept++] = last = other;
     }
     first = end;
     starts[node + 1] = kept;
@@ -62,78 +61,78 @@ function dropRepeated(starts, beside) {
   return kept;
 }
 
-/** Nodes with neighbours, those with the fewest first, of equally many the lower ones. */
-export function byDegree(starts, count) {
-  let most = 0;
-  for (let node = 0; node < count; node++) most = Math.max(most, starts[node + 1] - starts[node]);
-  const places = new Int32Array(most + 2);
+/** Nodes with neighbours, by increasing degree, ties in ascending order. */
+export function sortByDegree(starts, count) {
+  let maxDegree = 0;
+  for (let node = 0; node < count; node++) maxDegree = Math.max(maxDegree, starts[node + 1] - starts[node]);
+  const places = new Int32Array(maxDegree + 2);
   for (let node = 0; node < count; node++) places[starts[node + 1] - starts[node] + 1]++;
   accumulate(places);
-  const alone = places[1], nodes = new Int32Array(count - alone);
+  const isolatedCount = places[1], nodes = new Int32Array(count - isolatedCount);
   for (let node = 0; node < count; node++) {
     const degree = starts[node + 1] - starts[node];
-    if (degree) nodes[places[degree]++ - alone] = node;
+    if (degree) nodes[places[degree]++ - isolatedCount] = node;
   }
   return nodes;
 }
 
-/** Nodes, first come first served, no two of which are neighbours, with at most so many neighbours. */
-export function independent(nodes, starts, beside, most) {
-  const blocked = new Uint8Array(starts.length - 1), chosen = new Int32Array(nodes.length);
+/** Nodes of at most `maxDegree` neighbours, no two of them adjacent, in the order of a list. */
+export function findIndependentNodes(nodes, starts, adjacent, maxDegree) {
+  const blockedMask = new Uint8Array(starts.length - 1), independent = new Int32Array(nodes.length);
   let count = 0;
   for (let k = 0; k < nodes.length; k++) {
     const node = nodes[k];
-    if (blocked[node] || starts[node + 1] - starts[node] > most) continue;
-    chosen[count++] = node;
-    for (let at = starts[node]; at < starts[node + 1]; at++) blocked[beside[at]] = 1;
+    if (blockedMask[node] || starts[node + 1] - starts[node] > maxDegree) continue;
+    independent[count++] = node;
+    for (let at = starts[node]; at < starts[node + 1]; at++) blockedMask[adjacent[at]] = 1;
   }
-  return chosen.slice(0, count);
+  return independent.slice(0, count);
 }
 
 /**
- * Note neighbours of nodes that go; return pairs that close the holes: all neighbours are joined to the one that has most
- * of the others as neighbours already, or to the one of fewest neighbours among those.
+ * Write the neighbours of removed nodes; return edges that close the holes. A node is collapsed onto its neighbour that is
+ * adjacent to most others, among equals that of fewest neighbours.
  */
-export function collapse(gone, starts, beside, neighbours, counts) {
-  const size = sizeOf(gone, starts), ends = new Int32Array(size), others = new Int32Array(size), mark = new Int32Array(starts.length - 1).fill(-1);
-  const count = closeHoles(gone, starts, beside, neighbours, counts, mark, ends, others);
+export function collapseNodes(removed, starts, adjacent, neighbours, counts) {
+  const size = neighbourTotal(removed, starts), ends = new Int32Array(size), others = new Int32Array(size), mark = new Int32Array(starts.length - 1).fill(-1);
+  const count = closeHoles(removed, starts, adjacent, neighbours, counts, mark, ends, others);
   return { ends: ends.slice(0, count), others: others.slice(0, count) };
 }
 
-function sizeOf(gone, starts) {
+function neighbourTotal(removed, starts) {
   let size = 0;
-  for (let k = 0; k < gone.length; k++) size += starts[gone[k] + 1] - starts[gone[k]];
+  for (let k = 0; k < removed.length; k++) size += starts[removed[k] + 1] - starts[removed[k]];
   return size;
 }
 
-function closeHoles(gone, starts, beside, neighbours, counts, mark, ends, others) {
+function closeHoles(removed, starts, adjacent, neighbours, counts, mark, ends, others) {
   let count = 0;
-  for (let k = 0; k < gone.length; k++) {
-    const node = gone[k], first = starts[node], last = starts[node + 1];
-    counts[node] = Math.min(last - first, MOST);
-    for (let i = 0; i < counts[node]; i++) neighbours[node * MOST + i] = beside[first + i];
-    for (let at = first; at < last; at++) mark[beside[at]] = node;
-    const best = mostJoined(node, starts, beside, mark);
+  for (let k = 0; k < removed.length; k++) {
+    const node = removed[k], first = starts[node], last = starts[node + 1];
+    counts[node] = Math.min(last - first, MAX_NEIGHBOURS);
+    for (let i = 0; i < counts[node]; i++) neighbours[node * MAX_NEIGHBOURS + i] = adjacent[first + i];
+    for (let at = first; at < last; at++) mark[adjacent[at]] = node;
+    const best = mostJoined(node, starts, adjacent, mark);
     for (let at = first; at < last; at++) {
-      if (beside[at] === best) continue;
+      if (adjacent[at] === best) continue;
       ends[count] = best;
-      others[count++] = beside[at];
+      others[count++] = adjacent[at];
     }
   }
   return count;
 }
 
-/** The neighbour of a node that most of the others are marked beside. */
-function mostJoined(node, starts, beside, mark) {
+/** The neighbour of a node that is adjacent to most of the marked others. */
+function mostJoined(node, starts, adjacent, mark) {
   const first = starts[node], last = starts[node + 1];
-  let best = beside[first], sharedBest = -1, degreeBest = 0;
+  let best = adjacent[first], sharedBest = -1, degreeBest = 0;
   for (let place = first; place < last; place++) {
-    const other = beside[place], low = starts[other], high = starts[other + 1], degree = high - low;
+    const other = adjacent[place], low = starts[other], high = starts[other + 1], degree = high - low;
     let shared = 0;
-    if (degree > HUB * (last - first)) {
-      for (let at = first; at < last; at++) if (find(beside, low, high, beside[at]) >= 0) shared++;
+    if (degree > HUB_DEGREE_RATIO * (last - first)) {
+      for (let at = first; at < last; at++) if (find(adjacent, low, high, adjacent[at]) >= 0) shared++;
     } else {
-      for (let at = low; at < high; at++) if (mark[beside[at]] === node) shared++;
+      for (let at = low; at < high; at++) if (mark[adjacent[at]] === node) shared++;
     }
     if (shared > sharedBest || (shared === sharedBest && degree < degreeBest)) {
       best = other;
@@ -144,7 +143,7 @@ function mostJoined(node, starts, beside, mark) {
   return best;
 }
 
-/** Where a number is between two places of an ascending list, or -1. */
+/** The place of a number between two places of an ascending list, or -1. */
 export function find(list, low, high, number) {
   while (low < high) {
     const middle = (low + high) >> 1;

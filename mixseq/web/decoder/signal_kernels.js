@@ -1,88 +1,88 @@
-// One signal, node by node. Mirrors coding/bitstream/signal_kernels.py.
-import { UNIT, predict } from "./predictor_kernels.js";
+// One signal, node by node. Mirrors mixseq/compression/bitstream/signal_coder.py.
+import { UNITS_PER_STEP, predict } from "./predictor_kernels.js";
 
-const LEVELS = 32; // of sizes, two in an octave
-const FINE_LEVELS = 55; // the last of them, four in an octave
-const DEPTHS = 18; // numbers of bits of a node's number
-const AGES = 8; // levels of how many signals were before
-const LONGEST = 24, MOST = 55; // bits of a number that have models; at most
-const LARGEST = 2 ** 40; // larger sizes count as this
+const SIZE_LEVELS = 32; // levels of sizes, two per octave
+const MAX_FINE_LEVEL = 55; // the largest level of sizes, four per octave
+const DEPTH_CLASSES = 18; // node classes, by bit length of the node number
+const AGE_CLASSES = 8; // signal classes, by the number of earlier signals
+const MAX_MODELLED_BITS = 24, MAX_NUMBER_BITS = 55; // largest bit length with models; largest bit length
+const MAX_SIZE = 2 ** 40; // upper bound to which sizes are clamped
 
-export const INPUTS = 5;
-export const CONTEXTS = LEVELS * LEVELS;
-export const POSITIONS = 2 * LONGEST;
+export const CONTEXTS_PER_BIT = 5;
+export const CONTEXT_VALUES = SIZE_LEVELS * SIZE_LEVELS;
+export const POSITION_COUNT = 2 * MAX_MODELLED_BITS;
 
-const POWERS = new Float64Array(MOST).fill(1);
-for (let bits = 1; bits < MOST; bits++) POWERS[bits] = 2 * POWERS[bits - 1];
+const POWERS = new Float64Array(MAX_NUMBER_BITS).fill(1);
+for (let stream = 1; stream < MAX_NUMBER_BITS; stream++) POWERS[stream] = 2 * POWERS[stream - 1];
 
 /**
- * Read a signal: a number for every node, and the value that it makes. `numbers` are those of the signal before, which
- * those of this one replace; `activity` and `around` are sizes of the numbers of earlier signals, here and beside.
+ * Read a signal: the numbers of all nodes, and their values. `numbers` of the previous signal are replaced; `activity` and
+ * `ringActivity` are sizes of the numbers of earlier signals, at the node and at adjacent nodes.
  */
-export function readSignal(bits, models, known, { from, values, steps }, numbers, activity, around) {
-  const { width, neighbours, counts } = from, contexts = models.contexts, age = Math.min(level(known), AGES - 1);
+export function readSignal(stream, models, signalCount, { stencil, values, steps }, numbers, activity, ringActivity) {
+  const { width, neighbours, counts } = stencil, contexts = models.contexts, age = Math.min(sizeLevel(signalCount), AGE_CLASSES - 1);
   for (let node = 0, depth = 0; node < values.length; node++) {
-    while (depth < DEPTHS - 1 && node >> depth) depth++;
-    const count = counts[node], active = activity[node];
-    let size = active;
+    while (depth < DEPTH_CLASSES - 1 && node >> depth) depth++;
+    const count = counts[node], own = activity[node];
+    let size = own;
     if (count) {
       let total = 0;
       for (let at = node * width, end = at + count; at < end; at++) total += magnitude(numbers[neighbours[at]]);
-      size = Math.floor((UNIT * total) / count);
+      size = Math.floor((UNITS_PER_STEP * total) / count);
     }
-    const expected = Math.floor((205 * size + 102 * active + 38 * around[node]) / 256);
-    const here = level(size) * LEVELS, beside = level(active);
-    contexts[0] = here + beside;
-    contexts[1] = beside * LEVELS + level(around[node]);
-    contexts[2] = fineLevel(expected) * DEPTHS + depth;
-    contexts[3] = here + level(UNIT * magnitude(numbers[node]));
-    contexts[4] = level(expected) * AGES + age;
-    const number = readSigned(bits, models);
+    const expected = Math.floor((205 * size + 102 * own + 38 * ringActivity[node]) / 256);
+    const here = sizeLevel(size) * SIZE_LEVELS, ownLevel = sizeLevel(own);
+    contexts[0] = here + ownLevel;
+    contexts[1] = ownLevel * SIZE_LEVELS + sizeLevel(ringActivity[node]);
+    contexts[2] = fineSizeLevel(expected) * DEPTH_CLASSES + depth;
+    contexts[3] = here + sizeLevel(UNITS_PER_STEP * magnitude(numbers[node]));
+    contexts[4] = sizeLevel(expected) * AGE_CLASSES + age;
+    const number = readSignedNumber(stream, models);
     numbers[node] = number;
-    values[node] = predict(node, from, values) + steps[node] * number;
+    values[node] = predict(node, stencil, values) + steps[node] * number;
   }
 }
 
-/** A number: how many bits it has, the highest of those after the first, the others, and the sign. */
-function readSigned(bits, models) {
+/** Read a number: bit length, highest of the bits after the first, the other bits, sign. */
+function readSignedNumber(stream, models) {
   let size = 0, value = 1;
-  while (size < LONGEST && models.read(bits, size)) size++;
-  if (size === LONGEST) while (size < MOST && bits.number(1)) size++;
+  while (size < MAX_MODELLED_BITS && models.read(stream, size)) size++;
+  if (size === MAX_MODELLED_BITS) while (size < MAX_NUMBER_BITS && stream.rawBits(1)) size++;
   if (size === 0) return 0;
   if (size > 1) {
-    const top = models.read(bits, LONGEST + Math.min(size, LONGEST) - 2);
-    value = (2 + top) * POWERS[size - 2] + bits.number(size - 2);
+    const top = models.read(stream, MAX_MODELLED_BITS + Math.min(size, MAX_MODELLED_BITS) - 2);
+    value = (2 + top) * POWERS[size - 2] + stream.rawBits(size - 2);
   }
-  return bits.number(1) ? -value : value;
+  return stream.rawBits(1) ? -value : value;
 }
 
-const magnitude = (number) => Math.min(Math.abs(number), LARGEST);
+const magnitude = (number) => Math.min(Math.abs(number), MAX_SIZE);
 
-/** The level of a size in 1 / 64 steps, two in an octave. */
-function level(size) {
+/** The level of a size in 1 / 64 steps, two per octave. */
+function sizeLevel(size) {
   if (size < 2) return size;
-  if (size >= 65536) return LEVELS - 1;
-  const bits = 32 - Math.clz32(size);
-  return 2 * (bits - 1) + ((size >> (bits - 2)) & 1);
+  if (size >= 65536) return SIZE_LEVELS - 1;
+  const stream = 32 - Math.clz32(size);
+  return 2 * (stream - 1) + ((size >> (stream - 2)) & 1);
 }
 
-/** The same, four in an octave. */
-function fineLevel(size) {
+/** The same, four per octave. */
+function fineSizeLevel(size) {
   if (size < 4) return size;
-  if (size >= 32768) return FINE_LEVELS;
-  const bits = 32 - Math.clz32(size);
-  return 4 * (bits - 2) + ((size >> (bits - 3)) & 3);
+  if (size >= 32768) return MAX_FINE_LEVEL;
+  const stream = 32 - Math.clz32(size);
+  return 4 * (stream - 2) + ((size >> (stream - 3)) & 3);
 }
 
-/** Add the sizes of a signal's numbers to the activity, and write its means over rings. */
-export function learnSizes(numbers, { ring, ringStarts }, activity, around) {
+/** Update the activity with a signal's numbers, and write its means over rings. */
+export function updateActivity(numbers, { ring, ringStarts }, activity, ringActivity) {
   for (let node = 0; node < numbers.length; node++) {
-    activity[node] = Math.floor((102 * activity[node] + 154 * UNIT * magnitude(numbers[node])) / 256);
+    activity[node] = Math.floor((102 * activity[node] + 154 * UNITS_PER_STEP * magnitude(numbers[node])) / 256);
   }
   for (let node = 0; node < numbers.length; node++) {
     const first = ringStarts[node], last = ringStarts[node + 1];
     let total = 0;
     for (let place = first; place < last; place++) total += activity[ring[place]];
-    around[node] = last > first ? Math.floor(total / (last - first)) : 0;
+    ringActivity[node] = last > first ? Math.floor(total / (last - first)) : 0;
   }
 }

@@ -1,25 +1,25 @@
-// The spatial basis and its coefficients, from streams of bytes. Mirrors coding/bitstream/spatial_basis.py.
+// The spatial basis and its coefficients, from streams of bytes. Mirrors mixseq/compression/bitstream/spatial_basis.py.
 //
-// A frame is a sum of fields over the mesh, numbers at its vertices, with weights (x, y, z) each that change over time. A
-// basis vector of trajectories is one field. One of shapes is three: x, y and z of it, that only go to x, y and z.
+// A frame is a sum of fields over the mesh, numbers at its vertices, times weights (x, y, z) that change over time. A basis
+// vector of trajectories is one field. One of shapes is three fields, for x, y and z only.
 import { MixseqError } from "./errors.js";
 import { readLabels } from "./part_labels.js";
-import { UNIT } from "./predictor_kernels.js";
-import { Reader, SignalCoder, numberModels } from "./signal_coder.js";
+import { UNITS_PER_STEP } from "./predictor_kernels.js";
+import { Reader, SignalCoder, newNumberModels } from "./signal_coder.js";
 import { meshGraph, pathGraph } from "./signal_graph.js";
-import { stencils } from "./stencils.js";
+import { graphStencils } from "./stencils.js";
 
-const GROUP = 12; // basis vectors in the first group
-const LARGEST = 2 ** 127; // of what is float32
+const FIRST_GROUP_SIZE = 12; // basis vectors in the first group
+const MAX_NORM = 2 ** 127; // largest norm in single precision
 
-/** Which parts are in which stream, with how many vectors, and how many of a part are `left` for others. */
-function groupsOfParts(ranks) {
+/** The parts in every stream, the `count` of their vectors, and the number `remaining` for later streams. */
+function partGroups(ranks) {
   const groups = [];
   ranks.forEach((rank, part) => {
-    for (let left = rank, size = GROUP, group = 0; left; size *= 2, group++) {
-      const count = Math.min(size, left);
-      left -= count;
-      (groups[group] ??= []).push({ part, count, left });
+    for (let remaining = rank, size = FIRST_GROUP_SIZE, group = 0; remaining; size *= 2, group++) {
+      const count = Math.min(size, remaining);
+      remaining -= count;
+      (groups[group] ??= []).push({ part, count, remaining });
     }
   });
   return groups;
@@ -28,38 +28,38 @@ function groupsOfParts(ranks) {
 /**
  * The basis of a mesh with the graph and levels `mesh`.
  *
- * It has `owners`, the part of every vector in the order of their coefficients, and the vectors' `norms`; and as `fields` how
- * many there are, their `count`, and of all `parts` the `vertices`, increasing, the numbers of the `fields`, and their
- * `values`, vertex by vertex. All is in the units of the sequence. Vectors that are zero are left out.
+ * It has `owners`, the part of every vector in the order of their coefficients, the `norms` of vectors, and `fields`: their
+ * `count`, and for every one of the `parts` its `vertices`, ascending, the numbers of its `fields`, and their `values`,
+ * vertex by vertex, in the units of the sequence. Zero vectors are left out.
  */
 export function readBasis(streams, { factors, ranks, step }, triangles, mesh) {
-  const shapes = factors === "shapes", models = numberModels(), groups = groupsOfParts(ranks);
-  if (streams.length !== groups.length) throw new MixseqError("there are not as many groups of basis vectors as it says; it is damaged");
+  const shapes = factors === "shapes", models = newNumberModels(), groups = partGroups(ranks);
+  if (streams.length !== groups.length) throw new MixseqError("the number of groups of basis vectors is wrong; it is damaged");
   const readers = streams.map((stream) => new Reader(stream));
   const labels = ranks.length > 1 && readLabels(readers[0], ranks.length, mesh.graph);
-  const places = labels ? partsOf(labels, ranks.length, triangles) : [wholeOf(mesh)], coders = [];
+  const meshParts = labels ? splitParts(labels, ranks.length, triangles) : [wholeMesh(mesh)], coders = [];
   const coderOf = (part) => {
-    const own = places[part].mesh();
-    return new SignalCoder(own.graph, stencils(own), shapes ? 3 : 1, models);
+    const own = meshParts[part].mesh();
+    return new SignalCoder(own.graph, graphStencils(own), shapes ? 3 : 1, models);
   };
-  const basis = { shapes, parts: places.map(({ vertices }) => ({ vertices, numbers: [], fields: [] })), owners: [], norms: [] };
-  if (!shapes) basis.parts.forEach(({ vertices }, part) => add(basis, part, [constant(vertices.length)], 1));
+  const basis = { shapes, parts: meshParts.map(({ vertices }) => ({ vertices, numbers: [], fields: [] })), owners: [], norms: [] };
+  if (!shapes) basis.parts.forEach(({ vertices }, part) => addFields(basis, part, [constant(vertices.length)], 1));
   groups.forEach((group, number) => {
-    for (const { part, count, left } of group) {
-      const coder = (coders[part] ??= coderOf(part)); // they are large: there only as long as they are needed
-      for (let k = 0; k < count; k++) addVector(basis, part, coder, readers[number], step / UNIT);
-      if (!left) coders[part] = null;
+    for (const { part, count, remaining } of group) {
+      const coder = (coders[part] ??= coderOf(part)); // large, so created on demand and freed after use
+      for (let k = 0; k < count; k++) addVector(basis, part, coder, readers[number], step / UNITS_PER_STEP);
+      if (!remaining) coders[part] = null;
     }
     readers[number].finish();
   });
   const { parts, owners, norms } = basis, count = (shapes ? 3 : 1) * owners.length;
-  return { shapes, owners, norms, fields: { count, parts: parts.map(byVertex) } };
+  return { shapes, owners, norms, fields: { count, parts: parts.map(interleaveFields) } };
 }
 
-/** The vector that is the same everywhere. */
+/** The constant vector of unit length. */
 const constant = (size) => new Float32Array(size).fill(1 / Math.sqrt(size));
 
-/** Read a vector, and add it unless it is zero; the first one of shapes, their mean, may be that. */
+/** Read a vector, and add it unless it is zero; the mean of shapes may be zero. */
 function addVector(basis, part, coder, reader, unit) {
   let squares = 0;
   const { shapes, owners } = basis, fields = Array.from({ length: shapes ? 3 : 1 }, () => {
@@ -68,8 +68,8 @@ function addVector(basis, part, coder, reader, unit) {
     return Float32Array.from(values, (value) => value * unit);
   });
   const norm = Math.sqrt(squares) * unit;
-  if (!(norm < LARGEST)) throw new MixseqError("basis vectors are beyond single precision");
-  if (squares || (shapes && !owners.length)) add(basis, part, fields, norm);
+  if (!(norm < MAX_NORM)) throw new MixseqError("basis vectors are too large for single precision");
+  if (squares || (shapes && !owners.length)) addFields(basis, part, fields, norm);
 }
 
 function addSquares(values, sum) {
@@ -77,7 +77,7 @@ function addSquares(values, sum) {
   return sum;
 }
 
-function add({ parts, owners, norms }, part, fields, norm) {
+function addFields({ parts, owners, norms }, part, fields, norm) {
   const first = fields.length * owners.length;
   fields.forEach((field, axis) => {
     parts[part].fields.push(field);
@@ -87,8 +87,8 @@ function add({ parts, owners, norms }, part, fields, norm) {
   norms.push(norm);
 }
 
-/** What is known of a part, with the values of all fields at a vertex side by side. */
-function byVertex({ vertices, numbers, fields }) {
+/** A part with the values of all its fields, vertex by vertex. */
+function interleaveFields({ vertices, numbers, fields }) {
   const values = new Float32Array(fields.length * vertices.length);
   fields.forEach((field, k) => {
     for (let vertex = 0, at = k; vertex < field.length; vertex++, at += fields.length) values[at] = field[vertex];
@@ -97,10 +97,10 @@ function byVertex({ vertices, numbers, fields }) {
 }
 
 /** The mesh as its only part. */
-const wholeOf = (mesh) => ({ vertices: Uint32Array.from(mesh.graph.order.keys()), mesh: () => mesh });
+const wholeMesh = (mesh) => ({ vertices: Uint32Array.from(mesh.graph.order.keys()), mesh: () => mesh });
 
 /** The parts of labels, each with the mesh of the triangles that lie inside it. */
-function partsOf(labels, number, triangles) {
+function splitParts(labels, number, triangles) {
   const own = new Int32Array(labels.length), vertices = Array.from({ length: number }, () => []);
   const inside = Array.from({ length: number }, () => []);
   for (let vertex = 0; vertex < labels.length; vertex++) own[vertex] = vertices[labels[vertex]].push(vertex) - 1;
@@ -113,17 +113,17 @@ function partsOf(labels, number, triangles) {
   });
 }
 
-/** The weights of all fields in the frames of a chunk, frame after frame, of a sequence of so many frames. */
+/** Read the weights of all fields in the frames of a chunk, frame by frame, of a sequence of `frames` frames. */
 export function readWeights(stream, basis, count, step, frames) {
   const { shapes, owners, norms, fields } = basis, width = 3 * fields.count, graph = pathGraph(count);
-  const weights = new Float64Array(count * width), models = numberModels(), reader = new Reader(stream);
+  const weights = new Float64Array(count * width), models = newNumberModels(), reader = new Reader(stream);
   const coders = fields.parts.map(() => new SignalCoder(graph, graph, shapes ? 1 : 3, models));
   owners.forEach((part, vector) => {
-    if (shapes && !vector) return spread(weights, width, 0, new Float64Array(count).fill(1 / Math.sqrt(frames)));
+    if (shapes && !vector) return spreadAxes(weights, width, 0, new Float64Array(count).fill(1 / Math.sqrt(frames)));
     for (let axis = 0; axis < (shapes ? 1 : 3); axis++) {
-      const values = coders[part].read(reader), unit = step / UNIT / norms[vector];
+      const values = coders[part].read(reader), unit = step / UNITS_PER_STEP / norms[vector];
       for (let frame = 0; frame < count; frame++) values[frame] *= unit;
-      if (shapes) spread(weights, width, 9 * vector, values);
+      if (shapes) spreadAxes(weights, width, 9 * vector, values);
       else for (let frame = 0; frame < count; frame++) weights[frame * width + 3 * vector + axis] = values[frame];
     }
   });
@@ -132,8 +132,8 @@ export function readWeights(stream, basis, count, step, frames) {
   return weights;
 }
 
-/** Give the fields x, y and z of a shape the same weight, for x, y and z. */
-function spread(weights, width, first, values) {
+/** Set the weights of the fields x, y and z of a shape, for x, y and z. */
+function spreadAxes(weights, width, first, values) {
   values.forEach((value, frame) => {
     for (let axis = 0; axis < 3; axis++) weights[frame * width + first + 4 * axis] = value;
   });

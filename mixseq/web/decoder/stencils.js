@@ -1,25 +1,25 @@
-// Weights to begin with, of signals over a mesh of which only the connectivity is known: what bends the mesh least.
-// Mirrors coding/bitstream/stencils.py.
-import { MOST, find } from "./signal_graph_kernels.js";
+// Initial weights of signals over a mesh, from connectivity alone: those of least bending.
+// Mirrors mixseq/compression/bitstream/predictor.py.
+import { MAX_NEIGHBOURS, find } from "./signal_graph_kernels.js";
 
-const WIDEST = 16; // nodes of a stencil
-const HUB = 32; // slopes at nodes with more neighbours do not count
+const MAX_STENCIL_NODES = 16; // largest number of nodes in a stencil
+const MAX_SLOPE_NEIGHBOURS = 32; // slopes at nodes of more neighbours are ignored
 
-/** What every node of a mesh's graph is predicted from at first: `neighbours` (N x width), `counts`, `weights`. */
-export function stencils({ graph, levels }) {
-  const size = graph.order.length, width = WIDEST;
+/** The initial stencils of a mesh's graph: `neighbours` (N x width), `counts`, `weights`. */
+export function graphStencils({ graph, levels }) {
+  const size = graph.order.length, width = MAX_STENCIL_NODES;
   const found = { width, neighbours: new Int32Array(size * width), counts: graph.counts.slice(), weights: new Float64Array(size * width) };
   copyRows(graph, found);
-  let lengths = levels.length ? new Float64Array(levels[0].beside.length).fill(1) : null;
+  let lengths = levels.length ? new Float64Array(levels[0].adjacent.length).fill(1) : null;
   levels.forEach((level) => {
-    const after = lengthsAfter(level, lengths);
-    bend(level, lengths, after, graph.place, found);
+    const after = updateLengths(level, lengths);
+    fitStencils(level, lengths, after, graph.place, found);
     lengths = after;
   });
   return found;
 }
 
-/** Copy what nodes are predicted from to rows that may be wider. */
+/** Copy neighbours and weights to rows that may be wider. */
 export function copyRows({ width, neighbours, counts, weights }, to) {
   for (let node = 0; node < counts.length; node++) {
     for (let i = 0; i < counts[node]; i++) {
@@ -29,104 +29,104 @@ export function copyRows({ width, neighbours, counts, weights }, to) {
   }
 }
 
-/** Write the stencils of vertices that go, from lengths of edges before and after. */
-function bend({ gone, starts, beside, newStarts, newBeside }, lengths, newLengths, place, found) {
+/** Write the stencils of removed vertices, from edge lengths before and after. */
+function fitStencils({ removed, starts, adjacent, newStarts, newAdjacent }, lengths, newLengths, place, found) {
   const slot = new Int32Array(place.length).fill(-1); // where a vertex is in the two lists
-  const listed = new Int32Array(MOST * (HUB + 1)), shares = new Float64Array(MOST * (HUB + 1));
-  const across = new Uint8Array(HUB); // whether the way there leads over the vertex
-  for (let k = 0; k < gone.length; k++) {
-    const vertex = gone[k], first = starts[vertex], degree = Math.min(starts[vertex + 1] - first, MOST);
+  const listed = new Int32Array(MAX_NEIGHBOURS * (MAX_SLOPE_NEIGHBOURS + 1)), rawWeights = new Float64Array(MAX_NEIGHBOURS * (MAX_SLOPE_NEIGHBOURS + 1));
+  const across = new Uint8Array(MAX_SLOPE_NEIGHBOURS); // whether the path to a neighbour leads across the vertex
+  for (let k = 0; k < removed.length; k++) {
+    const vertex = removed[k], first = starts[vertex], degree = Math.min(starts[vertex + 1] - first, MAX_NEIGHBOURS);
     let slope = 0; // of the vertex, by its own value
     for (let at = first; at < first + degree; at++) slope += 1 / lengths[at];
     slope /= degree;
     for (let i = 0; i < degree; i++) {
-      listed[i] = beside[first + i];
-      shares[i] = slope / (degree * lengths[first + i]);
+      listed[i] = adjacent[first + i];
+      rawWeights[i] = slope / (degree * lengths[first + i]);
       slot[listed[i]] = i;
     }
     let size = degree, total = slope * slope;
     for (let i = 0; i < degree; i++) {
-      const around = beside[first + i], side = lengths[first + i], low = newStarts[around], high = newStarts[around + 1];
-      if (high - low > HUB) continue;
-      let number = 1; // of neighbours that are left, and one
+      const neighbour = adjacent[first + i], length = lengths[first + i], low = newStarts[neighbour], high = newStarts[neighbour + 1];
+      if (high - low > MAX_SLOPE_NEIGHBOURS) continue;
+      let number = 1; // of remaining neighbours, plus one
       for (let at = low; at < high; at++) {
-        const where = slot[newBeside[at]];
-        across[at - low] = where >= 0 && where < degree && newLengths[at] >= side + lengths[first + where] ? 1 : 0;
+        const where = slot[newAdjacent[at]];
+        across[at - low] = where >= 0 && where < degree && newLengths[at] >= length + lengths[first + where] ? 1 : 0;
         number += 1 - across[at - low];
       }
-      const own = 1 / (number * side);
+      const slope = 1 / (number * length);
       for (let at = low; at < high; at++) {
         if (across[at - low]) continue;
-        const other = newBeside[at];
+        const other = newAdjacent[at];
         if (slot[other] < 0) {
           slot[other] = size;
           listed[size] = other;
-          shares[size++] = 0;
+          rawWeights[size++] = 0;
         }
-        const one = own / (number * newLengths[at]);
-        shares[i] += one;
-        shares[slot[other]] -= one;
+        const rawWeight = slope / (number * newLengths[at]);
+        rawWeights[i] += rawWeight;
+        rawWeights[slot[other]] -= rawWeight;
       }
-      total += own * own;
-      shares[i] += own * own;
+      total += slope * slope;
+      rawWeights[i] += slope * slope;
     }
     for (let i = 0; i < size; i++) slot[listed[i]] = -1;
-    write(place[vertex], degree, size, total, listed, shares, place, found);
+    writeStencil(place[vertex], degree, size, total, listed, rawWeights, place, found);
   }
 }
 
-/** Write a stencil of a list: neighbours first, then those with the largest shares. */
-function write(node, degree, size, total, listed, shares, place, { width, neighbours, counts, weights }) {
+/** Write a stencil: neighbours first, then the nodes of the largest weights. */
+function writeStencil(node, degree, size, total, listed, rawWeights, place, { width, neighbours, counts, weights }) {
   const kept = Math.min(size, width);
-  let left = 1;
+  let remainder = 1;
   for (let i = 0; i < kept; i++) {
     let best = i;
-    for (let j = i + 1; i >= degree && j < size; j++) if (Math.abs(shares[j]) > Math.abs(shares[best])) best = j;
-    const vertex = listed[i], share = shares[i];
+    for (let j = i + 1; i >= degree && j < size; j++) if (Math.abs(rawWeights[j]) > Math.abs(rawWeights[best])) best = j;
+    const vertex = listed[i], weight = rawWeights[i];
     listed[i] = listed[best];
-    shares[i] = shares[best];
+    rawWeights[i] = rawWeights[best];
     listed[best] = vertex;
-    shares[best] = share;
-    left -= shares[i] / total;
+    rawWeights[best] = weight;
+    remainder -= rawWeights[i] / total;
   }
   counts[node] = kept;
   for (let i = 0; i < kept; i++) {
     neighbours[node * width + i] = place[listed[i]];
-    weights[node * width + i] = shares[i] / total + left / kept;
+    weights[node * width + i] = rawWeights[i] / total + remainder / kept;
   }
 }
 
-/** The lengths of the edges after vertices went, from those before: always the shortest. */
-function lengthsAfter({ gone, starts, beside, ends, newStarts, newBeside }, lengths) {
-  const found = new Float64Array(newBeside.length).fill(Infinity);
-  keepLengths(starts, beside, lengths, newStarts, newBeside, found);
-  for (let k = 0, count = 0; k < gone.length; k++) {
-    const vertex = gone[k], first = starts[vertex], last = starts[vertex + 1];
+/** The lengths of edges after vertices were removed, the shortest each, from those before. */
+function updateLengths({ removed, starts, adjacent, ends, newStarts, newAdjacent }, lengths) {
+  const found = new Float64Array(newAdjacent.length).fill(Infinity);
+  copyLengths(starts, adjacent, lengths, newStarts, newAdjacent, found);
+  for (let k = 0, count = 0; k < removed.length; k++) {
+    const vertex = removed[k], first = starts[vertex], last = starts[vertex + 1];
     if (last - first < 2) continue;
-    const best = ends[count], side = lengths[find(beside, first, last, best)];
+    const best = ends[count], length = lengths[find(adjacent, first, last, best)];
     for (let at = first; at < last; at++) {
-      if (beside[at] === best) continue;
-      shorten(best, beside[at], side + lengths[at], newStarts, newBeside, found);
-      shorten(beside[at], best, side + lengths[at], newStarts, newBeside, found);
+      if (adjacent[at] === best) continue;
+      shorten(best, adjacent[at], length + lengths[at], newStarts, newAdjacent, found);
+      shorten(adjacent[at], best, length + lengths[at], newStarts, newAdjacent, found);
       count++;
     }
   }
   return found;
 }
 
-/** Take over the lengths of edges that stay. */
-function keepLengths(starts, beside, lengths, newStarts, newBeside, found) {
+/** Copy the lengths of remaining edges. */
+function copyLengths(starts, adjacent, lengths, newStarts, newAdjacent, found) {
   for (let vertex = 0; vertex < starts.length - 1; vertex++) {
     let at = starts[vertex];
     const end = starts[vertex + 1];
     for (let where = newStarts[vertex]; where < newStarts[vertex + 1]; where++) {
-      while (at < end && beside[at] < newBeside[where]) at++;
-      if (at < end && beside[at] === newBeside[where]) found[where] = lengths[at];
+      while (at < end && adjacent[at] < newAdjacent[where]) at++;
+      if (at < end && adjacent[at] === newAdjacent[where]) found[where] = lengths[at];
     }
   }
 }
 
-function shorten(one, other, length, starts, beside, lengths) {
-  const where = find(beside, starts[one], starts[one + 1], other);
+function shorten(rawWeight, other, length, starts, adjacent, lengths) {
+  const where = find(adjacent, starts[rawWeight], starts[rawWeight + 1], other);
   lengths[where] = Math.min(lengths[where], length);
 }

@@ -1,9 +1,9 @@
-// Where the streams are among the bytes, and whether they are sound. Mirrors io/mixseq_io/coded/streams.py.
+// Locate the streams in the bytes, and verify them. Mirrors io/mixseq_io/coded/streams.py.
 import { crc32 } from "./crc32.js";
 import { MixseqError } from "./errors.js";
 
 const MAGIC = 0x3171736d; // msq1
-const HEAD = 16; // bytes
+const HEAD_SIZE = 16; // bytes
 
 /**
  * The streams of `bytes`, each checked: `connectivity`, `surface`, `times` and, if `hasUvs`, `uvs`; a list for the `basis`;
@@ -11,20 +11,20 @@ const HEAD = 16; // bytes
  */
 export function readIndex(text, bytes, hasUvs) {
   const damaged = new MixseqError("the index is damaged, so nothing can be read");
-  if (bytes.length < HEAD) throw damaged;
+  if (bytes.length < HEAD_SIZE) throw damaged;
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.length), word = (at) => view.getUint32(at, true);
-  const middle = HEAD + word(4), end = middle + word(8);
-  if (word(0) !== MAGIC || end > bytes.length || word(8) % 4 || crc32(bytes.subarray(HEAD, end)) !== word(12)) throw damaged;
+  const middle = HEAD_SIZE + word(4), end = middle + word(8);
+  if (word(0) !== MAGIC || end > bytes.length || word(8) % 4 || crc32(bytes.subarray(HEAD_SIZE, end)) !== word(12)) throw damaged;
   if (end === middle || crc32(new TextEncoder().encode(text)) !== word(middle)) throw damaged;
-  const numbers = leb128(bytes.subarray(HEAD, middle)), [groups, chunks] = numbers;
+  const numbers = readLeb128(bytes.subarray(HEAD_SIZE, middle)), [groups, chunks] = numbers;
   const counts = numbers.slice(2, 2 + chunks), lengths = numbers.slice(2 + chunks);
-  const checks = (end - middle) / 4 - 1, full = lengths.filter((length) => length > 0).length;
-  if (lengths.length !== 3 + hasUvs + groups + 2 * chunks || counts.includes(0) || checks !== full) throw damaged;
+  const checksumCount = (end - middle) / 4 - 1, nonemptyCount = lengths.filter((length) => length > 0).length;
+  if (lengths.length !== 3 + hasUvs + groups + 2 * chunks || counts.includes(0) || checksumCount !== nonemptyCount) throw damaged;
 
   let start = end, checksum = middle, next = 0;
-  const stream = (what) => {
+  const stream = (name) => {
     const length = lengths[next++], data = bytes.subarray(start, (start += length));
-    if (length && !(data.length === length && crc32(data) === word((checksum += 4)))) throw new MixseqError(`${what} are damaged`);
+    if (length && !(data.length === length && crc32(data) === word((checksum += 4)))) throw new MixseqError(`${name} are damaged`);
     return data;
   };
   const connectivity = stream("the connectivity's bytes"), surface = stream("the surface's bytes");
@@ -43,7 +43,7 @@ export function readIndex(text, bytes, hasUvs) {
 }
 
 /** Numbers of 7 bits a byte, the lowest first. */
-function leb128(bytes) {
+function readLeb128(bytes) {
   const numbers = [];
   let number = 0, unit = 1;
   for (const byte of bytes) {

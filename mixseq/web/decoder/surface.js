@@ -1,4 +1,4 @@
-// What is on the polygons of a sequence. A module of its own, so that pages that draw none of it can do without.
+// Attributes of the polygons of a sequence. Pages that draw none of them can leave this module out.
 import { MixseqError, guarded } from "./errors.js";
 import { decodeHardEdges } from "./hard_edges.js";
 import { decodeUvs } from "./texture_coordinates.js";
@@ -11,7 +11,7 @@ export function uvsOf(sequence) {
   return guarded("the texture coordinates", () => {
     if (!streams.uvs) {
       const { uv_values: values, uv_indices: rows } = surfaceOf(sequence);
-      return values ? atCorners(values, ofCorners(rows, cornerCount, values.length / 2), 2) : null;
+      return values ? selectRows(values, checkCornerNumbers(rows, cornerCount, values.length / 2), 2) : null;
     }
     const { counts, corners } = sequence.polygons(), numbers = decodeUvs(streams.uvs, counts, corners, vertexCount);
     return Float32Array.from(numbers, (number) => number / parameters.uvSteps);
@@ -23,32 +23,32 @@ export function coloursOf(sequence) {
   return guarded("the colours", () => {
     const { colour_values: values, colour_indices: rows = sequence.polygons().corners } = surfaceOf(sequence);
     if (!values) return null;
-    const colours = atCorners(values, ofCorners(rows, sequence.cornerCount, values.length / 4), 4);
+    const colours = selectRows(values, checkCornerNumbers(rows, sequence.cornerCount, values.length / 4), 4);
     return values instanceof Uint8Array ? colours.map((byte) => byte / 255) : colours;
   });
 }
 
-/** Numbers of normals at the corners: those with the same number share one; null if all corners of a vertex do. */
+/** Numbers of normals at the corners; null if all corners of a vertex share one. */
 export function hardEdgesOf(sequence) {
   return guarded("the hard edges", () => {
     const { hard_edges: coded, creases } = surfaceOf(sequence);
-    if (!coded) return creases ? ofCorners(creases, sequence.cornerCount, Infinity) : null;
+    if (!coded) return creases ? checkCornerNumbers(creases, sequence.cornerCount, Infinity) : null;
     const { counts, corners } = sequence.polygons();
     return decodeHardEdges(coded, counts, corners, sequence.vertexCount);
   });
 }
 
-/** The arrays of a surface by name, of numbers and of texts, as mixseq_io/coded/lossless.py packs them. */
+/** The arrays of a surface by name, of numbers and of texts, as io/mixseq_io/coded/streams.py packs them. */
 export function surfaceOf({ surface }) {
   if (!surface.length) return {};
   return guarded("the surface", () => {
     const end = surface.indexOf(0), arrays = {};
     let start = end + 1;
-    for (const [name, ...what] of JSON.parse(new TextDecoder().decode(surface.subarray(0, end)))) {
-      if (what.length === 1) arrays[name] = what[0];
+    for (const [name, ...description] of JSON.parse(new TextDecoder().decode(surface.subarray(0, end)))) {
+      if (description.length === 1) arrays[name] = description[0];
       else {
-        const [type, shape] = what, count = shape.reduce((size, each) => size * each, 1);
-        arrays[name] = unshuffled(surface, start, TYPES[type], count);
+        const [type, shape] = description, count = shape.reduce((size, each) => size * each, 1);
+        arrays[name] = unshuffleBytes(surface, start, TYPES[type], count);
         start += arrays[name].byteLength;
       }
     }
@@ -56,19 +56,19 @@ export function surfaceOf({ surface }) {
   });
 }
 
-/** The values that corners have, a row of some width each, of which `rows` tells the number. */
-function atCorners(values, rows, width) {
+/** The values at corners: rows of some width, selected by number. */
+function selectRows(values, rows, width) {
   return Float32Array.from({ length: width * rows.length }, (_, k) => values[width * rows[Math.floor(k / width)] + (k % width)]);
 }
 
-/** Make sure that there is a number for every corner, from 0 to below a size. */
-function ofCorners(numbers, cornerCount, size) {
+/** Verify that there is a number for every corner, from 0 to below a size. */
+function checkCornerNumbers(numbers, cornerCount, size) {
   if (numbers.length !== cornerCount || numbers.some((number) => number < 0 || number >= size)) throw new MixseqError("there are numbers out of range; it is damaged");
   return numbers;
 }
 
-/** Numbers of which there are the first bytes of all, then their second bytes, and so on; of whole ones the differences. */
-function unshuffled(whole, start, Type, count) {
+/** Numbers whose first bytes are stored first, then their second bytes, and so on; integers as first differences. */
+function unshuffleBytes(whole, start, Type, count) {
   const size = Type.BYTES_PER_ELEMENT;
   if (!(start + size * count <= whole.length)) throw new MixseqError("it ends early; it is damaged");
   const bytes = new Uint8Array(size * count), numbers = new Type(bytes.buffer);

@@ -1,9 +1,9 @@
-// The times of frames, which need not be regular. Mirrors io/mixseq_io/coded/streams.py.
+// Decode the times of frames, which need not be regular. Mirrors io/mixseq_io/coded/streams.py.
 import { MixseqError } from "./errors.js";
 
-/** The times of so many frames, in seconds, of the bytes of their differences from regular ones; none if they are regular. */
-export function timesOf(bytes, first, count, fps) {
-  if (bytes.length !== 0 && bytes.length !== 8 * count) throw new MixseqError("the times of frames are too few; it is damaged");
+/** The times of `count` frames in seconds, from the bytes of their deviations from regular ones; no bytes for regular times. */
+export function readTimes(bytes, first, count, fps) {
+  if (bytes.length !== 0 && bytes.length !== 8 * count) throw new MixseqError("the number of times is not that of the frames; it is damaged");
   const times = Float64Array.from({ length: count }, (_, frame) => first + frame / fps);
   if (bytes.length) addDifferences(times, bytes);
   if (!times.every((time, k) => Number.isFinite(time) && !(k && time <= times[k - 1]))) {
@@ -12,7 +12,7 @@ export function timesOf(bytes, first, count, fps) {
   return times;
 }
 
-/** Add sums of differences to the bits of times, as integers of 64 bits in two halves; the lowest bytes of all come first. */
+/** Add the sums of differences to the bits of times, as 64-bit integers in two halves; the lowest bytes of all are first. */
 function addDifferences(times, bytes) {
   const count = times.length, view = new DataView(new ArrayBuffer(8)), wrapped = 2 ** 32;
   const half = (k, byte) => {

@@ -1,11 +1,11 @@
-// The mesh of a sequence as graphics cards have it: triangles, and vertices that are cut where a corner has other texture
-// coordinates, or another colour or normal, than the corner before.
+// The mesh of a sequence for graphics cards: triangles, and vertices that are split where their corners have different
+// texture coordinates, colours or normals.
 import { triangulated } from "../decoder/polygons.js";
 import { coloursOf, hardEdgesOf, uvsOf } from "../decoder/surface.js";
 
 /**
- * `triangles` of vertices; `vertices` tells which of the sequence each is, `groups` which share a normal, `uvs` has their
- * texture coordinates, v downwards as in glTF, `colours` red, green, blue and alpha; null if there are none.
+ * `triangles` of split vertices; for every vertex its number in the sequence, `vertices`; its group with a common normal,
+ * `groups`; its texture coordinates, `uvs`, v downwards as in glTF; and its red, green, blue and alpha, `colours`. Null for none.
  */
 export function drawnMesh(sequence) {
   const { counts, corners } = sequence.polygons(), uvs = uvsOf(sequence), colours = coloursOf(sequence), edges = hardEdgesOf(sequence);
@@ -26,8 +26,8 @@ function axesOf(rows, width) {
 }
 
 /**
- * The `numbers` 0, 1, 2, ... of rows as they come, equal where these are, and where each is at first, `firsts`. Rows are given
- * column by column. One column after the other is joined to those before, so that it takes the same time whatever they are.
+ * Number equal rows, given as columns, in order of first use: the `numbers` of all rows, and the first row of each number,
+ * `firsts`. Columns are combined one by one, so that the time does not depend on the values.
  */
 function byFirstUse(...columns) {
   let numbers = null, firsts = [];
@@ -45,7 +45,7 @@ function byFirstUse(...columns) {
   return { numbers, firsts };
 }
 
-/** Take the positions of cut vertices from those of the sequence. */
+/** Copy the positions of split vertices from those of the sequence. */
 export function takePositions(positions, vertices, out) {
   for (let k = 0; k < vertices.length; k++) {
     for (let axis = 0; axis < 3; axis++) out[3 * k + axis] = positions[3 * vertices[k] + axis];
@@ -53,7 +53,7 @@ export function takePositions(positions, vertices, out) {
   return out;
 }
 
-/** Normals of vertices: sums over the triangles around their group, larger ones count for more. */
+/** Normals of vertices, weighted by area: sums over the triangles around their group. */
 export function takeNormals(positions, triangles, groups, out) {
   const sums = new Float32Array(3 * (groups.reduce((most, group) => Math.max(most, group), -1) + 1));
   for (let k = 0; k < triangles.length; k += 3) {

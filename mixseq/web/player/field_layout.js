@@ -1,14 +1,14 @@
-// How fields, their weights and the triangles around vertices lie in textures, which have rows of a fixed width.
+// Layout of fields, their weights and the triangles around vertices in textures with rows of a fixed width.
 
-/** Texels in a row of a texture: every graphics card has room for so many. */
+/** Texels in a row of a texture, which all graphics cards support. */
 export const WIDTH = 2048;
 
 /**
  * Fields as texels of four numbers: four fields of a part at its first vertex, at its second, and so on, then the next four.
  *
- * `places` has four whole numbers for every vertex: its first texel, how far the next ones are, how many there are, and
- * the first row of its weights. They are float32: with halves points would be off by up to a quarter of a bound of
- * 1e-3 diagonals. `order` has the four fields of every row of weights, -1 for none.
+ * `places` has four integers for every vertex: its first texel, the stride to the next ones, their number, and the first row
+ * of its weights. Texels are float32: half floats would cause errors of up to a quarter of a bound of 1e-3 diagonals.
+ * `order` has the four fields of every row of weights, -1 for none.
  */
 export function fieldLayout({ parts }, vertexCount) {
   const rows = parts.map(({ fields }) => Math.ceil(fields.length / 4)), places = new Int32Array(4 * vertexCount);
@@ -38,8 +38,8 @@ export function weightRows(order, weights, out) {
 }
 
 /**
- * The triangles around vertices: `pairs` of the two other vertices of each, and in `places` for every vertex its first
- * pair and how many there are. Vertices of one group have all triangles of the group.
+ * The triangles around vertices: `pairs` of the two other vertices of each, and in `places` the first pair of every vertex,
+ * and their number. Vertices of one group have all triangles of the group.
  */
 export function ringLayout(triangles, groups) {
   const starts = new Int32Array(groups.reduce((most, group) => Math.max(most, group), 0) + 2), pairs = new Int32Array(2 * inRows(triangles.length));

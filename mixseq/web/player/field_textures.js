@@ -46,14 +46,12 @@ const NOTHING = `#version 300 es
 void main() {}`;
 
 /**
- * Positions and normals of vertices as buffers of the graphics card, four floats for each position, the last one 1, and
- * three for each normal; `evaluate`, which writes them for weights, and what is to be added, as `Sequence.weights` and
- * `Sequence.residuals` have them; and `dispose`, which frees all of it.
+ * Positions and normals of vertices as buffers of the graphics card: four floats for each position, the last one 1, and
+ * three for each normal. `evaluate` writes them for `Sequence.weights` and `Sequence.residuals`; `dispose` frees them.
  *
- * `fields` are those of the sequence. `vertices` tells which of its vertices each vertex is, if they are not the same, as where
- * they are cut along seams; `triangles` are of these vertices. Those of one of the `groups` share a normal, by default
- * those that are the same vertex of the sequence. Programs, textures and buffers that were in use no longer are
- * after `evaluate`.
+ * `fields` are those of the sequence. `vertices` are the numbers of vertices in the sequence, if vertices are split along
+ * seams; `triangles` are of split vertices. Vertices of one of the `groups` share a normal, by default those of one vertex of
+ * the sequence. `evaluate` unbinds the programs, textures and buffers that were bound.
  */
 export function fieldTextures(gl, fields, triangles, vertices = null, groups = vertices) {
   const known = fields.parts.reduce((sum, part) => sum + part.vertices.length, 0), { texels, places, order } = fieldLayout(fields, known);

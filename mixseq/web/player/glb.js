@@ -1,4 +1,4 @@
-// GLB files with a mesh sequence: glTF's JSON, and what the extension MIXSEQ_mesh_sequence refers to.
+// GLB files with a mesh sequence: the JSON of glTF, and the data of the extension MIXSEQ_mesh_sequence.
 import { MixseqError } from "../decoder/errors.js";
 
 const MAGIC = 0x46546c67, JSON_CHUNK = 0x4e4f534a, NAME = "MIXSEQ_mesh_sequence", VERSION = 1;
@@ -9,14 +9,14 @@ const MAGIC = 0x46546c67, JSON_CHUNK = 0x4e4f534a, NAME = "MIXSEQ_mesh_sequence"
  */
 export function readGlb(file) {
   const view = new DataView(file);
-  if (file.byteLength < 20 || view.getUint32(0, true) !== MAGIC || view.getUint32(16, true) !== JSON_CHUNK) throw new MixseqError("this is no GLB file");
+  if (file.byteLength < 20 || view.getUint32(0, true) !== MAGIC || view.getUint32(16, true) !== JSON_CHUNK) throw new MixseqError("this is not a GLB file");
   const size = view.getUint32(12, true), start = 28 + size, json = JSON.parse(new TextDecoder().decode(new Uint8Array(file, 20, size)));
   const mesh = json.meshes?.find(({ extensions }) => extensions?.[NAME]), extension = mesh?.extensions[NAME];
   if (!extension) throw new MixseqError("this GLB file has no mesh sequence");
   checkVersion(extension);
   const bytes = (number) => {
     const { byteOffset = 0, byteLength } = json.bufferViews[number];
-    if (start + byteOffset + byteLength > file.byteLength) throw new MixseqError("this GLB file is not all there");
+    if (start + byteOffset + byteLength > file.byteLength) throw new MixseqError("this GLB file is incomplete");
     return new Uint8Array(file, start + byteOffset, byteLength);
   };
   const node = json.nodes?.find((each) => each.mesh === json.meshes.indexOf(mesh));
@@ -26,7 +26,7 @@ export function readGlb(file) {
   };
 }
 
-/** Make sure that an extension of a file is one that this decoder knows. */
+/** Verify that this decoder supports the version of an extension. */
 export function checkVersion({ version }) {
   if (version === VERSION) return;
   throw new MixseqError(`this mesh sequence has version ${version}, this decoder reads ${VERSION}; take another decoder, or compress the original again`);

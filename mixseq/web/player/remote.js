@@ -1,16 +1,15 @@
-// A sequence that is decoded in a Worker, while the page goes on.
+// A sequence that is decoded in a Worker, so that the page stays responsive.
 import { MixseqError } from "../decoder/errors.js";
 import { open } from "../decoder/sequence.js";
 import { drawnMesh } from "./drawn_mesh.js";
-import { COPIED, GIVEN_AWAY, NAME } from "./worker.js";
+import { COPIED, TRANSFERRED, NAME } from "./worker.js";
 
 /**
- * Open a sequence in a Worker: `text` and `streams` as for `open`. `address` is that of a module that has `player/worker.js`
- * in it, by default this one.
+ * Open a sequence in a Worker: `text` and `streams` as for `open`. `address` is that of a module that contains
+ * `player/worker.js`, by default this one.
  *
- * What is returned has the facts of a `Sequence` and its methods, `uvs`, and `drawn`, what `drawnMesh` makes of it, which return promises here. `decode(told)` decodes all
- * there is, fields first, then chunk by chunk, and tells which share is done; other calls are answered in between.
- * `close()` ends the Worker.
+ * The result has the facts of a `Sequence`; its methods, `uvs`, and `drawn` (`drawnMesh`) return promises. `decode(told)` decodes
+ * all fields, then all chunks, and reports the completed share; other calls are answered in between. `close()` ends the Worker.
  */
 export async function openRemote(text, streams, address = import.meta.url) {
   const worker = new Worker(address, { type: "module", name: NAME }), waiting = new Map();
@@ -39,7 +38,7 @@ export async function openRemote(text, streams, address = import.meta.url) {
 
   try {
     const { facts, sizes } = await call("open", text, streams);
-    const methods = Object.fromEntries([...COPIED, ...GIVEN_AWAY].map((method) => [method, (...given) => call(method, ...given)]));
+    const methods = Object.fromEntries([...COPIED, ...TRANSFERRED].map((method) => [method, (...given) => call(method, ...given)]));
     return { ...facts, ...methods, decode: (told) => decodeAll(call, sizes, told), close };
   } catch (error) {
     close();
@@ -48,9 +47,9 @@ export async function openRemote(text, streams, address = import.meta.url) {
 }
 
 /**
- * Open a sequence that a Worker decodes and this thread plays, for those who draw at once what they ask for: a `sequence` of which mesh, fields
- * and the first chunk are decoded, and what `drawnMesh` makes of it, `drawn`. The other chunks follow; who asks for one
- * before decodes it here, and where no Worker starts all is decoded here.
+ * Open a sequence that a Worker decodes and this thread plays synchronously: a `sequence` whose mesh, fields and first chunk are
+ * decoded, and its `drawnMesh`, `drawn`. The other chunks follow. A chunk that is used earlier, and everything if no Worker starts,
+ * is decoded in this thread.
  */
 export async function openDecoded(text, streams, address) {
   const sequence = await open(text, streams), remote = await openRemote(text, streams, address).catch(() => null);
@@ -69,7 +68,7 @@ export async function openDecoded(text, streams, address) {
 async function takeOthers(sequence, remote) {
   try {
     for (let number = 1; number < sequence.chunks.length; number++) sequence.take(await remote.share(number));
-  } catch { // who asks for these frames is told what is wrong with them
+  } catch { // reported when these frames are used
   } finally {
     remote.close();
   }

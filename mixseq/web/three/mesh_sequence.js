@@ -1,4 +1,4 @@
-// A plugin for three.js' GLTFLoader: meshes with the glTF extension MIXSEQ_mesh_sequence follow the time.
+// A plugin for GLTFLoader of three.js: meshes with the glTF extension MIXSEQ_mesh_sequence play their sequence.
 //
 //   import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 //   const loader = new GLTFLoader();
@@ -10,12 +10,12 @@ import { checkVersion, fieldTextures, openDecoded, takeNormals, takePositions } 
 
 const NAME = "MIXSEQ_mesh_sequence", DRACO = "KHR_draco_mesh_compression";
 
-/** Makes a `MeshSequence` of every mesh with the extension; others are loaded as ever. */
+/** Loads meshes with the extension as `MeshSequence`, and all others unchanged. */
 export class MeshSequencePlugin {
   constructor(parser) {
     this.name = NAME;
     this.parser = parser;
-    // The still is not loaded, so what is compressed in it needs no decoder, without which GLTFLoader refuses the file.
+    // The static mesh is not loaded, so a Draco decoder, without which GLTFLoader refuses the file, is not needed for it.
     const { json } = parser, others = (json.meshes ?? []).filter((mesh) => !mesh.extensions?.[NAME]);
     if (!others.some((mesh) => mesh.primitives.some(({ extensions }) => extensions?.[DRACO]))) {
       json.extensionsUsed = json.extensionsUsed?.filter((name) => name !== DRACO);
@@ -42,7 +42,7 @@ export class MeshSequencePlugin {
   }
 }
 
-/** A material, a plain one if there is none, whose colour the colours of vertices are multiplied with if there are some. */
+/** A material, by default a plain one, whose colour is multiplied by vertex colours, if there are any. */
 function paintedBy(material, vertexColors) {
   if (!material) return new MeshStandardMaterial({ color: vertexColors ? 0xffffff : 0xd8d0c4, roughness: 0.8, vertexColors });
   return vertexColors ? Object.assign(material.clone(), { vertexColors }) : material; // others may share it
@@ -57,7 +57,7 @@ export function meshSequences(object) {
   return found;
 }
 
-/** A mesh that has the shape of a moment. `polygons` are runs: how many of them, one after the other, have which material. */
+/** A mesh with the shape of a time. `polygons` are runs of polygons: material and number of each run. */
 export class MeshSequence extends Mesh {
   #card = null;
   #renderer = null;
@@ -88,7 +88,7 @@ export class MeshSequence extends Mesh {
   copy(source, recursive) {
     super.copy(source, recursive);
     if (source.sequence) {
-      this.geometry = new BufferGeometry(); // its own, so that it may show another moment
+      this.geometry = new BufferGeometry(); // its own, so that it may show another time
       this.#begin(source.sequence, source.drawn, [source.material].flat(), source.polygons);
     }
     return this;
@@ -101,8 +101,8 @@ export class MeshSequence extends Mesh {
   }
 
   /**
-   * Take the shape of a moment, in seconds from the first frame; before it and after the last frame, of these.
-   * Given the renderer, its graphics card does all but a few numbers: then positions are not in `geometry` as numbers.
+   * Set the shape of a time in seconds from the first frame, clamped to the first and last frame. With a renderer, its graphics
+   * card evaluates the shape; then `geometry` has no positions in memory.
    */
   update(seconds, renderer = null) {
     const { sequence, geometry, drawn } = this, time = sequence.times[0] + seconds;

@@ -1,6 +1,6 @@
 // Types of mixseq.js: the decoder of compressed mesh sequences, and what draws them.
 
-/** What is wrong with a file, in one line. */
+/** An error in a file, in one line. */
 export class MixseqError extends Error {}
 
 /** `text` is the text `coding` of a compressed model, `streams` are its streams. Bytes are checked, nothing is decoded yet. */
@@ -58,11 +58,11 @@ export class Sequence implements Facts {
   /** Positions at a time in seconds: x, y and z of each vertex. */
   at(time: number, out?: Float32Array): Float32Array;
   frame(number: number, out?: Float32Array): Float32Array;
-  /** What is to be added to the fields, null if nothing is. */
+  /** Displacements to add to the fields; null if there are none. */
   residuals(time: number): Float32Array | null;
-  /** All that is decoded of mesh, fields and a chunk, which can be sent to another thread. */
+  /** The decoded mesh, fields and weights of a chunk, for `take` in another thread. */
   share(chunk: number): unknown;
-  /** Take what `share` of the same sequence made, instead of decoding it. */
+  /** Take the result of `share` of the same sequence, instead of decoding it. */
   take(shared: unknown): void;
 }
 
@@ -75,12 +75,12 @@ export function coloursOf(sequence: Sequence): Float32Array | null;
 /** Numbers of normals at the corners; null if all corners of a vertex share one. */
 export function hardEdgesOf(sequence: Sequence): ArrayLike<number> | null;
 
-/** All else that is on the polygons, by name. */
+/** All other attributes of the polygons, by name. */
 export function surfaceOf(sequence: Sequence): Record<string, ArrayLike<number> | string[]>;
 
 export interface DrawnMesh {
   triangles: Uint32Array;
-  /** Which vertex of the sequence each is. */
+  /** The number of each vertex in the sequence. */
   vertices: Uint32Array;
   /** Those of one group share a normal. */
   groups: Uint32Array;
@@ -90,7 +90,7 @@ export interface DrawnMesh {
   colours: Float32Array | null;
 }
 
-/** The mesh as graphics cards have it, cut at seams and hard edges. */
+/** The mesh for graphics cards, split at seams and hard edges. */
 export function drawnMesh(sequence: Sequence): DrawnMesh;
 export function takePositions(positions: Float32Array, vertices: Uint32Array, out: Float32Array): Float32Array;
 export function takeNormals(positions: Float32Array, triangles: Uint32Array, groups: Uint32Array, out: Float32Array): Float32Array;
@@ -116,7 +116,7 @@ export function readGlb(file: ArrayBuffer): {
   matrix: number[];
 };
 
-/** Make sure that this decoder reads what has the extension MIXSEQ_mesh_sequence. */
+/** Verify that this decoder supports the version of the extension MIXSEQ_mesh_sequence. */
 export function checkVersion(extension: { version: number }): void;
 
 export interface RemoteSequence extends Facts {
@@ -131,13 +131,13 @@ export interface RemoteSequence extends Facts {
   residuals(time: number): Promise<Float32Array | null>;
   at(time: number): Promise<Float32Array>;
   frame(number: number): Promise<Float32Array>;
-  /** Decode all there is; `told` hears which share is done. */
+  /** Decode everything; `told` is called with the completed share. */
   decode(told?: (share: number) => void): Promise<void>;
   close(): void;
 }
 
-/** Open a sequence in a Worker; `address` is that of mixseq.js, by default found out. */
+/** Open a sequence in a Worker; `address` is that of mixseq.js, by default its own. */
 export function openRemote(text: string, streams: Uint8Array, address?: string): Promise<RemoteSequence>;
 
-/** Open a sequence that a Worker decodes and this thread plays: mesh, fields and first chunk are decoded, the others follow. */
+/** Open a sequence that a Worker decodes and this thread plays: mesh, fields and first chunk first, then the others. */
 export function openDecoded(text: string, streams: Uint8Array, address?: string): Promise<{ sequence: Sequence; drawn: DrawnMesh }>;

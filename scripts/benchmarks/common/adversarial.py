@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.mesh.rotations import matrices
+from mixseq.mesh.rotations import rotvec_to_matrix
 from mixseq.types import Float, FloatArray, Index
 
 FRAMES = 8
@@ -68,7 +68,7 @@ def _at(points: Float, frame: int | slice, vertex: int, value: ArrayLike) -> Flo
 
 
 def _spinning(points: Float, time: Float) -> Float:
-    turns = matrices(np.array([0.3, 0.5, 3.1]) * np.arange(len(points))[:, None])
+    turns = rotvec_to_matrix(np.array([0.3, 0.5, 3.1]) * np.arange(len(points))[:, None])
     return np.asarray(points @ turns.transpose(0, 2, 1))
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.topology import Topology
 from mixseq.types import Float
 
@@ -25,7 +25,7 @@ class Envelope(NamedTuple):
 def envelope(topology: Topology, points: Float, lengths: Float, angles: Float) -> Envelope:
     """Compare points ``(V, 3)`` with target lengths ``(E,)``, in the same unit, and angles ``(H,)``."""
     strain = np.abs(edge_lengths(points, topology.edges) / lengths - 1.0)
-    bend = np.abs(np.degrees(wrap(dihedral_angles(points, topology.hinges) - angles)))
+    bend = np.abs(np.degrees(wrap_angles(dihedral_angles(points, topology.hinges) - angles)))
     return Envelope(_largest(strain), _largest(bend))
 
 

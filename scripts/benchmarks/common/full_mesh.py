@@ -57,7 +57,7 @@ class FullMesh:
     def prepare(self) -> None:
         """Analyse and compile whatever is kept, so that it is not timed."""
         iterate(self.problem, self.ends[0])
-        self.problem.patch.prepared()
+        self.problem.patch.precompute()
 
     def from_vertices(self) -> tuple[Float, ShellReport]:
         """Solve, starting from the mean of the vertices."""

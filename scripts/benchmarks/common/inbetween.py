@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 import mixseq
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.temporal import select_operator
 from mixseq.types import Float, Index
@@ -62,7 +62,7 @@ def errors(truth: MeshSequence, points: Float) -> dict[str, float | None]:
     strain = np.abs(edge_lengths(points, topology.edges)[there] / lengths[there] - 1)
     wrong = 0
     for x, y in zip(truth.points, points, strict=True):
-        apart = wrap(dihedral_angles(y, topology.hinges) - dihedral_angles(x, topology.hinges))
+        apart = wrap_angles(dihedral_angles(y, topology.hinges) - dihedral_angles(x, topology.hinges))
         wrong += int(np.count_nonzero(np.abs(apart) > np.pi / 2))
     return {
         "rms": found.rms_error,

@@ -89,7 +89,7 @@ def _measure_pair(
     for method, told in SPACES.items():
         say(f"{pair}: {method}")
         blends[method] = PoseInterpolator.from_poses(sequence, pose_ids=[first, second], **told)
-        blends[method].space.prepared()
+        blends[method].space.precompute()
         timing, points = repeated(partial(blends[method].blend, [0.5, 0.5]), 7, 20.0, warm=True)
         solved.append((method, timing, [], points / sequence.diagonal, 1))
     settings = ShellSettings()

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.runtime.parallel import on_threads
+from mixseq.runtime.parallel import thread_executor
 from mixseq.shells.gauss_newton import ShellSettings
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.full_mesh import FullMesh, iterate
@@ -97,4 +97,4 @@ def _measure(section: Section, rows: list[tuple[str, ...]], name: str, target: i
 
 def play(model: mixseq.Model, threads: int) -> list[NDArray[np.float64]]:
     """Decode all frames."""
-    return list(model.blocks(model.times, workers=on_threads(threads)))
+    return list(model.blocks(model.times, workers=thread_executor(threads)))

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.rigid import kabsch, transform
+from mixseq.mesh.rigid import kabsch, transform_points
 from mixseq.pictures.scene import View, to_y_up
 from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses
@@ -58,7 +58,7 @@ def pushed(poses: Poses, rigid: Index, view: View) -> Pushed:
     """
     x, faces = poses.points[1], poses.sequence.faces
     triangles = Polygons(np.full(len(faces), 3), faces.reshape(-1))
-    normals = shared_normals(x[None], triangles)[0].astype(np.float64)
+    normals = corner_normals(x[None], triangles)[0].astype(np.float64)
     inside = np.zeros(len(x), dtype=bool)
     inside[rigid] = True
     edge = float(poses.lengths[1].mean())
@@ -85,4 +85,4 @@ def pushed(poses: Poses, rigid: Index, view: View) -> Pushed:
 def apart(first: Float, second: Float, fitted: Index | slice = slice(None)) -> Float:
     """Return how far vertices ``(V,)`` of two meshes are apart when they are moved onto each other, by some of them."""
     rotation, translation = kabsch(first[fitted], second[fitted])
-    return np.asarray(np.linalg.norm(transform(first, rotation, translation) - second, axis=1))
+    return np.asarray(np.linalg.norm(transform_points(first, rotation, translation) - second, axis=1))

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.types import Float
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.poses import Poses
@@ -53,7 +53,7 @@ def errors(poses: Poses, weights: Float, points: Float) -> Errors:
     lengths, angles = poses.target(weights)
     long = np.flatnonzero(lengths > SHORT * poses.diagonal)
     strain = edge_lengths(points, poses.topology.edges)[long] / lengths[long] - 1.0
-    return Errors(strain, np.degrees(wrap(dihedral_angles(points, poses.topology.hinges) - angles)))
+    return Errors(strain, np.degrees(wrap_angles(dihedral_angles(points, poses.topology.hinges) - angles)))
 
 
 def band(values: Float, share: float) -> tuple[float, float]:

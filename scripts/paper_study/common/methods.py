@@ -89,7 +89,7 @@ class Edge:
         return self.space.encode(self.poses.points)
 
     def prepare(self) -> None:
-        self.space.prepared()
+        self.space.precompute()
         _ = self.vectors
 
     def at(self, weights: Float) -> Blended:
@@ -107,7 +107,7 @@ class ManyScales(Edge):
 
     def prepare(self) -> None:
         super().prepare()
-        self.projection.prepared()
+        self.projection.precompute()
 
     def at(self, weights: Float) -> Blended:
         shapes, turns, centres = self.space.split((weights @ self.vectors)[None])
@@ -191,7 +191,7 @@ class Anchored(Mixed):
 
     def prepare(self) -> None:
         """Do what is done once."""
-        self.space.prepared()
+        self.space.precompute()
         _ = self.vectors
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
@@ -274,7 +274,7 @@ class Printed(Mixed):
     def prepare(self) -> None:
         _ = self.space.aligned, self.space.overlaps, self.space.seams.factor
         for patch in self.patches:
-            patch.prepared()
+            patch.precompute()
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend step by step."""

@@ -11,7 +11,7 @@ import numpy as np
 
 import mixseq
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles
-from mixseq.mesh.rigid import kabsch, transform
+from mixseq.mesh.rigid import kabsch, transform_points
 from mixseq.mesh.topology import Topology
 from mixseq.segmentation.motion import MotionSettings, segment_by_motion
 from mixseq.sequence.sequence import bounding_diagonal
@@ -162,7 +162,7 @@ class Poses:
 
 def _apart(first: Float, second: Float) -> float:
     """Sum of squared distances of vertices ``(V, 3)``, up to a rigid motion."""
-    return float(np.square(transform(first, *kabsch(first, second)) - second).sum())
+    return float(np.square(transform_points(first, *kabsch(first, second)) - second).sum())
 
 
 def between(weight: float) -> Float:

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.mesh.measures import sound_lengths
-from mixseq.mesh.rigid import mean_shape, transform
-from mixseq.mesh.rotations import continued, quaternions, rotations_of
+from mixseq.mesh.measures import clamp_lengths
+from mixseq.mesh.rigid import mean_shape, transform_points
+from mixseq.mesh.rotations import align_quat_signs, matrix_to_quat, quat_to_matrix
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.spaces.pieces import register_parts
@@ -64,7 +64,7 @@ class PaperSpace:
         frames = self.poses.points / self.poses.diagonal
         found = [register_parts(self.shapes, self.decomposition.parts, frame) for frame in frames]
         parts, rotations, centres = (np.stack(each) for each in zip(*found, strict=True))
-        return parts, continued(quaternions(rotations)), centres
+        return parts, align_quat_signs(matrix_to_quat(rotations)), centres
 
     @cached_property
     def _rows(self) -> tuple[Index, Index]:
@@ -102,7 +102,7 @@ class PaperSpace:
         lengths, angles = lengths_and_angles(parts, np.maximum(edges, 0), np.maximum(hinges, 0))
         blended, told = self.poses.target(weights)
         free, blended = self.free_edges, blended / self.poses.diagonal
-        lengths[free] = sound_lengths(blended[free], self.length_weights[free])
+        lengths[free] = clamp_lengths(blended[free], self.length_weights[free])
         angles[hinges[:, 0] < 0] = told[hinges[:, 0] < 0]
         return PaperFrame(lengths, angles, parts, rotations, centres)
 
@@ -141,8 +141,8 @@ class PaperSpace:
         """Register all pieces ``(N, 3)``, parts and then joints, and move them to where the poses say."""
         overlaps = self.overlaps
         rotation, translation = register(overlaps, points)
-        turns = rotations_of(frame.rotations)[overlaps.group]
+        turns = quat_to_matrix(frame.rotations)[overlaps.group]
         to_world = turns @ rotation
-        centre = transform(translation[:, None], turns, frame.centres[overlaps.group])[:, 0]
+        centre = transform_points(translation[:, None], turns, frame.centres[overlaps.group])[:, 0]
         owner = np.repeat(np.arange(len(overlaps.sizes)), overlaps.sizes)
         return np.asarray(np.einsum("nij,nj->ni", to_world[owner], points) + centre[owner])

@@ -30,7 +30,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.errors import ReconstructionError
-from mixseq.mesh.measures import sound_lengths
+from mixseq.mesh.measures import clamp_lengths
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.segmentation.joints import make_joint
@@ -93,8 +93,8 @@ class Leaf(PickledWithoutCaches):
         patch = Patch.from_joint(topology, joint, ~joint.free)
         return cls(joint.vertices, joint.edge_ids, joint.hinge_ids, patch)
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return self.patch, self.patch.hinge_frames
 
     def rebuilt(
@@ -155,8 +155,8 @@ class Merge(PickledWithoutCaches):
         shapes = [np.cos(np.outer(mine + 1, np.sqrt([2.0, 3.0, 5.0]))) for mine in own]
         return cls(vertices, edges, len(own), Overlaps.of(own, shapes), seams)
 
-    def constants(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         seams = (self.seams.factor,) if self.seams.solved.size else ()
         return self.overlaps.translation_solver, self.seams.component, *seams
 
@@ -207,8 +207,8 @@ class MultiScale(PickledWithoutCaches):
             steps.append(tuple(step for region in whole for step in _steps(self.topology, region)))
         return tuple(steps)
 
-    def constants(self) -> list[object]:
-        """Implement `PickledWithoutCaches.constants`."""
+    def cached_values(self) -> list[object]:
+        """Implement `PickledWithoutCaches.cached_values`."""
         return [step for steps in self.steps for step in steps]
 
     def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
@@ -218,7 +218,7 @@ class MultiScale(PickledWithoutCaches):
             wrong = np.flatnonzero(~np.isfinite(values))
             if wrong.size:
                 raise ReconstructionError(f"the {name} of {of} {wrong[0]} is {values[wrong[0]]}")
-        lengths = sound_lengths(lengths, weights)  # also of the seams: an edge has no negative length
+        lengths = clamp_lengths(lengths, weights)  # also of the seams: an edge has no negative length
         pieces, reports = [], []
         for vertices, steps in zip(self.pieces.vertices, self.steps, strict=True):
             made: list[Float] = [] if steps else [np.zeros((len(vertices), 3))]

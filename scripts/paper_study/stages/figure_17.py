@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.types import Float
 from scripts.benchmarks.common.section import markdown_table
@@ -62,7 +62,7 @@ def energy(poses: Poses, points: Float) -> float:
     lengths, angles = poses.target(between(0.5))
     topology, typical = poses.topology, poses.lengths.mean(axis=0)
     strain = (edge_lengths(points, topology.edges) - lengths) / np.maximum(typical, 1e-12 * poses.diagonal)
-    bend = ShellSettings().bending * wrap(dihedral_angles(points, topology.hinges) - angles)
+    bend = ShellSettings().bending * wrap_angles(dihedral_angles(points, topology.hinges) - angles)
     return float(strain @ strain + bend @ bend)
 
 

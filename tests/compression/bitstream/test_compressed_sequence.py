@@ -18,7 +18,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
     decode_coefficients,
     to_model,
 )
-from mixseq.compression.bitstream.residual_layer import RUN, CodedResidualLayer, read_residuals
+from mixseq.compression.bitstream.residual_layer import FRAMES_PER_RUN, CodedResidualLayer, read_residuals
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.encoder.compress import compress
 from mixseq.errors import FormatError
@@ -38,7 +38,7 @@ def bounded() -> CompressedSequence:
     smooth = bar(sides=4, rings=6, frames=200)
     noise = np.random.default_rng(0).laplace(scale=0.01, size=smooth.points.shape)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mixseq.compression.encoder.search.KINDS", ("trajectories",))
+        patch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("trajectories",))
         return compress(smooth.with_points(smooth.points + noise), max_error=0.02, chunk=100)
 
 
@@ -48,7 +48,7 @@ def noisy() -> CompressedSequence:
     points, faces = tube(6, 9)
     noise = np.random.default_rng(1).normal(size=(20, *points.shape))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mixseq.compression.encoder.search.KINDS", ("shapes",))
+        patch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("shapes",))
         return compress(MeshSequence.from_arrays(points + 0.1 * noise, faces), kg=0.5)
 
 
@@ -61,8 +61,8 @@ def grouped() -> tuple[MeshSequence, CompressedSequence]:
     frames = points + np.einsum("tki,kv->tvi", rng.normal(size=(20, 30, 3)), modes)
     sequence = MeshSequence.from_arrays(frames, faces)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mixseq.compression.encoder.search.KINDS", ("trajectories",))
-        patch.setattr("mixseq.compression.encoder.search.PARTS", (10_000,))
+        patch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("trajectories",))
+        patch.setattr("mixseq.compression.encoder.search.PART_COUNTS", (10_000,))
         return sequence, compress(sequence, kg=0.2)
 
 
@@ -75,10 +75,12 @@ def frames_of(coded: CompressedSequence) -> Float:
         [basis.frames(decode_coefficients(coded, chunk, basis)) for chunk in coded.chunks]
     )
     for chunk in coded.chunks:
-        for run in range(-(-chunk.count // RUN)):
+        for run in range(-(-chunk.count // FRAMES_PER_RUN)):
             residuals = read_residuals(chunk.residuals, chunk.count, run, graph)
             for place, (vertices, numbers) in enumerate(residuals):
-                points[chunk.first + run * RUN + place, vertices] += parameters.correction * numbers
+                points[chunk.first + run * FRAMES_PER_RUN + place, vertices] += (
+                    parameters.correction * numbers
+                )
     return points
 
 

@@ -19,9 +19,9 @@ from mixseq.compression.bitstream.connectivity_kernels import (
     OPEN,
     UNUSED,
     add_polygon,
-    no_half_edges,
-    rank_of,
-    vertex_of,
+    new_half_edges,
+    vertex_at_rank,
+    vertex_rank,
 )
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.mesh.polygons import Polygons
@@ -195,16 +195,16 @@ def refused_or_harmless(data: bytes, faces: NDArray[np.int64]) -> None:
 def test_states_of_vertices() -> None:
     """Two triangles with a common edge, one of them then closed from the back."""
     indices = np.array([2, 3, 5, 3, 2, 6, 5, 3, 2])
-    mesh = no_half_edges(9, 8)
+    mesh = new_half_edges(9, 8)
     add_polygon(mesh, indices, 0, 3)
     add_polygon(mesh, indices, 3, 6)
     assert mesh.states.tolist() == [UNUSED, UNUSED, OPEN, OPEN, UNUSED, OPEN, OPEN, UNUSED]
     assert mesh.open_edges.tolist() == [0, 0, 2, 2, 0, 2, 2, 0]
     add_polygon(mesh, indices, 6, 9)
     assert mesh.states[5] == CLOSED
-    assert mesh.members.tolist() == [4, 3, 1]
-    assert [vertex_of(mesh, OPEN, rank) for rank in range(3)] == [2, 3, 6]
-    assert [rank_of(mesh, UNUSED, vertex) for vertex in range(9)] == [0, 1, 2, 2, 2, 3, 3, 3, 4]
+    assert mesh.state_counts.tolist() == [4, 3, 1]
+    assert [vertex_at_rank(mesh, OPEN, rank) for rank in range(3)] == [2, 3, 6]
+    assert [vertex_rank(mesh, UNUSED, vertex) for vertex in range(9)] == [0, 1, 2, 2, 2, 3, 3, 3, 4]
 
 
 # Real meshes ------------------------------------------------------------------------------------------------

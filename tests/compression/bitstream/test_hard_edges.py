@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mixseq.compression.bitstream.corner_values import decode_hard_edges, encode_hard_edges
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import by_first_use
+from mixseq.mesh.surface import renumber_by_first_use
 from mixseq.types import IntArray
 from tests.compression.bitstream.test_polygon_walk import MESHES
 from tests.meshes import grid, tube
@@ -24,7 +24,7 @@ def there_and_back(polygons: Polygons, numbers: IntArray) -> bytes:
     count = int(polygons.indices.max()) + 1
     data = encode_hard_edges(polygons, count, numbers)
     assert data is not None
-    np.testing.assert_array_equal(decode_hard_edges(data, polygons, count), by_first_use(numbers))
+    np.testing.assert_array_equal(decode_hard_edges(data, polygons, count), renumber_by_first_use(numbers))
     return data
 
 

@@ -7,13 +7,14 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mixseq.compression.bitstream.arithmetic import (
-    INPUTS,
-    Bits,
-    bits_to_read,
-    bits_to_write,
-    code_hashed,
+    CONTEXTS_PER_BIT,
+    HashedBits,
+    code_hashed_bit,
+    finish_stream,
     has_failed,
-    written,
+    new_hashed_bits,
+    new_hashed_output,
+    new_input_stream,
 )
 from mixseq.runtime.jit import compiled
 from mixseq.types import Index
@@ -22,29 +23,29 @@ GOLDEN_RATIO = 11400714819323198485
 
 
 @compiled
-def code_small(bits: Bits, known: Index) -> None:
+def code_small(bits: HashedBits, known: Index) -> None:
     """Code a bit in contexts of which a compiler can see that they are from 2 to 4095."""
-    for i in range(INPUTS):
+    for i in range(CONTEXTS_PER_BIT):
         bits.contexts[i] = (known[i] & 255) << 4 | 2
-    code_hashed(bits, 0, 1)
+    code_hashed_bit(bits, 0, 1)
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=INPUTS, max_size=INPUTS))
+@given(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=CONTEXTS_PER_BIT, max_size=CONTEXTS_PER_BIT))
 @example([0, 1, -1, 530, 1 << 60, -(1 << 60), 2**63 - 1, -(2**63)])
 def test_slots_are_the_highest_bits_of_the_product(contexts: list[int]) -> None:
-    bits = bits_to_write(1, 1)
+    bits = new_hashed_output(1, 1)
     bits.contexts[:] = contexts
-    code_hashed(bits, 0, 1)
+    code_hashed_bit(bits, 0, 1)
     expected = [(each * GOLDEN_RATIO % 2**64) >> 48 for each in contexts]
     assert bits.models.contexts.tolist() == expected
-    shares = bits.models.shares[np.arange(INPUTS), expected, 0]
+    shares = bits.models.frequencies[np.arange(CONTEXTS_PER_BIT), expected, 0]
     assert (shares > 1 << 23).all()  # the bit was a 1
 
 
 def test_products_overflow_where_it_is_known_how_large_they_are() -> None:
     """LLVM may take for granted that products of signed numbers do not."""
-    bits, known = bits_to_write(1, 1), np.arange(33, 33 + INPUTS)
+    bits, known = new_hashed_output(1, 1), np.arange(33, 33 + CONTEXTS_PER_BIT)
     code_small(bits, known)
     assert bits.models.contexts.tolist() == [
         ((16 * each + 2) * GOLDEN_RATIO % 2**64) >> 48 for each in known.tolist()
@@ -54,23 +55,23 @@ def test_products_overflow_where_it_is_known_how_large_they_are() -> None:
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 1)), max_size=300))
 @settings(max_examples=50, deadline=None)
 def test_bits_come_back(pairs: list[tuple[int, int]]) -> None:
-    writer = bits_to_write(len(pairs), 1)
+    writer = new_hashed_output(len(pairs), 1)
     for context, bit in pairs:
         writer.contexts[:2] = context, 1
-        assert code_hashed(writer, 0, bit) == bit
-    reader = bits_to_read(written(writer.coded), 1)
+        assert code_hashed_bit(writer, 0, bit) == bit
+    reader = new_hashed_bits(new_input_stream(finish_stream(writer.stream)), 1)
     for context, bit in pairs:
         reader.contexts[:2] = context, 1
-        assert code_hashed(reader, 0, 0) == bit
+        assert code_hashed_bit(reader, 0, 0) == bit
     assert not has_failed(reader)
     for number in range(1000):
-        reader.contexts[:] = 99991 * number + np.arange(INPUTS)
-        code_hashed(reader, 0, 0)
+        reader.contexts[:] = 99991 * number + np.arange(CONTEXTS_PER_BIT)
+        code_hashed_bit(reader, 0, 0)
     assert has_failed(reader)
 
 
 def test_bits_that_are_always_the_same_take_little() -> None:
-    writer = bits_to_write(2000, 1)
+    writer = new_hashed_output(2000, 1)
     for _ in range(2000):
-        code_hashed(writer, 0, 1)
-    assert len(written(writer.coded)) < 10
+        code_hashed_bit(writer, 0, 1)
+    assert len(finish_stream(writer.stream)) < 10

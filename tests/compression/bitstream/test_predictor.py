@@ -13,22 +13,22 @@ from numpy.typing import NDArray
 from mixseq.compression.bitstream import predictor as module
 from mixseq.compression.bitstream import predictor_kernels as kernels
 from mixseq.compression.bitstream.predictor import (
-    EQUAL,
-    FINEST,
-    HUB,
-    ROUGH,
-    SEARCHED,
-    SIMILAR,
-    WIDEST,
+    MAX_SLOPE_NEIGHBOURS,
+    MAX_STENCIL_NODES,
+    MIN_STEP_UNITS,
+    ROUGHNESS_SCALE,
+    SIMILAR_VERTICES,
+    SIMILARITY_SEARCH_SIGNALS,
+    UNIFORM_STEP_SIGNALS,
     Predictor,
     Stencils,
-    blocks,
-    finer_steps,
-    stencils,
+    graph_stencils,
+    group_nodes,
+    level_steps,
 )
-from mixseq.compression.bitstream.predictor_kernels import UNIT
+from mixseq.compression.bitstream.predictor_kernels import UNITS_PER_STEP
 from mixseq.compression.bitstream.signal_graph import (
-    MOST,
+    MAX_NEIGHBOURS,
     SignalGraph,
     coarser_levels,
     mesh_graph,
@@ -66,7 +66,7 @@ def code(predictor: Predictor, signal: Float) -> Index:
     """Numbers of a signal in steps, in the order of nodes; the predictor learns it."""
     numbers = np.zeros(len(signal), dtype=np.int64)
     known = predictor.neighbours, predictor.counts, predictor.weights, predictor.values
-    for node, target in enumerate(np.rint(UNIT * signal).astype(np.int64).tolist()):
+    for node, target in enumerate(np.rint(UNITS_PER_STEP * signal).astype(np.int64).tolist()):
         predicted = expected(node, *known)
         numbers[node] = round((target - predicted) / int(predictor.steps[node]))
         predictor.values[node] = predicted + predictor.steps[node] * numbers[node]
@@ -96,14 +96,14 @@ def test_who_decodes_has_the_same_values(name: str) -> None:
         numbers = code(coding, signal)
         values = decode(decoding, numbers)
         np.testing.assert_array_equal(values, coding.values)
-        assert np.abs(values / UNIT - signal).max() <= 0.5 + 0.5 / UNIT
+        assert np.abs(values / UNITS_PER_STEP - signal).max() <= 0.5 + 0.5 / UNITS_PER_STEP
     np.testing.assert_array_equal(decoding.weights, coding.weights)
 
 
 def test_at_first_a_node_is_what_its_stencil_says() -> None:
     predictor = Predictor(GRAPHS["torus"])
-    predictor.values[:] = UNIT * np.arange(54) ** 2
-    of_last = stencils(GRAPHS["torus"])
+    predictor.values[:] = UNITS_PER_STEP * np.arange(54) ** 2
+    of_last = graph_stencils(GRAPHS["torus"])
     beside = of_last.neighbours[53, : of_last.counts[53]]
     known = predictor.neighbours, predictor.counts, predictor.weights, predictor.values
     mean = float(of_last.weights[53, : of_last.counts[53]] @ predictor.values[beside])
@@ -166,21 +166,21 @@ def test_weights_that_are_no_numbers_predict_bounds() -> None:
 
 
 def test_steps_of_later_signals_are_smaller_on_coarse_levels() -> None:
-    assert finer_steps(16).tolist() == [40, 45, 51, 51, *[57] * 4, *[64] * 8]
-    assert finer_steps(1).tolist() == [UNIT]
-    assert finer_steps(1 << 12).min() == FINEST
+    assert level_steps(16).tolist() == [40, 45, 51, 51, *[57] * 4, *[64] * 8]
+    assert level_steps(1).tolist() == [UNITS_PER_STEP]
+    assert level_steps(1 << 12).min() == MIN_STEP_UNITS
     predictor = Predictor(GRAPHS["torus"], 2)
-    for _ in range(2 * EQUAL):
-        assert (predictor.steps == UNIT).all()
+    for _ in range(2 * UNIFORM_STEP_SIGNALS):
+        assert (predictor.steps == UNITS_PER_STEP).all()
         predictor.finish()
-    np.testing.assert_array_equal(predictor.steps, finer_steps(54))
+    np.testing.assert_array_equal(predictor.steps, level_steps(54))
 
 
 def test_steps_over_time_are_equal() -> None:
     predictor = Predictor(path_graph(50))
-    for _ in range(EQUAL + 1):
+    for _ in range(UNIFORM_STEP_SIGNALS + 1):
         predictor.finish()
-    assert (predictor.steps == UNIT).all()
+    assert (predictor.steps == UNITS_PER_STEP).all()
 
 
 # Exactness ----------------------------------------------------------------------------------------------------
@@ -212,17 +212,14 @@ def test_gram_matrices_are_exact() -> None:
     """Learned in the opposite order they have the same bits."""
     graph, rng = GRAPHS["torus"], np.random.default_rng(3)
     neighbours, counts = graph.neighbours.astype(np.int32), graph.counts.astype(np.int32)
-    signals = [np.rint(UNIT * scale * rng.normal(size=54)) for scale in 1e5 * 0.5 ** np.arange(24)]
-    nodes, sizes = blocks(counts)
-    entries = sizes.astype(np.int64) * (sizes + 1) // 2 - 1
-    places = np.cumsum(entries) - entries
+    signals = [np.rint(UNITS_PER_STEP * scale * rng.normal(size=54)) for scale in 1e5 * 0.5 ** np.arange(24)]
     grams = []
     for order in (signals, signals[::-1]):
-        gram = np.zeros((int(entries.sum()), kernels.FEW_LANES))
+        blocks, gram = group_nodes(counts)
         for signal in order:
-            trust = kernels.trust(signal, ROUGH * UNIT**2, neighbours, counts)
+            trust = kernels.compute_trust(signal, ROUGHNESS_SCALE * UNITS_PER_STEP**2, neighbours, counts)
             some = signal[None], np.array([trust])
-            kernels.learn(*some, nodes, sizes, places, neighbours, gram)
+            kernels.accumulate_gram(*some, blocks, neighbours, gram)
         grams.append(gram)
     np.testing.assert_array_equal(grams[0], grams[1])
     assert grams[0].any()
@@ -239,8 +236,8 @@ def test_trust_is_a_power_of_two() -> None:
         (1e6, 2.0**-17),
     ]:
         signal = np.array([0.0, np.sqrt(rough), 0.0])  # a mean square of rough
-        assert kernels.trust(signal, 10.0, neighbours, counts) == expected_trust
-    assert kernels.trust(signal[:1], 10.0, neighbours, counts[:1]) == 1
+        assert kernels.compute_trust(signal, 10.0, neighbours, counts) == expected_trust
+    assert kernels.compute_trust(signal[:1], 10.0, neighbours, counts[:1]) == 1
 
 
 # Weights ------------------------------------------------------------------------------------------------------
@@ -265,19 +262,16 @@ def test_weights_are_those_of_numpy(seed: int, nodes: int) -> None:
     neighbours = rng.integers(0, nodes, (nodes, most)).astype(np.int32)
     start = rng.dirichlet(np.ones(most), nodes) * (np.arange(most) < counts[:, None])
     start /= np.maximum(start.sum(axis=1), 1e-9)[:, None]
-    members, sizes = blocks(counts)
-    entries = sizes.astype(np.int64) * (sizes + 1) // 2 - 1
-    places = np.cumsum(entries) - entries
-    gram = np.zeros((int(entries.sum()), kernels.FEW_LANES))
+    blocks, gram = group_nodes(counts)
     products = np.zeros((nodes, most, most))
     signals = rng.normal(size=(int(rng.integers(1, 9)), nodes))
     trusts = rng.uniform(0.1, 1, len(signals))
-    kernels.learn(signals, trusts, members, sizes, places, neighbours, gram)
+    kernels.accumulate_gram(signals, trusts, blocks, neighbours, gram)
     for values, trust in zip(signals, trusts, strict=True):
         apart = values[neighbours] - values[:, None]
         products += trust * apart[:, :, None] * apart[:, None, :]
     weights = np.full((nodes, most), 9.0)
-    kernels.solve(ridge, members, sizes, places, gram, start, weights)
+    kernels.solve_weights(ridge, blocks, gram, start, weights)
     for node, count in enumerate(counts):
         if count > 1:
             wanted = constrained(products[node, :count, :count], ridge, start[node, :count])
@@ -291,17 +285,19 @@ def test_the_parallelogram_rule_is_a_case_of_it() -> None:
     """A vertex with three neighbours in a plane: the weights of the parallelogram are the only ones."""
     corner = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     neighbours = np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 1, 2]], dtype=np.int32)
-    members, sizes = blocks(np.array([0, 0, 0, 3], dtype=np.int32))
-    places, gram, weights = np.zeros(1, dtype=np.int64), np.zeros((5, kernels.FEW_LANES)), np.zeros((4, 3))
-    kernels.learn(corner.T.copy(), np.ones(3), members, sizes, places, neighbours, gram)
-    kernels.solve(1e-9, members, sizes, places, gram, np.full((4, 3), 1 / 3), weights)
+    blocks, gram = group_nodes(np.array([0, 0, 0, 3], dtype=np.int32))
+    weights = np.zeros((4, 3))
+    kernels.accumulate_gram(corner.T.copy(), np.ones(3), blocks, neighbours, gram)
+    kernels.solve_weights(1e-9, blocks, gram, np.full((4, 3), 1 / 3), weights)
     np.testing.assert_allclose(weights[3], [-1, 1, 1], atol=1e-7)
 
 
-@pytest.mark.parametrize(("many", "lanes"), [(20, kernels.FEW_LANES), (2000, kernels.LANES)])
+@pytest.mark.parametrize(
+    ("many", "lanes"), [(20, kernels.LANES_PER_SMALL_BLOCK), (2000, kernels.LANES_PER_BLOCK)]
+)
 def test_blocks_are_of_nodes_with_equally_many_neighbours(many: int, lanes: int) -> None:
     counts = np.array([0, 1, *[3] * many, 2], dtype=np.int32)
-    members, sizes = blocks(counts)
+    (members, sizes, _), _ = group_nodes(counts)
     assert members.shape[1] == lanes
     assert sizes.tolist() == [2] + [3] * -(-many // lanes)
     assert set(members[0].tolist()) == {many + 2}
@@ -327,7 +323,7 @@ def search(graph: SignalGraph, signals: Float, exhaustive: int) -> list[list[int
     """Four nodes that are nearest to each."""
     similar, found = np.zeros((graph.size, 4), dtype=np.int32), np.zeros(graph.size, dtype=np.int32)
     neighbours, counts = graph.neighbours.astype(np.int32), graph.counts.astype(np.int32)
-    kernels.nearest(signals, neighbours, counts, exhaustive, similar, found)
+    kernels.find_similar_nodes(signals, neighbours, counts, exhaustive, similar, found)
     return [row[:count].tolist() for row, count in zip(similar, found, strict=True)]
 
 
@@ -355,9 +351,9 @@ def test_similar_nodes_are_those_of_a_search_of_all_that_are_looked_at(exhaustiv
 def test_similar_nodes_come_behind_the_neighbours_of_the_graph() -> None:
     graph, rng = GRAPHS["components"], np.random.default_rng(2)
     predictor = Predictor(graph)
-    for _ in range(SEARCHED):
+    for _ in range(SIMILARITY_SEARCH_SIGNALS):
         code(predictor, 20 * rng.normal(size=graph.size))
-    assert (predictor.counts - graph.counts).max() == SIMILAR
+    assert (predictor.counts - graph.counts).max() == SIMILAR_VERTICES
     for node in range(graph.size):
         beside = predictor.neighbours[node, : predictor.counts[node]].tolist()
         assert beside[: graph.counts[node]] == graph.neighbours[node, : graph.counts[node]].tolist()
@@ -384,8 +380,8 @@ def predicted(found: Stencils, values: Float) -> Float:
 @pytest.mark.parametrize("name", MESHES)
 def test_nodes_before_a_node_with_weights_that_add_up_to_one(name: str) -> None:
     graph = graph_of(MESHES[name])
-    found = stencils(graph)
-    assert found.counts.max() <= WIDEST
+    found = graph_stencils(graph)
+    assert found.counts.max() <= MAX_STENCIL_NODES
     assert found.counts[0] == 0
     for node in range(1, graph.size):
         count = found.counts[node]
@@ -404,7 +400,7 @@ def test_curved_surfaces_are_predicted_better_than_by_means() -> None:
     means = Stencils(graph.neighbours, graph.counts, graph.weights)
     for values in points[graph.order].T:
         off, of_means = (
-            np.square(values - predicted(one, values))[fine].sum() for one in (stencils(graph), means)
+            np.square(values - predicted(one, values))[fine].sum() for one in (graph_stencils(graph), means)
         )
         assert off < 0.5 * of_means
 
@@ -421,16 +417,16 @@ def energy(value: float, vertex: int, values: Float, beside: dict[int, dict[int,
 
 def test_the_mesh_is_bent_least(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of vertices that go first: the value is the minimum of the energy, which is a parabola."""
-    monkeypatch.setattr(module, "WIDEST", 60)
+    monkeypatch.setattr(module, "MAX_STENCIL_NODES", 60)
     points, faces = torus(24, 10)
     count, graph = len(points), mesh_graph(faces, len(points))
     values = np.random.default_rng(0).normal(size=count)
-    found = predicted(stencils(graph), values[graph.order])
-    unused = np.zeros((count, MOST), dtype=np.int64), np.zeros(count, dtype=np.int64)
+    found = predicted(graph_stencils(graph), values[graph.order])
+    unused = np.zeros((count, MAX_NEIGHBOURS), dtype=np.int64), np.zeros(count, dtype=np.int64)
     first = next(coarser_levels(*mesh_neighbours(faces, count), *unused))
-    ring = [set(first.beside[a:b].tolist()) for a, b in pairwise(first.starts)]
-    left = [set(first.new_beside[a:b].tolist()) for a, b in pairwise(first.new_starts)]
-    for vertex in first.gone.tolist():
+    ring = [set(first.adjacent[a:b].tolist()) for a, b in pairwise(first.starts)]
+    left = [set(first.new_adjacent[a:b].tolist()) for a, b in pairwise(first.new_starts)]
+    for vertex in first.removed.tolist():
         beside = {vertex: dict.fromkeys(ring[vertex], 1)}
         for one in ring[vertex]:
             kept = {other for other in left[one] if other in ring[one] or other not in ring[vertex]}
@@ -445,7 +441,7 @@ def test_on_a_line_levels_are_alike() -> None:
     count = 128
     steps = np.arange(count)
     graph = mesh_graph(np.stack([steps, np.roll(steps, 1), steps], axis=1), count)
-    found = stencils(graph)
+    found = graph_stencils(graph)
     regular = 0
     for node in range(graph.size):
         beside = found.neighbours[node, : found.counts[node]]
@@ -458,19 +454,19 @@ def test_on_a_line_levels_are_alike() -> None:
 
 
 def test_hubs_cost_no_time_and_do_no_harm() -> None:
-    rim = np.arange(1, 40 * HUB)
+    rim = np.arange(1, 40 * MAX_SLOPE_NEIGHBOURS)
     graph = mesh_graph(np.stack([0 * rim, rim, np.roll(rim, 1)], axis=1), len(rim) + 1)
-    found = stencils(graph)
+    found = graph_stencils(graph)
     assert found.counts.max() < 8  # nothing from the other side of the hub
     np.testing.assert_allclose(predicted(found, np.ones(graph.size))[1:], 1)
 
 
 def test_frames_keep_their_own_weights() -> None:
     graph = path_graph(50)
-    np.testing.assert_array_equal(stencils(graph).weights[:, :6], graph.weights)
-    np.testing.assert_array_equal(stencils(graph).counts, graph.counts)
+    np.testing.assert_array_equal(graph_stencils(graph).weights[:, :6], graph.weights)
+    np.testing.assert_array_equal(graph_stencils(graph).counts, graph.counts)
 
 
 def test_stencils_are_made_once() -> None:
     graph = graph_of(grid(3, 3))
-    assert stencils(graph) is stencils(graph)
+    assert graph_stencils(graph) is graph_stencils(graph)

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.compression.bitstream.residual_layer import RUN, read_residuals, write_residuals
+from mixseq.compression.bitstream.residual_layer import FRAMES_PER_RUN, read_residuals, write_residuals
 from mixseq.compression.bitstream.signal_graph import mesh_graph
-from mixseq.compression.encoder.trial import needed, width
+from mixseq.compression.encoder.trial import quantise_residuals, residual_unit
 from mixseq.errors import FormatError
 from mixseq.types import Float, Index
 from tests.meshes import seeds, torus
@@ -21,9 +21,9 @@ GRAPH = mesh_graph(torus(10, 6)[1], VERTICES)  # the last ten have no faces
 def decoded(stream: bytes, count: int) -> Index:
     """All frames of a stream, run by run, from the last to the first."""
     frames = np.zeros((count, VERTICES, 3), dtype=np.int64)
-    for run in reversed(range(-(-count // RUN))):
+    for run in reversed(range(-(-count // FRAMES_PER_RUN))):
         for place, (vertices, numbers) in enumerate(read_residuals(stream, count, run, GRAPH)):
-            frames[run * RUN + place, vertices] = numbers
+            frames[run * FRAMES_PER_RUN + place, vertices] = numbers
     return frames
 
 
@@ -45,23 +45,25 @@ def errors(count: int, seed: int = 0, share: float = 0.2, size: float = 2.0) -> 
 @given(seed=seeds, bound=st.sampled_from([1e-9, 0.3, 1.0, 7e4]), size=st.sampled_from([0.01, 1.0, 1000.0]))
 def test_nothing_is_left_above_the_bound(seed: int, bound: float, size: float) -> None:
     apart = bound * errors(3, seed, 0.5, size)
-    numbers = needed(apart, bound)
-    left = np.linalg.norm(apart - width(bound) * numbers, axis=2)
+    numbers = quantise_residuals(apart, bound)
+    left = np.linalg.norm(apart - residual_unit(bound) * numbers, axis=2)
     assert left.max() <= bound * (1 + 1e-12)
 
 
 def test_only_what_is_above_the_bound_is_corrected() -> None:
     apart = errors(4)
-    numbers = needed(apart, 1.0)
+    numbers = quantise_residuals(apart, 1.0)
     far = np.linalg.norm(apart, axis=2) > 1
     np.testing.assert_array_equal(numbers.any(axis=2), far)
-    assert width(1.0) == pytest.approx(2 / np.sqrt(3))
+    assert residual_unit(1.0) == pytest.approx(2 / np.sqrt(3))
 
 
-@pytest.mark.parametrize("count", [1, 2, RUN - 1, RUN, RUN + 1, 3 * RUN + 2])
+@pytest.mark.parametrize(
+    "count", [1, 2, FRAMES_PER_RUN - 1, FRAMES_PER_RUN, FRAMES_PER_RUN + 1, 3 * FRAMES_PER_RUN + 2]
+)
 @pytest.mark.parametrize("share", [0.01, 0.3, 1.0])
 def test_residuals_come_back(count: int, share: float) -> None:
-    numbers = needed(errors(count, count, share), 1.0)
+    numbers = quantise_residuals(errors(count, count, share), 1.0)
     np.testing.assert_array_equal(decoded(written(numbers), count), numbers)
 
 
@@ -76,24 +78,24 @@ def test_residuals_of_any_size_come_back(seed: int, power: int) -> None:
 
 
 def test_nothing_to_correct_is_nothing() -> None:
-    none = np.zeros((2 * RUN, VERTICES, 3), dtype=np.int64)
+    none = np.zeros((2 * FRAMES_PER_RUN, VERTICES, 3), dtype=np.int64)
     assert written(none) == b""
-    assert not decoded(b"", 2 * RUN + 1).any()
+    assert not decoded(b"", 2 * FRAMES_PER_RUN + 1).any()
 
 
 def test_runs_without_residuals_have_no_bytes() -> None:
-    numbers = np.zeros((3 * RUN, VERTICES, 3), dtype=np.int64)
-    numbers[RUN + 3, 5] = 1, -2, 0
+    numbers = np.zeros((3 * FRAMES_PER_RUN, VERTICES, 3), dtype=np.int64)
+    numbers[FRAMES_PER_RUN + 3, 5] = 1, -2, 0
     stream = written(numbers)
     lengths = np.frombuffer(stream[:12], dtype="<u4")
     assert lengths[[0, 2]].tolist() == [0, 0]
     assert 12 + lengths[1] == len(stream) <= 32
-    np.testing.assert_array_equal(decoded(stream, 3 * RUN), numbers)
+    np.testing.assert_array_equal(decoded(stream, 3 * FRAMES_PER_RUN), numbers)
 
 
 def test_runs_are_decoded_by_themselves() -> None:
     """Bytes of other runs are not looked at."""
-    numbers = needed(errors(3 * RUN), 1.0)
+    numbers = quantise_residuals(errors(3 * FRAMES_PER_RUN), 1.0)
     stream = written(numbers)
     lengths = np.frombuffer(stream[:12], dtype="<u4")
     start = 12 + int(lengths[0])
@@ -104,7 +106,7 @@ def test_runs_are_decoded_by_themselves() -> None:
         + bytes(int(lengths[2]))
     )
     for frame, (vertices, found) in zip(
-        numbers[RUN:], read_residuals(other, 3 * RUN, 1, GRAPH), strict=False
+        numbers[FRAMES_PER_RUN:], read_residuals(other, 3 * FRAMES_PER_RUN, 1, GRAPH), strict=False
     ):
         np.testing.assert_array_equal(found, frame[vertices])
         assert len(vertices) == frame.any(axis=1).sum()
@@ -112,9 +114,9 @@ def test_runs_are_decoded_by_themselves() -> None:
 
 def test_residuals_that_last_are_cheap() -> None:
     """The frame before tells where they are."""
-    one = needed(errors(1, share=0.2), 1.0)[0]
-    lasting = written([one] * RUN)
-    changing = written(needed(errors(RUN, share=0.2), 1.0))
+    one = quantise_residuals(errors(1, share=0.2), 1.0)[0]
+    lasting = written([one] * FRAMES_PER_RUN)
+    changing = written(quantise_residuals(errors(FRAMES_PER_RUN, share=0.2), 1.0))
     assert len(lasting) < 0.7 * len(changing)
 
 
@@ -123,14 +125,14 @@ def test_residuals_that_last_are_cheap() -> None:
 
 @pytest.mark.parametrize("length", [1, 2, 3, 4, 7, 8, 11, 12, 20])
 def test_cut_streams_are_refused(length: int) -> None:
-    stream = written(needed(errors(3 * RUN), 1.0))
+    stream = written(quantise_residuals(errors(3 * FRAMES_PER_RUN), 1.0))
     with pytest.raises(FormatError, match="another length"):
-        read_residuals(stream[:length], 3 * RUN, 0, GRAPH)
+        read_residuals(stream[:length], 3 * FRAMES_PER_RUN, 0, GRAPH)
 
 
 def test_flipped_bits_give_other_residuals_or_an_error() -> None:
-    count = RUN + 2
-    stream = written(needed(errors(count, share=0.1), 1.0))
+    count = FRAMES_PER_RUN + 2
+    stream = written(quantise_residuals(errors(count, share=0.1), 1.0))
     for place in range(0, len(stream), 7):
         damaged = bytearray(stream)
         damaged[place] ^= 1 << place % 8

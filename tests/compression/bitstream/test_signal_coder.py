@@ -9,7 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.compression.bitstream.signal_coder import MARGINS, NumberModels, Reader, SignalCoder, Writer
+from mixseq.compression.bitstream.signal_coder import (
+    ROUNDING_MARGINS,
+    NumberModels,
+    Reader,
+    SignalCoder,
+    Writer,
+)
 from mixseq.compression.bitstream.signal_graph import SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
 from mixseq.types import Float
@@ -43,7 +49,7 @@ def there_and_back(graph: SignalGraph, signals: list[Float]) -> bytes:
     for signal, known in zip(signals, kept, strict=True):
         np.testing.assert_array_equal(decoder.read(reader), known)
         slack = 1e-12 * np.abs(signal).max()
-        assert np.abs(known - signal).max() <= 1 - MARGINS.min() + slack
+        assert np.abs(known - signal).max() <= 1 - ROUNDING_MARGINS.min() + slack
     reader.finish()
     return data
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from mixseq.compression.bitstream.signal_graph import (
-    MOST,
-    ROOTS,
+    MAX_NEIGHBOURS,
+    MAX_ROOT_NEIGHBOURS,
     SignalGraph,
-    adjacency,
+    edge_neighbours,
     mesh_graph,
-    neighbours_of,
     path_graph,
-    renumbered,
+    renumber_adjacency,
+    update_adjacency,
 )
 from mixseq.mesh.topology import Topology
 from mixseq.types import Index
@@ -70,7 +70,7 @@ def test_neighbours_come_before(name: str) -> None:
     assert (graph.neighbours[known] < np.nonzero(known)[0]).all()
     assert (graph.counts[1:] > 0).all()
     assert graph.counts[0] == 0
-    assert (graph.counts <= MOST).all()
+    assert (graph.counts <= MAX_NEIGHBOURS).all()
     for node, count in enumerate(graph.counts):
         assert len(set(graph.neighbours[node, :count])) == count
 
@@ -117,7 +117,7 @@ def test_the_order_is_that_of_the_connectivity() -> None:
 
 def test_a_hub_stays_to_the_end() -> None:
     graph = graph_of("fan")
-    assert int(np.flatnonzero(graph.order == 0)[0]) < ROOTS
+    assert int(np.flatnonzero(graph.order == 0)[0]) < MAX_ROOT_NEIGHBOURS
 
 
 # Frames -----------------------------------------------------------------------------------------------------
@@ -164,10 +164,10 @@ def test_frames_are_predicted_from_both_sides() -> None:
 
 def test_neighbours_are_sorted() -> None:
     edges = np.array([[3, 5], [1, 0], [1, 2], [3, 1], [1, 3], [4, 4], [0, 3], [0, 1]])
-    starts, beside = neighbours_of(edges, 6)
+    starts, beside = edge_neighbours(edges, 6)
     assert rows(starts, beside) == [[1, 3], [0, 2, 3], [1], [0, 1, 5], [], [3]]
     left = np.array([True, False, True, True, True, True])
-    assert rows(*adjacency(starts, beside, left, np.array([[2, 0], [3, 2], [0, 3]]))) == [
+    assert rows(*update_adjacency(starts, beside, left, np.array([[2, 0], [3, 2], [0, 3]]))) == [
         [2, 3],
         [],
         [0, 3],
@@ -175,17 +175,17 @@ def test_neighbours_are_sorted() -> None:
         [],
         [3],
     ]
-    starts, beside = neighbours_of(np.zeros((0, 2), dtype=np.int64), 2)
+    starts, beside = edge_neighbours(np.zeros((0, 2), dtype=np.int64), 2)
     assert starts.tolist() == [0, 0, 0]
     assert beside.size == 0
 
 
 def test_nodes_are_renumbered() -> None:
     order, place = np.array([2, 0, 3, 1]), np.array([1, 3, 0, 2])
-    starts, beside = neighbours_of(np.array([[0, 1], [1, 2], [2, 3]]), 4)
-    other = renumbered(starts, beside, order, place)
+    starts, beside = edge_neighbours(np.array([[0, 1], [1, 2], [2, 3]]), 4)
+    other = renumber_adjacency(starts, beside, order, place)
     assert rows(*other) == [[3, 2], [3], [0], [1, 0]]
-    assert rows(*renumbered(*other, place, order)) == rows(starts, beside)
+    assert rows(*renumber_adjacency(*other, place, order)) == rows(starts, beside)
 
 
 def rows(starts: Index, beside: Index) -> list[list[int]]:

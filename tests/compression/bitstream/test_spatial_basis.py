@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mixseq.compression.bitstream.spatial_basis import SpatialBasis
-from mixseq.compression.encoder.trial import decoded_blocks
-from mixseq.sequence.sequence import FrameStore, MeshSequence, block_size, frame_store
+from mixseq.compression.encoder.trial import decode_blocks
+from mixseq.sequence.sequence import FrameStore, MeshSequence, block_size, load_frames
 from tests.compression.one_part import basis_of, least_squares
 from tests.meshes import bar, tube
 
@@ -18,7 +18,7 @@ VERTICES = len(tube(5, 6)[0])
 def sequence_of(frames: int = 11) -> FrameStore:
     points, faces = tube(5, 6)
     noise = np.random.default_rng(frames).normal(size=(frames, *points.shape))
-    return frame_store(MeshSequence.from_arrays(points + noise, faces))
+    return load_frames(MeshSequence.from_arrays(points + noise, faces))
 
 
 def trajectories(count: int = 4) -> SpatialBasis:
@@ -65,7 +65,7 @@ def test_coefficients_of_shapes_are_least_squares() -> None:
 def test_what_the_vectors_span_comes_back() -> None:
     basis = trajectories()
     coefficients = RNG.normal(size=(3, 5, 3)) / basis.norms[:, None]
-    sequence = frame_store(MeshSequence.from_arrays(basis.frames(coefficients), tube(5, 6)[1]))
+    sequence = load_frames(MeshSequence.from_arrays(basis.frames(coefficients), tube(5, 6)[1]))
     np.testing.assert_allclose(
         least_squares(basis, sequence) * basis.norms[:, None], coefficients * basis.norms[:, None], atol=1e-9
     )
@@ -87,7 +87,7 @@ def test_places_far_from_the_origin_are_exact() -> None:
     basis = trajectories()
     coefficients = np.zeros((3, 5, 3))
     coefficients[:, 0] = 1e6 * np.sqrt(VERTICES)
-    sequence = frame_store(MeshSequence.from_arrays(basis.frames(coefficients), tube(5, 6)[1]))
+    sequence = load_frames(MeshSequence.from_arrays(basis.frames(coefficients), tube(5, 6)[1]))
     np.testing.assert_allclose(basis.frames(least_squares(basis, sequence)), 1e6, atol=1e-7)
 
 
@@ -115,7 +115,7 @@ def test_a_mean_of_zeros_stays_the_mean() -> None:
     assert len(basis.vectors) == 2
     swing = np.array([1.0, -1, 2, -2])
     points = np.einsum("t,iv->tvi", swing, vectors[1])
-    sequence = frame_store(MeshSequence.from_arrays(points, tube(5, 6)[1]))
+    sequence = load_frames(MeshSequence.from_arrays(points, tube(5, 6)[1]))
     np.testing.assert_allclose(least_squares(basis, sequence)[:, 0, 0], swing, rtol=1e-12)
 
 
@@ -131,13 +131,13 @@ def test_a_mean_alone_has_no_coefficients() -> None:
 def test_blocks_are_all_frames() -> None:
     basis = trajectories()
     coefficients = least_squares(basis, sequence_of(21))
-    blocks = list(decoded_blocks(basis, coefficients))
+    blocks = list(decode_blocks(basis, coefficients))
     assert [len(block) for block in blocks[:-1]] == [block_size(VERTICES)] * (len(blocks) - 1)
     np.testing.assert_allclose(np.concatenate(blocks), basis.frames(coefficients), atol=1e-12)
 
 
 def test_a_sequence_of_single_precision_is_fitted_in_double() -> None:
     sequence = bar()
-    single = frame_store(sequence.with_points(sequence.points.astype(np.float32)))
+    single = load_frames(sequence.with_points(sequence.points.astype(np.float32)))
     basis = basis_of("trajectories", RNG.normal(size=(2, 1, sequence.vertex_count)), 5)
     assert least_squares(basis, single).dtype == np.float64

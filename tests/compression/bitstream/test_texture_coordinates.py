@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from mixseq.compression.bitstream.corner_values import code_uvs, decode_uvs, grid_numbers, grid_values
-from mixseq.compression.bitstream.uv_seams import MOST_NODES
-from mixseq.compression.bitstream.uv_values import LARGEST
+from mixseq.compression.bitstream.corner_values import code_uvs, decode_uvs, from_grid, to_grid
+from mixseq.compression.bitstream.uv_seams import MAX_SEARCHED_NODES
+from mixseq.compression.bitstream.uv_values import MAX_COORDINATE
 from mixseq.compression.encoder.uvs import encode_uvs
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
@@ -33,7 +33,7 @@ def there_and_back(polygons: Polygons, numbers: NDArray[np.int64], steps: int = 
     count = int(polygons.indices.max()) + 1
     data = encode_uvs(polygons, count, numbers)
     found = decode_uvs(data, polygons, count, steps)
-    np.testing.assert_array_equal(found.at_corners, grid_values(numbers, steps))
+    np.testing.assert_array_equal(found.at_corners, from_grid(numbers, steps))
     return len(data), len(found.values)
 
 
@@ -78,11 +78,11 @@ def test_odd_polygons_come_back(polygons: Polygons) -> None:
     corners = len(polygons.indices)
     _, nodes = there_and_back(polygons, np.stack([np.arange(corners), np.zeros(corners, int)], axis=1))
     assert nodes == corners
-    there_and_back(polygons, np.full((corners, 2), LARGEST) * [1, -1])
+    there_and_back(polygons, np.full((corners, 2), MAX_COORDINATE) * [1, -1])
 
 
 def test_more_nodes_at_a_vertex_than_are_looked_at() -> None:
-    polygons = polygons_of(*[[0, 2 * i + 1, 2 * i + 2] for i in range(2 * MOST_NODES)] * 2)
+    polygons = polygons_of(*[[0, 2 * i + 1, 2 * i + 2] for i in range(2 * MAX_SEARCHED_NODES)] * 2)
     numbers = np.zeros((len(polygons.indices), 2), dtype=np.int64)
     numbers[:, 0] = np.tile(np.arange(len(numbers) // 2), 2)
     there_and_back(polygons, numbers)
@@ -92,7 +92,7 @@ def test_more_nodes_at_a_vertex_than_are_looked_at() -> None:
 def textured(draw: st.DrawFn) -> tuple[Polygons, NDArray[np.int64]]:
     face = st.lists(st.integers(0, 8), min_size=3, max_size=6)
     polygons = polygons_of(*draw(st.lists(face, min_size=1, max_size=15)))
-    pair = st.tuples(st.integers(0, 3), st.sampled_from([0, 1, 700, LARGEST]))
+    pair = st.tuples(st.integers(0, 3), st.sampled_from([0, 1, 700, MAX_COORDINATE]))
     size = len(polygons.indices)
     return polygons, np.array(draw(st.lists(pair, min_size=size, max_size=size)))
 
@@ -229,7 +229,7 @@ def refused_or_harmless(data: bytes, polygons: Polygons) -> None:
     except FormatError:
         return
     assert len(found.indices) == len(polygons.indices)
-    assert (np.abs(found.values) <= LARGEST / 1000 + 1).all()
+    assert (np.abs(found.values) <= MAX_COORDINATE / 1000 + 1).all()
 
 
 # The grid ---------------------------------------------------------------------------------------------------
@@ -237,11 +237,11 @@ def refused_or_harmless(data: bytes, polygons: Polygons) -> None:
 
 def test_numbers_of_coordinates() -> None:
     numbers = np.array([[0, 1], [333, -7], [1 << 22, 3]])
-    found = grid_numbers(grid_values(numbers, 999), 999)
+    found = to_grid(from_grid(numbers, 999), 999)
     assert found is not None
     assert found.tolist() == numbers.tolist()
     for wrong in (0.3, np.nan, np.inf, 1e9):
-        assert grid_numbers(np.array([[0.5, wrong]], dtype=np.float32), 4) is None
+        assert to_grid(np.array([[0.5, wrong]], dtype=np.float32), 4) is None
 
 
 if __name__ == "__main__":

@@ -26,14 +26,14 @@ from mixseq.compression.bitstream import signal_coder, spatial_basis
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, to_model
 from mixseq.compression.bitstream.signal_coder import Reader, Writer
 from mixseq.compression.bitstream.signal_graph import mesh_graph
-from mixseq.compression.bitstream.spatial_basis import parts_of, read_labels, whole, write_labels
+from mixseq.compression.bitstream.spatial_basis import read_labels, split_parts, write_labels
 from mixseq.compression.encoder import parts, trial
 from mixseq.compression.encoder.compress import compress
-from mixseq.compression.encoder.parts import merged, vertex_parts
-from mixseq.compression.encoder.search import CLOSE
+from mixseq.compression.encoder.parts import initial_parts, merge_parts
+from mixseq.compression.encoder.search import TARGET_TOLERANCE
 from mixseq.errors import FormatError, SettingsError
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import MeshSequence, frame_store
+from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.types import Float, FloatArray
 from tests.meshes import SEQUENCES, bar, grid, joined, rotation, seeds, tetrahedron, torus, tube
 
@@ -110,7 +110,7 @@ def test_bounds_of_all_sizes_are_kept(bound: float) -> None:
 def test_kg_errors_are_nearly_used_up(kg: float) -> None:
     sequence = bar(sides=6, rings=15, frames=8)
     found = kg_of(sequence, check(sequence, compress(sequence, kg=kg)))
-    assert (1 - 3 * CLOSE) * kg < found <= kg
+    assert (1 - 3 * TARGET_TOLERANCE) * kg < found <= kg
 
 
 def test_more_bytes_are_more_accurate() -> None:
@@ -203,7 +203,7 @@ def test_single_precision_far_from_the_origin() -> None:
 
 def test_frames_that_are_left_out_of_the_factors(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of long sequences only some frames make the components; residuals see to errors that are too small."""
-    monkeypatch.setattr("mixseq.compression.encoder.components.MOST", 30)
+    monkeypatch.setattr("mixseq.compression.encoder.components.MAX_TABLE_SIDE", 30)
     body = bar(6, 40, 40)
     noise = np.random.default_rng(3).normal(scale=0.05, size=body.points.shape)
     sequence = body.with_points(body.points + noise)
@@ -305,7 +305,7 @@ def test_bytes_are_the_same_however_much_is_done_at_once(
     sequence = bar(sides=14, rings=25, frames=9)
     expected = digest_here()
     monkeypatch.setenv("MIXSEQ_THREADS", threads)
-    monkeypatch.setattr(signal_coder, "_MANY", 1)
+    monkeypatch.setattr(signal_coder, "_MIN_NUMBERS_TO_QUEUE", 1)
     assert digest(sequence) == expected
 
 
@@ -479,12 +479,10 @@ def test_missing_parts_are_refused() -> None:
 def test_parts_are_all_vertices_once() -> None:
     sequence = bar(6, 12, 2)
     labels = (np.arange(sequence.vertex_count) % 3).astype(np.int64)
-    parts = parts_of(labels, sequence.faces)
+    parts = split_parts(labels, sequence.faces)
     for number, part in enumerate(parts):
         np.testing.assert_array_equal(part.vertices, np.flatnonzero(labels == number))
         assert part.graph.size == len(part.vertices)
-    [one] = whole(mesh_graph(sequence.faces, sequence.vertex_count))
-    np.testing.assert_array_equal(one.vertices, np.arange(sequence.vertex_count))
 
 
 # Joining ----------------------------------------------------------------------------------------------------
@@ -506,17 +504,17 @@ def test_what_moves_together_is_joined() -> None:
             turn = (u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v).T
             points[frame, place] = body + offset @ turn.T
     labels = np.repeat(np.arange(6), ring)
-    found = merged(points, labels, (3,))[3]
+    found = merge_parts(points, labels, (3,))[3]
     np.testing.assert_array_equal(found, np.repeat([0, 1, 2, 0, 1, 2], ring))
 
 
 def test_a_mesh_that_cannot_be_cut_is_one_part() -> None:
-    assert vertex_parts(frame_store(bar(3, 4, 3)), (3, 6, 12)) == {}
+    assert initial_parts(load_frames(bar(3, 4, 3)), (3, 6, 12)) == {}
 
 
 def test_rigid_bodies_are_parts() -> None:
     sequence = bodies()
-    found = vertex_parts(frame_store(sequence), (3, 6, 12))
+    found = initial_parts(load_frames(sequence), (3, 6, 12))
     ring = sequence.vertex_count // 6
     assert list(found) == [3, 6]
     assert len(np.unique(found[6].reshape(6, ring)[:, 0])) == 6
@@ -539,7 +537,7 @@ def test_parts_are_chosen_only_if_they_pay(
     flying: tuple[MeshSequence, CompressedSequence], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sequence, coded = flying
-    monkeypatch.setattr("mixseq.compression.encoder.search.PARTS", (10_000,))
+    monkeypatch.setattr("mixseq.compression.encoder.search.PART_COUNTS", (10_000,))
     one = compress(sequence, kg=0.1)
     assert one.parameters.ranks == ()
     sizes = [

@@ -13,7 +13,7 @@ from mixseq.choices import ORDERS, OrderName
 from mixseq.compression.bitstream.connectivity import encode_polygons
 from mixseq.compression.numbering import cheapest_numbering, find_numbering, object_vertex_counts
 from mixseq.errors import SettingsError
-from mixseq.mesh.polygons import Polygons, matched
+from mixseq.mesh.polygons import Polygons, match_polygons
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.verification import read_compressed
 from tests.compression.test_renumbering import partition, scrambled, seen
@@ -67,7 +67,7 @@ def test_a_compressed_grid_is_the_same_mesh(order: OrderName, tmp_path: Path) ->
     mixseq.save(file, mixseq.compress(original, max_error=BOUND, uv_error=0, order=order))
     coded = read_compressed(file)
     assert coded.order == order
-    assert (matched(original.polygons, coded.header.polygons) is None) == (order == "free")
+    assert (match_polygons(original.polygons, coded.header.polygons) is None) == (order == "free")
     numbering = find_numbering(coded.header.polygons, original.polygons, object_vertex_counts(original))
     assert numbering is not None
     same = numbering.renumber_frames(original)

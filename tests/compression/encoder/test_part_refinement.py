@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mixseq.compression.bitstream.signal_graph import mesh_graph
-from mixseq.compression.encoder.components import trajectories
-from mixseq.compression.encoder.parts import SMALLEST, refined
+from mixseq.compression.encoder.components import trajectory_components
+from mixseq.compression.encoder.parts import MIN_PART_VERTICES, refine_parts
 from mixseq.compression.encoder.trial import Candidate, try_step
-from mixseq.sequence.sequence import FrameStore, MeshSequence, frame_store
+from mixseq.sequence.sequence import FrameStore, MeshSequence, load_frames
 from mixseq.types import Index
 from tests.meshes import bar, rotation, tube
 
@@ -24,7 +24,7 @@ def two_limbs(frames: int = 20) -> FrameStore:
         np.where(far[:, None], points @ rotation(tuple(one)).T, points @ rotation(tuple(other)).T)
         for one, other in turns
     ]
-    return frame_store(MeshSequence.from_arrays(np.stack(moved), faces))
+    return load_frames(MeshSequence.from_arrays(np.stack(moved), faces))
 
 
 def shifted(sequence: FrameStore) -> tuple[Index, Index]:
@@ -37,26 +37,26 @@ def shifted(sequence: FrameStore) -> tuple[Index, Index]:
 def test_a_cut_moves_to_where_the_motion_changes() -> None:
     sequence = two_limbs()
     right, wrong = shifted(sequence)
-    found = refined(trajectories(sequence, 1e-6), wrong, sequence.header.faces, 0.01)
+    found = refine_parts(trajectory_components(sequence, 1e-6), wrong, sequence.header.faces, 0.01)
     assert np.count_nonzero(found != right) < 0.2 * np.count_nonzero(wrong != right)
 
 
 def test_better_parts_take_fewer_bytes() -> None:
     sequence = two_limbs()
     _, wrong = shifted(sequence)
-    components, faces = trajectories(sequence, 1e-6), sequence.header.faces
+    components, faces = trajectory_components(sequence, 1e-6), sequence.header.faces
     graph = mesh_graph(faces, len(wrong))
     sizes = [
-        try_step(sequence, Candidate.of(components, labels, faces, graph, 1e-6), 0.01).size
-        for labels in (wrong, refined(components, wrong, faces, 0.01))
+        try_step(sequence, Candidate.from_labels(components, labels, faces, graph, 1e-6), 0.01).size
+        for labels in (wrong, refine_parts(components, wrong, faces, 0.01))
     ]
     assert sizes[1] < 0.95 * sizes[0]
 
 
 @pytest.mark.parametrize("step", [1e-6, 0.01, 1e3])
 def test_no_part_is_lost(step: float) -> None:
-    sequence = frame_store(bar(sides=6, rings=30, frames=5))
+    sequence = load_frames(bar(sides=6, rings=30, frames=5))
     labels = (np.arange(sequence.header.vertex_count) // 40).astype(np.int64)
-    found = refined(trajectories(sequence, 1e-9), labels, sequence.header.faces, step)
+    found = refine_parts(trajectory_components(sequence, 1e-9), labels, sequence.header.faces, step)
     assert len(np.unique(found)) == labels.max() + 1
-    assert np.bincount(found).min() >= min(SMALLEST, np.bincount(labels).min())
+    assert np.bincount(found).min() >= min(MIN_PART_VERTICES, np.bincount(labels).min())

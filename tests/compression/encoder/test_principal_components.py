@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 from mixseq.compression.bitstream.spatial_basis import BasisKind
 from mixseq.compression.encoder import components as module
 from mixseq.compression.encoder.components import PrincipalComponents
-from mixseq.compression.encoder.search import KINDS
-from mixseq.sequence.sequence import FrameStore, MeshSequence, frame_store
+from mixseq.compression.encoder.search import BASIS_KINDS
+from mixseq.sequence.sequence import FrameStore, MeshSequence, load_frames
 from mixseq.types import Float
 from tests.compression.one_part import principal_components
 from tests.meshes import bar, rotation, tetrahedron, torus
 
-KINDS: tuple[BasisKind, ...] = KINDS
+KINDS: tuple[BasisKind, ...] = BASIS_KINDS
 
 
 def noise(frames: int, mesh: tuple[Float, NDArray[np.int64]] | None = None) -> FrameStore:
     points, faces = mesh or tetrahedron()
     rng = np.random.default_rng(frames)
-    return frame_store(MeshSequence.from_arrays(points + rng.normal(size=(frames, *points.shape)), faces))
+    return load_frames(MeshSequence.from_arrays(points + rng.normal(size=(frames, *points.shape)), faces))
 
 
 def frames_of(components: PrincipalComponents) -> Float:
@@ -41,12 +41,12 @@ def left_over(sequence: FrameStore, components: PrincipalComponents) -> float:
 
 
 CASES = {
-    "more vertices than frames": lambda: frame_store(bar(frames=4)),
+    "more vertices than frames": lambda: load_frames(bar(frames=4)),
     "more frames than vertices": lambda: noise(9),
     "more coordinates than frames, more frames than vertices": lambda: noise(6),
     "as many frames as coordinates": lambda: noise(12),
     "many more frames": lambda: noise(40),
-    "float32": lambda: frame_store(bar().with_points(bar().points.astype(np.float32))),
+    "float32": lambda: load_frames(bar().with_points(bar().points.astype(np.float32))),
     "one frame": lambda: noise(1),
 }
 
@@ -70,7 +70,7 @@ def test_products_are_the_sequence(case: str, kind: BasisKind) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_vectors_are_principal_components(kind: BasisKind) -> None:
     """Their norms are the singular values of the centred matrix: components that are left out miss just their own."""
-    sequence = frame_store(bar(frames=6))
+    sequence = load_frames(bar(frames=6))
     points = np.asarray(sequence.points)
     if kind == "trajectories":
         centred = (
@@ -98,7 +98,7 @@ def test_a_rigid_motion_has_three_trajectories() -> None:
         [points @ rotation((t, 0.3 * t * t, -t)).T + [t, t * t, 0] for t in np.linspace(0, 3, 12)]
     )
     components = principal_components(
-        frame_store(MeshSequence.from_arrays(frames, faces)), "trajectories", 1e-6
+        load_frames(MeshSequence.from_arrays(frames, faces)), "trajectories", 1e-6
     )
     assert len(components.norms) == 3
     corners = np.concatenate([points, np.ones((len(points), 1))], axis=1)
@@ -111,7 +111,7 @@ def test_a_rigid_motion_has_three_trajectories() -> None:
 def test_nothing_that_moves_leaves_a_vector_of_zeros(kind: BasisKind) -> None:
     points = np.full((3, 4, 3), 2.5)
     components = principal_components(
-        frame_store(MeshSequence.from_arrays(points, tetrahedron()[1])), kind, 1e-9
+        load_frames(MeshSequence.from_arrays(points, tetrahedron()[1])), kind, 1e-9
     )
     assert len(components.vectors) == 1
     assert not components.vectors.any()
@@ -120,9 +120,9 @@ def test_nothing_that_moves_leaves_a_vector_of_zeros(kind: BasisKind) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_frames_are_left_out_of_long_sequences(kind: BasisKind, monkeypatch: pytest.MonkeyPatch) -> None:
     """What moves slowly is known from every other frame; sizes are as if all frames had been looked at."""
-    sequence = frame_store(bar(sides=8, rings=12, frames=40))
+    sequence = load_frames(bar(sides=8, rings=12, frames=40))
     whole = principal_components(sequence, kind, 0.0)
-    monkeypatch.setattr(module, "MOST", 15)
+    monkeypatch.setattr(module, "MAX_TABLE_SIDE", 15)
     some = principal_components(sequence, kind, 0.0)
     assert kind == "shapes" or len(some.norms) < len(whole.norms)
     np.testing.assert_allclose(some.norms[:5], whole.norms[:5], rtol=0.15)

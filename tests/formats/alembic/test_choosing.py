@@ -98,5 +98,5 @@ def test_meshes_that_flicker(path: Path) -> None:
     visible.setValue(1)
     visible.setValue(0)
     del archive, visible
-    with pytest.warns(MixseqWarning, match="'/spark' are hidden at times; they are taken as visible"):
+    with pytest.warns(MixseqWarning, match="'/spark' are hidden at times; they are read as visible"):
         load(path)

@@ -14,8 +14,8 @@ imath = pytest.importorskip("imath")
 from alembic3d import Abc, AbcCoreAbstract, AbcGeom  # noqa: E402
 
 from mixseq.errors import InvalidSequenceError, MixseqWarning  # noqa: E402
-from mixseq.mesh.measures import shared_normals  # noqa: E402
-from mixseq.mesh.rotations import matrices  # noqa: E402
+from mixseq.mesh.measures import corner_normals  # noqa: E402
+from mixseq.mesh.rotations import rotvec_to_matrix  # noqa: E402
 from mixseq.mesh.surface import MeshObject  # noqa: E402
 from tests.formats.alembic.alembic_maker import (  # noqa: E402
     CLOCKWISE,
@@ -43,7 +43,7 @@ def test_faces_are_turned_counter_clockwise(path: Path) -> None:
     np.testing.assert_array_equal(got.times, [0, 0.5, 1])
     assert (got.fps, got.name, got.up_axis, got.metres_per_unit) == (2, "square", "Y", 1)
     assert got.surface.objects == (MeshObject("square", "/square", 4, 2),)
-    assert shared_normals(got.points, got.polygons)[0].tolist() == [[0, 0, 1]] * 4
+    assert corner_normals(got.points, got.polygons)[0].tolist() == [[0, 0, 1]] * 4
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_an_animated_transform_moves_a_still_mesh(path: Path) -> None:
 
 def test_between_samples_points_and_transforms_are_interpolated(path: Path) -> None:
     quarter = np.eye(4)
-    quarter[:3, :3] = matrices(np.array([0, 0, np.pi / 2])).T  # rows
+    quarter[:3, :3] = rotvec_to_matrix(np.array([0, 0, np.pi / 2])).T  # rows
     archive = Abc.OArchive(str(path))
     turn = add_transform(archive.getTop(), "turn", np.eye(4), quarter, sampling=acyclic(0, 1))
     add_mesh(turn, "square", rising(3), acyclic(0, 0.5, 2))
@@ -146,7 +146,7 @@ def test_a_mirroring_transform_keeps_faces_outward(path: Path) -> None:
     add_mesh(mirror, "square", rising(), dress=dress)
     del archive, mirror
     got = load(path)
-    assert shared_normals(got.points, got.polygons)[0].tolist() == [[0, 0, 1]] * 4
+    assert corner_normals(got.points, got.polygons)[0].tolist() == [[0, 0, 1]] * 4
     assert got.polygons.indices.tolist() == CLOCKWISE.tolist()
     assert got.surface.uvs is not None
     assert got.surface.uvs.at_corners.tolist() == np.arange(12).reshape(6, 2).tolist()
@@ -174,7 +174,7 @@ def test_a_transform_that_is_not_finite(path: Path) -> None:
 
 def test_velocities_are_turned_as_points(path: Path) -> None:
     quarter = np.eye(4)
-    quarter[:3, :3] = matrices(np.array([0, 0, np.pi / 2])).T
+    quarter[:3, :3] = rotvec_to_matrix(np.array([0, 0, np.pi / 2])).T
     archive = Abc.OArchive(str(path))
     turn = add_transform(archive.getTop(), "turn", quarter)
     add_mesh(
@@ -192,6 +192,6 @@ def test_velocities_under_a_moving_transform(path: Path) -> None:
     add_mesh(mover, "square", rising(2), dress=lambda sample, _: sample.setVelocities(positions(SQUARE)))
     del archive, mover
     with pytest.warns(
-        MixseqWarning, match="velocities of /mover/square are those under a transform that moves"
+        MixseqWarning, match="velocities of /mover/square do not contain the motion of its transforms"
     ):
         assert load(path).velocities is None

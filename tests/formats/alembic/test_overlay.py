@@ -17,7 +17,7 @@ from mixseq.errors import MixseqWarning, OutputError, SettingsError  # noqa: E40
 from mixseq.mesh.polygons import Polygons  # noqa: E402
 from mixseq.mesh.surface import Surface  # noqa: E402
 from mixseq.sequence.sequence import MeshSequence  # noqa: E402
-from mixseq_io.alembic.library import selector, stored_array  # noqa: E402
+from mixseq_io.alembic.library import read_imath_sample, sample_selector  # noqa: E402
 from mixseq_io.alembic.samples import sample_times  # noqa: E402
 from tests.formats.alembic.alembic_maker import (  # noqa: E402
     SQUARE,
@@ -82,7 +82,7 @@ def stored(path: Path) -> dict[str, tuple[str, list[str]]]:
                 look(name, each)
                 continue
             samples = [
-                f"{sample_times(each)[k]:g} {told(each.getValue(selector(each, k)))}"
+                f"{sample_times(each)[k]:g} {told(each.getValue(sample_selector(each, k)))}"
                 for k in range(each.getNumSamples())
             ]
             found[name] = str(header.getMetaData().serialize()), samples
@@ -230,11 +230,11 @@ def test_what_the_library_has_no_words_for(
     def refusing(array: Any, sample: int, room: int) -> Any:
         if array.getName() == ".faceCounts":
             raise RuntimeError("ERROR: Unhandled type")
-        return stored_array(array, sample, room)
+        return read_imath_sample(array, sample, room)
 
     shot = tmp_path / "shot.abc"
     save(shot, MeshSequence.from_arrays(rising(), TRIANGLES))
-    monkeypatch.setattr("mixseq_io.alembic.overlay.stored_array", refusing)
+    monkeypatch.setattr("mixseq_io.alembic.overlay.read_imath_sample", refusing)
     with pytest.warns(MixseqWarning, match="cannot copy '/mesh/mesh..faceC"):
         mixseq.write(path, load(shot))
 
@@ -269,6 +269,19 @@ def test_refusals(shot: Path, body: MeshSequence, path: Path) -> None:
         mixseq.write(path.with_name("b.abc"), body, onto=path)
 
 
+def test_the_difference_from_a_mirrored_mesh(tmp_path: Path, path: Path) -> None:
+    shot = tmp_path / "shot.abc"
+    archive = Abc.OArchive(str(shot))
+    add_mesh(add_transform(archive.getTop(), "rig", shift(scale=(-1, 1, 1))), "body", rising())
+    del archive
+    body = load(shot)
+    changed = body.faces.copy()
+    changed[-1] = np.roll(changed[-1], 1)[[0, 2, 1]]
+    other = replace(body, polygons=Polygons.from_triangles(changed))
+    with pytest.raises(OutputError, match=r"polygon 1 of the sequence \(.*\) is flipped in /rig/body"):
+        mixseq.write(path, other, onto=shot)
+
+
 def bare(sequence: MeshSequence) -> Surface:
     return Surface(objects=sequence.objects)
 
@@ -293,7 +306,8 @@ def test_a_mesh_that_is_made_flat(tmp_path: Path, path: Path) -> None:
     add_mesh(add_transform(archive.getTop(), "rig", np.eye(4), shift(scale=(1, 0, 1))), "body", rising())
     del archive
     with pytest.warns(
-        MixseqWarning, match="laid over '/rig/body': the transforms above it make it flat in frame 1"
+        MixseqWarning,
+        match="'/rig/body' cannot get new points: the transforms above it make it flat in frame 1",
     ):
         mixseq.write(path, load(shot))
 

@@ -10,7 +10,7 @@ from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import MeshObject, Surface
 from mixseq.sequence.header import SequenceHeader
-from mixseq_io.alembic.samples import Placing, object_places
+from mixseq_io.alembic.samples import MeshTransform, choose_paths
 from mixseq_io.scene_meshes import split_meshes
 from tests.formats.alembic.alembic_maker import SQUARE, shift
 
@@ -22,30 +22,30 @@ def turning(angle: float) -> np.ndarray:
 
 
 def test_to_own_space_and_back() -> None:
-    placing = Placing(shift(x=1, scale=(2, 2, 4))[None], np.zeros((1, 4, 4)))
-    own = placing.own_points(SQUARE, 0)
+    placing = MeshTransform(shift(x=1, scale=(2, 2, 4))[None], np.zeros((1, 4, 4)))
+    own = placing.to_mesh_points(SQUARE, 0)
     np.testing.assert_allclose(own, (SQUARE - [1, 0, 0]) / [2, 2, 4])
-    speeds = placing.own_velocities(np.ones_like(SQUARE), own, 0)
+    speeds = placing.to_mesh_velocities(np.ones_like(SQUARE), own, 0)
     np.testing.assert_allclose(speeds, np.tile([0.5, 0.5, 0.25], (4, 1)))
-    np.testing.assert_allclose(placing.world_velocities(speeds, own, 0), 1)
+    np.testing.assert_allclose(placing.to_world_velocities(speeds, own, 0), 1)
 
 
 def test_what_rests_on_what_turns_moves_in_circles() -> None:
     """A quarter turn, at one radian per second: x' is (-y, x)."""
     rate = turning(np.pi)  # the derivative of a rotation is the rotation a quarter turn later
     rate[2, 2] = rate[3, 3] = 0
-    placing = Placing(turning(np.pi / 2)[None], rate[None])
+    placing = MeshTransform(turning(np.pi / 2)[None], rate[None])
     world = SQUARE @ turning(np.pi / 2)[:3, :3]
     circling = np.stack([-world[:, 1], world[:, 0], 0 * world[:, 0]], axis=1)
-    np.testing.assert_allclose(placing.own_velocities(circling, SQUARE, 0), 0, atol=1e-7)
-    np.testing.assert_allclose(placing.world_velocities(0 * SQUARE, SQUARE, 0), circling, atol=1e-7)
+    np.testing.assert_allclose(placing.to_mesh_velocities(circling, SQUARE, 0), 0, atol=1e-7)
+    np.testing.assert_allclose(placing.to_world_velocities(0 * SQUARE, SQUARE, 0), circling, atol=1e-7)
 
 
 def test_flat() -> None:
-    Placing(np.stack([np.eye(4), shift(scale=(1e-9, 1, 1))]), np.zeros((2, 4, 4))).check()
+    MeshTransform(np.stack([np.eye(4), shift(scale=(1e-9, 1, 1))]), np.zeros((2, 4, 4))).check_invertible()
     for matrix in (shift(scale=(1, 0, 1)), np.full((4, 4), np.nan)):
         with pytest.raises(FormatError, match="flat in frame 1"):
-            Placing(np.stack([np.eye(4), matrix]), np.zeros((2, 4, 4))).check()
+            MeshTransform(np.stack([np.eye(4), matrix]), np.zeros((2, 4, 4))).check_invertible()
 
 
 # Where meshes are in an archive of their own
@@ -60,7 +60,7 @@ def places(name: str, *paths: str) -> list[str]:
         name=name,
         surface=Surface(objects=objects),
     )
-    return ["/" + "/".join(place) for place in object_places(header, split_meshes(header))]
+    return ["/" + "/".join(place) for place in choose_paths(header, split_meshes(header))]
 
 
 @pytest.mark.parametrize(

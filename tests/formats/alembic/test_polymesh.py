@@ -140,7 +140,7 @@ def test_an_unknown_subdivision(path: Path) -> None:
         dress=lambda sample, _: sample.setSubdivisionScheme("doo"),
     )
     del archive
-    with pytest.warns(MixseqWarning, match="/cage is subdivided by 'doo', which is taken as Catmull-Clark"):
+    with pytest.warns(MixseqWarning, match="/cage is subdivided by 'doo', which is read as Catmull-Clark"):
         assert load(path).surface.subdivision == "catmullClark"
 
 

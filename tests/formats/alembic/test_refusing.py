@@ -69,7 +69,7 @@ def test_points_that_change_in_number(path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"\x89HDF\r\n\x1a\n" + bytes(100), "old Alembic of the HDF5 kind; convert it with abcconvert"),
+        (b"\x89HDF\r\n\x1a\n" + bytes(100), "old Alembic based on HDF5; convert it with abcconvert"),
         (b"Ogawa\x00\x00\x01" + bytes(100), "is not complete"),
         (b"Ogawa", "is not complete"),
         (b"Ogawa\xff\x00\x01" + b"\xff" * 8, "is not complete"),

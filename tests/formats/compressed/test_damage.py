@@ -22,7 +22,7 @@ from tests.formats.compressed.stream_cases import assert_same, damage, flip, ind
 pytestmark = pytest.mark.slow
 
 STREAMS: list[tuple[Callable[[StreamIndex], Stream], str]] = [
-    (lambda index: index.ground["connectivity"], "the connectivity's bytes are damaged"),
+    (lambda index: index.header["connectivity"], "the connectivity's bytes are damaged"),
     (lambda index: index.basis[0], "the basis vectors of group 0 are damaged"),
     (lambda index: index.basis[2], "the basis vectors of group 2 are damaged"),
     (lambda index: index.chunks[0].coefficients, "the coefficients of frames 0 to 3 are damaged"),
@@ -41,7 +41,7 @@ def test_damage_is_named(path: Path, stream: Callable[[StreamIndex], Stream], me
 def test_damaged_times_are_named(tmp_path: Path, coded: CompressedSequence) -> None:
     file = tmp_path / "times.h5"
     mixseq.save(file, replace(coded, header=coded.header.with_times(np.arange(14) ** 2)))
-    damage(file, index_of(file).ground["times"])
+    damage(file, index_of(file).header["times"])
     with pytest.raises(FormatError, match=r"times\.h5: the times are damaged"):
         mixseq.load(file)
 
@@ -102,8 +102,14 @@ def changed(path: Path, change: Callable[[dict[str, object]], object]) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda facts: facts["coding"].update(magic=1), "does not know the parameter 'magic'; upgrade it"),
-        (lambda facts: facts.update(order="spiral"), "does not know the order 'spiral'; upgrade it"),
+        (
+            lambda facts: facts["coding"].update(magic=1),
+            "the parameter 'magic' is unknown to this mixseq; upgrade it",
+        ),
+        (
+            lambda facts: facts.update(order="spiral"),
+            "the order 'spiral' is unknown to this mixseq; upgrade it",
+        ),
         (lambda facts: facts["coding"].pop("step"), "parameters are missing .*step"),
         (lambda facts: facts.pop("coding"), "no parameters"),
         (
@@ -117,13 +123,13 @@ def changed(path: Path, change: Callable[[dict[str, object]], object]) -> None:
         (lambda facts: facts["coding"].update(diagonal="long"), "diagonal is 'long'; a positive number"),
         (lambda facts: facts["coding"].update(correction=float("nan")), "correction is nan; a non-negative"),
         (lambda facts: facts["coding"].update(promised=1), "promised is 1; true or false"),
-        (lambda facts: facts["coding"].update(frame_count=15), "numbers of frames contradict each other"),
+        (lambda facts: facts["coding"].update(frame_count=15), "two numbers of frames differ"),
         (lambda facts: facts.update(vertex_count=1 << 31), "mesh and times would take 137 GB of memory"),
         (lambda facts: facts.update(corner_count=float("inf")), "infinity.*; it is damaged"),
         (lambda facts: facts.pop("fps"), "fps.*; it is damaged"),
         (lambda facts: facts.update(fps=0.0), "not finite; it is damaged"),
         (lambda facts: facts.update(fps=-1), "times must increase; it is damaged"),
-        (lambda facts: facts.update(frame_count=99), "numbers of frames contradict each other"),
+        (lambda facts: facts.update(frame_count=99), "two numbers of frames differ"),
         (lambda facts: facts.update(vertex_count="many"), "many.*; it is damaged"),
         (lambda facts: facts.update(up_axis="W"), "up axis is 'W'.*; it is damaged"),
         (lambda facts: facts.update(between=[4.0, 0.5, 0.5]), "between is .*length and cubic are expected"),

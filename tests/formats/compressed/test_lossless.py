@@ -14,7 +14,7 @@ import mixseq
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
-from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Origin, Surface, by_first_use
+from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Origin, Surface, renumber_by_first_use
 from mixseq.sequence.header import SequenceHeader
 from mixseq_io.coded.streams import (
     pack_leb128,
@@ -121,7 +121,7 @@ def test_hard_edges_are_coded_on_their_mesh(tmp_path: Path) -> None:
         packed = pack_surface(Surface(hard_edges=numbers), mesh)
         found = unpack_surface(packed, tmp_path, mesh).hard_edges
         assert found is not None
-        np.testing.assert_array_equal(by_first_use(found), by_first_use(numbers))
+        np.testing.assert_array_equal(renumber_by_first_use(found), renumber_by_first_use(numbers))
         sizes.append(len(packed))
     assert sizes[0] < 0.1 * sizes[1]
     with pytest.raises(FormatError, match="hard edges at 21 corners"):

@@ -112,7 +112,7 @@ def test_only_grid_coordinates_have_a_stream_of_their_own(path: Path, sequence: 
 
 
 def test_damage_is_named(path: Path) -> None:
-    damage(path, index_of(path).ground["uvs"])
+    damage(path, index_of(path).header["uvs"])
     with pytest.raises(FormatError, match="the texture coordinates are damaged; restore the file"):
         mixseq.load(path)
 
@@ -121,7 +121,7 @@ def test_coordinates_off_the_grid_are_refused(
     tmp_path: Path, sequence: MeshSequence, coded: CompressedSequence
 ) -> None:
     header = replace(coded.header, surface=sequence.header.surface)
-    with pytest.raises(InvalidSequenceError, match="no multiples of 1 / 32768; compress the sequence again"):
+    with pytest.raises(InvalidSequenceError, match="not multiples of 1 / 32768; compress the sequence again"):
         mixseq.save(tmp_path / "off.h5", replace(coded, header=header))
     assert not (tmp_path / "off.h5").exists()
 

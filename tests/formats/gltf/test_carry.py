@@ -241,7 +241,7 @@ def test_images_in_files_are_taken_along(rig: Path, tmp_path: Path) -> None:
     assert [each.get("uri") for each in images[1:]] == uris[1:]
     messages = [str(each.message) for each in caught]
     assert len(messages) == 3
-    assert all("the image is not taken along, only the reference to it" in each for each in messages)
+    assert all("the image is not copied, only the reference to it" in each for each in messages)
 
 
 def test_unknown_extensions_keep_everything(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:

@@ -120,8 +120,8 @@ def packed_view(document: Json, **fields: Any) -> None:
 
 
 DAMAGES: dict[str, tuple[Json, str]] = {
-    "more elements": ({"count": 10**9}, "not the view's length"),
-    "no stride": ({"byteStride": 0}, "not the view's length"),
+    "more elements": ({"count": 10**9}, "unlike the length of the view"),
+    "no stride": ({"byteStride": 0}, "unlike the length of the view"),
     "unknown mode": ({"mode": "KNOTS"}, "cannot be unpacked.*'KNOTS'"),
     "other mode": ({"mode": "INDICES"}, "cannot be unpacked.*'INDICES'"),
     "unknown filter": ({"filter": "KALMAN"}, "cannot be unpacked.*'KALMAN'"),

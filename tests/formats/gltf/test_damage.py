@@ -89,10 +89,10 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         "is below itself",
     ),
     "two parents": (lambda it: it["nodes"].extend([{"children": [0]}] * 2), "child of two nodes, 1 and 2"),
-    "no such child": (lambda it: it["nodes"].append({"children": [9]}), r"nodes\[9\] is referred to"),
-    "no such mesh": (lambda it: it["nodes"][0].update(mesh=3), r"meshes\[3\] is referred to"),
+    "no such child": (lambda it: it["nodes"].append({"children": [9]}), r"nodes\[9\] is referenced"),
+    "no such mesh": (lambda it: it["nodes"][0].update(mesh=3), r"meshes\[3\] is referenced"),
     "negative mesh": (lambda it: it["nodes"][0].update(mesh=-1), r"nodes\[0\].mesh is missing or damaged"),
-    "no such skin": (lambda it: it["nodes"][0].update(skin=0), r"skins\[0\] is referred to"),
+    "no such skin": (lambda it: it["nodes"][0].update(skin=0), r"skins\[0\] is referenced"),
     "no joints": (
         lambda it: it.update(skins=[{"joints": []}]) or it["nodes"][0].update(skin=0),
         "has no joints",
@@ -103,7 +103,7 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     ),
     "no such joint": (
         lambda it: it.update(skins=[{"joints": [5]}]) or it["nodes"][0].update(skin=0),
-        r"nodes\[5\] is referred to",
+        r"nodes\[5\] is referenced",
     ),
     "root below": (
         lambda it: it["nodes"].append({"children": [0]}) or it.update(scenes=[{"nodes": [0]}]),
@@ -149,7 +149,7 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "short matrix": (lambda it: it["nodes"][0].update(matrix=[1]), "a list of 16 finite numbers"),
     "buffer": (
         lambda it: it.update(bufferViews=[{"buffer": 7, "byteLength": 1}] * 3),
-        r"buffers\[7\] is referred",
+        r"buffers\[7\] is referenced",
     ),
     "version": (lambda it: it["asset"].update(version="1.0"), "version 1.0; convert it to version 2"),
     "asset": (lambda it: it.pop("asset"), "version unknown"),
@@ -252,7 +252,7 @@ def test_a_mesh_named_too_often(made: Callable[..., MeshSequence]) -> None:
         (b"glTF", "too few"),
         (struct.pack("<4sIIII", b"glTF", 1, 20, 0, 0), "version 1"),
         (struct.pack("<4sIII4s", b"glTF", 2, 20, 2**31, b"JSON"), "goes beyond the end"),
-        (struct.pack("<4sIII4s", b"glTF", 2, 20, 0, b"BIN\0"), "no JSON"),
+        (struct.pack("<4sIII4s", b"glTF", 2, 20, 0, b"BIN\0"), "does not begin with JSON"),
         (b'{"asset": {"version": "2.0"}, "nodes": [{"mesh": 1e999}]}', "mesh is missing or damaged"),
         (b'{"asset": {"version": "2.0"}, "x": ' + b"9" * 5000 + b"}", "cannot be read as glTF"),
     ],

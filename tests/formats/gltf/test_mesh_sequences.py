@@ -254,7 +254,7 @@ def test_materials_and_textures_come_along(tmp_path: Path, sequence: MeshSequenc
     assert content["samplers"] == [{"magFilter": 9728}]
     assert view(content, binary, content["images"][0]["bufferView"]) == texture
     original.unlink()
-    with pytest.warns(MixseqWarning, match="does not exist.*materials are plain"):
+    with pytest.warns(MixseqWarning, match="does not exist.*but are plain"):
         mixseq.save(tmp_path / "again.glb", coded, still="none")
 
 

@@ -83,6 +83,17 @@ def test_files_that_do_not_fit(
     assert not (tmp_path / "new.glb").exists()
 
 
+def test_a_mesh_of_lines_does_not_hide_the_others(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
+    def add_lines(document: Json) -> None:
+        document["meshes"].append({"primitives": [{"attributes": {"POSITION": 0}, "mode": 1}]})
+        document["scenes"][0]["nodes"].append(len(document["nodes"]))
+        document["nodes"].append({"name": "wire", "mesh": len(document["meshes"]) - 1})
+
+    change(rig, add_lines)
+    other = MeshSequence.from_arrays(lifted.points, lifted.faces, times=lifted.times)
+    assert "images" in written(tmp_path / "new.glb", other, onto=rig).json
+
+
 def twin(document: Json) -> None:
     """Call the body otherwise, and show it once more."""
     document["nodes"][1].update(name="torso")

@@ -218,11 +218,11 @@ def test_targets_whose_weights_never_change_are_in_the_base(tmp_path: Path) -> N
 
 
 def test_normals_of_targets_come_close_to_those_of_the_frames(tmp_path: Path) -> None:
-    from mixseq.mesh.measures import shared_normals
+    from mixseq.mesh.measures import corner_normals
 
     morph = swelling()
     file = written(tmp_path / "a.glb", replace(morph, weights=morph.weights * [[0], [1], [0], [0.0]]))
-    truth = shared_normals(morph.points(), morph.header.polygons)
+    truth = corner_normals(morph.points(), morph.header.polygons)
     np.testing.assert_allclose(file.attribute("bar", "NORMAL"), truth[0], atol=1e-6)
     np.testing.assert_allclose(file.played("bar", 0.1, "NORMAL"), truth[1], atol=1e-5)
 
@@ -290,7 +290,7 @@ def test_what_is_no_rig_is_refused(tmp_path: Path) -> None:
 
 
 def test_too_many_bones_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"65536 bones, glTF has numbers for 65535; fit it with fewer"):
+    with pytest.raises(OutputError, match=r"65536 bones, glTF allows 65535; fit it with fewer"):
         mixseq.write_rig(tmp_path / "a.glb", random_skin(bar(frames=1), bones=65536, targets=0))
     assert list(tmp_path.iterdir()) == []
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, MixseqWarning
 from mixseq.sequence.sequence import MeshSequence
-from mixseq_io.gltf.document import load_document
-from mixseq_io.gltf.primitives import weld
+from mixseq_io.gltf.document import Document, load_document
+from mixseq_io.gltf.primitives import weld_vertices
 from tests.formats.gltf_maker import SQUARE, TRIANGLE, Maker, moving, split_square
 
 
@@ -104,6 +104,21 @@ def test_points_and_lines_are_left_out(made: Callable[..., MeshSequence]) -> Non
         made(maker)
 
 
+def test_primitives_are_read_once(made: Callable[..., MeshSequence], monkeypatch: pytest.MonkeyPatch) -> None:
+    indices: list[int] = []
+    read_accessor = Document.accessor
+
+    def accessor(document: Document, index: int) -> NDArray[Any]:
+        indices.append(index)
+        return read_accessor(document, index)
+
+    monkeypatch.setattr(Document, "accessor", accessor)
+    maker = split_square()
+    made(maker)
+    for primitive in maker.json["meshes"][0]["primitives"]:
+        assert indices.count(primitive["attributes"]["POSITION"]) == 1
+
+
 def test_vertices_are_welded_across_primitives(made: Callable[..., MeshSequence], tmp_path: Path) -> None:
     got = made(split_square(material=1))
     assert got.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
@@ -116,8 +131,8 @@ def test_vertices_are_welded_across_primitives(made: Callable[..., MeshSequence]
     assert got.surface.uvs.at_corners.tolist() == [[0, 1], [1, 1], [1, 0.75], [0, 0], [0, 0], [0, 0]]
     assert got.surface.origin is not None
     assert (got.surface.origin.format, got.surface.origin.path) == ("glTF", str(tmp_path / "made.glb"))
-    found = weld(load_document(tmp_path / "made.glb"), 0)
-    assert [each.tolist() for each in found.of_primitive] == [[0, 1, 2], [0, 2, 3]]
+    found = weld_vertices(load_document(tmp_path / "made.glb"), 0)
+    assert [each.tolist() for each in found.vertex_ids] == [[0, 1, 2], [0, 2, 3]]
     assert found.representatives.tolist() == [0, 1, 2, 5]
 
 

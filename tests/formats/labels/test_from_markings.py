@@ -11,10 +11,10 @@ from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import FaceSet
 from mixseq_io.text.derived_labels import (
-    labels_of_colours,
-    labels_of_sets,
-    labels_of_skinning,
-    without_small_regions,
+    labels_from_colours,
+    labels_from_sets,
+    labels_from_skinning,
+    merge_small_regions,
 )
 from mixseq_io.text.labels import Skinning, concatenate_skinning, polygon_labels, triangle_labels
 from tests.formats.labels.labelled_files import FACES, told
@@ -35,32 +35,32 @@ def test_polygons_in_several_sets_or_in_none() -> None:
         FaceSet("skin", np.array([1, 2])),
         FaceSet("arm", np.array([2])),
     ]
-    assert told(labels_of_sets(sets, strip)) == ["arm", "arm+skin", "arm+skin", "(none)"]
-    assert labels_of_sets(sets, strip).names == ("arm", "arm+skin", "(none)")
+    assert told(labels_from_sets(sets, strip)) == ["arm", "arm+skin", "arm+skin", "(none)"]
+    assert labels_from_sets(sets, strip).names == ("arm", "arm+skin", "(none)")
 
 
 def test_a_polygon_takes_the_colour_of_most_of_its_corners() -> None:
     red, blue = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
     colours = np.array([red, red, blue, red, blue, blue, red])
-    assert told(labels_of_colours(colours, FACES)) == ["#ff0000", "#ff0000", "#0000ff"]
+    assert told(labels_from_colours(colours, FACES)) == ["#ff0000", "#ff0000", "#0000ff"]
     tie = np.array([red, red, blue, blue, red, red, blue])
-    assert told(labels_of_colours(tie, FACES)) == ["#0000ff", "#0000ff", "#ff0000"]
-    assert told(labels_of_colours(colours + 0.001, FACES)) == told(labels_of_colours(colours, FACES))
+    assert told(labels_from_colours(tie, FACES)) == ["#0000ff", "#0000ff", "#ff0000"]
+    assert told(labels_from_colours(colours + 0.001, FACES)) == told(labels_from_colours(colours, FACES))
 
 
 def test_colours_that_differ_in_alpha_are_two_labels() -> None:
     colours = np.array([(1.0, 0.0, 0.0, 1.0)] * 4 + [(1.0, 0.0, 0.0, 0.5)] * 3)
-    assert told(labels_of_colours(colours, FACES)) == ["#ff0000", "#ff0000", "#ff000080"]
+    assert told(labels_from_colours(colours, FACES)) == ["#ff0000", "#ff0000", "#ff000080"]
 
 
 def test_more_than_256_colours_are_no_segmentation() -> None:
     triangles = Polygons.from_triangles(np.arange(300).reshape(-1, 3))
     colours = np.zeros((300, 3))
     colours[:256, 0] = np.arange(256) / 255
-    assert len(labels_of_colours(colours, triangles).names) > 1
+    assert len(labels_from_colours(colours, triangles).names) > 1
     colours[256:, 1] = 1
-    with pytest.raises(FormatError, match="257 vertex colours, which is no segmentation"):
-        labels_of_colours(colours, triangles)
+    with pytest.raises(FormatError, match="257 vertex colours, too many for a segmentation"):
+        labels_from_colours(colours, triangles)
 
 
 def chain(weights: Any, parents: tuple[str, ...] = ("", "a", "a/b")) -> Skinning:
@@ -72,9 +72,9 @@ def chain(weights: Any, parents: tuple[str, ...] = ("", "a", "a/b")) -> Skinning
 def test_a_face_follows_the_joint_with_the_largest_sum_of_weights() -> None:
     # Quad: a 1.4, b 1.6, c 1; triangle: a 0.4, b 1, c 1.6.
     weights = [[1, 0, 0], [0.4, 0.6, 0], [0, 0.4, 0.6], [0, 0.6, 0.4], [0, 0, 1]]
-    assert told(labels_of_skinning(chain(weights), FACES, smallest=0)) == ["b", "b", "c"]
+    assert told(labels_from_skinning(chain(weights), FACES, min_ratio=0)) == ["b", "b", "c"]
     tie = [[1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 1, 0], [0, 1, 0]]
-    assert told(labels_of_skinning(chain(tie), FACES, smallest=0)) == ["a", "a", "b"]
+    assert told(labels_from_skinning(chain(tie), FACES, min_ratio=0)) == ["a", "a", "b"]
 
 
 def test_small_joints_join_those_above_the_lowest_first() -> None:
@@ -86,7 +86,7 @@ def test_small_joints_join_those_above_the_lowest_first() -> None:
     for quad, corners in enumerate(quads.indices.reshape(-1, 4)):
         weights[corners, joint[quad]] += 1
     skinning = chain(weights)
-    names = {share: labels_of_skinning(skinning, quads, share).names for share in (0, 0.2, 0.5)}
+    names = {share: labels_from_skinning(skinning, quads, share).names for share in (0, 0.2, 0.5)}
     assert names == {0: ("a", "b", "c"), 0.2: ("a", "c"), 0.5: ("a", "b")}
 
 
@@ -107,7 +107,7 @@ def test_small_regions_join_the_neighbour_with_most_edges_in_common() -> None:
     polygons = Polygons.from_triangles(triangles)
     labels = np.repeat([0, 1], 16)
     labels[2] = 1  # one astray, amidst of zeros
-    tidy = without_small_regions(labels, polygons, len(points), fewest=2)
+    tidy = merge_small_regions(labels, polygons, len(points), min_count=2)
     assert tidy.tolist() == [0] * 16 + [1] * 16
-    np.testing.assert_array_equal(without_small_regions(labels, polygons, len(points), fewest=0), labels)
-    assert len(set(without_small_regions(labels, polygons, len(points), fewest=99).tolist())) == 1
+    np.testing.assert_array_equal(merge_small_regions(labels, polygons, len(points), min_count=0), labels)
+    assert len(set(merge_small_regions(labels, polygons, len(points), min_count=99).tolist())) == 1

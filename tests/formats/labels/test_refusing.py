@@ -53,7 +53,7 @@ def many_colours(path: Path) -> Path:
 @pytest.mark.parametrize(
     ("name", "make", "source", "kind", "message"),
     [
-        ("a.obj", nothing, None, FormatError, "no labels of faces; it has no array of labels, sets of faces"),
+        ("a.obj", nothing, None, FormatError, "no labels of faces; it has no labels, face sets"),
         ("a.obj", groups, "skeleton", FormatError, "no 'skeleton' to label faces by; it has groups"),
         (
             "a.usda",
@@ -62,7 +62,7 @@ def many_colours(path: Path) -> Path:
             AmbiguousError,
             "several sources of labels: limbs, colours; choose one",
         ),
-        ("a.ply", many_colours, None, FormatError, "441 vertex colours, which is no segmentation"),
+        ("a.ply", many_colours, None, FormatError, "441 vertex colours, too many for a segmentation"),
         (
             "a.npz",
             arrays(labels=np.zeros(4, int)),

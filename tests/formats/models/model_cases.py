@@ -177,7 +177,7 @@ def assert_equal_spaces(first: Any, second: Any) -> None:
     for name in ("shapes", "reference", "joint_faces"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
         assert getattr(first, name).dtype == getattr(second, name).dtype
-    for name in ("scale", "sizes", "projection"):
+    for name in ("scale", "block_sizes", "projection"):
         assert getattr(first, name) == getattr(second, name)
     for values, others in zip(first.articulation.steadiness, second.articulation.steadiness, strict=True):
         np.testing.assert_array_equal(values, others)

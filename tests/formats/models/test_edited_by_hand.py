@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.mesh.rotations import normalised, product, rotations_of
+from mixseq.mesh.rotations import normalise_quat, quat_multiply, quat_to_matrix
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from tests.formats.models.model_cases import INSIDE, points_at, replace, scale
@@ -117,7 +117,7 @@ def test_an_edited_rotation_turns_the_body_there(copy: Path, model: Model) -> No
         before, centre = (
             file[f"signals/placement/{name}"][knot, 0] for name in ("rotations", "translations")
         )
-        file["signals/placement/rotations"][knot, 0] = product(np.array([0.0, 0.0, 0.0, 1.0]), before)
+        file["signals/placement/rotations"][knot, 0] = quat_multiply(np.array([0.0, 0.0, 0.0, 1.0]), before)
     time, centre = model.placement.times[knot], centre * space.scale
     expected = (model(time) - centre) @ np.diag([-1, -1, 1]) + centre
     np.testing.assert_allclose(mixseq.load(copy)(time), expected, atol=1e-9)
@@ -139,7 +139,9 @@ def test_an_edited_correction_moves_a_part_there(copy: Path, model: Model) -> No
         file["signals/correction/translations"][knot, 0] += shift
     times = model.correction.times
     moved = points_at(mixseq.load(copy), times) - points_at(model, times)
-    body = rotations_of(normalised(space.unpack_placements(model.placement(times[[knot]])).rotations))[0, 0]
+    body = quat_to_matrix(normalise_quat(space.unpack_placements(model.placement(times[[knot]])).rotations))[
+        0, 0
+    ]
     found = moved[knot][kept_by(model, 0)]
     np.testing.assert_allclose(found, np.broadcast_to(space.scale * body @ shift, found.shape), atol=1e-9)
     assert np.abs(moved[knot][kept_by(model, 1)]).max() < 1e-9
@@ -164,8 +166,8 @@ def test_an_edited_vertex_moves_with_its_frame(copy: Path, model: Model) -> None
     vectors = model.curve(times)
     blocks, poses = space.split(vectors), vectors[:, : space.shape_dim][:, -space.pose_dim :]
     turns = space.correct_poses(poses, blocks.corrections).rotations
-    turns = product(normalised(blocks.body_rotations[:, 0]), turns[:, 0])
-    np.testing.assert_allclose(moved[:, vertex], space.scale * rotations_of(turns) @ bump, atol=1e-9)
+    turns = quat_multiply(normalise_quat(blocks.body_rotations[:, 0]), turns[:, 0])
+    np.testing.assert_allclose(moved[:, vertex], space.scale * quat_to_matrix(turns) @ bump, atol=1e-9)
 
 
 def test_edited_lengths_move_joints_only(copy: Path, model: Model) -> None:

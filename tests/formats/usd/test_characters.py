@@ -9,7 +9,7 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, UsdSkel, UsdUtils, Vt
 
 from mixseq.errors import InvalidSequenceError, MixseqWarning
-from mixseq_io.usd.motion import weld
+from mixseq_io.usd.motion import Weld
 from tests.formats.usd.stage_maker import CORNERS, INDICES, Make, baked, lower, paths, read, saved
 
 
@@ -162,9 +162,9 @@ def test_real_characters_are_as_usd_bakes_them(data: Path, name: str) -> None:
     sequence = read(file)
     stage = Usd.Stage.Open(str(file))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath(sequence.objects[0].path))
-    seams = weld(mesh, np.array(mesh.GetPointsAttr().Get()))
-    assert sequence.vertex_count == seams.vertex_count < len(seams.of_point)
+    seams = Weld.from_mesh(mesh, np.array(mesh.GetPointsAttr().Get()))
+    assert sequence.vertex_count == seams.vertex_count < len(seams.vertex_of_point)
     expected = baked(stage, sequence.objects[0].path, sequence.times)
-    split = sequence.points[:, seams.of_point]
+    split = sequence.points[:, seams.vertex_of_point]
     assert np.abs(split - expected).max() <= 1e-6 * sequence.diagonal
     assert sequence.surface.face_sets[0].material.startswith(f"/{name}/Materials/")

@@ -87,7 +87,7 @@ class TestChoosing:
         visibility = make("/ghost", 1, 2).CreateVisibilityAttr()
         visibility.Set("invisible", 1)
         visibility.Set("inherited", 2)
-        with pytest.warns(MixseqWarning, match=r"visibility that changes .* always visible: /ghost"):
+        with pytest.warns(MixseqWarning, match=r"animated visibility is left out.* always visible: /ghost"):
             assert saved(stage).frame_count == 2
 
     def test_visibility_that_is_repeated_does_not_change(self, stage: Usd.Stage, make: Make) -> None:
@@ -124,7 +124,7 @@ class TestChoosing:
     def test_instances_of_instances_without_end(
         self, stage: Usd.Stage, make: Make, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("mixseq_io.usd.stage._MOST_PRIMS", 1000)
+        monkeypatch.setattr("mixseq_io.usd.stage._MAX_PRIMS", 1000)
         make("/level0/mesh")
         for level in range(1, 40):
             for number in range(2):

@@ -307,7 +307,7 @@ def test_files_elsewhere_are_not_packed(asset: Asset, tmp_path: Path, shelf: Pat
     before = asset.read()
     target = tmp_path / "out.usdz"
     with pytest.warns(
-        MixseqWarning, match=r"not packed: .*(secret|link|pipe|wool\.1001)\.png; .*--pack-from"
+        MixseqWarning, match=r"are packed, not .*(secret|link|pipe|wool\.1001)\.png; .*--pack-from"
     ):
         save(target, before, flatten=True)
     assert len(zipfile.ZipFile(target).namelist()) == 1

@@ -12,13 +12,13 @@ import pytest
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
-from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.header import header_fields
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import open_sequence, read, write
-from mixseq_io.usd.stage import define
+from mixseq_io.usd.stage import define_prim_spec
 from tests.formats.usd_maker import TOKENS, Asset, lift, link, load, mesh_at, paint, problems, save, shot
 
 
@@ -131,7 +131,7 @@ def test_everything_on_a_mesh_comes_back(path: Path) -> None:
     np.testing.assert_array_equal(after.uvs.at_corners, before.uvs.at_corners)
     assert before.hard_edges is not None and after.hard_edges is not None
     one, other = (
-        shared_normals(written.points, FACES_OF_TWO, each)[:, each]
+        corner_normals(written.points, FACES_OF_TWO, each)[:, each]
         for each in (before.hard_edges, after.hard_edges)
     )
     np.testing.assert_array_equal(one, other)
@@ -227,7 +227,7 @@ def test_prims_defined_at_once_are_those_defined_one_by_one() -> None:
         UsdShade.Material.Define(one_by_one, path)
     with Sdf.ChangeBlock():
         for path in paths:
-            define(at_once.GetRootLayer(), path, "Material")
+            define_prim_spec(at_once.GetRootLayer(), path, "Material")
     listener.Revoke()
     assert at_once.GetRootLayer().ExportToString() == one_by_one.GetRootLayer().ExportToString()
     assert len(composed) == 1

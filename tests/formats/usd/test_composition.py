@@ -123,7 +123,7 @@ class TestVelocities:
         move = mesh.AddTranslateOp()
         move.Set(Gf.Vec3d(0), 1)
         move.Set(Gf.Vec3d(1), 2)
-        with pytest.warns(MixseqWarning, match=r"velocities are those under a transform .* left out: /mesh"):
+        with pytest.warns(MixseqWarning, match=r"velocities lack the motion .* left out: /mesh"):
             assert saved(stage).velocities is None
 
 

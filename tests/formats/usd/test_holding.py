@@ -11,7 +11,7 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom
 
 from mixseq.errors import MixseqWarning, OutputError
-from mixseq.sequence.sequence import MeshSequence, collect
+from mixseq.sequence.sequence import MeshSequence, join_blocks
 from mixseq.types import FloatArray
 from mixseq_io.usd.reader import open_usd
 from tests.formats.usd_maker import Asset, character, load, problems, save, world_points
@@ -68,7 +68,7 @@ def with_velocities(path: Path, prim: str | None = None) -> tuple[MeshSequence, 
     with open_usd(path, prim) as reader:
         speeds = reader.velocity_blocks(2)
         assert speeds is not None
-        return collect(reader.header, reader.blocks(2)), np.concatenate(list(speeds))
+        return join_blocks(reader.header, reader.blocks(2)), np.concatenate(list(speeds))
 
 
 @pytest.mark.parametrize("fps", [25, 60, 24000 / 1001])

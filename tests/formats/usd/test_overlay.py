@@ -11,7 +11,7 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt
 
 from mixseq.errors import MixseqWarning, OutputError
-from mixseq.mesh.measures import shared_normals
+from mixseq.mesh.measures import corner_normals
 from mixseq.sequence.sequence import MeshSequence
 from tests.formats.usd_maker import (
     CORNERS,
@@ -240,9 +240,9 @@ def test_normals_are_made_anew(
         "faceVarying": FACES.indices if where == "normals" else np.arange(7),
     }[kept]
     scaled = np.array([points_at(stage, "/set/walker", 2)])
-    expected = shared_normals(scaled, FACES, groups)[0] * (-1 if left_handed else 1)
+    expected = corner_normals(scaled, FACES, groups)[0] * (-1 if left_handed else 1)
     # Averages of normals are not those of the scaled mesh, but of the mesh in the world.
-    world = shared_normals(scaled * [1, 1, 2], FACES, groups)[0] * [1, 1, 2] * (-1 if left_handed else 1)
+    world = corner_normals(scaled * [1, 1, 2], FACES, groups)[0] * [1, 1, 2] * (-1 if left_handed else 1)
     expected = world / np.linalg.norm(world, axis=1, keepdims=True)
     if kept == "faceVarying":
         expected = expected[groups]

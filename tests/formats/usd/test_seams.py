@@ -16,7 +16,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import Surface
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write
-from mixseq_io.usd.motion import VERTICES
+from mixseq_io.usd.motion import VERTICES_ATTRIBUTE
 from tests.formats.conftest import lossy
 
 # Two triangles of a square, with points of their own along the diagonal from (0, 0) to (1, 1).
@@ -127,7 +127,7 @@ def test_a_layer_moves_all_points_of_a_vertex(options: dict[str, Any], tmp_path:
     write(tmp_path / "new.usda", lifted(square), **options)
     stage = Usd.Stage.Open(str(tmp_path / "new.usda"))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/root/mesh"))
-    assert mesh.GetPrim().GetAttribute(VERTICES).Get() == [0, 1, 2, 0, 2, 3]
+    assert mesh.GetPrim().GetAttribute(VERTICES_ATTRIBUTE).Get() == [0, 1, 2, 0, 2, 3]
     for code in (0, 1):
         points = np.array(mesh.GetPointsAttr().Get(code))
         np.testing.assert_array_equal(points, lifted(square).points[code][[0, 1, 2, 0, 2, 3]])
@@ -175,7 +175,7 @@ def test_what_a_layer_says_of_other_points_does_not_count(tmp_path: Path) -> Non
     square = read(save(tmp_path / "square.usda"))
     write(tmp_path / "new.usda", lifted(square))
     stage = Usd.Stage.Open(str(tmp_path / "new.usda"))
-    stage.GetPrimAtPath("/root/mesh").GetAttribute(VERTICES).Set([0, 1])
+    stage.GetPrimAtPath("/root/mesh").GetAttribute(VERTICES_ATTRIBUTE).Set([0, 1])
     stage.Save()
     assert read(tmp_path / "new.usda").vertex_count == 6
 

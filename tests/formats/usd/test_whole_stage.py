@@ -111,7 +111,7 @@ def test_parents_are_undone_as_they_are_retimed(scene: Asset, path: Path) -> Non
 
 def test_what_keeps_its_speed_is_told(scene: Asset, path: Path) -> None:
     written = retimed(scene, CODES / 2)
-    told = r"out\.usda: what else moves in .*asset\.usda is not retimed: /set/looks/wool/surface, /set/eye, /set/hair"
+    told = r"out\.usda: other motion in .*asset\.usda is not retimed: /set/looks/wool/surface, /set/eye, /set/hair"
     with pytest.warns(MixseqWarning, match=told + r", /set/still; whole_stage=True \(--whole-stage\)"):
         save(path, written, sources=CODES / 50)
     with pytest.warns(MixseqWarning, match=told + ", /set/still$"):  # frames that show no single time

@@ -237,7 +237,7 @@ def test_engines_draw_the_frames(
         },
     )
     assert shown["error"] == 0
-    texels, diagonal = Texels.of(fox.header), bounding_diagonal(engine.mirror(fox.points[0]))
+    texels, diagonal = Texels.from_header(fox.header), bounding_diagonal(engine.mirror(fox.points[0]))
     off = []
     for frame, (points, normals) in zip(FRAMES, shown["found"], strict=True):
         before, share = int(frame), frame % 1

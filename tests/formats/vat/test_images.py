@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import MissingExtraError
 from mixseq_io.vat import textures
-from mixseq_io.vat.textures import png_of, write_exr
+from mixseq_io.vat.textures import encode_png, write_exr
 
 pytestmark = pytest.mark.slow
 
@@ -50,18 +50,18 @@ def test_png_comes_back(dtype: type, channels: int) -> None:
     noise: NDArray[Any] = rng.integers(0, np.iinfo(dtype).max + 1, (5, 7, channels)).astype(dtype)
     ramp: NDArray[Any] = np.tile(np.arange(7, dtype=dtype)[None, :, None], (5, 1, channels))
     for pixels in (noise, ramp, np.zeros((1, 1, channels), dtype)):
-        np.testing.assert_array_equal(unpacked(png_of(pixels)), pixels)
+        np.testing.assert_array_equal(unpacked(encode_png(pixels)), pixels)
 
 
 def test_pillow_sees_the_same_in_8_bits() -> None:
     image = pytest.importorskip("PIL.Image")
     pixels = np.random.default_rng(1).integers(0, 256, (9, 11, 3)).astype(np.uint8)
-    np.testing.assert_array_equal(np.asarray(image.open(io.BytesIO(png_of(pixels)))), pixels)
+    np.testing.assert_array_equal(np.asarray(image.open(io.BytesIO(encode_png(pixels)))), pixels)
 
 
 def test_what_repeats_is_small() -> None:
     pixels = np.tile(np.random.default_rng(2).integers(0, 65536, (1, 64, 3)).astype(np.uint16), (100, 1, 1))
-    assert len(png_of(pixels)) < 2 * 64 * 6
+    assert len(encode_png(pixels)) < 2 * 64 * 6
 
 
 def test_exr(tmp_path: Path) -> None:
@@ -76,4 +76,4 @@ def test_exr(tmp_path: Path) -> None:
 def test_exr_without_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "OpenEXR", None)
     with pytest.raises(MissingExtraError, match=r"walk.vat: EXR textures.*pip install 'mixseq\[exr\]'"):
-        textures.exr_library(Path("walk.vat"))
+        textures.import_openexr(Path("walk.vat"))

@@ -89,11 +89,11 @@ def test_points_are_as_far_off_as_is_told(written: tuple[Path, VatReport], fox: 
 
 def test_normals_are_as_far_off_as_is_told(written: tuple[Path, VatReport], fox: MeshSequence) -> None:
     folder, report = written
-    texels, squares = Texels.of(fox.header), []
+    texels, squares = Texels.from_header(fox.header), []
     for frame in range(fox.frame_count):
         found = looked_up(folder, "normals", frame)
         found /= np.linalg.norm(found, axis=1, keepdims=True)
-        expected = texels.normals_of(fox.points[frame][None])[0][np.concatenate(texels.of_primitive)]
+        expected = texels.normals_of(fox.points[frame][None])[0][np.concatenate(texels.primitive_texels)]
         squares.append(np.square(np.degrees(np.arccos(np.clip(np.sum(found * expected, axis=1), -1, 1)))))
     assert np.sqrt(np.mean(squares)) == pytest.approx(report.normal_degrees, rel=0.02)
     assert report.normal_degrees < (3 if report.rank else 0.3)
@@ -154,7 +154,7 @@ def test_exr_holds_the_numbers_themselves(fox: MeshSequence, tmp_path: Path) -> 
         pixels = np.asarray(file.channels()["RGB"].pixels)
     vat = told(tmp_path / "fox.vat")
     rows = pixels.reshape(fox.frame_count, -1, 3)[:, : vat["texels"]]
-    expected = fox.points[:, Texels.of(fox.header).vertices].astype(np.float32)
+    expected = fox.points[:, Texels.from_header(fox.header).vertices].astype(np.float32)
     np.testing.assert_array_equal(rows, expected)
 
 
@@ -252,7 +252,7 @@ def test_a_browser_draws_the_frames(written: tuple[Path, VatReport], fox: MeshSe
     page.goto("http://127.0.0.1/page")
     shown = page.evaluate(DRAWN, ["http://127.0.0.1/fox.vat/", [0, 3, 3.5, 7, 9]])
     assert shown["error"] == 0
-    vertices, diagonal = Texels.of(fox.header).vertices, bounding_diagonal(fox.points[0])
+    vertices, diagonal = Texels.from_header(fox.header).vertices, bounding_diagonal(fox.points[0])
     expected = [
         fox.points[0],
         fox.points[3],

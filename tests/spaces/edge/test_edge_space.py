@@ -12,7 +12,7 @@ import pytest
 
 import mixseq
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.mesh.measures import edge_lengths, volume
+from mixseq.mesh.measures import edge_lengths, signed_volume
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.segmentation.joints import decompose
@@ -64,7 +64,7 @@ def two(first: Float, second: Float, faces: Any) -> MeshSequence:
 def test_frames_come_back(name: str, settings: EdgeSettings) -> None:
     sequence = sequence_of(name)
     space = space_of(sequence, settings)
-    space.prepared()
+    space.precompute()
     vectors = space.encode(sequence.points)
     assert vectors.shape == (sequence.frame_count, space.dim)
     assert len(space.weights) == space.dim
@@ -156,8 +156,8 @@ def test_volume_is_kept_better_with_its_term() -> None:
         space = space_of(sequence, EdgeSettings("dso", volume=weight))
         vectors = space.encode(sequence.points)
         (half,) = space.decode(vectors.mean(axis=0, keepdims=True))
-        wanted = np.mean([volume(frame, faces) for frame in sequence.points])
-        off.append(abs(volume(half, faces) / wanted - 1))
+        wanted = np.mean([signed_volume(frame, faces) for frame in sequence.points])
+        off.append(abs(signed_volume(half, faces) / wanted - 1))
     assert off == sorted(off, reverse=True)
     assert off[0] > 0.01
     assert off[-1] < 0.1 * off[0]

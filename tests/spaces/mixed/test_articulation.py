@@ -9,7 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.mesh.rotations import continued, normalised, product, quaternions, rotations_of, turned
+from mixseq.mesh.rotations import (
+    align_quat_signs,
+    matrix_to_quat,
+    normalise_quat,
+    quat_multiply,
+    quat_to_matrix,
+    rotate_vectors,
+)
 from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import decompose
 from mixseq.spaces.base import radii_of_gyration
@@ -64,7 +71,7 @@ TWO = articulated(
 def wild(seed: int, parts: int = 4, frames: int = 1, spread: float = 3.0) -> Poses:
     """Poses by chance, in any axes."""
     rng = np.random.default_rng(seed)
-    turns = normalised(np.array([1.0, 0, 0, 0]) + spread * rng.normal(size=(frames, parts, 4)))
+    turns = normalise_quat(np.array([1.0, 0, 0, 0]) + spread * rng.normal(size=(frames, parts, 4)))
     return Poses(turns, rng.normal(size=(frames, parts, 3)))
 
 
@@ -77,18 +84,18 @@ def bending(chain: Articulation, bend: float) -> Poses:
         turn = rotation(AXIS * bend * number)
         rest, end = chain.rest_centres[part], np.array([0, 0, 4.0 * (number + 1) / len(order)])
         start = np.array([0, 0, 4.0 * number / len(order)])
-        turns[0, part], centres[0, part] = quaternions(turn), pivot + turn @ (rest - start)
+        turns[0, part], centres[0, part] = matrix_to_quat(turn), pivot + turn @ (rest - start)
         pivot = pivot + turn @ (end - start)
     return Poses(turns, centres)
 
 
 def assert_same_poses(found: Poses, expected: Poses, atol: float = 1e-12) -> None:
-    np.testing.assert_allclose(rotations_of(found.rotations), rotations_of(expected.rotations), atol=atol)
+    np.testing.assert_allclose(quat_to_matrix(found.rotations), quat_to_matrix(expected.rotations), atol=atol)
     np.testing.assert_allclose(found.centres, expected.centres, atol=atol)
 
 
 def moved(poses: Poses, turn: Float, shift: Float) -> Poses:
-    return Poses(product(quaternions(turn), poses.rotations), poses.centres @ turn.T + shift)
+    return Poses(quat_multiply(matrix_to_quat(turn), poses.rotations), poses.centres @ turn.T + shift)
 
 
 def angle_between(first: Float, second: Float) -> Float:
@@ -100,7 +107,7 @@ def angle_between(first: Float, second: Float) -> Float:
 
 def test_neighbours_see_each_other_at_the_middle_of_their_boundary() -> None:
     labels = sliced(MESH, 1.0, 2.0, 3.0)
-    boundaries = Boundaries.of(topology_of(MESH), labels)
+    boundaries = Boundaries.from_labels(topology_of(MESH), labels)
     pairs = boundaries.parts
     np.testing.assert_array_equal(CHAIN.pairs, np.concatenate([pairs, pairs[:, ::-1]]))
     places = CHAIN.pivots + CHAIN.rest_centres[CHAIN.pairs[:, 1]]
@@ -146,7 +153,7 @@ def test_parts_that_move_as_one_are_a_body_with_that_motion(motion: tuple[Float,
     turn, shift = motion
     rest = Poses(np.tile(np.eye(4)[:1], (1, 4, 1)), CHAIN.rest_centres[None])
     body, poses = (CHAIN.fit_bodies(each) for each in (rest, moved(rest, turn, shift)))
-    np.testing.assert_allclose(rotations_of(poses.rotations[0, 0]), turn, atol=1e-12)
+    np.testing.assert_allclose(quat_to_matrix(poses.rotations[0, 0]), turn, atol=1e-12)
     np.testing.assert_allclose(poses.centres[0, 0], turn @ body.centres[0, 0] + shift, atol=1e-12)
     seen = CHAIN.to_body_axes(moved(rest, turn, shift), poses)
     assert_same_poses(seen, rest._replace(centres=rest.centres - body.centres))
@@ -155,7 +162,9 @@ def test_parts_that_move_as_one_are_a_body_with_that_motion(motion: tuple[Float,
 @pytest.mark.parametrize("degrees", [10.0, 40.0])
 def test_a_chain_that_bends_is_as_turned_as_its_links_on_average(degrees: float) -> None:
     body = CHAIN.fit_bodies(bending(CHAIN, np.radians(degrees)))
-    turned_by = angle_between(body.rotations[0, 0], quaternions(rotation(AXIS * np.radians(1.5 * degrees))))
+    turned_by = angle_between(
+        body.rotations[0, 0], matrix_to_quat(rotation(AXIS * np.radians(1.5 * degrees)))
+    )
     assert turned_by < np.radians(0.11 * degrees)
 
 
@@ -191,7 +200,7 @@ def test_relations_are_the_same_in_all_axes(seed: int, motion: tuple[Float, Floa
     here, there = CHAIN.add_relations(poses), CHAIN.add_relations(moved(poses, *motion))
     np.testing.assert_allclose(there.relation_points, here.relation_points, atol=1e-12)
     np.testing.assert_allclose(
-        rotations_of(there.relation_rotations), rotations_of(here.relation_rotations), atol=1e-12
+        quat_to_matrix(there.relation_rotations), quat_to_matrix(here.relation_rotations), atol=1e-12
     )
 
 
@@ -199,7 +208,7 @@ def test_what_moves_less_is_steadier() -> None:
     """One over the mean squared motion: here the turns of the last link, by its radius, about the mean."""
     rest = Poses(np.tile(np.eye(4)[:1], (4, 4, 1)), np.tile(CHAIN.rest_centres[None], (4, 1, 1)))
     last, angles = int(np.argmax(CHAIN.rest_centres[:, 2])), np.array([-0.3, -0.1, 0.1, 0.3])
-    rest.rotations[:, last] = quaternions(np.stack([rotation(AXIS * angle) for angle in angles]))
+    rest.rotations[:, last] = matrix_to_quat(np.stack([rotation(AXIS * angle) for angle in angles]))
     found = CHAIN.measure_steadiness(CHAIN.add_relations(rest))
     expected = np.full(4, MOTION_FLOOR**2)
     expected[last] += np.square(angles).mean() * CHAIN.radii[last] ** 2
@@ -235,7 +244,7 @@ def test_poses_and_relations_of_one_frame_agree(seed: int, weight: float) -> Non
 def test_a_wrong_pose_is_pulled_to_where_neighbours_see_the_part(wrong: int) -> None:
     right = CHAIN.add_relations(bending(CHAIN, 0.4))
     turns, centres = right.rotations.copy(), right.centres.copy()
-    turns[0, wrong] = product(quaternions(rotation((0.4, 0.0, 0.0))), turns[0, wrong])
+    turns[0, wrong] = quat_multiply(matrix_to_quat(rotation((0.4, 0.0, 0.0))), turns[0, wrong])
     centres[0, wrong] += [0.3, 0.0, 0.0]
     given_poses = right._replace(rotations=turns, centres=centres)
     off = []
@@ -251,7 +260,7 @@ def test_a_wrong_pose_is_pulled_to_where_neighbours_see_the_part(wrong: int) -> 
 def test_what_is_steady_is_trusted() -> None:
     right = CHAIN.add_relations(bending(CHAIN, 0.4))
     turns = right.rotations.copy()
-    turns[0, 1] = product(quaternions(rotation((0.4, 0.0, 0.0))), turns[0, 1])
+    turns[0, 1] = quat_multiply(matrix_to_quat(rotation((0.4, 0.0, 0.0))), turns[0, 1])
     off = []
     for steady in (0.01, 1.0, 100.0):
         parts = Steadiness.uniform(4, len(CHAIN.pairs))
@@ -269,7 +278,7 @@ def misfit(chain: Articulation, poses: PartPoses, found: Poses) -> float:
         np.minimum(*(chain.masses * chain.radii**2)[chain.pairs.T]),
     )
     i, j = chain.pairs.T
-    seen = product(found.rotations[:, i], poses.relation_rotations)
+    seen = quat_multiply(found.rotations[:, i], poses.relation_rotations)
     cosines = [
         np.einsum("tpi,tpi->tp", found.rotations, poses.rotations),
         np.einsum("tpi,tpi->tp", found.rotations[:, j], seen),
@@ -281,8 +290,8 @@ def test_agreed_rotations_nearly_have_the_least_misfit() -> None:
     rng = np.random.default_rng(0)
     poses = CHAIN.add_relations(bending(CHAIN, 0.4))
     noisy = poses._replace(
-        rotations=normalised(poses.rotations + 0.1 * rng.normal(size=poses.rotations.shape)),
-        relation_rotations=normalised(
+        rotations=normalise_quat(poses.rotations + 0.1 * rng.normal(size=poses.rotations.shape)),
+        relation_rotations=normalise_quat(
             poses.relation_rotations + 0.1 * rng.normal(size=poses.relation_rotations.shape)
         ),
     )
@@ -290,8 +299,8 @@ def test_agreed_rotations_nearly_have_the_least_misfit() -> None:
     least = misfit(CHAIN, noisy, found)
     assert least < 0.8 * misfit(CHAIN, noisy, Poses(noisy.rotations, noisy.centres))
     for _ in range(50):
-        step = normalised(np.array([1.0, 0, 0, 0]) + 0.03 * rng.normal(size=(1, 4, 4)))
-        assert misfit(CHAIN, noisy, Poses(product(step, found.rotations), found.centres)) > least
+        step = normalise_quat(np.array([1.0, 0, 0, 0]) + 0.03 * rng.normal(size=(1, 4, 4)))
+        assert misfit(CHAIN, noisy, Poses(quat_multiply(step, found.rotations), found.centres)) > least
 
 
 @given(seed=seeds, motion=rigid_motions)
@@ -317,7 +326,9 @@ def test_chains_stay_closed_between_far_poses(weight: float) -> None:
 
     def gap(poses: Poses) -> float:
         seen = chain.pairs[:, 1]
-        places = turned(rotations_of(poses.rotations[:, seen]), chain.pivots) + poses.centres[:, seen]
+        places = (
+            rotate_vectors(quat_to_matrix(poses.rotations[:, seen]), chain.pivots) + poses.centres[:, seen]
+        )
         return float(np.linalg.norm(np.diff(places.reshape(2, -1, 3), axis=0), axis=2).max())
 
     opened = gap(Poses(blend.rotations, blend.centres))
@@ -352,8 +363,8 @@ def test_parts_half_a_turn_apart_agree(degrees: float) -> None:
 def test_corrections_lead_from_poses_to_targets(seed: int, size: float) -> None:
     rng = np.random.default_rng(seed)
     poses = wild(seed, frames=3)
-    step = normalised(np.array([1.0, 0, 0, 0]) + size * rng.normal(size=(3, 4, 4)))
-    targets = Poses(product(poses.rotations, step), poses.centres + size * rng.normal(size=(3, 4, 3)))
+    step = normalise_quat(np.array([1.0, 0, 0, 0]) + size * rng.normal(size=(3, 4, 4)))
+    targets = Poses(quat_multiply(poses.rotations, step), poses.centres + size * rng.normal(size=(3, 4, 3)))
     found = CHAIN.pose_corrections(poses, targets).reshape(3, 2, 4, 3)
     for frame in range(3):
         turns, centres = kernels.correct_poses(poses.rotations[frame], poses.centres[frame], *found[frame])
@@ -372,7 +383,7 @@ def test_corrections_of_a_sequence_do_not_jump() -> None:
     """Past half a turn they go on."""
     angles = np.linspace(0, 1.5 * np.pi, 9)
     targets = Poses(
-        np.stack([np.tile(quaternions(rotation(AXIS * angle)), (4, 1)) for angle in angles]),
+        np.stack([np.tile(matrix_to_quat(rotation(AXIS * angle)), (4, 1)) for angle in angles]),
         np.zeros((9, 4, 3)),
     )
     found = CHAIN.pose_corrections(Poses(np.tile(np.eye(4)[0], (9, 4, 1)), np.zeros((9, 4, 3))), targets)
@@ -390,7 +401,9 @@ def motions(chain: Articulation, poses: Poses, bodies: Poses | None = None) -> F
 
 def applied(dual: Float, points: Float) -> Float:
     back = dual[:4] * np.array([1.0, -1, -1, -1])
-    return np.asarray(turned(rotations_of(dual[:4]), points) + 2.0 * product(dual[4:], back)[1:])
+    return np.asarray(
+        rotate_vectors(quat_to_matrix(dual[:4]), points) + 2.0 * quat_multiply(dual[4:], back)[1:]
+    )
 
 
 @settings(max_examples=30, deadline=None)
@@ -399,7 +412,7 @@ def test_motions_take_parts_from_rest_to_where_they_are(seed: int) -> None:
     for chain in (CHAIN, TWO):
         poses = wild(seed, spread=0.3)
         for part, dual in enumerate(motions(chain, poses)):
-            turn = rotations_of(poses.rotations[0, part])
+            turn = quat_to_matrix(poses.rotations[0, part])
             points = np.random.default_rng(seed).normal(size=(5, 3))
             expected = (points - chain.rest_centres[part]) @ turn.T + poses.centres[0, part]
             np.testing.assert_allclose(applied(dual, points), expected, atol=1e-11)
@@ -490,11 +503,11 @@ def ring(parts: int, seed: int = 0, alone: int = 0) -> Articulation:
 def two_bones(bends: Float, turns: Float, shifts: Float) -> tuple[Poses, Articulation]:
     """A lower bone that moves about, and an upper one that is hinged to it at its end; both are 2 long."""
     lower = turns_of(turns)[:, 0]
-    upper = product(lower, turns_of(bends, np.array([1.0, 0, 0]))[:, 0])
+    upper = quat_multiply(lower, turns_of(bends, np.array([1.0, 0, 0]))[:, 0])
     end = np.array([0.0, 0.0, 1.0])
-    pivots = shifts + turned(rotations_of(lower), end)
-    centres = np.stack([shifts, pivots + turned(rotations_of(upper), end)], axis=1)
-    poses = Poses(continued(np.stack([lower, upper], axis=1)), centres)
+    pivots = shifts + rotate_vectors(quat_to_matrix(lower), end)
+    centres = np.stack([shifts, pivots + rotate_vectors(quat_to_matrix(upper), end)], axis=1)
+    poses = Poses(align_quat_signs(np.stack([lower, upper], axis=1)), centres)
     rest = np.stack([0 * end, 2 * end])
     return poses, related(np.array([[0, 1], [1, 0]]), np.array([-end, end]), np.full(2, 0.6), rest)
 
@@ -502,7 +515,7 @@ def two_bones(bends: Float, turns: Float, shifts: Float) -> tuple[Poses, Articul
 def gaps(poses: Poses, parts: Articulation) -> Float:
     """How far the two ends of every pivot are apart, ``(N, n)``."""
     seen = parts.pairs[:, 1]
-    places = turned(rotations_of(poses.rotations[:, seen]), parts.pivots) + poses.centres[:, seen]
+    places = rotate_vectors(quat_to_matrix(poses.rotations[:, seen]), parts.pivots) + poses.centres[:, seen]
     half = len(seen) // 2
     return np.asarray(np.linalg.norm(places[:, :half] - places[:, half:], axis=2))
 
@@ -512,7 +525,7 @@ def predicted(
 ) -> Poses:
     bodies, seen = PoseInterpolation(parts, operator, poses, in_body).at(times)
     placed = parts.to_world_axes(seen, bodies)
-    return placed._replace(rotations=continued(placed.rotations))
+    return placed._replace(rotations=align_quat_signs(placed.rotations))
 
 
 @settings(max_examples=15, deadline=None)
@@ -527,7 +540,9 @@ def test_frames_are_passed(seed: int, length: float, frames: int, in_body: bool)
     times = np.cumsum(np.random.default_rng(seed).uniform(0.5, 1.5, frames))
     found = predicted(TemporalOperator(times, length), poses, ring(3), insert_midpoints(times), in_body)
     np.testing.assert_allclose(found.centres[::2], poses.centres, atol=1e-12)
-    np.testing.assert_allclose(rotations_of(found.rotations)[::2], rotations_of(poses.rotations), atol=1e-12)
+    np.testing.assert_allclose(
+        quat_to_matrix(found.rotations)[::2], quat_to_matrix(poses.rotations), atol=1e-12
+    )
     np.testing.assert_allclose(np.linalg.norm(found.rotations, axis=2), 1.0, atol=1e-14)
     assert (np.einsum("tpi,tpi->tp", found.rotations[1:], found.rotations[:-1]) > 0).all()
 
@@ -552,7 +567,7 @@ def test_rigid_motions_of_everything_go_through(
     times = insert_midpoints(operator.times)
     here = moved(predicted(operator, poses, articulation, times, in_body), *motion)
     there = predicted(operator, moved(poses, *motion), articulation, times, in_body)
-    np.testing.assert_allclose(rotations_of(there.rotations), rotations_of(here.rotations), atol=1e-9)
+    np.testing.assert_allclose(quat_to_matrix(there.rotations), quat_to_matrix(here.rotations), atol=1e-9)
     np.testing.assert_allclose(there.centres, here.centres, atol=1e-9)
 
 
@@ -563,13 +578,13 @@ def test_in_the_body_a_turn_of_all_is_no_motion_of_parts(frames: int) -> None:
     rest = chain.rest_centres - chain.rest_centres.mean(axis=0)
     turns = turns_of(np.radians(80.0) * np.arange(float(frames)))
     turns = np.repeat(turns, 3, axis=1)
-    poses = Poses(turns, turned(rotations_of(turns), rest))
+    poses = Poses(turns, rotate_vectors(quat_to_matrix(turns), rest))
     operator, middles = TemporalOperator(np.arange(float(frames))), np.arange(frames - 1.0) + 0.5
     _, seen = PoseInterpolation(chain, operator, poses, in_body_axes=True).at(middles)
     np.testing.assert_allclose(seen.centres, np.broadcast_to(rest, seen.centres.shape), atol=1e-6)
-    back = rotations_of(turns_of(np.radians(80.0) * middles)).swapaxes(2, 3)
+    back = quat_to_matrix(turns_of(np.radians(80.0) * middles)).swapaxes(2, 3)
     alone = interpolate_poses(operator.weights_at(middles), poses)
-    assert np.abs(turned(back, alone.centres) - rest).max() > 1e-2
+    assert np.abs(rotate_vectors(back, alone.centres) - rest).max() > 1e-2
 
 
 def test_units_of_length_matter_only_where_errors_are_small() -> None:
@@ -610,7 +625,9 @@ def test_an_elbow_that_bends_evenly_is_predicted() -> None:
     together = predicted(operator, poses, bones, middles)
     off = [gaps(found, bones).max() for found in (alone, together)]
     assert off[1] < 0.5 * off[0]
-    np.testing.assert_allclose(rotations_of(together.rotations), rotations_of(expected.rotations), atol=5e-3)
+    np.testing.assert_allclose(
+        quat_to_matrix(together.rotations), quat_to_matrix(expected.rotations), atol=5e-3
+    )
 
 
 def test_parts_that_move_as_one_nearly_stay_as_they_are_to_each_other() -> None:
@@ -618,12 +635,12 @@ def test_parts_that_move_as_one_nearly_stay_as_they_are_to_each_other() -> None:
     body, parts = wandering(7, 1), ring(3)
     rest = np.random.default_rng(2).normal(size=(3, 3))
     turns = np.repeat(body.rotations, 3, axis=1)
-    poses = Poses(turns, turned(rotations_of(turns), rest) + body.centres)
+    poses = Poses(turns, rotate_vectors(quat_to_matrix(turns), rest) + body.centres)
     operator, middles = TemporalOperator(np.arange(12.0)), np.arange(11.0) + 0.5
 
     def away(found: Poses) -> Float:
-        back = np.swapaxes(rotations_of(found.rotations[:, :1]), -1, -2)
-        seen = turned(back, found.centres - found.centres[:, :1])
+        back = np.swapaxes(quat_to_matrix(found.rotations[:, :1]), -1, -2)
+        seen = rotate_vectors(back, found.centres - found.centres[:, :1])
         return np.asarray(np.linalg.norm(seen - (rest - rest[0]), axis=2)[:, 1:])
 
     found = predicted(operator, poses, parts, middles)
@@ -648,7 +665,7 @@ def test_who_has_no_neighbours_is_alone() -> None:
     alone = interpolate_poses(operator.weights_at(middles), poses)
     for parts, some in ((strangers(4), slice(None)), (ring(3, alone=1), slice(3, None))):
         found = predicted(operator, poses, parts, middles)
-        turns, expected = (rotations_of(each.rotations[:, some]) for each in (found, alone))
+        turns, expected = (quat_to_matrix(each.rotations[:, some]) for each in (found, alone))
         np.testing.assert_allclose(turns, expected, atol=1e-12)
         np.testing.assert_allclose(found.centres[:, some], alone.centres[:, some], atol=1e-12)
 
@@ -657,8 +674,8 @@ def test_who_has_no_neighbours_is_alone() -> None:
 def test_one_frame_is_everywhere(in_body: bool) -> None:
     poses = wandering(11, 3, 1)
     found = predicted(TemporalOperator(np.array([0.5])), poses, ring(3), np.array([0.0, 0.5, 2.0]), in_body)
-    turns = rotations_of(found.rotations)
-    np.testing.assert_allclose(turns, np.repeat(rotations_of(poses.rotations), 3, axis=0), atol=1e-12)
+    turns = quat_to_matrix(found.rotations)
+    np.testing.assert_allclose(turns, np.repeat(quat_to_matrix(poses.rotations), 3, axis=0), atol=1e-12)
     np.testing.assert_allclose(found.centres, np.repeat(poses.centres, 3, axis=0), atol=1e-12)
 
 
@@ -666,8 +683,8 @@ def test_between_two_frames_bones_bend_by_half() -> None:
     """As seen from their body, which turns by half of what both turn by."""
     poses, bones = two_bones(np.radians([0.0, 90.0]), np.zeros(2), np.zeros((2, 3)))
     found = predicted(TemporalOperator(np.array([0.0, 1.0])), poses, bones, np.array([0.5]))
-    between = product(found.rotations[0, :1] * [1.0, -1, -1, -1], found.rotations[0, 1:])
-    np.testing.assert_allclose(rotations_of(between)[0], rotation((np.pi / 4, 0, 0)), atol=1e-9)
+    between = quat_multiply(found.rotations[0, :1] * [1.0, -1, -1, -1], found.rotations[0, 1:])
+    np.testing.assert_allclose(quat_to_matrix(between)[0], rotation((np.pi / 4, 0, 0)), atol=1e-9)
 
 
 def test_many_times_are_predicted_in_blocks() -> None:
@@ -676,6 +693,6 @@ def test_many_times_are_predicted_in_blocks() -> None:
     whole = predicted(operator, poses, ring(3), times, True)
     for number in (0, 63, 64, 149):
         single = predicted(operator, poses, ring(3), times[number : number + 1], True)
-        turns, expected = (rotations_of(each) for each in (single.rotations[0], whole.rotations[number]))
+        turns, expected = (quat_to_matrix(each) for each in (single.rotations[0], whole.rotations[number]))
         np.testing.assert_allclose(turns, expected, atol=1e-12)
         np.testing.assert_allclose(single.centres[0], whole.centres[number], atol=1e-12)

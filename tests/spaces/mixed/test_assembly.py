@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixseq.mesh.rigid import kabsch, transform
-from mixseq.mesh.rotations import product, quaternions
+from mixseq.mesh.rigid import kabsch, transform_points
+from mixseq.mesh.rotations import matrix_to_quat, quat_multiply
 from mixseq.spaces.mixed.assembly import FreeFrame
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.types import Float
@@ -68,13 +68,13 @@ def test_bodies_turn_with_their_placement() -> None:
     turn = rotation((0.3, -1.0, 0.4))
     for body in range(space.rotation_count):
         turns, centres = blocks.body_rotations.copy(), blocks.body_centres.copy()
-        turns[:, body] = product(quaternions(turn), turns[:, body])
+        turns[:, body] = quat_multiply(matrix_to_quat(turn), turns[:, body])
         centres[:, body] += [0.1, 0.2, -0.3]
         decoded = space.decode(space.join(blocks._replace(body_rotations=turns, body_centres=centres)))[0]
         own = np.isin(space.rigid_part_of_vertex, np.flatnonzero(space.articulation.body_of_part == body))
         there, here = decoded[own], points[1][own]
         np.testing.assert_allclose(kabsch(here, there)[0], turn, atol=1e-9)
-        np.testing.assert_allclose(transform(here, *kabsch(here, there)), there, atol=1e-9)
+        np.testing.assert_allclose(transform_points(here, *kabsch(here, there)), there, atol=1e-9)
         rest = np.isin(space.rigid_part_of_vertex, np.flatnonzero(space.articulation.body_of_part != body))
         np.testing.assert_allclose(decoded[rest], points[1][rest], atol=1e-9)
 
@@ -109,4 +109,6 @@ def test_rigid_parts_stay_rigid_at_the_start() -> None:
     points, frame = plain.decode(blend[None])[0] / plain.scale, frame_of(plain, blend)
     for part in plain.assembly._rigid_parts:
         here = frame.rest_vertices[part]
-        np.testing.assert_allclose(transform(here, *kabsch(here, points[part])), points[part], atol=2e-2)
+        np.testing.assert_allclose(
+            transform_points(here, *kabsch(here, points[part])), points[part], atol=2e-2
+        )

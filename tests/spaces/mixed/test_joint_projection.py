@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap
-from mixseq.mesh.rotations import normalised, product, quaternions
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
+from mixseq.mesh.rotations import matrix_to_quat, normalise_quat, quat_multiply
 from mixseq.shells.solvers import factorise_laplacian
 from mixseq.spaces.mixed import posing_kernels as kernels
 from mixseq.spaces.mixed.joint_projection import (
@@ -70,7 +70,7 @@ def errors(joints: JointProjection, x: Float, target: Float) -> tuple[float, flo
     (lengths, angles), (wanted, expected) = told(joints, x), told(joints, target)
     return (
         float(np.sqrt(np.square(lengths / wanted - 1.0).mean())),
-        float(np.sqrt(np.square(wrap(angles - expected)).mean())),
+        float(np.sqrt(np.square(wrap_angles(angles - expected)).mean())),
     )
 
 
@@ -171,7 +171,7 @@ def test_the_whole_mesh_has_targets() -> None:
     expected = edge_lengths(x, joints.topology.edges), dihedral_angles(x, joints.topology.hinges)
     expected[0][joints.edge_ids], expected[1][joints.hinge_ids] = lengths, angles
     np.testing.assert_allclose(all_lengths, expected[0], atol=1e-13)
-    np.testing.assert_allclose(wrap(all_angles - expected[1]), 0.0, atol=1e-9)
+    np.testing.assert_allclose(wrap_angles(all_angles - expected[1]), 0.0, atol=1e-9)
     assert (joints.mesh_targets(x, -lengths, angles)[0][joints.edge_ids] == 0).all()
 
 
@@ -249,8 +249,8 @@ POINTS = np.random.default_rng(3).normal(size=(40, 3))
 
 def dual(turn: Float, shift: Float) -> Float:
     """The motion that turns about the origin, then shifts, as a unit dual quaternion."""
-    real = quaternions(turn)
-    return np.concatenate([real, 0.5 * product(np.array([0.0, *shift]), real)])
+    real = matrix_to_quat(turn)
+    return np.concatenate([real, 0.5 * quat_multiply(np.array([0.0, *shift]), real)])
 
 
 def rows(weights: Float) -> tuple[Index, Index, Float]:
@@ -350,7 +350,7 @@ def test_complex_steps_of_posing_are_difference_quotients(seed: int, back: bool)
 
     def at(time: float) -> Float:
         real = duals[:, :4] + time * rates[:, :4]
-        moved = np.concatenate([normalised(real), duals[:, 4:] + time * rates[:, 4:]], axis=1)
+        moved = np.concatenate([normalise_quat(real), duals[:, 4:] + time * rates[:, 4:]], axis=1)
         return np.asarray(kernel(*weights, moved, POINTS + time * speeds))
 
     values, found = from_complex_step(

@@ -16,8 +16,14 @@ from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.creature import walk_cycle
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
-from mixseq.mesh.rigid import kabsch, transform
-from mixseq.mesh.rotations import normalised, product, quaternions, rotations_of, turned
+from mixseq.mesh.rigid import kabsch, transform_points
+from mixseq.mesh.rotations import (
+    matrix_to_quat,
+    normalise_quat,
+    quat_multiply,
+    quat_to_matrix,
+    rotate_vectors,
+)
 from mixseq.segmentation.joints import decompose
 from mixseq.segmentation.methods import segment_by_labels
 from mixseq.sequence.sequence import MeshSequence
@@ -65,7 +71,7 @@ def at(space: MixedSpace, vectors: Float, operator: TemporalOperator, times: Flo
 def with_placement(space: MixedSpace, vectors: Float, turn: Float, shift: Float) -> Float:
     """Vectors whose bodies are all moved, in diagonals."""
     blocks = space.split(vectors)
-    turns = product(quaternions(turn), blocks.body_rotations)
+    turns = quat_multiply(matrix_to_quat(turn), blocks.body_rotations)
     return space.join(
         blocks._replace(body_rotations=turns, body_centres=blocks.body_centres @ turn.T + shift)
     )
@@ -189,7 +195,7 @@ def test_spaces_can_be_sent() -> None:
     points = sequence_of("bar").points
     for space in in_all_ways("bar"):
         vectors = space.encode(points)
-        space.prepared()
+        space.precompute()
         sent = pickle.loads(pickle.dumps(space))
         np.testing.assert_array_equal(sent.encode(points), vectors)
         np.testing.assert_array_equal(sent.decode(vectors), space.decode(vectors))
@@ -257,8 +263,8 @@ def test_parts_are_where_their_poses_say() -> None:
     world = space.articulation.to_world_axes(Poses(blocks.part_rotations, blocks.part_centres), bodies)
     for number, part in enumerate(space.decomposition.parts):
         np.testing.assert_allclose(world.centres[:, number], x[:, part].mean(axis=1), atol=1e-12)
-        turn = rotations_of(world.rotations[:, number])[:, None]
-        placed = turned(turn, x[0, part] - x[0, part].mean(axis=0)) + world.centres[:, number, None]
+        turn = quat_to_matrix(world.rotations[:, number])[:, None]
+        placed = rotate_vectors(turn, x[0, part] - x[0, part].mean(axis=0)) + world.centres[:, number, None]
         assert np.linalg.norm(placed - x[:, part], axis=2).max() < 0.05  # nearly rigid
 
 
@@ -281,8 +287,8 @@ def test_inside_a_part_unposed_vertices_are_the_aligned_ones() -> None:
         shape = space.shapes[starts[number] : starts[number + 1]]
         rest = kabsch(shape, space.reference[part])
         for frame, x in zip(unposed, points / space.scale, strict=True):
-            aligned = transform(x[part], *kabsch(x[part], shape))
-            np.testing.assert_allclose(frame[part[own]], transform(aligned, *rest)[own], atol=1e-9)
+            aligned = transform_points(x[part], *kabsch(x[part], shape))
+            np.testing.assert_allclose(frame[part[own]], transform_points(aligned, *rest)[own], atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["bar", "several components", "unused vertices"])
@@ -300,7 +306,7 @@ def test_a_rigid_motion_of_a_frame_changes_the_placement_only(
         space.unpack_placements(each[:, shape : shape + space.placement_dim]) for each in (still, moved)
     )
     np.testing.assert_allclose(
-        rotations_of(after.rotations), turn @ rotations_of(before.rotations), atol=1e-9
+        quat_to_matrix(after.rotations), turn @ quat_to_matrix(before.rotations), atol=1e-9
     )
     np.testing.assert_allclose(after.centres, before.centres @ turn.T + shift / space.scale, atol=1e-9)
 
@@ -330,7 +336,7 @@ def test_blends_do_not_depend_on_how_poses_are_turned(
             vectors = space.encode(np.stack([points[0], second]))
             found.append(space.decode((np.array([1 - weight, weight]) @ vectors)[None])[0])
         here, there = found
-        assert error(space, here, transform(there, *kabsch(there, here))) < 1e-6
+        assert error(space, here, transform_points(there, *kabsch(there, here))) < 1e-6
 
 
 @pytest.mark.parametrize("name", ["bar", "rigid component"])
@@ -398,7 +404,7 @@ def test_one_part_is_a_body_with_a_pose() -> None:
         assert space.block_sizes == (0, 0, 3 * len(mesh[0]), 4, 3, 0, 0, 4, 3, 6)
         vectors = space.encode(points)
         poses = space.split(vectors)
-        between = rotations_of(poses.body_rotations[1, 0]) @ rotations_of(poses.body_rotations[0, 0]).T
+        between = quat_to_matrix(poses.body_rotations[1, 0]) @ quat_to_matrix(poses.body_rotations[0, 0]).T
         np.testing.assert_allclose(between, rotation(axis * angle), atol=1e-12)
         np.testing.assert_allclose(poses.part_rotations, np.tile(np.eye(4)[0], (2, 1, 1)), atol=1e-12)
         half = space.decode(vectors.mean(axis=0, keepdims=True))[0]
@@ -699,7 +705,7 @@ def test_bodies_that_do_not_touch_are_predicted_alone() -> None:
         space.unpack_placements(placed),
         interpolate_poses(operator.weights_at(middles), space.unpack_placements(placements)),
     )
-    turns, expected = (rotations_of(each.rotations[:, body]) for each in (found, alone))
+    turns, expected = (quat_to_matrix(each.rotations[:, body]) for each in (found, alone))
     np.testing.assert_allclose(turns, expected, atol=1e-12)
     np.testing.assert_allclose(found.centres[:, body], alone.centres[:, body], atol=1e-12)
 
@@ -715,23 +721,24 @@ def test_corrected_poses_are_those_that_are_wanted(seed: int) -> None:
         blends = rng.dirichlet(np.ones(len(vectors)), 4) @ vectors
         poses = blends[:, space.shape_dim - space.pose_dim : space.shape_dim]
         parts = len(space.decomposition.parts)
-        turns = normalised(np.array([1.0, 0, 0, 0]) + 0.4 * rng.normal(size=(4, parts, 4)))
+        turns = normalise_quat(np.array([1.0, 0, 0, 0]) + 0.4 * rng.normal(size=(4, parts, 4)))
         centres = rng.normal(size=(4, parts, 3))
         targets = np.concatenate([turns.reshape(4, -1), centres.reshape(4, -1)], axis=1)
         corrections = space.pose_corrections(poses, targets)
         assert corrections.shape == (4, space.correction_dim)
         found = space.correct_poses(poses, corrections)
-        np.testing.assert_allclose(rotations_of(found.rotations), rotations_of(turns), atol=1e-12)
+        np.testing.assert_allclose(quat_to_matrix(found.rotations), quat_to_matrix(turns), atol=1e-12)
         np.testing.assert_allclose(found.centres, centres, atol=1e-12)
         blocks = space.split(blends)
         posed = space.skin(space.join(blocks._replace(corrections=corrections)))
         single = [space.rigid_part_of_vertex == part for part in range(parts)]
         for part, own in enumerate(single):
-            bodies = Poses(normalised(blocks.body_rotations), blocks.body_centres)
+            bodies = Poses(normalise_quat(blocks.body_rotations), blocks.body_centres)
             world = space.articulation.to_world_axes(found, bodies)
             rest = blocks.rest_vertices[:, own] - space.articulation.rest_centres[part]
             expected = (
-                turned(rotations_of(world.rotations[:, None, part]), rest) + world.centres[:, part, None]
+                rotate_vectors(quat_to_matrix(world.rotations[:, None, part]), rest)
+                + world.centres[:, part, None]
             )
             np.testing.assert_allclose(posed[:, own], expected, atol=1e-11)
 
