@@ -100,9 +100,9 @@ def reversed_winding(counts: IntArray, *, keep_first: bool) -> NDArray[np.intp]:
 
     Examples
     --------
-    >>> reversed_corners(np.array([4, 3]), keep_first=True).tolist()
+    >>> reversed_winding(np.array([4, 3]), keep_first=True).tolist()
     [0, 3, 2, 1, 4, 6, 5]
-    >>> reversed_corners(np.array([4, 3]), keep_first=False).tolist()
+    >>> reversed_winding(np.array([4, 3]), keep_first=False).tolist()
     [3, 2, 1, 0, 6, 5, 4]
     """
     sizes = np.repeat(counts, counts)

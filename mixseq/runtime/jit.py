@@ -83,11 +83,8 @@ class _CompactCacheImpl(CompileResultCacheImpl):
     def reduce(self, overload: Any) -> tuple[Any, ...]:
         """Return the arguments for a pickle."""
         *rest, environments = super().reduce(overload)  # type: ignore[no-untyped-call]
-        return (*rest, tuple(entry for entry in environments if not _is_from_numba(entry)))
-
-
-def _is_from_numba(environment: Any) -> bool:
-    return str(environment.globals["__name__"]).startswith("numba.")
+        kept = (entry for entry in environments if not str(entry.globals["__name__"]).startswith("numba."))
+        return (*rest, tuple(kept))
 
 
 class _Cache(FunctionCache):

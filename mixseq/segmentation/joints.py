@@ -83,9 +83,7 @@ def measure_part_motion(shapes: PartShapes, points: FloatArray) -> PartMotion:
     degenerate_mask = np.zeros(len(shapes.faces), dtype=bool)
     covariances = np.empty((len(points), len(shapes.parts), 3, 3))
     for frame, frame_covariances in zip(points, covariances, strict=True):
-        x = read_only(
-            np.ascontiguousarray(frame, dtype=np.float64)
-        )  # as frames often are: one type for numba
+        x = read_only(np.ascontiguousarray(frame, dtype=np.float64))  # always, as numba compiles per type
         mark_degenerate(x, shapes.faces, DEGENERATE_HEIGHT_RATIO, degenerate_mask)
         for part, (vertices, shape) in enumerate(zip(shapes.parts, shapes.shapes, strict=True)):
             posed = x[vertices]

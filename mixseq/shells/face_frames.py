@@ -1,22 +1,21 @@
-r"""Find the rotations of faces from edge lengths and dihedral angles.
+r"""Rotations of faces from edge lengths and dihedral angles.
 
-Lengths give the shape of every triangle. Its *frame* is a rotation whose columns are the direction of its side 01, the
-in-plane normal of that side and the normal. A hinge's edge is at an angle :math:`\alpha` in it, which follows from
-lengths, so that the frames of both faces of a hinge differ by a known rotation (Wang, Liu and Tong 2012)
+Lengths determine the shape of every triangle. Its *frame* is a rotation whose columns are the direction of its side 01,
+the in-plane normal of that side, and the normal. In it, a hinge's edge has an angle :math:`\alpha` that follows from
+the lengths, so that the frames of both faces of a hinge differ by a known rotation (Wang, Liu and Tong 2012)
 
 .. math:: F_j = F_i T_{ij}, \qquad T_{ij} = R_z(\alpha_i)\, R_x(\theta)\, R_z(-\alpha_j) .
 
-Blended lengths and angles are those of no mesh, and no frames satisfy all of these. The best are found by *rotation
-averaging* (after Govindu 2004): misfits :math:`F_i T_{ij} F_j^{-1}`, rotations by angles :math:`\varphi` about axes a,
-are distributed over the frames by
+Blended lengths and angles are inconsistent: no frames satisfy all of these equations. *Rotation averaging* (after
+Govindu 2004) distributes the misfits :math:`F_i T_{ij} F_j^{-1}`, rotations by angles :math:`\varphi` about axes a, by
 
 .. math:: \min_\omega \sum_{ij} w_{ij}\, |\omega_j - \omega_i - a_{ij} \sin \varphi_{ij}|^2 ,
 
-a system with a constant matrix, and frames are rotated by :math:`\exp \omega`, in two or three rounds. The sine keeps
-it smooth at half a turn, where a rotation vector would jump.
+a system with a constant matrix. Frames are rotated by :math:`\exp \omega`, in two or three rounds. The sine is smooth
+at half a turn, where a rotation vector would jump.
 
-Averaging starts from expected frames, or from chained ones: from one face on, layer by layer, each frame is the mean of
-the predictions of its neighbours in the layer before. That is exact where a mesh has these lengths and angles.
+Averaging starts from given frames, or from chained ones: breadth-first from the known frames, each frame is the mean of
+the predictions of its neighbours in the layer before. Chained frames are exact for consistent lengths and angles.
 
 Frames are unit quaternions (w, x, y, z).
 """
@@ -67,7 +66,7 @@ def multiply_inverse_by(p: Float, q: Float, r: Float) -> None:
 
 @compiled
 def _triangle_frames(x: Float, faces: Index) -> Float:
-    """Return the frames ``(m, 4)`` of triangles ``(m, 3)`` of vertices ``(n, 3)``; arbitrary ones without area."""
+    """Return the frames ``(m, 4)`` of triangles ``(m, 3)`` with vertices ``(n, 3)``; arbitrary ones without area."""
     frames = np.empty((len(faces), 4))
     r = np.empty((3, 3))
     for f in range(len(faces)):
@@ -79,7 +78,7 @@ def _triangle_frames(x: Float, faces: Index) -> Float:
             r[:, 0] /= length
         else:
             r[0, 0], r[1, 0], r[2, 0] = 1.0, 0.0, 0.0
-        # What is across the first side; of a triangle without area, across that and an axis.
+        # Orthogonalise the other side, or a coordinate axis if the triangle has no area.
         for attempt in range(4):
             if attempt:
                 r[:, 1] = 0.0
@@ -128,22 +127,22 @@ def _quaternion(r: Float, q: Float) -> None:
 @compiled
 def _hinge_rotations(first: Float, second: Float, bends: Float) -> Float:
     """Return the rotations ``R_z(first) R_x(bend) R_z(-second)`` ``(h, 4)`` across hinges ``(h,)``."""
-    turns = np.empty((len(bends), 4))
+    rotations = np.empty((len(bends), 4))
     for k in range(len(bends)):
         c, s = math.cos(0.5 * bends[k]), math.sin(0.5 * bends[k])
         along, across = 0.5 * (first[k] - second[k]), 0.5 * (first[k] + second[k])
-        turns[k, 0], turns[k, 3] = c * math.cos(along), c * math.sin(along)
-        turns[k, 1], turns[k, 2] = s * math.cos(across), s * math.sin(across)
-    return turns
+        rotations[k, 0], rotations[k, 3] = c * math.cos(along), c * math.sin(along)
+        rotations[k, 1], rotations[k, 2] = s * math.cos(across), s * math.sin(across)
+    return rotations
 
 
 @compiled
 def _chain_frames(
-    pairs: Index, turns: Float, weights: Float, order: Index, starts: Index, links: Index, frames: Float
+    pairs: Index, rotations: Float, weights: Float, order: Index, starts: Index, links: Index, frames: Float
 ) -> None:
     """Write frames ``(n, 4)`` in the order ``(k,)``, each the mean predicted by its links to earlier ones.
 
-    The links of ``order[k]`` are ``links[starts[k] : starts[k + 1]]``: numbers of pairs ``(h, 2)``, -1 - number where
+    The links of ``order[k]`` are ``links[starts[k] : starts[k + 1]]``: indices of pairs ``(h, 2)``, or -1 - index where
     the frame is the first of its pair. Frames outside the order are known.
     """
     seen, total = np.empty(4), np.empty(4)
@@ -152,13 +151,13 @@ def _chain_frames(
         for place in range(starts[k], starts[k + 1]):
             pair = links[place]
             if pair >= 0:
-                multiply(frames[pairs[pair, 0]], turns[pair], seen)
+                multiply(frames[pairs[pair, 0]], rotations[pair], seen)
             else:
                 pair = -1 - pair
-                multiply_by_inverse(frames[pairs[pair, 1]], turns[pair], seen)
+                multiply_by_inverse(frames[pairs[pair, 1]], rotations[pair], seen)
             cosine = total[0] * seen[0] + total[1] * seen[1] + total[2] * seen[2] + total[3] * seen[3]
             square = total[0] ** 2 + total[1] ** 2 + total[2] ** 2 + total[3] ** 2
-            # Both signs of a quaternion are the same rotation; links half a turn off the others are ignored.
+            # Quaternions of both signs are the same rotation; predictions half a turn from the mean have no weight.
             weight = weights[pair] * (cosine / math.sqrt(square) if square > 0.0 else 1.0)
             for i in range(4):
                 total[i] += weight * seen[i]
@@ -168,37 +167,37 @@ def _chain_frames(
 
 
 @compiled
-def averaging_right_side(frames: Float, pairs: Index, turns: Float, weights: Float, count: int) -> Float:
-    """Return the right-hand side ``(count, 3)`` of a step of averaging: weighted axes of misfits, long as their sines.
+def averaging_right_side(frames: Float, pairs: Index, rotations: Float, weights: Float, count: int) -> Float:
+    """Return the right-hand side ``(count, 3)`` of an averaging round: weighted axes of misfits times their sines.
 
     The first `count` frames move, the others are fixed. Arrays are real or complex.
     """
     right = np.zeros((count, 3), frames.dtype)
-    expected, off = np.empty(4, frames.dtype), np.empty(4, frames.dtype)
+    expected, misfit = np.empty(4, frames.dtype), np.empty(4, frames.dtype)
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
-        multiply(frames[i], turns[k], expected)
-        multiply_by_inverse(expected, frames[j], off)
-        scale = 2.0 * weights[k] * off[0]
+        multiply(frames[i], rotations[k], expected)
+        multiply_by_inverse(expected, frames[j], misfit)
+        scale = 2.0 * weights[k] * misfit[0]
         for c in range(3):
             if j < count:
-                right[j, c] += scale * off[1 + c]
+                right[j, c] += scale * misfit[1 + c]
             if i < count:
-                right[i, c] -= scale * off[1 + c]
+                right[i, c] -= scale * misfit[1 + c]
     return right
 
 
 @compiled
-def _rotate_frames(frames: Float, steps: Float) -> None:
+def _rotate_frames(frames: Float, vectors: Float) -> None:
     """Rotate frames ``(n, 4)`` by rotation vectors ``(n, 3)``, in place."""
-    turn, result = np.empty(4), np.empty(4)
+    step, result = np.empty(4), np.empty(4)
     for v in range(len(frames)):
-        angle = math.sqrt(steps[v, 0] ** 2 + steps[v, 1] ** 2 + steps[v, 2] ** 2)
+        angle = math.sqrt(vectors[v, 0] ** 2 + vectors[v, 1] ** 2 + vectors[v, 2] ** 2)
         scale = math.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
-        turn[0] = math.cos(0.5 * angle)
+        step[0] = math.cos(0.5 * angle)
         for c in range(3):
-            turn[1 + c] = scale * steps[v, c]
-        multiply(turn, frames[v], result)
+            step[1 + c] = scale * vectors[v, c]
+        multiply(step, frames[v], result)
         frames[v] = result / math.sqrt(result[0] ** 2 + result[1] ** 2 + result[2] ** 2 + result[3] ** 2)
 
 
@@ -220,13 +219,13 @@ def rotate_sides(frames: Float, flat: Float) -> Float:
 
 
 MIN_SIDE_LENGTH = 1e-12
-"""Least length of sides, in diagonals: side 01 defines the frame of a triangle."""
+"""Least length of sides in diagonals, since side 01 defines the frame of a triangle."""
 
 
 def flat_triangles(lengths: Float) -> Float:
-    """Lay triangles with sides ``(m, 3)`` = 01, 12, 20 into the plane, as corners ``(m, 3, 2)``.
+    """Unfold triangles with sides ``(m, 3)`` = 01, 12, 20 into the plane, as corners ``(m, 3, 2)``.
 
-    Triangles of interpolated lengths that break the triangle inequality are laid flat on a line.
+    Triangles that violate the triangle inequality collapse to a line.
     """
     l01, l12, l20 = np.maximum(lengths, MIN_SIDE_LENGTH).T
     x = np.clip((l01**2 + l20**2 - l12**2) / (2.0 * l01), -l20, l20)
@@ -236,9 +235,9 @@ def flat_triangles(lengths: Float) -> Float:
 
 
 def triangle_frames(x: Float, faces: IntArray) -> Float:
-    """Return the frames ``(m, 4)``, as quaternions, of triangles ``(m, 3)`` with vertices ``(n, 3)``.
+    """Return the frames ``(m, 4)`` of triangles ``(m, 3)`` with vertices ``(n, 3)``.
 
-    The normal of a triangle without area is any that is perpendicular to its first side.
+    The normal of a triangle without area is any perpendicular to its first side.
     """
     return np.asarray(_triangle_frames(x, faces.astype(np.int64)))
 
@@ -253,7 +252,7 @@ class HingeFrames:
 
     @cached_property
     def _edge_corners(self) -> tuple[Index, Index]:
-        """Corners ``(h, 2)`` of both faces where a hinge's edge starts and ends."""
+        """Corners ``(h, 2)`` of both faces at the start and at the end of a hinge's edge."""
         faces = self.faces[self.hinge_faces]  # (h, 2, 3)
         return tuple((faces == self.hinges[:, None, end : end + 1]).argmax(axis=2) for end in (0, 1))
 
@@ -270,20 +269,20 @@ class HingeFrames:
 
     @cached_property
     def reversed_normals(self) -> Float:
-        """Half a turn ``(h,)`` where both faces run along the edge alike: their normals are on opposite sides."""
+        """Half a turn ``(h,)`` at hinges of inconsistently oriented faces, else zero."""
         return np.where(self.backward_mask[:, 1], 0.0, np.pi)
 
     def rotations(self, flat: Float, angles: Float) -> Float:
         """Return the rotations T ``(h, 4)`` across all hinges: flat ``(m, 3, 2)``; angles ``(h,)``."""
-        side = np.roll(flat, -1, axis=1) - flat
-        directions = np.arctan2(side[..., 1], side[..., 0])
-        seen = directions[self.hinge_faces, self.side_ids] + np.where(self.backward_mask, np.pi, 0.0)
-        return np.asarray(_hinge_rotations(seen[:, 0], seen[:, 1], angles + self.reversed_normals))
+        sides = np.roll(flat, -1, axis=1) - flat
+        directions = np.arctan2(sides[..., 1], sides[..., 0])
+        alpha = directions[self.hinge_faces, self.side_ids] + np.where(self.backward_mask, np.pi, 0.0)
+        return np.asarray(_hinge_rotations(alpha[:, 0], alpha[:, 1], angles + self.reversed_normals))
 
 
 @dataclass(frozen=True, eq=False)
 class FrameGraph(PickledWithoutCaches):
-    """Frames, and pairs of them with known relative rotations."""
+    """A graph of frames with relative rotations between pairs."""
 
     pairs: Index  # (h, 2) pairs of different frames
     weights: Float  # (h,) positive weights of the pairs
@@ -291,41 +290,41 @@ class FrameGraph(PickledWithoutCaches):
 
     @cached_property
     def factor(self) -> Factor:
-        """Factor of the matrix of averaging, in which known frames are held."""
+        """Factor of the matrix of averaging, which holds known frames softly."""
         return factorise_laplacian(self.pairs, self.weights, np.where(self.known_mask, 1.0, 0.0))
 
     def cached_values(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.cached_values`."""
         return self.factor, self._layers
 
-    def average(self, frames: Float, turns: Float, rounds: int) -> Float:
-        """Return averaged frames ``(n, 4)`` with smaller misfits to rotations ``(h, 4)``."""
+    def average(self, frames: Float, rotations: Float, rounds: int) -> Float:
+        """Return frames ``(n, 4)`` averaged to reduce the misfits to relative rotations ``(h, 4)``."""
         frames = frames.copy()
         for _ in range(rounds):
-            right = averaging_right_side(frames, self.pairs, turns, self.weights, len(frames))
+            right = averaging_right_side(frames, self.pairs, rotations, self.weights, len(frames))
             _rotate_frames(frames, self.factor.solve(right))
         return frames
 
-    def chain(self, turns: Float, known: Float) -> Float:
-        """Return frames ``(n, 4)`` chained from known quaternions ``(r, 4)``."""
+    def chain(self, rotations: Float, known: Float) -> Float:
+        """Return frames ``(n, 4)`` chained by relative rotations ``(h, 4)`` from known frames ``(r, 4)``."""
         frames = np.zeros((len(self.known_mask), 4))
         frames[:, 0] = 1.0
         frames[self.known_mask] = known
-        _chain_frames(self.pairs, turns, self.weights, *self._layers, frames)
+        _chain_frames(self.pairs, rotations, self.weights, *self._layers, frames)
         return frames
 
     @cached_property
     def _layers(self) -> tuple[Index, Index, Index]:
-        """Order, starts and links of `chained`, by breadth-first layers from the known frames."""
+        """Order, starts and links of `_chain_frames`, by breadth-first layers from the known frames."""
         count, depth = len(self.known_mask), np.where(self.known_mask, 0, -1)
         source, target = np.concatenate([self.pairs, self.pairs[:, ::-1]]).T
         number = np.arange(len(self.pairs))
         link = np.concatenate([number, -1 - number])
         for layer in range(count):
-            reached = target[(depth[source] == layer) & (depth[target] < 0)]
-            if not reached.size:
+            neighbours = target[(depth[source] == layer) & (depth[target] < 0)]
+            if not neighbours.size:
                 break
-            depth[reached] = layer + 1
+            depth[neighbours] = layer + 1
         used = np.flatnonzero(depth[source] == depth[target] - 1)
         used = used[np.lexsort((number[used % len(number)], target[used], depth[target[used]]))]
         order = np.flatnonzero(depth > 0)
@@ -335,11 +334,11 @@ class FrameGraph(PickledWithoutCaches):
 
 
 def bridging_mask(count: int, pairs: Index, sound: Mask) -> Mask:
-    """Mark the sound pairs ``(h, 2)`` of ``count`` nodes, and a forest of others that connects what those do not."""
-    ends = np.sort(connected_components(count, pairs[sound])[pairs], axis=1)
-    apart = np.flatnonzero(ends[:, 0] != ends[:, 1])
-    several, first = np.unique(ends[apart], axis=0, return_index=True)
-    graph = sparse.coo_array((1.0 + apart[first], tuple(several.T)), shape=(count, count)).tocsr()
-    marks = sound.copy()
-    marks[csgraph.minimum_spanning_tree(graph).data.astype(np.int64) - 1] = True
-    return marks
+    """Mark sound pairs ``(h, 2)`` of `count` nodes, and a spanning forest of others between their components."""
+    components = np.sort(connected_components(count, pairs[sound])[pairs], axis=1)
+    separate = np.flatnonzero(components[:, 0] != components[:, 1])
+    component_pairs, first = np.unique(components[separate], axis=0, return_index=True)
+    graph = sparse.coo_array((1.0 + separate[first], tuple(component_pairs.T)), shape=(count, count)).tocsr()
+    mask = sound.copy()
+    mask[csgraph.minimum_spanning_tree(graph).data.astype(np.int64) - 1] = True
+    return mask

@@ -1,35 +1,35 @@
 r"""Fit a patch of triangles to edge lengths and dihedral angles: linear initialisation, then Gauss-Newton.
 
-Minimises, over the free vertices of a patch,
+The energy of the free vertices of a patch is
 
 .. math::
 
     E(x) = \sum_e w_e^2 (l_e - l_e^*)^2 + \sum_h w_h^2\, \mathrm{wrap}(\theta_h - \theta_h^*)^2
          + \sum_v w_v^2 |x_v - x_v^*|^2 + w^2 (V - V^*)^2
 
-with ``w_e = 1 / mean length of e`` and one weight for all angles, so that both terms count relative changes
-(Froehlich and Botsch 2011). Soft constraints of positions and the volume V of the patch are optional. Angle residuals
-are wrapped to (-pi, pi], so that folds beyond half a turn are pulled the right way.
+with ``w_e = 1 / mean length of e`` and a constant ``w_h``, so that both terms measure relative changes (Froehlich and
+Botsch 2011). Soft constraints of positions and of the volume V of the patch are optional. Angle residuals are wrapped
+to (-pi, pi], so that folds beyond half a turn are pulled back the shorter way.
 
-A step s solves :math:`(J^T J + \lambda \, \mathrm{diag}\, J^T J)\, s = -J^T r` (Levenberg-Marquardt). If it does not
-lower the energy, it is tried again with ten times the damping :math:`\lambda`; if it lowers it as the linear model
-predicts, damping falls.
+A step s solves :math:`(J^T J + \lambda \, \mathrm{diag}\, J^T J)\, s = -J^T r` (Levenberg-Marquardt). A step that does
+not lower the energy is repeated with ten times the damping :math:`\lambda`; one that lowers it as predicted by the
+linear model reduces the damping.
 
-The linear initialisation (after Wang, Liu and Tong 2012) uses no pose:
+The linear initialisation (after Wang, Liu and Tong 2012) is independent of the pose:
 
-1. Frames: minimise :math:`\sum \|F_j - F_i T_{ij}\|^2`, a sparse linear system; faces whose vertices are all fixed
-   have known frames (if nothing is fixed the first face gets the identity). Project every frame to a rotation.
+1. Frames: minimise :math:`\sum \|F_j - F_i T_{ij}\|^2`, a sparse linear system. Faces with three fixed vertices have
+   known frames; without any, the first face has the identity. Project every frame to a rotation.
 2. Vertices: minimise :math:`\sum_f \sum_{ab \in f} \|x_b - x_a - F_f\, u_{ab}\|^2` over the sides of all faces, where
-   ``u`` is the side in the frame; fixed vertices stay (if there are none the first one is the origin).
+   ``u`` is the side in the frame. Fixed vertices stay; without any, the first vertex is the origin.
 
-Where a mesh has these lengths and angles the result is that mesh, exactly.
+The result is exact for consistent lengths and angles.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy import sparse
@@ -44,28 +44,27 @@ from mixseq.segmentation.joints import Joint
 from mixseq.shells.face_frames import HingeFrames, flat_triangles, triangle_frames
 from mixseq.shells.gauss_newton import BlockSparsePattern, ShellReport, ShellSettings
 from mixseq.shells.kernels import conjugate_gradients, shell_equations, shell_residuals
-from mixseq.shells.solvers import Factor, factorise
+from mixseq.shells.solvers import Factor, factorise, index_of
 from mixseq.types import Float, Index, Mask
 
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Lengths and angles around the free vertices of a patch, and the pattern of their matrix."""
+    """Edges and hinges around the free vertices of a patch, and the pattern of their normal matrix."""
 
     edges: Index  # (e', 2) edges with a free vertex
     hinges: Index  # (h', 4) hinges with a free vertex
-    free_ids: Index  # (f,) the free vertices
-    free_index: Index  # (n,) place of every vertex among them, -1 if fixed
-    pattern: BlockSparsePattern  # pattern of the matrix, one triple of unknowns for each free vertex
+    free_ids: Index  # (f,) free vertices
+    free_index: Index  # (n,) index of every vertex among them, -1 if fixed
+    pattern: BlockSparsePattern  # pattern of the matrix, a triple of unknowns per free vertex
     edge_blocks: Index  # (e',) block that couples the two vertices of an edge, -1 if one is fixed
-    # (h', 6) blocks that couple the vertices ba, ca, cb, da, db, dc of a hinge, -1 if one is fixed.
-    hinge_blocks: Index
+    hinge_blocks: Index  # (h', 6) blocks of the vertices ba, ca, cb, da, db, dc of a hinge, -1 if fixed
 
     @classmethod
     def from_elements(
         cls, edges: Index, hinges: Index, free: Index, number: Index, threads: int | None = None
-    ) -> NormalEquations:
-        """Find the blocks of edges and hinges."""
+    ) -> Self:
+        """Find the blocks of edges and hinges with a free vertex."""
         ends, corners = number[edges], number[hinges]
         p, o = np.tril_indices(4, -1)
         first, second = corners[:, p], corners[:, o]
@@ -84,19 +83,19 @@ class NormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class Patch(PickledWithoutCaches):
-    """A hinge-connected patch of triangles in local indices, with some vertices fixed in space."""
+    """A hinge-connected patch of triangles in local indices, with fixed and free vertices."""
 
     faces: Index  # (m, 3) triangles
     edges: Index  # (e, 2) edges, in the order of the lengths
     face_edges: Index  # (m, 3) edge of the sides 01, 12, 20 of every face
     hinges: Index  # (h, 4) hinges a, b, c, d, in the order of the angles
     hinge_faces: Index  # (h, 2) their two faces
-    fixed_mask: Mask  # (n,) vertices whose positions are given
+    fixed_mask: Mask  # (n,) vertices with given positions
     threads: int | None = None  # threads that factor one matrix; by default from its size
 
     @classmethod
     def from_joint(cls, topology: Topology, joint: Joint, fixed: Mask) -> Patch:
-        """Make the patch of a joint; `fixed` ``(n,)`` marks the joint's given vertices."""
+        """Make the patch of a joint with a mask ``(n,)`` of fixed vertices."""
         return cls(
             faces=joint.faces,
             edges=np.searchsorted(joint.vertices, topology.edges[joint.edge_ids]),
@@ -112,15 +111,13 @@ class Patch(PickledWithoutCaches):
 
     @cached_property
     def free_ids(self) -> Index:
-        """Unknown vertices."""
+        """Free vertices ``(f,)``."""
         return np.flatnonzero(~self.fixed_mask)
 
     @cached_property
     def free_index(self) -> Index:
-        """Place ``(n,)`` of every vertex among the free ones, -1 if fixed."""
-        number = np.full(len(self.fixed_mask), -1, dtype=np.int64)
-        number[self.free_ids] = np.arange(len(self.free_ids))
-        return number
+        """Index ``(n,)`` of every vertex among the free ones, -1 if fixed."""
+        return index_of(self.free_ids, len(self.fixed_mask))
 
     @cached_property
     def free_edge_mask(self) -> Mask:
@@ -134,24 +131,19 @@ class Patch(PickledWithoutCaches):
 
     @cached_property
     def fixed_face_mask(self) -> Mask:
-        """Mark the faces ``(m,)`` whose three vertices are fixed."""
+        """Mark the faces ``(m,)`` with three fixed vertices."""
         return np.asarray(self.fixed_mask[self.faces].all(axis=1))
 
     @cached_property
     def hinge_frames(self) -> HingeFrames:
-        """The hinges in the frames of their faces."""
+        """Hinges in the frames of their faces."""
         return HingeFrames(self.faces, self.hinges, self.hinge_faces)
 
     @cached_property
     def equations(self) -> NormalEquations:
         """The normal equations of lengths and angles around the free vertices."""
-        return NormalEquations.from_elements(
-            self.edges[self.free_edge_mask],
-            self.hinges[self.free_hinge_mask],
-            self.free_ids,
-            self.free_index,
-            self.threads,
-        )
+        edges, hinges = self.edges[self.free_edge_mask], self.hinges[self.free_hinge_mask]
+        return NormalEquations.from_elements(edges, hinges, self.free_ids, self.free_index, self.threads)
 
     @cached_property
     def frame_pattern(self) -> BlockSparsePattern:
@@ -161,56 +153,56 @@ class Patch(PickledWithoutCaches):
 
     @cached_property
     def unknown_face_index(self) -> Index:
-        """Place ``(m,)`` of every face among those with unknown frames; -1 for fixed faces, or for the first one."""
-        known = self.fixed_face_mask.copy()
-        known[0] |= not known.any()
-        return np.where(known, -1, np.cumsum(~known) - 1)
+        """Index ``(m,)`` of every face among those with unknown frames, -1 if known."""
+        is_known = self.fixed_face_mask.copy()
+        is_known[0] |= not is_known.any()
+        return np.where(is_known, -1, np.cumsum(~is_known) - 1)
 
     @cached_property
     def laplacian(self) -> sparse.csr_array:
-        """Graph Laplacian ``(n, n)``; an edge counts once per face."""
-        starts = self.faces.reshape(-1)
-        ends = np.roll(self.faces, -1, axis=1).reshape(-1)
-        size = (len(self.fixed_mask), len(self.fixed_mask))
-        half = sparse.coo_array((np.ones(len(starts)), (starts, ends)), shape=size).tocsr()
+        """Graph Laplacian ``(n, n)`` of the sides of faces."""
+        i = self.faces.reshape(-1)
+        j = np.roll(self.faces, -1, axis=1).reshape(-1)
+        shape = (len(self.fixed_mask), len(self.fixed_mask))
+        half = sparse.coo_array((np.ones(len(i)), (i, j)), shape=shape).tocsr()
         adjacency = (half + half.T).tocsr()
         return (sparse.diags_array(np.asarray(adjacency.sum(axis=1)).reshape(-1)) - adjacency).tocsr()
 
     @cached_property
     def laplacian_factor(self) -> Factor:
-        """Factor of the Laplacian's block of integrated vertices; constant over a sequence."""
+        """Factor of the Laplacian of the unknown vertices."""
         return factorise(self.laplacian[self.unknown_ids][:, self.unknown_ids])
 
     @cached_property
     def unknown_ids(self) -> Index:
-        """Unknown vertices of the Poisson system: the free ones, but the first where nothing is fixed."""
+        """Unknown vertices of the Poisson system: the free ones, without the first if none is fixed."""
         return self.free_ids if self.fixed_mask.any() else self.free_ids[1:]
 
 
 CONJUGATE_GRADIENT_TOLERANCE = 0.03
-"""Relative residual at which conjugate gradients stop; the next Gauss-Newton step corrects the rest."""
+"""Relative residual at which conjugate gradients stop; the next Gauss-Newton step corrects it."""
 
 MAX_CONJUGATE_GRADIENT_STEPS = 100
-"""Largest number of conjugate gradient steps; beyond it the matrix is factored."""
+"""Largest number of conjugate gradient steps, after which the matrix is factored."""
 
 MAX_SQUARABLE_RESIDUAL = 1e150
-"""Largest residual of the volume whose square fits into double precision."""
+"""Largest residual of the volume with a finite square."""
 
 MAX_DAMPING = 1e12
-"""Damping at which the fit stops: the energy is not smooth here, or not finite."""
+"""Largest damping: the energy is not smooth or not finite where no step lowers it."""
 
 MAX_CONVERGED_DAMPING = 1e-2
-"""Damping above which short steps do not indicate convergence."""
+"""Largest damping with which short steps indicate convergence."""
 
 LEVEL_ENERGY_RATIO = 0.1
-"""Ratio of energies below which a step is not the last: a mesh fits exactly."""
+"""Ratio of energies below which the energy still decreases, as near an exact fit."""
 
 
 class SoftConstraint(NamedTuple):
     """Soft constraints of positions of free vertices."""
 
-    positions: Float  # (f, 3) where they are expected, in the unit of the points
-    weights: Float  # (f,) weights of the distances from there, per unit; empty for no constraints at all
+    positions: Float  # (f, 3) expected positions, in the unit of the points
+    weights: Float  # (f,) weights of distances from them, per unit; empty without constraints
 
 
 NO_CONSTRAINT = SoftConstraint(np.zeros((0, 3)), np.zeros(0))
@@ -218,19 +210,19 @@ NO_CONSTRAINT = SoftConstraint(np.zeros((0, 3)), np.zeros(0))
 
 @dataclass(frozen=True, eq=False)
 class ShellProblem:
-    """Targets and weights of the patch's free edges and hinges, and optionally of positions and the volume."""
+    """Targets and weights of the lengths and angles of a patch, and optionally of positions and the volume."""
 
     patch: Patch
     lengths: Float  # (e',) target lengths of edges with a free vertex
     angles: Float  # (h',) target angles of hinges with a free vertex, in radians
-    length_weights: Float  # (e',) one over typical lengths
+    length_weights: Float  # (e',) inverse typical lengths
     bending: float  # weight of an angle in radians
     constraint: SoftConstraint = NO_CONSTRAINT
-    volume: float | None = None  # target volume, whose residual is the last one
-    volume_weight: float = 1.0  # weight of the volume, over that of the reference
+    volume: float | None = None  # target volume
+    volume_weight: float = 1.0  # weight of the volume, the inverse of a typical volume
 
     def residuals(self, points: Float) -> Float:
-        """Weighted residuals of points ``(n, 3)``: ``e' + h'``, ``3 free`` of soft constraints, and of the volume."""
+        """Weighted residuals of points ``(n, 3)``: of lengths, angles, positions and the volume."""
         return self.residuals_and_energy(points)[0]
 
     def energy(self, points: Float) -> float:
@@ -238,87 +230,67 @@ class ShellProblem:
         return self.residuals_and_energy(points)[1]
 
     def residuals_and_energy(self, points: Float) -> tuple[Float, float]:
-        """Return the residuals of points ``(n, 3)`` and the sum of their squares; infinite for a hopeless mesh."""
-        rows = self.patch.equations
-        residuals = np.empty(len(rows.edges) + len(rows.hinges) + 3 * len(self.constraint.weights))
-        energy = shell_residuals(
-            points,
-            rows.edges,
-            rows.hinges,
-            self.lengths,
-            self.angles,
-            self.length_weights,
-            self.bending,
-            rows.free_ids,
-            self.constraint.positions,
-            self.constraint.weights,
-            residuals,
-        )
+        """Return the residuals of points ``(n, 3)`` and the sum of their squares, which may be infinite."""
+        equations = self.patch.equations
+        residuals = np.empty(len(equations.edges) + len(equations.hinges) + 3 * len(self.constraint.weights))
+        targets = self.lengths, self.angles, self.length_weights, self.bending
+        constraint = equations.free_ids, *self.constraint
+        arguments = points, equations.edges, equations.hinges, *targets, *constraint, residuals
+        energy = float(shell_residuals(*arguments))
         if self.volume is None:
-            return residuals, float(energy)
-        last = self.volume_weight * (signed_volume(points, self.patch.faces) - self.volume)
-        square = (
-            last**2 if abs(last) < MAX_SQUARABLE_RESIDUAL else np.inf
-        )  # Python raises where squares overflow
-        return np.append(residuals, last), float(energy) + square
+            return residuals, energy
+        volume_residual = self.volume_weight * (signed_volume(points, self.patch.faces) - self.volume)
+        # Python raises where squares overflow.
+        square = volume_residual**2 if abs(volume_residual) < MAX_SQUARABLE_RESIDUAL else np.inf
+        return np.append(residuals, volume_residual), energy + square
 
     def normal_equations(self, points: Float, residuals: Float) -> tuple[Float, Float]:
-        """Values ``(N,)`` of ``J^T J`` in the patch's pattern, and ``J^T r`` ``(3 free,)``, without the volume."""
-        rows = self.patch.equations
-        values, gradient = np.empty(len(rows.pattern.rows)), np.empty(3 * len(rows.free_ids))
-        shell_equations(
-            points,
-            rows.edges,
-            rows.hinges,
-            self.length_weights,
-            self.bending,
-            self.constraint.weights,
-            residuals,
-            rows.free_index,
-            rows.edge_blocks,
-            rows.hinge_blocks,
-            rows.pattern.places,
-            values,
-            gradient,
-        )
+        """Return the values ``(N,)`` of ``J^T J``, and ``J^T r`` ``(3 f,)``, without the volume."""
+        equations = self.patch.equations
+        values, gradient = np.empty(len(equations.pattern.rows)), np.empty(3 * len(equations.free_ids))
+        weights = self.length_weights, self.bending, self.constraint.weights
+        blocks = equations.free_index, equations.edge_blocks, equations.hinge_blocks, equations.pattern.places
+        mesh = points, equations.edges, equations.hinges
+        arguments = *mesh, *weights, residuals, *blocks, values, gradient
+        shell_equations(*arguments)
         return values, gradient
 
     def volume_gradient(self, points: Float) -> Float | None:
-        """Derivatives ``(3 free,)`` of the residual of the volume, if there is one."""
+        """Return the gradient ``(3 f,)`` of the residual of the volume, or None without a target volume."""
         if self.volume is None:
             return None
-        slopes = self.volume_weight * volume_gradient(points, self.patch.faces)
-        return slopes[self.patch.free_ids].reshape(-1)
+        gradient = self.volume_weight * volume_gradient(points, self.patch.faces)
+        return gradient[self.patch.free_ids].reshape(-1)
 
 
 def fit_shell(
     problem: ShellProblem, start: Float, settings: ShellSettings | None = None
 ) -> tuple[Float, ShellReport]:
-    """Fit a patch to edge lengths and dihedral angles: start ``(n, 3)``; result ``(n, 3)``."""
+    """Fit a patch to edge lengths and dihedral angles from a start ``(n, 3)``; return vertices ``(n, 3)``."""
     settings = settings or ShellSettings()
     pattern, free = problem.patch.equations.pattern, problem.patch.free_ids
     points = np.array(start, dtype=np.float64)
     residuals, energy = problem.residuals_and_energy(points)
     if not np.isfinite(energy):
         raise ReconstructionError(
-            "lengths, angles, volumes or fixed vertices of a joint are not finite, or too large to be squared"
+            "lengths, angles, volumes or fixed vertices are not finite, or overflow if squared"
         )
-    damping, constrained = 1e-6, bool(problem.constraint.weights.size)
+    damping, use_cg = 1e-6, bool(problem.constraint.weights.size)
     for iteration in range(settings.iterations):
         if np.abs(residuals).max(initial=0.0) <= settings.exact:
             return points, ShellReport(energy, iteration, True)
         values, gradient = problem.normal_equations(points, residuals)
-        row, diagonal = problem.volume_gradient(points), values[pattern.diagonal]
-        if row is not None:
-            gradient += residuals[-1] * row
+        volume_row, diagonal = problem.volume_gradient(points), values[pattern.diagonal]
+        if volume_row is not None:
+            gradient += residuals[-1] * volume_row
         while True:
             values[pattern.diagonal] = diagonal + damping * diagonal + 1e-12 * diagonal.max(initial=0.0)
-            if row is None:
-                step, constrained = _solve_step(pattern, values, gradient, constrained)
+            if volume_row is None:
+                step, use_cg = _solve_step(pattern, values, gradient, use_cg)
             else:
-                step = _solve_step_with_volume(pattern, values, gradient, row)
-            promised = -float(gradient @ step)  # what the linear model gains, for small damping
-            if promised <= settings.tolerance * energy:
+                step = _solve_step_with_volume(pattern, values, gradient, volume_row)
+            predicted_gain = -float(gradient @ step)  # of the linear model, for small damping
+            if predicted_gain <= settings.tolerance * energy:
                 return points, ShellReport(energy, iteration, damping <= MAX_CONVERGED_DAMPING)
             candidate = points.copy()
             candidate[free] += step.reshape(-1, 3)
@@ -328,99 +300,93 @@ def fit_shell(
             if not damping < MAX_DAMPING:
                 return points, ShellReport(energy, iteration, False)
             damping *= 10.0
-        gain = (energy - new_energy) / promised
-        level = new_energy > LEVEL_ENERGY_RATIO * energy
+        gain_ratio = (energy - new_energy) / predicted_gain
+        has_levelled = new_energy > LEVEL_ENERGY_RATIO * energy
         points, residuals, energy = candidate, new_residuals, new_energy
-        if level and damping <= MAX_CONVERGED_DAMPING and np.abs(step).max() <= settings.accuracy:
+        if has_levelled and damping <= MAX_CONVERGED_DAMPING and np.abs(step).max() <= settings.accuracy:
             return points, ShellReport(energy, iteration + 1, True)
-        damping = max(damping * (0.2 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0), 1e-10)
+        damping = max(damping * (0.2 if gain_ratio > 0.75 else 1.0 if gain_ratio > 0.25 else 4.0), 1e-10)
     return points, ShellReport(energy, settings.iterations, False)
 
 
 def _solve_step(
-    pattern: BlockSparsePattern, values: Float, gradient: Float, constrained: bool
+    pattern: BlockSparsePattern, values: Float, gradient: Float, use_cg: bool
 ) -> tuple[Float, bool]:
-    """Solve for a step, by conjugate gradients if `constrained`; return whether these are worth trying again.
+    """Solve for a step, optionally by conjugate gradients; return whether these converged.
 
-    With all positions constrained the matrix is well conditioned: a few conjugate gradients cost a tenth of a
-    factorisation. Without constraints soft bends make it ill conditioned.
+    If all positions are constrained, the matrix is well conditioned, and a few conjugate gradients cost a tenth of a
+    factorisation. Without constraints, soft bending modes make it ill conditioned.
     """
-    if constrained:
+    if use_cg:
         step = np.empty_like(gradient)
-        steps = conjugate_gradients(
-            pattern.starts,
-            pattern.rows,
-            pattern.places,
-            values,
-            -gradient,
-            CONJUGATE_GRADIENT_TOLERANCE,
-            MAX_CONJUGATE_GRADIENT_STEPS,
-            step,
-        )
-        if steps >= 0:
+        matrix = pattern.starts, pattern.rows, pattern.places, values
+        limits = CONJUGATE_GRADIENT_TOLERANCE, MAX_CONJUGATE_GRADIENT_STEPS
+        if conjugate_gradients(*matrix, -gradient, *limits, step) >= 0:
             return step, True
     return -pattern.analysis.factor(values).solve(gradient), False
 
 
-def _solve_step_with_volume(pattern: BlockSparsePattern, values: Float, gradient: Float, row: Float) -> Float:
-    """Solve ``(A + row row^T) step = -gradient`` with the factor of A alone (Sherman and Morrison 1950)."""
-    both = pattern.analysis.factor(values).solve(np.stack([-gradient, row], axis=1))
-    step, along = both.T
-    return np.asarray(step - along * (row @ step) / (1.0 + row @ along))
+def _solve_step_with_volume(
+    pattern: BlockSparsePattern, values: Float, gradient: Float, volume_row: Float
+) -> Float:
+    """Solve ``(A + row row^T) step = -gradient`` with the factor of A (Sherman and Morrison 1950)."""
+    columns = np.stack([-gradient, volume_row], axis=1)
+    step, change = pattern.analysis.factor(values).solve(columns).T
+    return np.asarray(step - change * (volume_row @ step) / (1.0 + volume_row @ change))
 
 
 MAX_GUESS_RESIDUAL = 0.5
-"""Largest weighted residual of a guess from which Gauss-Newton may start."""
+"""Largest weighted residual of a guess from which Gauss-Newton starts without a linear start."""
 
 
 def linear_initialisation(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
-    """Rebuild a patch ``(n, 3)`` linearly from lengths ``(e,)``, angles ``(h,)`` and fixed positions ``(n, 3)``."""
-    local = flat_triangles(lengths[patch.face_edges])
-    frames = _initial_frames(patch, local, angles, positions)
-    sides = np.einsum("fij,fkj->fki", frames[:, :, :2], np.roll(local, -1, axis=1) - local)
+    """Rebuild a patch linearly from lengths ``(e,)``, angles ``(h,)`` and fixed positions ``(n, 3)``."""
+    flat = flat_triangles(lengths[patch.face_edges])
+    frames = _initial_frames(patch, flat, angles, positions)
+    sides = np.einsum("fij,fkj->fki", frames[:, :, :2], np.roll(flat, -1, axis=1) - flat)
     return integrate(patch, sides, positions)
 
 
-def _initial_frames(patch: Patch, local: Float, angles: Float, positions: Float) -> Float:
-    known = np.zeros((len(patch.faces), 3, 3))
+def _initial_frames(patch: Patch, flat: Float, angles: Float, positions: Float) -> Float:
+    frames = np.zeros((len(patch.faces), 3, 3))
     is_known = patch.fixed_face_mask.copy()
     if is_known.any():
-        known[is_known] = quat_to_matrix(triangle_frames(positions, patch.faces[is_known]))
+        frames[is_known] = quat_to_matrix(triangle_frames(positions, patch.faces[is_known]))
     else:
         is_known[0] = True
-        known[0] = np.eye(3)
-    number = patch.unknown_face_index
-    unknown = np.flatnonzero(number >= 0)
-    if not unknown.size:
-        return known
+        frames[0] = np.eye(3)
+    index = patch.unknown_face_index
+    unknown_ids = np.flatnonzero(index >= 0)
+    if not unknown_ids.size:
+        return frames
 
     # Rows of F (one per world coordinate) are independent: F_j - F_i T = 0 reads f_j - T^T f_i = 0 for rows f.
     i, j = patch.hinge_faces.T
-    turns = quat_to_matrix(patch.hinge_frames.rotations(local, angles))
-    right = np.zeros((unknown.size, 3, 3))  # (face, column of F, world coordinate)
-    for target, source, turn in ((j, i, turns), (i, j, np.swapaxes(turns, 1, 2))):
+    rotations = quat_to_matrix(patch.hinge_frames.rotations(flat, angles))
+    right = np.zeros((unknown_ids.size, 3, 3))  # (face, column of F, world coordinate)
+    for target, source, rotation in ((j, i, rotations), (i, j, np.swapaxes(rotations, 1, 2))):
         border = is_known[source] & ~is_known[target]
-        pulled = known[source[border]] @ turn[border]
-        np.add.at(right, number[target[border]], np.swapaxes(pulled, 1, 2))
+        predicted = frames[source[border]] @ rotation[border]
+        np.add.at(right, index[target[border]], np.swapaxes(predicted, 1, 2))
 
     pattern = patch.frame_pattern
     values = np.zeros(len(pattern.rows))
     counts = np.bincount(patch.hinge_faces.reshape(-1), minlength=len(patch.faces))
-    values[pattern.diagonal] = np.repeat(counts[unknown].astype(np.float64), 3)
+    values[pattern.diagonal] = np.repeat(counts[unknown_ids].astype(np.float64), 3)
     inner = ~is_known[i] & ~is_known[j]
-    first, second = number[i[inner]], number[j[inner]]
+    first, second = index[i[inner]], index[j[inner]]
     # -T^T couples row block j to column block i; below the diagonal is the higher number's row.
-    turned = turns[inner]
-    blocks = -np.where((second > first)[:, None, None], np.swapaxes(turned, 1, 2), turned)
+    inner_rotations = rotations[inner]
+    blocks = -np.where((second > first)[:, None, None], np.swapaxes(inner_rotations, 1, 2), inner_rotations)
     places = pattern.places[pattern.find_blocks(first, second)][:, None, :] + np.arange(3)[:, None]
     np.add.at(values, places, blocks)
     solution = pattern.analysis.factor(values).solve(right.reshape(-1, 3)).reshape(-1, 3, 3)
-    known[unknown] = nearest_rotations(np.swapaxes(solution, 1, 2))
-    return known
+    frames[unknown_ids] = nearest_rotations(np.swapaxes(solution, 1, 2))
+    return frames
 
 
 def integrate(patch: Patch, sides: Float, positions: Float) -> Float:
-    """Solve for the vertices whose sides ``x_b - x_a`` are closest to ``(m, 3, 3)`` given ones."""
+    """Solve for the vertices ``(n, 3)`` with sides closest to ``(m, 3, 3)``; fixed ones are at positions ``(n, 3)``."""
     count = len(patch.fixed_mask)
     right = np.zeros((count, 3))
     np.add.at(right, patch.faces.reshape(-1), -sides.reshape(-1, 3))
@@ -444,8 +410,8 @@ def rebuild_patch(
 ) -> tuple[Float, ShellReport]:
     """Rebuild a patch ``(n, 3)`` from lengths ``(e',)`` and angles ``(h',)``, in radians, at its free vertices.
 
-    Weights ``(e',)`` are inverse typical lengths. Of positions ``(n, 3)`` those of fixed vertices are used. A guess
-    ``(f, 3)`` is an alternative start of the free vertices.
+    Weights ``(e',)`` are inverse typical lengths. Fixed vertices are at positions ``(n, 3)``. A guess ``(f, 3)`` of the
+    free vertices is an alternative start.
     """
     lengths = clamp_lengths(lengths, weights)
     problem = ShellProblem(patch, lengths, angles, weights, settings.bending, soft)
@@ -459,7 +425,7 @@ def rebuild_patch(
 
 
 def _linear_start(problem: ShellProblem, positions: Float) -> Float:
-    """Return the linear start; lengths and angles between fixed vertices are their own."""
+    """Return the linear start ``(n, 3)``, with lengths and angles of the positions between fixed vertices."""
     patch = problem.patch
     lengths, angles = edge_lengths(positions, patch.edges), dihedral_angles(positions, patch.hinges)
     lengths[patch.free_edge_mask], angles[patch.free_hinge_mask] = problem.lengths, problem.angles

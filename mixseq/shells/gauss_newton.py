@@ -1,8 +1,8 @@
 """Settings and reports of fits to lengths and angles, and the sparsity pattern of their matrices.
 
-Unknowns come in threes: the coordinates of a vertex, or the columns of a face's frame. Coupled pairs follow from
-connectivity, so the places of all values are found once. A matrix is its values alone, the lower triangle column by
-column (compressed sparse columns).
+Unknowns are triples: the coordinates of a vertex, or the columns of a face's frame. Coupled pairs follow from
+connectivity, so that the places of all values are computed once. A matrix is stored as its values alone, the lower
+triangle column by column (compressed sparse columns).
 """
 
 from __future__ import annotations
@@ -24,16 +24,15 @@ class BlockSparsePattern(PickledWithoutCaches):
 
     starts: Index  # (3n + 1,) where the values of every column start
     rows: Index  # (N,) row of every value, ascending in each column; the first is that of the diagonal
-    # (n + m, 3) for each of the n blocks of the diagonal and the m blocks below it, and for each of the block's
-    # columns, where the value of the block's row 0 is; rows 1 and 2 follow. The diagonal's blocks have only the rows on
-    # and below the diagonal.
+    # (n + m, 3) index of the value in row 0 of every column of the n diagonal blocks, then of the m blocks below; rows
+    # 1 and 2 follow. Diagonal blocks only have rows on and below the diagonal.
     places: Index
     keys: Index  # (m,) n * column + row of the blocks below the diagonal, ascending
     threads: int | None = None  # threads that factor one matrix; by default from its size
 
     @classmethod
     def from_pairs(cls, count: int, pairs: Index, threads: int | None = None) -> BlockSparsePattern:
-        """Make the pattern of `count` triples of unknowns, coupled in pairs ``(k, 2)``; negative ones are ignored."""
+        """Make the pattern of `count` triples of unknowns, coupled in pairs ``(k, 2)``; ignore negative indices."""
         low, high = pairs.min(axis=1, initial=count), pairs.max(axis=1, initial=-1)
         coupled = (low >= 0) & (low < high)
         keys = np.unique(count * low[coupled] + high[coupled])
@@ -69,12 +68,12 @@ class BlockSparsePattern(PickledWithoutCaches):
 
     @cached_property
     def diagonal(self) -> Index:
-        """Places ``(3n,)`` of the values of the diagonal."""
+        """Indices ``(3n,)`` of the values of the diagonal."""
         return self.starts[:-1]
 
     @cached_property
     def analysis(self) -> Analysis:
-        """Ordering and symbolic factorisation, shared by all matrices of the pattern."""
+        """Symbolic factorisation, shared by all matrices of the pattern."""
         return analyse(self.starts, self.rows, self.threads)
 
 
@@ -85,16 +84,16 @@ class ShellSettings:
     Attributes
     ----------
     bending : float
-        Weight of an angle in radians against a relative length.
+        Weight of an angle in radians relative to a relative change of length.
     iterations : int
         Largest number of steps.
     tolerance : float
-        Converged when the model promises to lower the energy by less than this fraction of it ...
+        Converged when the predicted decrease of the energy is below this fraction of it ...
     exact : float
         ... or when no weighted residual is above this, ...
     accuracy : float
         ... or when a step moves no coordinate by more than this, in the unit of the points (diagonals), and the
-        energy has levelled off. Steps shrink by a factor of about ten, so the remaining error is much less.
+        energy has levelled off. Steps shrink about tenfold, so that the remaining error is much smaller.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """Compiled inner loops of `mixseq.shells.shell` and `mixseq.shells.fitting`.
 
 Lengths, angles, their energy, gradients and normal equations, and conjugate gradients. Formulas are those of
-`mixseq.mesh.measures`; tests compare both. Loops release the interpreter's lock and add in a fixed order: results are
-the same bits on any number of threads.
+`mixseq.mesh.measures`; tests compare both. Loops release the interpreter's lock and add in a fixed order, so that
+results are bit-identical for any number of threads.
 """
 
 from __future__ import annotations
@@ -16,8 +16,11 @@ from mixseq.types import Float, Index
 
 Vector = tuple[float, float, float]
 
-SMALLEST_NORMAL_NUMBER = 2.2250738585072014e-308
+MIN_DOUBLE = 2.2250738585072014e-308
+"""Least positive number of full precision."""
+
 FULL_TURN = 2.0 * math.pi
+"""Angle of a full turn in radians."""
 
 
 @inlined
@@ -49,7 +52,7 @@ def length(x: Float, a: int, b: int) -> float:
 def length_gradient(x: Float, a: int, b: int, scale: float, g: Float) -> None:
     """Write the gradient of the length of the edge ab by its two vertices, times `scale`, to ``g[:2]``."""
     e = side(x, a, b)
-    w = scale / max(math.sqrt(_dot(e, e)), SMALLEST_NORMAL_NUMBER)
+    w = scale / max(math.sqrt(_dot(e, e)), MIN_DOUBLE)
     g[1, 0], g[1, 1], g[1, 2] = w * e[0], w * e[1], w * e[2]
     g[0, 0], g[0, 1], g[0, 2] = -g[1, 0], -g[1, 1], -g[1, 2]
 
@@ -65,7 +68,7 @@ def _sides_and_normals(
 
 @inlined
 def _opening(e: Vector, n: Vector, m: Vector) -> tuple[float, float]:
-    """Return cosine and sine of the angle between the normals n and m about e, times the lengths of all three."""
+    """Return cosine and sine of the angle from normal n to m about e, times the lengths of all three."""
     return _dot(n, m) * math.sqrt(_dot(e, e)), _dot(_cross(n, m), e)
 
 
@@ -78,25 +81,31 @@ def angle(x: Float, a: int, b: int, c: int, d: int) -> float:
 
 
 @inlined
-def wrap_angle(off: float) -> float:
+def wrap_angle(angle: float) -> float:
     """Return an angle wrapped to (-pi, pi]."""
-    return off - FULL_TURN * math.ceil((off - math.pi) / FULL_TURN)
+    return angle - FULL_TURN * math.ceil((angle - math.pi) / FULL_TURN)
 
 
 @inlined
 def _write_gradient(
-    e: Vector, p: Vector, q: Vector, n: Vector, m: Vector, scale: float, near: float, far: float, g: Float
+    e: Vector,
+    p: Vector,
+    q: Vector,
+    n: Vector,
+    m: Vector,
+    scale: float,
+    min_c: float,
+    min_d: float,
+    g: Float,
 ) -> None:
     """Write the gradient of an angle, times `scale`, as `angle_gradient` does."""
-    square = max(_dot(e, e), SMALLEST_NORMAL_NUMBER)
+    square = max(_dot(e, e), MIN_DOUBLE)
     size = scale * math.sqrt(square)
-    first, second = (
-        -size / max(_dot(n, n), near, SMALLEST_NORMAL_NUMBER),
-        -size / max(_dot(m, m), far, SMALLEST_NORMAL_NUMBER),
-    )
+    first = -size / max(_dot(n, n), min_c, MIN_DOUBLE)
+    second = -size / max(_dot(m, m), min_d, MIN_DOUBLE)
     g[2, 0], g[2, 1], g[2, 2] = first * n[0], first * n[1], first * n[2]
     g[3, 0], g[3, 1], g[3, 2] = second * m[0], second * m[1], second * m[2]
-    tc, td = _dot(p, e) / square, _dot(q, e) / square  # where c and d stand along the edge
+    tc, td = _dot(p, e) / square, _dot(q, e) / square  # positions of c and d along the edge
     for i in range(3):
         g[0, i] = -(1.0 - tc) * g[2, i] - (1.0 - td) * g[3, i]
         g[1, i] = -tc * g[2, i] - td * g[3, i]
@@ -104,14 +113,14 @@ def _write_gradient(
 
 @inlined
 def angle_gradient(
-    x: Float, a: int, b: int, c: int, d: int, scale: float, near: float, far: float, g: Float
+    x: Float, a: int, b: int, c: int, d: int, scale: float, min_c: float, min_d: float, g: Float
 ) -> None:
     """Write the gradient ``(4, 3)`` of the angle of the hinge abcd by its vertices, times `scale`, in radians per unit.
 
-    `near` and `far` are least squares of its two normals, in the fourth power of the unit of points.
+    `min_c` and `min_d` bound the squares of the normals at c and d from below, in the fourth power of the unit of x.
     """
     e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
-    _write_gradient(e, p, q, n, m, scale, near, far, g)
+    _write_gradient(e, p, q, n, m, scale, min_c, min_d, g)
 
 
 @inlined
@@ -124,22 +133,22 @@ def angle_misfit(
     cosine: float,
     sine: float,
     scale: float,
-    near: float,
-    far: float,
+    min_c: float,
+    min_d: float,
     g: Float,
 ) -> float:
     """Return 1 - cos of the error of the angle of the hinge abcd, and write its gradient as `angle_gradient` does.
 
-    `cosine` and `sine` are of the target angle. Hinges of triangles without area have no error.
+    `cosine` and `sine` are those of the target angle. Hinges of triangles without area have no error.
     """
     e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
     along, across = _opening(e, n, m)
-    size = max(math.sqrt(across * across + along * along), SMALLEST_NORMAL_NUMBER)
-    off, even = (across * cosine - along * sine) / size, (along * cosine + across * sine) / size
-    _write_gradient(e, p, q, n, m, scale * off, near, far, g)
-    if size == SMALLEST_NORMAL_NUMBER:
+    size = max(math.sqrt(across * across + along * along), MIN_DOUBLE)
+    sin_error, cos_error = (across * cosine - along * sine) / size, (along * cosine + across * sine) / size
+    _write_gradient(e, p, q, n, m, scale * sin_error, min_c, min_d, g)
+    if size == MIN_DOUBLE:
         return 0.0
-    return off * off / (1.0 + even) if even > 0.0 else 1.0 - even
+    return sin_error * sin_error / (1.0 + cos_error) if cos_error > 0.0 else 1.0 - cos_error
 
 
 @compiled
@@ -159,22 +168,22 @@ def shell_energy(
     edges: Index,
     hinges: Index,
     lengths: Float,
-    turns: Float,
-    stretch: Float,
-    bend: Float,
-    smallest: Float,
+    targets: Float,
+    length_weights: Float,
+    angle_weights: Float,
+    min_normals: Float,
     gradient: Float,
 ) -> float:
-    """Return half the sum of squared residuals ``stretch (l - l*)`` and ``2 bend sin((theta - theta*) / 2)``.
+    """Return half the sum of squared residuals ``w (l - l*)`` and ``2 w sin((theta - theta*) / 2)``, and its gradient.
 
-    Vertices ``(V, 3)`` and lengths ``(E,)`` are in diagonals; turns ``(H, 2)`` are cosines and sines of target angles;
-    weights ``(E,), (H,)`` per diagonal and radian; `smallest` ``(H, 2)`` least squares of normals. Writes the gradient.
+    Vertices ``(V, 3)`` and lengths ``(E,)`` are in diagonals, targets ``(H, 2)`` cosines and sines of target angles,
+    weights ``(E,), (H,)`` per diagonal and radian. Least squares of normals are ``(H, 2)``.
     """
     total = 0.0
     gradient[:] = 0.0
     g = np.empty((4, 3))
     for k in range(len(edges)):
-        w = stretch[k]
+        w = length_weights[k]
         if w == 0.0:
             continue
         r = w * (length(x, edges[k, 0], edges[k, 1]) - lengths[k])
@@ -184,13 +193,13 @@ def shell_energy(
             for i in range(3):
                 gradient[edges[k, p], i] += g[p, i]
     for k in range(len(hinges)):
-        w = bend[k]
+        w = angle_weights[k]
         if w == 0.0:
             continue
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
         w *= w
-        cosine, sine, near, far = turns[k, 0], turns[k, 1], smallest[k, 0], smallest[k, 1]
-        total += 2.0 * w * angle_misfit(x, a, b, c, d, cosine, sine, w, near, far, g)
+        cosine, sine, min_c, min_d = targets[k, 0], targets[k, 1], min_normals[k, 0], min_normals[k, 1]
+        total += 2.0 * w * angle_misfit(x, a, b, c, d, cosine, sine, w, min_c, min_d, g)
         for p in range(4):
             for i in range(3):
                 gradient[hinges[k, p], i] += g[p, i]
@@ -198,13 +207,13 @@ def shell_energy(
 
 
 @compiled
-def hinge_nearness(x: Float, hinges: Index, turns: Float) -> Float:
-    """Return ``cos^2`` of half the error of hinges ``(H,)``: 1 without an error, 0 at half a turn."""
-    near, g = np.empty(len(hinges)), np.empty((4, 3))
+def hinge_nearness(x: Float, hinges: Index, targets: Float) -> Float:
+    """Return the squared cosines ``(H,)`` of half the errors of hinges: 1 without error, 0 at half a turn."""
+    nearness, g = np.empty(len(hinges)), np.empty((4, 3))
     for k in range(len(hinges)):
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
-        near[k] = 1.0 - 0.5 * angle_misfit(x, a, b, c, d, turns[k, 0], turns[k, 1], 0.0, 1.0, 1.0, g)
-    return near
+        nearness[k] = 1.0 - 0.5 * angle_misfit(x, a, b, c, d, targets[k, 0], targets[k, 1], 0.0, 1.0, 1.0, g)
+    return nearness
 
 
 @compiled
@@ -214,9 +223,9 @@ def add_weighted_sides(faces: Index, weights: Float, sides: Float, right: Float)
         for k in range(3):
             a, b, w = faces[f, k], faces[f, (k + 1) % 3], weights[f, k]
             for i in range(3):
-                step = w * sides[f, k, i]
-                right[b, i] += step
-                right[a, i] -= step
+                change = w * sides[f, k, i]
+                right[b, i] += change
+                right[a, i] -= change
 
 
 @compiled
@@ -228,15 +237,15 @@ def shell_residuals(
     angles: Float,
     weights: Float,
     bending: float,
-    free: Index,
+    free_ids: Index,
     positions: Float,
-    soft_weights: Float,
+    position_weights: Float,
     residuals: Float,
 ) -> float:
-    """Write the residuals ``(e' + h' + 3f,)`` of lengths, angles, soft constraints; return the sum of their squares.
+    """Write the residuals ``(e' + h' + 3f,)`` of lengths, angles and positions; return the sum of their squares.
 
     Vertices ``(n, 3)`` and lengths ``(e',)`` are in diagonals, angles ``(h',)`` in radians, weights ``(e',)`` per
-    diagonal, `bending` per radian. Soft weights ``(f,)`` are empty without constraints.
+    diagonal, `bending` per radian. Position weights ``(f,)`` are empty without constraints.
     """
     energy = 0.0
     for k in range(len(edges)):
@@ -250,9 +259,9 @@ def shell_residuals(
         residuals[first + k] = r
         energy += r * r
     first += len(hinges)
-    for k in range(len(soft_weights)):
+    for k in range(len(position_weights)):
         for i in range(3):
-            r = soft_weights[k] * (x[free[k], i] - positions[k, i])
+            r = position_weights[k] * (x[free_ids[k], i] - positions[k, i])
             residuals[first + 3 * k + i] = r
             energy += r * r
     return energy
@@ -270,7 +279,7 @@ def _add_coupling(values: Float, places: Index, block: int, g: Float, p: int, o:
 
 @inlined
 def _add_same_vertex(values: Float, places: Index, block: int, g: Float, p: int, o: int) -> None:
-    """Add the products of two gradients of one vertex, as of a hinge whose faces have the same vertices."""
+    """Add the products of two gradients by one vertex, at a hinge of two faces with the same vertices."""
     for j in range(3):
         for i in range(j, 3):
             values[places[block, j] + i] += g[p, i] * g[o, j] + g[o, i] * g[p, j]
@@ -291,9 +300,9 @@ def shell_equations(
     hinges: Index,
     weights: Float,
     bending: float,
-    soft_weights: Float,
+    position_weights: Float,
     residuals: Float,
-    number: Index,
+    free_index: Index,
     edge_blocks: Index,
     hinge_blocks: Index,
     places: Index,
@@ -302,7 +311,7 @@ def shell_equations(
 ) -> None:
     """Write the lower triangle ``(N,)`` of ``J^T J`` and the gradient ``J^T r`` ``(3f,)`` of half the energy.
 
-    `number` ``(n,)`` is the place of every vertex among the free ones, -1 if fixed; blocks ``(e',), (h', 6)`` are as in
+    `free_index` ``(n,)`` is the index of vertices among the free ones, -1 if fixed; blocks ``(e',), (h', 6)`` are as in
     `NormalEquations`, places ``(f + m, 3)`` as in `BlockSparsePattern`.
     """
     values[:] = 0.0
@@ -311,12 +320,12 @@ def shell_equations(
     for k in range(len(edges)):
         length_gradient(x, edges[k, 0], edges[k, 1], weights[k], g)
         for p in range(2):
-            v = number[edges[k, p]]
+            v = free_index[edges[k, p]]
             if v >= 0:
                 for i in range(3):
                     gradient[3 * v + i] += residuals[k] * g[p, i]
                 _add_square(values, places, v, g, p)
-        if edge_blocks[k] >= 0:  # both gradients are the same but for the sign, whichever is the row
+        if edge_blocks[k] >= 0:  # both gradients are opposite, whichever is the row
             _add_coupling(values, places, edge_blocks[k], g, 1, 0)
     first = len(edges)
     for k in range(len(hinges)):
@@ -325,7 +334,7 @@ def shell_equations(
         r = residuals[first + k]
         pair = 0
         for p in range(4):
-            v = number[hinges[k, p]]
+            v = free_index[hinges[k, p]]
             if v >= 0:
                 for i in range(3):
                     gradient[3 * v + i] += r * g[p, i]
@@ -334,7 +343,7 @@ def shell_equations(
                 block = hinge_blocks[k, pair]
                 pair += 1
                 if block >= 0:
-                    other = number[hinges[k, o]]
+                    other = free_index[hinges[k, o]]
                     if v > other:
                         _add_coupling(values, places, block, g, p, o)
                     elif v < other:
@@ -342,10 +351,10 @@ def shell_equations(
                     else:
                         _add_same_vertex(values, places, block, g, p, o)
     first += len(hinges)
-    for k in range(len(soft_weights)):
+    for k in range(len(position_weights)):
         for i in range(3):
-            gradient[3 * k + i] += soft_weights[k] * residuals[first + 3 * k + i]
-            values[places[k, i] + i] += soft_weights[k] * soft_weights[k]
+            gradient[3 * k + i] += position_weights[k] * residuals[first + 3 * k + i]
+            values[places[k, i] + i] += position_weights[k] * position_weights[k]
 
 
 @compiled
@@ -356,12 +365,12 @@ def conjugate_gradients(
     values: Float,
     right: Float,
     tolerance: float,
-    most: int,
+    max_steps: int,
     solution: Float,
 ) -> int:
     """Solve with the inverse diagonal blocks as preconditioner, into `solution` ``(n,)``; return the number of steps.
 
-    Returns -1 after `most` steps, or where rounding makes the matrix or the preconditioner indefinite. The tolerance is
+    Returns -1 after `max_steps`, or where rounding makes the matrix or the preconditioner indefinite. The tolerance is
     relative to the residual of zero, in the norm of the preconditioner.
     """
     size = len(right)
@@ -370,24 +379,24 @@ def conjugate_gradients(
         return -1
     r, z, q, p = right.copy(), np.empty(size), np.empty(size), np.zeros(size)
     solution[:] = 0.0
-    before = first = 0.0
-    for step in range(most + 1):
+    previous = initial = 0.0
+    for step in range(max_steps + 1):
         for v in range(0, size, 3):
             block = inverse[v // 3]
             z[v] = block[0] * r[v] + block[1] * r[v + 1] + block[2] * r[v + 2]
             z[v + 1] = block[1] * r[v] + block[3] * r[v + 1] + block[4] * r[v + 2]
             z[v + 2] = block[2] * r[v] + block[4] * r[v + 1] + block[5] * r[v + 2]
-        now = 0.0
+        current = 0.0
         for i in range(size):
-            now += r[i] * z[i]
+            current += r[i] * z[i]
         if step == 0:
-            first = now
-        if now < 0.0:
+            initial = current
+        if current < 0.0:
             return -1
-        if now <= tolerance * tolerance * first:
+        if current <= tolerance * tolerance * initial:
             return step
-        ratio = now / before if step > 0 else 0.0
-        before = now
+        ratio = current / previous if step > 0 else 0.0
+        previous = current
         for i in range(size):
             p[i] = z[i] + ratio * p[i]
         _multiply(starts, rows, values, p, q)
@@ -396,7 +405,7 @@ def conjugate_gradients(
             curvature += p[i] * q[i]
         if not curvature > 0.0:
             return -1
-        length = now / curvature
+        length = current / curvature
         for i in range(size):
             solution[i] += length * p[i]
             r[i] -= length * q[i]
@@ -434,7 +443,7 @@ def _multiply(starts: Index, rows: Index, values: Float, p: Float, q: Float) -> 
 
 @inlined
 def _invert_blocks(places: Index, values: Float, inverse: Float) -> bool:
-    """Write upper triangles ``(n, 6)``, by rows, of inverse diagonal blocks; return whether all are definite."""
+    """Write the upper triangles ``(n, 6)``, by rows, of inverse diagonal blocks; return whether all are definite."""
     for v in range(len(inverse)):
         a, b, c = values[places[v, 0]], values[places[v, 0] + 1], values[places[v, 0] + 2]
         d, e, f = values[places[v, 1] + 1], values[places[v, 1] + 2], values[places[v, 2] + 2]

@@ -1,10 +1,10 @@
 """Sparse symmetric positive definite systems: analyse a pattern once, factor its matrices, solve for right-hand sides.
 
-With rslab (``pip install 'mixseq[fast]'``) a pattern is ordered once and matrices are factored by supernodes; SciPy's
-SuperLU does the same work several times slower. Both are exact to rounding, independent of the number of threads.
+With rslab (``pip install 'mixseq[fast]'``) a pattern is ordered once, and matrices are factored by supernodes; SciPy's
+SuperLU takes several times longer. Both are exact to rounding, independent of the number of threads.
 
-rslab keeps a pool of threads for every requested number of threads. A forked process has the pools without their
-threads, and would wait for ever: there other numbers are requested than its ancestors used.
+rslab keeps a thread pool for every requested number of threads. A forked process inherits pools without threads, and
+would wait for them forever, so that it requests numbers that its ancestors did not use.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from mixseq.errors import ReconstructionError
 from mixseq.types import Float, Index
 
 MIN_ROWS_FOR_THREADS = 30_000
-"""Number of rows below which matrices are factored by one thread: several are factored at the same time."""
+"""Number of rows below which a matrix is factored by one thread, since several are factored at the same time."""
 
 _DEFAULT_THREADS = 4
 """Default number of threads of rslab."""
 
 _UNREACHABLE_WORK = 1 << 62
-"""Amount of work from which rslab solves on its global pool, which a forked process cannot replace."""
+"""Amount of work above which rslab solves on its global pool, which a forked process cannot replace."""
 
 
 class Factor:
@@ -45,7 +45,7 @@ class Factor:
 
 
 class Analysis(Protocol):
-    """Interface of analysed patterns."""
+    """Symbolic factorisation of a pattern."""
 
     def factor(self, values: Float) -> Factor:
         """Factor the matrix with these values of the lower triangle, in the order of the pattern."""
@@ -65,12 +65,24 @@ def factorise(matrix: sparse.sparray) -> Factor:
 
 
 def factorise_laplacian(pairs: Index, weights: Float, position_weights: Float) -> Factor:
-    r"""Factor :math:`\sum_k w_k |x_{j_k} - x_{i_k}|^2 + \sum_v h_v |x_v|^2`: pairs ``(k, 2)``; h ``(n,)``."""
-    (i, j), count = pairs.T, len(position_weights)
+    r"""Factor :math:`\sum_k w_k |x_{j_k} - x_{i_k}|^2 + \sum_v h_v |x_v|^2`; pairs ``(k, 2)`` have -1 for fixed x."""
+    count, diagonal, is_free = len(position_weights), position_weights.copy(), pairs >= 0
+    for end in (0, 1):
+        is_border = is_free[:, end] & ~is_free[:, 1 - end]
+        np.add.at(diagonal, pairs[is_border, end], weights[is_border])
+    is_inner = is_free.all(axis=1)
+    (i, j), weights = pairs[is_inner].T, weights[is_inner]
     degrees = np.bincount(i, weights, minlength=count) + np.bincount(j, weights, minlength=count)
     places = np.concatenate([i, j]), np.concatenate([j, i])
     coupled = sparse.coo_array((np.tile(weights, 2), places), shape=(count, count))
-    return factorise((sparse.diags_array(degrees + position_weights) - coupled).tocsr())
+    return factorise((sparse.diags_array(degrees + diagonal) - coupled).tocsr())
+
+
+def index_of(ids: Index, count: int) -> Index:
+    """Return the index ``(count,)`` of every number below `count` among ids ``(n,)``, -1 for others."""
+    index = np.full(count, -1, dtype=np.int64)
+    index[ids] = np.arange(len(ids))
+    return index
 
 
 def _rslab() -> Any | None:
@@ -82,19 +94,19 @@ def _rslab() -> Any | None:
 
 
 def _import_on_lasting_thread() -> None:
-    """Import rslab on a thread that never ends: rslab crashes once its importing thread has ended."""
-    done = threading.Event()
+    """Import rslab on a thread that never ends, because it crashes once its importing thread has ended."""
+    is_imported = threading.Event()
 
-    def stay() -> None:
+    def import_and_wait() -> None:
         _rslab()
-        done.set()
+        is_imported.set()
         threading.Event().wait()
 
     if threading.current_thread() is threading.main_thread():
         _rslab()
     else:
-        threading.Thread(target=stay, daemon=True, name="rslab").start()
-        done.wait()
+        threading.Thread(target=import_and_wait, daemon=True, name="rslab").start()
+        is_imported.wait()
 
 
 _import_on_lasting_thread()
@@ -108,7 +120,7 @@ class _ThreadPools:
         self._lost: frozenset[int] = frozenset()
 
     def request(self, threads: int | None) -> int | None:
-        """Return the number of threads to request, for `threads` wanted."""
+        """Return the number of threads to request of rslab instead of `threads`."""
         if self._lost:
             threads = next(size for size in count(threads or _DEFAULT_THREADS) if size not in self._lost)
         self._used |= {threads} if threads else set(range(1, _DEFAULT_THREADS + 1))
@@ -155,10 +167,10 @@ class _RslabAnalysis:
 
 
 class _SuperLUAnalysis:
-    """The place of the values of both triangles; SuperLU keeps no analysis.
+    """Indices of the values of both triangles; SuperLU keeps no analysis.
 
-    In symmetric mode, and with ``relax=1``: else columns are joined into supernodes against the minimum degree
-    ordering, which takes ten times as long.
+    In symmetric mode with ``relax=1``: otherwise columns are joined to supernodes against the minimum degree ordering,
+    which takes ten times as long.
     """
 
     def __init__(self, starts: Index, rows: Index) -> None:
@@ -166,7 +178,7 @@ class _SuperLUAnalysis:
 
     @cached_property
     def _both(self) -> tuple[Index, sparse.csc_array]:
-        """Index of each matrix value in the lower triangle, and the matrix."""
+        """Index of each value in the lower triangle, and the full matrix."""
         size = len(self._starts) - 1
         columns = np.repeat(np.arange(size), np.diff(self._starts))
         number = np.arange(1, len(self._rows) + 1)

@@ -1,8 +1,8 @@
 """Cubic spline curves over time, given by the points they pass through.
 
 A curve has *knots*: times with a value each. It is a cubic B-spline through the values, twice continuously
-differentiable, with not-a-knot ends (its first two pieces are one cubic, and its last two). Two knots make a line,
-three a parabola. Values at knots are easy to edit by hand, and are independent of the other knots.
+differentiable, with not-a-knot ends: its first two pieces are one cubic, and its last two. Two knots make a line, three
+a parabola. Values at knots can be edited by hand, independently of the other knots.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 MIN_KNOT_SPACING = 1e-100
-"""Least time between knots, in seconds, whose third power is still a divisor in double precision."""
+"""Least time between knots in seconds, with a third power that double precision can divide by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +52,13 @@ class Curve:
         values = np.asarray(self.values, dtype=np.float64)
         if values.ndim != 2 or len(values) != len(times) or not len(times):
             raise SettingsError(f"a curve of {len(times)} knots has values of shape {values.shape}")
-        apart = np.diff(times)
-        if not (np.isfinite(times).all() and np.isfinite(values).all() and (apart > 0).all()):
+        spacings = np.diff(times)
+        if not (np.isfinite(times).all() and np.isfinite(values).all() and (spacings > 0).all()):
             raise SettingsError("the knots of a curve must be finite and increase")
-        if (apart < MIN_KNOT_SPACING).any():
-            knot = int(np.argmin(apart))
+        if (spacings < MIN_KNOT_SPACING).any():
+            knot = int(np.argmin(spacings))
             raise SettingsError(
-                f"knots {knot} and {knot + 1} of a curve are {apart[knot]:g} s apart; "
+                f"knots {knot} and {knot + 1} of a curve are {spacings[knot]:g} s apart; "
                 f"{MIN_KNOT_SPACING:g} s or more are expected"
             )
         object.__setattr__(self, "times", read_only(times))
@@ -84,27 +84,27 @@ class Curve:
 
     @cached_property
     def spline(self) -> BSpline:
-        """The curve as a B-spline, knots and control points."""
+        """The curve as a B-spline of knots and control points."""
         from scipy.interpolate import make_interp_spline  # heavy, and not needed at knots
 
         return make_interp_spline(self.times, self.values, k=min(3, len(self.times) - 1))
 
     def __call__(self, times: ArrayLike) -> Float:
         """Return the points ``(N, k)`` at times ``(N,)``; at a knot exactly its value."""
-        wanted = np.atleast_1d(np.asarray(times, dtype=np.float64))
+        times = np.atleast_1d(np.asarray(times, dtype=np.float64))
         if not self.dim:
-            return np.zeros((len(wanted), 0))
-        nearest = np.clip(np.searchsorted(self.times, wanted), 0, len(self.times) - 1)
-        points = self.values[nearest]
-        between = self.times[nearest] != wanted
-        if between.any():
-            points[between] = self.spline(wanted[between])
+            return np.zeros((len(times), 0))
+        knots = np.clip(np.searchsorted(self.times, times), 0, len(self.times) - 1)
+        points = self.values[knots]
+        is_between = self.times[knots] != times
+        if is_between.any():
+            points[is_between] = self.spline(times[is_between])
         return points
 
     def derivative(self, times: ArrayLike, order: int = 1) -> Float:
         """Return derivatives ``(N, k)`` by time, per second (to the power of `order`), at times ``(N,)``."""
-        wanted = np.atleast_1d(np.asarray(times, dtype=np.float64))
+        times = np.atleast_1d(np.asarray(times, dtype=np.float64))
         if not self.dim or order > self.spline.k:
-            return np.zeros((len(wanted), self.dim))
-        slopes = self.spline(wanted, nu=order)
-        return np.asarray(slopes, dtype=np.float64).reshape(len(wanted), self.dim)
+            return np.zeros((len(times), self.dim))
+        slopes = self.spline(times, nu=order)
+        return np.asarray(slopes, dtype=np.float64).reshape(len(times), self.dim)

@@ -1,4 +1,4 @@
-"""Decoding motions at any time: frames, velocities, blocks of them on any executor."""
+"""Decode frames and velocities of motions at any time, in blocks on any executor."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mixseq.types import Float
 Decoded = TypeVar("Decoded")
 
 FRAMES_PER_BLOCK = 4
-"""Frames decoded at once, per thread."""
+"""Number of frames that a thread decodes at once."""
 
 
 class ResidualLayer(Protocol):
@@ -31,11 +31,11 @@ class ResidualLayer(Protocol):
         """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""
 
     def rates(self, times: Float) -> Float:
-        """Return their derivatives ``(N, V, 3)`` by time, per second."""
+        """Return the derivatives ``(N, V, 3)`` of `at` by time, per second."""
 
 
 class Decodable(ABC):
-    """A motion that can be decoded at any time: vectors of a shape space over time, and a residual layer."""
+    """A motion in a shape space that can be decoded at any time, with an optional residual layer."""
 
     header: SequenceHeader
     space: ShapeSpace
@@ -98,13 +98,13 @@ class Decodable(ABC):
             Times in seconds, increasing; by default those of the sequence.
         fps : float, optional
             Frames per second: without `times` the rate at which the sequence is sampled from its first time on; with
-            `times` their time line only. 23.976 means 24000/1001, see `mixseq.sequence.frame_rates`.
+            `times` only their time line. 23.976 means 24000/1001, see `mixseq.sequence.frame_rates`.
         progress : callable, optional
             Called for every frame.
         frames : iterable of int, optional
-            Numbers of the sequence's own frames, increasing, instead of times: ``range(10, 20)``.
+            Indices of frames of the sequence, increasing, instead of times: ``range(10, 20)``.
         velocities : bool
-            Also find `MeshSequence.velocities`, for motion blur.
+            Also compute `MeshSequence.velocities`, for motion blur.
 
         Returns
         -------
@@ -114,7 +114,7 @@ class Decodable(ABC):
         Raises
         ------
         SettingsError
-            If a time is outside the sequence, there is no such frame, or fps is not positive.
+            If a time or a frame is outside the sequence, or fps is not positive.
         """
         header = self.header_at(times if frames is None else self._times_of_frames(frames, times), fps)
         if velocities:
@@ -125,17 +125,17 @@ class Decodable(ABC):
         return MeshSequence.from_header(header, points)
 
     def _times_of_frames(self, frames: Iterable[int], times: ArrayLike | None) -> Float:
-        numbers = np.fromiter(frames, dtype=np.int64)
+        ids = np.fromiter(frames, dtype=np.int64)
         if times is not None:
             raise SettingsError("give either times or frames")
-        outside = (numbers < 0) | (numbers >= len(self.times))
-        if outside.any() or not numbers.size:
-            which = f"there is no frame {numbers[outside][0]}" if numbers.size else "no frame is asked for"
-            raise SettingsError(f"{which}; the sequence has frames 0 to {len(self.times) - 1}")
-        return np.asarray(self.times[numbers])
+        is_outside = (ids < 0) | (ids >= len(self.times))
+        if is_outside.any() or not ids.size:
+            problem = f"there is no frame {ids[is_outside][0]}" if ids.size else "the list of frames is empty"
+            raise SettingsError(f"{problem}; the sequence has frames 0 to {len(self.times) - 1}")
+        return np.asarray(self.times[ids])
 
     def header_at(self, times: ArrayLike | None = None, fps: float | None = None) -> SequenceHeader:
-        """Return the header of the result of `sample`, without decoding."""
+        """Return the header of the sequence that `sample` returns, without decoding."""
         if fps is not None and not (np.isfinite(fps) and fps > 0):
             raise SettingsError(f"fps is {fps}; a positive number is expected")
         fps = None if fps is None else snap_to_ntsc(fps, self.header.fps)
@@ -150,7 +150,7 @@ class Decodable(ABC):
         progress: Progress = no_progress,
         workers: Executor | None = None,
     ) -> Iterator[Float]:
-        """Decode frames at `times` in blocks ``(B, V, 3)``, B <= size; the same bits for any blocks and workers."""
+        """Decode frames at `times` in blocks ``(B, V, 3)``, B <= size; bit-identical for any size and workers."""
         return _decode_blocks(_decode_points, self, self.clip_times(times), size, progress, workers)
 
     def moving_blocks(
@@ -160,24 +160,22 @@ class Decodable(ABC):
         progress: Progress = no_progress,
         workers: Executor | None = None,
     ) -> Iterator[tuple[Float, Float]]:
-        """Decode frames in blocks of points and velocities, in units per second, ``(B, V, 3)`` each."""
-        return _decode_blocks(
-            _decode_points_and_velocities, self, self.clip_times(times), size, progress, workers
-        )
+        """Decode blocks of points and velocities ``(B, V, 3)``, in units and units per second; see `blocks`."""
+        return _decode_blocks(_decode_moving, self, self.clip_times(times), size, progress, workers)
 
     def clip_times(self, times: ArrayLike) -> Float:
-        """Return times ``(N,)``, rounded to the ends, or raise `SettingsError` if one is outside the model."""
-        wanted = np.atleast_1d(np.asarray(times, dtype=np.float64))
-        first, last = self.start, self.end
-        slack = 1e-3 / self.header.fps  # times are typed and printed with a few digits
-        outside = ~((wanted >= first - slack) & (wanted <= last + slack))
-        if outside.any():
+        """Clip times ``(N,)`` to the model, within a tolerance; raise `SettingsError` if one is outside."""
+        result = np.atleast_1d(np.asarray(times, dtype=np.float64))
+        first, last, fps = self.start, self.end, self.header.fps
+        slack = 1e-3 / fps  # times are typed and printed with few digits
+        is_outside = ~((result >= first - slack) & (result <= last + slack))
+        if is_outside.any():
+            time = float(result[is_outside][0])
             raise SettingsError(
-                f"time {wanted[outside][0]:g} s is outside the sequence, "
-                f"{format_span(first, last, self.header.fps)}; models do not extrapolate"
-                f"{hint_frame_number(float(wanted[outside][0]), first, last, self.header.fps)}"
+                f"time {time:g} s is outside the sequence, {format_span(first, last, fps)}; models do not extrapolate"
+                f"{hint_frame_number(time, first, last, fps)}"
             )
-        return np.clip(wanted, first, last)
+        return np.clip(result, first, last)
 
 
 def _decode_blocks(
@@ -189,11 +187,11 @@ def _decode_blocks(
     workers: Executor | None,
 ) -> Iterator[Decoded]:
     """Yield results of `decode` (`_points` or `_moving_points`) at times ``(N,)`` in blocks of `size` frames."""
-    some = (times[start : start + size] for start in range(0, len(times), size))
-    work = workers or (thread_executor() if len(times) > size else serial_executor)
+    blocks = (times[start : start + size] for start in range(0, len(times), size))
+    executor = workers or (thread_executor() if len(times) > size else serial_executor)
     model.space.precompute()
     done = 0
-    for block in work(decode, model, some):
+    for block in executor(decode, model, blocks):
         yield block
         done = min(done + size, len(times))
         progress(done, len(times), "decoding frames")
@@ -205,9 +203,9 @@ def _decode_points(model: Decodable, times: Float) -> Float:
     return points if model.residual_layer is None else points + model.residual_layer.at(times)
 
 
-def _decode_points_and_velocities(model: Decodable, times: Float) -> tuple[Float, Float]:
+def _decode_moving(model: Decodable, times: Float) -> tuple[Float, Float]:
     """Return points and velocities ``(N, V, 3)`` at times ``(N,)``."""
-    points, speeds = model.space.decode_with_velocities(model.curve(times), model.rates(times))
+    points, velocities = model.space.decode_with_velocities(model.curve(times), model.rates(times))
     if model.residual_layer is None:
-        return points, speeds
-    return points + model.residual_layer.at(times), speeds + model.residual_layer.rates(times)
+        return points, velocities
+    return points + model.residual_layer.at(times), velocities + model.residual_layer.rates(times)

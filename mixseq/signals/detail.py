@@ -1,7 +1,7 @@
 """Signals of an encoded sequence: within a tolerance, exact, or with given numbers of modes and knots.
 
 Key shapes are the mean and modes, or frames of the sequence. Curves have few knots, or one at (almost) every frame. For
-a tolerance the coarsest signals that keep it at all frames are searched for; if not even the finest do, an error is
+a tolerance, the coarsest signals that keep it at all frames are searched for; if the finest ones exceed it, an error is
 raised.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from hashlib import blake2b
 from typing import NamedTuple
 
@@ -45,40 +45,40 @@ from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, insert
 from mixseq.types import Float, FloatArray, Index, evenly_spaced
 
 DeviationNorm = Callable[[Float], Float]
-"""Map of the deviations ``(T, k)`` of a curve to their sizes ``(T,)``."""
+"""Norms ``(T,)`` of the deviations ``(T, k)`` of a curve."""
 
 
 def max_norm(weights: Float) -> DeviationNorm:
-    """Return the measure of the largest coordinate, with weights ``(k,)``."""
+    """Return the maximum norm with weights ``(k,)``."""
     return lambda deviations: np.asarray(np.abs(deviations * weights).max(axis=1, initial=0.0))
 
 
 def rms_over_vertices(count: int) -> DeviationNorm:
-    """Return the measure of scores: root mean square over a number of vertices."""
+    """Return the root mean square of scores over a number of vertices."""
     return lambda scores: np.asarray(np.linalg.norm(scores, axis=1) / np.sqrt(count))
 
 
-def fit_curve(times: Float, values: Float, tolerance: float, measure: DeviationNorm) -> Curve:
+def fit_curve(times: Float, values: Float, tolerance: float, norm: DeviationNorm) -> Curve:
     """Fit a curve with few knots to values ``(T, k)`` at times ``(T,)``, within a tolerance."""
-    candidates = np.arange(2, len(times) - 2)  # those of the not-a-knot spline through all values
-    chosen = np.zeros(0, dtype=np.int64)
-    while len(chosen) < len(candidates):
-        curve = least_squares_curve(times, values, times[chosen])
-        outside = np.flatnonzero(measure(curve(times) - values) > tolerance)
+    candidate_count = max(len(times) - 4, 0)  # inner knots of the not-a-knot spline through all values
+    knots = np.zeros(0, dtype=np.int64)
+    while len(knots) < candidate_count:
+        curve = least_squares_curve(times, values, times[knots])
+        outside = np.flatnonzero(norm(curve(times) - values) > tolerance)
         if not len(outside):
             return curve
-        ends = np.concatenate([[1], chosen, [len(times) - 2]])
+        ends = np.concatenate([[1], knots, [len(times) - 2]])
         intervals = np.unique(np.clip(np.searchsorted(ends, outside) - 1, 0, len(ends) - 2))
         low, high = ends[intervals], ends[intervals + 1]
         middles = ((low + high) // 2)[high - low > 1]
-        if not len(middles):  # violations are next to knots on both sides
+        if not len(middles):  # violations are between adjacent knots
             break
-        chosen = np.union1d(chosen, middles)
+        knots = np.union1d(knots, middles)
     return Curve(times, values)
 
 
 def least_squares_curve(times: Float, values: Float, inner: Float) -> Curve:
-    """Fit a curve with inner knots ``(n,)`` to values ``(T, k)`` at times ``(T,)``, by least squares."""
+    """Fit a curve with inner knots ``(n,)`` to values ``(T, k)`` at times ``(T,)`` by least squares."""
     first, last = times[0], times[-1]
     if len(times) < 4 or len(inner) >= len(times) - 4:
         return Curve(times, values)
@@ -93,7 +93,7 @@ def least_squares_curve(times: Float, values: Float, inner: Float) -> Curve:
 
 
 def choose_key_frames(scores: Float) -> Index:
-    """Choose frames ``(r + 1,)`` as key shapes for points of pose space ``(T, r)``."""
+    """Choose well-conditioned frames ``(r + 1,)`` as key shapes from scores ``(T, r)``."""
     size = np.abs(scores).max(initial=0.0) or 1.0
     corners = np.concatenate([np.full((1, len(scores)), size), scores.T])
     pivots = linalg.qr(corners, mode="r", pivoting=True)[1]
@@ -102,33 +102,32 @@ def choose_key_frames(scores: Float) -> Index:
 
 def key_pose_map(keys: Float) -> PoseMap:
     """Make the pose map of key shapes at points of pose space ``(K, r)``."""
-    corners = np.concatenate(
-        [np.ones((1, len(keys))), keys.T]
-    )  # weights w of a point c: corners @ w = (1, c)
+    # The weights w of a point c solve corners @ w = (1, c).
+    corners = np.concatenate([np.ones((1, len(keys))), keys.T])
     inverse = np.linalg.pinv(corners)
     offset, matrix = inverse[:, 0], inverse[:, 1:].T
-    # Rounding, and points that the keys do not span, must not make the sums drift.
+    # Correct the sums for rounding, and for keys that do not span pose space.
     return PoseMap(offset + (1 - offset.sum()) / len(keys), matrix - matrix.mean(axis=1, keepdims=True))
 
 
 OPERATOR_VERTICES = 256
-"""Number of vertices from which the temporal operator is chosen."""
+"""Number of vertices from which the temporal operator is selected."""
 
 MIN_SCORE_SCALE = 1e-200
-"""Least scale of a mode's scores, in diagonals, for rounding."""
+"""Least scale of the scores of a mode in diagonals, for rounding."""
 
 CORRECTION_STEP = 2.0**-24
-"""Rounding step of corrections of exact models, which are zero at the frames, in diagonals and radians."""
+"""Rounding step of corrections of exact models in diagonals and radians; corrections are zero at frames."""
 
 
 class InterpolatedPoses(NamedTuple):
-    """Predictions at and between frames, interpolated by cubic splines."""
+    """Poses interpolated in time, at the frames and between them."""
 
-    times: Float  # (2T - 1,) frames and the middles between them, in seconds
-    weights: FrameWeights  # weights of the frames there
-    quarter_times: Float  # (4T - 3,) frames and the quarters between them, in seconds
-    part_poses: Float  # (4T - 3, ...) poses of parts as seen from their bodies, at the quarters
-    placement: Float  # (4T - 3, P) placements at the quarters
+    times: Float  # (2T - 1,) frames and midpoints, in seconds
+    weights: FrameWeights  # weights of the frames at these times
+    quarter_times: Float  # (4T - 3,) frames and quarter points, in seconds
+    part_poses: Float  # (4T - 3, ...) part poses in body axes, at the quarter points
+    placement: Float  # (4T - 3, P) placements at the quarter points
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,30 +135,29 @@ class EncodedSequence:
     """A sequence as vectors of a shape space."""
 
     header: SequenceHeader  # mesh and times
-    space: ShapeSpace  # the space
-    shapes: LargeArray  # (T, S) the vectors of the frames without their placement
-    placement: Float  # (T, P) the placement
-    # (T, C) coordinates of sampled vertices, used to select the temporal operator.
-    samples: Float
+    space: ShapeSpace  # shape space of the vectors
+    shapes: LargeArray  # (T, S) shapes of the frames
+    placement: Float  # (T, P) placements of the frames, with continuous signs of quaternions
+    samples: Float  # (T, C) coordinates of sampled vertices, used to select the temporal operator
     pose: PoseForm = "modes"  # form of the key shapes
-    in_body_axes: bool = False  # whether poses of parts are predicted as seen from their bodies, too
+    in_body_axes: bool = False  # whether part poses are interpolated in body axes as well
 
     @cached_property
     def operator(self) -> TemporalOperator:
-        """Temporal operator that predicts the samples best."""
+        """Temporal operator with the least errors of the samples."""
         return select_operator(self.header.times, self.samples)
 
     @cached_property
     def poses(self) -> Float:
-        """Relative poses of parts at the frames ``(T, pose_dim)``."""
+        """Part poses ``(T, pose_dim)`` of the frames."""
         poses = np.empty((len(self.shapes), self.space.pose_dim))
-        for row in range(len(poses) if self.space.pose_dim else 0):  # row by row: shapes may be on disk
-            poses[row] = self.shapes[row : row + 1][0, self.pose_columns]
+        for frame in range(len(poses) if self.space.pose_dim else 0):  # frame by frame: shapes may be on disk
+            poses[frame] = self.shapes[frame : frame + 1][0, self.pose_columns]
         return poses
 
     @property
     def pose_columns(self) -> slice:
-        """Columns of shapes with the relative poses of parts."""
+        """Columns of shapes with the part poses."""
         return slice(self.space.shape_dim - self.space.pose_dim, self.space.shape_dim)
 
     @cached_property
@@ -169,13 +167,12 @@ class EncodedSequence:
 
     @cached_property
     def interpolated(self) -> InterpolatedPoses:
-        """Predictions between the frames."""
+        """Poses interpolated between the frames."""
         times = insert_midpoints(self.header.times)
-        quarters = insert_midpoints(times)
-        found = self.space.interpolate_poses(
-            self.operator, self.poses, self.placement, quarters, self.in_body_axes
-        )
-        return InterpolatedPoses(times, self.operator.weights_at(times), quarters, *found)
+        quarter_times = insert_midpoints(times)
+        signals = self.poses, self.placement, quarter_times, self.in_body_axes
+        poses = self.space.interpolate_poses(self.operator, *signals)
+        return InterpolatedPoses(times, self.operator.weights_at(times), quarter_times, *poses)
 
 
 def encode_sequence(
@@ -185,47 +182,42 @@ def encode_sequence(
     workers: Executor = serial_executor,
     progress: Progress = no_progress,
 ) -> EncodedSequence:
-    """Encode all frames of a sequence in a space."""
+    """Encode all frames of a sequence in a shape space."""
     count, size = len(sequence.points), space.shape_dim
-    placed = slice(size, size + space.placement_dim)
+    placement_columns = slice(size, size + space.placement_dim)
     shapes = new_large_array((count, size))
-    placement = np.empty((count, space.placement_dim))
-    some = evenly_spaced(sequence.header.vertex_count, OPERATOR_VERTICES)
-    samples = np.empty((count, 3 * len(some)))
+    raw_placement = np.empty((count, space.placement_dim))
+    vertex_ids = evenly_spaced(sequence.header.vertex_count, OPERATOR_VERTICES)
+    samples = np.empty((count, 3 * len(vertex_ids)))
     previous, done = None, 0
-    for apart, sampled in workers(_encode_block, (space, some), iterate_blocks(sequence.points)):
-        vectors = space.unwrap(apart, previous)
+    for block, block_samples in workers(_encode_block, (space, vertex_ids), iterate_blocks(sequence.points)):
+        vectors = space.unwrap(block, previous)
         rows = slice(done, done + len(vectors))
-        shapes[rows], placement[rows], samples[rows] = vectors[:, :size], vectors[:, placed], sampled
+        shapes[rows], samples[rows] = vectors[:, :size], block_samples
+        raw_placement[rows] = vectors[:, placement_columns]
         previous, done = vectors[-1], rows.stop
         progress(done, count, "encoding frames")
-    turns, centres = space.unpack_placements(placement)
-    steady = space.pack_placements(
-        Poses(align_quat_signs(turns), centres)
-    )  # what is interpolated in time must not jump
-    held = space.to_body_axes(samples.reshape(count, -1, 3), some, steady).reshape(count, -1)
-    return EncodedSequence(sequence.header, space, shapes, steady, held, pose)
+    rotations, centres = space.unpack_placements(raw_placement)
+    placement = space.pack_placements(Poses(align_quat_signs(rotations), centres))  # continuous in time
+    body_samples = space.to_body_axes(samples.reshape(count, -1, 3), vertex_ids, placement).reshape(count, -1)
+    return EncodedSequence(sequence.header, space, shapes, placement, body_samples, pose)
 
 
-def _encode_block(shared: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Float, Float]:
-    """Return vectors and samples of a block of frames, each frame independent of others."""
-    space, vertices = shared
-    samples = points[:, vertices].astype(np.float64)
+def _encode_block(context: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Float, Float]:
+    """Return vectors and samples of a block of frames, independent of other frames."""
+    space, vertex_ids = context
+    samples = points[:, vertex_ids].astype(np.float64)
     return space.encode_independently(points), samples.reshape(len(points), -1)
 
 
 @dataclass(frozen=True)
 class Detail:
-    """Level of detail of signals."""
+    """Level of detail of the signals."""
 
-    rank: int | None = None  # number of shape modes; by default all there are
-    # How far, in diagonals, the signals may be from the frames (by the measures of Encoded); zero to pass through them
-    # all.
-    slack: float = 0.0
-    knots: int | ArrayLike | None = None  # inner knots of all curves; by default chosen by slack
-    # Key shapes and curves are rounded to multiples of this number, a power of two in diagonals, so that they take few
-    # bytes; zero not to.
-    step: float = 0.0
+    rank: int | None = None  # number of shape modes; by default determined by slack
+    slack: float = 0.0  # largest deviation of the signals in diagonals, see `DeviationNorm`; zero for none
+    knots: int | ArrayLike | None = None  # inner knots of all curves; by default determined by slack
+    step: float = 0.0  # rounding step of key shapes and curves, a power of two in diagonals; zero for none
 
 
 def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
@@ -239,78 +231,74 @@ def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
         frames = choose_key_frames(modes.scores)
         pose = key_pose_map(modes.scores[frames])
         shapes = encoded.shapes[frames]
-    if detail.step:  # weights add up to one: so errors of the first key shape are not magnified
+    if detail.step:  # weights add up to one, so that errors of the first key shape are not amplified
         steps = detail.step * encoded.space.rounding_step_ratios
         shapes = _round(shapes[:1], steps) + _round(shapes - shapes[:1], steps)
-    corrections = partial(_pose_corrections, encoded.space, pose, shapes[:, encoded.pose_columns])
+    key_poses = shapes[:, encoded.pose_columns]
+
+    def corrections(time: Curve, times: Float, targets: Float) -> Float:
+        return encoded.space.pose_corrections(pose.weights(time(times)) @ key_poses, targets)
+
     if detail.knots is not None:
-        curves = _fit_curves_with_knots(encoded, modes.scores, corrections, _check_knots(detail.knots, times))
+        curves = _fit_curves_with_knots(encoded, modes.scores, corrections, _inner_knots(detail.knots, times))
     else:
         curves = _fit_curves_within_slack(encoded, modes.scores, corrections, detail)
     return Model(encoded.header, encoded.space, curves[0], pose, shapes, *curves[1:])
 
 
 Corrections = Callable[[Curve, Float, Float], Float]
-"""Map of a time signal, times ``(N,)`` and part poses there ``(N, ...)`` to corrections ``(N, C)``."""
-
-
-def _pose_corrections(
-    space: ShapeSpace, pose: PoseMap, key_poses: Float, time: Curve, times: Float, targets: Float
-) -> Float:
-    """Return the `Corrections` of shapes blended of key shapes with part poses ``(K, pose_dim)``."""
-    return space.pose_corrections(pose.weights(time(times)) @ key_poses, targets)
+"""Corrections ``(N, C)`` from a time signal, times ``(N,)`` and target part poses ``(N, ...)``."""
 
 
 def _fit_curves_with_knots(
     encoded: EncodedSequence, scores: Float, corrections: Corrections, inner: Float
 ) -> tuple[Curve, Curve, Curve]:
-    """Return curves of time, placement and correction with inner knots ``(n,)``."""
+    """Fit curves of time, placement and correction with inner knots ``(n,)``."""
     times = encoded.header.times
     time = least_squares_curve(times, scores, inner)
     placement = least_squares_curve(times, encoded.placement, inner)
-    parts, _ = encoded.space.interpolate_poses(
-        encoded.operator, encoded.poses, encoded.placement, times, in_body=False
-    )
-    return time, placement, least_squares_curve(times, corrections(time, times, parts), inner)
+    signals = encoded.operator, encoded.poses, encoded.placement, times
+    part_poses, _ = encoded.space.interpolate_poses(*signals, in_body_axes=False)
+    return time, placement, least_squares_curve(times, corrections(time, times, part_poses), inner)
 
 
 def _fit_curves_within_slack(
     encoded: EncodedSequence, scores: Float, corrections: Corrections, detail: Detail
 ) -> tuple[Curve, Curve, Curve]:
-    """Return curves of time, placement and correction within slack of frames and predictions, rounded."""
+    """Fit rounded curves of time, placement and correction, within slack of the interpolated poses."""
     slack, step, space = detail.slack, detail.step, encoded.space
-    sites, rows, quarters, targets, placed = encoded.interpolated
-    # Scores of modes that hardly count are small, but lengths and angles, which weigh little, change with them.
-    sizes = 2.0 ** np.floor(np.log2(np.maximum(np.abs(scores).max(axis=0), MIN_SCORE_SCALE)))
-    time = _fit_rounded_curve(
-        sites, rows.interpolate(scores), slack, rms_over_vertices(encoded.header.vertex_count), step * sizes
-    )
-    of_placement, of_correction = np.split(space.weights[space.shape_dim :], [space.placement_dim])
-    placement = _fit_rounded_curve(quarters, placed, slack, max_norm(of_placement), step)
-    values = corrections(time, quarters, targets)
+    times, weights, quarter_times, part_poses, placements = encoded.interpolated
+    # Scaled by mode, because lengths and angles, which have little weight, change with the scores of faint modes.
+    scales = 2.0 ** np.floor(np.log2(np.maximum(np.abs(scores).max(axis=0), MIN_SCORE_SCALE)))
+    score_norm = rms_over_vertices(encoded.header.vertex_count)
+    time = _fit_rounded(times, weights.interpolate(scores), slack, score_norm, step * scales)
+    pose_weights = np.split(space.weights[space.shape_dim :], [space.placement_dim])
+    placement_norm, correction_norm = map(max_norm, pose_weights)
+    placement = _fit_rounded(quarter_times, placements, slack, placement_norm, step)
+    values = corrections(time, quarter_times, part_poses)
     if step and not slack:
         step = max(step, CORRECTION_STEP)
-    return time, placement, _fit_rounded_curve(quarters, values, slack, max_norm(of_correction), step)
+    return time, placement, _fit_rounded(quarter_times, values, slack, correction_norm, step)
 
 
-def _fit_rounded_curve(
-    times: Float, values: Float, slack: float, measure: DeviationNorm, step: float | Float
+def _fit_rounded(
+    times: Float, values: Float, slack: float, norm: DeviationNorm, step: float | Float
 ) -> Curve:
-    curve = fit_curve(times, values, slack, measure) if slack > 0 else Curve(times, values)
+    curve = fit_curve(times, values, slack, norm) if slack > 0 else Curve(times, values)
     return Curve(curve.times, _round(curve.values, step)) if np.any(step) else curve
 
 
 def _round(values: Float, step: float | Float) -> Float:
-    """Round to multiples of a step, or of one per column."""
+    """Round to multiples of a step, or of one step per column."""
     return np.asarray(np.round(values / step) * step)
 
 
 def _choose_rank(encoded: EncodedSequence, detail: Detail) -> int:
-    """Return the given number of modes, or the least one with all frames within the slack."""
+    """Return the given number of modes, or the least number with all frames within the slack."""
     scores = encoded.modes.scores
     if detail.rank is not None:
         return min(detail.rank, len(encoded.modes.sizes))
-    tails, rank = np.zeros(len(scores)), int(scores.shape[1])  # squared norms of all modes from the rank on
+    tails, rank = np.zeros(len(scores)), int(scores.shape[1])  # squared norms of the scores from the rank on
     while rank:
         tails += np.square(scores[:, rank - 1])
         if np.sqrt(tails.max()) / np.sqrt(encoded.header.vertex_count) > detail.slack:
@@ -319,50 +307,50 @@ def _choose_rank(encoded: EncodedSequence, detail: Detail) -> int:
     return rank
 
 
-def _check_knots(knots: int | ArrayLike, times: Float) -> Float:
-    most = max(len(times) - 4, 0)
+def _inner_knots(knots: int | ArrayLike, times: Float) -> Float:
+    """Return inner knots ``(n,)`` from their number or times; raises `SettingsError` if they do not fit the frames."""
+    max_count = max(len(times) - 4, 0)
     if isinstance(knots, int | np.integer):
-        if not 0 <= knots <= most:
-            raise SettingsError(f"knots is {knots}; {len(times)} frames can have 0 to {most} inner knots")
-        if knots == most:
+        if not 0 <= knots <= max_count:
+            raise SettingsError(f"knots is {knots}; {len(times)} frames allow 0 to {max_count} inner knots")
+        if knots == max_count:
             return times[2:-2]
-        places = np.linspace(0, len(times) - 1, int(knots) + 2)[1:-1]
-        return np.interp(places, np.arange(len(times)), times)
+        positions = np.linspace(0, len(times) - 1, int(knots) + 2)[1:-1]
+        return np.interp(positions, np.arange(len(times)), times)
     inner = np.unique(np.asarray(knots, dtype=np.float64).reshape(-1))
-    if len(inner) > most:
-        raise SettingsError(f"there are {len(inner)} inner knots; {len(times)} frames can have {most}")
+    if len(inner) > max_count:
+        raise SettingsError(f"there are {len(inner)} inner knots; {len(times)} frames allow {max_count}")
     if inner.size and not (inner[0] > times[0] and inner[-1] < times[-1]):
         raise SettingsError(
             f"inner knots are from {inner[0]:g} to {inner[-1]:g} s; "
             f"they must be between {times[0]:g} and {times[-1]:g} s"
         )
-    ends = np.concatenate([[times[0]] * 4, inner, [times[-1]] * 4])
-    for number in range(
-        len(inner) + 4
-    ):  # Schoenberg and Whitney: every basis function needs a frame of its own
-        if not ((times > ends[number]) & (times < ends[number + 4])).any() and 0 < number < len(inner) + 3:
-            where = ends[number + 2]
-            raise SettingsError(f"there are no frames between the knots near {where:g} s; leave some out")
+    padded = np.concatenate([[times[0]] * 4, inner, [times[-1]] * 4])
+    # Schoenberg and Whitney: a frame within the support of every basis function.
+    for k in range(1, len(inner) + 3):
+        if not ((times > padded[k]) & (times < padded[k + 4])).any():
+            time = padded[k + 2]
+            raise SettingsError(f"there are no frames between the knots near {time:g} s; leave some out")
     return inner
 
 
 VISUALLY_LOSSLESS_TOLERANCE = 5e-4
-"""Default tolerance in diagonals: half a pixel, where a mesh fills a picture of 1000 pixels."""
+"""Default tolerance in diagonals: half a pixel where the mesh fills a picture of 1000 pixels."""
 
 EXACT_TOLERANCE = 1e-8
-"""Tolerance of exact models in diagonals, for rounding; near the origin the error is some 1e-15."""
+"""Tolerance of exact models in diagonals, for rounding; near the origin the error is about 1e-15."""
 
 EXACT_ROUNDING_STEP = 2.0**-38
-"""Rounding step of signals of exact models, in diagonals: frames are off by some 1e-11."""
+"""Rounding step of the signals of exact models in diagonals; frames are off by about 1e-11."""
 
 TOLERANCE_TO_STEP_RATIO = 64
-"""Ratio of the tolerance to the rounding step of signals; the step is refined where it is too coarse."""
+"""Initial ratio of the tolerance to the rounding step of signals."""
 
 SUFFICIENT_ERROR_RATIO = 0.6
-"""Ratio of error to tolerance above which a model is not made coarser."""
+"""Ratio of error to tolerance above which a model is accepted without coarsening."""
 
 MAX_TRIAL_MODELS = 7
-"""Largest number of models that are tried before the finest one."""
+"""Largest number of models in the search, before the finest one."""
 
 
 def fit_within_tolerance(
@@ -372,31 +360,28 @@ def fit_within_tolerance(
     progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> Model:
-    """Find signals that reproduce a sequence to a tolerance.
+    """Fit the coarsest signals that reproduce a sequence within a tolerance.
 
-    Slack of the signals and error of the frames grow together, unevenly: the slack is scaled by the measured error, and
-    bisected once it was both too small and too large.
+    The error of the frames increases with the slack of the signals, irregularly: the slack is scaled by the measured
+    error, and bisected once it was both too small and too large.
     """
     low, high, slack = 0.0, np.inf, tolerance / 4
     best: Model | None = None
     step = 2.0 ** np.floor(np.log2(tolerance / TOLERANCE_TO_STEP_RATIO))
-    errors: dict[bytes, float] = {}  # of tried models: short sequences have few
-    for number in range(MAX_TRIAL_MODELS):
-        progress(number, MAX_TRIAL_MODELS, "choosing modes and knots")
+    errors: dict[bytes, float] = {}  # by digests of models, which coincide for short sequences
+    for trial in range(MAX_TRIAL_MODELS):
+        progress(trial, MAX_TRIAL_MODELS, "choosing modes and knots")
         model = build_model(encoded, Detail(slack=slack, step=step))
-        signals = _digest(model)
-        if signals not in errors:
-            errors[signals] = largest_error(model, sequence, 2 * tolerance, workers)
-        elif errors[signals] > tolerance:  # these are all modes and knots
+        digest = _digest(model)
+        if digest not in errors:
+            errors[digest] = largest_error(model, sequence, 2 * tolerance, workers)
+        elif errors[digest] > tolerance:  # all modes and knots are used already
             step /= 2
-        error = errors[signals]
+        error = errors[digest]
         if error <= tolerance:
             low, best = slack, model
-            if (
-                error > SUFFICIENT_ERROR_RATIO * tolerance
-                or len(model.shapes) == 1
-                or number > MAX_TRIAL_MODELS // 2
-            ):
+            is_sufficient = error > SUFFICIENT_ERROR_RATIO * tolerance
+            if is_sufficient or len(model.shapes) == 1 or trial > MAX_TRIAL_MODELS // 2:
                 break
         else:
             high = slack
@@ -410,7 +395,7 @@ def fit_within_tolerance(
 
 
 def _digest(model: Model) -> bytes:
-    """Hash the curves of a model, to compare models of one sequence."""
+    """Hash the curves of a model, to identify equal models of a sequence."""
     digest = blake2b()
     for curve in model.curves:
         digest.update(curve.times.data)
@@ -421,33 +406,33 @@ def _digest(model: Model) -> bytes:
 def verify_tolerance(
     model: Model,
     sequence: FrameStore | MeshSequence,
-    promise: float,
+    tolerance: float,
     workers: Executor | None = None,
     progress: Progress = no_progress,
 ) -> Model:
-    """Return a model after verifying the tolerance `promise` at all frames."""
+    """Return a model if no vertex of any frame is off by more than a tolerance in diagonals; else raise an error."""
     error = largest_error(model, sequence, workers=workers)
     progress(1, 1, "checking")
-    if error <= promise:
+    if error <= tolerance:
         return model
-    missed = (
+    message = (
         f"{sequence.header.name!r}: a vertex of the most accurate model is off by {error:.3g} diagonals, more than "
-        f"{promise:g}"
+        f"{tolerance:g}"
     )
     unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
-    away, largest = largest_offset(sequence.points), largest_coordinate(sequence.points)
-    if promise * unit < rounding_error(away):  # wherever the sequence is
+    offset, coordinate = largest_offset(sequence.points), largest_coordinate(sequence.points)
+    if tolerance * unit < rounding_error(offset):  # independent of the position of the sequence
         raise SettingsError(
-            f"{missed}: vertices get up to {away / unit:.3g} diagonals of the first frame away from it, beside which "
-            "double precision has no digits for that; give a larger tolerance, or fit the frames that have grown or "
-            "moved so far apart from the first ones"
+            f"{message}: vertices move up to {offset / unit:.3g} diagonals away from the first frame, and double "
+            "precision cannot resolve the tolerance at that distance; give a larger tolerance, or fit the frames that "
+            "have grown or moved far away separately"
         )
-    if promise * unit < rounding_error(largest):
+    if tolerance * unit < rounding_error(coordinate):
         raise SettingsError(
-            f"{missed}: coordinates are up to {largest / unit:.3g} diagonals, beside which double precision has no "
-            "digits for that; move the sequence to the origin, or give a larger tolerance"
+            f"{message}: coordinates are up to {coordinate / unit:.3g} diagonals, and double precision cannot resolve "
+            "the tolerance that far from the origin; move the sequence to the origin, or give a larger tolerance"
         )
-    raise ReconstructionError(f"{missed}; give a larger tolerance, or another space or placement")
+    raise ReconstructionError(f"{message}; give a larger tolerance, or another space or placement")
 
 
 def largest_error(
@@ -456,15 +441,15 @@ def largest_error(
     stop: float = np.inf,
     workers: Executor | None = None,
 ) -> float:
-    """Return the largest distance of a vertex at the frames, in diagonals."""
+    """Return the largest distance of a vertex from the frames in diagonals; stop early above `stop`."""
     unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
-    # Every 4th frame first, then those between: violations occur at many frames.
+    # Every fourth frame first, then those between, because violations occur at many frames.
     frames = np.concatenate([np.arange(first, len(sequence.points), 4) for first in (0, 2, 1, 3)])
     largest, done = 0.0, 0
     size = min(FRAMES_PER_BLOCK, block_size(sequence.header.vertex_count))
     for block in model.blocks(model.times[frames], size, workers=workers):
-        apart = block - sequence.points[frames[done : done + len(block)]]
-        error = float(np.sqrt(np.einsum("tvi,tvi->tv", apart, apart).max())) / unit
+        deviations = block - sequence.points[frames[done : done + len(block)]]
+        error = float(np.sqrt(np.einsum("tvi,tvi->tv", deviations, deviations).max())) / unit
         if not np.isfinite(error):
             return np.inf
         largest, done = max(largest, error), done + len(block)

@@ -1,14 +1,17 @@
-"""Fit models to mesh sequences: shape space, encoding, and signals of a given detail.
+r"""Fit models to mesh sequences: shape space, encoding, and signals of a given detail.
 
-How poses are predicted, and the share of lengths and angles, are chosen by leaving frames out: inner frames are
-predicted from the others, in each way, and compared by positions, edge lengths and hinge angles.
+Two settings are selected by cross-validation: whether part poses are interpolated in body axes as well, and the share
+of lengths and angles in the projection. Inner frames x are left out, interpolated in time from the others, and compared
+by the root mean square errors of positions, edge lengths and dihedral angles,
+
+.. math:: |\hat x_v - x_v|, \qquad \hat l_e / l_e - 1, \qquad \mathrm{wrap}(\hat\theta_h - \theta_h) .
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Unpack
+from typing import Self, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,134 +46,121 @@ from mixseq.spaces.temporal import FrameWeights
 from mixseq.types import Float, Index, evenly_spaced
 
 MAX_VALIDATION_FRAMES = 16
-"""Largest number of frames that are left out, one by one."""
-
-MAX_VALIDATION_VERTICES = 2_000_000
-"""Largest number of vertices of all frames that are left out."""
+"""Largest number of frames that are left out."""
 
 MIN_VALIDATION_FRAMES = 3
 """Least number of frames that are left out, for meshes of any size."""
 
+MAX_VALIDATION_VERTICES = 2_000_000
+"""Largest number of vertices in all left-out frames together."""
+
 CANDIDATE_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Shares of lengths and angles to choose from."""
+"""Candidates for the share of lengths and angles, ascending."""
 
 SUFFICIENT_GAIN = 0.8
-"""Fraction of the largest gain that suffices: the smallest share with it is taken."""
+"""Fraction of the largest gain that suffices: the smallest share that reaches it is selected."""
 
 ERROR_FLOOR = 1e-12
-"""Errors below this, in diagonals or radians, are rounding."""
+"""Least error in diagonals or radians; smaller ones are rounding errors."""
 
 
 def tune_interpolation(encoded: EncodedSequence, frames: LargeArray) -> EncodedSequence:
-    """Choose how parts are predicted between frames ``(T, V, 3)``, and the share of lengths and angles."""
+    """Select the axes of part poses, and the share of lengths and angles, on frames ``(T, V, 3)``."""
     space = encoded.space
     if not isinstance(space, MixedSpace) or space.placement == "free" or len(frames) < 4:
         return encoded
-    trial = CrossValidation.from_sequence(encoded, space, frames)
-    in_body = len(space.decomposition.parts) > 1 and trial.improves_in_body_axes()
-    if not space.joint_faces.any() or space.projection.steps:
-        return replace(encoded, in_body_axes=in_body)
-    share = trial.choose_share(in_body)
-    return replace(
-        encoded, in_body_axes=in_body, space=replace(space, projection=replace(space.projection, share=share))
-    )
+    validation = CrossValidation.from_sequence(encoded, space, frames)
+    in_body_axes = len(space.decomposition.parts) > 1 and validation.improves_in_body_axes()
+    if space.joint_faces.any() and not space.projection.steps:
+        share = validation.choose_share(in_body_axes)
+        space = replace(space, projection=replace(space.projection, share=share))
+    return replace(encoded, in_body_axes=in_body_axes, space=space)
 
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """Frames that are left out, and their predictions."""
+    """Frames that are left out, and their interpolation from the other frames."""
 
     encoded: EncodedSequence  # the encoded sequence
-    space: MixedSpace  # its mixed shape space
-    frame_ids: Index  # (n,) left-out frames
-    weights: FrameWeights  # weights of the others
-    points: Float  # (n, V, 3) their points, in diagonals
+    space: MixedSpace  # its shape space
+    frame_ids: Index  # (n,) frames that are left out
+    weights: FrameWeights  # temporal weights of the other frames
+    points: Float  # (n, V, 3) vertices of the left-out frames, in diagonals
 
     @classmethod
-    def from_sequence(
-        cls, encoded: EncodedSequence, space: MixedSpace, frames: LargeArray
-    ) -> CrossValidation:
-        """Leave some inner frames ``(T, V, 3)`` out."""
-        left, rows = encoded.operator.leave_one_out()
-        most = int(
-            np.clip(
-                MAX_VALIDATION_VERTICES // space.vertex_count, MIN_VALIDATION_FRAMES, MAX_VALIDATION_FRAMES
-            )
-        )
-        some = evenly_spaced(len(left), most)
-        points = frames[left[some]].astype(np.float64) / space.scale
-        return cls(encoded, space, left[some], rows.select(some), points)
+    def from_sequence(cls, encoded: EncodedSequence, space: MixedSpace, frames: LargeArray) -> Self:
+        """Leave out evenly spread inner frames of ``(T, V, 3)``."""
+        frame_ids, weights = encoded.operator.leave_one_out()
+        limit = MAX_VALIDATION_VERTICES // space.vertex_count
+        limit = min(max(limit, MIN_VALIDATION_FRAMES), MAX_VALIDATION_FRAMES)
+        sample = evenly_spaced(len(frame_ids), limit)
+        points = frames[frame_ids[sample]].astype(np.float64) / space.scale
+        return cls(encoded, space, frame_ids[sample], weights.select(sample), points)
 
     def improves_in_body_axes(self) -> bool:
-        """Whether predictions in bodies improve positions, lengths and angles on the whole."""
-        world, body = (
-            self._rms_errors(self.space.skin(self._interpolated_vectors(way))) for way in (False, True)
-        )
-        return bool(np.log(np.maximum(body, ERROR_FLOOR) / np.maximum(world, ERROR_FLOOR)).sum() < 0.0)
+        """Whether body axes lower the sum of the logarithms of the three errors."""
+        skinned = (self.space.skin(self._interpolated_vectors(in_body)) for in_body in (False, True))
+        world, body = (np.maximum(self._rms_errors(points), ERROR_FLOOR) for points in skinned)
+        return bool(np.log(body / world).sum() < 0.0)
 
-    def choose_share(self, in_body: bool) -> float:
-        """Return the share of lengths and angles that nearly minimises the larger of their two errors."""
-        blocks = self.space.split(self._interpolated_vectors(in_body))
-        posed = self.space.skin(self.space.join(blocks))
-        plain = np.maximum(self._rms_errors(posed)[1:], ERROR_FLOOR)
-        scores = []
+    def choose_share(self, in_body_axes: bool) -> float:
+        """Return the smallest share that nearly minimises the larger error of lengths and angles."""
+        blocks = self.space.split(self._interpolated_vectors(in_body_axes))
+        skinned = self.space.skin(self.space.join(blocks))
+        errors_without = np.maximum(self._rms_errors(skinned)[1:], ERROR_FLOOR)
+        ratios = []
         for share in CANDIDATE_SHARES:
-            rows = zip(posed, blocks.lengths, blocks.angles, strict=True)
-            moved = np.stack([self.space.joint_projection.project(x, le, an, share) for x, le, an in rows])
-            scores.append(float((self._rms_errors(moved)[1:] / plain).max()))
-        gain = 1.0 - min(scores)
-        return next(
-            s
-            for s, score in zip(CANDIDATE_SHARES, scores, strict=True)
-            if 1.0 - score >= SUFFICIENT_GAIN * gain - 1e-12
-        )
+            frames = zip(skinned, blocks.lengths, blocks.angles, strict=True)
+            projected = np.stack([self.space.joint_projection.project(*frame, share) for frame in frames])
+            ratios.append(float((self._rms_errors(projected)[1:] / errors_without).max()))
+        gains = 1.0 - np.array(ratios)
+        return CANDIDATE_SHARES[int(np.argmax(gains >= SUFFICIENT_GAIN * gains.max() - 1e-12))]
 
     @cached_property
     def _interpolated_shapes(self) -> Float:
-        """Shapes ``(n, S)`` of the frames, from the others, frame by frame to save memory."""
+        """Shapes ``(n, S)`` interpolated from the other frames; one frame is in memory at a time."""
         shapes = np.zeros((len(self.frame_ids), self.space.shape_dim))
-        for number, (frames, weights) in enumerate(
-            zip(self.weights.frame_ids, self.weights.weights, strict=True)
-        ):
-            for frame, weight in zip(frames, weights, strict=True):
-                shapes[number] += weight * self.encoded.shapes[frame : frame + 1][0]
+        rows = zip(shapes, self.weights.frame_ids, self.weights.weights, strict=True)
+        for shape, frame_ids, weights in rows:
+            for frame, weight in zip(frame_ids, weights, strict=True):
+                shape += weight * self.encoded.shapes[frame : frame + 1][0]
         return shapes
 
-    def _interpolated_vectors(self, in_body: bool) -> Float:
-        """Vectors ``(n, D)`` of the frames, from the others."""
+    def _interpolated_vectors(self, in_body_axes: bool) -> Float:
+        """Vectors ``(n, D)`` interpolated from the other frames."""
         space, encoded = self.space, self.encoded
-        prediction = space.pose_interpolation(encoded.operator, encoded.poses, encoded.placement, in_body)
-        placed, found = prediction.interpolate(self.weights)
-        seen = space.articulation.add_relations(found)
-        shapes = space.split(
-            np.pad(self._interpolated_shapes, ((0, 0), (0, space.placement_dim + space.correction_dim)))
-        )
-        none = np.zeros((len(self.frame_ids), space.correction_dim))
-        return space.join(MixedBlocks(*shapes[:3], *seen, *placed, none))
+        signals = encoded.operator, encoded.poses, encoded.placement
+        interpolation = space.pose_interpolation(*signals, in_body_axes)
+        body_poses, part_poses = interpolation.interpolate(self.weights)
+        padding = space.placement_dim + space.correction_dim
+        shapes = space.split(np.pad(self._interpolated_shapes, ((0, 0), (0, padding))))
+        corrections = np.zeros((len(self.frame_ids), space.correction_dim))
+        relations = space.articulation.add_relations(part_poses)
+        return space.join(MixedBlocks(*shapes[:3], *relations, *body_poses, corrections))
 
     def _rms_errors(self, points: Float) -> Float:
-        """Root mean square errors of positions, relative lengths and angles in frames ``(n, V, 3)``."""
+        """Root mean square errors ``(3,)`` of positions, relative lengths and angles in frames ``(n, V, 3)``."""
         squares = np.zeros(3)
         topology = self.space.topology
-        for made, real in zip(points, self.points, strict=True):
-            (lengths, angles), (wanted, expected) = (
+        for actual, expected in zip(points, self.points, strict=True):
+            (lengths, angles), (expected_lengths, expected_angles) = (
                 lengths_and_angles(np.ascontiguousarray(x, dtype=np.float64), topology.edges, topology.hinges)
-                for x in (made, real)
+                for x in (actual, expected)
             )
-            strain = lengths / np.maximum(wanted, 1e-12) - 1.0
+            strain = lengths / np.maximum(expected_lengths, 1e-12) - 1.0
             squares += [
-                float(np.square(made - real).sum(axis=1).mean()),
+                float(np.square(actual - expected).sum(axis=1).mean()),
                 float(np.square(strain).mean()) if len(strain) else 0.0,
-                float(np.square(wrap_angles(angles - expected)).mean()) if len(angles) else 0.0,
+                float(np.square(wrap_angles(angles - expected_angles)).mean()) if len(angles) else 0.0,
             ]
         return np.sqrt(squares / len(points))
 
 
 FIT_STAGES = 2 + SPACE_STAGES
-"""Stages of progress, without the search of a tolerance: reading frames, making the space, encoding frames."""
+"""Stages of progress without the search for a tolerance: reading frames, making the space, encoding frames."""
 
-_FRAME_TO_SHELL_TOLERANCE_RATIO = 10.0
-"""Ratio of the tolerance of frames to that of fits to lengths and angles."""
+_SHELL_ACCURACY_RATIO = 10.0
+"""Ratio of the tolerance of frames to the accuracy of fits to lengths and angles."""
 
 
 class FitOptions(SpaceOptions, total=False):
@@ -195,41 +185,41 @@ def fit(
     workers: Executor | None = None,
     **settings: Unpack[FitOptions],
 ) -> Model:
-    """Turn a mesh sequence into a model: time, pose and shape signals in a shape space.
+    """Fit a model to a mesh sequence: time, pose and shape signals in a shape space.
 
-    The sequence may be larger than memory: give the result of `mixseq.open_sequence`. Its points are read once, and
-    kept with their vectors in a temporary file. In memory are a few frames at a time, the signals, and square matrices
-    of the number of frames, or of coordinates of a shape if these are fewer. The model is the same, to the last bit, as
-    of a `MeshSequence`.
+    The sequence may be larger than memory: pass the result of `mixseq.open_sequence`. Its points are read once, and
+    are kept with their vectors in a temporary file. In memory are a few frames at a time, the signals, and square
+    matrices of the number of frames or of shape coordinates, whichever is smaller. The model is the same, to the last
+    bit, as that of a `MeshSequence`.
 
-    Without `exact`, `tolerance`, `rank` or `knots` the model is lossless to the eye: no vertex of any frame is off by
+    Without `exact`, `tolerance`, `rank` or `knots` the model is visually lossless: no vertex of any frame is off by
     more than 0.0005 of the diagonal, half a pixel where the mesh fills a picture of 1000 pixels.
 
-    Between distant frames, such as poses of a set, lengths and angles are made to agree in the anchored placement, so
-    that no face is torn half-way; not if `rank` or `knots` are given.
+    Between distant frames, such as poses of a set, the anchored placement also relaxes the mesh towards the
+    interpolated lengths and angles, so that faces do not tear; not if `rank` or `knots` is given.
 
     Parameters
     ----------
     sequence : MeshSequence or SequenceReader
         The animation.
     exact : bool
-        Reproduce the frames to some 1e-11 of the diagonal, the rounding of key shapes. The model is decoded at all
+        Reproduce the frames to about 1e-11 of the diagonal, the rounding of key shapes. The model is decoded at all
         frames to verify that no vertex is off by more than 1e-8 of the diagonal.
     tolerance : float, optional
         Largest distance of a vertex from the original, as a fraction of the bounding box's diagonal in the first
-        frame, verified at all frames; number of modes and knots follow.
+        frame, verified at all frames. Determines the number of modes and knots.
     rank : int, optional
         Number of shape modes; placements of parts stay exact.
     placement : {"anchored", "free"}
-        How parts are placed: by their poses (default), or by lengths and angles, with six numbers for every body (the
+        Placement of parts: by their poses (default), or by lengths and angles, with six numbers for every body (the
         paper's).
     parts : int or (F,) int, optional
-        Number of parts, or the part of every triangle; found from the motion if not given.
+        Number of parts, or the part of every triangle; by default segmented by motion.
     joint_width : int
         Largest width of joints, in strips of triangles on each side of a boundary.
     space : {"mixed", "vertex", "gradient", "lri", "edge"}
         The shape space: S_m, vertex positions, deformation gradients, LRI coordinates, or edge lengths and dihedral
-        angles. Only S_m has a use for `placement`, `parts`, `joint_width` and `segmentation`.
+        angles. Only S_m uses `placement`, `parts`, `joint_width` and `segmentation`.
     progress : callable, optional
         Called for every stage.
     workers : Executor, optional
@@ -238,9 +228,9 @@ def fit(
     Other Parameters
     ----------------
     segmentation : {"motion", "silhouettes", "spanning-tree"}, optional
-        How parts are found; settings of a method, such as `mixseq.segmentation.MotionSettings`, are that method.
+        Segmentation method, or its settings, such as `mixseq.segmentation.MotionSettings`.
     projection, volume, shell : optional
-        Of the edge space, see `mixseq.spaces.EdgeSettings`.
+        Settings of the edge space, see `mixseq.spaces.EdgeSettings`.
     knots : int or (n,) array_like, optional
         Inner knots of all curves: their number, evenly spread, or their times in seconds. By default one at (almost)
         every frame, or as few as `tolerance` allows.
@@ -254,16 +244,16 @@ def fit(
     Raises
     ------
     SettingsError
-        If a setting is out of range, two contradict each other, or the space has no use for one; or if the sequence is
-        so far from the origin, relative to its size, that double precision has no digits for the tolerance.
+        If a setting is out of range, contradicts another one, or is unused by the space; or if the sequence is so far
+        from the origin, relative to its size, that double precision cannot resolve the tolerance.
     ReconstructionError
-        If not even the most accurate model keeps the tolerance, for another reason.
+        If the most accurate model exceeds the tolerance for another reason.
     SegmentationError
-        If given parts do not fit the mesh.
+        If `parts` does not fit the mesh.
     FormatError, InvalidSequenceError
-        If a sequence being read is damaged or unsound, or too small or too large for doubles.
+        If a sequence being read is damaged or invalid, or its size exceeds the range of doubles.
     OutputError
-        If there is no room for a temporary file.
+        If the disk has no space for the temporary file.
 
     Examples
     --------
@@ -278,42 +268,33 @@ def fit(
     check_frames(sequence)
     knots, pose = settings.pop("knots", None), settings.pop("pose", "modes")
     _check_options(exact, tolerance, rank, knots, pose)
-    chosen = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
-    wanted = VISUALLY_LOSSLESS_TOLERANCE if tolerance is None else float(tolerance)
+    options = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
+    max_error = VISUALLY_LOSSLESS_TOLERANCE if tolerance is None else float(tolerance)
     is_reduced = rank is not None or knots is not None
-    match chosen:
+    match options:
         case MixedSettings() if is_reduced:
-            chosen = replace(chosen, purpose="reduced")
+            options = replace(options, purpose="reduced")
         case EdgeSettings(projection="dso", shell=None):
-            chosen = replace(chosen, shell=ShellSettings(accuracy=wanted / _FRAME_TO_SHELL_TOLERANCE_RATIO))
-    rounds = 1 if exact else 0 if is_reduced else MAX_TRIAL_MODELS
-    stages = StagedProgress(progress, FIT_STAGES + rounds, sequence.header.frame_count)
-    work = workers or thread_executor()
+            options = replace(options, shell=ShellSettings(accuracy=max_error / _SHELL_ACCURACY_RATIO))
+    search_stages = 1 if exact else 0 if is_reduced else MAX_TRIAL_MODELS
+    stages = StagedProgress(progress, FIT_STAGES + search_stages, sequence.header.frame_count)
+    executor = workers or thread_executor()
     with one_blas_thread():
         frames = load_frames(sequence, stages.at(0))
-        shape_space = make_space(frames, space, chosen, work, stages.at(1, SPACE_STAGES))
-        encoded = tune_interpolation(
-            encode_sequence(frames, shape_space, pose, work, stages.at(1 + SPACE_STAGES)), frames.points
-        )
+        shape_space = make_space(frames, space, options, executor, stages.at(1, SPACE_STAGES))
+        encoded = encode_sequence(frames, shape_space, pose, executor, stages.at(1 + SPACE_STAGES))
+        encoded = tune_interpolation(encoded, frames.points)
         if exact:
-            return verify_tolerance(
-                build_model(encoded, Detail(step=EXACT_ROUNDING_STEP)),
-                frames,
-                EXACT_TOLERANCE,
-                work,
-                stages.at(FIT_STAGES),
-            )
+            model = build_model(encoded, Detail(step=EXACT_ROUNDING_STEP))
+            return verify_tolerance(model, frames, EXACT_TOLERANCE, executor, stages.at(FIT_STAGES))
         if is_reduced:
             return build_model(encoded, Detail(rank=rank, knots=knots))
-        return fit_within_tolerance(encoded, frames, wanted, stages.at(FIT_STAGES, MAX_TRIAL_MODELS), work)
+        search = stages.at(FIT_STAGES, MAX_TRIAL_MODELS)
+        return fit_within_tolerance(encoded, frames, max_error, search, executor)
 
 
 def _check_options(
-    exact: bool,
-    tolerance: float | None,
-    rank: int | None,
-    knots: int | ArrayLike | None,
-    pose: PoseForm,
+    exact: bool, tolerance: float | None, rank: int | None, knots: int | ArrayLike | None, pose: PoseForm
 ) -> None:
     if exact and not (tolerance is None and rank is None and knots is None):
         raise SettingsError("exact models keep everything; leave out tolerance, rank and knots, or exact")

@@ -56,8 +56,8 @@ class Model(Decodable, PickledWithoutCaches):
         Corrections of blended shapes between frames, and at frames in a model of few modes: a curve of
         `ShapeSpace.correction_dim` coordinates; by default none.
     residual_layer : ResidualLayer, optional
-        Displacements added to decoded frames, which keep a compressed sequence within its bound. They belong to this
-        motion: `dataclasses.replace` keeps them, `with_motion` does not.
+        Displacements added to decoded frames, which keep a compressed sequence within its error bound. They belong to
+        this motion: `dataclasses.replace` keeps them, `with_motion` drops them.
 
     Raises
     ------
@@ -71,7 +71,7 @@ class Model(Decodable, PickledWithoutCaches):
     pose: PoseMap
     shapes: Float
     placement: Curve
-    correction: Curve = None  # type: ignore[assignment]  # set below where it is not given
+    correction: Curve = None  # type: ignore[assignment]  # set below by default
     residual_layer: ResidualLayer | None = None
 
     def __post_init__(self) -> None:
@@ -89,9 +89,8 @@ class Model(Decodable, PickledWithoutCaches):
             )
         if self.correction is None:
             ends = np.unique(self.placement.times[[0, -1]])
-            object.__setattr__(
-                self, "correction", Curve(ends, np.zeros((len(ends), self.space.correction_dim)))
-            )
+            zero = np.zeros((len(ends), self.space.correction_dim))
+            object.__setattr__(self, "correction", Curve(ends, zero))
         if self.correction.dim != self.space.correction_dim:
             raise SettingsError(
                 f"the correction has {self.correction.dim} coordinates; {self.space.correction_dim} are expected"
@@ -116,16 +115,16 @@ class Model(Decodable, PickledWithoutCaches):
         header: SequenceHeader | None = None,
         residual_layer: ResidualLayer | None = None,
     ) -> Model:
-        """Return the model with another motion through its shapes.
+        """Return the model with another motion and the same shapes.
 
         Parameters
         ----------
         time, placement, correction : Curve
-            Its signals.
+            Signals of the new motion.
         header : SequenceHeader, optional
-            Header with the times of its frames, if they change.
+            Header with the times of the new frames; by default that of this model.
         residual_layer : ResidualLayer, optional
-            Residual layer of the new motion; that of this model is dropped, as it belongs to this motion.
+            Residual layer of the new motion; by default none.
         """
         return replace(
             self,
@@ -153,10 +152,8 @@ class Model(Decodable, PickledWithoutCaches):
 
     @property
     def mixed(self) -> MixedSpace:
-        """The space, if it is the mixed shape space; else raises `SettingsError`."""
-        from mixseq.spaces.mixed.mixed_space import (
-            as_mixed,  # heavy, and compressed models have another space
-        )
+        """The mixed shape space of the model; raises `SettingsError` if it has another space."""
+        from mixseq.spaces.mixed.mixed_space import as_mixed  # heavy, and unused by compressed models
 
         return as_mixed(self.space)
 
@@ -169,19 +166,19 @@ class Model(Decodable, PickledWithoutCaches):
 
     def curve(self, times: ArrayLike) -> Float:
         """Return the vectors ``(N, D)`` of the space at times ``(N,)`` in seconds; see `__call__`."""
-        inside = self.clip_times(times)
-        shapes = self._blend_shapes(self.pose.weights(self.time(inside)))
-        return np.concatenate([shapes, self.placement(inside), self.correction(inside)], axis=1)
+        clipped = self.clip_times(times)
+        shapes = self._blend_shapes(self.pose.weights(self.time(clipped)))
+        return np.concatenate([shapes, self.placement(clipped), self.correction(clipped)], axis=1)
 
     def rates(self, times: ArrayLike) -> Float:
         """Return the derivatives ``(N, D)`` of `curve` by time, per second."""
-        inside = self.clip_times(times)
-        shapes = self._blend_shapes(self.pose.rates(self.time.derivative(inside)))
-        others = self.placement.derivative(inside), self.correction.derivative(inside)
+        clipped = self.clip_times(times)
+        shapes = self._blend_shapes(self.pose.rates(self.time.derivative(clipped)))
+        others = self.placement.derivative(clipped), self.correction.derivative(clipped)
         return np.concatenate([shapes, *others], axis=1)
 
     def _blend_shapes(self, weights: Float) -> Float:
-        """Return sums of key shapes ``(N, S)``, row by row: a frame is independent of others."""
+        """Return weighted sums ``(N, S)`` of key shapes, row by row: a frame is independent of others."""
         blended = np.empty((len(weights), self.shapes.shape[1]))
         with one_blas_thread():
             for row, weight in zip(blended, weights, strict=True):
@@ -195,32 +192,33 @@ class Model(Decodable, PickledWithoutCaches):
 
     @property
     def key_frames(self) -> NDArray[np.int64]:
-        """Frames ``(K,)`` that equal one key shape, -1 for key shapes that are no frame."""
+        """Frames ``(K,)`` that equal a key shape, -1 for key shapes that no frame equals."""
         weights = self.pose.weights(self.time(self.times))
         frames = np.full(len(self.shapes), -1, dtype=np.int64)
-        keys = weights.argmax(axis=1)  # the only one that can equal a frame
+        keys = weights.argmax(axis=1)  # the only candidates
         for key in np.unique(keys):
             candidates = np.flatnonzero(keys == key)
-            only = np.zeros(len(self.shapes))
-            only[key] = 1.0
-            apart = np.abs(weights[candidates] - only).max(axis=1)
-            if apart.min() < 1e-6:
-                frames[key] = candidates[apart.argmin()]
+            unit_weights = np.zeros(len(self.shapes))
+            unit_weights[key] = 1.0
+            distances = np.abs(weights[candidates] - unit_weights).max(axis=1)
+            if distances.min() < 1e-6:
+                frames[key] = candidates[distances.argmin()]
         return frames
 
     def embedding(self, times: ArrayLike, plane: Plane | None = None) -> Float:
         """Return the coordinates ``(N, 2)`` of the model in its main plane, in diagonals.
 
-        The plane of the first two principal components of the frames (classical multidimensional scaling of
-        their distances in the shape space), fixed for the model; drawn, it is the default picture of the time
-        signal (paper, Figure 18).
+        The plane of the first two principal components of the frames (classical multidimensional scaling of their
+        distances in the shape space) is fixed for the model. It is the default picture of the time signal (paper,
+        Figure 18).
 
         Parameters
         ----------
         times : (N,) array_like
             Times in seconds.
         plane : Plane, optional
-            The `plane` of another model with the same pose and shape signals, to compare the two; by default its own.
+            The `plane` of another model with the same pose and shape signals, to compare the two; by default that of
+            this model.
 
         Raises
         ------
@@ -232,7 +230,7 @@ class Model(Decodable, PickledWithoutCaches):
         return np.asarray((weights - origin) @ axes)
 
     def check_plane(self, plane: Plane) -> Plane:
-        """Return a plane that fits this model; raises what `Plane.check` does."""
+        """Return a plane; raise `SettingsError` if it does not fit the pose and shape signals of this model."""
         return plane.check(len(self.shapes), self.time.dim)
 
     @cached_property

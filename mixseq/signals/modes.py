@@ -1,16 +1,16 @@
 r"""Principal components of the vectors of a sequence: the modes of its shapes.
 
 The centred, weighted vectors are :math:`Y = U \Sigma V^T`, ``(T, D)``. Scores are :math:`U \Sigma`, coordinates of the
-frames; the shape signal has the mean plus one standard deviation along every mode.
+frames. The shape signal has the mean, and the mean plus one standard deviation along every mode.
 
-U or V, whichever is smaller, are eigenvectors of a Gram matrix:
+The smaller of U and V are eigenvectors of a Gram matrix:
 
-- :math:`Y Y^T`, where there are no more frames than coordinates. With X the centred vectors without their weights, the
-  deviations are :math:`U^T X / \sqrt T`;
-- :math:`Y^T Y`, where there are more. The scores are :math:`Y V`, and the deviations the columns of V over the weights.
+- :math:`Y Y^T`, with at most as many frames as coordinates. With the centred, unweighted vectors X, the deviations are
+  :math:`U^T X / \sqrt T`;
+- :math:`Y^T Y`, with more frames. The scores are :math:`Y V`, and the deviations the columns of V over the weights.
 
-Either way an orthogonal matrix is applied and inverted, so that the modes reproduce the vectors to rounding, for
-singular values of any size. Only blocks of the vectors are in memory.
+Both apply an orthogonal matrix and its inverse, so that the modes reproduce the vectors to rounding for singular values
+of any size. Only blocks of the vectors are in memory.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from mixseq.signals.pose import PoseMap
 from mixseq.types import Float, Index
 
 NEGLIGIBLE_MODE = 1e-15
-"""Ratio to the largest mode below which modes are rounding errors."""
+"""Ratio of singular values below which modes are rounding errors."""
 
 MIN_WEIGHT_RATIO = 1e-9
-"""Least weight of a coordinate relative to the largest, where frames outnumber coordinates and weights are divisors."""
+"""Least ratio of weights of coordinates, where weights are divisors."""
 
 Deviations = Callable[[int], Iterator[tuple[slice, Float]]]
-"""One standard deviation along each of the first r modes, in blocks of coordinates: a slice, and ``(r, C)``."""
+"""One standard deviation along each of the first r modes, in blocks of coordinates: slices, and ``(r, C)``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,20 +39,20 @@ class Modes:
     """Principal components of T vectors."""
 
     scores: Float  # (T, r) coordinates of the vectors, in the metric's unit
-    sizes: Float  # (r,) singular values, decreasing: norms of the columns of the scores
+    sizes: Float  # (r,) singular values, decreasing: norms of the columns of scores
     mean: Float  # (D,) mean vector
     deviations: Deviations  # yields one standard deviation along every mode
 
     def first(self, rank: int) -> Modes:
-        """Return the first modes only."""
+        """Return the first modes."""
         return replace(self, scores=self.scores[:, :rank], sizes=self.sizes[:rank])
 
     def pose_map(self) -> PoseMap:
-        """Return the map from scores to the weights of the mean and of the mean plus one deviation each."""
+        """Return the map from scores to weights of the key shapes."""
         return PoseMap.from_modes(np.sqrt(len(self.scores)) / self.sizes)
 
     def key_shapes(self) -> Float:
-        """Return the key shapes ``(1 + r, D)`` of `pose_map`: the mean, and the mean plus one deviation per mode."""
+        """Return key shapes ``(1 + r, D)``: the mean, and the mean plus one standard deviation along each mode."""
         rank = len(self.sizes)
         shapes = np.empty((1 + rank, len(self.mean)))
         shapes[0] = self.mean
@@ -62,17 +62,13 @@ class Modes:
 
 
 def principal_modes(vectors: LargeArray, metric: Float) -> Modes:
-    """Find all modes of vectors ``(T, D)`` in a metric ``(D,)``, at most D, and one fewer than frames."""
+    """Compute all modes of vectors ``(T, D)`` in a metric ``(D,)``: at most D and T - 1."""
     count, dim = vectors.shape
-    return (
-        _modes_from_frame_products(vectors, metric)
-        if count <= dim
-        else _modes_from_coordinate_products(vectors, metric)
-    )
+    return _from_frames(vectors, metric) if count <= dim else _from_coordinates(vectors, metric)
 
 
-def _modes_from_frame_products(vectors: LargeArray, metric: Float) -> Modes:
-    """Find modes from the products of frames, ``(T, T)``."""
+def _from_frames(vectors: LargeArray, metric: Float) -> Modes:
+    """Compute modes from the Gram matrix ``(T, T)`` of frames."""
     count, dim = vectors.shape
     mean = np.empty(dim)
     gram = np.zeros((count, count))
@@ -80,15 +76,15 @@ def _modes_from_frame_products(vectors: LargeArray, metric: Float) -> Modes:
         mean[columns] = block.mean(axis=0)
         weighted = (block - mean[columns]) * metric[columns]
         gram += weighted @ weighted.T
-    # The direction (1, ..., 1) of the mean has the eigenvalue zero, and would mix with directions that are nearly so.
+    # Separate the direction (1, ..., 1) of the mean, of eigenvalue zero, from modes of nearly zero eigenvalues.
     gram += 2.0 * (np.trace(gram) or 1.0) / count
     directions = np.linalg.eigh(gram)[1][:, -2::-1].T
     largest = np.abs(directions).argmax(axis=1)
     directions = directions * np.sign(directions[np.arange(count - 1), largest])[:, None]
 
-    def deviations(some: Float) -> Iterator[tuple[slice, Float]]:
+    def deviations(rows: Float) -> Iterator[tuple[slice, Float]]:
         for columns, block in column_blocks(vectors):
-            yield columns, np.asarray(some @ (block - mean[columns]) / np.sqrt(count))
+            yield columns, np.asarray(rows @ (block - mean[columns]) / np.sqrt(count))
 
     squares = np.zeros(count - 1)
     for columns, block in deviations(directions):
@@ -100,8 +96,8 @@ def _modes_from_frame_products(vectors: LargeArray, metric: Float) -> Modes:
     return Modes(scores, sizes, mean, lambda rank: deviations(directions[:rank]))
 
 
-def _modes_from_coordinate_products(vectors: LargeArray, metric: Float) -> Modes:
-    """Find modes from the products of coordinates, ``(D, D)``."""
+def _from_coordinates(vectors: LargeArray, metric: Float) -> Modes:
+    """Compute modes from the Gram matrix ``(D, D)`` of coordinates."""
     count, dim = vectors.shape
     blocks = [slice(start, start + dim) for start in range(0, count, dim)]
     mean = sum((vectors[rows].sum(axis=0) for rows in blocks), start=np.zeros(dim)) / count
@@ -127,6 +123,6 @@ def _modes_from_coordinate_products(vectors: LargeArray, metric: Float) -> Modes
 
 
 def _significant_modes(sizes: Float) -> Index:
-    """Return the modes above rounding errors, largest first."""
-    there = sizes > NEGLIGIBLE_MODE * sizes.max(initial=0.0)
-    return np.flatnonzero(there)[np.argsort(-sizes[there], kind="stable")]
+    """Return the indices of modes above rounding errors, largest first."""
+    is_significant = sizes > NEGLIGIBLE_MODE * sizes.max(initial=0.0)
+    return np.flatnonzero(is_significant)[np.argsort(-sizes[is_significant], kind="stable")]

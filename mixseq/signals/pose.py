@@ -1,24 +1,25 @@
-r"""The pose signal: from a point of pose space to the affine weights of key shapes; and the main plane of pose space.
+r"""The pose signal: from points of pose space to affine weights of key shapes; and the main plane of pose space.
 
 .. math:: \varphi(c) = \varphi_0 + c\,\Phi, \qquad \sum_j \varphi_j(c) = 1 \text{ for every } c
 
-Every point of pose space is a shape, :math:`\sum_j \varphi_j(c)\,P_j`. Pose space has the coordinates of a principal
-component analysis of the sequence: distances in it are distances between shapes. There are two equivalent forms:
+Every point c of pose space is a shape, :math:`\sum_j \varphi_j(c)\,P_j`. The coordinates of pose space are the scores
+of a principal component analysis of the sequence, so that distances in it are distances between shapes. There are two
+equivalent forms of key shapes:
 
 modes
-    the first key shape is the mean, every other one is the mean plus one standard deviation along a mode;
+    the mean, and the mean plus one standard deviation along every mode;
 keys
-    key shapes are frames of the sequence, so an artist can look at them and exchange them.
+    frames of the sequence, which an artist can inspect and exchange.
 
-The *main plane* draws the sequence (classical multidimensional scaling of its frames). Let :math:`c_t` be the frames in
-pose space, :math:`C` their deviations from the mean ``(T, k)``, and :math:`u_1, u_2` the first two principal components
-of their shapes, unit vectors of the shape space. With the singular values :math:`\sigma_i` and the left singular
-vectors :math:`d_i` of the frames' deviations in the shape space,
+The *main plane* is used to draw the sequence (classical multidimensional scaling of its frames). Let :math:`c_t` be the
+frames in pose space, :math:`C` their deviations from the mean ``(T, k)``, and :math:`u_1, u_2` the first two principal
+components of their shapes, unit vectors of the shape space. With the singular values :math:`\sigma_i` and the left
+singular vectors :math:`d_i` of the frames' deviations in the shape space,
 
 .. math:: u_i = \sum_t d_{ti}\, (s_t - \bar s) / \sigma_i, \qquad p_i = C^T d_i / \sigma_i,
 
-the place of a shape in the plane is its product with :math:`u_1` and :math:`u_2`. A step of :math:`p_i` in pose space
-is the step :math:`u_i` of the shape: the smallest change by one diagonal along the axis i.
+a shape is drawn at its products with :math:`u_1` and :math:`u_2`. A step of :math:`p_i` in pose space is the step
+:math:`u_i` of the shape: the smallest change by one diagonal along axis i.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ class PoseMap:
 
     def __post_init__(self) -> None:
         offset = np.asarray(self.offset, dtype=np.float64)
-        matrix = np.asarray(self.matrix, dtype=np.float64, order="C")  # products round by the order
+        # The rounding of products depends on the order.
+        matrix = np.asarray(self.matrix, dtype=np.float64, order="C")
         if offset.ndim != 1 or matrix.ndim != 2 or matrix.shape[1] != len(offset) or not len(offset):
             raise SettingsError(f"a pose map of {offset.shape} weights has a matrix of shape {matrix.shape}")
         slack = 1e-9 * np.maximum(1.0, np.abs(matrix).max(axis=1, initial=0.0))
@@ -68,7 +70,7 @@ class PoseMap:
 
     @cached_property
     def identity(self) -> str:
-        """Identifier of the pose space: key shapes of models with the same one can be exchanged."""
+        """Digest of the pose map: models with equal ones can exchange key shapes."""
         digest = blake2b(digest_size=16)
         for array in (self.offset, self.matrix):
             digest.update(np.ascontiguousarray(array).data)
@@ -85,7 +87,7 @@ class PoseMap:
 
     def rates(self, velocities: Float) -> Float:
         """Return the rates ``(N, K)`` of the weights at velocities ``(N, k)`` of points."""
-        # Row by row: products of many rows are summed in another order than those of one.
+        # Row by row, because products of many rows are summed in another order than those of one.
         rates = np.empty((len(velocities), len(self.offset)))
         for row, velocity in zip(rates, velocities, strict=True):
             row[:] = velocity @ self.matrix
@@ -93,28 +95,29 @@ class PoseMap:
 
     @classmethod
     def from_modes(cls, steps: Float) -> PoseMap:
-        """Make the map of key shapes that are the origin, and one point ``1 / steps`` along each of k coordinates."""
+        """Make the map of key shapes at the origin, and at ``1 / steps`` along each of k coordinates."""
         matrix = np.diag(steps)
         return cls(np.eye(len(steps) + 1)[0], np.hstack([-matrix.sum(axis=1, keepdims=True), matrix]))
 
     @classmethod
     def from_key_count(cls, count: int) -> PoseMap:
-        """Make the map whose coordinates are the weights of all key shapes but the first."""
+        """Make the map whose coordinates are the weights of all key shapes except the first."""
         return cls(np.eye(count)[0], np.eye(count)[1:] - np.eye(count)[0])
 
 
 def pose_signal_from_modes(scores: Float, mean: Float, directions: Float) -> tuple[PoseMap, Float]:
-    """Make the pose signal and key shapes ``(1 + r, D)`` of ``mean + scores @ directions``: scores ``(T, r)``."""
-    sizes = np.sqrt(np.square(scores).mean(axis=0))
-    sizes = np.where(sizes > 0, sizes, 1.0)
-    return PoseMap.from_modes(1 / sizes), np.concatenate([mean[None], mean + sizes[:, None] * directions])
+    """Make the pose signal and key shapes ``(1 + r, D)`` of ``mean + scores @ directions``; scores ``(T, r)``."""
+    deviations = np.sqrt(np.square(scores).mean(axis=0))
+    deviations = np.where(deviations > 0, deviations, 1.0)
+    shapes = np.concatenate([mean[None], mean + deviations[:, None] * directions])
+    return PoseMap.from_modes(1 / deviations), shapes
 
 
 NEGLIGIBLE_SPREAD = 1e-12
-"""Ratio to the largest spread of frames below which a spread is a rounding error."""
+"""Ratio of the spreads of frames along axes below which a spread is a rounding error."""
 
 MIN_STEP_SPREAD = 1e-4
-"""Least spread of frames along an axis, in diagonals and relative to the largest, from which steps are computed."""
+"""Least spread of frames along an axis, in diagonals and relative to the largest, for steps in pose space."""
 
 
 class Plane(NamedTuple):
@@ -122,10 +125,10 @@ class Plane(NamedTuple):
 
     origin: Float  # (K,) mean weights of the key shapes
     axes: Float  # (K, 2) ``(weights - origin) @ axes`` are coordinates in the plane; zero without a spread
-    directions: Float  # (k, 2) least steps in pose space by one along each axis; zero without a spread
+    directions: Float  # (k, 2) smallest steps in pose space by one along each axis; zero without a spread
 
     def check(self, shapes: int, coordinates: int) -> Plane:
-        """Return the plane if it fits numbers of key shapes and pose coordinates; else raise `SettingsError`."""
+        """Return the plane; raise `SettingsError` for other numbers of key shapes or pose coordinates."""
         if (len(self.origin), len(self.directions)) != (shapes, coordinates):
             raise SettingsError(
                 f"the plane is of {len(self.origin)} key shapes and {len(self.directions)} coordinates of pose "
@@ -136,10 +139,10 @@ class Plane(NamedTuple):
 
 
 def fit_plane(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Plane:
-    """Find the main plane of blended shapes: points ``(T, k)``; shapes ``(K, S)``; metric ``(S,)``."""
+    """Fit the main plane of blended shapes: points ``(T, k)``; key shapes ``(K, S)``; metric ``(S,)``."""
     weights = pose.weights(points)
     origin = weights.mean(axis=0)
-    centred = shapes - shapes.mean(axis=0)  # weights that add up to zero do not see the mean
+    centred = shapes - shapes.mean(axis=0)  # without effect on products with weights that add up to zero
     gram = (centred * np.square(metric)) @ centred.T
     spread = weights - origin
     if len(points) <= shapes.shape[1]:
@@ -158,9 +161,9 @@ def fit_plane(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Pla
 
 
 def _principal_frames(spread: Float, gram: Float) -> tuple[Float, Float]:
-    """Return `eigh` of ``(spread L)^T (spread L)`` ``(K, K)`` with ``gram = L L^T``, without a T x T matrix."""
-    squares, axes = np.linalg.eigh(gram)
-    placed = spread @ (axes * np.sqrt(np.maximum(squares, 0.0)))
-    sizes, vectors = np.linalg.eigh(placed.T @ placed)
-    lengths = np.sqrt(np.maximum(sizes, np.finfo(np.float64).tiny))
-    return sizes, placed @ (vectors / lengths)
+    """Return eigenvalues and eigenvectors of ``spread gram spread^T`` ``(T, T)``, without that matrix."""
+    gram_values, axes = np.linalg.eigh(gram)
+    coordinates = spread @ (axes * np.sqrt(np.maximum(gram_values, 0.0)))
+    values, vectors = np.linalg.eigh(coordinates.T @ coordinates)
+    singular_values = np.sqrt(np.maximum(values, np.finfo(np.float64).tiny))
+    return values, coordinates @ (vectors / singular_values)

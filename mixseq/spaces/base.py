@@ -1,9 +1,9 @@
-"""The contract of all shape spaces, and what their metrics share: how far angles and rotations move vertices."""
+"""The contract of all shape spaces, and the weights of angles and rotations in their metrics."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,27 +25,26 @@ if TYPE_CHECKING:
 
 
 ANGLE_WEIGHT = 0.3
-"""Weight of a radian relative to the length of the hinge's edge, in the metrics of all spaces with both."""
+"""Weight of a dihedral angle in radians, relative to the length of the hinge's edge, in the metrics of all spaces."""
 
 MIN_GYRATION_RADIUS = 1e-3
-"""Least radius of gyration of a part, in diagonals."""
+"""Least radius of gyration of a part in metrics, in diagonals."""
 
 
 def radii_of_gyration(shapes: Float, parts: Sequence[Index]) -> Float:
-    """Return the radii of gyration ``(p,)`` of centred shapes ``(N, 3)``, part by part, at least `SMALLEST`."""
-    squares = np.square(shapes).sum(axis=1)
-    sizes = [len(vertices) for vertices in parts]
-    starts = np.cumsum([0, *sizes[:-1]])
-    return np.maximum(np.sqrt(np.add.reduceat(squares, starts) / sizes), MIN_GYRATION_RADIUS)
+    """Return the radii of gyration ``(p,)`` of centred parts, vertices ``(N, 3)`` part by part."""
+    sizes = [len(vertex_ids) for vertex_ids in parts]
+    sums = np.add.reduceat(np.square(shapes).sum(axis=1), np.cumsum([0, *sizes[:-1]]))
+    return np.maximum(np.sqrt(sums / sizes), MIN_GYRATION_RADIUS)
 
 
 def mean_edge_lengths(
     points: LargeArray, edges: NDArray[np.integer], scale: float, workers: Executor, progress: Progress
 ) -> Float:
-    """Return mean lengths ``(E,)`` of edges ``(E, 2)`` over frames ``(T, V, 3)``, in units of the scale."""
+    """Return mean lengths ``(E,)`` of edges ``(E, 2)`` over frames ``(T, V, 3)``, divided by the scale."""
     total, done = np.zeros(len(edges)), 0
     for block in workers(_edge_lengths_of_block, edges, iterate_blocks(points)):
-        for lengths in block:  # one by one: the sum must not depend on the blocks
+        for lengths in block:  # frame by frame: the sum must not depend on the blocks
             total += lengths
         done += len(block)
         progress(done, len(points), "measuring edges")
@@ -56,11 +55,16 @@ def _edge_lengths_of_block(edges: NDArray[np.integer], points: FloatArray) -> li
     return [edge_lengths(frame.astype(np.float64), edges) for frame in points]
 
 
+def flatten_blocks(blocks: Iterable[NDArray[Any]]) -> NDArray[Any]:
+    """Return rows ``(T, n)`` with the concatenated entries of blocks ``(T, ...)``."""
+    return np.concatenate([block.reshape(len(block), -1) for block in blocks], axis=1)
+
+
 ShapeMap = Callable[[Float], Float]
-"""Map of shapes ``(K, S)`` of one space to the same shapes of another space."""
+"""Map of shapes ``(K, S)`` of one space to vectors of the same shapes in another space."""
 
 DIFFERENCE_STEP = 1e-4
-"""Step of difference quotients, relative to the size of a vector in the metric."""
+"""Step of central differences: displacement of vertices, in diagonals."""
 
 
 class ShapeSpace(PickledWithoutCaches, ABC):
@@ -68,9 +72,9 @@ class ShapeSpace(PickledWithoutCaches, ABC):
 
     ``decode(encode(x)) = x`` for all frames x of its sequence. Affine combinations of vectors are vectors of the space.
 
-    A vector is ``[shape | placement | correction]``. A *placement* poses the shape, or each of its bodies: quaternions,
-    then centres. It does not count in distances between shapes. *Corrections* are zero in encoded frames; between
-    frames they are added to blended part poses.
+    A vector is ``[shape | placement | correction]``. The *placement* poses the shape, or each of its bodies:
+    quaternions, then centres. Distances between shapes ignore it. The *correction* is zero in encoded frames; between
+    frames it is added to blended part poses.
     """
 
     name: str
@@ -104,7 +108,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
 
     @property
     def pose_dim(self) -> int:
-        """Length of the relative part poses at the end of a shape."""
+        """Length of the relative part poses at the end of a shape, zero in spaces without parts."""
         return 0
 
     @property
@@ -114,7 +118,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
 
     @property
     def rounding_step_ratios(self) -> Float:
-        """Rounding steps ``(S,)`` of a shape over that of positions: powers of two."""
+        """Ratios ``(S,)`` of the rounding steps of a shape to that of positions: powers of two."""
         return np.ones(self.shape_dim)
 
     @property
@@ -130,11 +134,11 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     @property
     def centre_count(self) -> int:
         """Number of centres of a placement."""
-        return 0
+        return self.rotation_count
 
     @property
     def segmentation(self) -> Decomposition | None:
-        """Parts and joints of the mesh, None in spaces without parts."""
+        """Parts and joints of the mesh, or None in spaces without parts."""
         return None
 
     @property
@@ -144,47 +148,44 @@ class ShapeSpace(PickledWithoutCaches, ABC):
 
     def unpack_placements(self, placements: Float) -> Poses:
         """Return quaternions and centres of placements ``(T, placement_dim)``."""
-        turns, centres = np.split(placements, [4 * self.rotation_count], axis=1)
-        count = len(placements)
-        return Poses(
-            turns.reshape(count, self.rotation_count, 4), centres.reshape(count, self.centre_count, 3)
-        )
+        rotations, centres = np.split(placements, [4 * self.rotation_count], axis=1)
+        shape = len(placements), self.rotation_count, 4
+        return Poses(rotations.reshape(shape), centres.reshape(len(placements), self.centre_count, 3))
 
     def pack_placements(self, poses: Poses) -> Float:
-        """Return the placements ``(T, placement_dim)`` of quaternions and centres; the inverse of `poses`."""
-        return np.concatenate([block.reshape(len(block), -1) for block in poses], axis=1)
+        """Return the placements ``(T, placement_dim)`` of poses; the inverse of `unpack_placements`."""
+        return flatten_blocks(poses)
 
     def interpolate_poses(
-        self, operator: TemporalOperator, poses: Float, placements: Float, times: Float, in_body: bool
+        self, operator: TemporalOperator, poses: Float, placements: Float, times: Float, in_body_axes: bool
     ) -> tuple[Float, Float]:
-        """Predict part poses relative to bodies ``(N, ...)``, for `corrections`, and placements ``(N, P)``.
+        """Interpolate part poses ``(T, pose_dim)`` and placements ``(T, P)`` of the frames at times ``(N,)``.
 
-        Poses ``(T, pose_dim)`` and placements ``(T, P)`` are those of the frames; ``in_body`` adds predictions in body
-        axes. Here rotations are chained, centres are weighted sums (`mixseq.spaces.temporal`), and there are no parts.
+        Returns target poses ``(N, ...)`` for `pose_corrections`, and placements ``(N, P)``. Here there are no parts;
+        rotations are chained, and centres are weighted sums. `in_body_axes` interpolates parts in body axes as well.
         """
-        placed = self.pack_placements(
-            interpolate_poses(operator.weights_at(times), self.unpack_placements(placements))
-        )
-        return np.zeros((len(times), 0)), placed
+        weights = operator.weights_at(times)
+        placed = interpolate_poses(weights, self.unpack_placements(placements))
+        return np.zeros((len(times), 0)), self.pack_placements(placed)
 
-    def to_body_axes(self, points: Float, vertices: Index, placements: Float) -> Float:
-        """Return points ``(T, n, 3)`` of vertices ``(n,)`` in the axes of placements ``(T, P)``; here unchanged."""
+    def to_body_axes(self, points: Float, vertex_ids: Index, placements: Float) -> Float:
+        """Return points ``(T, n, 3)`` of vertices ``(n,)`` in the axes of their bodies; here unchanged."""
         return points
 
-    def quaternion_signs(self, poses: Float, before: Float) -> Float:
-        """Return the signs ``(pose_dim,)``, 1 or -1, that bring quaternions of poses nearest to those before."""
+    def quaternion_signs(self, poses: Float, previous: Float) -> Float:
+        """Return the signs ``(pose_dim,)``, 1 or -1, that align the quaternions of poses with previous ones."""
         return np.ones(self.pose_dim)
 
     def pose_corrections(self, poses: Float, targets: Float) -> Float:
-        """Return corrections ``(N, C)`` from poses ``(N, pose_dim)`` of shapes to target poses."""
+        """Return the corrections ``(N, C)`` that take blended part poses ``(N, pose_dim)`` to targets ``(N, ...)``."""
         return np.zeros((len(poses), 0))
 
     def extend(self, points: Float) -> tuple[ShapeSpace, ShapeMap]:
-        """Return a space that contains this one and a shape ``(V, 3)``, and the map to it; here this space."""
+        """Return a space that also contains a shape ``(V, 3)``, and the map to it; here this space."""
         return self, identity_map
 
     def merge(self, other: ShapeSpace) -> tuple[ShapeSpace, ShapeMap | None, ShapeMap | None]:
-        """Return a space of the shapes of both, and the maps to it, None to encode again; here this space."""
+        """Return a space of the shapes of both, and the maps to it; None where frames must be encoded again."""
         return self, identity_map, identity_map if other is self else None
 
     def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
@@ -195,7 +196,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         points : (T, V, 3) or (V, 3) float
             Vertex positions in the units of the sequence: consecutive frames, or one pose.
         previous : (D,) float64, optional
-            Vector of the frame before the first one, from which angles continue without jumps; by default a reference.
+            Vector of the preceding frame, from which angles continue without jumps; by default the reference.
 
         Returns
         -------
@@ -207,11 +208,9 @@ class ShapeSpace(PickledWithoutCaches, ABC):
             If the points are not numeric, not finite, or not those of the mesh.
         """
         frames = self._check_points(points)
-        return (
-            self.unwrap(self.encode_independently(frames), previous)
-            if len(frames)
-            else np.zeros((0, self.dim))
-        )
+        if not len(frames):
+            return np.zeros((0, self.dim))
+        return self.unwrap(self.encode_independently(frames), previous)
 
     def _check_points(self, points: FloatArray) -> FloatArray:
         """Return points as frames ``(T, V, 3)``, or raise `SettingsError`."""
@@ -238,10 +237,10 @@ class ShapeSpace(PickledWithoutCaches, ABC):
 
     @abstractmethod
     def encode_independently(self, points: FloatArray) -> Float:
-        """Encode frames ``(T, V, 3)`` as vectors ``(T, D)``, each independently; `unwrap` makes them continuous."""
+        """Encode frames ``(T, V, 3)`` as vectors ``(T, D)``, each independently of the others; see `unwrap`."""
 
     def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
-        """Make vectors ``(T, D)`` of `encode_apart` continuous, after a previous one if given; here unchanged."""
+        """Make vectors ``(T, D)`` continuous in time, and with a previous vector ``(D,)``; here unchanged."""
         return vectors
 
     @abstractmethod
@@ -266,33 +265,33 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     def decode_with_reports(
         self, vectors: Float, progress: Progress = no_progress
     ) -> tuple[Float, list[list[ShellReport]]]:
-        """Decode vectors, and return the reports of all fits, frame by frame; empty in spaces without fits."""
+        """Decode vectors, and return the reports of the fits of every frame; none in spaces without fits."""
         return self.decode(vectors, progress), [[] for _ in vectors]
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
         """Return the change ``(S,)`` of a vector's shape from decoded points to edited ones ``(V, 3)``.
 
-        Added to the shape it decodes to the edited points, except for the placement. It is zero if nothing was changed.
+        Added to the shape, it decodes to the edited points, except for the placement. Unedited points give zero.
         """
-        # Rotation vectors with more turns, or fewer, differ by something else: those of the vector count.
+        # Continuing from the vector, because differences of rotation vectors depend on the number of full turns.
         encoded = self.encode(np.stack([before, after]), vector)[:, : self.shape_dim]
         return np.asarray(encoded[1] - encoded[0])
 
     def decode_for_differences(self, vectors: Float) -> Float:
-        """Decode as `decode` does, accurately enough to subtract points of nearly equal vectors."""
+        """Decode vectors accurately enough for differences of points of nearly equal vectors."""
         return self.decode(vectors)
 
     def decode_with_velocities(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
-        """Decode vectors and rates ``(T, D)`` to points and velocities ``(T, V, 3)``; here by central differences."""
-        here = self.decode(vectors)
+        """Decode vectors and their rates ``(T, D)`` to points and velocities ``(T, V, 3)``, by central differences."""
+        points = self.decode(vectors)
         size = np.abs(rates * self.weights).max(axis=1, initial=0.0)
         step = np.divide(DIFFERENCE_STEP, size, out=np.zeros_like(size), where=size > 0)
         change = step[:, None] * rates
         ahead, behind = (self.decode_for_differences(v) for v in (vectors + change, vectors - change))
         inverse = np.divide(0.5, step, out=np.zeros_like(step), where=step > 0)
-        return here, (ahead - behind) * inverse[:, None, None]
+        return points, (ahead - behind) * inverse[:, None, None]
 
 
 def identity_map(shapes: Float) -> Float:
-    """Return shapes unchanged: the `ShapeMap` between spaces with the same vectors."""
+    """Return shapes unchanged: the map between spaces with the same vectors."""
     return shapes

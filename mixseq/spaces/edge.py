@@ -1,36 +1,35 @@
 r"""The space S_e of edge lengths and dihedral angles, and its projections to meshes (Froehlich and Botsch 2011).
 
 A vector is ``[edge lengths | dihedral angles | volumes | pose]``, in diagonals, radians and cubic diagonals; volumes
-are optional. The paper counts ``2 E + 6`` numbers: a closed surface has as many hinges as edges. Lengths and angles
-determine a mesh up to its pose, except at triangles without area: their normals are undefined, and the surface around
-them may come back bent.
+are optional. The paper counts ``2 E + 6`` numbers, since a closed surface has as many hinges as edges. Lengths and
+angles determine a mesh up to its pose, except at triangles without area, which have undefined normals.
 
-Two projections find the mesh nearest to lengths and angles that no mesh may have, piece by piece, without fixed
+Two projections find the mesh nearest to possibly inconsistent lengths and angles, piece by piece, without fixed
 vertices:
 
-`RelaxedShell` (ours)
-    Faces are rebuilt from their lengths and rotated by the angles: frames are chained from the middle of every piece,
-    and averaged (`mixseq.shells.face_frames`). Vertices follow from the sides of faces, and relaxation steps reduce
-    the errors of lengths and angles (`mixseq.shells.shell`). Then frames and steps alternate a few times: frames
-    distribute errors globally, steps locally. All matrices are constant.
+`RelaxedShell`
+    Frames of faces are chained from the middle of every piece by lengths and angles, and averaged
+    (`mixseq.shells.face_frames`). Vertices follow from the sides of faces, and relaxation reduces the errors of lengths
+    and angles (`mixseq.shells.shell`). Then averaging, which distributes errors globally, and relaxation, which reduces
+    them locally, alternate a few times. All matrices are constant.
 `DiscreteShell` (DSO, Froehlich and Botsch 2011)
-    Linear initialisation is followed by Gauss-Newton (`mixseq.shells.fitting`). Gauss-Newton gets trapped from distant
-    poses (the paper's Figure 17); the linear start uses no pose.
+    Linear initialisation, independent of poses, is followed by Gauss-Newton (`mixseq.shells.fitting`), which would get
+    trapped from distant poses (the paper's Figure 17).
 
-Both are exact where a mesh has these lengths and angles. DSO may have the volume of a piece as a target. With :math:`c`
-the mean of its vertices that is
+Both are exact for consistent lengths and angles. DSO optionally fits the volumes of pieces,
 
-.. math:: V(x) = \tfrac16 \sum_{ijk} \det(x_i - c,\; x_j - c,\; x_k - c) .
+.. math:: V(x) = \tfrac16 \sum_{ijk} \det(x_i - c,\; x_j - c,\; x_k - c) ,
 
-For a closed surface this is independent of c; for an open one it is the volume of the cone from its centre, invariant
-under rigid motions. The volume term is one residual :math:`w\,(V - V^*) / \bar V`, with :math:`\bar V` the volume of
-the reference. Sheets, with :math:`|\bar V|` below `FLAT` times area to the 3/2, have no volume term.
+with the mean c of the vertices. For a closed surface V is independent of c; for an open one it is the volume of the
+cone from its centre, invariant under rigid motions. The residual is :math:`w\,(V - V^*) / \bar V` with the volume
+:math:`\bar V` of the reference. Sheets, with :math:`|\bar V|` below `MIN_VOLUME_RATIO` times area to the 3/2, have no
+volume term.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
@@ -54,7 +53,6 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.face_frames import (
     FrameGraph,
-    HingeFrames,
     bridging_mask,
     flat_triangles,
     rotate_sides,
@@ -69,17 +67,17 @@ from mixseq.types import Float, FloatArray, Index, IntArray
 
 
 class ShellTargets(NamedTuple):
-    """Targets of a mesh, and their weights."""
+    """Target lengths, angles and volumes of a mesh, and their weights."""
 
     lengths: Float  # (E,) edge lengths
-    length_weights: Float  # (E,) weights of the lengths: one over the typical length
-    angles: Float  # (H,) dihedral angles of all hinges in radians, whole turns do not matter
-    volumes: Float  # (p,) volumes of the pieces; empty without a volume term
-    volume_weights: Float  # (p,) weights of the volumes, over the typical volume; 0 for sheets
+    length_weights: Float  # (E,) inverse typical lengths
+    angles: Float  # (H,) dihedral angles in radians, modulo full turns
+    volumes: Float  # (p,) volumes of the pieces; empty without volume terms
+    volume_weights: Float  # (p,) weights of the volumes over typical volumes; 0 for sheets
 
 
 class EdgeProjection(Protocol):
-    """Rebuilds the hinge-connected pieces of one mesh.
+    """Projection of lengths and angles to the hinge-connected pieces of a mesh.
 
     *Rows* are the vertices of all pieces, piece after piece, see `mixseq.spaces.pieces`.
     """
@@ -87,24 +85,22 @@ class EdgeProjection(Protocol):
     def precompute(self) -> Self:
         """Compute what all frames share, as `PickledWithoutCaches.precompute`."""
 
-    def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
+    def fit(self, targets: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Fit rows ``(N, 3)``, pieces in any pose; raises `ReconstructionError` if lengths or angles are not finite."""
 
 
 MIN_VOLUME_RATIO = 1e-3
-"""Least ratio of volume to area to the 3/2 of a surface with a volume term; that of a sphere is 0.094."""
+"""Least ratio of volume to area to the 3/2 of a surface with a volume term; a sphere has 0.094."""
 
 
 def is_sheet(points: FloatArray, faces: IntArray) -> bool:
-    """Return whether a surface has too little volume for a volume term; see the module."""
-    return bool(
-        abs(signed_volume(points, faces))
-        <= MIN_VOLUME_RATIO * float(triangle_areas(points, faces).sum()) ** 1.5
-    )
+    """Whether a surface has too little volume for a volume term."""
+    area = float(triangle_areas(points, faces).sum())
+    return bool(abs(signed_volume(points, faces)) <= MIN_VOLUME_RATIO * area**1.5)
 
 
 class ShellPiece(NamedTuple):
-    """A hinge-connected piece: its rows, its patch, and the mesh's edges and hinges in the patch."""
+    """A hinge-connected piece: its rows and patch, and the edges and hinges of the mesh in the patch."""
 
     rows: slice
     patch: Patch
@@ -121,18 +117,17 @@ class DiscreteShell(PickledWithoutCaches):
 
     @cached_property
     def shell_pieces(self) -> tuple[ShellPiece | None, ...]:
-        """All pieces; None for vertices without faces."""
-        nowhere = np.zeros(self.topology.vertex_count, dtype=bool)
+        """All pieces; None for unused vertices."""
+        no_vertices = np.zeros(self.topology.vertex_count, dtype=bool)
         shells: list[ShellPiece | None] = []
-        for rows, faces in zip(self.pieces.row_slices, self.pieces.faces, strict=True):
-            if not len(faces):
+        for rows, face_ids in zip(self.pieces.row_slices, self.pieces.faces, strict=True):
+            if not len(face_ids):
                 shells.append(None)
                 continue
-            mask = np.zeros(len(self.topology.faces), dtype=bool)
-            mask[faces] = True
-            whole = make_joint(self.topology, mask, nowhere)
-            patch = Patch.from_joint(self.topology, whole, np.zeros(len(whole.vertices), dtype=bool))
-            shells.append(ShellPiece(rows, patch, whole.edge_ids, whole.hinge_ids))
+            mask = np.isin(np.arange(len(self.topology.faces)), face_ids)
+            joint = make_joint(self.topology, mask, no_vertices)
+            patch = Patch.from_joint(self.topology, joint, np.zeros(len(joint.vertices), dtype=bool))
+            shells.append(ShellPiece(rows, patch, joint.edge_ids, joint.hinge_ids))
         return tuple(shells)
 
     def cached_values(self) -> list[object]:
@@ -140,71 +135,61 @@ class DiscreteShell(PickledWithoutCaches):
         return [piece.patch for piece in self.shell_pieces if piece is not None]
 
     def piece_volumes(self, x: FloatArray) -> Float:
-        """Return the `signed_volume` ``(p,)`` of the pieces of a frame ``(V, 3)``, 0 of single vertices."""
+        """Return the signed volumes ``(p,)`` of the pieces of a frame ``(V, 3)``, 0 for unused vertices."""
         return np.array([signed_volume(*surface) for surface in self._surfaces(x)])
 
     def volume_weights(self, x: FloatArray) -> Float:
-        """Return inverse volumes ``(p,)`` of the pieces of a typical frame ``(V, 3)``, 0 where `is_sheet`."""
+        """Return the inverse volumes ``(p,)`` of the pieces of a typical frame ``(V, 3)``, 0 for sheets."""
         surfaces = self._surfaces(x)
-        return np.array(
-            [0.0 if is_sheet(*surface) else 1.0 / abs(signed_volume(*surface)) for surface in surfaces]
-        )
+        return np.array([0.0 if is_sheet(x, f) else 1.0 / abs(signed_volume(x, f)) for x, f in surfaces])
 
     def piece_areas(self, x: FloatArray) -> Float:
         """Return the areas ``(p,)`` of the pieces of a frame ``(V, 3)``."""
         return np.array([float(triangle_areas(*surface).sum()) for surface in self._surfaces(x)])
 
     def _surfaces(self, x: FloatArray) -> list[tuple[FloatArray, Index]]:
-        """Return the vertices of every piece in a frame ``(V, 3)``, and its triangles."""
-        none = np.zeros((0, 3), dtype=np.int64)
+        """Return the vertices and triangles of every piece of a frame ``(V, 3)``."""
+        no_faces = np.zeros((0, 3), dtype=np.int64)
         pairs = zip(self.pieces.vertices, self.shell_pieces, strict=True)
-        return [(x[own], none if piece is None else piece.patch.faces) for own, piece in pairs]
+        return [(x[ids], no_faces if piece is None else piece.patch.faces) for ids, piece in pairs]
 
-    def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
+    def fit(self, targets: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Implement `EdgeProjection.fit`."""
         rows, reports = np.zeros_like(self.pieces.shapes), []
         for number, piece in enumerate(self.shell_pieces):
             if piece is None:
                 continue
-            problem = self.problem(number, piece, wanted, settings)
+            problem = self.problem(number, piece, targets, settings)
             start = linear_initialisation(piece.patch, problem.lengths, problem.angles, rows[piece.rows])
             rows[piece.rows], report = fit_shell(problem, start, settings)
             reports.append(report)
         return rows, reports
 
     def problem(
-        self, number: int, piece: ShellPiece, wanted: ShellTargets, settings: ShellSettings
+        self, number: int, piece: ShellPiece, targets: ShellTargets, settings: ShellSettings
     ) -> ShellProblem:
         """Return the fitting problem of one piece."""
-        weights = wanted.length_weights[piece.edge_ids]
-        has_volume = wanted.volumes.size > 0 and bool(wanted.volume_weights[number])
+        weights = targets.length_weights[piece.edge_ids]
+        has_volume = targets.volumes.size > 0 and bool(targets.volume_weights[number])
         return ShellProblem(
             patch=piece.patch,
-            lengths=clamp_lengths(wanted.lengths[piece.edge_ids], weights),
-            angles=wanted.angles[piece.hinge_ids],
+            lengths=clamp_lengths(targets.lengths[piece.edge_ids], weights),
+            angles=targets.angles[piece.hinge_ids],
             length_weights=weights,
             bending=settings.bending,
-            volume=float(wanted.volumes[number]) if has_volume else None,
-            volume_weight=float(wanted.volume_weights[number]) if has_volume else 1.0,
+            volume=float(targets.volumes[number]) if has_volume else None,
+            volume_weight=float(targets.volume_weights[number]) if has_volume else 1.0,
         )
 
 
 AVERAGING_ROUNDS = 10
-"""Rounds of rotation averaging of chained frames."""
+"""Rounds of rotation averaging after chaining."""
 
 MAX_CYCLES = 4
-"""Largest number of cycles of steps; in between, frames of the mesh are averaged once."""
+"""Largest number of cycles of relaxation; between cycles, frames are averaged once."""
 
 STEPS_PER_CYCLE = 20
 """Relaxation steps per cycle."""
-
-
-class _PieceMesh(NamedTuple):
-    """The mesh with pieces that share no vertices; its faces are those of the mesh."""
-
-    topology: Topology  # connectivity of the rows
-    edge_ids: Index  # (E,) the mesh edge of every edge of the rows
-    hinge_ids: Index  # (H,) the mesh hinge of every hinge of the rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,16 +199,17 @@ class RelaxedShell(PickledWithoutCaches):
     topology: Topology  # connectivity of the mesh
     pieces: Pieces  # its hinge-connected pieces, with shapes of typical lengths
     typical_lengths: Float  # (E,) typical lengths of all edges
-    bending: float  # weight of an angle in radians against a relative length
+    bending: float  # weight of an angle in radians relative to a relative change of length
 
     @cached_property
-    def _piece_mesh(self) -> _PieceMesh:
+    def _piece_mesh(self) -> tuple[Topology, Index, Index]:
+        """The mesh with separate vertices for every piece, and the edges and hinges of the mesh in its order."""
         topology = Topology(self.pieces.face_rows(self.topology), len(self.pieces.shapes))
-        # Pieces share no edges: both tables have the same ones. Hinges are in the order of edges, then of faces.
+        # Pieces share no edges, so that both have the same ones. Hinges are ordered by edges, then by faces.
         edge_ids = np.empty(len(topology.edges), dtype=np.int64)
         edge_ids[topology.face_edges] = self.topology.face_edges
         hinge_ids = np.argsort(np.argsort(edge_ids[topology.hinge_edges], kind="stable"))
-        return _PieceMesh(topology, edge_ids, hinge_ids)
+        return topology, edge_ids, hinge_ids
 
     @cached_property
     def shell(self) -> Shell:
@@ -231,103 +217,92 @@ class RelaxedShell(PickledWithoutCaches):
         topology, edge_ids, _ = self._piece_mesh
         position_weights = np.zeros(topology.vertex_count)
         position_weights[[rows.start for rows in self.pieces.row_slices]] = 1.0
-        return Shell(
-            topology, self.pieces.shapes, self.typical_lengths[edge_ids], position_weights, self.bending
-        )
+        typical = self.typical_lengths[edge_ids]
+        return Shell(topology, self.pieces.shapes, typical, position_weights, self.bending)
 
     @cached_property
     def _bridging_hinge_ids(self) -> Index:
         """Hinges ``(h,)`` between frames: the sound ones, and others where they alone connect faces."""
-        hinge_faces = self._piece_mesh.topology.hinge_faces
-        return np.flatnonzero(
-            bridging_mask(len(self.topology.faces), hinge_faces, self.shell.sound_hinge_mask)
-        )
+        hinge_faces = self._piece_mesh[0].hinge_faces
+        sound = self.shell.sound_hinge_mask
+        return np.flatnonzero(bridging_mask(len(self.topology.faces), hinge_faces, sound))
 
     @cached_property
     def frame_graph(self) -> FrameGraph:
-        """Frames of all faces; chains start in the middle of every piece."""
-        pairs = self._piece_mesh.topology.hinge_faces[self._bridging_hinge_ids].astype(np.int64)
-        known = np.zeros(len(self.topology.faces), dtype=bool)
-        known[_central_nodes(len(known), pairs)] = True
+        """Graph of the frames of all faces; chains start in the middle of every piece."""
+        pairs = self._piece_mesh[0].hinge_faces[self._bridging_hinge_ids].astype(np.int64)
+        count = len(self.topology.faces)
+        known = np.isin(np.arange(count), _central_nodes(count, pairs))
         return FrameGraph(
             pairs,
             np.maximum(self.shell.relative_angle_weights[self._bridging_hinge_ids], ZERO_AREA_HEIGHT_RATIO),
             known,
         )
 
-    @cached_property
-    def hinges(self) -> HingeFrames:
-        """The hinges of the mesh."""
-        topology = self._piece_mesh.topology
-        return HingeFrames(topology.faces, topology.hinges, topology.hinge_faces)
-
     def cached_values(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.cached_values`."""
         return self.frame_graph, self.shell
 
-    def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Implement `EdgeProjection.fit`; of the settings only the tolerance is used."""
+    def fit(self, targets: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
+        """Implement `EdgeProjection.fit`; only the tolerance of the settings is used."""
         topology, edge_ids, hinge_ids = self._piece_mesh
-        lengths = clamp_lengths(wanted.lengths, wanted.length_weights)[edge_ids]
-        angles = wanted.angles[hinge_ids]
+        lengths = clamp_lengths(targets.lengths, targets.length_weights)[edge_ids]
+        angles = targets.angles[hinge_ids]
         flat = flat_triangles(lengths[topology.face_edges])
-        turns = self.hinges.rotations(flat, angles)[self._bridging_hinge_ids]
+        rotations = self.shell.hinge_frames.rotations(flat, angles)[self._bridging_hinge_ids]
         known = np.tile([1.0, 0.0, 0.0, 0.0], (int(np.count_nonzero(self.frame_graph.known_mask)), 1))
-        frames = self.frame_graph.average(self.frame_graph.chain(turns, known), turns, AVERAGING_ROUNDS)
+        frames = self.frame_graph.chain(rotations, known)
+        frames = self.frame_graph.average(frames, rotations, AVERAGING_ROUNDS)
         best, steps = Relaxed(self.pieces.shapes, np.inf), 0
         for _ in range(MAX_CYCLES):
             start = self.shell.integrate(rotate_sides(frames, flat), best.points)
-            points, steps = (
-                self.shell.relax(start, lengths, angles, STEPS_PER_CYCLE).points,
-                steps + STEPS_PER_CYCLE,
-            )
-            found = Relaxed(points, self.shell.energy(points, lengths, angles))
-            done = (
-                self.shell.is_exact(found.energy) or found.energy > (1.0 - settings.tolerance) * best.energy
-            )
-            best = min(found, best, key=lambda each: each.energy)
-            if done:
+            points = self.shell.relax(start, lengths, angles, STEPS_PER_CYCLE).points
+            steps += STEPS_PER_CYCLE
+            energy = self.shell.energy(points, lengths, angles)
+            is_done = self.shell.is_exact(energy) or energy > (1.0 - settings.tolerance) * best.energy
+            best = min(Relaxed(points, energy), best, key=lambda relaxed: relaxed.energy)
+            if is_done:
                 break
-            frames = self.frame_graph.average(triangle_frames(best.points, topology.faces), turns, 1)
+            frames = self.frame_graph.average(triangle_frames(best.points, topology.faces), rotations, 1)
         return best.points, [ShellReport(2.0 * best.energy, steps, True)]
 
 
 def _central_nodes(count: int, pairs: Index) -> Index:
-    """Return one node for every component connected by pairs ``(h, 2)``, in the middle of its longest path."""
+    """Return the node in the middle of the longest path of every component connected by pairs ``(h, 2)``."""
     graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
     component = connected_components(count, pairs)
 
-    def best(distances: Float) -> Index:
+    def nearest(distances: Float) -> Index:
         order = np.lexsort((np.arange(count), distances, component))
         return order[np.unique(component[order], return_index=True)[1]]
 
-    def away(sources: Index) -> Float:
-        return np.asarray(
-            csgraph.dijkstra(graph, directed=False, indices=sources, unweighted=True, min_only=True)
-        )
+    def distances_from(sources: Index) -> Float:
+        search = partial(csgraph.dijkstra, directed=False, unweighted=True, min_only=True)
+        return np.asarray(search(graph, indices=sources))
 
-    one = away(best(-away(best(np.zeros(count)))))
-    return best(np.maximum(one, away(best(-one))))
+    from_end = distances_from(nearest(-distances_from(nearest(np.zeros(count)))))
+    return nearest(np.maximum(from_end, distances_from(nearest(-from_end))))
 
 
 @dataclass(frozen=True)
 class EdgeSettings:
-    """How meshes are found that have nearly given lengths and angles.
+    """Settings of the projection of edge lengths and dihedral angles to a mesh.
 
     Attributes
     ----------
     projection : {"steps", "dso"}
         A fixed number of steps by constant matrices, or Gauss-Newton until it converges (Froehlich and Botsch 2011).
     volume : float
-        DSO: weight of a relative change of volume against that of a length; 0 for no volume term. There are thousands
-        of lengths for one volume: half way between poses of animals 10 halves its error, 100 leaves less than 0.1 %.
+        DSO: weight of a relative change of volume relative to that of a length; 0 for no volume term. A mesh has
+        thousands of lengths for one volume: 10 halves the error of volumes between poses of animals, 100 leaves less
+        than 0.1 %.
     shell : ShellSettings, optional
         DSO: weight of the angles, and convergence limits of Gauss-Newton.
 
     Raises
     ------
     SettingsError
-        If a setting is out of range, or does not go with the projection.
+        If a setting is out of range, or not a setting of the projection.
     """
 
     projection: ProjectionName = "steps"
@@ -339,9 +314,7 @@ class EdgeSettings:
             names = " or ".join(map(repr, PROJECTIONS))
             raise SettingsError(f"projection is {self.projection!r}; {names} is expected")
         if not (np.isfinite(self.volume) and self.volume >= 0):
-            raise SettingsError(
-                f"volume is {self.volume}; a weight of 0 (no volume term) or more is expected"
-            )
+            raise SettingsError(f"volume is {self.volume}; a weight of 0 or more is expected")
         if self.volume and self.projection != "dso":
             raise SettingsError(
                 f"projection {self.projection!r} has no use for volume; leave it out, or choose 'dso'"
@@ -350,9 +323,9 @@ class EdgeSettings:
 
 @dataclass(frozen=True, eq=False)
 class EdgeSpace(PosedSpace):
-    """Shapes by edge lengths and dihedral angles."""
+    """Shapes are edge lengths and dihedral angles."""
 
-    reference_lengths: Float  # (E,) mean lengths of all edges; their inverses weigh lengths in the fits
+    reference_lengths: Float  # (E,) mean lengths of edges; inverse weights of lengths in the fits
     settings: EdgeSettings
     name = "edge"
 
@@ -363,23 +336,22 @@ class EdgeSpace(PosedSpace):
 
     @cached_property
     def projection(self) -> EdgeProjection:
-        """The projection of lengths and angles to a mesh."""
+        """Projection of lengths and angles to a mesh."""
         if self.settings.projection == "dso":
             return self.discrete_shell
         return RelaxedShell(self.topology, self.pieces, self.reference_lengths, Relaxation().bending)
 
     @cached_property
     def discrete_shell(self) -> DiscreteShell:
-        """The mesh as a discrete shell, which measures volumes."""
+        """The mesh as a discrete shell."""
         return DiscreteShell(self.topology, self.pieces)
 
     @cached_property
     def _volume_weights(self) -> Float:
-        """Weights ``(p,)`` of the volumes of all pieces, 0 for sheets; empty without volume terms."""
-        told = self.settings.volume > 0
-        return (
-            self.settings.volume * self.discrete_shell.volume_weights(self.reference) if told else np.zeros(0)
-        )
+        """Weights ``(p,)`` of the volumes of pieces, 0 for sheets; empty without volume terms."""
+        if not self.settings.volume:
+            return np.zeros(0)
+        return self.settings.volume * self.discrete_shell.volume_weights(self.reference)
 
     @property
     def block_sizes(self) -> tuple[int, int, int]:
@@ -398,14 +370,13 @@ class EdgeSpace(PosedSpace):
 
     @property
     def shape_metric(self) -> Float:
-        """Implement `PosedSpace.shape_metric`; a change of volume moves vertices by its ratio to the area."""
+        """Implement `PosedSpace.shape_metric`; changes of volume move vertices by their ratio to the area."""
         lengths, volumes = edge_lengths(self.reference, self.topology.edges), np.zeros(0)
         if len(self._volume_weights):
             areas = self.discrete_shell.piece_areas(self.reference)
             volumes = np.divide(1.0, areas, out=np.zeros_like(areas), where=areas > 0)
-        return np.concatenate(
-            [np.ones(len(lengths)), ANGLE_WEIGHT * lengths[self.topology.hinge_edges], volumes]
-        )
+        angles = ANGLE_WEIGHT * lengths[self.topology.hinge_edges]
+        return np.concatenate([np.ones(len(lengths)), angles, volumes])
 
     def cached_values(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.cached_values`."""
@@ -421,9 +392,8 @@ class EdgeSpace(PosedSpace):
         """Implement `PosedSpace.unwrap_shapes`."""
         result, start = np.array(shapes), len(self.topology.edges)
         angles = slice(start, start + len(self.topology.hinges))
-        before = (
-            dihedral_angles(self.reference, self.topology.hinges) if previous is None else previous[angles]
-        )
+        reference = dihedral_angles(self.reference, self.topology.hinges)
+        before = reference if previous is None else previous[angles]
         result[:, angles] = unwrap_angles(result[:, angles], before)
         return result
 
@@ -447,9 +417,9 @@ class EdgeSpace(PosedSpace):
         """Decode vectors ``(T, D)`` to points ``(T, V, 3)``, and return the reports of the fits of every frame."""
         reports: list[list[ShellReport]] = []
 
-        def rebuilt(shape: Float) -> Float:
+        def rebuild(shape: Float) -> Float:
             rows, report = self.projection.fit(self.targets(shape), shell or self.shell)
             reports.append(report)
             return rows
 
-        return self._decode_with(vectors, rebuilt, progress), reports
+        return self._decode_with(vectors, rebuild, progress), reports

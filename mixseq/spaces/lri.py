@@ -1,8 +1,8 @@
 r"""Linear rotation-invariant coordinates (Lipman, Sorkine, Levin and Cohen-Or 2005).
 
-Every vertex i has an orthonormal frame ``F_i``, whose columns are the direction of one of its edges within the tangent
-plane, the direction across it, and the normal. Rigid motions change neither the rotation between the frames at the two
-ends of an edge nor the edge in the axes of each,
+Every vertex i has an orthonormal frame ``F_i``: the tangential direction of one of its edges, the tangent across it,
+and the normal. The relative rotation of the frames at the ends of an edge, and the edge in the axes of each frame, are
+invariant under rigid motions,
 
 .. math:: M_{ij} = F_i^T F_j, \qquad u_{ij} = F_i^T (x_j - x_i), \qquad u_{ji} = F_j^T (x_i - x_j) .
 
@@ -12,11 +12,11 @@ offsets those of u. All blend linearly, as there; a blended M need not be a rota
 A mesh is rebuilt by two sparse linear least-squares problems:
 
 1. frames: :math:`\min_F \sum_{ij} \|F_j - F_i M_{ij}\|^2 + \|F_i - F_j M_{ij}^T\|^2`, one frame of every piece fixed.
-   Each is then projected to a rotation (not in the paper): inconsistent frames would be too short and shrink the mesh;
+   Each is then projected to a rotation (not in the paper): inconsistent frames would shrink the mesh;
 2. vertices: :math:`\min_x \sum_{ij} |x_j - x_i - F_i u_{ij}|^2 + |x_i - x_j - F_j u_{ji}|^2`, one vertex fixed.
 
-Coordinates of a mesh are reconstructed exactly. A vector is ``[M (E, 3, 3) | u (E, 2, 3) | poses]``, the poses of the
-pieces as in `PosedSpace`.
+The coordinates of a mesh reconstruct it exactly. A vector is ``[M (E, 3, 3) | u (E, 2, 3) | poses]``, with the poses of
+the pieces as in `PosedSpace`.
 """
 
 from __future__ import annotations
@@ -29,23 +29,24 @@ import numpy as np
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.triangle_mesh import DEGENERATE_HEIGHT_RATIO, normalise, perpendicular, vertex_normals
 from mixseq.shells.gauss_newton import BlockSparsePattern
+from mixseq.shells.solvers import index_of
 from mixseq.spaces.gradient import PoissonSystem
 from mixseq.spaces.pieces import PosedSpace
 from mixseq.types import Float, Index
 
 NUMBERS_PER_EDGE = 15
-"""Numbers per edge: nine of the connection, three from either end."""
+"""Numbers per edge: nine of the rotation, three of the edge in each frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class LRISpace(PosedSpace):
-    """Rotations between vertex frames along edges, and edges in the axes of frames; for attributes see `PosedSpace`."""
+    """Shapes are rotations between vertex frames along edges, and edges in frame axes; see `PosedSpace`."""
 
     name = "lri"
 
     @cached_property
     def face_rows(self) -> Index:
-        """Rows ``(F, 3)`` of the faces' corners; pieces share none."""
+        """Rows ``(F, 3)`` of the corners of faces; pieces share none."""
         return self.pieces.face_rows(self.topology)
 
     @cached_property
@@ -58,9 +59,9 @@ class LRISpace(PosedSpace):
 
     @cached_property
     def reference_half_edges(self) -> Index:
-        """Half-edge ``(N,)`` of each vertex that is longest in the reference's tangent plane, -1 without an edge.
+        """Half-edge ``(N,)`` of each vertex that is longest in the tangent plane of the reference, -1 without an edge.
 
-        Half-edge e goes along edge e, half-edge E + e back.
+        Half-edge e is edge e, half-edge E + e its reverse.
         """
         rows = self.pieces.shapes
         starts, lengths, _ = self._tangents(rows, vertex_normals(rows, self.face_rows, self.edge_rows))
@@ -69,22 +70,19 @@ class LRISpace(PosedSpace):
 
     @cached_property
     def poisson_system(self) -> PoissonSystem:
-        """The Poisson system of the vertices."""
+        """Poisson system of the vertices."""
         return PoissonSystem(self.edge_rows, np.ones(len(self.edge_rows)), len(self.pieces.vertex_of_row))
 
     @cached_property
     def unknown_index(self) -> Index:
-        """Place ``(N,)`` of every frame among the unknown ones, -1 if fixed."""
-        number = np.full(len(self.pieces.vertex_of_row), -1, dtype=np.int64)
-        number[self.poisson_system.unknown_ids] = np.arange(len(self.poisson_system.unknown_ids))
-        return number
+        """Index ``(N,)`` of every frame among the unknown ones, -1 if fixed."""
+        return index_of(self.poisson_system.unknown_ids, len(self.pieces.vertex_of_row))
 
     @cached_property
     def frame_pattern(self) -> BlockSparsePattern:
-        """Block pattern of frames coupled by edges."""
-        return BlockSparsePattern.from_pairs(
-            len(self.poisson_system.unknown_ids), self.unknown_index[self.edge_rows]
-        )
+        """Block pattern of unknown frames, coupled by edges."""
+        count = len(self.poisson_system.unknown_ids)
+        return BlockSparsePattern.from_pairs(count, self.unknown_index[self.edge_rows])
 
     def cached_values(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.cached_values`."""
@@ -92,46 +90,43 @@ class LRISpace(PosedSpace):
 
     @property
     def shape_dim(self) -> int:
-        """Fifteen numbers per edge."""
+        """Implement `PosedSpace.shape_dim`: fifteen numbers per edge."""
         return NUMBERS_PER_EDGE * len(self.edge_rows)
 
     @property
     def shape_metric(self) -> Float:
-        """Metric ``(S,)``: rotating a frame moves the other end of an edge by its length.
+        """Implement `PosedSpace.shape_metric`: a rotation of a frame moves the other end of an edge by its length.
 
-        A rotation by one radian changes M by the square root of two; every edge counts twice.
+        A rotation by one radian changes M by the square root of two, and every edge has two ends.
         """
         i, j = self.edge_rows.T
         lengths = np.linalg.norm(self.pieces.shapes[j] - self.pieces.shapes[i], axis=1)
         return np.concatenate([np.repeat(lengths, 9), np.ones(6 * len(lengths))]) * float(np.sqrt(0.5))
 
     def vertex_frames(self, rows: Float) -> Float:
-        """Return the frames ``(N, 3, 3)`` of vertices ``(N, 3)``, piece after piece; axes are the columns.
+        """Return the frames ``(N, 3, 3)`` of rows ``(N, 3)``, with axes in columns.
 
-        Where the direction `towards` has no length, the first one of at least half the largest length replaces it, or
-        an axis of the world.
+        A reference half-edge without tangential length is replaced by the first one of at least half the largest
+        length, or by an axis of the world.
         """
         normals = vertex_normals(rows, self.face_rows, self.edge_rows)
         starts, lengths, tangents = self._tangents(rows, normals)
         longest = np.zeros(len(rows))
         np.maximum.at(longest, starts, lengths)
-        half = np.flatnonzero(lengths >= 0.5 * longest[starts])
-        order = half[np.argsort(starts[half], kind="stable")]
-        other = self._first_of_vertices(order, starts[order])
+        candidates = np.flatnonzero(lengths >= 0.5 * longest[starts])
+        order = candidates[np.argsort(starts[candidates], kind="stable")]
+        alternatives = self._first_of_vertices(order, starts[order])
 
-        chosen = other
+        half_edges = alternatives
         if len(starts):
-            chosen = np.where(
-                lengths[self.reference_half_edges] > DEGENERATE_HEIGHT_RATIO * longest,
-                self.reference_half_edges,
-                other,
-            )
+            is_long = lengths[self.reference_half_edges] > DEGENERATE_HEIGHT_RATIO * longest
+            half_edges = np.where(is_long, self.reference_half_edges, alternatives)
         first = np.zeros((len(rows), 3))
-        first[chosen >= 0] = normalise(tangents[chosen[chosen >= 0]])
-        bare = ~first.any(axis=1)
-        first[bare] = perpendicular(normals[bare])
-        bare = ~normals.any(axis=1)
-        normals[bare] = perpendicular(first[bare])
+        first[half_edges >= 0] = normalise(tangents[half_edges[half_edges >= 0]])
+        is_missing = ~first.any(axis=1)
+        first[is_missing] = perpendicular(normals[is_missing])
+        is_missing = ~normals.any(axis=1)
+        normals[is_missing] = perpendicular(first[is_missing])
         second = np.cross(normals, first)
         return np.stack([first, second, normals], axis=2)
 
@@ -151,41 +146,41 @@ class LRISpace(PosedSpace):
         connections, ends = shape[: 9 * count].reshape(-1, 3, 3), shape[9 * count :].reshape(-1, 2, 3)
         frames = self._solve_frames(connections)
         i, j = self.edge_rows.T
-        ahead, back = (np.einsum("eab,eb->ea", frames[k], ends[:, side]) for side, k in enumerate((i, j)))
-        # Both constrain the same edge, and least squares need their mean alone.
-        return self.poisson_system.solve((ahead - back) / 2)
+        forward, backward = (np.einsum("eab,eb->ea", frames[k], ends[:, n]) for n, k in enumerate((i, j)))
+        # Both constrain the same edge, so that least squares depend on their mean alone.
+        return self.poisson_system.solve((forward - backward) / 2)
 
     def _solve_frames(self, connections: Float) -> Float:
         """Solve for frames ``(N, 3, 3)`` with connections ``(E, 3, 3)`` in the least-squares sense."""
         result = np.tile(np.eye(3), (len(self.unknown_index), 1, 1))
-        solved = self.poisson_system.unknown_ids
-        if not solved.size:
+        unknown_ids = self.poisson_system.unknown_ids
+        if not unknown_ids.size:
             return result
-        # Rows of F (one per coordinate of the world) are independent: F_j - F_i M = 0 reads f_j - M^T f_i = 0.
+        # Rows of F (one per world coordinate) are independent: F_j - F_i M = 0 reads f_j - M^T f_i = 0.
         i, j = self.unknown_index[self.edge_rows].T
-        there, back = np.swapaxes(connections, 1, 2), connections
-        diagonal = np.tile(np.zeros((3, 3)), (len(solved), 1, 1))
+        forward = np.swapaxes(connections, 1, 2)
+        diagonal = np.tile(np.zeros((3, 3)), (len(unknown_ids), 1, 1))
         right = np.zeros_like(diagonal)  # (frame, column of F, coordinate of the world)
-        for target, source, into in ((j, i, there), (i, j, back)):
-            free = target >= 0
-            blocks = np.eye(3) + into @ np.swapaxes(into, 1, 2)
-            # f_target - into f_source, and f_source - into^T f_target.
-            _add_blocks(diagonal, target[free], blocks[free])
-            border = free & (source < 0)
-            _add_blocks(right, target[border], 2.0 * into[border])
+        for target, source, matrices in ((j, i, forward), (i, j, connections)):
+            is_free = target >= 0
+            blocks = np.eye(3) + matrices @ np.swapaxes(matrices, 1, 2)
+            # f_target - matrix f_source, and f_source - matrix^T f_target.
+            _add_blocks(diagonal, target[is_free], blocks[is_free])
+            is_border = is_free & (source < 0)
+            _add_blocks(right, target[is_border], 2.0 * matrices[is_border])
 
         pattern = self.frame_pattern
         values = np.zeros(len(pattern.rows))
         for column in range(3):
             for row in range(column, 3):
-                values[pattern.places[: len(solved), column] + row] = diagonal[:, row, column]
-        inner = (i >= 0) & (j >= 0)
-        places = pattern.places[pattern.find_blocks(i[inner], j[inner])]
-        for column in range(3):  # j is the greater one, and its rows are below the diagonal
+                values[pattern.places[: len(unknown_ids), column] + row] = diagonal[:, row, column]
+        is_inner = (i >= 0) & (j >= 0)
+        places = pattern.places[pattern.find_blocks(i[is_inner], j[is_inner])]
+        for column in range(3):  # j > i, so that its rows are below the diagonal
             for row in range(3):
-                values[places[:, column] + row] = -2.0 * there[inner, row, column]
+                values[places[:, column] + row] = -2.0 * forward[is_inner, row, column]
         solution = pattern.analysis.factor(values).solve(right.reshape(-1, 3)).reshape(-1, 3, 3)
-        result[solved] = nearest_rotations(np.swapaxes(solution, 1, 2))
+        result[unknown_ids] = nearest_rotations(np.swapaxes(solution, 1, 2))
         return result
 
     def _tangents(self, rows: Float, normals: Float) -> tuple[Index, Float, Float]:
@@ -197,7 +192,7 @@ class LRISpace(PosedSpace):
         return starts, np.linalg.norm(tangents, axis=1), tangents
 
     def _first_of_vertices(self, half_edges: Index, starts: Index) -> Index:
-        """Return the first half-edge ``(N,)`` of every vertex, -1 without one; `starts` ascend."""
+        """Return the first half-edge ``(N,)`` of every vertex, -1 without one, by ascending starts."""
         result = np.full(len(self.pieces.vertex_of_row), -1, dtype=np.int64)
         vertices, first = np.unique(starts, return_index=True)
         result[vertices] = half_edges[first]
@@ -209,9 +204,9 @@ def _to_frame_axes(frames: Float, vectors: Float) -> Float:
     return np.asarray(np.einsum("nba,nb->na", frames, vectors))
 
 
-def _add_blocks(sums: Float, places: Index, blocks: Float) -> None:
-    """Add blocks ``(m, 3, 3)`` to sums ``(n, 3, 3)`` at their places ``(m,)``."""
+def _add_blocks(sums: Float, indices: Index, blocks: Float) -> None:
+    """Add blocks ``(m, 3, 3)`` to sums ``(n, 3, 3)`` at indices ``(m,)``."""
     count = len(sums)
     for row in range(3):
         for column in range(3):
-            sums[:, row, column] += np.bincount(places, blocks[:, row, column], minlength=count)
+            sums[:, row, column] += np.bincount(indices, blocks[:, row, column], minlength=count)

@@ -34,23 +34,23 @@ from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.spaces.vertex import VertexSpace
 
 SPACE_STAGES = 3
-"""Number of stages; each counts as much progress as one pass over all frames."""
+"""Number of stages of progress, each as long as one pass over all frames."""
 
 
 @dataclass(frozen=True, eq=False)
 class MixedSettings:
     """Settings of the mixed space."""
 
-    placement: PlacementName = "anchored"  # how parts are placed
-    parts: int | ArrayLike | None = None  # number of parts, or part (F,) of triangles; None finds them
+    placement: PlacementName = "anchored"  # placement of parts
+    parts: int | ArrayLike | None = None  # number of parts, or part (F,) of triangles; by default segmented
     joint_width: int = 3  # largest width of joints, in strips of triangles on each side of a boundary
-    segmentation: Segmentation = "motion"  # method that finds parts, or its settings
+    segmentation: Segmentation = "motion"  # segmentation method, or its settings
     purpose: Purpose = "sequence"  # use of the space, see `mixed_space`
 
 
 @dataclass(frozen=True)
 class NoSettings:
-    """Empty settings of spaces without options."""
+    """Settings of spaces without options."""
 
 
 SpaceSettings = MixedSettings | EdgeSettings | NoSettings
@@ -65,23 +65,21 @@ class SpaceOptions(TypedDict, total=False):
     shell: ShellSettings | None
 
 
-def space_settings(name: SpaceName, **given: Any) -> SpaceSettings:
-    """Make the settings of a space from the options by name."""
+def space_settings(name: SpaceName, **options: Any) -> SpaceSettings:
+    """Make the settings of a space from options by name."""
     _check_name(name)
-    known = _default_options(name)
-    for setting, value in given.items():
-        owners = [other for other in SPACES if setting in _default_options(other)]
+    defaults = _default_options(name)
+    for option, value in options.items():
+        owners = [other for other in SPACES if option in _default_options(other)]
         if not owners:
-            names = sorted({setting for space in SPACES for setting in _default_options(space)})
-            raise SettingsError(f"there is no setting {setting}; settings of spaces are {', '.join(names)}")
-        default = _default_options(owners[0])[setting]
-        chosen = value is not default and not (np.ndim(value) == 0 and value == default)
-        if chosen and setting not in known:
+            names = sorted({option for space in SPACES for option in _default_options(space)})
+            raise SettingsError(f"there is no setting {option}; settings of spaces are {', '.join(names)}")
+        default = _default_options(owners[0])[option]
+        is_changed = value is not default and not (np.ndim(value) == 0 and value == default)
+        if is_changed and option not in defaults:
             others = " or ".join(f"space={other!r}" for other in owners)
-            raise SettingsError(
-                f"the {name} space has no use for {setting}; leave it out, or choose {others}"
-            )
-    return _SETTINGS[name](**{setting: value for setting, value in given.items() if setting in known})
+            raise SettingsError(f"the {name} space has no use for {option}; leave it out, or choose {others}")
+    return _SETTINGS[name](**{option: value for option, value in options.items() if option in defaults})
 
 
 _SETTINGS: dict[SpaceName, type[SpaceSettings]] = {
@@ -94,10 +92,8 @@ _SETTINGS: dict[SpaceName, type[SpaceSettings]] = {
 
 
 def _default_options(name: SpaceName) -> dict[str, Any]:
-    """Return the options of a space by name, with their defaults."""
-    found = {field.name: field.default for field in fields(_SETTINGS[name])}
-    found.pop("purpose", None)  # follows from what the space is for
-    return found
+    """Return the default values of the options of a space by name."""
+    return {field.name: field.default for field in fields(_SETTINGS[name]) if field.name != "purpose"}
 
 
 def _check_name(name: SpaceName) -> None:
@@ -120,9 +116,8 @@ def make_space(
             f"settings are {type(settings).__name__}; the {name} space takes {_SETTINGS[name].__name__}"
         )
     if isinstance(settings, MixedSettings):
-        return _make_mixed_space(
-            frames, settings, workers, StagedProgress(progress, SPACE_STAGES, len(frames.points))
-        )
+        stages = StagedProgress(progress, SPACE_STAGES, len(frames.points))
+        return _make_mixed_space(frames, settings, workers, stages)
     header, points = frames.header, frames.points
     first = points[:1][0].astype(np.float64)
     scale = bounding_diagonal(first) or 1.0
@@ -139,38 +134,34 @@ def make_space(
             f"projection {settings.projection!r} has no use for shell; leave it out, or choose projection='dso'"
         )
     lengths = mean_edge_lengths(points, topology.edges, scale, workers, progress)
-    return EdgeSpace(
-        topology, scale, reference, lengths, replace(settings, shell=settings.shell or ShellSettings())
-    )
+    settings = replace(settings, shell=settings.shell or ShellSettings())
+    return EdgeSpace(topology, scale, reference, lengths, settings)
 
 
 def segment_faces(
     frames: FrameStore | MeshSequence, settings: MixedSettings, topology: Topology
 ) -> NDArray[np.int64]:
-    """Return the part ``(F,)`` of every triangle in the mixed space, given or found."""
+    """Return the part ``(F,)`` of every triangle, from settings or segmentation."""
     points, parts = frames.points, settings.parts
     if not (parts is None or isinstance(parts, int | np.integer)):
         return segment_by_labels(parts, topology)
     name, details = resolve_segmentation(settings.segmentation)
-    some = points[sample_frame_ids(len(points), details.frames)]
-    return segment(some, topology, name, None if parts is None else int(parts), details)
+    sample = points[sample_frame_ids(len(points), details.frames)]
+    return segment(sample, topology, name, None if parts is None else int(parts), details)
 
 
 def _make_mixed_space(
     frames: FrameStore | MeshSequence, settings: MixedSettings, workers: Executor, stages: StagedProgress
 ) -> MixedSpace:
-    """Find parts, grow joints between them, and register the parts."""
+    """Segment parts, grow joints between them, and register the parts."""
     header, points = frames.header, frames.points
     stages.at(0)(0, 1, "finding parts")
     topology = Topology(header.faces, header.vertex_count)
     labels = segment_faces(frames, settings, topology)
-    watched = PartShapes.from_labels(topology, labels, points[sample_frame_ids(len(points))])
-    observed = join_part_motion(
-        _with_progress(
-            workers(measure_part_motion, watched, iterate_blocks(points)), len(points), stages.at(1)
-        )
-    )
-    decomposition = decompose(topology, labels, settings.joint_width, observed)
+    shapes = PartShapes.from_labels(topology, labels, points[sample_frame_ids(len(points))])
+    blocks = workers(measure_part_motion, shapes, iterate_blocks(points))
+    motion = join_part_motion(_with_progress(blocks, len(points), stages.at(1)))
+    decomposition = decompose(topology, labels, settings.joint_width, motion)
     return mixed_space(points, topology, decomposition, settings.placement, settings.purpose, stages.at(2))
 
 

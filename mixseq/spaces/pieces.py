@@ -1,4 +1,4 @@
-r"""The pieces of a mesh, connected by triangles across edges, and spaces whose vectors end with their poses.
+r"""The pieces of a mesh, connected by triangles across edges, and spaces with poses of the pieces.
 
 A vector is ``[shape | quaternions | centres]``: invariants of rigid motions, and a pose of every hinge-connected piece,
 its rotation from the reference and its centre (the paper's :math:`\mathbb{R}^6`, Section 2.2). The paper orients a mesh
@@ -21,87 +21,86 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.jit import compiled
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.spaces.base import ShapeSpace, radii_of_gyration
+from mixseq.spaces.base import ShapeSpace, flatten_blocks, radii_of_gyration
 from mixseq.types import Float, FloatArray, Index
 
 
 @compiled
-def centre_parts(x: Float, vertices: Index, ends: Index, shapes: Float) -> tuple[Float, Float, Float]:
-    """Return centred part vertices ``(N, 3)``, centres ``(p, 3)``, and products with shapes ``(p, 3, 3)``."""
-    moved = np.empty((len(vertices), 3))
+def centre_parts(x: Float, vertex_ids: Index, ends: Index, shapes: Float) -> tuple[Float, Float, Float]:
+    """Return centred vertices ``(N, 3)`` of parts, centres ``(p, 3)``, and covariances with shapes ``(p, 3, 3)``."""
+    centred = np.empty((len(vertex_ids), 3))
     centres, covariances = np.zeros((len(ends), 3)), np.zeros((len(ends), 3, 3))
     start = 0
     for part in range(len(ends)):
         for row in range(start, ends[part]):
             for i in range(3):
-                moved[row, i] = x[vertices[row], i]
-                centres[part, i] += moved[row, i]
+                centred[row, i] = x[vertex_ids[row], i]
+                centres[part, i] += centred[row, i]
         for i in range(3):
             centres[part, i] /= ends[part] - start
         for row in range(start, ends[part]):
             for i in range(3):
-                moved[row, i] -= centres[part, i]
+                centred[row, i] -= centres[part, i]
                 for j in range(3):
-                    covariances[part, i, j] += moved[row, i] * shapes[row, j]
+                    covariances[part, i, j] += centred[row, i] * shapes[row, j]
         start = ends[part]
-    return moved, centres, covariances
+    return centred, centres, covariances
 
 
 @compiled
-def rotate_back(moved: Float, ends: Index, rotations: Float) -> Float:
-    """Return part vertices ``(N, 3)`` rotated by the inverse rotations of parts ``(p, 3, 3)``."""
-    result = np.empty((len(moved), 3))
+def rotate_back(centred: Float, ends: Index, rotations: Float) -> Float:
+    """Return vertices ``(N, 3)`` rotated by the inverse rotations ``(p, 3, 3)`` of their parts."""
+    result = np.empty((len(centred), 3))
     start = 0
     for part in range(len(ends)):
         r = rotations[part]
         for row in range(start, ends[part]):
             for i in range(3):
-                result[row, i] = moved[row, 0] * r[0, i] + moved[row, 1] * r[1, i] + moved[row, 2] * r[2, i]
+                a, b, c = centred[row, 0], centred[row, 1], centred[row, 2]
+                result[row, i] = a * r[0, i] + b * r[1, i] + c * r[2, i]
         start = ends[part]
     return result
 
 
 def register_parts(shapes: Float, parts: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
-    """Register parts of a frame to mean shapes ``(N, 3)``; return aligned vertices, rotations and centres per part."""
-    ends = np.cumsum([len(vertices) for vertices in parts])
-    vertices = np.concatenate(parts)
-    moved, centres, covariances = centre_parts(
-        np.ascontiguousarray(x, dtype=np.float64), vertices, ends, shapes
-    )
+    """Register parts of a frame to mean shapes ``(N, 3)``; return aligned vertices, rotations and centres of parts."""
+    ends, vertex_ids = np.cumsum([len(part) for part in parts]), np.concatenate(parts)
+    points = np.ascontiguousarray(x, dtype=np.float64)
+    centred, centres, covariances = centre_parts(points, vertex_ids, ends, shapes)
     rotations = aligning_rotations(covariances)
-    return rotate_back(moved, ends, rotations), rotations, centres
+    return rotate_back(centred, ends, rotations), rotations, centres
 
 
 MIN_WIDTH_RATIO = 1e-3
-"""Ratio of width to length below which a piece is a line."""
+"""Least ratio of width to length of a piece; narrower ones are lines."""
 
 ADDED_WIDTH_RATIO = 0.1
-"""Width given to lines, relative to their length."""
+"""Ratio of the width added to lines to their length."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Hinge-connected pieces, whose relative poses lengths and angles do not determine.
+    """Hinge-connected pieces, with relative poses that lengths and angles do not determine.
 
-    Vertices without faces are pieces of their own, after all others. Pieces may share vertices, but no edges;
-    arrays of *rows* hold the vertices of all pieces, piece after piece.
+    Unused vertices are pieces of their own, after all others. Pieces may share vertices, but no edges; arrays of *rows*
+    hold the vertices of all pieces, piece after piece.
     """
 
     vertices: tuple[Index, ...]  # vertices of every piece, ascending
-    faces: tuple[Index, ...]  # faces of every piece, ascending; none of an unused vertex
-    shapes: Float  # (N, 3) rows of the reference, every piece about its centre
+    faces: tuple[Index, ...]  # faces of every piece, ascending
+    shapes: Float  # (N, 3) rows of the reference, centred by piece
 
     @classmethod
     def from_mesh(cls, topology: Topology, reference: FloatArray) -> Pieces:
         """Find the pieces of a mesh; poses are relative to the reference ``(V, 3)``."""
-        owner = topology.component_of_face
-        order = np.argsort(owner, kind="stable")
-        faces = np.split(order, np.cumsum(np.bincount(owner))[:-1])
-        vertices = [np.unique(topology.faces[each]).astype(np.int64) for each in faces]
+        component = topology.component_of_face
+        order = np.argsort(component, kind="stable")
+        faces = np.split(order, np.cumsum(np.bincount(component))[:-1])
+        vertices = [np.unique(topology.faces[ids]).astype(np.int64) for ids in faces]
         unused = topology.unused_vertices
         vertices += list(unused[:, None])
         faces += [np.zeros(0, dtype=np.int64)] * len(unused)
-        shapes = np.concatenate([reference[each] - reference[each].mean(axis=0) for each in vertices])
+        shapes = np.concatenate([reference[ids] - reference[ids].mean(axis=0) for ids in vertices])
         return cls(tuple(vertices), tuple(faces), shapes.astype(np.float64))
 
     def __len__(self) -> int:
@@ -118,31 +117,31 @@ class Pieces:
         return np.repeat(np.arange(len(self)), [len(each) for each in self.vertices])
 
     def find_rows(self, pieces: Index, vertices: Index) -> Index:
-        """Return the rows of vertices in given pieces; arrays broadcast."""
+        """Return the rows of vertices in pieces; arrays broadcast."""
         count = int(self.vertex_of_row.max(initial=-1)) + 1
         # Rows ascend by piece, then by vertex.
         rows = np.searchsorted(self.piece_of_row * count + self.vertex_of_row, pieces * count + vertices)
         return np.asarray(rows, dtype=np.int64)
 
     def face_rows(self, topology: Topology) -> Index:
-        """Return the rows ``(F, 3)`` of the corners of all faces, each in its own piece."""
-        owner = topology.component_of_face.astype(np.int64)
-        return self.find_rows(owner[:, None], topology.faces.astype(np.int64))
+        """Return the rows ``(F, 3)`` of the corners of all faces in their pieces."""
+        piece = topology.component_of_face.astype(np.int64)
+        return self.find_rows(piece[:, None], topology.faces.astype(np.int64))
 
     @cached_property
     def row_slices(self) -> list[slice]:
-        """The rows of every piece."""
-        ends = np.cumsum([len(each) for each in self.vertices])
-        return [slice(int(end) - len(each), int(end)) for end, each in zip(ends, self.vertices, strict=True)]
+        """Rows of every piece."""
+        ends = np.cumsum([len(ids) for ids in self.vertices])
+        return [slice(int(end) - len(ids), int(end)) for end, ids in zip(ends, self.vertices, strict=True)]
 
     @cached_property
     def radii(self) -> Float:
-        """Radii of gyration ``(p,)`` in the reference, at least a small number."""
+        """Radii of gyration ``(p,)`` in the reference."""
         return radii_of_gyration(self.shapes, self.vertices)
 
     @cached_property
     def registration_shapes(self) -> Float:
-        """Shapes ``(N, 3)`` for registration, with width added to lines and points to fix their rotation."""
+        """Shapes ``(N, 3)`` for registration; width added to lines and points determines their rotation."""
         return np.concatenate([_with_width(self.shapes[each]) for each in self.row_slices])
 
     def measure_poses(self, x: FloatArray) -> tuple[Float, Float]:
@@ -151,14 +150,13 @@ class Pieces:
         return rotations, centres
 
     def place(self, rows: Float, rotations: Float, centres: Float) -> Float:
-        """Move rows ``(N, 3)`` by rotations ``(p, 3, 3)`` and centres ``(p, 3)`` to ``(V, 3)``; inverts `poses`."""
-        upright, _, _ = self._register(self._rows_of_pieces, rows)
-        return self.merge_rows(
-            np.einsum("nij,nj->ni", rotations[self.piece_of_row], upright) + centres[self.piece_of_row]
-        )
+        """Move rows ``(N, 3)`` to rotations ``(p, 3, 3)`` and centres ``(p, 3)``; return vertices ``(V, 3)``."""
+        aligned, _, _ = self._register(self._rows_of_pieces, rows)
+        pieces = self.piece_of_row
+        return self.merge_rows(np.einsum("nij,nj->ni", rotations[pieces], aligned) + centres[pieces])
 
     def translate(self, rows: Float, centres: Float) -> Float:
-        """Translate pieces, rows ``(N, 3)``, to centres ``(p, 3)``; returns vertices ``(V, 3)``."""
+        """Translate rows ``(N, 3)`` to centres ``(p, 3)``; return vertices ``(V, 3)``."""
         return self.merge_rows(rows + (centres - self._mean_rows(rows))[self.piece_of_row])
 
     def measure_centres(self, x: Float) -> Float:
@@ -166,7 +164,7 @@ class Pieces:
         return self._mean_rows(x[self.vertex_of_row])
 
     def merge_rows(self, rows: Float) -> Float:
-        """Return vertices ``(V, 3)`` of posed rows ``(N, 3)``; the mean where several share one."""
+        """Return vertices ``(V, 3)`` from rows ``(N, 3)``; shared ones are means."""
         counts = np.bincount(self.vertex_of_row)
         return scatter_add(rows, self.vertex_of_row, len(counts)) / counts[:, None]
 
@@ -174,14 +172,14 @@ class Pieces:
     def _rows_of_pieces(self) -> list[Index]:
         return [np.arange(each.start, each.stop) for each in self.row_slices]
 
-    def _register(self, vertices: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
-        """Register pieces twice: lines in a frame first near the identity, then exactly."""
-        upright, rotations, centres = register_parts(self.registration_shapes, vertices, x)
-        upright, further, _ = register_parts(self.registration_shapes, self._rows_of_pieces, upright)
-        return upright, rotations @ further, centres
+    def _register(self, vertex_ids: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
+        """Register pieces twice: lines first approximately, then exactly."""
+        aligned, rotations, centres = register_parts(self.registration_shapes, vertex_ids, x)
+        aligned, refinement, _ = register_parts(self.registration_shapes, self._rows_of_pieces, aligned)
+        return aligned, rotations @ refinement, centres
 
     def _mean_rows(self, rows: Float) -> Float:
-        sizes = np.array([len(each) for each in self.vertices])
+        sizes = np.array([len(ids) for ids in self.vertices])
         sums = np.add.reduceat(rows, np.cumsum([0, *sizes[:-1]]), axis=0)
         return np.asarray(sums / sizes[:, None])
 
@@ -189,13 +187,13 @@ class Pieces:
 def _with_width(shape: Float) -> Float:
     """Add width to a centred shape ``(n, 3)`` that is a line or a point; return others unchanged.
 
-    Offsets have neither a mean nor a moment along the line, so that a rigidly moving line has exactly that pose.
+    Offsets have neither a mean nor a moment along the line, so that the pose of a rigidly moving line is exact.
     """
     _, sizes, axes = np.linalg.svd(shape, full_matrices=False)
     if len(shape) < 3 or sizes[1] > MIN_WIDTH_RATIO * sizes[0]:
         return shape
     number = np.arange(len(shape), dtype=np.float64)
-    if sizes[0] == 0:  # any shape: this is a helix
+    if sizes[0] == 0:  # a point becomes a helix
         helix = np.stack([np.cos(number), np.sin(number), number / len(shape)], axis=1)
         return np.asarray(helix - helix.mean(axis=0))
     along = shape @ axes[0]
@@ -203,25 +201,21 @@ def _with_width(shape: Float) -> Float:
     offsets -= along * (along @ offsets) / (along @ along)
     side = np.eye(3)[np.abs(axes[0]).argmin()]
     side -= axes[0] * (axes[0] @ side)
-    return np.asarray(
-        shape + ADDED_WIDTH_RATIO * sizes[0] * np.outer(offsets, side) / np.linalg.norm(offsets)
-    )
+    width = ADDED_WIDTH_RATIO * sizes[0]
+    return np.asarray(shape + width * np.outer(offsets, side) / np.linalg.norm(offsets))
 
 
 @dataclass(frozen=True, eq=False)
 class PosedSpace(ShapeSpace):
-    """A space whose shapes are invariant under a rigid motion of every piece."""
+    """A space with shapes that are invariant under rigid motions of the pieces."""
 
     topology: Topology  # connectivity of the mesh
-    # Length of the unit of the space, in the units of the sequence: the diagonal of the first frame.
-    scale: float
-    # (V, 3) the first frame, in the space's unit: rotations are from it, angles of the first encoded frame stay near
-    # it.
-    reference: Float
+    scale: float  # diagonal of the first frame, in the units of the sequence
+    reference: Float  # (V, 3) first frame in diagonals, the origin of rotations and angles
 
     @cached_property
     def pieces(self) -> Pieces:
-        """The pieces of the mesh."""
+        """Hinge-connected pieces of the mesh."""
         return Pieces.from_mesh(self.topology, self.reference)
 
     @property
@@ -237,18 +231,18 @@ class PosedSpace(ShapeSpace):
     @property
     @abstractmethod
     def shape_metric(self) -> Float:
-        """Weights ``(S,)`` of the shape, as in `weights`."""
+        """Metric ``(S,)`` of shapes, see `weights`."""
 
     @abstractmethod
     def measure_shape(self, x: Float) -> Float:
-        """Return the shape ``(S,)`` of a frame ``(V, 3)`` in diagonals, invariant under rigid motions."""
+        """Return the shape ``(S,)`` of a frame ``(V, 3)`` in diagonals."""
 
     @abstractmethod
     def rebuild_rows(self, shape: Float) -> Float:
-        """Return rows ``(N, 3)`` of all pieces with a shape ``(S,)``, each in any pose; see `Pieces`."""
+        """Return rows ``(N, 3)`` of the pieces of a shape ``(S,)``, each in any pose; see `Pieces`."""
 
     def unwrap_shapes(self, shapes: Float, previous: Float | None) -> Float:
-        """Make shapes ``(T, S)`` continuous in time, after the previous one, or else the reference."""
+        """Make shapes ``(T, S)`` continuous in time, and with a previous one or the reference."""
         return shapes
 
     @property
@@ -258,38 +252,33 @@ class PosedSpace(ShapeSpace):
 
     @property
     def rotation_count(self) -> int:
-        """One for every piece."""
-        return len(self.pieces)
-
-    @property
-    def centre_count(self) -> int:
-        """One for every piece."""
+        """Implement `ShapeSpace.rotation_count`: one per piece."""
         return len(self.pieces)
 
     @property
     def weights(self) -> Float:
         """Metric ``(D,)``: a quaternion moves vertices by twice the radius of gyration of its piece."""
-        turns = np.repeat(2.0 * self.pieces.radii, 4)
-        return np.concatenate([self.shape_metric, turns, np.ones(3 * len(self.pieces))])
+        quaternion_weights = np.repeat(2.0 * self.pieces.radii, 4)
+        return np.concatenate([self.shape_metric, quaternion_weights, np.ones(3 * len(self.pieces))])
 
     def encode_independently(self, points: FloatArray) -> Float:
         """Implement `ShapeSpace.encode_independently`."""
-        result = np.empty((len(points), self.dim))
-        for vector, frame in zip(result, points, strict=True):
+        vectors = np.empty((len(points), self.dim))
+        for vector, frame in zip(vectors, points, strict=True):
             x = frame.astype(np.float64) / self.scale
             rotations, centres = self.pieces.measure_poses(x)
             blocks = self.measure_shape(x), matrix_to_quat(rotations).reshape(-1), centres.reshape(-1)
             np.concatenate(blocks, out=vector)
-        return result
+        return vectors
 
     def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
         """Implement `ShapeSpace.unwrap`."""
-        shapes, turns, centres = self.split(vectors)
-        before = None if previous is None else self.split(previous[None])
-        shapes = self.unwrap_shapes(shapes, None if before is None else before[0][0])
-        turns = align_quat_signs(turns, None if before is None else before[1][0])
-        count = len(vectors)
-        return np.concatenate([shapes, turns.reshape(count, -1), centres.reshape(count, -1)], axis=1)
+        shapes, rotations, centres = self.split(vectors)
+        previous_shape = previous_rotations = None
+        if previous is not None:
+            previous_shape, previous_rotations = (block[0] for block in self.split(previous[None])[:2])
+        shapes = self.unwrap_shapes(shapes, previous_shape)
+        return flatten_blocks((shapes, align_quat_signs(rotations, previous_rotations), centres))
 
     def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
         """Implement `ShapeSpace.decode`."""
@@ -297,19 +286,19 @@ class PosedSpace(ShapeSpace):
 
     def _decode_with(self, vectors: Float, rebuild: Callable[[Float], Float], progress: Progress) -> Float:
         """Decode vectors ``(T, D)`` by a function from a shape ``(S,)`` to rows ``(N, 3)`` in any pose."""
-        shapes, turns, centres = self.split(np.asarray(vectors, dtype=np.float64))
+        shapes, rotations, centres = self.split(np.asarray(vectors, dtype=np.float64))
         points = np.empty((len(shapes), self.topology.vertex_count, 3))
         with one_blas_thread():
-            for number, shape in enumerate(shapes):
-                points[number] = self.place_pieces(rebuild(shape), turns[number], centres[number])
-                progress(number + 1, len(shapes), "decoding frames")
+            for frame, shape in enumerate(shapes):
+                points[frame] = self.place_pieces(rebuild(shape), rotations[frame], centres[frame])
+                progress(frame + 1, len(shapes), "decoding frames")
         return points
 
-    def place_pieces(self, rows: Float, turns: Float, centres: Float) -> Float:
-        """Pose pieces ``(N, 3)`` in diagonals; returns vertices ``(V, 3)`` in units of the sequence."""
-        return self.pieces.place(rows, quat_to_matrix(turns), centres) * self.scale
+    def place_pieces(self, rows: Float, rotations: Float, centres: Float) -> Float:
+        """Pose rows ``(N, 3)`` in diagonals; return vertices ``(V, 3)`` in units of the sequence."""
+        return self.pieces.place(rows, quat_to_matrix(rotations), centres) * self.scale
 
     def split(self, vectors: Float) -> tuple[Float, Float, Float]:
-        """Return shapes ``(T, S)``, quaternions ``(T, p, 4)``, centres ``(T, p, 3)``; raises what `checked` does."""
+        """Return shapes ``(T, S)``, quaternions ``(T, p, 4)``, centres ``(T, p, 3)``; raises as `check_vectors`."""
         shapes = self.check_vectors(vectors)[:, : self.shape_dim]
         return shapes, *self.unpack_placements(vectors[:, self.shape_dim :])

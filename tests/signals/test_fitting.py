@@ -58,7 +58,7 @@ SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
         ({"projection": "dso"}, r"the mixed space has no use for projection; .* space='edge'"),
         ({"settling_from": 0.1, "rank": 1}, r"there is no setting settling_from"),
         ({"shrinkage": 1}, r"there is no setting shrinkage; settings of spaces are joint_width, "),
-        ({"knots": 1}, r"knots is 1; 3 frames can have 0 to 0 inner knots"),
+        ({"knots": 1}, r"knots is 1; 3 frames allow 0 to 0 inner knots"),
     ],
 )
 def test_settings_are_checked(settings: dict[str, Any], message: str) -> None:

@@ -260,5 +260,5 @@ def test_frames_by_number() -> None:
 
 
 def test_rates_that_make_too_many_frames_are_refused() -> None:
-    with pytest.raises(SettingsError, match="make more than 10,000,000 frames"):
+    with pytest.raises(SettingsError, match="more than 10,000,000 frames"):
         model_of().header_at(fps=1e12)

@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from mixseq.signals.modes import _modes_from_coordinate_products, _modes_from_frame_products, principal_modes
+from mixseq.signals.modes import _from_coordinates, _from_frames, principal_modes
 from mixseq.types import Float
 
 
@@ -61,7 +61,7 @@ def test_many_frames_have_no_more_modes_than_coordinates(count: int, rank: int) 
 
 def test_modes_of_many_frames_are_those_of_their_products() -> None:
     given_ = vectors(60, rank=6)
-    few, many = _modes_from_frame_products(given_, METRIC), _modes_from_coordinate_products(given_, METRIC)
+    few, many = _from_frames(given_, METRIC), _from_coordinates(given_, METRIC)
     np.testing.assert_allclose(many.sizes[:6], few.sizes[:6], rtol=1e-9)
     np.testing.assert_allclose(many.scores[:, :4], few.scores[:, :4], atol=1e-8 * few.sizes[0])
     shapes = [modes.first(4).key_shapes() for modes in (few, many)]

@@ -125,9 +125,9 @@ def test_knots_by_number_and_by_time() -> None:
     ("knots", "message"),
     [
         (-1, "knots is -1"),
-        (27, "30 frames can have 0 to 26"),
+        (27, "30 frames allow 0 to 26"),
         ([-1.0, 0.5], "must be between 0 and 2.9"),
-        (np.linspace(0.1, 2.8, 27), "30 frames can have 26"),
+        (np.linspace(0.1, 2.8, 27), "30 frames allow 26"),
         ([0.51, 0.52, 0.53, 0.54, 0.55, 0.56], "no frames between the knots near"),
     ],
 )
@@ -180,7 +180,7 @@ def test_what_doubles_have_no_digits_for_is_refused(settings: dict[str, Any]) ->
 def test_growth_that_leaves_too_few_digits_is_refused() -> None:
     growing = LONG.points * np.geomspace(1e-6, 1e6, 30)[:, None, None]
     with pytest.raises(
-        SettingsError, match=r"more than 0\.0001: vertices get up to \S+e\+11 diagonals"
+        SettingsError, match=r"more than 0\.0001: vertices move up to \S+e\+11 diagonals"
     ) as error:
         fit(LONG.with_points(growing), tolerance=1e-4)
     assert str(error.value).startswith(repr(LONG.header.name))

@@ -171,7 +171,7 @@ def test_between_frames_a_body_turns_as_evenly_as_at_them() -> None:
     vectors = SPACE.encode(points)
     operator, at = TemporalOperator(times), np.array([0.0, 0.01, 0.1, 0.2])
     _, placements = SPACE.interpolate_poses(
-        operator, vectors[:, :0], vectors[:, SPACE.shape_dim :], at, in_body=False
+        operator, vectors[:, :0], vectors[:, SPACE.shape_dim :], at, in_body_axes=False
     )
     found = SPACE.decode(
         np.concatenate([np.repeat(vectors[:1, : SPACE.shape_dim], 4, axis=0), placements], axis=1)

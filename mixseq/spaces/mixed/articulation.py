@@ -1,16 +1,16 @@
 r"""Part poses relative to their bodies, and relations of neighbouring parts.
 
-Adjacent parts form a *body*: parts with a common boundary, and those of components that touch in the reference frame,
+Adjacent parts form a *body*: parts with a common boundary, and parts of components that touch in the reference frame,
 such as eyes and shoes. The pose of a body is the rigid motion from the reference frame that fits its parts best,
 
 .. math:: \min_{Q, C} \sum_i m_i\, |Q\, (\bar c_i - \bar C) + C - c_i|^2 + m_i r_i^2\, |Q - T_i|^2 ,
 
 with the rotations :math:`T_i` of parts since the reference frame, their centres :math:`c_i`, numbers of vertices
-:math:`m_i` and radii of gyration :math:`r_i`. *Articulation* is the poses of parts in the axes of their body, rotations
-:math:`t_i = Q^T T_i` and centres :math:`Q^T (c_i - C)`, and *relations* of each part j to its neighbour i: the rotation
-:math:`t_i^T t_j` and the place of a pivot of j, the middle of their boundary. Both are invariant under rigid motions.
+:math:`m_i` and radii of gyration :math:`r_i`. Relative to their body, parts have rotations :math:`t_i = Q^T T_i` and
+centres :math:`Q^T (c_i - C)`. The *relation* of a part j to its neighbour i is the rotation :math:`t_i^T t_j` and the
+position of the pivot of j, the middle of their boundary, in the axes of i. Both are invariant under rigid motions.
 
-Blends of poses and blends of relations disagree. The agreeing poses are found as for the faces of joints
+Blended poses and blended relations are inconsistent. They are reconciled like the faces of joints
 (`mixseq.spaces.mixed.joint_projection`): rotations are averaged, then centres follow from the pivots, by constant
 matrices of the weights :math:`m_i r_i^2` and :math:`m_i`.
 """
@@ -40,63 +40,53 @@ from mixseq.mesh.rotations import (
 from mixseq.mesh.topology import Topology, connected_components
 from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import Decomposition
+from mixseq.spaces.base import flatten_blocks
 from mixseq.spaces.mixed import posing_kernels as kernels
 from mixseq.spaces.mixed.joint_projection import RealOrComplex
 from mixseq.spaces.temporal import Poses
 from mixseq.types import Float, Index
 
 CONTACT_DISTANCE = 0.1
-"""Largest distance of components of one body in the reference frame, in diagonals."""
+"""Largest distance between touching components in the reference frame, in diagonals."""
 
 MOTION_FLOOR = 1e-2
 """Root mean square motion added to all variances, in diagonals."""
 
 STEADINESS_RANGE = (1e-8, MOTION_FLOOR**-2)
-"""Range of steadiness, in 1 / squared diagonals."""
+"""Range of inverse variances, in 1 / squared diagonals."""
 
 
 class PartPoses(NamedTuple):
-    """Articulation in T frames: p parts and n relations of neighbours."""
+    """Part poses and relations in T frames: p parts and n relations of neighbours."""
 
-    # (T, p, 4) rotations of parts since the reference frame, as seen from the body: quaternions.
-    rotations: RealOrComplex
-    centres: RealOrComplex  # (T, p, 3) centres of parts, as seen from the body
+    rotations: RealOrComplex  # (T, p, 4) quaternions of parts since the reference frame, in body axes
+    centres: RealOrComplex  # (T, p, 3) centres of parts, in body axes
     relation_rotations: RealOrComplex  # (T, n, 4) quaternions of part j in the axes of part i
-    relation_points: RealOrComplex  # (T, n, 3) where the pivot of part j is, as seen from part i
+    relation_points: RealOrComplex  # (T, n, 3) pivots of part j in the axes of part i
 
 
 class Steadiness(NamedTuple):
-    """Inverse variances of poses and relations over the frames, in 1 / squared diagonals."""
+    """Inverse variances of part poses and relations over the frames, in 1 / squared diagonals."""
 
-    turns: Float  # (p,) of rotations of parts as seen from the body, times their radii of gyration
-    centres: Float  # (p,) of centres of parts as seen from the body
+    turns: Float  # (p,) of rotations of parts in body axes, times their radii of gyration
+    centres: Float  # (p,) of centres of parts in body axes
     relation_turns: Float  # (n,) of rotations between neighbours, times the smaller radius of gyration
-    relation_points: Float  # (n,) of pivots as seen from neighbours
-
-    @classmethod
-    def uniform(cls, parts: int, relations: int) -> Steadiness:
-        """Return unit weights for all poses and relations."""
-        return cls(*(np.ones(count) for count in (parts, parts, relations, relations)))
+    relation_points: Float  # (n,) of pivots in the axes of neighbours
 
 
 @dataclass(frozen=True, eq=False)
 class Articulation:
-    """Bodies, and neighbouring parts; made by `articulation_of`."""
+    """Bodies and neighbouring parts; made by `find_articulation`."""
 
     rest_centres: Float  # (p, 3) centres of the parts in the reference frame, in diagonals
     radii: Float  # (p,) radii of gyration of the parts, in diagonals
     masses: Float  # (p,) numbers of vertices of the parts
     areas: Float  # (p,) areas of the parts in the reference frame, in squared diagonals
-    body_of_part: Index  # (p,) the body of every part
-    pairs: Index  # (n, 2) neighbours: parts i and j, every pair in both orders
-    pivots: Float  # (n, 3) where they meet in the reference frame, as seen from the centre of j
+    body_of_part: Index  # (p,) body of every part
+    pairs: Index  # (n, 2) neighbouring parts i and j, every pair in both orders
+    pivots: Float  # (n, 3) middles of their boundaries in the reference frame, relative to the centre of j
     steadiness: Steadiness  # inverse variances of poses and relations
-    relation_weight: float = 1.0  # weight of a relation against an equal change of its lighter part's pose
-
-    @property
-    def part_count(self) -> int:
-        """Number p of parts."""
-        return len(self.body_of_part)
+    relation_weight: float = 1.0  # weight of a relation relative to its lighter part's pose
 
     @cached_property
     def body_count(self) -> int:
@@ -106,31 +96,30 @@ class Articulation:
     @cached_property
     def body_radii(self) -> Float:
         """Radii of gyration ``(B,)`` of the bodies in the reference frame, in diagonals."""
-        away = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.body_of_part]
-        squares = self.masses * (np.square(self.radii) + np.square(away).sum(axis=1))
+        offsets = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.body_of_part]
+        squares = self.masses * (np.square(self.radii) + np.square(offsets).sum(axis=1))
         return np.sqrt(np.bincount(self.body_of_part, squares) / np.bincount(self.body_of_part, self.masses))
 
     @cached_property
     def _graph(self) -> sparse.csr_array:
-        places = tuple(self.pairs.T)
-        count = self.part_count
-        return sparse.coo_array((np.ones(len(self.pairs)), places), shape=(count, count)).tocsr()
+        shape = len(self.radii), len(self.radii)
+        return sparse.coo_array((np.ones(len(self.pairs)), tuple(self.pairs.T)), shape=shape).tocsr()
 
     @cached_property
     def parents(self) -> Index:
-        """Parents ``(p,)`` in the tree of parts, -1 for roots: the part of each body with most area."""
-        result = np.full(self.part_count, -1, dtype=np.int64)
-        reached = np.zeros(self.part_count, dtype=bool)
+        """Parents ``(p,)`` in the tree of parts, -1 for roots: the part of each body with the largest area."""
+        result = np.full(len(self.radii), -1, dtype=np.int64)
+        reached = np.zeros(len(self.radii), dtype=bool)
         for root in np.argsort(-self.areas, kind="stable"):
             if not reached[root]:
-                order, above = csgraph.breadth_first_order(self._graph, root, directed=False)
-                result[order[1:]] = above[order[1:]]
+                order, predecessors = csgraph.breadth_first_order(self._graph, root, directed=False)
+                result[order[1:]] = predecessors[order[1:]]
                 reached[order] = True
         return result
 
     @cached_property
     def _tree(self) -> tuple[Index, Index]:
-        """Parts that have a parent, parents first, and their parents."""
+        """Parts ``(m,)`` with a parent, parents first, and their parents ``(m,)``."""
         order: list[int] = []
         level = np.flatnonzero(self.parents < 0)
         while len(level):
@@ -141,50 +130,46 @@ class Articulation:
 
     @cached_property
     def _tree_relations(self) -> Index:
-        """The relation of each part of the tree to its parent."""
-        parts, above = self._tree
+        """Relation ``(m,)`` of each part of the tree to its parent."""
+        parts, parents = self._tree
         number = {(i, j): k for k, (i, j) in enumerate(self.pairs.tolist())}
-        return np.array(
-            [number[pair] for pair in zip(above.tolist(), parts.tolist(), strict=True)], dtype=np.int64
-        )
+        pairs = zip(parents.tolist(), parts.tolist(), strict=True)
+        return np.array([number[pair] for pair in pairs], dtype=np.int64)
 
     @cached_property
     def _systems(self) -> tuple[Float, ...]:
         """Weights ``(p,)``, ``(n,)`` and inverse ``(p, p)`` of rotations; weights ``(n,)`` and inverse of centres."""
         steady, inertia = self.steadiness, self.masses * np.square(self.radii)
-        _, *places = self._weights_and_inverse(self.masses, steady.centres, steady.relation_points)
-        return *self._weights_and_inverse(inertia, steady.turns, steady.relation_turns), *places
+        _, *centres = self._weights_and_inverse(self.masses, steady.centres, steady.relation_points)
+        return *self._weights_and_inverse(inertia, steady.turns, steady.relation_turns), *centres
 
-    def _weights_and_inverse(
-        self, sizes: Float, parts: Float, relations: Float
-    ) -> tuple[Float, Float, Float]:
+    def _weights_and_inverse(self, sizes: Float, poses: Float, relations: Float) -> tuple[Float, ...]:
         """Weights of parts ``(p,)`` and relations ``(n,)``, and the inverse ``(p, p)`` of their matrix."""
         i, j = self.pairs.T
-        own, weights = sizes * parts, self.relation_weight * np.minimum(sizes[i], sizes[j]) * relations
-        matrix = np.diag(own)
-        np.add.at(matrix, (i, i), weights)
-        np.add.at(matrix, (j, j), weights)
-        np.add.at(matrix, (i, j), -weights)
-        np.add.at(matrix, (j, i), -weights)
-        return own, weights, np.asarray(np.linalg.inv(matrix))
+        part_weights = sizes * poses
+        relation_weights = self.relation_weight * np.minimum(sizes[i], sizes[j]) * relations
+        matrix = np.diag(part_weights)
+        np.add.at(matrix, (i, i), relation_weights)
+        np.add.at(matrix, (j, j), relation_weights)
+        np.add.at(matrix, (i, j), -relation_weights)
+        np.add.at(matrix, (j, i), -relation_weights)
+        return part_weights, relation_weights, np.asarray(np.linalg.inv(matrix))
 
     # From frames -------------------------------------------------------------------------------------------
 
     def fit_bodies(self, poses: Poses) -> Poses:
-        """Return the poses ``(T, B)`` of the bodies of parts with poses ``(T, p)``, rotations since the reference."""
+        """Fit poses ``(T, B)`` of bodies, rotations since the reference, to part poses ``(T, p)``."""
         centres = self._body_means(poses.centres)
-        rest = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.body_of_part]
-        away = poses.centres - centres[:, self.body_of_part]
-        moments = np.einsum("p,tpa,pb->tpab", self.masses, away, rest)
+        rest_offsets = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.body_of_part]
+        offsets = poses.centres - centres[:, self.body_of_part]
+        moments = np.einsum("p,tpa,pb->tpab", self.masses, offsets, rest_offsets)
         moments += (self.masses * np.square(self.radii))[:, None, None] * quat_to_matrix(poses.rotations)
         return Poses(matrix_to_quat(nearest_rotations(self._body_sums(moments))), centres)
 
     def _body_means(self, centres: Float) -> Float:
-        """Means ``(T, B, 3)`` of the centres ``(T, p, 3)`` of parts."""
-        return (
-            self._body_sums(self.masses[:, None] * centres)
-            / np.bincount(self.body_of_part, self.masses)[:, None]
-        )
+        """Means ``(T, B, 3)`` of the centres ``(T, p, 3)`` of parts, weighted by mass."""
+        masses = np.bincount(self.body_of_part, self.masses)
+        return self._body_sums(self.masses[:, None] * centres) / masses[:, None]
 
     def _body_sums(self, values: Float) -> Float:
         """Sums ``(T, B, ...)`` of values ``(T, p, ...)`` of parts."""
@@ -194,19 +179,20 @@ class Articulation:
         return sums
 
     def to_body_axes(self, poses: Poses, bodies: Poses) -> Poses:
-        """Return poses of parts ``(T, p)`` as seen from their bodies ``(T, B)``."""
+        """Return poses of parts ``(T, p)`` in the axes of their bodies ``(T, B)``."""
         back = quat_conjugate(normalise_quat(bodies.rotations))[:, self.body_of_part]
-        away = poses.centres - bodies.centres[:, self.body_of_part]
-        return Poses(quat_multiply(back, poses.rotations), rotate_vectors(quat_to_matrix(back), away))
+        offsets = poses.centres - bodies.centres[:, self.body_of_part]
+        return Poses(quat_multiply(back, poses.rotations), rotate_vectors(quat_to_matrix(back), offsets))
 
     def to_world_axes(self, poses: Poses, bodies: Poses) -> Poses:
-        """Return poses of parts in the world; the inverse of `seen_from_bodies`."""
-        turns = normalise_quat(bodies.rotations)[:, self.body_of_part]
-        centres = rotate_vectors(quat_to_matrix(turns), poses.centres) + bodies.centres[:, self.body_of_part]
-        return Poses(quat_multiply(turns, poses.rotations), centres)
+        """Return poses of parts in world axes; the inverse of `to_body_axes`."""
+        rotations = normalise_quat(bodies.rotations)[:, self.body_of_part]
+        centres = rotate_vectors(quat_to_matrix(rotations), poses.centres)
+        centres += bodies.centres[:, self.body_of_part]
+        return Poses(quat_multiply(rotations, poses.rotations), centres)
 
     def add_relations(self, poses: Poses) -> PartPoses:
-        """Return poses ``(T, p)``, in any axes, with their relations."""
+        """Return poses ``(T, p)``, in any common axes, with their relations."""
         i, j = self.pairs.T
         back = quat_conjugate(poses.rotations[:, i])
         pivots = rotate_vectors(quat_to_matrix(poses.rotations[:, j]), self.pivots) + poses.centres[:, j]
@@ -216,38 +202,37 @@ class Articulation:
     # To frames ---------------------------------------------------------------------------------------------
 
     def reconcile(self, poses: PartPoses) -> Poses:
-        """Return poses ``(T, p)`` that agree best with poses and relations ``(T, ...)``."""
-        found = [self._reconcile_frame(PartPoses(*frame)) for frame in zip(*poses, strict=True)]
-        turns, centres = (np.stack(each) for each in zip(*found, strict=True))
-        return Poses(turns, centres)
+        """Return the part poses ``(T, p)`` that fit poses and relations ``(T, ...)`` best."""
+        frames = [self._reconcile_frame(PartPoses(*frame)) for frame in zip(*poses, strict=True)]
+        rotations, centres = (np.stack(arrays) for arrays in zip(*frames, strict=True))
+        return Poses(rotations, centres)
 
     def _reconcile_frame(self, poses: PartPoses) -> tuple[RealOrComplex, RealOrComplex]:
-        """Return the poses ``(p, 4)``, ``(p, 3)`` of one frame that agree best."""
-        tree = *self._tree, self._tree_relations
-        arrays = *map(np.ascontiguousarray, poses), self.pairs, self.pivots, *tree, *self._systems
+        """Return the part poses ``(p, 4)``, ``(p, 3)`` that fit those of one frame best."""
+        graph = self.pairs, self.pivots, *self._tree, self._tree_relations
+        arrays = *map(np.ascontiguousarray, poses), *graph, *self._systems
         return kernels.reconcile_poses(*arrays)
 
     def measure_steadiness(self, poses: PartPoses) -> Steadiness:
-        """Return the inverse variances of poses and relations over frames ``(T, ...)``."""
+        """Return the inverse variances of part poses and relations over frames ``(T, ...)``."""
         i, j = self.pairs.T
         radii = self.radii, np.minimum(self.radii[i], self.radii[j])
-        found = []
-        for turns, places, radius in zip(poses[::2], poses[1::2], radii, strict=True):
-            mean = normalise_quat(turns.mean(axis=0))
-            cosines = np.minimum(np.abs(np.einsum("tpi,pi->tp", turns, mean)), 1.0)
-            angles = 2.0 * np.arccos(cosines) * radius
-            away = np.linalg.norm(places - places.mean(axis=0), axis=2)
-            squares = [np.square(each).mean(axis=0) + MOTION_FLOOR**2 for each in (angles, away)]
-            found += [np.clip(1.0 / square, *STEADINESS_RANGE) for square in squares]
-        return Steadiness(*found)
+        result = []
+        for rotations, points, radius in zip(poses[::2], poses[1::2], radii, strict=True):
+            mean = normalise_quat(rotations.mean(axis=0))
+            cosines = np.minimum(np.abs(np.einsum("tpi,pi->tp", rotations, mean)), 1.0)
+            arcs = 2.0 * np.arccos(cosines) * radius
+            distances = np.linalg.norm(points - points.mean(axis=0), axis=2)
+            variances = (np.square(sizes).mean(axis=0) + MOTION_FLOOR**2 for sizes in (arcs, distances))
+            result += [np.clip(1.0 / variance, *STEADINESS_RANGE) for variance in variances]
+        return Steadiness(*result)
 
     def pose_corrections(self, poses: Poses, targets: Poses) -> Float:
-        """Return rotation vectors and shifts ``(T, 6 p)`` from poses to targets at increasing times."""
-        spins = continuous_rotvec(
-            quat_to_matrix(quat_multiply(quat_conjugate(poses.rotations), targets.rotations))
-        )
+        """Return rotation vectors and shifts ``(T, 6 p)`` from poses to targets, continuous in time."""
+        changes = quat_multiply(quat_conjugate(poses.rotations), targets.rotations)
+        rotation_vectors = continuous_rotvec(quat_to_matrix(changes))
         shifts = targets.centres - poses.centres
-        return np.concatenate([each.reshape(len(each), -1) for each in (spins, shifts)], axis=1)
+        return flatten_blocks((rotation_vectors, shifts))
 
     def part_motions(
         self, poses: PartPoses, bodies: tuple[RealOrComplex, RealOrComplex], correction: RealOrComplex
@@ -256,12 +241,11 @@ class Articulation:
 
         Shapes: bodies ``(B, 4), (B, 3)``; correction ``(6 p,)``.
         """
-        turns, centres = self._reconcile_frame(poses)
-        spins, shifts = correction.reshape(2, -1, 3)
-        turns, centres = kernels.correct_poses(turns, centres, spins, shifts)
-        return kernels.part_motions(
-            turns, centres, *bodies, self.body_of_part, self.rest_centres, *self._tree
-        )
+        rotations, centres = self._reconcile_frame(poses)
+        rotation_vectors, shifts = correction.reshape(2, -1, 3)
+        rotations, centres = kernels.correct_poses(rotations, centres, rotation_vectors, shifts)
+        rest = self.body_of_part, self.rest_centres
+        return kernels.part_motions(rotations, centres, *bodies, *rest, *self._tree)
 
 
 def find_articulation(
@@ -275,11 +259,11 @@ def find_articulation(
 ) -> Articulation:
     """Find bodies and neighbouring parts: reference ``(V, 3)``, rest centres and radii ``(p, 3), (p,)``, in diagonals.
 
-    `relation_weight` is the weight of a relation against a pose; by default all are equally steady.
+    Without steadiness, all poses and relations have unit weights; `relation_weight` multiplies those of relations.
     """
     labels, count = decomposition.part_of_face, len(decomposition.parts)
     boundaries = Boundaries.from_labels(topology, labels)
-    pairs, places = boundaries.parts, boundaries.middles(reference)
+    pairs, pivots = boundaries.parts, boundaries.middles(reference)
     areas = np.bincount(labels, triangle_areas(reference, topology.faces), minlength=count).astype(np.float64)
     component = connected_components(count, pairs)
     part_of_vertex = np.full(topology.vertex_count, -1, dtype=np.int64)
@@ -290,12 +274,12 @@ def find_articulation(
         np.flatnonzero((part_of_vertex >= 0) & (component[part_of_vertex] == piece))
         for piece in range(component.max(initial=-1) + 1)
     ]
-    held = attach_pieces(pieces, reference, np.arange(len(reference)))
-    ends = np.stack([held.vertices, held.holder_vertices], axis=1)
-    near = np.linalg.norm(np.diff(reference[ends], axis=1)[:, 0], axis=1) <= CONTACT_DISTANCE
-    pairs = np.concatenate([pairs, part_of_vertex[ends[near]]])
-    places = np.concatenate([places, reference[ends[near]].mean(axis=1)])
-    pairs, places = np.concatenate([pairs, pairs[:, ::-1]]), np.tile(places, (2, 1))
+    contacts = attach_pieces(pieces, reference, np.arange(len(reference)))
+    contact_vertices = np.stack([contacts.vertices, contacts.holder_vertices], axis=1)
+    touching = np.linalg.norm(np.diff(reference[contact_vertices], axis=1)[:, 0], axis=1) <= CONTACT_DISTANCE
+    pairs = np.concatenate([pairs, part_of_vertex[contact_vertices[touching]]])
+    pivots = np.concatenate([pivots, reference[contact_vertices[touching]].mean(axis=1)])
+    pairs, pivots = np.concatenate([pairs, pairs[:, ::-1]]), np.tile(pivots, (2, 1))
     return Articulation(
         rest_centres=rest_centres,
         radii=radii,
@@ -303,7 +287,7 @@ def find_articulation(
         areas=areas,
         body_of_part=connected_components(count, pairs),
         pairs=pairs,
-        pivots=places - rest_centres[pairs[:, 1]],
-        steadiness=Steadiness.uniform(count, len(pairs)) if steadiness is None else steadiness,
+        pivots=pivots - rest_centres[pairs[:, 1]],
+        steadiness=steadiness or Steadiness(*np.ones((2, count)), *np.ones((2, len(pairs)))),
         relation_weight=relation_weight,
     )

@@ -1,13 +1,14 @@
 """The projection P_m of the free placement: a mesh from lengths, angles and rigid parts alone.
 
-1. *Frames.* Every rigid part, and every other face, is a rotation. Across hinges they differ by rotations from
-   lengths and angles. They are chained from one part of every component, and averaged (`mixseq.shells.face_frames`).
-2. *Vertices*, from the sides of all faces, by one back-substitution.
+1. *Frames.* Every rigid part, and every joint face, is a node with a rotation. The relative rotations across hinges
+   follow from lengths and angles. Rotations are chained from a seed of every component, and averaged
+   (`mixseq.shells.face_frames`).
+2. *Vertices* follow from the sides of all faces by one back-substitution.
 3. *Relaxation*: a fixed number of steps reduces the errors of lengths and angles (`mixseq.shells.shell`).
 
-Components are then moved to the pose of that part. At frames of the sequence the first two are exact. All matrices
-are constant. The paper solves every joint by itself, registers joints and parts, and stitches them (Section 3.4);
-`scripts/paper` has that.
+Components are then moved to the poses of their seeds. At frames of the sequence the first two steps are exact. All
+matrices are constant. The paper solves every joint separately, registers joints and parts, and stitches them (Section
+3.4); see `scripts/paper`.
 """
 
 from __future__ import annotations
@@ -25,7 +26,6 @@ from mixseq.mesh.topology import Topology, connected_components
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells.face_frames import (
     FrameGraph,
-    HingeFrames,
     bridging_mask,
     flat_triangles,
     rotate_sides,
@@ -39,16 +39,16 @@ AVERAGING_ROUNDS = 3
 """Rounds of rotation averaging over parts and faces."""
 
 NOISE_HEIGHT_RATIO = 1e-4
-"""Height over side of triangles below which heights are rounding errors of lengths."""
+"""Ratio of height to side of triangles below which heights are rounding errors of lengths."""
 
 
 class FreeFrame(NamedTuple):
-    """One point of S_m."""
+    """One frame of S_m."""
 
     lengths: Float  # (E',) edge lengths of joint faces, in diagonals
     angles: Float  # (H',) hinge angles of joint faces, in radians
-    rest_vertices: Float  # (V, 3) rest-space vertices: those of a rigid part have its shape
-    skinned_vertices: Float  # (V, 3) posed vertices, which place components
+    rest_vertices: Float  # (V, 3) vertices in rest space, which determine the shapes of rigid parts
+    skinned_vertices: Float  # (V, 3) skinned vertices, which determine the poses of components
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +56,8 @@ class Assembly(PickledWithoutCaches):
     """The projection of the free placement of one mesh."""
 
     topology: Topology  # the mesh
-    part_of_vertex: Index  # (V,) part of vertices skinned to one part alone, -1 for others
-    # (F,) faces whose lengths and angles are known; all of those whose corners do not follow one part alone.
-    joint_faces: Mask
+    part_of_vertex: Index  # (V,) part of vertices skinned to a single part, -1 for others
+    joint_faces: Mask  # (F,) faces with lengths and angles: at least those not skinned to a single part
     edge_ids: Index  # (E',) edges of joint faces
     hinge_ids: Index  # (H',) hinges of joint faces
     reference: Float  # (V, 3) a frame of the sequence
@@ -66,21 +65,20 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _rigid_parts(self) -> list[Index]:
-        """Vertices of the rigid parts: of faces outside joints, part by part."""
-        rigid = self.topology.faces[~self.joint_faces]
-        kept = np.unique(rigid)
-        labels = self.part_of_vertex[kept]
-        return [kept[labels == part] for part in np.unique(labels)]
+        """Vertices of the faces outside joints, part by part."""
+        rigid_faces = self.topology.faces[~self.joint_faces]
+        vertex_ids = np.unique(rigid_faces)
+        labels = self.part_of_vertex[vertex_ids]
+        return [vertex_ids[labels == part] for part in np.unique(labels)]
 
     @cached_property
     def _node_of_face(self) -> Index:
-        """Node ``(F,)`` of every face: its rigid part, or a node of its own after all parts."""
-        node = np.empty(len(self.topology.faces), dtype=np.int64)
-        number = np.full(self.topology.vertex_count, -1, dtype=np.int64)
-        for part, vertices in enumerate(self._rigid_parts):
-            number[vertices] = part
-        node[~self.joint_faces] = number[self.topology.faces[~self.joint_faces, 0]]
-        node[self.joint_faces] = len(self._rigid_parts) + np.arange(int(np.count_nonzero(self.joint_faces)))
+        """Node ``(F,)`` of every face: its rigid part, or for joint faces a node of its own, after all parts."""
+        part_of_vertex = np.full(self.topology.vertex_count, -1, dtype=np.int64)
+        for part, vertex_ids in enumerate(self._rigid_parts):
+            part_of_vertex[vertex_ids] = part
+        node = part_of_vertex[self.topology.faces[:, 0]]
+        node[self.joint_faces] = np.arange(len(self._rigid_parts), self._node_count)
         return node
 
     @cached_property
@@ -90,38 +88,30 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _bridging_hinge_ids(self) -> Index:
-        """Hinges between different nodes."""
+        """Hinges between different nodes: the sound ones, and others where they alone connect nodes."""
         pairs, sound = self._node_of_face[self.topology.hinge_faces], self.shell.sound_hinge_mask
         return np.flatnonzero(bridging_mask(self._node_count, pairs, sound) & (pairs[:, 0] != pairs[:, 1]))
 
     @cached_property
     def _seed_nodes(self) -> Index:
-        """First node ``(r,)`` of every component connected across hinges: a part, if it has one."""
+        """First node ``(r,)`` of every hinge-connected component: a rigid part, if it has one."""
         component = connected_components(self._node_count, self._node_of_face[self.topology.hinge_faces])
         return np.unique(component, return_index=True)[1]
 
     @cached_property
     def _seed_vertices(self) -> list[Index]:
-        """The vertices of every seed."""
-        parts = len(self._rigid_parts)
-        loose = self.topology.faces[self.joint_faces]
-        return [self._rigid_parts[node] if node < parts else loose[node - parts] for node in self._seed_nodes]
+        """Vertices of every seed."""
+        joint_faces = self.topology.faces[self.joint_faces]
+        parts, count = self._rigid_parts, len(self._rigid_parts)
+        return [parts[node] if node < count else joint_faces[node - count] for node in self._seed_nodes]
 
     @cached_property
     def frame_graph(self) -> FrameGraph:
-        """The graph of nodes: rigid parts, and faces of joints."""
-        weights = np.maximum(
-            self.shell.relative_angle_weights[self._bridging_hinge_ids], ZERO_AREA_HEIGHT_RATIO
-        )
+        """Graph of the rotations of nodes."""
+        weights = self.shell.relative_angle_weights[self._bridging_hinge_ids]
         pairs = self._node_of_face[self.topology.hinge_faces[self._bridging_hinge_ids]]
-        known = np.zeros(self._node_count, dtype=bool)
-        known[self._seed_nodes] = True
-        return FrameGraph(pairs, weights, known)
-
-    @cached_property
-    def hinges(self) -> HingeFrames:
-        """The hinges of the mesh."""
-        return HingeFrames(self.topology.faces, self.topology.hinges, self.topology.hinge_faces)
+        known = np.isin(np.arange(self._node_count), self._seed_nodes)
+        return FrameGraph(pairs, np.maximum(weights, ZERO_AREA_HEIGHT_RATIO), known)
 
     @cached_property
     def shell(self) -> Shell:
@@ -134,7 +124,7 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _ties(self) -> Index:
-        """Ties ``(t, 3)``: a part, and two vertices of it that no edges connect."""
+        """Ties ``(t, 3)``: a part, and two of its vertices in different components of the mesh."""
         component = self.topology.component_of_vertex
         ties = []
         for number, part in enumerate(self._rigid_parts):
@@ -144,19 +134,18 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _component_of_vertex(self) -> Index:
-        """Component ``(V,)`` of every vertex, connected by edges and ties."""
-        return connected_components(
-            self.topology.vertex_count, np.concatenate([self.topology.edges, self._ties[:, 1:]])
-        )
+        """Component ``(V,)`` of every vertex by edges and ties."""
+        pairs = np.concatenate([self.topology.edges, self._ties[:, 1:]])
+        return connected_components(self.topology.vertex_count, pairs)
 
     @cached_property
     def _components(self) -> list[tuple[Index, list[int]]]:
-        """Independently moving components: their vertices, and the numbers of their seeds."""
+        """Independently moving components: their vertices, and the indices of their seeds."""
         component = self._component_of_vertex
-        of_seed = [component[vertices[0]] for vertices in self._seed_vertices]
+        component_of_seed = np.array([component[vertices[0]] for vertices in self._seed_vertices])
         return [
-            (np.flatnonzero(component == body), [k for k, own in enumerate(of_seed) if own == body])
-            for body in np.unique(of_seed)
+            (np.flatnonzero(component == k), np.flatnonzero(component_of_seed == k).tolist())
+            for k in np.unique(component_of_seed)
         ]
 
     def cached_values(self) -> tuple[object, ...]:
@@ -164,71 +153,63 @@ class Assembly(PickledWithoutCaches):
         return self.frame_graph, self.shell, self._components
 
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:
-        """Return the target lengths ``(E,)`` and angles ``(H,)`` of all edges and hinges."""
+        """Return target lengths ``(E,)`` and angles ``(H,)`` of all edges and hinges."""
         lengths, angles = lengths_and_angles(frame.rest_vertices, self.topology.edges, self.topology.hinges)
         lengths[self.edge_ids] = clamp_lengths(frame.lengths, self.shell.length_weights[self.edge_ids])
         angles[self.hinge_ids] = frame.angles
         return lengths, angles
 
     def assemble(self, frame: FreeFrame) -> Relaxed:
-        """Return the mesh of a point of S_m, and its remaining energy."""
+        """Return the mesh of a frame, and its final energy."""
         lengths, angles = self.targets(frame)
         start = self.integrate(frame, lengths, angles)
         relaxed = self.shell.relax(start, lengths, angles, self.relaxation.steps)
         return relaxed._replace(points=self.place_components(frame.skinned_vertices, relaxed.points))
 
     def integrate(self, frame: FreeFrame, lengths: Float, angles: Float) -> Float:
-        """Return vertices ``(V, 3)`` from frames of faces, each component in any pose."""
-        t, loose, crossing, parts = (
-            self.topology,
-            self.joint_faces,
-            self._bridging_hinge_ids,
-            len(self._rigid_parts),
-        )
+        """Return vertices ``(V, 3)`` from rotations of nodes, each component in any pose."""
+        t, joint, hinge_ids = self.topology, self.joint_faces, self._bridging_hinge_ids
+        degenerate, rigid_faces = self.shell.degenerate_face_ids, t.faces[~joint]
         flat = flat_triangles(lengths[t.face_edges])
-        heights = flat[self.shell.degenerate_face_ids, 2, 1]
-        noise = heights < NOISE_HEIGHT_RATIO * lengths[t.face_edges[self.shell.degenerate_face_ids]].max(
-            axis=1
-        )
-        flat[self.shell.degenerate_face_ids, 2, 1] = np.where(noise, 0.0, heights)
-        own = np.zeros((len(t.faces), 4))
-        own[:, 0] = 1.0
-        own[~loose] = triangle_frames(frame.rest_vertices, t.faces[~loose])
-        first, second = own[t.hinge_faces[crossing]].transpose(1, 0, 2)
-        across = self.hinges.rotations(flat, angles)[crossing]
-        turns = quat_multiply(quat_multiply(first, across), quat_conjugate(second))
-        frames = self.frame_graph.chain(turns, self._seed_frames(frame))
-        frames = self.frame_graph.average(frames, turns, AVERAGING_ROUNDS)
+        heights = flat[degenerate, 2, 1]
+        is_noise = heights < NOISE_HEIGHT_RATIO * lengths[t.face_edges[degenerate]].max(axis=1)
+        flat[degenerate, 2, 1] = np.where(is_noise, 0.0, heights)
+        rest_frames = np.zeros((len(t.faces), 4))
+        rest_frames[:, 0] = 1.0
+        rest_frames[~joint] = triangle_frames(frame.rest_vertices, rigid_faces)
+        first, second = rest_frames[t.hinge_faces[hinge_ids]].transpose(1, 0, 2)
+        across = self.shell.hinge_frames.rotations(flat, angles)[hinge_ids]
+        rotations = quat_multiply(quat_multiply(first, across), quat_conjugate(second))
+        frames = self.frame_graph.chain(rotations, self._seed_frames(frame))
+        frames = self.frame_graph.average(frames, rotations, AVERAGING_ROUNDS)
         sides = np.empty((len(t.faces), 3, 3))
-        sides[loose] = rotate_sides(frames[self._node_of_face[loose]], flat[loose])
-        matrices = quat_to_matrix(frames[:parts])
-        corners = frame.rest_vertices[t.faces[~loose]]
-        inside = np.roll(corners, -1, axis=1) - corners
-        sides[~loose] = inside @ np.swapaxes(matrices, 1, 2)[self._node_of_face[~loose]]
-        part, one, other = self._ties.T
-        tied = np.einsum("tij,tj->ti", matrices[part], frame.rest_vertices[other] - frame.rest_vertices[one])
-        return self.shell.integrate(sides, np.zeros((t.vertex_count, 3)), tied)
+        sides[joint] = rotate_sides(frames[self._node_of_face[joint]], flat[joint])
+        matrices = quat_to_matrix(frames[: len(self._rigid_parts)])
+        corners = frame.rest_vertices[rigid_faces]
+        rest_sides = np.roll(corners, -1, axis=1) - corners
+        sides[~joint] = rest_sides @ np.swapaxes(matrices, 1, 2)[self._node_of_face[~joint]]
+        part, i, j = self._ties.T
+        ties = np.einsum("tij,tj->ti", matrices[part], frame.rest_vertices[j] - frame.rest_vertices[i])
+        return self.shell.integrate(sides, np.zeros((t.vertex_count, 3)), ties)
 
     def _seed_frames(self, frame: FreeFrame) -> Float:
-        """Rotations ``(r, 4)`` of the seeds in the posed mesh."""
-        found = []
-        for node, vertices in zip(self._seed_nodes, self._seed_vertices, strict=True):
+        """Rotations ``(r, 4)`` of the seeds in the skinned mesh."""
+        rotations = []
+        for node, vertex_ids in zip(self._seed_nodes, self._seed_vertices, strict=True):
+            skinned = frame.skinned_vertices[vertex_ids]
             if node < len(self._rigid_parts):
-                found.append(
-                    matrix_to_quat(kabsch(frame.rest_vertices[vertices], frame.skinned_vertices[vertices])[0])
-                )
+                rotations.append(matrix_to_quat(kabsch(frame.rest_vertices[vertex_ids], skinned)[0]))
             else:
-                found.append(triangle_frames(frame.skinned_vertices[vertices], np.arange(3)[None])[0])
-        return np.array(found).reshape(-1, 4)
+                rotations.append(triangle_frames(skinned, np.arange(3)[None])[0])
+        return np.array(rotations).reshape(-1, 4)
 
-    def place_components(self, posed: Float, points: Float) -> Float:
-        """Move components of points ``(V, 3)`` to the poses of their seeds, and vertices without faces to their own."""
-        result = posed.copy()
-        for vertices, seeds in self._components:
-            first = self._seed_vertices[seeds[0]]
-            turn, _ = kabsch(points[first], posed[first])
-            result[vertices] = points[vertices] @ turn.T
-            held = [self._seed_vertices[seed] for seed in seeds]
-            shifts = [(posed[each] - result[each]).mean(axis=0) for each in held]
-            result[vertices] += np.mean(shifts, axis=0)
+    def place_components(self, skinned: Float, points: Float) -> Float:
+        """Move components of points ``(V, 3)`` to the poses of their seeds; unused vertices stay skinned."""
+        result = skinned.copy()
+        for vertex_ids, seeds in self._components:
+            seed_vertices = [self._seed_vertices[seed] for seed in seeds]
+            rotation, _ = kabsch(points[seed_vertices[0]], skinned[seed_vertices[0]])
+            result[vertex_ids] = points[vertex_ids] @ rotation.T
+            shifts = [(skinned[ids] - result[ids]).mean(axis=0) for ids in seed_vertices]
+            result[vertex_ids] += np.mean(shifts, axis=0)
         return result

@@ -1,12 +1,12 @@
 """Make the mixed shape space of a sequence: mean shapes, skinning weights, joint faces and settings of P_m.
 
-Half-way between two frames lengths and angles should be their means. Joint faces are those with errors there, however
-parts were found. The share of their lengths and angles is chosen by `mixseq.signals.fitting`.
+Half-way between two frames, lengths and angles should be their means. Joint faces are those with large errors there,
+for any segmentation. The share of their lengths and angles is selected by `mixseq.signals.fitting`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import combinations, pairwise
 from typing import Literal
@@ -28,22 +28,16 @@ from mixseq.spaces.mixed.skinning_weights import fit_skinning_weights
 from mixseq.types import Float, FloatArray, Mask, evenly_spaced
 
 Purpose = Literal["sequence", "reduced", "blends"]
-"""Use of a space: frames in time; models of a given rank or knots; blends of poses that may be far apart."""
+"""Use of a space: frames in time, models of a given rank or knots, or blends of poses that may be far apart."""
 
-MAX_STRETCH, MAX_BEND_DEGREES = 0.10, 25.0
-"""Largest half-way errors of faces that are no joints of a sequence: of edges, relative, and of hinges, in degrees."""
-
-MAX_BLEND_STRETCH, MAX_BLEND_BEND_DEGREES = 0.015, 4.0
-"""The same for blends of poses."""
-
-MAX_FREE_STRETCH, MAX_FREE_BEND_DEGREES = 0.06, 15.0
-"""The same for the free placement."""
+ERROR_LIMITS = {"sequence": (0.1, 25.0), "reduced": (0.1, 25.0), "blends": (0.015, 4.0), "free": (0.06, 15.0)}
+"""Largest half-way errors of faces outside joints, by purpose or placement: relative of edges, in degrees of hinges."""
 
 TORN_STRETCH = 0.1
-"""Half-way error of an edge, relative to its length, above which its faces are torn."""
+"""Relative half-way error of an edge above which its faces are torn."""
 
 FAR_TORN_SHARE = 0.15
-"""Share of torn faces above which frames are far apart."""
+"""Fraction of torn faces above which frames are far apart."""
 
 FAR_HOLD = 0.003
 """`Projection.hold` where frames are far apart."""
@@ -52,31 +46,31 @@ REFERENCE_STEP = 2.0**-20
 """Rounding step of mean shapes and of the reference frame, in diagonals."""
 
 SIZE_REDUCTION = 1.3
-"""Least ratio of the number of all lengths and angles to the length of vectors of a sequence."""
+"""Least ratio of the number of all lengths and angles to the length of a vector."""
 
 FAR_RELATIONS = 3.0
-"""`Projection.relations` where frames are far apart: they change less than poses."""
+"""`Projection.relations` where frames are far apart, since relations vary less than poses."""
 
 MIN_HEIGHT_RATIO = 1e-3
-"""Least height over longest side of joint faces, in all frames; angles of lower ones are noise."""
+"""Least ratio of height to longest side of joint faces, in all frames; angles of lower ones are noise."""
 
 MAX_NEIGHBOUR_PAIRS = 12
-"""Number of pairs of neighbouring frames from which joint faces of a sequence are found."""
+"""Largest number of pairs of neighbouring frames from which joint faces are found."""
 
 SAMPLED_FACES = 100_000
-"""Number of faces from which the share of torn faces is estimated."""
+"""Number of faces from which the fraction of torn faces is estimated."""
 
 MAX_POSES_FOR_ALL_PAIRS = 12
-"""Number of poses up to which all pairs are compared, not only neighbours."""
+"""Largest number of poses of which all pairs are compared; of more poses, neighbours."""
 
-MIN_RELAXATION_STEPS, MAX_RELAXATION_STEPS = 6, 20
-"""Relaxation steps between far poses with no joint faces and with joint faces only; linear in between."""
+MIN_STEPS, MAX_STEPS = 6, 20
+"""Relaxation steps between far poses without joint faces, and with joint faces only; linear in between."""
 
 FREE_STEPS = 10
 """Relaxation steps of the free placement."""
 
 MAX_SHAPE_FRAMES = 64
-"""Number of frames from which mean shapes are taken. Any shapes encode all frames exactly."""
+"""Number of frames in mean shapes. All frames are encoded exactly for any shapes."""
 
 
 def mixed_space(
@@ -89,20 +83,19 @@ def mixed_space(
 ) -> MixedSpace:
     """Make the mixed shape space of points ``(T, V, 3)`` in any unit.
 
-    Purpose "reduced" ignores lengths and angles, which reduced models do not have accurately enough; "blends" follows
-    them fully.
+    Purpose "reduced" ignores lengths and angles, which are inaccurate in models of few modes; "blends" uses their full
+    share.
     """
     if placement not in PLACEMENTS:
         raise SettingsError(f"placement is {placement!r}; {' or '.join(map(repr, PLACEMENTS))} is expected")
     first = points[:1][0]
     scale = bounding_diagonal(first) or 1.0
     frames = points[sample_frame_ids(len(points), MAX_SHAPE_FRAMES)]
-    shapes = _round_positions(
-        np.concatenate([mean_shape(frames[:, part] / scale) for part in decomposition.parts])
-    )
+    shapes = np.concatenate([mean_shape(frames[:, part] / scale) for part in decomposition.parts])
+    shapes = _round_positions(shapes)
     reference = _round_positions(first.astype(np.float64) / scale)
     progress(1, 2, "registering parts")
-    posed = MixedSpace(
+    base = MixedSpace(
         topology=topology,
         decomposition=decomposition,
         scale=scale,
@@ -114,37 +107,27 @@ def mixed_space(
         projection=Projection(),
     )
     if purpose == "blends":
-        posed = replace(posed, projection=Projection(relations=FAR_RELATIONS))
-    posed = replace(
-        posed, steadiness=posed.articulation.measure_steadiness(posed.split(posed.encode(frames)).part_poses)
-    )
+        base = replace(base, projection=Projection(relations=FAR_RELATIONS))
+    poses = base.split(base.encode(frames)).part_poses
+    base = replace(base, steadiness=base.articulation.measure_steadiness(poses))
     progress(2, 2, "registering parts")
-    limits = MAX_STRETCH, MAX_BEND_DEGREES
-    if placement == "free":
-        limits = MAX_FREE_STRETCH, MAX_FREE_BEND_DEGREES
-    elif purpose == "blends":
-        limits = MAX_BLEND_STRETCH, MAX_BLEND_BEND_DEGREES
     pairs = _all_pairs(frames) if purpose == "blends" else _neighbour_pairs(points)
-    wrong = midpoint_errors(posed, pairs, *limits)
+    errors = midpoint_errors(base, pairs, *ERROR_LIMITS["free" if placement == "free" else purpose])
     if placement == "free":
-        corners = posed.rigid_part_of_vertex[topology.faces]
-        mixed = (corners < 0).any(axis=1) | (corners != corners[:, :1]).any(axis=1)
+        corners = base.rigid_part_of_vertex[topology.faces]
+        is_blended = (corners < 0).any(axis=1) | (corners != corners[:, :1]).any(axis=1)
         return replace(
-            posed,
-            joint_faces=mixed | (wrong > 1.0),
+            base,
+            joint_faces=is_blended | (errors > 1.0),
             projection=Projection("free", 1.0, FAR_HOLD, FREE_STEPS, FAR_RELATIONS),
         )
-    wrong[faces_without_area(topology, frames) | faces_at_winding_hinges(topology, frames)] = 0.0
-    joint_faces = wrong > 1.0
-    if purpose != "blends":
-        joint_faces = _limit_joint_faces(posed, wrong)
-    space = replace(posed, joint_faces=joint_faces)
+    errors[faces_without_area(topology, frames) | faces_at_winding_hinges(topology, frames)] = 0.0
+    joint_faces = errors > 1.0 if purpose == "blends" else _limit_joint_faces(base, errors)
+    space = replace(base, joint_faces=joint_faces)
     if purpose == "reduced" or not joint_faces.any():
         return space
-    if purpose == "blends" or are_far_apart(posed, points):
-        steps = MIN_RELAXATION_STEPS + round(
-            (MAX_RELAXATION_STEPS - MIN_RELAXATION_STEPS) * float(joint_faces.mean())
-        )
+    if purpose == "blends" or are_far_apart(base, points):
+        steps = MIN_STEPS + round((MAX_STEPS - MIN_STEPS) * float(joint_faces.mean()))
         return replace(space, projection=Projection("anchored", 1.0, FAR_HOLD, steps, FAR_RELATIONS))
     return space
 
@@ -154,74 +137,69 @@ def _round_positions(x: Float) -> Float:
     return np.asarray(np.round(x / REFERENCE_STEP) * REFERENCE_STEP)
 
 
-def _limit_joint_faces(posed: MixedSpace, wrong: Float) -> Mask:
-    """Mark the faces with the largest errors above 1 as joint faces, up to the limit of `SIZE_REDUCTION`."""
-    topology = posed.topology
-    budget = (len(topology.edges) + len(topology.hinge_faces)) / SIZE_REDUCTION - posed.dim
-    worst = np.argsort(-wrong, kind="stable")[: int(np.count_nonzero(wrong > 1.0))]
+def _limit_joint_faces(space: MixedSpace, errors: Float) -> Mask:
+    """Mark faces ``(F,)`` with the largest errors above 1 as joint faces, limited by `SIZE_REDUCTION`."""
+    topology = space.topology
+    budget = (len(topology.edges) + len(topology.hinge_faces)) / SIZE_REDUCTION - space.dim
+    descending = np.argsort(-errors, kind="stable")[: int(np.count_nonzero(errors > 1.0))]
 
-    def marked(count: int) -> Mask:
-        faces = np.zeros(len(topology.faces), dtype=bool)
-        faces[worst[:count]] = True
-        return faces
+    def mark(count: int) -> Mask:
+        return np.isin(np.arange(len(topology.faces)), descending[:count])
 
     def fits(count: int) -> bool:
-        faces = marked(count)
+        faces = mark(count)
         edges = np.unique(topology.face_edges[faces])
         hinges = np.count_nonzero(faces[topology.hinge_faces].any(axis=1))
         return bool(len(edges) + hinges <= budget)
 
-    low, high = 0, len(worst)
+    low, high = 0, len(descending)
     while low < high:
         middle = (low + high + 1) // 2
         low, high = (middle, high) if fits(middle) else (low, middle - 1)
-    return marked(low)
+    return mark(low)
 
 
 def faces_without_area(topology: Topology, frames: FloatArray) -> Mask:
-    """Mark the faces ``(F,)`` that have no area in some of the frames ``(S, V, 3)``."""
+    """Mark the faces ``(F,)`` that are degenerate in any of the frames ``(S, V, 3)``."""
     flat = [degenerate_faces(frame.astype(np.float64), topology.faces, MIN_HEIGHT_RATIO) for frame in frames]
     return np.asarray(np.any(flat, axis=0))
 
 
 def faces_at_winding_hinges(topology: Topology, frames: FloatArray) -> Mask:
-    """Mark the faces ``(F,)`` at hinges whose angles in frames ``(S, V, 3)`` are more than half a turn apart."""
+    """Mark the faces ``(F,)`` at hinges whose angles in frames ``(S, V, 3)`` differ by more than half a turn."""
     lowest = highest = dihedral_angles(frames[0].astype(np.float64), topology.hinges)
     for frame in frames[1:]:
         angles = dihedral_angles(frame.astype(np.float64), topology.hinges)
         lowest, highest = np.minimum(lowest, angles), np.maximum(highest, angles)
-    winding = np.zeros(len(topology.faces), dtype=bool)
-    winding[topology.hinge_faces[highest - lowest > np.pi]] = True
-    return winding
+    winding = topology.hinge_faces[highest - lowest > np.pi]
+    return np.isin(np.arange(len(topology.faces)), winding)
 
 
 def are_far_apart(space: MixedSpace, frames: LargeArray) -> bool:
-    """Whether more than `FAR_TORN_SHARE` of faces are torn half-way between neighbours of frames ``(T, V, 3)``."""
+    """Whether more than `FAR_TORN_SHARE` of the faces are torn half-way between neighbouring frames ``(T, V, 3)``."""
     pairs = list(_neighbour_pairs(frames))
-    for middle in (
-        _linear_midpoint,
-        _skinned_midpoint,
-    ):  # plain means are quick, and show most animations to be near
-        if not sum(_torn_share(space, pair, middle) for pair in pairs) > FAR_TORN_SHARE * len(pairs):
-            return False
-    return bool(pairs)
+    return bool(pairs) and all(
+        sum(_torn_share(space.topology, midpoint(space, pair), pair) for pair in pairs)
+        > FAR_TORN_SHARE * len(pairs)
+        for midpoint in (_linear_midpoint, _skinned_midpoint)  # the first is quick, and often suffices
+    )
 
 
 def midpoint_errors(space: MixedSpace, pairs: Iterable[FloatArray], stretch: float, bend: float) -> Float:
-    """Return the largest errors ``(F,)`` half-way between pairs ``(2, V, 3)``, over limits of edges and hinges.
+    """Return the largest errors ``(F,)`` half-way between pairs ``(2, V, 3)``, relative to limits.
 
-    `stretch` limits relative errors of edges, `bend` errors of hinges in degrees.
+    The limit of edges, `stretch`, is relative to their lengths; that of hinges, `bend`, is in degrees.
     """
     topology = space.topology
-    wrong = np.zeros(len(topology.faces))
+    errors = np.zeros(len(topology.faces))
     for pair in pairs:
-        middle = _skinned_midpoint(space, pair)
-        edges = _length_errors(middle, pair, topology.edges) / stretch
-        hinges = _angle_errors(middle, pair, topology.hinges) / bend
-        np.maximum(wrong, edges[topology.face_edges].max(axis=1), out=wrong)
+        midpoint = _skinned_midpoint(space, pair)
+        edge_errors = _length_errors(midpoint, pair, topology.edges) / stretch
+        hinge_errors = _angle_errors(midpoint, pair, topology.hinges) / bend
+        np.maximum(errors, edge_errors[topology.face_edges].max(axis=1), out=errors)
         for side in (0, 1):
-            np.maximum.at(wrong, topology.hinge_faces[:, side], hinges)
-    return wrong
+            np.maximum.at(errors, topology.hinge_faces[:, side], hinge_errors)
+    return errors
 
 
 def _all_pairs(frames: FloatArray) -> Iterator[FloatArray]:
@@ -236,35 +214,33 @@ def _neighbour_pairs(frames: LargeArray) -> Iterator[FloatArray]:
     return (frames[first : first + 2] for first in sample_frame_ids(len(frames) - 1, MAX_NEIGHBOUR_PAIRS))
 
 
-def _torn_share(
-    space: MixedSpace, pair: FloatArray, between: Callable[[MixedSpace, FloatArray], Float]
-) -> float:
-    """Share of faces, or of `SAMPLED_FACES` of them, that are torn in a mesh between two frames."""
-    faces = space.topology.faces[evenly_spaced(len(space.topology.faces), SAMPLED_FACES)]
+def _torn_share(topology: Topology, midpoint: Float, pair: FloatArray) -> float:
+    """Return the fraction of faces, or of a sample of them, that are torn half-way between two frames."""
+    faces = topology.faces[evenly_spaced(len(topology.faces), SAMPLED_FACES)]
     sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    torn = _length_errors(between(space, pair), pair, sides) > TORN_STRETCH
-    return float(torn.reshape(-1, 3).any(axis=1).mean())
+    is_torn = _length_errors(midpoint, pair, sides) > TORN_STRETCH
+    return float(is_torn.reshape(-1, 3).any(axis=1).mean())
 
 
 def _skinned_midpoint(space: MixedSpace, pair: FloatArray) -> Float:
-    """Return the posed mesh half-way between two frames, in their unit."""
+    """Return the skinned vertices half-way between two frames, in their unit."""
     return np.asarray(space.skin(space.encode(pair).mean(axis=0)[None])[0] * space.scale)
 
 
 def _linear_midpoint(space: MixedSpace, pair: FloatArray) -> Float:
-    """Return the mean vertices of two frames."""
+    """Return the mean of the vertices of two frames."""
     return np.asarray(pair.mean(axis=0, dtype=np.float64))
 
 
-def _length_errors(middle: Float, pair: FloatArray, edges: NDArray[np.integer]) -> Float:
-    """Return relative errors of lengths ``(E,)`` against those half-way between two frames."""
-    lengths = edge_lengths(pair.astype(np.float64), edges).mean(axis=0)
-    off = np.abs(edge_lengths(middle, edges) - lengths)
-    return np.asarray(np.divide(off, lengths, out=np.zeros_like(off), where=lengths > 0))
+def _length_errors(midpoint: Float, pair: FloatArray, edges: NDArray[np.integer]) -> Float:
+    """Return relative errors ``(E,)`` of lengths against the means of two frames."""
+    expected = edge_lengths(pair.astype(np.float64), edges).mean(axis=0)
+    errors = np.abs(edge_lengths(midpoint, edges) - expected)
+    return np.asarray(np.divide(errors, expected, out=np.zeros_like(errors), where=expected > 0))
 
 
-def _angle_errors(middle: Float, pair: FloatArray, hinges: NDArray[np.integer]) -> Float:
-    """Return errors of angles ``(H,)``, in degrees, against those half-way between two frames."""
+def _angle_errors(midpoint: Float, pair: FloatArray, hinges: NDArray[np.integer]) -> Float:
+    """Return errors ``(H,)`` of angles, in degrees, against the means of two frames."""
     first, second = dihedral_angles(pair.astype(np.float64), hinges)
-    wanted = first + 0.5 * wrap_angles(second - first)
-    return np.degrees(np.abs(wrap_angles(dihedral_angles(middle, hinges) - wanted)))
+    expected = first + 0.5 * wrap_angles(second - first)
+    return np.degrees(np.abs(wrap_angles(dihedral_angles(midpoint, hinges) - expected)))

@@ -1,23 +1,23 @@
-r"""The projection P_m at the joints: move posed vertices so that joints have the target lengths and angles.
+r"""The projection P_m at the joints: move skinned vertices so that joints have the target lengths and angles.
 
-Joint faces, and one ring of faces around them, move; all else stays posed. Lengths and angles go a *share* of the way
-from those of the posed mesh to the targets; a share of 0 leaves the posed mesh.
+Joint faces, and one ring of faces around them, move; all other faces stay skinned. Lengths and angles change by a
+*share* of the differences from those of the skinned mesh to the targets; a share of 0 leaves the skinned mesh.
 
-1. *Faces.* The frames of the posed faces are rotated to the differences across hinges that follow from lengths and
-   angles, by rotation averaging (`mixseq.shells.face_frames`): two rounds with one constant matrix.
-2. *Vertices*, from the changes of sides of faces, by one back-substitution with a constant matrix,
+1. *Faces.* The frames of the skinned faces are rotated to the relative rotations across hinges that follow from lengths
+   and angles, by rotation averaging (`mixseq.shells.face_frames`): two rounds with one constant matrix.
+2. *Vertices* follow from the changes of the sides s of faces, by one back-substitution with a constant matrix,
 
    .. math:: \min_d \sum_f \sum_{ab} w_{ab}\, |d_b - d_a - (s'_{ab} - s_{ab})|^2 + \eta\, w \sum_v |d_v|^2 .
 
-Everything is a difference against the posed mesh, so frames of the sequence, with the lengths and angles of the posed
-mesh, are exact. Posed triangles with hardly any area keep their shapes and angles, which are noise.
+All quantities are differences from the skinned mesh, so that frames of the sequence are exact. Degenerate skinned
+triangles keep their shapes and angles, which are noise. Rotations are unit quaternions (w, x, y, z), lengths in
+diagonals.
 
-All of it is analytic. Velocities are derivatives by a complex step, exact to rounding (Squire and Trapp 1998),
+The projection is analytic. Velocities are derivatives by a complex step, exact to rounding (Squire and Trapp 1998),
 
 .. math:: f'(x)\, \dot x = \mathrm{Im}\, f(x + i h \dot x) / h + O(h^2) .
 
-Without a difference, h can be so small that the error is far below rounding. Compiled loops take real or complex
-arrays; rotations are unit quaternions (w, x, y, z), lengths are in diagonals.
+Without a subtraction, h can be small enough for an error below rounding. Compiled loops take real or complex arrays.
 """
 
 from __future__ import annotations
@@ -36,43 +36,43 @@ from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells.face_frames import HingeFrames, averaging_right_side, multiply, multiply_inverse_by
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.shells.shell import Shell
-from mixseq.shells.solvers import Factor, factorise_laplacian
+from mixseq.shells.solvers import Factor, factorise_laplacian, index_of
 from mixseq.types import Float, Index, Mask
 
 COMPLEX_STEP = 2.0**-400
-"""Step h; its square is below rounding, and products with it are normal numbers."""
+"""Step h, with a square below rounding, and products that are normal numbers."""
 
 RealOrComplex = NDArray[Any]
-"""Real numbers, or complex ones whose imaginary parts are rates times `STEP`."""
+"""Real numbers, or complex ones with rates times `COMPLEX_STEP` as imaginary parts."""
 
 
 def to_complex_step(values: Float, rates: Float) -> RealOrComplex:
-    """Return complex numbers with values and rates."""
+    """Return complex numbers from values and rates."""
     return np.asarray(values + 1j * (COMPLEX_STEP * rates))
 
 
 def from_complex_step(numbers: RealOrComplex) -> tuple[Float, Float]:
-    """Return values and rates of numbers; the inverse of `with_rates`."""
+    """Return the values and rates of complex numbers; the inverse of `to_complex_step`."""
     return np.ascontiguousarray(numbers.real), numbers.imag / COMPLEX_STEP
 
 
 def solve_columns(factor: Factor, right: RealOrComplex) -> RealOrComplex:
-    """Solve a real system for real or complex right-hand sides ``(n, k)``."""
+    """Solve a real system with real or complex right-hand sides ``(n, k)``."""
     if not np.iscomplexobj(right):
         return np.asarray(factor.solve(right))
     columns = right.shape[1]
-    both = factor.solve(np.concatenate(from_complex_step(right), axis=1))
-    return to_complex_step(both[:, :columns], both[:, columns:])
+    solution = factor.solve(np.concatenate(from_complex_step(right), axis=1))
+    return to_complex_step(solution[:, :columns], solution[:, columns:])
 
 
-MIN_SIDE = 1e-12
-"""Least length of sides, in diagonals: side 01 defines the frame of a triangle."""
+MIN_SIDE_LENGTH = 1e-12
+"""Least length of sides in diagonals, since side 01 defines the frame of a triangle."""
 
 MIN_HEIGHT_RATIO = 1e-12
-"""Least height over side of triangles; lower ones have no area, and the unit quaternion as their frame."""
+"""Least ratio of height to side of triangles; lower ones are degenerate, with the unit quaternion as their frame."""
 
 SLIVER_AREA_RATIO = 1e-4
-"""Area over squared sides at which lengths and angles of a triangle have half their weight; slivers are noise."""
+"""Ratio of area to squared sides at which the lengths and angles of a triangle have half their weight."""
 
 
 @compiled
@@ -89,17 +89,17 @@ def analytic_edge_lengths(x: Float, edges: Index) -> Float:
 
 @compiled
 def flatten_triangles(lengths: Float, face_edges: Index) -> Float:
-    """Lay triangles into the plane: length of side 01, and place of corner 2 ``(m, 3)``."""
+    """Unfold triangles into the plane: length of side 01, and position of corner 2 ``(m, 3)``."""
     flat = np.empty((len(face_edges), 3), lengths.dtype)
     for f in range(len(face_edges)):
         a, b, c = lengths[face_edges[f, 0]], lengths[face_edges[f, 1]], lengths[face_edges[f, 2]]
-        if a.real < MIN_SIDE:
-            a = a - a.real + MIN_SIDE
-        if c.real < MIN_SIDE:
-            c = c - c.real + MIN_SIDE
+        if a.real < MIN_SIDE_LENGTH:
+            a = a - a.real + MIN_SIDE_LENGTH
+        if c.real < MIN_SIDE_LENGTH:
+            c = c - c.real + MIN_SIDE_LENGTH
         x = (a * a + c * c - b * b) / (2.0 * a)
         square = c * c - x * x
-        if square.real <= 0.0:  # no such triangle: it is laid on a line
+        if square.real <= 0.0:  # the triangle inequality is violated: collapse to a line
             x = c if x.real > 0.0 else -c
             flat[f, 2] = 0.0
         else:
@@ -110,14 +110,14 @@ def flatten_triangles(lengths: Float, face_edges: Index) -> Float:
 
 @compiled
 def triangle_quality(flat: Float) -> Float:
-    """Return the weights ``(m,)`` of lengths and angles of triangles, from 0 without area to 1."""
-    sound = np.empty(len(flat), flat.dtype)
+    """Return the weights ``(m,)`` of lengths and angles of flat triangles ``(m, 3)``, from 0 without area to 1."""
+    quality = np.empty(len(flat), flat.dtype)
     for f in range(len(flat)):
         u, v, h = flat[f, 0], flat[f, 1], flat[f, 2]
         area = u * h / (u * u + v * v + (v - u) * (v - u) + 2.0 * h * h)
         power = area * area * area * area
-        sound[f] = power / (power + SLIVER_AREA_RATIO**4)
-    return sound
+        quality[f] = power / (power + SLIVER_AREA_RATIO**4)
+    return quality
 
 
 @compiled
@@ -155,8 +155,8 @@ def analytic_frames(x: Float, faces: Index) -> Float:
 
 
 @inlined
-def _half_direction(flat: Float, f: int, side: int, back: bool) -> tuple[float, float]:
-    """Return cosine and sine, of either sign, of half the angle from side 01 to another side of a flat triangle."""
+def _half_direction(flat: Float, f: int, side: int, is_backward: bool) -> tuple[float, float]:
+    """Return cosine and sine, up to a common sign, of half the angle from side 01 to a side of a flat triangle."""
     if side == 0:
         u, v = flat[f, 0], 0.0 * flat[f, 0]
     elif side == 1:
@@ -174,7 +174,7 @@ def _half_direction(flat: Float, f: int, side: int, back: bool) -> tuple[float, 
         p, q, square = 1.0 + 0.0 * u, 0.0 * u, 1.0 + 0.0 * u
     scale = 1.0 / np.sqrt(square)
     p, q = p * scale, q * scale
-    if back:
+    if is_backward:
         return -q, p
     return p, q
 
@@ -185,40 +185,40 @@ def target_rotations(
     pairs: Index,
     flat: Float,
     target_flat: Float,
-    sound: Float,
-    sides: Index,
+    quality: Float,
+    side_ids: Index,
     backward: Index,
     reversed_normals: Float,
-    known: Index,
+    angle_ids: Index,
     angles: Float,
     share: float,
 ) -> Float:
     """Return target rotations ``(h, 4)`` of the second face of each hinge relative to the first.
 
-    Frames ``(m, 4)``, flat triangles ``(m, 3)``, weights ``(m,)``: of posed faces. Sides, backward ``(h, 2)``: the edge
-    in both faces. Known ``(h,)``: index of the target angle ``(k,)`` in radians, -1 for none.
+    Frames ``(m, 4)``, flat triangles ``(m, 3)`` and quality ``(m,)`` are of skinned faces; side_ids and backward
+    ``(h, 2)`` of the edge in both faces. `angle_ids` ``(h,)`` index target angles ``(k,)`` in radians, -1 for none.
     """
-    turns = np.empty((len(pairs), 4), frames.dtype)
-    posed, seen = np.empty(4, frames.dtype), np.empty(4, frames.dtype)
-    wanted, change = np.empty(4, frames.dtype), np.empty(4, frames.dtype)
+    result = np.empty((len(pairs), 4), frames.dtype)
+    skinned, about_edge = np.empty(4, frames.dtype), np.empty(4, frames.dtype)
+    target, change = np.empty(4, frames.dtype), np.empty(4, frames.dtype)
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
-        multiply_inverse_by(frames[i], frames[j], posed)
-        w, x, y, z = posed[0], posed[1], posed[2], posed[3]
-        # Half the posed angle: the turn as seen along the edge, which leaves a rotation about it.
-        ci, si = _half_direction(flat, i, sides[k, 0], backward[k, 0] != 0)
-        cj, sj = _half_direction(flat, j, sides[k, 1], backward[k, 1] != 0)
+        multiply_inverse_by(frames[i], frames[j], skinned)
+        w, x, y, z = skinned[0], skinned[1], skinned[2], skinned[3]
+        # Half the skinned angle: in axes along the edge, the relative rotation is about the edge.
+        ci, si = _half_direction(flat, i, side_ids[k, 0], backward[k, 0] != 0)
+        cj, sj = _half_direction(flat, j, side_ids[k, 1], backward[k, 1] != 0)
         ca, sa, cb, sb = ci * cj + si * sj, si * cj - ci * sj, ci * cj - si * sj, si * cj + ci * sj
         c, s = w * ca + z * sa, x * cb + y * sb
         square = c * c + s * s
         if not square.real > 0.0:
-            turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3] = w, x, y, z
+            result[k, 0], result[k, 1], result[k, 2], result[k, 3] = w, x, y, z
             continue
         scale = 1.0 / np.sqrt(square)
         c, s = c * scale, s * scale
-        seen[0], seen[1], seen[2], seen[3] = c * ca, s * cb, s * sb, c * sa
-        if known[k] >= 0:
-            half = 0.5 * (angles[known[k]] + reversed_normals[k])
+        about_edge[0], about_edge[1], about_edge[2], about_edge[3] = c * ca, s * cb, s * sb, c * sa
+        if angle_ids[k] >= 0:
+            half = 0.5 * (angles[angle_ids[k]] + reversed_normals[k])
             ct, st = np.cos(half), np.sin(half)
             cd, sd = c * ct + s * st, c * st - s * ct
             if cd.real < 0.0:
@@ -226,20 +226,20 @@ def target_rotations(
             cd, sd = 1.0 - share + share * cd, share * sd
             scale = 1.0 / np.sqrt(cd * cd + sd * sd)
             c, s = (c * cd - s * sd) * scale, (s * cd + c * sd) * scale
-        ci, si = _half_direction(target_flat, i, sides[k, 0], backward[k, 0] != 0)
-        cj, sj = _half_direction(target_flat, j, sides[k, 1], backward[k, 1] != 0)
-        wanted[0], wanted[1] = c * (ci * cj + si * sj), s * (ci * cj - si * sj)
-        wanted[2], wanted[3] = s * (si * cj + ci * sj), c * (si * cj - ci * sj)
-        # The posed turn, times what the target differs by: at frames of the sequence that is exactly nothing.
-        multiply_inverse_by(seen, wanted, change)
-        part = sound[i] * sound[j]
+        ci, si = _half_direction(target_flat, i, side_ids[k, 0], backward[k, 0] != 0)
+        cj, sj = _half_direction(target_flat, j, side_ids[k, 1], backward[k, 1] != 0)
+        target[0], target[1] = c * (ci * cj + si * sj), s * (ci * cj - si * sj)
+        target[2], target[3] = s * (si * cj + ci * sj), c * (si * cj - ci * sj)
+        # The skinned rotation, times the change to the target, which is exactly the identity at frames of the sequence.
+        multiply_inverse_by(about_edge, target, change)
+        weight = quality[i] * quality[j]
         sign = -1.0 if change[0].real < 0.0 else 1.0
         a, b, d, e = sign * change[0], sign * change[1], sign * change[2], sign * change[3]
-        a, b, d, e = 1.0 - part + part * a, part * b, part * d, part * e
+        a, b, d, e = 1.0 - weight + weight * a, weight * b, weight * d, weight * e
         scale = 1.0 / np.sqrt(a * a + b * b + d * d + e * e)
         change[0], change[1], change[2], change[3] = a * scale, b * scale, d * scale, e * scale
-        multiply(posed, change, turns[k])
-    return turns
+        multiply(skinned, change, result[k])
+    return result
 
 
 @compiled
@@ -249,12 +249,8 @@ def apply_small_rotations(frames: Float, steps: Float) -> Float:
     for f in range(len(steps)):
         a, b, c = 0.5 * steps[f, 0], 0.5 * steps[f, 1], 0.5 * steps[f, 2]
         w, x, y, z = frames[f, 0], frames[f, 1], frames[f, 2], frames[f, 3]
-        p, q, r, s = (
-            w - a * x - b * y - c * z,
-            x + a * w + b * z - c * y,
-            y - a * z + b * w + c * x,
-            z + a * y - b * x + c * w,
-        )
+        p, q = w - a * x - b * y - c * z, x + a * w + b * z - c * y
+        r, s = y - a * z + b * w + c * x, z + a * y - b * x + c * w
         scale = 1.0 / np.sqrt(p * p + q * q + r * r + s * s)
         turned[f, 0], turned[f, 1], turned[f, 2], turned[f, 3] = p * scale, q * scale, r * scale, s * scale
     return turned
@@ -279,13 +275,13 @@ def displacement_right_side(
     target_flat: Float,
     faces: Index,
     weights: Float,
-    numbers: Index,
+    moving_index: Index,
     count: int,
 ) -> Float:
     """Return the right-hand side ``(count, 3)`` of displacements, from weighted changes of sides of faces.
 
-    Frames ``(m, 4)``, flat triangles ``(m, 3)``: posed and target ones. Weights ``(n, 3)``: of sides 01, 12, 20, zero
-    without area. Numbers ``(V,)``: places among the moving vertices, -1 for others.
+    Frames ``(m, 4)`` and flat triangles ``(m, 3)`` are skinned and target ones. Weights ``(n, 3)`` are of sides 01, 12,
+    20, zero without area. `moving_index` ``(V,)`` is the index of a vertex among the moving ones, -1 for others.
     """
     right = np.zeros((count, 3), frames.dtype)
     for f in range(len(faces)):
@@ -303,7 +299,7 @@ def displacement_right_side(
                 s0, s1, s2 = w * (b0 - a0), w * (b1 - a1), w * (b2 - a2)
             else:
                 s0, s1, s2 = -w * b0, -w * b1, -w * b2
-            p, q = numbers[faces[f, side]], numbers[faces[f, (side + 1) % 3]]
+            p, q = moving_index[faces[f, side]], moving_index[faces[f, (side + 1) % 3]]
             if q >= 0:
                 right[q, 0] += s0
                 right[q, 1] += s1
@@ -319,20 +315,20 @@ AVERAGING_ROUNDS = 2
 """Rounds of rotation averaging over faces."""
 
 MOVING_RINGS = 1
-"""Rings of faces around joint faces that move with them; without them joints are too stiff."""
+"""Rings of faces around joint faces that move with them, because joints alone are too stiff."""
 
 BENDING_WEIGHT = 0.25
-"""Weight of an angle in radians against a relative length."""
+"""Weight of an angle in radians relative to a relative change of length."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointProjection(PickledWithoutCaches):
-    """The projection at the joints of one mesh."""
+    """Projection of one mesh at its joints."""
 
-    topology: Topology  # the mesh
-    reference: Float  # (V, 3) its reference frame, in diagonals, which the weights are of
+    topology: Topology  # connectivity of the mesh
+    reference: Float  # (V, 3) reference frame in diagonals, which determines the weights
     joint_faces: Mask  # (F,) faces whose lengths and angles have targets
-    position_weight: float  # weight of posed vertices and frames against sides and hinges
+    position_weight: float  # weight of skinned vertices and frames relative to sides and hinges
 
     def cached_values(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.cached_values`."""
@@ -352,32 +348,31 @@ class JointProjection(PickledWithoutCaches):
     def shell(self) -> Shell:
         """The mesh as a shell, for the weights of sides and hinges."""
         lengths = edge_lengths(self.reference, self.topology.edges)
-        held = np.full(self.topology.vertex_count, self.position_weight)
-        return Shell(self.topology, self.reference, lengths, held, BENDING_WEIGHT)
+        position_weights = np.full(self.topology.vertex_count, self.position_weight)
+        return Shell(self.topology, self.reference, lengths, position_weights, BENDING_WEIGHT)
 
     @cached_property
     def _moving_face_ids(self) -> Index:
+        """Joint faces and `MOVING_RINGS` rings around them."""
         moving, faces = self.joint_faces, self.topology.faces
         for _ in range(MOVING_RINGS):
-            near = np.zeros(self.topology.vertex_count, dtype=bool)
-            near[faces[moving]] = True
-            moving = np.asarray(near[faces].any(axis=1))
+            is_corner = np.zeros(self.topology.vertex_count, dtype=bool)
+            is_corner[faces[moving]] = True
+            moving = np.asarray(is_corner[faces].any(axis=1))
         return np.flatnonzero(moving)
 
     @cached_property
     def _moving_hinge_ids(self) -> Index:
         """Hinges of moving faces with area."""
-        moving = np.zeros(len(self.topology.faces), dtype=bool)
-        moving[self._moving_face_ids] = True
-        return np.flatnonzero(moving[self.topology.hinge_faces].any(axis=1) & self.shell.sound_hinge_mask)
+        is_moving = np.isin(self.topology.hinge_faces, self._moving_face_ids).any(axis=1)
+        return np.flatnonzero(is_moving & self.shell.sound_hinge_mask)
 
     @cached_property
     def _face_ids(self) -> Index:
-        """Moving faces, then their fixed neighbours."""
-        both = np.unique(self.topology.hinge_faces[self._moving_hinge_ids])
-        return np.concatenate([self._moving_face_ids, np.setdiff1d(both, self._moving_face_ids)]).astype(
-            np.int64
-        )
+        """Moving faces, then their fixed neighbours ``(m,)``."""
+        face_ids = np.unique(self.topology.hinge_faces[self._moving_hinge_ids])
+        fixed = np.setdiff1d(face_ids, self._moving_face_ids)
+        return np.concatenate([self._moving_face_ids, fixed]).astype(np.int64)
 
     @cached_property
     def _faces(self) -> Index:
@@ -385,11 +380,11 @@ class JointProjection(PickledWithoutCaches):
 
     @cached_property
     def _edge_tables(self) -> tuple[Index, Index, Index]:
-        """Edges of the faces ``(e,)``, sides ``(m, 3)`` of faces among these, and those with a target length."""
+        """Edges ``(e,)`` of the faces, indices ``(m, 3)`` of sides, and indices of the edges with a target length."""
         sides = self.topology.face_edges[self._face_ids]
-        edges, local = np.unique(sides, return_inverse=True)
-        known = np.searchsorted(edges, self.edge_ids)
-        return edges, local.reshape(sides.shape).astype(np.int64), known.astype(np.int64)
+        edges, index = np.unique(sides, return_inverse=True)
+        targeted = np.searchsorted(edges, self.edge_ids)
+        return edges, index.reshape(sides.shape).astype(np.int64), targeted.astype(np.int64)
 
     @cached_property
     def _edges(self) -> Index:
@@ -397,25 +392,17 @@ class JointProjection(PickledWithoutCaches):
 
     @cached_property
     def _pairs(self) -> Index:
-        """The two faces ``(h, 2)`` of every hinge, by their places among the faces."""
-        place = np.empty(len(self.topology.faces), dtype=np.int64)
-        place[self._face_ids] = np.arange(len(self._face_ids))
-        return place[self.topology.hinge_faces[self._moving_hinge_ids]]
+        """Indices ``(h, 2)`` of the faces of every hinge."""
+        index = index_of(self._face_ids, len(self.topology.faces))
+        return index[self.topology.hinge_faces[self._moving_hinge_ids]]
 
     @cached_property
     def _hinge_tables(self) -> tuple[Index, Index, Float, Index]:
-        """Sides of hinges in their faces, and their target angles; see `target_turns`."""
-        seen = HingeFrames(
-            self._faces, self.topology.hinges[self._moving_hinge_ids].astype(np.int64), self._pairs
-        )
-        number = np.full(len(self.topology.hinge_faces), -1, dtype=np.int64)
-        number[self.hinge_ids] = np.arange(len(self.hinge_ids))
-        return (
-            seen.side_ids,
-            seen.backward_mask.astype(np.int64),
-            seen.reversed_normals,
-            number[self._moving_hinge_ids],
-        )
+        """Sides of hinges in their faces, and indices of their target angles; see `target_rotations`."""
+        hinges = self.topology.hinges[self._moving_hinge_ids].astype(np.int64)
+        frames = HingeFrames(self._faces, hinges, self._pairs)
+        angle_ids = index_of(self.hinge_ids, len(self.topology.hinge_faces))[self._moving_hinge_ids]
+        return frames.side_ids, frames.backward_mask.astype(np.int64), frames.reversed_normals, angle_ids
 
     @cached_property
     def _angle_weights(self) -> Float:
@@ -423,96 +410,76 @@ class JointProjection(PickledWithoutCaches):
 
     @cached_property
     def frame_factor(self) -> Factor | None:
-        """Factor of the matrix of rotation averaging over the moving faces; None if nothing moves."""
+        """Factor of the matrix of rotation averaging over moving faces, or None without moving faces."""
         count = len(self._moving_face_ids)
         if not count:
             return None
-        inside = self._pairs < count
-        both, held = inside.all(axis=1), np.full(count, self.position_weight)
-        for first in (0, 1):
-            border = inside[:, first] & ~inside[:, 1 - first]
-            np.add.at(held, self._pairs[border, first], self._angle_weights[border])
-        return factorise_laplacian(self._pairs[both], self._angle_weights[both], held)
+        pairs = np.where(self._pairs < count, self._pairs, -1)
+        return factorise_laplacian(pairs, self._angle_weights, np.full(count, self.position_weight))
 
     @cached_property
     def moving_vertex_ids(self) -> Index:
-        """Moving vertices ``(n,)``: those of moving faces only."""
-        still = np.ones(len(self.topology.faces), dtype=bool)
-        still[self._moving_face_ids] = False
-        free = np.zeros(self.topology.vertex_count, dtype=bool)
-        free[self.topology.faces[self._moving_face_ids]] = True
-        free[self.topology.faces[still]] = False
-        return np.flatnonzero(free)
+        """Vertices ``(n,)`` of moving faces only."""
+        faces, ids = self.topology.faces, self._moving_face_ids
+        return np.setdiff1d(faces[ids], np.delete(faces, ids, axis=0)).astype(np.int64)
 
     @cached_property
     def _moving_index(self) -> Index:
-        numbers = np.full(self.topology.vertex_count, -1, dtype=np.int64)
-        numbers[self.moving_vertex_ids] = np.arange(len(self.moving_vertex_ids))
-        return numbers
+        return index_of(self.moving_vertex_ids, self.topology.vertex_count)
 
     @cached_property
     def _side_weights(self) -> Float:
-        """Weights ``(n, 3)`` of the sides of moving faces; zero for those without area."""
+        """Weights ``(n, 3)`` of the sides of moving faces, zero for those without area."""
         weights = self.shell.side_weights[self._moving_face_ids]
         weights[np.isin(self._moving_face_ids, self.shell.degenerate_face_ids)] = 0.0
         return weights
 
     @cached_property
     def vertex_factor(self) -> Factor | None:
-        """Factor of the matrix of displacements; None if nothing moves."""
+        """Factor of the matrix of displacements, or None without moving vertices."""
         if not len(self.moving_vertex_ids):
             return None
         corners = self._faces[: len(self._moving_face_ids)]
         ends = self._moving_index[np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)]
-        weights, inside = self._side_weights.reshape(-1), ends >= 0
-        both = inside.all(axis=1)
-        held = np.full(len(self.moving_vertex_ids), self.position_weight * self.shell.tie_weight)
-        for first in (0, 1):
-            border = inside[:, first] & ~inside[:, 1 - first]
-            np.add.at(held, ends[border, first], weights[border])
-        return factorise_laplacian(ends[both], weights[both], held)
+        weight = self.position_weight * self.shell.tie_weight
+        position_weights = np.full(len(self.moving_vertex_ids), weight)
+        return factorise_laplacian(ends, self._side_weights.reshape(-1), position_weights)
 
     def mesh_targets(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, Float]:
-        """Return lengths ``(E,)`` and angles ``(H,)`` of the whole mesh: targets at joints, else of posed vertices."""
+        """Return lengths ``(E,)`` and angles ``(H,)`` of the whole mesh: targets at joints, else those skinned."""
         topology = self.topology
         all_lengths, all_angles = lengths_and_angles(x, topology.edges, topology.hinges)
-        sound = triangle_quality(flatten_triangles(all_lengths, topology.face_edges.astype(np.int64)))
-        part = sound[topology.hinge_faces[self.hinge_ids]].prod(axis=1)
-        all_angles[self.hinge_ids] += part * wrap_angles(angles - all_angles[self.hinge_ids])
+        quality = triangle_quality(flatten_triangles(all_lengths, topology.face_edges.astype(np.int64)))
+        weights = quality[topology.hinge_faces[self.hinge_ids]].prod(axis=1)
+        all_angles[self.hinge_ids] += weights * wrap_angles(angles - all_angles[self.hinge_ids])
         all_lengths[self.edge_ids] = np.maximum(lengths, 0.0)
         return all_lengths, all_angles
 
     def project(
         self, x: RealOrComplex, lengths: RealOrComplex, angles: RealOrComplex, share: float
     ) -> RealOrComplex:
-        """Move posed vertices ``(V, 3)`` of joints to lengths ``(E',)`` and angles ``(H',)``."""
+        """Move skinned vertices ``(V, 3)`` at joints by a share towards lengths ``(E',)`` and angles ``(H',)``."""
         if not share or self.frame_factor is None or self.vertex_factor is None:
             return x
-        _, face_edges, known = self._edge_tables
-        posed = analytic_edge_lengths(x, self._edges)
-        wanted = posed.copy()
-        wanted[known] += share * (np.where(lengths.real > 0.0, lengths, 0.0) - posed[known])
-        flat = flatten_triangles(posed, face_edges)
-        sound = triangle_quality(flat)
-        target_flat = flat + sound[:, None] * (flatten_triangles(wanted, face_edges) - flat)
+        _, face_edges, targeted = self._edge_tables
+        skinned_lengths = analytic_edge_lengths(x, self._edges)
+        target_lengths = skinned_lengths.copy()
+        changes = np.where(lengths.real > 0.0, lengths, 0.0) - skinned_lengths[targeted]
+        target_lengths[targeted] += share * changes
+        flat = flatten_triangles(skinned_lengths, face_edges)
+        quality = triangle_quality(flat)
+        target_flat = flat + quality[:, None] * (flatten_triangles(target_lengths, face_edges) - flat)
         frames = analytic_frames(x, self._faces)
-        turns = target_rotations(
-            frames, self._pairs, flat, target_flat, sound, *self._hinge_tables, angles, share
-        )
-        target_frames, moving = frames, len(self._moving_face_ids)
+        arguments = frames, self._pairs, flat, target_flat, quality, *self._hinge_tables, angles, share
+        rotations = target_rotations(*arguments)
+        target_frames, moving_count = frames, len(self._moving_face_ids)
+        hinges = self._pairs, rotations, self._angle_weights
         for _ in range(AVERAGING_ROUNDS):
-            right = averaging_right_side(target_frames, self._pairs, turns, self._angle_weights, moving)
+            right = averaging_right_side(target_frames, *hinges, moving_count)
             target_frames = apply_small_rotations(target_frames, solve_columns(self.frame_factor, right))
-        right = displacement_right_side(
-            frames,
-            flat,
-            target_frames,
-            target_flat,
-            self._faces[:moving],
-            self._side_weights,
-            self._moving_index,
-            len(self.moving_vertex_ids),
-        )
-        moved = x.copy()
-        moved[self.moving_vertex_ids] += solve_columns(self.vertex_factor, right)
-        return moved
+        moving = self._faces[:moving_count], self._side_weights, self._moving_index
+        triangles = frames, flat, target_frames, target_flat
+        right = displacement_right_side(*triangles, *moving, len(self.moving_vertex_ids))
+        result = x.copy()
+        result[self.moving_vertex_ids] += solve_columns(self.vertex_factor, right)
+        return result

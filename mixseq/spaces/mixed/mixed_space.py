@@ -2,22 +2,21 @@
 
 A vector, in diagonals and radians, is
 
-``[joint lengths | joint angles | unposed vertices | part poses | relations | body poses | corrections]``
+``[joint lengths | joint angles | rest vertices | part poses | relations | body poses | corrections]``
 
-- Parts are registered to their mean shapes (paper, Section 3.4). Their relative poses, and the poses of the *bodies*
-  they form, are those of `mixseq.spaces.mixed.articulation`: a rigid motion of a body changes only its six numbers.
-- Vertices are skinned to the parts around them: the frame of a vertex is the blend of their motions from the reference
-  frame, as dual quaternions (Kavan and others 2008). *Unposed* (rest-space) vertices are in these frames, where they
-  would be in the reference frame. Inside a part that is the paper's aligned part vertex.
-- Lengths and angles are those of *joint faces*, which would be wrong half-way between frames.
-- Corrections are zero in encoded frames. Between frames they take blended part poses to the predicted ones
-  (`mixseq.signals`).
+- Parts are registered to their mean shapes (paper, Section 3.4). Their poses are relative to the *bodies* that they
+  form, and *relations* are poses relative to neighbours (`mixseq.spaces.mixed.articulation`): a rigid motion of a body
+  changes only its own pose.
+- Vertices are skinned to the parts around them by dual quaternions (Kavan and others 2008). *Rest vertices* are the
+  vertices in rest space, after inverse skinning. Inside a part they are the paper's aligned part vertices.
+- Lengths and angles are those of *joint faces*, whose errors half-way between frames would be large.
+- Corrections are zero in encoded frames. Between frames they take blended part poses to poses interpolated in time.
 
-P_m poses the vertices by the part poses that agree best with poses and relations, then moves those of joints
-(`mixseq.spaces.mixed.joint_projection`). Between far poses relaxation steps over the whole mesh follow
-(`mixseq.shells.shell`). With the free placement P_m finds the poses of parts from lengths and angles
-(`mixseq.spaces.mixed.assembly`). All is exact at the frames, and, except for these steps, analytic, with a derivative
-by a complex step.
+The projection P_m reconciles poses and relations, skins the rest vertices, and moves those of joints towards their
+lengths and angles (`mixseq.spaces.mixed.joint_projection`). Between far poses, relaxation of the whole mesh follows
+(`mixseq.shells.shell`). With the free placement, P_m finds part poses from lengths and angles
+(`mixseq.spaces.mixed.assembly`). All is exact at the frames and, except for relaxation, analytic: velocities are
+derivatives by a complex step.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.shell import Relaxation
-from mixseq.spaces.base import ANGLE_WEIGHT, ShapeSpace, radii_of_gyration
+from mixseq.spaces.base import ANGLE_WEIGHT, ShapeSpace, flatten_blocks, radii_of_gyration
 from mixseq.spaces.mixed import posing_kernels as kernels
 from mixseq.spaces.mixed.articulation import Articulation, PartPoses, Steadiness, find_articulation
 from mixseq.spaces.mixed.assembly import Assembly, FreeFrame
@@ -64,36 +63,36 @@ from mixseq.spaces.temporal import Poses, TemporalOperator
 from mixseq.types import Float, FloatArray, Index, Mask
 
 JOINT_WEIGHT = 1e-3
-"""Weight of lengths and angles in the metric. Unposed vertices weigh 1 and describe the same shape."""
+"""Weight of lengths and angles in the metric. Rest vertices have the weight 1 and determine the same shape."""
 
 JOINT_EMBEDDING_WEIGHT = 2.0
 """Weight of lengths and angles in embeddings."""
 
 MAX_EDIT_ROUNDS, EDIT_TOLERANCE = 12, 1e-11
-"""Limit of rounds to reach an edited frame, and the error to stop at, in diagonals."""
+"""Largest number of iterations to reach an edited frame, and the error at which they stop, in diagonals."""
 
 ARTICULATION_WEIGHT = 0.2
 """Weight of part poses in the metric, relative to the vertices they move."""
 
 PROJECTION_WEIGHT_RANGE = (1e-6, 1e6)
-"""Range of `hold` and `relations`; beyond it systems of equations are singular."""
+"""Range of `hold` and `relations`, outside which linear systems are singular."""
 
 LENGTH_STEP_RATIO = 1 / 4
-"""Rounding step of lengths over that of positions, where P_m takes relaxation steps."""
+"""Ratio of the rounding step of lengths to that of positions, where P_m relaxes."""
 
 MAX_ANGLE_STEP_RATIO = 64
-"""Largest rounding step of angles in radians over that of positions in diagonals."""
+"""Largest ratio of the rounding step of angles in radians to that of positions in diagonals."""
 
 
 @dataclass(frozen=True)
 class Projection:
     """Settings of the projection P_m; raises `SettingsError` if a number is out of range."""
 
-    placement: PlacementName = "anchored"  # parts at their poses, or where lengths and angles put them
-    share: float = 0.0  # share of lengths and angles of joints, from 0 (posed vertices) to 1 (the vector)
-    hold: float = 0.1  # weight of posed vertices at joints
+    placement: PlacementName = "anchored"  # placement of parts by their poses, or by lengths and angles
+    share: float = 0.0  # share of the vector's lengths and angles at joints, from 0 (skinned vertices) to 1
+    hold: float = 0.1  # weight of skinned vertices at joints
     steps: int = 0  # relaxation steps over the lengths and angles of the whole mesh
-    relations: float = 0.1  # weight of relations between neighbours against poses of parts that move equally
+    relations: float = 0.1  # weight of relations against part poses of equal steadiness
 
     def __post_init__(self) -> None:
         weight = ("positive weight", *PROJECTION_WEIGHT_RANGE)
@@ -111,23 +110,18 @@ class MixedBlocks(NamedTuple):
 
     lengths: RealOrComplex  # (T, E') edge lengths of joint faces, in diagonals
     angles: RealOrComplex  # (T, H') hinge angles of joint faces, in radians, unwrapped
-    rest_vertices: RealOrComplex  # (T, V, 3) vertices as seen from their frames
-    part_rotations: (
-        RealOrComplex  # (T, p, 4) quaternions of parts since the reference frame, seen from their bodies
-    )
-    part_centres: RealOrComplex  # (T, p, 3) centres of parts, seen from their bodies
-    relation_rotations: (
-        RealOrComplex  # (T, n, 4) quaternions of parts since the reference frame, seen from neighbours
-    )
-    relation_points: RealOrComplex  # (T, n, 3) pivots of parts, seen from neighbours
-    body_rotations: RealOrComplex  # (T, B, 4) quaternions of the bodies since the reference frame
-    body_centres: RealOrComplex  # (T, B, 3) centres of the bodies
-    # (T, 6 p) rotation vectors of parts in their own axes, and shifts as seen from the body.
-    corrections: RealOrComplex
+    rest_vertices: RealOrComplex  # (T, V, 3) vertices in rest space
+    part_rotations: RealOrComplex  # (T, p, 4) quaternions of parts since the reference frame, in body axes
+    part_centres: RealOrComplex  # (T, p, 3) centres of parts, in body axes
+    relation_rotations: RealOrComplex  # (T, n, 4) quaternions of parts in the axes of neighbours
+    relation_points: RealOrComplex  # (T, n, 3) pivots of parts in the axes of neighbours
+    body_rotations: RealOrComplex  # (T, B, 4) quaternions of bodies since the reference frame
+    body_centres: RealOrComplex  # (T, B, 3) centres of bodies
+    corrections: RealOrComplex  # (T, 6 p) rotation vectors of parts in their own axes, shifts in body axes
 
     @property
     def part_poses(self) -> PartPoses:
-        """Poses and relations of parts."""
+        """Part poses and relations."""
         return PartPoses(*self[3:7])
 
 
@@ -139,13 +133,13 @@ QUATERNION_BLOCKS = ("part_rotations", "relation_rotations", "body_rotations")
 class MixedSpace(ShapeSpace):
     """The mixed shape space of one mesh sequence; made by `mixed_space`."""
 
-    topology: Topology
-    decomposition: Decomposition  # parts, and the strips between them
-    scale: float  # unit of length, in the units of the sequence: the diagonal of the first frame
-    shapes: Float  # (N, 3) mean shapes of all parts, each centred, part by part, in diagonals
+    topology: Topology  # connectivity of the mesh
+    decomposition: Decomposition  # parts and joints
+    scale: float  # diagonal of the first frame, in the units of the sequence
+    shapes: Float  # (N, 3) centred mean shapes, part by part, in diagonals
     reference: Float  # (V, 3) the first frame, in diagonals
-    skinning_weights: sparse.csr_array  # (V, p) of vertices and parts; rows add up to one
-    steadiness: Steadiness | None  # inverse variances of part poses and relations, their weights in P_m
+    skinning_weights: sparse.csr_array  # (V, p) rows add up to one
+    steadiness: Steadiness | None  # inverse variances of part poses and relations: their weights in P_m
     joint_faces: Mask  # (F,) faces with lengths and angles in the vector
     projection: Projection  # settings of P_m
     name = "mixed"
@@ -162,27 +156,27 @@ class MixedSpace(ShapeSpace):
 
     @property
     def placement(self) -> PlacementName:
-        """The placement of the projection."""
+        """Placement of parts: "anchored" or "free"."""
         return self.projection.placement
 
     @property
     def edge_ids(self) -> Index:
-        """Edges ``(E',)`` whose lengths are in a vector, ascending."""
+        """Edges ``(E',)`` with a length in the vector, ascending."""
         return self.joint_projection.edge_ids
 
     @property
     def hinge_ids(self) -> Index:
-        """Hinges ``(H',)`` whose angles are in a vector, ascending."""
+        """Hinges ``(H',)`` with an angle in the vector, ascending."""
         return self.joint_projection.hinge_ids
 
     @cached_property
     def joint_projection(self) -> JointProjection:
-        """The projection at the joints."""
+        """Projection of skinned vertices at joints to lengths and angles."""
         return JointProjection(self.topology, self.reference, self.joint_faces, self.projection.hold)
 
     @cached_property
     def assembly(self) -> Assembly:
-        """The projection of the free placement."""
+        """Projection of the free placement."""
         return Assembly(
             self.topology,
             self.rigid_part_of_vertex,
@@ -195,30 +189,30 @@ class MixedSpace(ShapeSpace):
 
     @cached_property
     def rigid_part_of_vertex(self) -> Index:
-        """Part ``(V,)`` of vertices skinned to one part alone, -1 for others."""
-        weights = self.skinning_weights
-        first = weights.indices[weights.indptr[:-1]]
-        return np.where(np.diff(weights.indptr) == 1, first, -1).astype(np.int64)
+        """Part ``(V,)`` of vertices skinned to a single part, -1 for others."""
+        starts, parts, _ = self._skinning
+        return np.where(np.diff(starts) == 1, parts[starts[:-1]], -1)
 
     @cached_property
     def _skinning(self) -> tuple[Index, Index, Float]:
+        """Starts of rows ``(V + 1,)``, parts and weights ``(n,)`` of the skinning weights."""
         weights = self.skinning_weights
         return weights.indptr.astype(np.int64), weights.indices.astype(np.int64), weights.data
 
     @cached_property
     def _rest_poses(self) -> Poses:
-        """Poses of the parts in the reference frame, from their mean shapes."""
+        """Poses of the parts in the reference frame, relative to their mean shapes."""
         _, rotations, centres = register_parts(self.shapes, self.decomposition.parts, self.reference)
         return Poses(matrix_to_quat(rotations)[None], centres[None])
 
     @cached_property
     def part_radii(self) -> Float:
-        """Radii of gyration ``(p,)`` of the parts, in diagonals; at least a small number."""
+        """Radii of gyration ``(p,)`` of the parts, in diagonals."""
         return radii_of_gyration(self.shapes, self.decomposition.parts)
 
     @cached_property
     def articulation(self) -> Articulation:
-        """Bodies, and relations of neighbouring parts."""
+        """Bodies and relations of the parts."""
         return find_articulation(
             self.topology,
             self.decomposition,
@@ -242,7 +236,7 @@ class MixedSpace(ShapeSpace):
 
     @cached_property
     def _block_shapes(self) -> tuple[tuple[int, ...], ...]:
-        """Shapes of the blocks of a vector, in order."""
+        """Array shapes of the blocks of a vector, in order."""
         parts, relations = len(self.decomposition.parts), len(self.articulation.pairs)
         bodies = self.articulation.body_count
         return (
@@ -270,27 +264,22 @@ class MixedSpace(ShapeSpace):
 
     @property
     def rotation_count(self) -> int:
-        """One for every body."""
-        return self.articulation.body_count
-
-    @property
-    def centre_count(self) -> int:
-        """One for every body."""
+        """Implement `ShapeSpace.rotation_count`: one per body."""
         return self.articulation.body_count
 
     @property
     def correction_dim(self) -> int:
-        """Implement `ShapeSpace.correction_dim`: six numbers per part."""
+        """Implement `ShapeSpace.correction_dim`: six per part."""
         return self.block_sizes[-1]
 
     @property
     def pose_dim(self) -> int:
-        """Implement `ShapeSpace.pose_dim`: poses and relations of parts."""
+        """Implement `ShapeSpace.pose_dim`: part poses and relations."""
         return sum(self.block_sizes[3:7])
 
     @cached_property
     def angle_weights(self) -> Float:
-        """Weights ``(H',)`` of angles relative to lengths: `ANGLE` times the length of the edge in the reference."""
+        """Weights ``(H',)`` of angles relative to lengths, proportional to the length of their edges."""
         edges = self.topology.edges[self.topology.hinge_edges[self.hinge_ids]]
         return ANGLE_WEIGHT * edge_lengths(self.reference, edges)
 
@@ -298,19 +287,19 @@ class MixedSpace(ShapeSpace):
     def weights(self) -> Float:
         """Metric ``(D,)``: vertex displacement in diagonals per unit of each coordinate.
 
-        1 for unposed vertices and centres of bodies; twice a radius of gyration for quaternions; `ARTICULATION_WEIGHT`
+        1 for rest vertices and centres of bodies; twice a radius of gyration for quaternions; `ARTICULATION_WEIGHT`
         times that, for all vertices of the part, for part poses; `JOINT_WEIGHT` for lengths, and for angles times the
-        length of their edges. Relations follow part poses, and weigh nothing.
+        length of their edges. Relations follow from part poses and have the weight 0.
         """
-        edges, _, vertices, *_ = self.block_sizes
-        own = ARTICULATION_WEIGHT * np.sqrt(self.articulation.masses)
+        edge_count, _, coordinate_count, *_ = self.block_sizes
+        part_weights = ARTICULATION_WEIGHT * np.sqrt(self.articulation.masses)
         return np.concatenate(
             [
-                np.full(edges, JOINT_WEIGHT),
+                np.full(edge_count, JOINT_WEIGHT),
                 JOINT_WEIGHT * self.angle_weights,
-                np.ones(vertices),
-                np.repeat(2.0 * self.part_radii * own, 4),
-                np.repeat(own, 3),
+                np.ones(coordinate_count),
+                np.repeat(2.0 * self.part_radii * part_weights, 4),
+                np.repeat(part_weights, 3),
                 np.zeros(sum(self.block_sizes[5:7])),
                 np.repeat(2.0 * self.articulation.body_radii, 4),
                 np.ones(self.block_sizes[8]),
@@ -321,74 +310,70 @@ class MixedSpace(ShapeSpace):
 
     @property
     def rounding_step_ratios(self) -> Float:
-        """Implement `ShapeSpace.rounding_step_ratios`: angles rotate short edges, steps magnify errors of lengths."""
-        edges, hinges, *_ = self.block_sizes
+        """Implement `ShapeSpace.rounding_step_ratios`: coarse for angles at short edges, fine for relaxed lengths."""
+        edge_count, hinge_count, *_ = self.block_sizes
         result = np.ones(self.shape_dim)
         if self.projection.steps:
-            result[:edges] = LENGTH_STEP_RATIO
+            result[:edge_count] = LENGTH_STEP_RATIO
         if self.placement == "anchored":
-            sizes = np.clip(self.angle_weights / ANGLE_WEIGHT, 1 / MAX_ANGLE_STEP_RATIO, 1.0)
-            result[edges : edges + hinges] = 2.0 ** np.floor(-np.log2(sizes))
+            lengths = np.clip(self.angle_weights / ANGLE_WEIGHT, 1 / MAX_ANGLE_STEP_RATIO, 1.0)
+            result[edge_count : edge_count + hinge_count] = 2.0 ** np.floor(-np.log2(lengths))
         return result
 
     @property
     def embedding_weights(self) -> Float:
-        """Implement `ShapeSpace.embedding_weights`: mostly joints and part poses."""
-        edges, hinges, *_ = self.block_sizes
-        joints = np.concatenate(
-            [np.full(edges, JOINT_EMBEDDING_WEIGHT), JOINT_EMBEDDING_WEIGHT * self.angle_weights]
-        )
-        rest = self.shape_weights[edges + hinges :].copy()
+        """Implement `ShapeSpace.embedding_weights`: dominated by joints and part poses."""
+        edge_count, hinge_count, *_ = self.block_sizes
+        joints = JOINT_EMBEDDING_WEIGHT * np.append(np.ones(edge_count), self.angle_weights)
+        rest = self.shape_weights[edge_count + hinge_count :].copy()
         rest[self.block_sizes[2] :] /= ARTICULATION_WEIGHT
         return np.concatenate([joints, rest])
 
     def split(self, vectors: RealOrComplex) -> MixedBlocks:
-        """Return the blocks of vectors ``(T, D)``, as views where possible; raises what `checked` does."""
+        """Return the blocks of vectors ``(T, D)``, as views where possible; raises as `check_vectors`."""
         return MixedBlocks(*self._split_columns(self.check_vectors(vectors), slice(None)))
 
     def join(self, blocks: MixedBlocks) -> Float:
         """Return the vectors ``(T, D)`` of blocks; the inverse of `split`."""
-        return np.concatenate([block.reshape(len(block), -1) for block in blocks], axis=1)
+        return flatten_blocks(blocks)
 
     def split_poses(self, poses: Float) -> PartPoses:
-        """Return the poses and relations of parts from the pose columns ``(T, pose_dim)`` of shapes."""
+        """Return part poses and relations from the pose columns ``(T, pose_dim)`` of shapes."""
         return PartPoses(*self._split_columns(poses, slice(3, 7)))
 
-    def _split_columns(self, columns: RealOrComplex, which: slice) -> Iterator[RealOrComplex]:
-        """Cut columns ``(T, n)`` into some blocks of vectors."""
-        blocks = np.split(columns, np.cumsum(self.block_sizes[which])[:-1], axis=1)
-        shaped = zip(blocks, self._block_shapes[which], strict=True)
+    def _split_columns(self, columns: RealOrComplex, block_range: slice) -> Iterator[RealOrComplex]:
+        """Split columns ``(T, n)`` into a range of the blocks of vectors."""
+        blocks = np.split(columns, np.cumsum(self.block_sizes[block_range])[:-1], axis=1)
+        shaped = zip(blocks, self._block_shapes[block_range], strict=True)
         return (block.reshape(len(columns), *shape) for block, shape in shaped)
 
     # Encoding ----------------------------------------------------------------------------------------------
 
     def encode_independently(self, points: FloatArray) -> Float:
-        """Implement `ShapeSpace.encode_independently`: the smallest angles, and quaternions with w >= 0."""
+        """Implement `ShapeSpace.encode_independently`: wrapped angles, and quaternions with w >= 0."""
         frames = [frame.astype(np.float64) / self.scale for frame in points]
-        found = [register_parts(self.shapes, self.decomposition.parts, x)[1:] for x in frames]
-        rotations, centres = (np.stack(each) for each in zip(*found, strict=True))
-        turns = quat_multiply(matrix_to_quat(rotations), quat_conjugate(self._rest_poses.rotations))
-        world = Poses(turns, centres)
+        poses = [register_parts(self.shapes, self.decomposition.parts, x)[1:] for x in frames]
+        rotations, centres = (np.stack(arrays) for arrays in zip(*poses, strict=True))
+        to_rest = quat_conjugate(self._rest_poses.rotations)
+        world = Poses(quat_multiply(matrix_to_quat(rotations), to_rest), centres)
         bodies = self.articulation.fit_bodies(world)
         parts = self.articulation.add_relations(self.articulation.to_body_axes(world, bodies))
         parts = parts._replace(
             rotations=_with_positive_w(parts.rotations),
             relation_rotations=_with_positive_w(parts.relation_rotations),
         )
-        none = np.zeros((len(frames), self.correction_dim))
-        rows = zip(*parts, bodies.rotations, bodies.centres, none, strict=True)
-        duals = [
-            self.articulation.part_motions(PartPoses(*row[:4]), (row[4], row[5]), row[6]) for row in rows
+        corrections = np.zeros((len(frames), self.correction_dim))
+        motions = [
+            self.articulation.part_motions(PartPoses(*frame[:4]), frame[4:6], frame[6])
+            for frame in zip(*parts, *bodies, corrections, strict=True)
         ]
-        unposed = [self._unskin(dual, x) for dual, x in zip(duals, frames, strict=True)]
+        rest_vertices = np.stack([self._unskin(*pair) for pair in zip(motions, frames, strict=True)])
         joints = [self.measure_joints(x) for x in frames]
-        lengths, angles = (np.stack(each) for each in zip(*joints, strict=True))
-        return self.join(
-            MixedBlocks(lengths, angles, np.stack(unposed), *parts, bodies.rotations, bodies.centres, none)
-        )
+        lengths, angles = (np.stack(arrays) for arrays in zip(*joints, strict=True))
+        return self.join(MixedBlocks(lengths, angles, rest_vertices, *parts, *bodies, corrections))
 
     def measure_joints(self, x: Float) -> tuple[Float, Float]:
-        """Return the lengths ``(..., E')`` and angles ``(..., H')`` of joints in frames ``(..., V, 3)``."""
+        """Return lengths ``(..., E')`` and angles ``(..., H')`` of joint faces in frames ``(..., V, 3)``."""
         edges, hinges = self.topology.edges[self.edge_ids], self.topology.hinges_at(self.hinge_ids)
         return edge_lengths(x, edges), dihedral_angles(x, hinges)
 
@@ -398,20 +383,19 @@ class MixedSpace(ShapeSpace):
         before = None if previous is None else self.split(previous[None])
         start = self.measure_joints(self.reference)[1] if before is None else before.angles[0]
         signed = {
-            name: align_quat_signs(
-                getattr(blocks, name), None if before is None else getattr(before, name)[0]
-            )
+            name: align_quat_signs(getattr(blocks, name), before and getattr(before, name)[0])
             for name in QUATERNION_BLOCKS
         }
         return self.join(blocks._replace(angles=unwrap_angles(blocks.angles, start), **signed))
 
-    def _unskin(self, duals: Float, x: Float) -> Float:
-        return np.asarray(kernels.unskin_vertices(*self._skinning, duals, x))
+    def _unskin(self, motions: Float, x: Float) -> Float:
+        return np.asarray(kernels.unskin_vertices(*self._skinning, motions, x))
 
-    def _part_motions(self, row: MixedBlocks) -> RealOrComplex:
-        """Motions ``(p, 8)`` of the parts in one frame."""
-        bodies = np.ascontiguousarray(row.body_rotations), np.ascontiguousarray(row.body_centres)
-        return self.articulation.part_motions(row.part_poses, bodies, np.ascontiguousarray(row.corrections))
+    def _part_motions(self, frame: MixedBlocks) -> RealOrComplex:
+        """Motions ``(p, 8)`` of the parts in one frame, as dual quaternions."""
+        bodies = np.ascontiguousarray(frame.body_rotations), np.ascontiguousarray(frame.body_centres)
+        correction = np.ascontiguousarray(frame.corrections)
+        return self.articulation.part_motions(frame.part_poses, bodies, correction)
 
     # Decoding ----------------------------------------------------------------------------------------------
 
@@ -426,29 +410,25 @@ class MixedSpace(ShapeSpace):
         points *= self.scale
         return points
 
-    def _project(self, row: MixedBlocks) -> RealOrComplex:
-        """Return the mesh ``(V, 3)`` of one vector, in diagonals; complex for a complex vector of an analytic P_m."""
-        x = self._skin(row)
-        lengths, angles = (np.ascontiguousarray(block) for block in (row.lengths, row.angles))
+    def _project(self, frame: MixedBlocks) -> RealOrComplex:
+        """Return the mesh ``(V, 3)`` of one frame, in diagonals; complex for complex blocks of an analytic P_m."""
+        skinned = self._skin(frame)
+        lengths, angles = (np.ascontiguousarray(block) for block in (frame.lengths, frame.angles))
         if self.placement == "free":
-            return self.assembly.assemble(FreeFrame(lengths, angles, row.rest_vertices, x)).points
-        moved = self.joint_projection.project(x, lengths, angles, self.projection.share)
+            return self.assembly.assemble(FreeFrame(lengths, angles, frame.rest_vertices, skinned)).points
+        projected = self.joint_projection.project(skinned, lengths, angles, self.projection.share)
         if not self.projection.steps:
-            return moved
-        targets = self.joint_projection.mesh_targets(x, lengths, angles)
-        return self.joint_projection.shell.relax(moved, *targets, self.projection.steps).points
+            return projected
+        targets = self.joint_projection.mesh_targets(skinned, lengths, angles)
+        return self.joint_projection.shell.relax(projected, *targets, self.projection.steps).points
 
-    def _skin(self, row: MixedBlocks) -> RealOrComplex:
-        return np.asarray(
-            kernels.skin_vertices(
-                *self._skinning, self._part_motions(row), np.ascontiguousarray(row.rest_vertices)
-            )
-        )
+    def _skin(self, frame: MixedBlocks) -> RealOrComplex:
+        rest_vertices = np.ascontiguousarray(frame.rest_vertices)
+        return np.asarray(kernels.skin_vertices(*self._skinning, self._part_motions(frame), rest_vertices))
 
     def skin(self, vectors: Float) -> Float:
-        """Return posed vertices ``(T, V, 3)`` of vectors ``(T, D)``, in diagonals, before the projection at joints."""
-        rows = zip(*self.split(vectors), strict=True)
-        return np.stack([self._skin(MixedBlocks(*row)) for row in rows])
+        """Return skinned vertices ``(T, V, 3)`` of vectors ``(T, D)``, in diagonals, before the joint projection."""
+        return np.stack([self._skin(MixedBlocks(*frame)) for frame in zip(*self.split(vectors), strict=True)])
 
     def decode_with_velocities(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
         """Implement `ShapeSpace.decode_with_velocities` by a complex step, where all of P_m is analytic."""
@@ -462,94 +442,92 @@ class MixedSpace(ShapeSpace):
         return points * self.scale, velocities * self.scale
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
-        """Implement `ShapeSpace.shape_difference` with constant part poses; between frames it takes several rounds."""
-        changed, found, size = vector.copy(), before, self.shape_dim
-        rest, offset = np.inf, before - self.decode(vector[None])[0]
+        """Implement `ShapeSpace.shape_difference` with constant part poses, iteratively between frames."""
+        edited, points, size = vector.copy(), before, self.shape_dim
+        error, offset = np.inf, before - self.decode(vector[None])[0]
         for _ in range(MAX_EDIT_ROUNDS):
-            tried = changed.copy()
-            tried[:size] += self._rest_difference(changed, found, after)
-            found = self.decode(tried[None])[0] + offset
-            left = float(np.abs(found - after).max())
-            if left > 0.5 * rest:
+            candidate = edited.copy()
+            candidate[:size] += self._rest_difference(edited, points, after)
+            points = self.decode(candidate[None])[0] + offset
+            candidate_error = float(np.abs(points - after).max())
+            if candidate_error > 0.5 * error:
                 break
-            changed, rest = tried, left
-            if rest <= EDIT_TOLERANCE * self.scale:
+            edited, error = candidate, candidate_error
+            if error <= EDIT_TOLERANCE * self.scale:
                 break
-        return changed[:size] - vector[:size]
+        return edited[:size] - vector[:size]
 
     def _rest_difference(self, vector: Float, before: Float, after: Float) -> Float:
-        """Return the differences ``(S,)`` of lengths, angles and unposed vertices of two frames."""
-        row = MixedBlocks(*(block[0] for block in self.split(vector[None])))
-        duals = self._part_motions(row)
+        """Return the differences ``(S,)`` of lengths, angles and rest vertices of two frames."""
+        motions = self._part_motions(MixedBlocks(*(block[0] for block in self.split(vector[None]))))
         first, second = (x / self.scale for x in (before, after))
-        (lengths, angles), (other_lengths, other_angles) = map(self.measure_joints, (first, second))
-        unposed = self._unskin(duals, second) - self._unskin(duals, first)
-        change = other_lengths - lengths, wrap_angles(other_angles - angles), unposed.reshape(-1)
-        return np.concatenate([*change, np.zeros(self.pose_dim)])
+        (lengths, angles), (new_lengths, new_angles) = map(self.measure_joints, (first, second))
+        rest_change = self._unskin(motions, second) - self._unskin(motions, first)
+        changes = new_lengths - lengths, wrap_angles(new_angles - angles), rest_change.reshape(-1)
+        return np.concatenate([*changes, np.zeros(self.pose_dim)])
 
     # Between frames ----------------------------------------------------------------------------------------
 
     def interpolate_poses(
-        self, operator: TemporalOperator, poses: Float, placements: Float, times: Float, in_body: bool
+        self, operator: TemporalOperator, poses: Float, placements: Float, times: Float, in_body_axes: bool
     ) -> tuple[Float, Float]:
-        """Implement `ShapeSpace.interpolate_poses`: in the world, optionally in the body, and by neighbours."""
-        found, seen = self.pose_interpolation(operator, poses, placements, in_body).at(times)
-        before = self.unpack_placements(placements[:1]).rotations[0]
-        placed = self.pack_placements(found._replace(rotations=align_quat_signs(found.rotations, before)))
-        return np.concatenate([each.reshape(len(times), -1) for each in seen], axis=1), placed
+        """Implement `ShapeSpace.interpolate_poses`: in world axes, optionally body axes, and by relations."""
+        bodies, parts = self.pose_interpolation(operator, poses, placements, in_body_axes).at(times)
+        first = self.unpack_placements(placements[:1]).rotations[0]
+        bodies = bodies._replace(rotations=align_quat_signs(bodies.rotations, first))
+        return flatten_blocks(parts), self.pack_placements(bodies)
 
     def pose_interpolation(
-        self, operator: TemporalOperator, poses: Float, placements: Float, in_body: bool
+        self, operator: TemporalOperator, poses: Float, placements: Float, in_body_axes: bool
     ) -> PoseInterpolation:
-        """Return the prediction of poses from those at the frames ``(T, pose_dim)``, ``(T, P)``."""
+        """Return the interpolation of part poses ``(T, pose_dim)`` and placements ``(T, P)`` of the frames."""
         parts = self.split_poses(poses)
-        world = self.articulation.to_world_axes(
-            Poses(parts.rotations, parts.centres), self.unpack_placements(placements)
-        )
-        world = world._replace(rotations=align_quat_signs(world.rotations))
-        return PoseInterpolation(self.articulation, operator, world, in_body)
-
-    def to_body_axes(self, points: Float, vertices: Index, placements: Float) -> Float:
-        """Implement `ShapeSpace.to_body_axes`: in the axes of the body of each vertex's main part."""
         bodies = self.unpack_placements(placements)
-        weights = self.skinning_weights[vertices]
-        body = self.articulation.body_of_part[np.asarray(weights.argmax(axis=1)).reshape(-1)]
+        world = self.articulation.to_world_axes(Poses(parts.rotations, parts.centres), bodies)
+        world = world._replace(rotations=align_quat_signs(world.rotations))
+        return PoseInterpolation(self.articulation, operator, world, in_body_axes)
+
+    def to_body_axes(self, points: Float, vertex_ids: Index, placements: Float) -> Float:
+        """Implement `ShapeSpace.to_body_axes`: of the body of each vertex's main part."""
+        bodies = self.unpack_placements(placements)
+        main_parts = np.asarray(self.skinning_weights[vertex_ids].argmax(axis=1)).reshape(-1)
+        body = self.articulation.body_of_part[main_parts]
         back = np.swapaxes(quat_to_matrix(bodies.rotations), -1, -2)[:, body]
         return rotate_vectors(back, points - self.scale * bodies.centres[:, body])
 
-    def quaternion_signs(self, poses: Float, before: Float) -> Float:
+    def quaternion_signs(self, poses: Float, previous: Float) -> Float:
         """Implement `ShapeSpace.quaternion_signs`."""
-        here, there = self.split_poses(poses[None]), self.split_poses(before[None])
-        turns, relations = (
-            np.where(np.einsum("tpi,tpi->p", one, other) < 0, -1.0, 1.0)
-            for one, other in zip(here[::2], there[::2], strict=True)
+        blocks, previous_blocks = self.split_poses(poses[None]), self.split_poses(previous[None])
+        parts, relations = (
+            np.where(np.einsum("tpi,tpi->p", q, before) < 0, -1.0, 1.0)
+            for q, before in zip(blocks[::2], previous_blocks[::2], strict=True)
         )
-        blocks = (turns, 4), (np.ones_like(turns), 3), (relations, 4), (np.ones_like(relations), 3)
-        return np.concatenate([np.repeat(factors, size) for factors, size in blocks])
+        signs = (parts, 4), (np.ones_like(parts), 3), (relations, 4), (np.ones_like(relations), 3)
+        return np.concatenate([np.repeat(values, size) for values, size in signs])
 
     def pose_corrections(self, poses: Float, targets: Float) -> Float:
         """Implement `ShapeSpace.pose_corrections`."""
-        parts = len(self.decomposition.parts)
-        turns, centres = np.split(targets, [4 * parts], axis=1)
-        wanted = Poses(turns.reshape(-1, parts, 4), centres.reshape(-1, parts, 3))
-        return self.articulation.pose_corrections(
-            self.articulation.reconcile(self.split_poses(poses)), wanted
-        )
+        count = len(self.decomposition.parts)
+        rotations, centres = np.split(targets, [4 * count], axis=1)
+        target_poses = Poses(rotations.reshape(-1, count, 4), centres.reshape(-1, count, 3))
+        blended = self.articulation.reconcile(self.split_poses(poses))
+        return self.articulation.pose_corrections(blended, target_poses)
 
     def correct_poses(self, poses: Float, corrections: Float) -> Poses:
-        """Return part poses ``(T, p)`` relative to bodies, of pose columns and corrections ``(T, ...)``."""
-        agreed = self.articulation.reconcile(self.split_poses(poses))
-        spins, shifts = corrections.reshape(len(poses), 2, -1, 3).swapaxes(0, 1)
-        return Poses(quat_multiply(agreed.rotations, rotvec_to_quat(spins)), agreed.centres + shifts)
+        """Return part poses ``(T, p)`` in body axes, from pose columns and corrections ``(T, ...)``."""
+        blended = self.articulation.reconcile(self.split_poses(poses))
+        rotation_vectors, shifts = corrections.reshape(len(poses), 2, -1, 3).swapaxes(0, 1)
+        rotations = quat_multiply(blended.rotations, rotvec_to_quat(rotation_vectors))
+        return Poses(rotations, blended.centres + shifts)
 
 
 def as_mixed(space: ShapeSpace) -> MixedSpace:
-    """Return a mixed shape space unchanged, or raise for other spaces."""
+    """Return a mixed shape space unchanged; raise `SettingsError` for other spaces."""
     if not isinstance(space, MixedSpace):
         raise SettingsError(f"the {space.name} space has no parts; fit a model with space='mixed'")
     return space
 
 
-def _with_positive_w(turns: Float) -> Float:
+def _with_positive_w(q: Float) -> Float:
     """Return quaternions ``(..., 4)`` with w >= 0: rotations by at most half a turn."""
-    return np.where(turns[..., :1] < 0, -turns, turns)
+    return np.where(q[..., :1] < 0, -q, q)

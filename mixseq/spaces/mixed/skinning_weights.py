@@ -5,10 +5,10 @@ With the rigid motions :math:`M_{ti}` of part i from the reference frame to fram
 .. math:: \sum_t \Bigl| \sum_i w_i\, M_{ti}(\bar x_v) - x_{tv} \Bigr|^2 + \mu_v\, |w - \bar w|^2,
    \qquad w_i \ge 0, \quad \sum_i w_i = 1 .
 
-where :math:`\bar w` is the mean of the neighbours' weights, and :math:`\mu` is `SMOOTH` times the distance between the
-motions of the parts there: only the ratio of the two counts. Gauss-Seidel sweeps visit the vertices in turn. Candidate
-parts of a vertex, and its first weights, are those of its faces spread over about `RINGS` rings of edges, by two steps
-of implicit diffusion, :math:`(I + r^2 L / 4)\, u = v`.
+Here :math:`\bar w` is the mean of the neighbours' weights, and :math:`\mu_v` is `SMOOTHNESS_WEIGHT` times the squared
+distance of the part motions at the vertex from their mean. Gauss-Seidel sweeps visit the vertices in turn. Candidate
+parts of a vertex, and initial weights, are those of nearby faces, diffused over about `INFLUENCE_RINGS` rings of edges
+by two implicit steps, :math:`(I + r^2 L / 4)\, u = v`.
 """
 
 from __future__ import annotations
@@ -25,221 +25,215 @@ from mixseq.spaces.pieces import register_parts
 from mixseq.types import Float, FloatArray, Index
 
 EXCHANGE_ROUNDS = 4
-"""Number of rounds of exchanges between the parts of a vertex, per sweep."""
+"""Number of rounds of exchanges between the parts of a vertex in a sweep."""
 
 
 @compiled
 def accumulate_errors(
-    some: Index,
+    vertex_ids: Index,
     parts: Index,
-    shares: Float,
-    turns: Float,
+    weights: Float,
+    rotations: Float,
     shifts: Float,
     reference: Float,
     x: Float,
     products: Float,
-    apart: Float,
+    variances: Float,
 ) -> None:
-    """Add the errors of part motions at vertices ``(n,)`` in a frame to sums, in place.
+    """Add the errors of part motions at vertices ``(n,)`` in a frame to products and variances, in place.
 
-    Products ``(n, k, k)``: sums of products of errors. Apart ``(n,)``: sums of squared distances from their mean.
+    Products ``(n, k, k)`` sum the scalar products of errors, variances ``(n,)`` their squared distances from the mean.
     """
-    most = parts.shape[1]
-    away = np.empty((most, 3))
-    for row in range(len(some)):
-        v = some[row]
+    max_parts = parts.shape[1]
+    errors = np.empty((max_parts, 3))
+    for k in range(len(vertex_ids)):
+        v = vertex_ids[k]
         count = 0
-        while count < most and parts[v, count] >= 0:
-            part = parts[v, count]
+        while count < max_parts and parts[v, count] >= 0:
+            p = parts[v, count]
             for i in range(3):
-                place = shifts[part, i] - x[v, i]
+                error = shifts[p, i] - x[v, i]
                 for j in range(3):
-                    place += turns[part, i, j] * reference[v, j]
-                away[count, i] = place
+                    error += rotations[p, i, j] * reference[v, j]
+                errors[count, i] = error
             count += 1
         for i in range(3):
             mean = 0.0
             for a in range(count):
-                mean += shares[v, a] * away[a, i]
+                mean += weights[v, a] * errors[a, i]
             for a in range(count):
-                apart[row] += shares[v, a] * (away[a, i] - mean) ** 2
+                variances[k] += weights[v, a] * (errors[a, i] - mean) ** 2
                 for b in range(count):
-                    products[row, a, b] += away[a, i] * away[b, i]
+                    products[k, a, b] += errors[a, i] * errors[b, i]
 
 
 @compiled
 def fit_weights(
-    some: Index,
+    vertex_ids: Index,
     parts: Index,
-    shares: Float,
+    weights: Float,
     products: Float,
-    strengths: Float,
+    smoothness: Float,
     starts: Index,
-    others: Index,
+    neighbours: Index,
     sweeps: int,
 ) -> None:
     """Fit skinning weights ``(V, k)`` of vertices ``(n,)``, in place, by Gauss-Seidel sweeps.
 
-    Products ``(n, k, k)`` are quadratic forms of the error, strengths ``(n,)`` the weights of smoothness; `starts`
-    ``(V + 1,)`` and `others` ``(m,)`` list neighbours as rows of a sparse matrix.
+    Products ``(n, k, k)`` are the quadratic forms of the errors, smoothness ``(n,)`` the weights of smoothness; starts
+    ``(V + 1,)`` index the neighbours ``(m,)`` of vertices.
     """
-    most = parts.shape[1]
-    wanted = np.empty(most)
+    max_parts = parts.shape[1]
+    mean = np.empty(max_parts)
     for _ in range(sweeps):
-        for row in range(len(some)):
-            v = some[row]
+        for k in range(len(vertex_ids)):
+            v = vertex_ids[k]
             count = 0
-            while count < most and parts[v, count] >= 0:
-                wanted[count] = 0.0
+            while count < max_parts and parts[v, count] >= 0:
+                mean[count] = 0.0
                 count += 1
             total = 0.0
-            for place in range(starts[v], starts[v + 1]):
-                u = others[place]
-                for b in range(most):
+            for n in range(starts[v], starts[v + 1]):
+                u = neighbours[n]
+                for b in range(max_parts):
                     if parts[u, b] < 0:
                         break
                     for a in range(count):
                         if parts[v, a] == parts[u, b]:
-                            wanted[a] += shares[u, b]
-                            total += shares[u, b]
+                            mean[a] += weights[u, b]
+                            total += weights[u, b]
             if total == 0.0:
                 continue
-            mu = strengths[row]
+            mu = smoothness[k]
             for a in range(count):
-                wanted[a] /= total
-            # Exchanges between two parts keep the sum; each is a parabola.
+                mean[a] /= total
+            # Exchanges between two parts preserve the sum; the energy of each is a parabola.
             for _ in range(EXCHANGE_ROUNDS):
                 for a in range(count):
                     for b in range(a):
-                        slope = mu * (shares[v, a] - wanted[a] - shares[v, b] + wanted[b])
+                        gradient = mu * (weights[v, a] - mean[a] - weights[v, b] + mean[b])
                         for c in range(count):
-                            slope += (products[row, a, c] - products[row, b, c]) * shares[v, c]
-                        bend = (
-                            products[row, a, a] + products[row, b, b] - 2.0 * products[row, a, b] + 2.0 * mu
-                        )
-                        if bend > 0.0:
-                            step = -slope / bend
-                            step = min(max(step, -shares[v, a]), shares[v, b])
-                            shares[v, a] += step
-                            shares[v, b] -= step
+                            gradient += (products[k, a, c] - products[k, b, c]) * weights[v, c]
+                        curvature = products[k, a, a] + products[k, b, b] - 2.0 * products[k, a, b] + 2.0 * mu
+                        if curvature > 0.0:
+                            step = -gradient / curvature
+                            step = min(max(step, -weights[v, a]), weights[v, b])
+                            weights[v, a] += step
+                            weights[v, b] -= step
 
 
-INFLUENCE_RADIUS_RINGS = 6.0
-"""Radius of influence of parts, in edges; chosen on half of the benchmark animations, as are the next constants."""
+INFLUENCE_RINGS = 6.0
+"""Radius of influence of parts in rings of edges; chosen empirically, as are the next constants (docs/between.md)."""
 
 MAX_PARTS_PER_VERTEX = 6
-"""Largest number of parts per vertex."""
+"""Largest number of parts that a vertex is skinned to."""
 
 MIN_WEIGHT = 0.01
 """Least skinning weight; smaller ones are set to zero."""
 
 SMOOTHNESS_WEIGHT = 0.1
-"""Weight of smoothness."""
+"""Weight of smoothness relative to the squared distance of part motions."""
 
 MOTION_NOISE = 1e-12
-"""Squared distance of motions, in diagonals, below which weights are only smooth."""
+"""Squared distance of part motions, in squared diagonals, below which weights are determined by smoothness."""
 
 GAUSS_SEIDEL_SWEEPS = 20
 """Number of Gauss-Seidel sweeps."""
 
 MAX_FULLY_FITTED_VERTICES = 200_000
-"""Number of vertices above which only those near boundaries of parts are fitted; others follow one part."""
+"""Largest number of vertices of a mesh whose vertices are all fitted; in larger ones only near part boundaries."""
 
 FITTED_BOUNDARY_RINGS = 32
-"""Rings of vertices about boundaries that are fitted. Weights fall to a hundredth within half of them."""
+"""Rings of fitted vertices around part boundaries; weights fall to a hundredth within half of them."""
 
 WEIGHT_STEP = 2.0**-16
 """Rounding step of skinning weights."""
 
-_PARTS_PER_BLOCK = 16  # parts that are spread at once
+_PARTS_PER_BLOCK = 16  # parts that are diffused together
 
 
 def fit_skinning_weights(
     topology: Topology, decomposition: Decomposition, shapes: Float, frames: FloatArray, reference: Float
 ) -> sparse.csr_array:
     """Fit skinning weights ``(V, p)``, rows adding up to one, to frames ``(S, V, 3)``; shapes ``(N, 3)``."""
-    near, far, part_of_far = _split_vertices(topology, decomposition)
-    graph = topology.vertex_adjacency[near][:, near]
-    parts, shares = _diffuse(graph, _parts_around_vertices(topology, decomposition, near))
-    some = np.flatnonzero(parts[:, 1] >= 0)
-    if len(some):
-        _, rest, rest_centres = register_parts(shapes, decomposition.parts, reference)
-        products, apart = (
-            np.zeros((len(some), MAX_PARTS_PER_VERTEX, MAX_PARTS_PER_VERTEX)),
-            np.zeros(len(some)),
-        )
+    fitted, rigid, part_of_rigid = _split_vertices(topology, decomposition)
+    graph = topology.vertex_adjacency[fitted][:, fitted]
+    parts, weights = _diffuse(graph, _parts_around_vertices(topology, decomposition, fitted))
+    blended = np.flatnonzero(parts[:, 1] >= 0)
+    if len(blended):
+        _, rest_rotations, rest_centres = register_parts(shapes, decomposition.parts, reference)
+        size = len(blended), MAX_PARTS_PER_VERTEX, MAX_PARTS_PER_VERTEX
+        products, variances = np.zeros(size), np.zeros(len(blended))
         for frame in frames:
             x = frame.astype(np.float64)
             _, rotations, centres = register_parts(shapes, decomposition.parts, x)
-            turns = rotations @ np.swapaxes(rest, 1, 2)
+            turns = rotations @ np.swapaxes(rest_rotations, 1, 2)
             shifts = centres - rotate_vectors(turns, rest_centres)
-            accumulate_errors(some, parts, shares, turns, shifts, reference[near], x[near], products, apart)
-        starts, others = graph.indptr.astype(np.int64), graph.indices.astype(np.int64)
-        strengths = SMOOTHNESS_WEIGHT * apart + MOTION_NOISE * len(frames)
-        fit_weights(some, parts, shares, products, strengths, starts, others, GAUSS_SEIDEL_SWEEPS)
-    shares[shares < MIN_WEIGHT] = 0.0
-    rows, places = np.nonzero(shares)
-    vertices = np.concatenate([near[rows], far])
-    followed = np.concatenate([parts[rows, places], part_of_far])
-    values = np.concatenate([shares[rows, places], np.ones(len(far))])
-    size = (topology.vertex_count, len(decomposition.parts))
-    return _round_weights(
-        _normalise_rows(sparse.coo_array((values, (vertices, followed)), shape=size).tocsr())
-    )
+            motions = turns, shifts, reference[fitted], x[fitted]
+            accumulate_errors(blended, parts, weights, *motions, products, variances)
+        smoothness = SMOOTHNESS_WEIGHT * variances + MOTION_NOISE * len(frames)
+        neighbours = graph.indptr.astype(np.int64), graph.indices.astype(np.int64)
+        fit_weights(blended, parts, weights, products, smoothness, *neighbours, GAUSS_SEIDEL_SWEEPS)
+    weights[weights < MIN_WEIGHT] = 0.0
+    rows, columns = np.nonzero(weights)
+    vertex_ids = np.concatenate([fitted[rows], rigid])
+    part_ids = np.concatenate([parts[rows, columns], part_of_rigid])
+    values = np.concatenate([weights[rows, columns], np.ones(len(rigid))])
+    shape = topology.vertex_count, len(decomposition.parts)
+    matrix = sparse.coo_array((values, (vertex_ids, part_ids)), shape=shape).tocsr()
+    return _round_weights(_normalise_rows(matrix))
 
 
 def _split_vertices(topology: Topology, decomposition: Decomposition) -> tuple[Index, Index, Index]:
-    """Return fitted vertices ``(n,)``, the others ``(m,)``, and the part ``(m,)`` of each of these.
+    """Return fitted vertices ``(n,)``, rigid ones ``(m,)``, and the part ``(m,)`` of these.
 
-    Fitted are those within `NEAR` rings of a vertex with faces of several parts; in small meshes all with faces.
+    Fitted are those near vertices with faces of several parts; in small meshes all that have faces.
     """
     labels = decomposition.part_of_face[:, None]
-    part = np.full(topology.vertex_count, len(decomposition.parts) - 1)  # of no face: they are the last part
+    part = np.full(topology.vertex_count, len(decomposition.parts) - 1)  # unused vertices are the last part
     part[topology.faces] = labels
-    near = np.zeros(topology.vertex_count, dtype=bool)
+    mask = np.zeros(topology.vertex_count, dtype=bool)
     if topology.vertex_count <= MAX_FULLY_FITTED_VERTICES:
-        near[topology.faces] = True
+        mask[topology.faces] = True
     else:
-        near[topology.faces[part[topology.faces] != labels]] = True
-        near = dilate_vertices(topology, near, FITTED_BOUNDARY_RINGS)
-    far = np.flatnonzero(~near)
-    return np.flatnonzero(near), far, part[far]
+        mask[topology.faces[part[topology.faces] != labels]] = True
+        mask = dilate_vertices(topology, mask, FITTED_BOUNDARY_RINGS)
+    rigid = np.flatnonzero(~mask)
+    return np.flatnonzero(mask), rigid, part[rigid]
 
 
-def _parts_around_vertices(topology: Topology, decomposition: Decomposition, some: Index) -> sparse.csr_array:
-    """Return the shares ``(n, p)`` of parts in the faces of vertices ``(n,)``."""
-    row = np.full(topology.vertex_count, -1)
-    row[some] = np.arange(len(some))
-    rows = row[topology.faces].reshape(-1)
-    counted = rows >= 0
-    places = rows[counted], np.repeat(decomposition.part_of_face, 3)[counted]
-    size = (len(some), len(decomposition.parts))
-    return _normalise_rows(sparse.coo_array((np.ones(len(places[0])), places), shape=size).tocsr())
+def _parts_around_vertices(
+    topology: Topology, decomposition: Decomposition, vertex_ids: Index
+) -> sparse.csr_array:
+    """Return the fractions ``(n, p)`` of parts among the faces of vertices ``(n,)``."""
+    row_of_vertex = np.full(topology.vertex_count, -1)
+    row_of_vertex[vertex_ids] = np.arange(len(vertex_ids))
+    rows, columns = row_of_vertex[topology.faces].reshape(-1), np.repeat(decomposition.part_of_face, 3)
+    mask, shape = rows >= 0, (len(vertex_ids), len(decomposition.parts))
+    ones = np.ones(np.count_nonzero(mask))
+    return _normalise_rows(sparse.coo_array((ones, (rows[mask], columns[mask])), shape=shape).tocsr())
 
 
-def _diffuse(graph: sparse.csr_array, at_faces: sparse.csr_array) -> tuple[Index, Float]:
-    """Return nearby parts ``(n, MOST)`` and their weights, largest first, -1 for none: graph ``(n, n)``."""
-    vertices, count = at_faces.shape
+def _diffuse(graph: sparse.csr_array, fractions: sparse.csr_array) -> tuple[Index, Float]:
+    """Diffuse fractions ``(n, p)``: return nearby parts ``(n, k)``, -1 for none, and their weights, decreasing."""
+    vertex_count, part_count = fractions.shape
     degrees = np.asarray(graph.sum(axis=1)).reshape(-1)
     laplacian = sparse.diags_array(degrees) - graph
-    factor = factorise(
-        sparse.csr_array(sparse.eye_array(vertices) + INFLUENCE_RADIUS_RINGS**2 / 4.0 * laplacian)
-    )
-    parts, shares = (
-        np.full((vertices, MAX_PARTS_PER_VERTEX), -1, dtype=np.int64),
-        np.zeros((vertices, MAX_PARTS_PER_VERTEX)),
-    )
-    for start in range(0, count, _PARTS_PER_BLOCK):
-        columns = at_faces[:, start : start + _PARTS_PER_BLOCK].toarray()
-        spread = factor.solve(factor.solve(columns))
-        both = np.concatenate([shares, np.where(spread >= MIN_WEIGHT, spread, 0.0)], axis=1)
-        which = np.concatenate(
-            [parts, np.broadcast_to(start + np.arange(columns.shape[1]), columns.shape)], axis=1
-        )
-        order = np.argsort(-both, axis=1, kind="stable")[:, :MAX_PARTS_PER_VERTEX]
-        shares, parts = np.take_along_axis(both, order, axis=1), np.take_along_axis(which, order, axis=1)
-    parts[shares == 0.0] = -1
-    return parts, shares / shares.sum(axis=1, keepdims=True)
+    diffusion = sparse.eye_array(vertex_count) + INFLUENCE_RINGS**2 / 4.0 * laplacian
+    factor = factorise(sparse.csr_array(diffusion))
+    parts: Index = np.full((vertex_count, MAX_PARTS_PER_VERTEX), -1, dtype=np.int64)
+    weights: Float = np.zeros(parts.shape)
+    for start in range(0, part_count, _PARTS_PER_BLOCK):
+        columns = fractions[:, start : start + _PARTS_PER_BLOCK].toarray()
+        diffused = factor.solve(factor.solve(columns))
+        new_parts = np.broadcast_to(start + np.arange(columns.shape[1]), columns.shape)
+        weights = np.concatenate([weights, np.where(diffused >= MIN_WEIGHT, diffused, 0.0)], axis=1)
+        parts = np.concatenate([parts, new_parts], axis=1)
+        order = np.argsort(-weights, axis=1, kind="stable")[:, :MAX_PARTS_PER_VERTEX]
+        weights = np.take_along_axis(weights, order, axis=1)
+        parts = np.take_along_axis(parts, order, axis=1)
+    parts[weights == 0.0] = -1
+    return parts, weights / weights.sum(axis=1, keepdims=True)
 
 
 def _normalise_rows(matrix: sparse.csr_array) -> sparse.csr_array:
@@ -248,7 +242,7 @@ def _normalise_rows(matrix: sparse.csr_array) -> sparse.csr_array:
 
 
 def _round_weights(weights: sparse.csr_array) -> sparse.csr_array:
-    """Round weights to `GRID`, to save bytes; the largest of each row takes the rest of one."""
+    """Round weights to `WEIGHT_STEP`, to save bytes; the largest of each row absorbs the error of the sum."""
     data = np.round(weights.data / WEIGHT_STEP) * WEIGHT_STEP
     starts = weights.indptr[:-1]
     largest = np.repeat(np.maximum.reduceat(weights.data, starts), np.diff(weights.indptr)) == weights.data

@@ -112,7 +112,7 @@ def test_neighbours_see_each_other_at_the_middle_of_their_boundary() -> None:
     np.testing.assert_array_equal(CHAIN.pairs, np.concatenate([pairs, pairs[:, ::-1]]))
     places = CHAIN.pivots + CHAIN.rest_centres[CHAIN.pairs[:, 1]]
     np.testing.assert_allclose(places, np.tile(boundaries.middles(MESH[0]), (2, 1)), atol=1e-12)
-    assert (CHAIN.part_count, CHAIN.body_count) == (4, 1)
+    assert (len(CHAIN.radii), CHAIN.body_count) == (4, 1)
 
 
 @pytest.mark.parametrize(("gap", "bodies"), [(0.05, 1), (0.2, 2)])
@@ -263,7 +263,7 @@ def test_what_is_steady_is_trusted() -> None:
     turns[0, 1] = quat_multiply(matrix_to_quat(rotation((0.4, 0.0, 0.0))), turns[0, 1])
     off = []
     for steady in (0.01, 1.0, 100.0):
-        parts = Steadiness.uniform(4, len(CHAIN.pairs))
+        parts = Steadiness(*np.ones((2, 4)), *np.ones((2, len(CHAIN.pairs))))
         parts.turns[1] = steady
         found = replace(CHAIN, steadiness=parts).reconcile(right._replace(rotations=turns))
         off.append(float(angle_between(found.rotations[0, 1], right.rotations[0, 1])))
@@ -395,7 +395,7 @@ def motions(chain: Articulation, poses: Poses, bodies: Poses | None = None) -> F
     bodies = chain.fit_bodies(poses) if bodies is None else bodies
     parts = chain.add_relations(chain.to_body_axes(poses, bodies))
     frame = PartPoses(*(block[0] for block in parts))
-    none = np.zeros(6 * chain.part_count)
+    none = np.zeros(6 * len(chain.radii))
     return np.asarray(chain.part_motions(frame, (bodies.rotations[0], bodies.centres[0]), none))
 
 
@@ -482,7 +482,7 @@ def related(pairs: Index, pivots: Float, radii: Float, rest: Float) -> Articulat
         body_of_part=np.zeros(count, dtype=np.int64),
         pairs=pairs,
         pivots=pivots,
-        steadiness=Steadiness.uniform(count, len(pairs)),
+        steadiness=Steadiness(*np.ones((2, count)), *np.ones((2, len(pairs)))),
     )
 
 

@@ -17,8 +17,8 @@ from mixseq.spaces.mixed.construction import (
     FAR_HOLD,
     FAR_RELATIONS,
     FREE_STEPS,
-    MAX_RELAXATION_STEPS,
-    MIN_RELAXATION_STEPS,
+    MAX_STEPS,
+    MIN_STEPS,
     REFERENCE_STEP,
     SIZE_REDUCTION,
     Purpose,
@@ -118,7 +118,7 @@ def test_frames_that_are_far_apart_have_steps() -> None:
     far = space_for(ends, 1)
     assert are_far_apart(far, ends.points)
     projection = far.projection
-    assert MIN_RELAXATION_STEPS <= projection.steps <= MAX_RELAXATION_STEPS
+    assert MIN_STEPS <= projection.steps <= MAX_STEPS
     assert (projection.share, projection.hold, projection.relations) == (1.0, FAR_HOLD, FAR_RELATIONS)
     few = space_for(ends, 1, "reduced")
     assert few.projection == Projection() and few.joint_faces.any()
@@ -126,7 +126,7 @@ def test_frames_that_are_far_apart_have_steps() -> None:
 
 def test_blends_follow_lengths_and_angles_all_the_way() -> None:
     space = space_for(bar(frames=2), 2, "blends")
-    assert space.projection.share == 1.0 and space.projection.steps >= MIN_RELAXATION_STEPS
+    assert space.projection.share == 1.0 and space.projection.steps >= MIN_STEPS
     assert space.joint_faces.sum() > space_for(bar(frames=2), 2).joint_faces.sum()
 
 
