@@ -32,7 +32,7 @@ _SOURCES_OPTION = "times in the original that the frames show, if they differ fr
 _ONTO_OPTION = "the file to build on, by default the original"
 
 _BARE_MESH: dict[str, Any] = {"hard_edges": False, "face_sets": False, "objects": False, "materials": "no"}
-_TRIANGLES = _BARE_MESH | {"polygons": "triangles", "uvs": False}
+_TRIANGLE_MESH = _BARE_MESH | {"polygons": "triangles", "uvs": False}
 
 
 def _numbered_format(name: str, module: str, *signatures: bytes, **capabilities: Any) -> Format:
@@ -154,9 +154,9 @@ FORMATS: tuple[Format, ...] = (
     ),
     _numbered_format("OBJ", "obj", points="all digits", colours=OPAQUE_PER_VERTEX),
     _numbered_format("PLY", "ply", b"ply", points="float32, float64", **_BARE_MESH),
-    _numbered_format("STL", "stl_off", **_TRIANGLES, colours=False),
+    _numbered_format("STL", "stl_off", **_TRIANGLE_MESH, colours=False),
     _numbered_format(
-        "OFF", "stl_off", b"OFF", b"COFF", points="all digits", **_TRIANGLES, colours=PER_VERTEX
+        "OFF", "stl_off", b"OFF", b"COFF", points="all digits", **_TRIANGLE_MESH, colours=PER_VERTEX
     ),
 )
 

@@ -172,7 +172,7 @@ def find_sublayer(path: Path) -> str:
 
 
 def clips_folder(path: Path) -> Path:
-    """Return the folder of a USD file's value clips; its name has the extension, to tell x.usda from x.usdc."""
+    """Return the folder of a USD file's value clips, named with its extension: x.usda and x.usdc differ."""
     return path.with_name(f"{path.name}.clips")
 
 
