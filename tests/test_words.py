@@ -27,17 +27,17 @@ PHRASES = (
 
 def constants(tree: ast.Module) -> Iterator[tuple[str, ast.expr | None]]:
     """Return names and values of the constants of a module."""
+    value: ast.expr | None
     for node in tree.body:
-        targets = (
-            node.targets
-            if isinstance(node, ast.Assign)
-            else [node.target]
-            if isinstance(node, ast.AnnAssign)
-            else []
-        )
+        if isinstance(node, ast.Assign):
+            targets, value = node.targets, node.value
+        elif isinstance(node, ast.AnnAssign):
+            targets, value = [node.target], node.value
+        else:
+            continue
         for target in targets:
             if isinstance(target, ast.Name) and target.id.isupper():
-                yield target.id.strip("_"), node.value
+                yield target.id.strip("_"), value
 
 
 def unclear(name: str, value: ast.expr | None) -> bool:

@@ -46,9 +46,7 @@ def decoded(machine: str, cache: Path | None = None) -> dict[str, list[int]]:
     environment = {**os.environ, **MACHINES[machine]}
     if cache is not None:
         environment["NUMBA_CACHE_DIR"] = str(cache)
-    run = subprocess.run(
-        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
-    )
+    run = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
     found: dict[str, list[int]] = json.loads(run.stdout)
     return found
 
