@@ -101,9 +101,7 @@ class _Cache(FunctionCache):
         except OSError as error:
             self._disable(error)
         except _PICKLE_ERRORS:
-            _warn_once(
-                f"the cache of compiled functions in {self.cache_path} is damaged; they are compiled again"
-            )
+            _warn_once(f"the cache of compiled functions in {self.cache_path} is damaged; they are compiled again")
             try:
                 Path(self._cache_file._index_path).unlink(missing_ok=True)
             except OSError as error:

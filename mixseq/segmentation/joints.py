@@ -162,9 +162,7 @@ def decompose(
     part_count = int(part_of_face.max()) + 1
     part_masks = [mark_face_vertices(topology, part_of_face == part) for part in range(part_count)]
     boundary_widths = _boundary_widths(topology, part_of_face, joint_width, motion)
-    depths = [
-        propagate_depth(topology, np.minimum(boundary_widths, width)) for width in range(joint_width + 1)
-    ]
+    depths = [propagate_depth(topology, np.minimum(boundary_widths, width)) for width in range(joint_width + 1)]
     widths = np.array([_largest_width(depths, mask, core) for mask in part_masks], dtype=np.int64)
 
     kept = [mask & (depths[width] <= 1) for mask, width in zip(part_masks, widths, strict=True)]
@@ -183,16 +181,12 @@ def decompose(
     return Decomposition(
         part_of_face=np.asarray(part_of_face, dtype=np.int64),
         parts=tuple(np.flatnonzero(mask) for mask in kept),
-        joints=tuple(
-            make_joint(topology, patches == number, in_parts) for number in np.unique(patches[patches >= 0])
-        ),
+        joints=tuple(make_joint(topology, patches == number, in_parts) for number in np.unique(patches[patches >= 0])),
         widths=widths,
     )
 
 
-def _boundary_widths(
-    topology: Topology, part_of_face: Index, joint_width: int, motion: PartMotion | None
-) -> Index:
+def _boundary_widths(topology: Topology, part_of_face: Index, joint_width: int, motion: PartMotion | None) -> Index:
     """Return the width ``(V,)`` of joints at boundary vertices, 0 elsewhere."""
     boundaries = Boundaries.from_labels(topology, part_of_face)
     width_of_pair = np.full(len(boundaries.parts), joint_width)
