@@ -138,9 +138,7 @@ def __getattr__(name: str) -> Any:
     return import_module("mixseq.operations") if name == "operations" else _find(name)
 
 
-connect(
-    __getattr__, lambda name, types: import_module("mixseq_io.path_arguments").argument_reader(name, types)
-)
+connect(__getattr__, lambda name, types: import_module("mixseq_io.path_arguments").argument_reader(name, types))
 
 
 def __dir__() -> list[str]:

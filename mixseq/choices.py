@@ -39,9 +39,7 @@ StillName = Literal["draco", "plain", "none"]
 STILLS: tuple[StillName, ...] = get_args(StillName)
 """The first frame in a .glb with a compressed model: compressed by Draco, as float32, or left out."""
 
-PictureKind = Literal[
-    "embedding", "coefficients", "singular-values", "parts", "error-frames", "error-vertices"
-]
+PictureKind = Literal["embedding", "coefficients", "singular-values", "parts", "error-frames", "error-vertices"]
 PICTURES: tuple[PictureKind, ...] = get_args(PictureKind)
 """Pictures of a model."""
 

@@ -32,9 +32,7 @@ from mixseq.types import Float, Index
 Implicit = Callable[[Float], Float]
 
 
-def polygonise(
-    implicit: Implicit, low: Float, high: Float, cell: float, rounds: int = 6
-) -> tuple[Float, Index]:
+def polygonise(implicit: Implicit, low: Float, high: Float, cell: float, rounds: int = 6) -> tuple[Float, Index]:
     """Mesh the zero set of a function: implicit ``(..., 3)``; low, high ``(3,)``; result ``(V, 3)``, ``(F, 3)``."""
     shape = np.ceil((high - low) / cell).astype(int) + 1
     origin = (low + high - (shape - 1) * cell) / 2  # centred: a symmetric shape gets a symmetric mesh
@@ -311,9 +309,7 @@ def paw_path(phase: Float) -> tuple[Float, Float, Float]:
 def _body_offset(phase: Float) -> Float:
     """Return the offset of the body ``(T, 3)``: down at each hind landing, towards the supporting leg."""
     once, twice = 2 * np.pi * phase, 4 * np.pi * phase
-    return np.stack(
-        [0.006 * np.sin(twice), -0.012 - 0.010 * np.cos(twice - 0.6), -0.010 * np.sin(once)], axis=1
-    )
+    return np.stack([0.006 * np.sin(twice), -0.012 - 0.010 * np.cos(twice - 0.6), -0.010 * np.sin(once)], axis=1)
 
 
 def _axis_rotations(axis: int, angle: Float) -> Float:

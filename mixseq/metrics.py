@@ -237,9 +237,7 @@ def paired_blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Floa
             raise InvalidSequenceError("the other sequence ends before the reference; its file is incomplete")
         yield np.stack(x_block).astype(np.float64), np.stack(y_block).astype(np.float64)
     if next(y, None) is not None:
-        raise InvalidSequenceError(
-            "the other sequence has more frames than the reference; its header is wrong"
-        )
+        raise InvalidSequenceError("the other sequence has more frames than the reference; its header is wrong")
 
 
 def _add_strains(strains: RunningStatistics, topology: Topology, x: Float, y: Float) -> None:
@@ -249,9 +247,7 @@ def _add_strains(strains: RunningStatistics, topology: Topology, x: Float, y: Fl
 
 
 def _add_angles(angles: RunningStatistics, topology: Topology, x: Float, y: Float) -> None:
-    degenerate = np.logical_or(
-        *(degenerate_faces(z, topology.faces, DEGENERATE_HEIGHT_RATIO) for z in (x, y))
-    )
+    degenerate = np.logical_or(*(degenerate_faces(z, topology.faces, DEGENERATE_HEIGHT_RATIO) for z in (x, y)))
     defined = ~degenerate[:, topology.hinge_faces].any(axis=2)
     x_angles, y_angles = (dihedral_angles(z, topology.hinges)[defined] for z in (x, y))
     angles.add(np.degrees(np.abs(wrap_angles(y_angles - x_angles))))

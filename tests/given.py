@@ -90,8 +90,7 @@ def painted(path: Path) -> None:
     upper = mesh.points[0, :, 2][mesh.faces].mean(axis=1) > 2
     colours = np.where(upper[:, None], [255, 0, 0], [0, 0, 255])
     faces = "".join(
-        "3 {} {} {} {} {} {}\n".format(*face, *colour)
-        for face, colour in zip(mesh.faces, colours, strict=True)
+        "3 {} {} {} {} {} {}\n".format(*face, *colour) for face, colour in zip(mesh.faces, colours, strict=True)
     )
     path.write_text(
         f"ply\nformat ascii 1.0\nelement vertex {mesh.vertex_count}\nproperty float x\nproperty float y\n"

@@ -49,9 +49,7 @@ def tube(sides: int, rings: int, length: float = 4.0, radius: float = 0.5, close
 
 def torus(around: int, across: int, radius: float = 2.0, thickness: float = 0.7) -> Mesh:
     """A torus around the z axis."""
-    u, v = np.meshgrid(
-        np.arange(around) * 2 * np.pi / around, np.arange(across) * 2 * np.pi / across, indexing="ij"
-    )
+    u, v = np.meshgrid(np.arange(around) * 2 * np.pi / around, np.arange(across) * 2 * np.pi / across, indexing="ij")
     ring = radius + thickness * np.cos(v)
     points = np.stack([ring * np.cos(u), ring * np.sin(u), thickness * np.sin(v)], axis=2).reshape(-1, 3)
     number = np.arange(around * across).reshape(around, across)

@@ -67,9 +67,7 @@ def test_the_walk_repeats_itself_but_for_the_way_it_went() -> None:
     for time in (0.1, 0.63):
         for bone, angles in turns(time).items():
             np.testing.assert_allclose(turns(time + STRIDE)[bone], angles, atol=1e-12)
-        np.testing.assert_allclose(
-            np.subtract(place(time + STRIDE), place(time)), [0, -SPEED * STRIDE, 0], atol=1e-12
-        )
+        np.testing.assert_allclose(np.subtract(place(time + STRIDE), place(time)), [0, -SPEED * STRIDE, 0], atol=1e-12)
 
 
 def test_another_order_of_the_vertices_is_the_same_surface() -> None:

@@ -167,9 +167,7 @@ def test_every_block_is_of_a_language_that_runs(name: str) -> None:
 
 
 def test_what_is_not_run_is_shown() -> None:
-    shown = [
-        line for name in EVERY_PAGE for _, text in blocks(name, *COMMANDS_SHOWN) for line, _ in commands(text)
-    ]
+    shown = [line for name in EVERY_PAGE for _, text in blocks(name, *COMMANDS_SHOWN) for line, _ in commands(text)]
     for pattern in NOT_RUN:
         assert any(re.match(pattern, line) for line in shown), f"no page has {pattern}; take it out"
 
@@ -235,9 +233,7 @@ def test_every_operation_is_explained() -> None:
 def words(line: str) -> list[str]:
     """Return the words of a command, without a comment at its end, with the files that a pattern means."""
     split = shlex.split(re.sub(r"\s+#\s.*", "", line))
-    return [
-        name for word in split for name in (sorted(map(str, Path().glob(word))) if "*" in word else [word])
-    ]
+    return [name for word in split for name in (sorted(map(str, Path().glob(word))) if "*" in word else [word])]
 
 
 def run_commands(text: str) -> None:
@@ -291,9 +287,7 @@ def test_every_page_is_linked_from_the_overview() -> None:
 
 def test_pages_name_no_folder_of_some_machine() -> None:
     for path in PAGES:
-        assert not re.search(r"(?<![\w.])/(work|home|Users|tmp|root)/", path.read_text(encoding="utf-8")), (
-            path
-        )
+        assert not re.search(r"(?<![\w.])/(work|home|Users|tmp|root)/", path.read_text(encoding="utf-8")), path
 
 
 def test_reference_has_what_all_commands_share() -> None:
@@ -378,9 +372,7 @@ def test_constants_of_the_specification_are_those_of_the_code() -> None:
 
 def test_specification_has_every_parameter_of_the_coding() -> None:
     explained = {name for row in rows("docs/file-format.md") for name in re.findall(r"^\*(\w+)\*$", row[0])}
-    assert explained == {
-        field.name for each in (CodingParameters, TemporalInterpolation) for field in fields(each)
-    }
+    assert explained == {field.name for each in (CodingParameters, TemporalInterpolation) for field in fields(each)}
 
 
 @pytest.fixture(scope="module")

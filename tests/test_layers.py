@@ -116,9 +116,7 @@ def test_imports_are_found(source: str, modules: set[str]) -> None:
 def loaded_by(statement: str) -> set[str]:
     """Top-level modules in memory after a statement, in a fresh interpreter."""
     code = f"{statement}\nimport sys\nprint(*{{name.split('.')[0] for name in sys.modules}})"
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
-    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     return set(result.stdout.split())
 
 
@@ -155,9 +153,7 @@ def test_decoding_a_compressed_model_imports_little() -> None:
         )
     modules = set(result.stdout.split())
     assert modules >= {"mixseq.compression.bitstream.compressed_sequence", "numba"}
-    assert not {name.split(".")[0] for name in modules} & (
-        HEAVY - {"scipy"}
-    )  # numba asks scipy for its version
+    assert not {name.split(".")[0] for name in modules} & (HEAVY - {"scipy"})  # numba asks scipy for its version
     parts = ("integrate", "interpolate", "linalg", "optimize", "sparse", "spatial", "special", "stats")
     assert not modules & {f"scipy.{part}" for part in parts}
     rooms = {name.split(".")[1] for name in modules if name.startswith("mixseq.")}

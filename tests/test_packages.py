@@ -38,12 +38,7 @@ def run(*command: str | Path, folder: Path) -> str:
 
 def required(*without: str) -> list[Requirement]:
     """What the project requires, with all extras but some."""
-    extras = [
-        each
-        for name, some in PROJECT["optional-dependencies"].items()
-        if name not in without
-        for each in some
-    ]
+    extras = [each for name, some in PROJECT["optional-dependencies"].items() if name not in without for each in some]
     found = [Requirement(each) for each in [*PROJECT["dependencies"], *extras]]
     return [each for each in found if each.name != "mixseq"]
 
@@ -123,9 +118,7 @@ def test_the_wheel_works_on_its_own(built: Built, tmp_path: Path, bent_bar: Mesh
     run(sys.executable, "-m", "venv", "env", folder=tmp_path)
     paths = sysconfig.get_paths(vars={"base": str(tmp_path / "env"), "platbase": str(tmp_path / "env")})
     programs, packages = Path(paths["scripts"]), Path(paths["purelib"])
-    (packages / "required.pth").write_text(
-        sysconfig.get_path("purelib")
-    )  # this one's .pth, of ours, is not read
+    (packages / "required.pth").write_text(sysconfig.get_path("purelib"))  # this one's .pth, of ours, is not read
     run(programs / "python", "-m", "pip", "install", "--no-deps", "--no-index", built.wheel, folder=tmp_path)
     where = run(
         programs / "python",
@@ -135,8 +128,6 @@ def test_the_wheel_works_on_its_own(built: Built, tmp_path: Path, bent_bar: Mesh
     )
     assert where.split() == [str(packages / name / "__init__.py") for name in ("mixseq", "mixseq_io")]
     assert run(programs / "mixseq", "--version", folder=tmp_path).split()[-1] == mixseq.__version__
-    mixseq.write(
-        tmp_path / "bar.usdc", bent_bar
-    )  # read by a process of its own, which has to find our modules
+    mixseq.write(tmp_path / "bar.usdc", bent_bar)  # read by a process of its own, which has to find our modules
     run(programs / "mixseq", "encode", "bar.usdc", "bar.h5", "--space", "vertex", folder=tmp_path)
     assert f"{bent_bar.vertex_count}" in run(programs / "mixseq", "info", "bar.h5", folder=tmp_path)

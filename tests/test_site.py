@@ -169,9 +169,7 @@ def test_faults_of_a_site(body: str, fault: str | None, tmp_path: Path) -> None:
 
 
 def test_style_sheets_load_nothing_from_elsewhere(tmp_path: Path) -> None:
-    (tmp_path / "a.css").write_text(
-        "@font-face { src: url('https://fonts.example.org/x.woff2') }", encoding="utf-8"
-    )
+    (tmp_path / "a.css").write_text("@font-face { src: url('https://fonts.example.org/x.woff2') }", encoding="utf-8")
     assert "from elsewhere" in next(iter(faults(tmp_path)))
 
 
@@ -185,9 +183,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     build = f"-m mkdocs build --strict --config-file {CONFIG} --site-dir {folder}"
     quiet = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
-    result = subprocess.run(
-        [sys.executable, *build.split()], cwd=ROOT, env=quiet, capture_output=True, text=True
-    )
+    result = subprocess.run([sys.executable, *build.split()], cwd=ROOT, env=quiet, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     return folder
 

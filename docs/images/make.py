@@ -127,9 +127,7 @@ def moving(path: Path) -> None:
         size = MOVING_WIDTH, round(MOVING_WIDTH * picture.height / picture.width)
         frames.append(picture.resize(size, Image.Resampling.LANCZOS))
     path = path.with_suffix(".webp")
-    frames[0].save(
-        path, save_all=True, append_images=frames[1:], duration=1000 // FPS, loop=0, quality=55, method=6
-    )
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=1000 // FPS, loop=0, quality=55, method=6)
     print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
 
 
@@ -154,9 +152,7 @@ def from_two_sides(path: Path, walk: mixseq.MeshSequence, columns: Mapping[str, 
     page = Sheet.from_grid(2, len(columns), views_aspect(sides), "")
     for number, (title, labels) in enumerate(columns.items()):
         for row, (view, limits) in zip(page.panels, sides[0], strict=True):
-            draw_mesh(
-                row[number], walk.points[0], walk.faces, segmentation_colours(*labels), "Y", view, limits
-            )
+            draw_mesh(row[number], walk.points[0], walk.faces, segmentation_colours(*labels), "Y", view, limits)
         page.panels[0][number].set_title(title, fontsize=10, color=INK_COLOUR, pad=2)
     stream = BytesIO()
     page.save(stream)
@@ -345,16 +341,12 @@ def sketched(path: Path) -> None:
         ax = figure.add_axes((0.06, 0.12, 0.38, 0.78))
         draw_embedding(ax, walk, [])
         ax.set_title("Layout of the walk; the drawn curve in red")
-        ax.plot(
-            *Curve(angles, circle)(np.linspace(0, 2 * np.pi, 200)).T, color=JOINT_RED, linewidth=2, zorder=5
-        )
+        ax.plot(*Curve(angles, circle)(np.linspace(0, 2 * np.pi, 200)).T, color=JOINT_RED, linewidth=2, zorder=5)
         view, limits, ground = camera([drawn.sample(times).points])
         for number, (time, place) in enumerate(zip(times, circle[::2], strict=False)):
             ax.plot(*place, "o", color=JOINT_RED, markersize=7, zorder=6)
             text, offset = f"{time:.2f} s", -22 * circle[2 * number]
-            ax.annotate(
-                text, place, offset, textcoords="offset points", color=JOINT_RED, ha="center", va="center"
-            )
+            ax.annotate(text, place, offset, textcoords="offset points", color=JOINT_RED, ha="center", va="center")
             panel = figure.add_axes((0.54 + 0.153 * (number % 3), 0.5 - 0.47 * (number // 3), 0.15, 0.45))
             draw_mesh(panel, drawn(time), drawn.header.faces, CLAY_COLOUR, "Y", view, limits, ground)
             panel.set_title(text, fontsize=9, color=INK_COLOUR)
@@ -399,17 +391,13 @@ def contacts(path: Path) -> None:
         for where in ("fore", "hind")
         for side in ("left", "right")
     }
-    free, planted = (
-        plan_transfer(walk, long_legs(), TransferSettings(contacts=given)) for given in (None, feet)
-    )
+    free, planted = (plan_transfer(walk, long_legs(), TransferSettings(contacts=given)) for given in (None, feet))
     with chart_style():
         figure = new_page(12, 2.9, "")
         panels = figure.subplots(1, len(feet), sharey=True)
         for ax, group in zip(panels, planted.contacts.groups, strict=True):
             for stance in group.stances:
-                ax.axvspan(
-                    stance.start / FPS, (stance.stop - 1) / FPS, color=FAINT_COLOUR, alpha=0.35, linewidth=0
-                )
+                ax.axvspan(stance.start / FPS, (stance.stop - 1) / FPS, color=FAINT_COLOUR, alpha=0.35, linewidth=0)
             for made, colour, label in (
                 (free, LINE_COLOURS[1], "without contacts"),
                 (planted, LINE_COLOURS[0], "with contacts"),

@@ -60,9 +60,7 @@ def take_viewer(page: Page, address: str) -> None:
     page.goto(address)
     page.get_by_text("Software WebGL").wait_for(timeout=60_000)
     page.locator(".mantine-Notification-closeButton").click()
-    page.wait_for_function(
-        "() => document.getElementById('mixseq-charts')?.mixseqCharts?.handlePixels().length"
-    )
+    page.wait_for_function("() => document.getElementById('mixseq-charts')?.mixseqCharts?.handlePixels().length")
     page.locator("input[role='combobox'][value='clay']").click()
     page.get_by_role("option", name="parts", exact=True).click()
     places = page.evaluate("document.getElementById('mixseq-charts').mixseqCharts.handlePixels()")

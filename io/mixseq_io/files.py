@@ -50,9 +50,7 @@ def max_memory() -> int:
     try:
         return _validated_limit(float(gibibytes) * (1 << 30))
     except ValueError:
-        raise SettingsError(
-            f"{MEMORY_LIMIT_VARIABLE} is {gibibytes!r}; a number of GiB is expected"
-        ) from None
+        raise SettingsError(f"{MEMORY_LIMIT_VARIABLE} is {gibibytes!r}; a number of GiB is expected") from None
 
 
 @contextmanager

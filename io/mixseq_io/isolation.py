@@ -303,9 +303,7 @@ def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceR
         return _IsolatedReader(path, file, resources.pop_all())
 
 
-def call_isolated(
-    function: str, path: Path, *arguments: Any, meanwhile: Callable[[], object] | None = None
-) -> Any:
+def call_isolated(function: str, path: Path, *arguments: Any, meanwhile: Callable[[], object] | None = None) -> Any:
     """Call a function ``"module:function"`` of a file in a worker; call `meanwhile` while it runs."""
     if not can_isolate():
         return import_function(function)(path, *arguments)

@@ -70,9 +70,7 @@ def _load_h5(source: Path) -> Model:
         with source.open("rb") as stream:
             signature = stream.read(len(HDF5_SIGNATURE))
         if signature not in (HDF5_SIGNATURE, b""):
-            raise FormatError(
-                f"{source} is not a model, which is an HDF5 or GLB file; make one with mixseq encode"
-            )
+            raise FormatError(f"{source} is not a model, which is an HDF5 or GLB file; make one with mixseq encode")
         check_memory(source, source.stat().st_size, "the file itself")
     # Importing the decoder takes about as long as the worker needs to read the file.
     import_decoder = partial(import_module, "mixseq_io.coded.streams")
@@ -123,7 +121,5 @@ def open_gltf(path: Path, **options: Any) -> SequenceReader:
         return reader.open_gltf(path, **options)
     for name, value in options.items():
         if value is not None:
-            raise SettingsError(
-                f"{path} holds a compressed model, which has no {name} to choose; leave it out"
-            )
+            raise SettingsError(f"{path} holds a compressed model, which has no {name} to choose; leave it out")
     return ModelReader(path)

@@ -49,9 +49,7 @@ def open_original_file(
     except (FormatError, InvalidSequenceError) as error:
         if onto is not None:
             raise OutputError(f"cannot write {path} onto another file: {error}") from error
-        warn(
-            f"{error}; the result is a stand-alone file, without its other contents (onto=FILE names another)"
-        )
+        warn(f"{error}; the result is a stand-alone file, without its other contents (onto=FILE names another)")
         return None
 
 
@@ -86,9 +84,7 @@ def match_meshes(
 
 def is_retimed(header: SequenceHeader, sources: ArrayLike | None) -> bool:
     """Whether the times of the original in seconds, if given, differ from those of the frames."""
-    return sources is not None and not np.allclose(
-        sources, header.times, rtol=0, atol=FRAME_TOLERANCE / header.fps
-    )
+    return sources is not None and not np.allclose(sources, header.times, rtol=0, atol=FRAME_TOLERANCE / header.fps)
 
 
 def warn_of_unretimed_motion(
@@ -100,9 +96,7 @@ def warn_of_unretimed_motion(
     """
     first, last = (float(time) for time in header.times[[0, -1]])
     frame, retimed = 1 / header.fps, is_retimed(header, sources)
-    unretimed = [
-        name for name, (start, end) in spans.items() if retimed or first < start - frame or last > end + frame
-    ]
+    unretimed = [name for name, (start, end) in spans.items() if retimed or first < start - frame or last > end + frame]
     if unretimed:
         start, end = min(spans[name][0] for name in unretimed), max(spans[name][1] for name in unretimed)
         warn(

@@ -73,9 +73,7 @@ def _validate_velocities(
 ) -> FloatArray:
     """Return a block of velocities in the dtype of its block of points."""
     if block is None:
-        raise InvalidSequenceError(
-            f"velocities end before {header.frame_name(frame)}; give one velocity per point"
-        )
+        raise InvalidSequenceError(f"velocities end before {header.frame_name(frame)}; give one velocity per point")
     velocities = _as_floats(block)
     if velocities.shape != points.shape:
         raise InvalidSequenceError(

@@ -32,7 +32,7 @@ _SOURCES_OPTION = "times in the original that the frames show, if they differ fr
 _ONTO_OPTION = "the file to build on, by default the original"
 
 _BARE_MESH: dict[str, Any] = {"hard_edges": False, "face_sets": False, "objects": False, "materials": "no"}
-_TRIANGLES = _BARE_MESH | {"polygons": "triangles", "uvs": False}
+_TRIANGLE_MESH = _BARE_MESH | {"polygons": "triangles", "uvs": False}
 
 
 def _numbered_format(name: str, module: str, *signatures: bytes, **capabilities: Any) -> Format:
@@ -87,9 +87,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="Alembic",
         extensions=(".abc",),
-        capabilities=Capabilities(
-            animation="point samples, transforms", velocities=True, materials="carried along"
-        ),
+        capabilities=Capabilities(animation="point samples, transforms", velocities=True, materials="carried along"),
         reader="mixseq_io.alembic.reader:open_alembic",
         writer="mixseq_io.alembic.writer:write_alembic",
         read_options={"prim": _PRIM_OPTION},
@@ -124,9 +122,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="npz",
         extensions=(".npz",),
-        capabilities=Capabilities(
-            animation="point samples", points="float32, float64", units=True, velocities=True
-        ),
+        capabilities=Capabilities(animation="point samples", points="float32, float64", units=True, velocities=True),
         reader="mixseq_io.npz:open_npz",
         writer="mixseq_io.npz:write_npz",
         read_options={"fps": "frames per second, where the file has neither fps nor times; 24 by default"},
@@ -136,9 +132,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="PC2",
         extensions=(".pc2",),
-        capabilities=Capabilities(
-            animation="point samples", times="even, no frame rate", colours=OPAQUE_PER_VERTEX
-        ),
+        capabilities=Capabilities(animation="point samples", times="even, no frame rate", colours=OPAQUE_PER_VERTEX),
         reader="mixseq_io.point_caches:open_pc2",
         writer="mixseq_io.point_caches:write_pc2",
         read_options={"mesh": _MESH_OPTION, "fps": _FPS_OPTION},
@@ -154,10 +148,8 @@ FORMATS: tuple[Format, ...] = (
     ),
     _numbered_format("OBJ", "obj", points="all digits", colours=OPAQUE_PER_VERTEX),
     _numbered_format("PLY", "ply", b"ply", points="float32, float64", **_BARE_MESH),
-    _numbered_format("STL", "stl_off", **_TRIANGLES, colours=False),
-    _numbered_format(
-        "OFF", "stl_off", b"OFF", b"COFF", points="all digits", **_TRIANGLES, colours=PER_VERTEX
-    ),
+    _numbered_format("STL", "stl_off", **_TRIANGLE_MESH, colours=False),
+    _numbered_format("OFF", "stl_off", b"OFF", b"COFF", points="all digits", **_TRIANGLE_MESH, colours=PER_VERTEX),
 )
 
 
@@ -362,9 +354,7 @@ def _format_of_folder(folder: Path) -> Format:
 def _format_to_write(path: Path) -> Format:
     if file_format := _find_format(path):
         return file_format
-    raise OutputError(
-        f"{path}: the extension {path.suffix.lower()!r} is not known; write one of {_extensions()}"
-    )
+    raise OutputError(f"{path}: the extension {path.suffix.lower()!r} is not known; write one of {_extensions()}")
 
 
 def _find_format(path: Path) -> Format | None:
@@ -380,9 +370,7 @@ def _check_signature(path: Path, file_format: Format) -> None:
     if _read_signature(path).startswith(file_format.signatures):
         return
     if name := _detect_format_name(path):
-        raise FormatError(
-            f"{path} holds {name} data, not {file_format.name}; give it the extension of {name}"
-        )
+        raise FormatError(f"{path} holds {name} data, not {file_format.name}; give it the extension of {name}")
 
 
 def _detect_format_name(path: Path) -> str | None:

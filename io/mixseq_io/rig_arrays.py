@@ -78,9 +78,7 @@ def remove_rounding_motion(values: Float, unit: float) -> Float:
     return np.where(motion <= _ROUNDING_FRACTION * magnitude, values[:1], values)
 
 
-def local_joint_transforms(
-    skin: Skin, file_format: str, header: SequenceHeader | None = None
-) -> tuple[Single, Single]:
+def local_joint_transforms(skin: Skin, file_format: str, header: SequenceHeader | None = None) -> tuple[Single, Single]:
     """Return parent-relative rotations ``(T, B, 4)`` and translations ``(T, B, 3)`` in float32 for a format."""
     local = skin.local_motion()
     rotations = remove_rounding_motion(local.rotations, 1.0).astype(np.float32)
@@ -91,9 +89,7 @@ def local_joint_transforms(
 def choose_skeleton(file: Path, names: Sequence[tuple[str, ...]], name: str | None) -> int:
     """Return the index of the only skeleton that has a name, given the names of each; None selects all."""
     if not names:
-        raise FormatError(
-            f"{file} has no skeleton; a file with a character that is bound to joints is expected"
-        )
+        raise FormatError(f"{file} has no skeleton; a file with a character that is bound to joints is expected")
     matching = [index for index, own in enumerate(names) if name is None or name in own]
     if not matching:
         available = format_names([own[0] for own in names])

@@ -82,9 +82,7 @@ def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
 def check_rig_target(path: Path) -> None:
     """Raise for a path with another extension than those of rigs."""
     if path.suffix.lower() not in RIG_EXTENSIONS:
-        raise OutputError(
-            f"{path}: skins and morphs are written as glTF or USD; end the name in {_EXTENSION_LIST}"
-        )
+        raise OutputError(f"{path}: skins and morphs are written as glTF or USD; end the name in {_EXTENSION_LIST}")
 
 
 @public
@@ -163,6 +161,4 @@ def _check_skeleton_file(file: Path) -> None:
     """Raise for a file without skeletons, by its extension."""
     check_regular_file(file, "a file")
     if file.suffix.lower() not in RIG_EXTENSIONS:
-        raise FormatError(
-            f"{file}: skeletons are read from glTF and USD; give a file that ends in {_EXTENSION_LIST}"
-        )
+        raise FormatError(f"{file}: skeletons are read from glTF and USD; give a file that ends in {_EXTENSION_LIST}")

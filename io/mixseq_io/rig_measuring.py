@@ -73,9 +73,7 @@ def _vertices_with_polygons(header: SequenceHeader) -> IntArray:
     return np.concatenate([vertices[mesh.vertices] for mesh in meshes if mesh.polygons.counts.size])
 
 
-def _frame_pairs(
-    path: Path, sequence: MeshSequence
-) -> Iterator[tuple[NDArray[np.floating], NDArray[np.float64]]]:
+def _frame_pairs(path: Path, sequence: MeshSequence) -> Iterator[tuple[NDArray[np.floating], NDArray[np.float64]]]:
     """Yield the points ``(V, 3)`` of every frame, and those of the file at its time."""
     with open_sequence(path, prim="/") as reader:
         times = reader.header.times

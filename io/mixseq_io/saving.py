@@ -47,9 +47,7 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
     if still not in STILLS:
         raise SettingsError(f"still is {still!r}; one of {', '.join(STILLS)} is expected")
     if target.suffix.lower() not in MODEL_EXTENSIONS:
-        raise OutputError(
-            f"{target}: models are HDF5 or GLB files; end the name in {' or '.join(MODEL_EXTENSIONS)}"
-        )
+        raise OutputError(f"{target}: models are HDF5 or GLB files; end the name in {' or '.join(MODEL_EXTENSIONS)}")
     if target.suffix.lower() == ".glb":
         from mixseq_io.gltf.mesh_sequence import write_sequence
 

@@ -67,9 +67,7 @@ def _find_path(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
     # The outermost of nested objects with the name.
     named = {own.path for mesh in meshes for own in [own for own in mesh.lineage if prim in own.names][-1:]}
     if len(named) > 1:
-        raise AmbiguousError(
-            f"{file}: {prim!r} is in several places, {format_names(sorted(named))}; give its path"
-        )
+        raise AmbiguousError(f"{file}: {prim!r} is in several places, {format_names(sorted(named))}; give its path")
     found = next(iter(named), path)
     if found is None:
         raise FormatError(
@@ -302,9 +300,7 @@ def split_meshes(header: SequenceHeader) -> list[SceneMesh]:
     return meshes
 
 
-def _restrict_values(
-    joined: CornerValues | None, corners: slice, default: Sequence[float]
-) -> CornerValues | None:
+def _restrict_values(joined: CornerValues | None, corners: slice, default: Sequence[float]) -> CornerValues | None:
     """Return the used values of a range of corners; None if all are the default."""
     if joined is None:
         return None

@@ -163,10 +163,7 @@ def lost_times(header: SequenceHeader, first_number: float) -> list[str]:
     lost = []
     if header.fps != DEFAULT_FPS:
         lost.append(f"{header.fps:g} frames per second")
-    if (
-        not np.abs(header.times * header.fps - (first_number + np.arange(header.frame_count))).max()
-        <= FRAME_TOLERANCE
-    ):
+    if not np.abs(header.times * header.fps - (first_number + np.arange(header.frame_count))).max() <= FRAME_TOLERANCE:
         lost.append("the times of the frames")
     return lost
 
@@ -333,9 +330,7 @@ def _read_face_sets(arrays: Mapping[str, NDArray[Any]]) -> tuple[FaceSet, ...]:
     names, materials = arrays["face_set_names"].reshape(-1), arrays["face_set_materials"].reshape(-1)
     sizes, polygons = _read_integers(arrays, "face_set_sizes"), _read_integers(arrays, "face_set_polygons")
     if not len(names) == len(materials) == len(sizes) or (sizes < 0).any() or sizes.sum() != polygons.size:
-        raise InvalidSequenceError(
-            "the face sets' names, materials, sizes and polygons do not fit each other"
-        )
+        raise InvalidSequenceError("the face sets' names, materials, sizes and polygons do not fit each other")
     members = np.split(polygons, np.cumsum(sizes))
     return tuple(
         FaceSet(str(name), polygon_ids, str(material))
@@ -349,13 +344,9 @@ def _read_objects(arrays: Mapping[str, NDArray[Any]]) -> tuple[MeshObject, ...]:
     usual = str(arrays["subdivision"].item()) if "subdivision" in arrays else "none"
     schemes = arrays.get("object_subdivisions", np.full(len(names), usual)).reshape(-1)
     if not len(names) == len(paths) == len(sizes) == len(schemes) or sizes.shape[1:] != (2,):
-        raise InvalidSequenceError(
-            "the objects' names, paths, sizes and schemes of subdivision do not fit each other"
-        )
+        raise InvalidSequenceError("the objects' names, paths, sizes and schemes of subdivision do not fit each other")
     return tuple(
-        MeshObject(
-            str(name), str(path), int(vertices), int(polygons), None if scheme == usual else str(scheme)
-        )
+        MeshObject(str(name), str(path), int(vertices), int(polygons), None if scheme == usual else str(scheme))
         for name, path, (vertices, polygons), scheme in zip(names, paths, sizes, schemes, strict=True)
     )
 

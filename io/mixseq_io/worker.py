@@ -112,9 +112,7 @@ def limit_memory(limit: int) -> None:
         return
     limit += _data_segment_bytes()
     _, hard_limit = resource.getrlimit(resource.RLIMIT_DATA)
-    resource.setrlimit(
-        resource.RLIMIT_DATA, (limit if hard_limit < 0 else min(limit, hard_limit), hard_limit)
-    )
+    resource.setrlimit(resource.RLIMIT_DATA, (limit if hard_limit < 0 else min(limit, hard_limit), hard_limit))
 
 
 def _data_segment_bytes() -> int:

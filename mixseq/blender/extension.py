@@ -85,11 +85,7 @@ def _distribution() -> metadata.Distribution:
 
 def requirements() -> list[str]:
     """Return mixseq's requirements of `LIBRARIES`, in pip's format."""
-    lines = {
-        re.split(r"[^\w.-]", line)[0]: line
-        for line in _distribution().requires or ()
-        if "extra ==" not in line
-    }
+    lines = {re.split(r"[^\w.-]", line)[0]: line for line in _distribution().requires or () if "extra ==" not in line}
     return [lines[name] for name in LIBRARIES]
 
 
@@ -143,14 +139,10 @@ RELEASES = {
 def this_platform() -> str:
     """Return Blender's name for the platform of this machine."""
     system = {"linux": "linux", "darwin": "macos", "win32": "windows"}.get(sys.platform, sys.platform)
-    machine = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64"}.get(
-        platform.machine().lower(), platform.machine()
-    )
+    machine = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64"}.get(platform.machine().lower(), platform.machine())
     name = f"{system}-{machine}"
     if name not in PLATFORMS:
-        raise SettingsError(
-            f"there is no extension for {name}; choose a platform from {', '.join(PLATFORMS)}"
-        )
+        raise SettingsError(f"there is no extension for {name}; choose a platform from {', '.join(PLATFORMS)}")
     return name
 
 

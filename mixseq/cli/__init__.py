@@ -23,9 +23,7 @@ from mixseq.cli.options import examples
         "Prepare": ("warm-up",),
     },
     shared=(max_memory,),
-    epilog=examples(
-        "mixseq demo", "mixseq encode walk.usdc walk.h5", "mixseq decode walk.h5 walk48.usdc --fps 48"
-    ),
+    epilog=examples("mixseq demo", "mixseq encode walk.usdc walk.h5", "mixseq decode walk.h5 walk48.usdc --fps 48"),
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )

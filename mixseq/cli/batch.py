@@ -62,9 +62,7 @@ def find_sources(paths: Iterable[Path]) -> list[Path]:
     for path in paths:
         candidates = sorted(_sequences_in(path)) if path.is_dir() else [path]
         if not candidates:
-            raise FormatError(
-                f"{path}: there are no sequences in this folder; `mixseq formats` lists what can be read"
-            )
+            raise FormatError(f"{path}: there are no sequences in this folder; `mixseq formats` lists what can be read")
         for source in candidates:
             if not files_of(source):
                 raise FormatError(f"{source} does not exist")
@@ -223,15 +221,11 @@ class Report:
 
     def without_lost(self) -> Report:
         """Return the report without entries whose source is gone; their models are kept."""
-        return replace(
-            self, entries={key: entry for key, entry in self.entries.items() if files_of(Path(key))}
-        )
+        return replace(self, entries={key: entry for key, entry in self.entries.items() if files_of(Path(key))})
 
     def of_others(self, assets: Iterable[Asset], folder: Path) -> list[Path]:
         """Return files in a folder that the batch would replace, but did not make, or that changed since."""
-        replaced = [
-            folder / asset.target.name for asset in assets if asset.target.exists() and not self._made(asset)
-        ]
+        replaced = [folder / asset.target.name for asset in assets if asset.target.exists() and not self._made(asset)]
         table = folder / "report.md"
         return replaced + [table] * (table.exists() and not (folder / "report.json").exists())
 
@@ -250,9 +244,7 @@ class Report:
 
     def summary(self) -> str:
         """Return one line about all entries."""
-        return ", ".join(
-            f"{self.count(state)} {state}" for state in ("done", "failed", "left") if self.count(state)
-        )
+        return ", ".join(f"{self.count(state)} {state}" for state in ("done", "failed", "left") if self.count(state))
 
 
 def read_report(folder: Path) -> Report:
@@ -263,10 +255,7 @@ def read_report(folder: Path) -> Report:
     names = {each.name for each in fields(Entry)}
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
-        entries = [
-            Entry(**{key: value for key, value in asset.items() if key in names})
-            for asset in stored["assets"]
-        ]
+        entries = [Entry(**{key: value for key, value in asset.items() if key in names}) for asset in stored["assets"]]
         rows(entries)  # raises an error for damaged entries
         if not all(isinstance(each, str) for entry in entries for each in (entry.source, entry.target)):
             raise TypeError("a path is no text")
@@ -329,9 +318,7 @@ def in_markdown(report: Report) -> str:
         "Times are those of encoding. Errors are of all decoded frames: the largest of a vertex in diagonals, and the",
         "one of Karni and Gotsman. Bits are per vertex and frame.",
     ]
-    messages = [
-        printable(f"- {Path(entry.target).stem}: {each}") for entry in entries for each in entry.warnings
-    ]
+    messages = [printable(f"- {Path(entry.target).stem}: {each}") for entry in entries for each in entry.warnings]
     return "\n".join([*lines, *(["", "## Warnings", "", *messages] if messages else [])]) + "\n"
 
 
@@ -345,9 +332,7 @@ UNFINISHED_FOLDER = ".unfinished"
 """Folder of unfinished models."""
 
 
-def run(
-    assets: Iterable[Asset], settings: Settings, earlier: Report, out: Path, work: Work, force: bool
-) -> Report:
+def run(assets: Iterable[Asset], settings: Settings, earlier: Report, out: Path, work: Work, force: bool) -> Report:
     """Encode the assets that are not done yet; the report is written before the work, and after every asset."""
     with _alone(out):
         pending = []
@@ -358,9 +343,7 @@ def run(
                 pending.append(asset)
                 before = Entry.of(asset, settings)
             entries[before.source] = before
-        report = Report(
-            entries | {key: entry for key, entry in earlier.entries.items() if key not in entries}
-        )
+        report = Report(entries | {key: entry for key, entry in earlier.entries.items() if key not in entries})
         write_report(out, report)
         try:
             for asset, result in work(settings, pending):
@@ -386,9 +369,7 @@ def _alone(out: Path) -> Iterator[None]:
         fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(folder)
-        raise OutputError(
-            f"{out}: another batch is writing here; wait for it, or give another --out"
-        ) from None
+        raise OutputError(f"{out}: another batch is writing here; wait for it, or give another --out") from None
     try:
         yield
     finally:
@@ -453,9 +434,7 @@ def encode_asset(
         message = "there is not enough memory"
     except Exception as error:
         # A bug; the other assets go on.
-        message = (
-            f"a bug in mixseq, {type(error).__name__}: {error}; `mixseq encode` prints more, please report it"
-        )
+        message = f"a bug in mixseq, {type(error).__name__}: {error}; `mixseq encode` prints more, please report it"
     return Entry.of(asset, settings, state="failed", message=" ".join(message.split()))
 
 
@@ -536,9 +515,7 @@ def command(
         raise OutputError(f"{out} is a file; give the name of a folder")
     from mixseq.runtime.cluster import ClusterExecutor
 
-    read_with = {
-        name: str(value.resolve()) if isinstance(value, Path) else value for name, value in reading.items()
-    }
+    read_with = {name: str(value.resolve()) if isinstance(value, Path) else value for name, value in reading.items()}
     settings = {**({"aim": aim} if aim else fitting), "reading": read_with}
     earlier = read_report(out).without_lost()
     names = {source: Path(entry.target).name for source, entry in earlier.entries.items()}
@@ -550,9 +527,7 @@ def command(
     except OSError as error:
         raise OutputError(f"cannot make the folder {out}: {error.strerror}; choose another one") from error
     with workers as mapped, progress_bar(quiet) as progress:
-        work = (
-            on_cluster(mapped, progress) if isinstance(mapped, ClusterExecutor) else in_turn(mapped, progress)
-        )
+        work = on_cluster(mapped, progress) if isinstance(mapped, ClusterExecutor) else in_turn(mapped, progress)
         report = run(assets, settings, earlier, out.resolve(), work, force)
     results = report.of(assets)
     if not quiet:

@@ -22,9 +22,7 @@ if TYPE_CHECKING:
     from mixseq.sequence.sequence import Frames
 
 
-@options.command(
-    "compare", "mixseq compare walk.usdc decoded.usdc", "mixseq compare walk.usdc walk.h5 --json"
-)
+@options.command("compare", "mixseq compare walk.usdc decoded.usdc", "mixseq compare walk.usdc walk.h5 --json")
 @options.argument("reference")
 @options.argument("other")
 @options.as_json
@@ -48,9 +46,7 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
         _warn_of_axes(reference, a.header, other, b.header)
         shared = at_times_of(a, b)
         count = a.header.frame_count
-        frames = LazyFrames(
-            a.header, lambda size: counted(a.blocks(size), count, "comparing frames", progress)
-        )
+        frames = LazyFrames(a.header, lambda size: counted(a.blocks(size), count, "comparing frames", progress))
         result = mixseq.compare(frames, shared)
     if as_json:
         number = time_to_number(result.worst_time, a.header.fps)

@@ -42,18 +42,14 @@ def _aim(uvs: bool = True, **parameters: Any) -> dict[str, Any]:
     """Return the parameters of `mixseq.compress`: a target and more, or nothing; options beside them raise an error."""
     targets = options.given_options("max_error", "kg", "size")
     if len(targets) > 1:
-        raise SettingsError(
-            f"give one of {' and '.join(targets)}, not {len(targets)}: each follows from the other"
-        )
+        raise SettingsError(f"give one of {' and '.join(targets)}, not {len(targets)}: each follows from the other")
     if not targets:
         options.refuse(
             *("uv_error", "uvs", "order", "chunk"),
             why="is for compressed models; give --max-error, --kg or --size, too",
         )
         return {}
-    options.refuse(
-        *_OF_FITTING, why=f"is for models that are not compressed; leave it out, or leave out {targets[0]}"
-    )
+    options.refuse(*_OF_FITTING, why=f"is for models that are not compressed; leave it out, or leave out {targets[0]}")
     return parameters if uvs else parameters | {"uvs": False}
 
 
@@ -99,9 +95,7 @@ def compressed(
         if still is not None:
             from mixseq_io.gltf.mesh_sequence import bound_overhead_size
 
-            container["container"] = bound_overhead_size(
-                frames.header, next(iter(frames.blocks(1)))[0], still
-            )
+            container["container"] = bound_overhead_size(frames.header, next(iter(frames.blocks(1)))[0], still)
         aim = {**aim, "size": room_for_signals(frames.header, aim["size"], **container)}
     return mixseq.compress(frames, **aim, progress=progress)
 
@@ -148,10 +142,7 @@ def coding_rows(facts: dict[str, Any], metres_per_unit: float) -> Rows:
         ("total", sizes["total"], coding["bits"]["total"]),
     ]
     rows = [
-        *(
-            (name, f"{format_bytes(size)}, {rate:.3g} bits per vertex and frame")
-            for name, size, rate in rates
-        ),
+        *((name, f"{format_bytes(size)}, {rate:.3g} bits per vertex and frame") for name, size, rate in rates),
         (
             "of it",
             ", ".join(f"{format_bytes(sizes[name])} {what}" for name, what in components if sizes[name]),

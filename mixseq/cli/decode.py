@@ -178,9 +178,7 @@ def _seconds(text: str) -> tuple[float, ...]:
         help="Largest error of a skin's bones, of a morph or of textures, as a fraction of the bounding box's "
         "diagonal, or 0.5mm; a morph without it is exact.",
     ),
-    options.setting(
-        "--max-targets N", type=options.NON_NEGATIVE_INTEGER, help="Number of morph targets at most."
-    ),
+    options.setting("--max-targets N", type=options.NON_NEGATIVE_INTEGER, help="Number of morph targets at most."),
 )
 @options.setting(
     "--texture",
@@ -315,7 +313,5 @@ def _range(model: Model, fps: float | None, start: float | None, end: float | No
     model.clip_times([first, last])
     times = model.times[(model.times >= first - slack) & (model.times <= last + slack)]
     if not times.size:
-        raise SettingsError(
-            f"the model has no frame from {first:g} to {last:g} s; give --fps to make new ones"
-        )
+        raise SettingsError(f"the model has no frame from {first:g} to {last:g} s; give --fps to make new ones")
     return model.header_at(times)

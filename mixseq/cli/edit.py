@@ -138,8 +138,7 @@ def _write_travel(path: Path, model: Model, edit: Edit) -> None:
 
     places = travel_of(model, **edit.arguments)(model.times)
     rows = (
-        ",".join(f"{number:.9g}" for number in (time, *place))
-        for time, place in zip(model.times, places, strict=True)
+        ",".join(f"{number:.9g}" for number in (time, *place)) for time, place in zip(model.times, places, strict=True)
     )
     with atomic_file(path) as file:
         file.write_text("\n".join(["seconds,x,y,z", *rows, ""]), encoding="utf-8")

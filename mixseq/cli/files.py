@@ -138,9 +138,7 @@ def write_sequence(
     forms = (form for form in FORMATS if path.suffix.lower() in form.extensions)
     of_original = {} if sources is None else {"sources": sources}
     extra = of_original if any("sources" in form.write_options for form in forms) else {}
-    options = {
-        name: value for name, value in writing.items() if name not in ("convert_axes", "convert_units")
-    }
+    options = {name: value for name, value in writing.items() if name not in ("convert_axes", "convert_units")}
     conversion = UnitConversion.from_header(header, writing.get("convert_axes"), writing.get("convert_units"))
     mixseq.write_blocks(
         path,
@@ -200,9 +198,7 @@ def _share_files(target: Path, source: Path) -> bool:
 
     if target.suffix.lower() != source.suffix.lower() and not source.is_dir():
         return False
-    of_source = (
-        source.iterdir() if source.is_dir() else [source, *(file for _, file in find_numbered_files(source))]
-    )
+    of_source = source.iterdir() if source.is_dir() else [source, *(file for _, file in find_numbered_files(source))]
     of_target = {file.resolve() for _, file in find_numbered_files(target)}
     return not of_target.isdisjoint(file.resolve() for file in of_source)
 
@@ -213,15 +209,11 @@ def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
 
     extension = path.suffix.lower()
     forms = [form for form in FORMATS if (form.numbered if path.is_dir() else extension in form.extensions)]
-    supported = {"up_axis", "metres_per_unit", "start_frame"} | {
-        name for form in forms for name in form.read_options
-    }
+    supported = {"up_axis", "metres_per_unit", "start_frame"} | {name for form in forms for name in form.read_options}
     return {name: value for name, value in reading.items() if name in supported}
 
 
-def check_options(
-    files: Iterable[Path], reading: Mapping[str, Any], none: str = "none of the files is"
-) -> None:
+def check_options(files: Iterable[Path], reading: Mapping[str, Any], none: str = "none of the files is") -> None:
     """Raise an error for options that no format of the files supports."""
     supported = set().union(*(options_of(file, reading) for file in files))
     for name in reading:
@@ -409,9 +401,7 @@ def first_frame(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
         return MeshSequence.from_header(reader.header.with_times(reader.header.times[:1]), first)
 
 
-def picture_path(
-    target: Path, what: str, picture: Path | None = None, no_picture: bool = False
-) -> Path | None:
+def picture_path(target: Path, what: str, picture: Path | None = None, no_picture: bool = False) -> Path | None:
     """Return the path of the picture, by default beside the target; that of numbered files has no number."""
     if picture is None:
         stem = re.sub(r"[-_. ]*(#+|\*+|%\d*d)", "", target.stem)

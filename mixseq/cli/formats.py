@@ -31,6 +31,4 @@ def as_markdown(table: Table) -> str:
     """Return a table, whose first row has the titles, in Markdown."""
     titles, *rows = table
     lines = [titles, ["---"] * len(titles), *rows]
-    return "\n".join(
-        "|" + "|".join(row) + "|" if row[0] == "---" else "| " + " | ".join(row) + " |" for row in lines
-    )
+    return "\n".join("|" + "|".join(row) + "|" if row[0] == "---" else "| " + " | ".join(row) + " |" for row in lines)

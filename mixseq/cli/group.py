@@ -282,9 +282,7 @@ class LazyGroup(click.Group):
         for title, names in self._sections.items():
             commands = ((name, self.get_command(ctx, name)) for name in names)
             with formatter.section(title):
-                formatter.write_dl(
-                    [(name, each.get_short_help_str(width)) for name, each in commands if each]
-                )
+                formatter.write_dl([(name, each.get_short_help_str(width)) for name, each in commands if each])
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; help needs no memory."""

@@ -96,8 +96,7 @@ def _surface(header: SequenceHeader) -> dict[str, Any]:
             for each, scheme in zip(surface.objects, surface.subdivisions, strict=False)
         ],
         "face_sets": [
-            {"name": each.name, "polygons": len(each.polygons), "material": each.material}
-            for each in surface.face_sets
+            {"name": each.name, "polygons": len(each.polygons), "material": each.material} for each in surface.face_sets
         ],
         "uvs": None if surface.uvs is None else len(surface.uvs.values),
         "colours": None if surface.colours is None else len(surface.colours.values),

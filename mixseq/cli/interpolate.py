@@ -99,12 +99,8 @@ def command(
         weights = _weights(numbered, steps, reader.header.frame_count)
         making["parts"] = labels.parts(reader, making.get("parts"), reading)
         used = [pose for pose, column in enumerate(weights.T) if column.any()]
-        interpolator = PoseInterpolator.from_poses(
-            reader, **making, pose_ids=used, progress=progress, workers=work
-        )
-        header = interpolator.header.with_times(
-            [step / interpolator.header.fps for step in range(len(weights))]
-        )
+        interpolator = PoseInterpolator.from_poses(reader, **making, pose_ids=used, progress=progress, workers=work)
+        header = interpolator.header.with_times([step / interpolator.header.fps for step in range(len(weights))])
         frames = (points[None] for points in interpolator.iterate_blends(weights[:, used], progress, work))
         write_sequence(target, header, frames, None, writing)
     if not quiet:
@@ -129,15 +125,11 @@ def _check(poses: Sequence[Pose], steps: int | None) -> None:
         if steps is not None and pose.weight is not None:
             raise SettingsError(f"--steps chooses the weights; give --pose {pose.frame} without one")
         if steps is None and pose.weight is None:
-            raise SettingsError(
-                f"--pose {pose.frame} has no weight; give --pose {pose.frame}=WEIGHT, or --steps"
-            )
+            raise SettingsError(f"--pose {pose.frame} has no weight; give --pose {pose.frame}=WEIGHT, or --steps")
     if steps is None and not poses:
         raise SettingsError("there are no poses to blend; give some as --pose FRAME=WEIGHT, or --steps")
     if steps is not None and len(poses) not in (0, 2):
-        raise SettingsError(
-            f"--steps goes from one pose to another; give --pose twice, not {len(poses)} times"
-        )
+        raise SettingsError(f"--steps goes from one pose to another; give --pose twice, not {len(poses)} times")
 
 
 def _weights(poses: Sequence[Pose], steps: int | None, count: int) -> NDArray[np.float64]:

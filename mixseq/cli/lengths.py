@@ -18,9 +18,7 @@ from mixseq.errors import SettingsError
 if TYPE_CHECKING:
     from mixseq.sequence.sequence import Frames
 
-_LENGTH_PATTERN = re.compile(
-    rf"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?)\s*({'|'.join(UNITS)}|)", re.IGNORECASE
-)
+_LENGTH_PATTERN = re.compile(rf"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?)\s*({'|'.join(UNITS)}|)", re.IGNORECASE)
 
 _REPORTED_UNITS = ("km", "m", "cm", "mm")
 """Units of reported lengths, from large to small."""
@@ -34,9 +32,7 @@ def parse_length(text: str) -> float | str:
     """
     match = _LENGTH_PATTERN.fullmatch(text.strip())
     if not match or not 0.0 < float(match[1]) < float("inf"):
-        raise click.BadParameter(
-            f"{text!r} is not a length above 0, such as 0.001 (of the diagonal) or 0.5mm"
-        )
+        raise click.BadParameter(f"{text!r} is not a length above 0, such as 0.001 (of the diagonal) or 0.5mm")
     return f"{match[1]}{match[2].lower()}" if match[2] else float(match[1])
 
 

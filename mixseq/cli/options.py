@@ -187,9 +187,7 @@ class FrameChoice:
         matches = [_FRAME_RANGE.fullmatch(part) for part in text.split(",")]
         ranges = [(int(each[1]), int(each[2] or each[1])) for each in matches if each]
         if len(ranges) < len(matches) or any(first > last for first, last in ranges):
-            raise click.BadParameter(
-                f"{text!r} is not a range of frames such as 1005-1010, or a list of them"
-            )
+            raise click.BadParameter(f"{text!r} is not a range of frames such as 1005-1010, or a list of them")
         return cls(tuple(ranges))
 
     def indices(self, header: SequenceHeader) -> list[int]:
@@ -221,9 +219,7 @@ class FrameChoice:
         )
         for number in numbers:
             if not low <= number <= high:
-                raise SettingsError(
-                    f"there is no frame {format_number(number)}; frames are {header.frame_numbers}"
-                )
+                raise SettingsError(f"there is no frame {format_number(number)}; frames are {header.frame_numbers}")
 
 
 def _angles(text: str) -> tuple[float, float]:
@@ -325,9 +321,7 @@ SPACE_OPTIONS = (
         help="Shape space: parts and joints, vertices, deformation gradients, LRI coordinates, lengths and angles.",
     ),
     parts(),
-    setting(
-        "--segmentation", type=click.Choice(SEGMENTATIONS), default="motion", help="How parts are found."
-    ),
+    setting("--segmentation", type=click.Choice(SEGMENTATIONS), default="motion", help="How parts are found."),
     joint_width,
     setting(
         "--placement",
@@ -371,9 +365,7 @@ reading = group(
         "--prim PATH",
         help="Mesh to read, or something above it, in USD, Alembic and glTF; / is all.  [default: all that move]",
     ),
-    setting(
-        "--animation NAME", help="Animation to read of glTF; none is the pose at rest.  [default: the first]"
-    ),
+    setting("--animation NAME", help="Animation to read of glTF; none is the pose at rest.  [default: the first]"),
     setting(
         "--input-fps N",
         "fps",
@@ -435,9 +427,7 @@ writing = group(
 workers = group(
     "workers",
     threads(help="Threads to work on.  [default: all cores]"),
-    option(
-        "--cluster ADDRESS", help="Work on a dask cluster: tcp://host:8786, or local:N for N processes here."
-    ),
+    option("--cluster ADDRESS", help="Work on a dask cluster: tcp://host:8786, or local:N for N processes here."),
     make=_workers,
 )
 """Options of parallel work, as ``workers``, a context that yields an `Executor`."""

@@ -42,17 +42,13 @@ _FILM_OPTIONS = ("size", "film_fps", "seconds", "turn", "follow", "colour", "sca
     "mixseq plot --video parts.gif walk.h5 --colour parts --size 640x360",
 )
 @options.argument("files", metavar="MODEL TARGET | --video FILM FILES...", nargs=-1)
-@options.option(
-    "--kind", type=click.Choice(PICTURES), help="One picture only.  [default: all of them on one page]"
-)
+@options.option("--kind", type=click.Choice(PICTURES), help="One picture only.  [default: all of them on one page]")
 @options.option("--against SEQUENCE", help="The original in any format, to draw the errors of the model.")
 @options.frames(
     help="Frames to number in the embedding, or to draw with the errors of their vertices.  [default: automatic]",
     metavar="N,N,...",
 )
-@options.length(
-    "--tolerance D", help="Draw a line at this error, a fraction of the bounding box's diagonal, or 0.5mm."
-)
+@options.length("--tolerance D", help="Draw a line at this error, a fraction of the bounding box's diagonal, or 0.5mm.")
 @options.option(
     "--video FILE",
     help="Make a film of FILES side by side, sequences or models: .webp, .gif, or .mp4, which needs ffmpeg.",

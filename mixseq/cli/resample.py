@@ -46,9 +46,7 @@ if TYPE_CHECKING:
     help="Play by a curve instead: lines output,source (CSV), or TOML, in seconds, or in frames if the first line is "
     'unit = "frames".',
 )
-@options.setting(
-    "--linear", is_flag=True, help="Join the points of --retime by straight lines, not smoothly."
-)
+@options.setting("--linear", is_flag=True, help="Join the points of --retime by straight lines, not smoothly.")
 @options.velocities()
 @options.length("--tolerance X", help="Fit a sequence only up to this fraction of its diagonal, or 0.5mm.")
 @options.option("--exact", is_flag=True, help="Fit a sequence exactly, which is the default.")
@@ -155,9 +153,7 @@ def _rows(planned: Resampling) -> list[tuple[str, str]]:
     negligible = 1e-3 / header.fps  # smaller ones are rounding errors
     why = f"; frames are at whole multiples of 1/{header.fps:g} s"
     if first - retiming.start > negligible:
-        rows.append(
-            ("left over", f"{first - retiming.start:.3g} s before the first frame, at {first:g} s{why}")
-        )
+        rows.append(("left over", f"{first - retiming.start:.3g} s before the first frame, at {first:g} s{why}"))
     if retiming.end - last > negligible:
         rows.append(("left over", f"{retiming.end - last:.3g} s after the last frame, at {last:g} s{why}"))
     return rows

@@ -142,13 +142,9 @@ def _method(method: str | None, parts: int | None, labels: LabelChoice) -> str:
     """Return the method chosen by the options."""
     method_name = method or ("labels" if labels.is_given else "motion")
     if labels.is_given and method_name not in _LABEL_METHODS:
-        raise SettingsError(
-            f"--labels and --source are no settings of the method {method_name}; leave out --method"
-        )
+        raise SettingsError(f"--labels and --source are no settings of the method {method_name}; leave out --method")
     if method_name == "skeleton" and labels.label_source not in (None, "skeleton"):
-        raise SettingsError(
-            f"the method skeleton takes labels from the skeleton, not from {labels.label_source}"
-        )
+        raise SettingsError(f"the method skeleton takes labels from the skeleton, not from {labels.label_source}")
     if method_name in _LABEL_METHODS and parts is not None:
         raise SettingsError("given labels tell how many parts there are; leave out --parts")
     return method_name
@@ -233,9 +229,7 @@ def _measure_parts(header: SequenceHeader, points: FloatArray, labels: Labels) -
     }
 
 
-def _compare_labels(
-    reader: SequenceReader, points: FloatArray, labels: Labels, source: str
-) -> dict[str, Any]:
+def _compare_labels(reader: SequenceReader, points: FloatArray, labels: Labels, source: str) -> dict[str, Any]:
     """Return the adjusted Rand indices against other labels: by triangles, and weighted by area."""
     from mixseq.segmentation.methods import adjusted_rand_index
     from mixseq_io.text.label_files import extract_labels
@@ -259,6 +253,4 @@ def _draw(picture: Path, header: SequenceHeader, points: FloatArray, labels: Lab
     no_joints: NDArray[np.int64] = np.full(len(header.faces), -1)
     title = f"{header.name}: {len(labels.names)} parts"
     with atomic_file(picture) as temporary:
-        draw_segmentation(
-            temporary, points, header.faces, labels.part_of_face, no_joints, header.up_axis, title
-        )
+        draw_segmentation(temporary, points, header.faces, labels.part_of_face, no_joints, header.up_axis, title)

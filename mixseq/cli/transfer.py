@@ -88,9 +88,7 @@ def _part_counts(transferred: Transfer) -> dict[str, int]:
 
 def _coverage_rows(covered: Coverage) -> list[tuple[str, str]]:
     shares = f"{_percent(covered.area)} of the target's area; {_percent(covered.source_area)} of the source's moves it"
-    followers = [
-        f"{each.name} ({each.vertices:,} vertices) follows {each.leads}" for each in covered.followers
-    ]
+    followers = [f"{each.name} ({each.vertices:,} vertices) follows {each.leads}" for each in covered.followers]
     result = [("corresponds", shares)]
     if followers:
         result.append(("without counterpart", _first_names(followers)))
@@ -117,8 +115,7 @@ def _quality_facts(quality: CorrespondenceQuality) -> dict[str, Any]:
 
 def _quality_rows(quality: CorrespondenceQuality) -> list[tuple[str, str]]:
     percent = [
-        f"{100 * value:.2g} %"
-        for value in (quality.mean_distance, quality.p99_distance, quality.largest_distance)
+        f"{100 * value:.2g} %" for value in (quality.mean_distance, quality.p99_distance, quality.largest_distance)
     ]
     worst = [f"{name} by {100 * distance:.2g} %" for name, distance in quality.worst_markers(3)]
     return [
@@ -168,9 +165,7 @@ def _contact_rows(contacts: ContactReport) -> list[tuple[str, str]]:
     result = []
     for group in contacts.groups:
         stances = _number(len(group.stances), "stance")
-        slid = (
-            f"slides {100 * group.before:.2g} % of the diagonal as transferred, {100 * group.after:.2g} % now"
-        )
+        slid = f"slides {100 * group.before:.2g} % of the diagonal as transferred, {100 * group.after:.2g} % now"
         longer = f", limb longer by {100 * group.residual:.2g} %" if group.residual > 0 else ""
         result.append((group.name, f"{stances}, {slid}{longer}"))
     if contacts.groups:
@@ -240,9 +235,7 @@ def _record_frames(
     help="Frame in which SOURCE is in TARGET's pose, or a file with the same mesh in that pose.  [default: the first; "
     "of glTF SOURCE without animation]",
 )
-@options.parts(
-    help="Number of parts of SOURCE; every connected component has at least one.  [default: automatic]"
-)
+@options.parts(help="Number of parts of SOURCE; every connected component has at least one.  [default: automatic]")
 @options.joint_width
 @files.labelling
 @options.option(
@@ -314,9 +307,7 @@ def command(
             raise SettingsError(f"the method gradients knows no parts; leave out {name}, or --method")
     if as_model:
         if not (files.is_model(source) and out.suffix.lower() == ".h5"):
-            raise SettingsError(
-                "--as-model makes a model of a model: SOURCE and OUT are .h5 files; see mixseq encode"
-            )
+            raise SettingsError("--as-model makes a model of a model: SOURCE and OUT are .h5 files; see mixseq encode")
         why = "are kept frame by frame, and only key poses are transferred; leave one out"
         options.refuse("contacts", why=why)
     frame, rest_file = _rest_frame_or_file(rest, source)
@@ -347,12 +338,8 @@ def command(
         feet = None if contacts is None else read_contacts(contacts)
         if rest is not None and rest_file is None and frame >= 0:
             frame = source_motion.header.index_of(frame)
-        target_mesh = files.first_frame(
-            target, common | ({} if target_prim is None else {"prim": target_prim})
-        )
-        rest_shape = (
-            frame if rest_file is None else _mesh_at_rest(rest_file, reading, source_motion, rest is None)
-        )
+        target_mesh = files.first_frame(target, common | ({} if target_prim is None else {"prim": target_prim}))
+        rest_shape = frame if rest_file is None else _mesh_at_rest(rest_file, reading, source_motion, rest is None)
         source_parts = _parts_of_source(source_motion, parts, labels, reading)
         model: Any = source_motion
         if as_model:
@@ -431,9 +418,7 @@ def _check_formats(out: Path, save_map: Path | None) -> None:
 
     extensions = [extension for each in FORMATS for extension in each.extensions]
     if out.suffix.lower() not in extensions:
-        raise OutputError(
-            f"{out}: the extension {out.suffix!r} is not known; write one of {', '.join(extensions)}"
-        )
+        raise OutputError(f"{out}: the extension {out.suffix!r} is not known; write one of {', '.join(extensions)}")
     if save_map is not None and save_map.suffix.lower() != ".npz":
         raise OutputError(f"{save_map}: maps are written as npz files; end the name in .npz")
 
@@ -444,9 +429,7 @@ def _open_source(source: Path, reading: Mapping[str, Any]) -> AbstractContextMan
         return mixseq.open_sequence(source, **reading)
     unused = [name for name in reading if name not in _SHARED_READ_OPTIONS]
     if unused:
-        raise SettingsError(
-            f"{source} is a model, which is read without options; leave out those for sequences"
-        )
+        raise SettingsError(f"{source} is a model, which is read without options; leave out those for sequences")
     return nullcontext(mixseq.load(source))
 
 
@@ -459,7 +442,5 @@ def _parts_of_source(
     if not isinstance(motion, Model):
         return labels.parts(motion, parts, reading)
     if labels.is_given:
-        raise SettingsError(
-            "labels are for sequences; leave out --labels and --source, the model has its own parts"
-        )
+        raise SettingsError("labels are for sequences; leave out --labels and --source, the model has its own parts")
     return parts

@@ -42,15 +42,9 @@ def command(path: Path, original: Path | None, as_json: bool, reading: dict[str,
         if original is not None:
             frames = resources.enter_context(mixseq.open_sequence(original, **reading))
         result = mixseq.verify(path, frames, progress=progress)
-    worst = (
-        None
-        if frames is None or result.worst_frame is None
-        else frames.header.frame_number(result.worst_frame)
-    )
+    worst = None if frames is None or result.worst_frame is None else frames.header.frame_number(result.worst_frame)
     if as_json:
-        print_json(
-            {"file": str(path), "original": None if original is None else str(original)} | result.as_dict()
-        )
+        print_json({"file": str(path), "original": None if original is None else str(original)} | result.as_dict())
     elif not quiet:
         print_table(_rows(result, read_compressed(path), worst))
     if not result.holds:
@@ -70,9 +64,7 @@ def _rows(result: Verification, coded: CompressedSequence, worst: str | None) ->
         rows.append(("texture", f"{result.uv_bound:.6g} of the square, requested"))
     if result.max_error is None:
         return rows
-    texture = (
-        [("texture error", f"{result.uv_error:.6g} of the square")] if result.uv_error is not None else []
-    )
+    texture = [("texture error", f"{result.uv_error:.6g} of the square")] if result.uv_error is not None else []
     return [
         *rows,
         (

@@ -86,25 +86,15 @@ if TYPE_CHECKING:
         help="Meshes stand in one place at first, not side by side; on pages, too.",
     ),
     options.camera,
-    options.flag(
-        "--follow", "following", cls=options.Setting, help="Bodies that travel stay in the middle at first."
-    ),
+    options.flag("--follow", "following", cls=options.Setting, help="Bodies that travel stay in the middle at first."),
 )
-@options.setting(
-    "--browser/--no-browser", default=None, help="Open a browser.  [default: where there is a screen]"
-)
-@options.setting(
-    "--shading", type=click.Choice(["smooth", "simple"]), help="simple is quick without a graphics card."
-)
+@options.setting("--browser/--no-browser", default=None, help="Open a browser.  [default: where there is a screen]")
+@options.setting("--shading", type=click.Choice(["smooth", "simple"]), help="simple is quick without a graphics card.")
 @options.threads(help="Threads that open files and decode.  [default: all cores]")
-@options.option(
-    "--export PAGE", "page", help="Write a page (.html) that plays on its own, without a network, and end."
-)
+@options.option("--export PAGE", "page", help="Write a page (.html) that plays on its own, without a network, and end.")
 @options.group(
     "paging",
-    options.setting(
-        "--every N", type=options.POSITIVE_INTEGER, help="Of the frames of PAGE, keep every N-th."
-    ),
+    options.setting("--every N", type=options.POSITIVE_INTEGER, help="Of the frames of PAGE, keep every N-th."),
     options.length(
         "--max-error E",
         help="No vertex of PAGE is farther off than this fraction of the bounding box's diagonal, or 0.5mm; compressed "
@@ -204,9 +194,7 @@ def _names(files: Sequence[Path]) -> list[str]:
     return [f"{number + 1} {file.name}" for number, file in enumerate(files)]
 
 
-def _run(
-    colours: SceneColours, files: Sequence[Path], viewing: Mapping[str, Any], browser: bool | None
-) -> None:
+def _run(colours: SceneColours, files: Sequence[Path], viewing: Mapping[str, Any], browser: bool | None) -> None:
     """Run the viewer until it is interrupted."""
     from mixseq.runtime.parallel import thread_count
     from mixseq.viewer.live.viewer import ViewSettings, run_viewer
@@ -220,9 +208,7 @@ def _run(
             for name, model in running.session.unsaved.items():
                 kept = _free_name(Path(f"{Path(name).stem}-unsaved.h5"))
                 mixseq.save(kept, model)
-                warnings.warn(
-                    f"what was edited of {name} was not saved; it is in {kept}", MixseqWarning, stacklevel=1
-                )
+                warnings.warn(f"what was edited of {name} was not saved; it is in {kept}", MixseqWarning, stacklevel=1)
 
 
 def _wait(address: str, browser: bool | None) -> None:
@@ -284,9 +270,7 @@ def _set_markers(
     from mixseq_io.text.markers import write_markers
 
     if len(files) != 2:
-        raise SettingsError(
-            f"markers are of two meshes, a source and a target; {len(files)} files were given"
-        )
+        raise SettingsError(f"markers are of two meshes, a source and a target; {len(files)} files were given")
     meshes = _open_marked_meshes(files, path, reading)
 
     def save(markers: Markers) -> str:
@@ -376,6 +360,4 @@ def _export(
     announce(page)
     for item in report.items:
         about = f"{item.name}: n" if len(report.items) > 1 else "n"
-        say(
-            f"{about}o vertex is off by more than {item.max_error:.3g} of the diagonal, {item.error:.2g} units"
-        )
+        say(f"{about}o vertex is off by more than {item.max_error:.3g} of the diagonal, {item.error:.2g} units")

@@ -37,9 +37,7 @@ COSINE_TOLERANCE = 1e-14  # rounding error of bounds of cosines
 
 
 @compiled
-def _closest_on_segment(
-    p0: float, p1: float, p2: float, q0: float, q1: float, q2: float
-) -> tuple[float, float]:
+def _closest_on_segment(p0: float, p1: float, p2: float, q0: float, q1: float, q2: float) -> tuple[float, float]:
     """Return the squared distance of the origin to the segment pq, and the weight of q."""
     e0, e1, e2 = q0 - p0, q1 - p1, q2 - p2
     square = e0 * e0 + e1 * e1 + e2 * e2
@@ -186,9 +184,7 @@ def _corner_alone(distances: Float, corners: Float, normal: Float, origin: Float
 
 
 @compiled
-def _plane_interval(
-    distances: Float, corners: Float, corner: int, axis: int, origin: float
-) -> tuple[float, float]:
+def _plane_interval(distances: Float, corners: Float, corner: int, axis: int, origin: float) -> tuple[float, float]:
     """Return the interval in which a triangle meets a plane, along an axis, from the origin."""
     p, q, r = corner, (corner + 1) % 3, (corner + 2) % 3
     x = corners[p, axis] - origin
@@ -305,9 +301,7 @@ def unit_normals(corners: Float) -> Float:
     normals = np.cross(sides[:, 0], sides[:, 1])
     areas = np.sqrt(np.einsum("fi,fi->f", normals, normals))
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(
-            normals / np.where(areas > DEGENERATE_HEIGHT_RATIO * longest, areas, np.nan)[:, None]
-        )
+        return np.asarray(normals / np.where(areas > DEGENERATE_HEIGHT_RATIO * longest, areas, np.nan)[:, None])
 
 
 @dataclass(frozen=True, eq=False)

@@ -165,17 +165,13 @@ def collapse(
                     a, b = faces[f, k], faces[f, (k + 1) % 3]
                     for v, u in ((a, b), (b, a)):
                         if not locked[v] and v != u:
-                            heap.append(
-                                (_cost(x, quadrics, areas, spacing, v, u), v, u, version[v], version[u])
-                            )
+                            heap.append((_cost(x, quadrics, areas, spacing, v, u), v, u, version[v], version[u]))
         heapq.heapify(heap)
         while remaining > count and len(heap) > 0:
             _, v, u, v_version, u_version = heapq.heappop(heap)
             if not (alive[v] and alive[u]) or version[v] != v_version or version[u] != u_version:
                 continue
-            if not _is_valid_collapse(
-                x, faces, removed, first, following, border, v, u, min_cosine, min_roundness
-            ):
+            if not _is_valid_collapse(x, faces, removed, first, following, border, v, u, min_cosine, min_roundness):
                 continue
             c = first[v]
             while c >= 0:
@@ -209,13 +205,9 @@ def collapse(
                 f, k = c // 3, c % 3
                 for w in (faces[f, (k + 1) % 3], faces[f, (k + 2) % 3]):
                     if not locked[u]:
-                        heapq.heappush(
-                            heap, (_cost(x, quadrics, areas, spacing, u, w), u, w, version[u], version[w])
-                        )
+                        heapq.heappush(heap, (_cost(x, quadrics, areas, spacing, u, w), u, w, version[u], version[w]))
                     if not locked[w]:
-                        heapq.heappush(
-                            heap, (_cost(x, quadrics, areas, spacing, w, u), w, u, version[w], version[u])
-                        )
+                        heapq.heappush(heap, (_cost(x, quadrics, areas, spacing, w, u), w, u, version[w], version[u]))
                 c = following[c]
     return removed
 

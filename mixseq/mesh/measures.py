@@ -37,9 +37,7 @@ class Diagonal:
     @classmethod
     def from_points(cls, points: FloatArray) -> Diagonal:
         """Measure the bounding box of points ``(V, 3)``."""
-        low, high = (
-            np.asarray(corner, dtype=np.float64) for corner in (points.min(axis=0), points.max(axis=0))
-        )
+        low, high = (np.asarray(corner, dtype=np.float64) for corner in (points.min(axis=0), points.max(axis=0)))
         halved = 1 if max(np.abs(low).max(), np.abs(high).max()) > np.finfo(np.float64).max / 2 else 0
         extent = np.ldexp(high, -halved) - np.ldexp(low, -halved)
         if not extent.any():
@@ -72,9 +70,7 @@ def vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
     return np.add.reduceat(np.cross(corners, next_corners), starts, axis=1) / 2
 
 
-def corner_normals(
-    points: FloatArray, polygons: Polygons, groups: IntArray | None = None
-) -> NDArray[np.float32]:
+def corner_normals(points: FloatArray, polygons: Polygons, groups: IntArray | None = None) -> NDArray[np.float32]:
     """Return one normal ``(T, G, 3)`` per group ``(sum of counts,)`` of corners, or vertex: points ``(T, V, 3)``."""
     group_of_corner = polygons.indices if groups is None else groups
     count = points.shape[1] if groups is None else int(group_of_corner.max(initial=-1)) + 1
@@ -83,9 +79,7 @@ def corner_normals(
     sums = np.zeros((len(points), count, 3))
     for frame, total in enumerate(sums):
         for axis in range(3):
-            total[:, axis] = np.bincount(
-                group_of_corner, areas[frame, polygon_of_corner, axis], minlength=count
-            )
+            total[:, axis] = np.bincount(group_of_corner, areas[frame, polygon_of_corner, axis], minlength=count)
     lengths = np.linalg.norm(sums, axis=2, keepdims=True)
     up = np.array([0.0, 0.0, 1.0])
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -85,18 +85,14 @@ class ClosestPointQuery:
     face_ids: Index | None  # (F,) triangles of the mesh that are searched, None for all
 
     @classmethod
-    def from_mesh(
-        cls, points: FloatArray, faces: IntArray, face_ids: Index | None = None
-    ) -> ClosestPointQuery:
+    def from_mesh(cls, points: FloatArray, faces: IntArray, face_ids: Index | None = None) -> ClosestPointQuery:
         """Prepare queries on the triangles ``(F, 3)`` of points ``(V, 3)``, or on those with `face_ids` ``(n,)``."""
         corners = triangle_corners(points, faces if face_ids is None else faces[face_ids])
         tree = BoxTree.from_triangles(corners)
         corner_order = np.lexsort((corners[..., 2], corners[..., 1], corners[..., 0]), axis=-1)
         sorted_corners = np.take_along_axis(corners, corner_order[..., None], axis=1)[tree.order]
         normals = unit_normals(corners)
-        return cls(
-            tree, sorted_corners, corner_order, normals[tree.order], tree.node_bounds(normals), face_ids
-        )
+        return cls(tree, sorted_corners, corner_order, normals[tree.order], tree.node_bounds(normals), face_ids)
 
     def query(
         self, queries: FloatArray, normals: FloatArray | None = None, largest_angle: float = 90.0
@@ -109,9 +105,7 @@ class ClosestPointQuery:
         if normals is not None:
             directions = _check_vectors(normals, "normals")
             if len(directions) != len(queries):
-                raise SettingsError(
-                    f"there are {len(queries)} queries and {len(directions)} normals; give as many"
-                )
+                raise SettingsError(f"there are {len(queries)} queries and {len(directions)} normals; give as many")
             lengths = np.sqrt(np.einsum("ni,ni->n", directions, directions))[:, None]
             directions = directions / np.where(lengths > 0, lengths, np.nan)
         if not 0 <= largest_angle <= 180:

@@ -79,9 +79,7 @@ class Polygons:
         starts = np.cumsum(self.counts) - self.counts
         per_polygon = self.counts - 2
         first = np.repeat(starts, per_polygon)
-        step = np.arange(int(per_polygon.sum())) - np.repeat(
-            np.cumsum(per_polygon) - per_polygon, per_polygon
-        )
+        step = np.arange(int(per_polygon.sum())) - np.repeat(np.cumsum(per_polygon) - per_polygon, per_polygon)
         corners = np.stack([first, first + step + 1, first + step + 2], axis=1)
         return np.asarray(read_only(self.indices[corners]), dtype=np.int32)
 
@@ -100,9 +98,9 @@ def reversed_winding(counts: IntArray, *, keep_first: bool) -> NDArray[np.intp]:
 
     Examples
     --------
-    >>> reversed_corners(np.array([4, 3]), keep_first=True).tolist()
+    >>> reversed_winding(np.array([4, 3]), keep_first=True).tolist()
     [0, 3, 2, 1, 4, 6, 5]
-    >>> reversed_corners(np.array([4, 3]), keep_first=False).tolist()
+    >>> reversed_winding(np.array([4, 3]), keep_first=False).tolist()
     [3, 2, 1, 0, 6, 5, 4]
     """
     sizes = np.repeat(counts, counts)
@@ -179,9 +177,7 @@ def match_triangles(first: Polygons, second: Polygons, names: tuple[str, str]) -
         return np.arange(len(first.triangles))
     match = match_polygons(first, second)
     if match is not None:
-        first_starts, second_starts = (
-            np.cumsum(mesh.counts - 2) - mesh.counts + 2 for mesh in (first, second)
-        )
+        first_starts, second_starts = (np.cumsum(mesh.counts - 2) - mesh.counts + 2 for mesh in (first, second))
         sizes = first.counts - 2
         offsets = np.arange(len(first.triangles)) - np.repeat(first_starts, sizes)
         return np.asarray(np.repeat(second_starts[match.polygons], sizes) + offsets, dtype=np.int64)

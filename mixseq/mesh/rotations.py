@@ -94,9 +94,7 @@ def angular_velocities(quaternions: FloatArray, derivatives: FloatArray) -> Floa
     """
     squares = np.einsum("...i,...i->...", quaternions, quaternions)[..., None]
     return np.asarray(
-        2.0
-        * quat_multiply(derivatives, quat_conjugate(quaternions))[..., 1:]
-        / np.where(squares > 0, squares, 1.0)
+        2.0 * quat_multiply(derivatives, quat_conjugate(quaternions))[..., 1:] / np.where(squares > 0, squares, 1.0)
     )
 
 

@@ -149,17 +149,13 @@ class Surface:
             object.__setattr__(self, "hard_edges", _as_flat_indices(self.hard_edges, "hard edges"))
         for scheme in {self.subdivision: None} | dict.fromkeys(self.subdivisions):
             if scheme not in SUBDIVISIONS:
-                raise InvalidSequenceError(
-                    f"subdivision is {scheme!r}; one of {', '.join(SUBDIVISIONS)} is expected"
-                )
+                raise InvalidSequenceError(f"subdivision is {scheme!r}; one of {', '.join(SUBDIVISIONS)} is expected")
 
     @property
     def subdivisions(self) -> tuple[str, ...]:
         """Subdivision schemes of the objects, or of the mesh if it has no objects."""
         schemes = (part.subdivision for part in self.objects)
-        return tuple(self.subdivision if scheme is None else scheme for scheme in schemes) or (
-            self.subdivision,
-        )
+        return tuple(self.subdivision if scheme is None else scheme for scheme in schemes) or (self.subdivision,)
 
     def __repr__(self) -> str:
         fields = {
@@ -211,9 +207,7 @@ def _check_corners(what: str, indices: IntArray, corners: int, limit: int | None
     if indices.size != corners:
         raise InvalidSequenceError(f"there are {indices.size} {what} for {corners} corners of polygons")
     if indices.size and (indices.min() < 0 or (limit is not None and indices.max() >= limit)):
-        raise InvalidSequenceError(
-            f"{what} of a corner are number {indices.min()} to {indices.max()} of {limit}"
-        )
+        raise InvalidSequenceError(f"{what} of a corner are number {indices.min()} to {indices.max()} of {limit}")
 
 
 def _check_objects(objects: tuple[MeshObject, ...], polygons: Polygons, vertex_count: int) -> None:

@@ -187,9 +187,7 @@ def _symmetric(pairs: Index, count: int) -> sparse.csr_array:
 
 def connected_components(count: int, pairs: IntArray) -> Index:
     """Return the connected component ``(count,)`` of each of ``count`` nodes, by pairs ``(n, 2)``."""
-    graph = sparse.coo_array(
-        (np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count)
-    )
+    graph = sparse.coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     return csgraph.connected_components(graph, directed=False)[1].astype(np.int64)
 
 

@@ -36,9 +36,7 @@ def normalise(vectors: Float) -> Float:
 def perpendicular(directions: Float) -> Float:
     """Return a unit vector perpendicular to each direction ``(n, 3)``, the same for opposite directions."""
     axis = np.eye(3)[np.abs(directions).argmin(axis=1)]
-    return normalise(
-        axis - normalise(directions) * np.sum(axis * normalise(directions), axis=1, keepdims=True)
-    )
+    return normalise(axis - normalise(directions) * np.sum(axis * normalise(directions), axis=1, keepdims=True))
 
 
 def area_normals(x: Float, faces: Index) -> Float:
@@ -176,9 +174,7 @@ class TriangleMesh:
     @cached_property
     def vertex_normals(self) -> Float:
         """Unit normals ``(V, 3)``, area-weighted means of the triangles'; zero where there is none."""
-        return normalise(
-            scatter_add(np.repeat(self.vector_areas, 3, axis=0), self.faces.reshape(-1), len(self.points))
-        )
+        return normalise(scatter_add(np.repeat(self.vector_areas, 3, axis=0), self.faces.reshape(-1), len(self.points)))
 
     @cached_property
     def squared_lengths(self) -> Float:

@@ -249,9 +249,7 @@ def normalise_weights(weights: ArrayLike, count: int) -> Float:
     except (TypeError, ValueError) as error:
         raise SettingsError(f"weights are {weights!r}; one number for each pose is expected") from error
     if numbers.shape != (count,):
-        raise SettingsError(
-            f"weights have shape {numbers.shape}; one number for each of the {count} poses is expected"
-        )
+        raise SettingsError(f"weights have shape {numbers.shape}; one number for each of the {count} poses is expected")
     if not np.isfinite(numbers).all():
         wrong = int(np.flatnonzero(~np.isfinite(numbers))[0])
         raise SettingsError(f"the weight of pose {wrong} is {numbers[wrong]}; finite numbers are expected")

@@ -245,9 +245,7 @@ OPERATIONS: Mapping[str, str] = {
 }
 """Module and function of every operation by its name; imported on first use."""
 
-RETIMING_OPERATIONS = frozenset(
-    {"repeat", "loop", "shift", "speed", "reverse", "retime", "concatenate", "transition"}
-)
+RETIMING_OPERATIONS = frozenset({"repeat", "loop", "shift", "speed", "reverse", "retime", "concatenate", "transition"})
 """Operations that change the mapping between frames and model time."""
 
 

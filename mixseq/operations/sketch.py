@@ -234,9 +234,7 @@ DROP_DISTANCE_RATIO = 1e-3
 
 
 @public
-def drag(
-    model: Model, time: Seconds, to: ArrayLike, reach: Seconds | None = None, plane: Plane | None = None
-) -> Model:
+def drag(model: Model, time: Seconds, to: ArrayLike, reach: Seconds | None = None, plane: Plane | None = None) -> Model:
     """Drag a point of the time curve in the embedding of a model.
 
     The pose is interpolated from frames near the target. The placement of bodies stays. The residual layer is kept.

@@ -188,9 +188,7 @@ def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) 
     curve, dots = model.embedding(dense_times(model)), model.embedding(model.times)
     x, y = dots.T
     ax.plot(*curve.T, color=FAINT_COLOUR, linewidth=1.2, zorder=2)
-    scatter = ax.scatter(
-        x, y, c=model.times, s=24, cmap="viridis", edgecolors="white", linewidths=0.5, zorder=3
-    )
+    scatter = ax.scatter(x, y, c=model.times, s=24, cmap="viridis", edgecolors="white", linewidths=0.5, zorder=3)
     for frame, marker in ((0, "o"), (count - 1, "s")):
         ax.plot(*dots[frame], marker, ms=9, mfc="none", mec=INK_COLOUR, mew=1.2, zorder=4)
 
@@ -202,9 +200,7 @@ def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) 
     inch = max(right - left, top - bottom) / _CHART_INCHES
     offsets = label_offsets(dots[labelled], texts, curve, limits, inch)
     for frame, text, offset in zip(labelled, texts, offsets, strict=True):
-        ax.annotate(
-            text, dots[frame], offset, textcoords="offset points", ha="center", va="center", fontsize=8
-        )
+        ax.annotate(text, dots[frame], offset, textcoords="offset points", ha="center", va="center", fontsize=8)
     ax.set(
         title="Time signal: MDS embedding, frames numbered",
         xlabel="principal direction 1 (diagonals)",
@@ -241,9 +237,7 @@ def draw_coefficients(ax: Axes, model: Model) -> None:
         ax.plot(knots, dot, "o", color=colour, markersize=3)
     time_axis(ax, model.start, model.end, model.header.fps)
     selection = (
-        ""
-        if len(coordinate_ids) == model.time.dim
-        else f"\nthe largest {len(coordinate_ids)} of {model.time.dim}"
+        "" if len(coordinate_ids) == model.time.dim else f"\nthe largest {len(coordinate_ids)} of {model.time.dim}"
     )
     title = f"{len(model.time.times)} knots{selection}"
     ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title=title, title_fontsize=8, alignment="left")

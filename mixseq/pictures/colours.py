@@ -232,9 +232,7 @@ MAX_PALETTE_COLOURS = 256
 def own_colours(header: SequenceHeader) -> tuple[ByteArray, Index]:
     """Return a palette ``(n, 3)`` and entries ``(V,)`` of the mesh's own colours, each vertex by its first corner."""
     assert header.surface.colours is not None
-    linear = header.surface.colours.at_vertices(header.polygons.indices, header.vertex_count, DEFAULT_COLOUR)[
-        :, :3
-    ]
+    linear = header.surface.colours.at_vertices(header.polygons.indices, header.vertex_count, DEFAULT_COLOUR)[:, :3]
     vertex_colours = np.rint(255 * srgb(np.clip(np.nan_to_num(linear), 0, 1))).astype(np.uint8)
     colours, entries, counts = np.unique(vertex_colours, axis=0, return_inverse=True, return_counts=True)
     if len(colours) <= MAX_PALETTE_COLOURS:
@@ -299,9 +297,7 @@ class Colouring:
 
     def __post_init__(self) -> None:
         if (self.constant_entries is None) == (self.measure is None):
-            raise SettingsError(
-                f"{self.name} needs either constant entries or a measure; give one of the two"
-            )
+            raise SettingsError(f"{self.name} needs either constant entries or a measure; give one of the two")
         if not (np.isfinite(self.top) and self.top > 0):
             raise SettingsError(f"the colour scale ends at {self.top}; give a positive number")
 

@@ -129,9 +129,7 @@ def check_shown(shown: Sequence[SceneItem], settings: FilmSettings, against: obj
     if not shown:
         raise SettingsError("there is no mesh to show; give a sequence or a model")
     if settings.colour == "error" and against is None:
-        raise SettingsError(
-            "the colour error needs the original; give the sequence that errors are measured against"
-        )
+        raise SettingsError("the colour error needs the original; give the sequence that errors are measured against")
     if settings.colour != "error" and against is not None:
         raise SettingsError("only the colour error needs the original; leave it out, or choose that colour")
     if settings.colour == "parts":
@@ -146,9 +144,7 @@ def _parts(shown: Sequence[SceneItem]) -> list[Decomposition]:
         same_faces = (parts for faces, parts in known if parts and np.array_equal(faces, item.header.faces))
         parts = item.decomposition or next(same_faces, None)
         if parts is None:
-            raise SettingsError(
-                f"{item} has no parts; give a model in the mixed space, or choose another colour"
-            )
+            raise SettingsError(f"{item} has no parts; give a model in the mixed space, or choose another colour")
         result.append(parts)
     return result
 
@@ -263,10 +259,7 @@ def _make_camera(items: Sequence[DecodedItem], settings: FilmSettings, fps: floa
 def travel_path(item: DecodedItem, fps: float) -> Float:
     """Return the smoothed path ``(N, 3)`` of a mesh over the ground, Y up, relative to its first position."""
     centroids = np.stack(
-        [
-            to_y_up(item.pose(frame), item.header.up_axis).mean(axis=0)
-            for frame in range(len(item.pose_of_frame))
-        ]
+        [to_y_up(item.pose(frame), item.header.up_axis).mean(axis=0) for frame in range(len(item.pose_of_frame))]
     )
     centroids = (centroids - centroids[0]) * [1, 0, 1]
     line = np.linspace(0, 1, len(centroids))[:, None] * centroids[-1]
@@ -341,9 +334,7 @@ def draw_backdrop(
     return np.array(image)
 
 
-def _draw_colour_bar(
-    image: Any, draw: ImageDraw, font: FreeTypeFont, palette: Float, top: float, unit: str
-) -> None:
+def _draw_colour_bar(image: Any, draw: ImageDraw, font: FreeTypeFont, palette: Float, top: float, unit: str) -> None:
     width, height = image.size
     line, font_size = line_height(height), _font_size(height)
     bar_width, bar_height = width // 4, max(4, font_size // 2)

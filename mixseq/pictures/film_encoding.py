@@ -55,9 +55,7 @@ def check_film(file_format: FilmFormat, size: tuple[int, int], fps: float | None
                 f"the size is {size[0]}x{size[1]}; films have {MIN_SIDE} to {MAX_SIDE} pixels on each side"
             )
         if file_format == "mp4" and side % 2:
-            raise SettingsError(
-                f"the size is {size[0]}x{size[1]}; MP4 needs even numbers, {side} could be {side + 1}"
-            )
+            raise SettingsError(f"the size is {size[0]}x{size[1]}; MP4 needs even numbers, {side} could be {side + 1}")
     if file_format == "gif" and fps is not None and fps > MAX_GIF_FPS:
         raise SettingsError(
             f"{fps:g} frames per second are too many for GIF, which has at most {MAX_GIF_FPS:g}; give a lower rate, "
@@ -105,9 +103,7 @@ def find_ffmpeg() -> str:
     try:
         encoders = subprocess.run([program, "-hide_banner", "-encoders"], capture_output=True, timeout=30)
     except (OSError, subprocess.SubprocessError) as error:
-        raise MissingExtraError(
-            f"MP4 needs ffmpeg, and {program} does not run: {error}; {_FFMPEG_CURE}"
-        ) from error
+        raise MissingExtraError(f"MP4 needs ffmpeg, and {program} does not run: {error}; {_FFMPEG_CURE}") from error
     if b" libx264 " not in encoders.stdout:
         raise MissingExtraError(f"MP4 needs the encoder libx264, and {program} has none; {_FFMPEG_CURE}")
     return program

@@ -108,9 +108,7 @@ def draw_frame_errors(
     ax.plot(times, rms, "o-", color=LINE_COLOURS[1], markersize=3.5, linewidth=1.2, label="root mean square")
     drawn = [largest, rms]
     if tolerance is not None:
-        ax.axhline(
-            tolerance, color=INK_COLOUR, linestyle="--", linewidth=1.0, label=f"tolerance, {tolerance:g}"
-        )
+        ax.axhline(tolerance, color=INK_COLOUR, linestyle="--", linewidth=1.0, label=f"tolerance, {tolerance:g}")
         drawn.append(np.array([tolerance]))
     worst = errors.worst
     number = f"{worst}" if fps is None else format_frame(times[worst], fps)

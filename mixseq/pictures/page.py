@@ -95,9 +95,7 @@ def import_matplotlib(name: str) -> Any:
     try:
         return import_module(f"matplotlib.{name}")
     except ImportError as error:
-        raise MissingExtraError(
-            "pictures need matplotlib; get it with: pip install 'mixseq[plot]'"
-        ) from error
+        raise MissingExtraError("pictures need matplotlib; get it with: pip install 'mixseq[plot]'") from error
 
 
 def error_map(top: float) -> Any:

@@ -88,9 +88,7 @@ def front_azimuth(poses: FloatArray, up_axis: str = "Y") -> float:
     return float(np.round(np.degrees(np.arctan2(x, z))))  # rounded, so that all machines give the same view
 
 
-def three_quarter_view(
-    poses: FloatArray, up_axis: str = "Y", turn: float = 30.0, elevation: float = 14.0
-) -> View:
+def three_quarter_view(poses: FloatArray, up_axis: str = "Y", turn: float = 30.0, elevation: float = 14.0) -> View:
     """Return a view of the front and a side of poses ``(V, 3)`` or ``(n, V, 3)``.
 
     The camera is `turn` degrees away from a full view of the longer of the two, on the side nearer to an azimuth of 45.
@@ -112,9 +110,7 @@ def resolve_view(ends: FloatArray, up_axis: str, camera: tuple[float, float] | N
     return View(front_azimuth(ends, up_axis) + camera[0], camera[1])
 
 
-def shared_limits(
-    points: FloatArray, up_axis: str = "Y", view: View | None = None, margin: float = 0.04
-) -> Limits:
+def shared_limits(points: FloatArray, up_axis: str = "Y", view: View | None = None, margin: float = 0.04) -> Limits:
     """Return the screen rectangle around all poses ``(..., V, 3)`` and their shadows."""
     world = to_y_up(points, up_axis).reshape(-1, 3)
     shadow = world * [1, 0, 1] + [0, world[:, 1].min(), 0]
@@ -248,9 +244,7 @@ class SceneItem:
         for start in range(0, len(frames), size):
             yield self._frame_store().points[frames[start : start + size]]
 
-    def decode(
-        self, elapsed: Float, progress: Progress = no_progress, workers: Executor | None = None
-    ) -> DecodedItem:
+    def decode(self, elapsed: Float, progress: Progress = no_progress, workers: Executor | None = None) -> DecodedItem:
         """Decode the poses of a film with frames at elapsed times ``(N,)``, each distinct one once."""
         if self.model is None:
             store = self._frame_store(progress)
@@ -434,9 +428,7 @@ class Arrangement:
         return replace(self, offsets=offsets + shift, view=View(azimuth, self.view.elevation))
 
 
-def arrange_meshes(
-    scene: Scene, side_by_side: bool, camera: tuple[float, float] | None = None
-) -> Arrangement:
+def arrange_meshes(scene: Scene, side_by_side: bool, camera: tuple[float, float] | None = None) -> Arrangement:
     """Arrange the meshes of a scene side by side, or overlaid; `camera` as in `resolve_view`."""
     up_axes = tuple(item.header.up_axis for item in scene.items)
     boxes = []

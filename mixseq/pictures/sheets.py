@@ -48,9 +48,7 @@ def draw_segmentation(
     sheet.save(target)
 
 
-def opposite_views(
-    poses: FloatArray, up_axis: str = "Y", view: View | None = None
-) -> list[list[tuple[View, Limits]]]:
+def opposite_views(poses: FloatArray, up_axis: str = "Y", view: View | None = None) -> list[list[tuple[View, Limits]]]:
     """Return two opposite views of each pose ``(n, V, 3)``, with screen rectangles of one size."""
     view = view or three_quarter_view(poses[0], up_axis)
     views = view, View(view.azimuth + 180, view.elevation)
@@ -58,10 +56,7 @@ def opposite_views(
     corners = np.array(boxes).reshape(len(poses), 2, 2, 2)
     width, height = np.ptp(corners, axis=3).max(axis=(0, 1)) / 2
     return [
-        [
-            (side, (x - width, x + width, y - height, y + height))
-            for side, (x, y) in zip(views, centres, strict=True)
-        ]
+        [(side, (x - width, x + width, y - height, y + height)) for side, (x, y) in zip(views, centres, strict=True)]
         for centres in corners.mean(axis=3)
     ]
 
@@ -95,9 +90,7 @@ def transfer_sheet(
 
     view = three_quarter_view(transfer.source.rest, source_header.up_axis)
     views = view, View(view.azimuth + heading_degrees(transfer), view.elevation)
-    limits = [
-        shared_limits(x, header.up_axis, side) for x, header, side in zip(poses, headers, views, strict=True)
-    ]
+    limits = [shared_limits(x, header.up_axis, side) for x, header, side in zip(poses, headers, views, strict=True)]
     aspect = max(map(aspect_ratio, limits))
     names = title or f"{source_header.name}: its motion on {target_header.name}"
     sheet = Sheet.from_grid(2, 1 + len(frames), aspect, names, left=1.25)
@@ -130,9 +123,7 @@ def common_parts(transfer: Transfer) -> tuple[Index, Index]:
 def heading_degrees(transfer: Transfer) -> float:
     """Return the best-fit rotation from source to target at rest about the up axis, in degrees; 0 if undefined."""
     matched = transfer.correspondence.matched
-    source = to_y_up(
-        transfer.correspondence.interpolate(transfer.source.rest)[matched], transfer.source.header.up_axis
-    )
+    source = to_y_up(transfer.correspondence.interpolate(transfer.source.rest)[matched], transfer.source.header.up_axis)
     target = to_y_up(transfer.target[matched], transfer.header.up_axis)
     a, b = ((x - x.mean(axis=0))[:, [0, 2]] for x in (source, target))
     cosine, sine = float((a * b).sum()), float((a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1]).sum())
@@ -235,9 +226,7 @@ def _draw_rows(rows: list[_Row], title: str) -> Sheet:
     return sheet
 
 
-def common_frames(
-    original: SequenceHeader, decoded: SequenceHeader, count: int
-) -> tuple[list[int], list[int]]:
+def common_frames(original: SequenceHeader, decoded: SequenceHeader, count: int) -> tuple[list[int], list[int]]:
     """Return up to `count` evenly spaced frames of the original, and the decoded frames at the same times."""
     nearest = np.abs(decoded.times[None] - original.times[:, None]).argmin(axis=1)
     time_difference = np.abs(decoded.times[nearest] - original.times)

@@ -235,9 +235,7 @@ def cluster_markers(points: Float) -> list[Index]:
     return [group for group in clusters if 2 <= len(group) <= MAX_GROUP_MARKER_SHARE * len(points)]
 
 
-def find_exchanged_groups(
-    bending: BendingEnergy, source: Float, target: Float
-) -> tuple[Index, Index, float, float]:
+def find_exchanged_groups(bending: BendingEnergy, source: Float, target: Float) -> tuple[Index, Index, float, float]:
     """Find the two groups that an exchange brings closest to their predictions: source, target ``(n, 3)``."""
     matrix, forces = bending.matrix, bending.matrix @ target
     best = np.zeros(0, np.int64), np.zeros(0, np.int64), 1.0, 1.0
@@ -317,9 +315,7 @@ def check_markers(
 def check_rest_frame(source: MeshSequence, rest: int) -> None:
     """Raise if a source does not have the frame of the rest pose."""
     if not -source.frame_count <= rest < source.frame_count:
-        raise SettingsError(
-            f"the source has no frame {rest}; the rest pose is one of 0 ... {source.frame_count - 1}"
-        )
+        raise SettingsError(f"the source has no frame {rest}; the rest pose is one of 0 ... {source.frame_count - 1}")
 
 
 def check_marker_vertices(markers: Markers, source: Topology, target: Topology) -> None:
@@ -328,9 +324,7 @@ def check_marker_vertices(markers: Markers, source: Topology, target: Topology) 
         _check_vertices(markers, side, vertices, topology.vertex_count, topology)
 
 
-def find_suspicious_markers(
-    markers: Markers, source: Float, target: Float, diagonal: float
-) -> list[Suspicion]:
+def find_suspicious_markers(markers: Markers, source: Float, target: Float, diagonal: float) -> list[Suspicion]:
     """Find pairs, groups and single markers that seem exchanged or wrong: source, target ``(n, 3)``."""
     distinct = _distinct_markers(markers)
     if not MIN_COMPARED_MARKERS <= len(distinct) <= MAX_COMPARED_MARKERS:
@@ -346,9 +340,7 @@ def _distinct_markers(markers: Markers) -> Index:
     return np.sort(np.unique(pairs, axis=1, return_index=True)[1])
 
 
-def _check_vertices(
-    markers: Markers, side: str, vertices: Index, count: int, topology: Topology | None
-) -> None:
+def _check_vertices(markers: Markers, side: str, vertices: Index, count: int, topology: Topology | None) -> None:
     """Raise for missing vertices, and for vertices without triangles."""
     outside = np.flatnonzero((vertices < 0) | (vertices >= count))
     if outside.size:
@@ -391,13 +383,8 @@ def _check_spread(side: str, marked: Float, points: Float) -> None:
             f"all markers of the {side} are on one line, which leaves the turn about it open; add some beside it"
         )
     depth = np.abs((points - centre) @ axes[2]).max()
-    if (
-        extents[2] <= FLAT_EXTENT_RATIO * extents[0]
-        and depth > FLAT_EXTENT_RATIO * np.ptp(points, axis=0).max()
-    ):
-        _warn(
-            f"all markers of the {side} are on one plane, which leaves its two sides open; add some beside it"
-        )
+    if extents[2] <= FLAT_EXTENT_RATIO * extents[0] and depth > FLAT_EXTENT_RATIO * np.ptp(points, axis=0).max():
+        _warn(f"all markers of the {side} are on one plane, which leaves its two sides open; add some beside it")
 
 
 def _check_hand(source: Float, target: Float) -> None:

@@ -156,9 +156,7 @@ def anchor_offsets(paths: Float, stances: Sequence[Sequence[Stance]], negligible
     return offsets
 
 
-def solve_body_shift(
-    offsets: Float, stances: Sequence[Sequence[Stance]], axis: int, fps: float
-) -> tuple[Float, Float]:
+def solve_body_shift(offsets: Float, stances: Sequence[Sequence[Stance]], axis: int, fps: float) -> tuple[Float, Float]:
     """Return the body's shift ``(T, 3)``, and remaining moves ``(g, T, 3)`` of contacts with offsets ``(g, T, 3)``."""
     from scipy import sparse
     from scipy.sparse.linalg import splu
@@ -400,10 +398,7 @@ def plant_contacts(
         method.body,
         np.concatenate(rotations),
         np.concatenate(centres),
-        [
-            replace(contact, local_points=local)
-            for contact, local in zip(target_contacts, local_paths, strict=True)
-        ],
+        [replace(contact, local_points=local) for contact, local in zip(target_contacts, local_paths, strict=True)],
         [gradients.alignment.rotate_points(path) for path in contact_paths],
         header.up_axis,
         header.fps,
@@ -412,9 +407,7 @@ def plant_contacts(
     return PlantedTransfer(method, PartPoses(planted.rotations, planted.centres), planted.report)
 
 
-def _measure_contacts(
-    shared: tuple[MixedTransfer, Index, Index], block: FloatArray
-) -> tuple[PartPoses, Float, Float]:
+def _measure_contacts(shared: tuple[MixedTransfer, Index, Index], block: FloatArray) -> tuple[PartPoses, Float, Float]:
     """Return part poses for frames ``(B, V, 3)``, contact vertices on the source, and in the target's rest space."""
     method, vertices, parts = shared
     correspondence = method.gradients.correspondence

@@ -113,8 +113,7 @@ class ArticulatedBody:
     def gaps(self, rotations: Float, centres: Float) -> Float:
         """Return the gaps ``(n, 3)`` of pairs at their pivots: rotations, centres ``(p, 3, 3), (p, 3)``."""
         first, second = (
-            rotate_vectors(rotations[part], self.pivots - self.centres[part]) + centres[part]
-            for part in self.pairs.T
+            rotate_vectors(rotations[part], self.pivots - self.centres[part]) + centres[part] for part in self.pairs.T
         )
         return np.asarray(first - second)
 
@@ -122,9 +121,7 @@ class ArticulatedBody:
         """Return the rest point ``(3,)`` of the pivot of a part."""
         return np.asarray(self.pivots[self.parents[part][1]])
 
-    def pose_points(
-        self, points: FloatArray, parts: Sequence[int] | Index, rotations: Float, centres: Float
-    ) -> Float:
+    def pose_points(self, points: FloatArray, parts: Sequence[int] | Index, rotations: Float, centres: Float) -> Float:
         """Return the positions ``(T, k, 3)`` of rest points ``(k, 3)`` that follow parts ``(k,)``."""
         part_ids = np.asarray(parts, dtype=np.int64)
         arms = np.asarray(points, dtype=np.float64).reshape(-1, 3) - self.centres[part_ids]
@@ -170,9 +167,7 @@ def leg_ratio(
     target_length = sum(leg_length(target, contact) for contact in target_contacts)
     source_length = sum(leg_length(source, contact) for contact in source_contacts)
     if not source_length > 0:
-        raise SettingsError(
-            "the legs of the source have no length; choose contacts away from the root's pivots"
-        )
+        raise SettingsError("the legs of the source have no length; choose contacts away from the root's pivots")
     return target_length / source_length
 
 

@@ -61,9 +61,7 @@ class Markers:
                 raise SettingsError(
                     f"markers are the name of a file, {str(pairs)!r}; read it with mixseq.read_markers"
                 ) from None
-            raise SettingsError(
-                "markers are no pairs of vertices; (n, 2) whole numbers are expected"
-            ) from None
+            raise SettingsError("markers are no pairs of vertices; (n, 2) whole numbers are expected") from None
         if table.ndim != 2 or table.shape[1] != 2 or not np.array_equal(vertex_pairs, table):
             raise SettingsError(
                 f"markers have shape {table.shape}; (n, 2) whole numbers, source and target, are expected"

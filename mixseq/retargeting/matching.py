@@ -192,9 +192,7 @@ def _nearest_sources(graph: sparse.csr_array, sources: Index) -> Index:
     """Return the nearest source of every node along a graph, -1 if none is connected."""
     if not len(sources):
         return np.full(graph.shape[0], -1)
-    nearest = csgraph.dijkstra(
-        graph, directed=False, indices=sources, return_predecessors=True, min_only=True
-    )[2]
+    nearest = csgraph.dijkstra(graph, directed=False, indices=sources, return_predecessors=True, min_only=True)[2]
     return np.maximum(nearest, -1).astype(np.int64)
 
 
@@ -221,9 +219,7 @@ def from_triangles(triangles: ArrayLike, source: RestMesh, target: RestMesh) -> 
     return _complete_map(source_mesh, target_mesh, corners, weights, source_faces)
 
 
-def from_barycentric(
-    corners: ArrayLike, weights: ArrayLike, source: RestMesh, target: RestMesh
-) -> Correspondence:
+def from_barycentric(corners: ArrayLike, weights: ArrayLike, source: RestMesh, target: RestMesh) -> Correspondence:
     """Complete a map of target vertices to points of the source: corners, weights ``(V', 3)``."""
     source_mesh, target_mesh = _triangle_mesh(source), _triangle_mesh(target)
     flat_corners = np.asarray(corners).reshape(-1)
@@ -268,9 +264,7 @@ def _check_map(entries: ArrayLike, target_count: int, source_count: int, element
             f"0 to {source_count - 1}, and -1 stands for none; check that source and target are not exchanged{advice}"
         )
     if not (ids >= 0).any():
-        raise SettingsError(
-            f"the map leaves out all {element_names} of the target; at least one must be on the source"
-        )
+        raise SettingsError(f"the map leaves out all {element_names} of the target; at least one must be on the source")
     return ids.astype(np.int64)
 
 
@@ -334,9 +328,7 @@ def _complete_map(
     )
 
 
-def _locate_faces(
-    source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, face_ids: Index
-) -> Index:
+def _locate_faces(source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, face_ids: Index) -> Index:
     """Return the source triangles ``(n,)`` of target triangles ``(n,)``, by the source points of their corners."""
     triangles = target.faces[face_ids]
     # Corners of weight one are vertices, and may have equal source triangles.

@@ -110,9 +110,7 @@ class Energy:
         columns = np.repeat(np.arange(size), np.diff(self._matrix.indptr))
         return np.asarray(columns * size + self._matrix.indices)
 
-    def minimise(
-        self, stiffness: float, maps: Float, constraints: list[SoftConstraints]
-    ) -> tuple[Float, Float]:
+    def minimise(self, stiffness: float, maps: Float, constraints: list[SoftConstraints]) -> tuple[Float, Float]:
         """Return the positions ``(V, 3)`` and maps ``(V, 3, 3)`` of least energy near given maps."""
         vertex_count, unknown_count = len(maps), 4 * len(maps)
         values = stiffness * self._matrix.data
@@ -144,9 +142,7 @@ def nearest_similarities(maps: Float) -> Float:
     return np.asarray(rotations * np.maximum(scales, 0.0)[:, None, None])
 
 
-def _difference_rows(
-    terms: Sequence[tuple[Index, Float | float]], scales: Float, size: int
-) -> sparse.csr_array:
+def _difference_rows(terms: Sequence[tuple[Index, Float | float]], scales: Float, size: int) -> sparse.csr_array:
     """Return sparse rows ``(n, size)`` of scaled sums: columns ``(n,)`` and coefficients of each term."""
     row_count = len(scales)
     columns = np.concatenate([column for column, _ in terms])

@@ -293,8 +293,7 @@ class TransferReport:
         """Return plain values for JSON."""
         smooth = self.smoothness
         return {
-            "coverage": asdict(self.coverage)
-            | {"followers": [asdict(each) for each in self.coverage.followers]},
+            "coverage": asdict(self.coverage) | {"followers": [asdict(each) for each in self.coverage.followers]},
             "strain": asdict(self.strain),
             "source_strain": asdict(self.source_strain),
             "excess_strain": asdict(self.excess),

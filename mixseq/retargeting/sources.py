@@ -73,22 +73,14 @@ def prepare_source(
         rest_shape = _scaled_rest_shape(rest, header, topology, frames.points)
     else:
         frame_count = len(frames.points)
-        if (
-            isinstance(rest, bool)
-            or not isinstance(rest, int | np.integer)
-            or not -frame_count <= rest < frame_count
-        ):
-            raise SettingsError(
-                f"rest is {rest!r}; a frame from 0 to {frame_count - 1} is expected, or a mesh at rest"
-            )
+        if isinstance(rest, bool) or not isinstance(rest, int | np.integer) or not -frame_count <= rest < frame_count:
+            raise SettingsError(f"rest is {rest!r}; a frame from 0 to {frame_count - 1} is expected, or a mesh at rest")
         frame = int(rest) % frame_count
         rest_shape = np.asarray(frames.points[frame : frame + 1][0], dtype=np.float64)
     return SourceMotion(header, topology, frames.points, rest_shape, parts)
 
 
-def _scaled_rest_shape(
-    rest: MeshSequence, header: SequenceHeader, topology: Topology, points: LargeArray
-) -> Float:
+def _scaled_rest_shape(rest: MeshSequence, header: SequenceHeader, topology: Topology, points: LargeArray) -> Float:
     """Return the first frame of a rest mesh, scaled to the size of the motion."""
     if rest.vertex_count != header.vertex_count:
         raise InvalidSequenceError(
@@ -97,9 +89,7 @@ def _scaled_rest_shape(
     try:
         match_triangles(header.polygons, rest.polygons, ("the motion", "the mesh at rest"))
     except InvalidSequenceError as error:
-        raise InvalidSequenceError(
-            f"{error}; give the same mesh, with its vertices in the same order"
-        ) from None
+        raise InvalidSequenceError(f"{error}; give the same mesh, with its vertices in the same order") from None
     shape = rest.points[0].astype(np.float64)
     samples = points[sample_frame_ids(len(points))].astype(np.float64)
     rest_lengths, lengths = edge_lengths(shape, topology.edges), edge_lengths(samples, topology.edges)

@@ -64,9 +64,7 @@ class CoarseSurface:
     size: float  # its unit in units of the mesh
 
     @classmethod
-    def from_mesh(
-        cls, points: FloatArray, topology: Topology, count: int = COARSE_VERTEX_COUNT
-    ) -> CoarseSurface:
+    def from_mesh(cls, points: FloatArray, topology: Topology, count: int = COARSE_VERTEX_COUNT) -> CoarseSurface:
         """Decimate the component of points ``(V, 3)`` with the largest area."""
         x = np.asarray(points, np.float64)
         areas = TriangleMesh(x, topology).face_areas
@@ -229,17 +227,14 @@ def match_extremities(first: Extremities, second: Extremities) -> list[Extremity
     pairs = _match_prominent(first, second)
     if len(pairs) < 4:  # too few to determine an orientation
         return []
-    sharp = [
-        pair for pair in pairs if max(first.radii[pair.first], second.radii[pair.second]) <= MAX_SHARP_RADIUS
-    ]
+    sharp = [pair for pair in pairs if max(first.radii[pair.first], second.radii[pair.second]) <= MAX_SHARP_RADIUS]
     return sharp + _match_minor(first, second, pairs)
 
 
 def _match_prominent(first: Extremities, second: Extremities) -> list[ExtremityPair]:
     """Match prominent extremities, the pairs of largest margin first."""
     first_ids, second_ids = (
-        np.flatnonzero(body.prominences >= MIN_LIMB_PROMINENCE)[:MAX_MATCHED_EXTREMITIES]
-        for body in (first, second)
+        np.flatnonzero(body.prominences >= MIN_LIMB_PROMINENCE)[:MAX_MATCHED_EXTREMITIES] for body in (first, second)
     )
     matchings: dict[Matching, float] = {}
     for first_triple in combinations(first_ids.tolist(), 3):

@@ -146,9 +146,7 @@ def _active_set(
 
 
 @compiled
-def _remove_least_bones(
-    h: Float, scale: float, bones: Index, w: Float, limit: int, n: int, a: Float, z: Float
-) -> int:
+def _remove_least_bones(h: Float, scale: float, bones: Index, w: Float, limit: int, n: int, a: Float, z: Float) -> int:
     """Remove bones of least loss until at most `limit` remain."""
     rest, trial, best_weights = np.empty_like(bones), np.empty_like(w), np.empty_like(w)
     best_bones = np.empty_like(bones)
@@ -248,9 +246,7 @@ def fit_vertices(
         for i in range(n_candidates):
             for j in range(i):
                 b, c = candidates[i], candidates[j]
-                h[b, c] = h[c, b] = (
-                    _homogeneous_form(products[b, c], x, y, q) - linear[b] - linear[c] + squares[v]
-                )
+                h[b, c] = h[c, b] = _homogeneous_form(products[b, c], x, y, q) - linear[b] - linear[c] + squares[v]
         scale = max(squares[v], 1e-300)
         selected[0], w[0] = candidates[0], 1.0
         count = _active_set(h, scale, candidates[:n_candidates], selected, w, 1, bone_count, a, z)

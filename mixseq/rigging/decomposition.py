@@ -267,9 +267,7 @@ def fit_to_skeleton(
             progress(first_round + round_id, len(_DISTANCE_COSTS) * rounds + 1, "fitting weights and bones")
 
         binding = replace(binding, costs=sequence.header.frame_count * (distance_cost * distances) ** 2)
-        binding, motions, _ = alternate_fits(
-            tracks, binding, motions, joints, 0.0, rounds, report, fixed_rest=True
-        )
+        binding, motions, _ = alternate_fits(tracks, binding, motions, joints, 0.0, rounds, report, fixed_rest=True)
     return sequence.to_skin(binding, motions, skeleton, origin)
 
 
@@ -291,9 +289,7 @@ def _segment_distances(points: Float, start: Float, segment: Float) -> Float:
     return np.asarray(np.linalg.norm(points - start - positions[:, None] * segment, axis=1))
 
 
-def _convert_bind_pose(
-    sequence: Centred, skeleton: Skeleton, bind_pose: MeshSequence
-) -> tuple[Skeleton, Float]:
+def _convert_bind_pose(sequence: Centred, skeleton: Skeleton, bind_pose: MeshSequence) -> tuple[Skeleton, Float]:
     """Return a skeleton and its bind shape ``(V, 3)`` with the unit and the up axis of the sequence."""
     header = sequence.header
     if bind_pose.vertex_count != header.vertex_count:

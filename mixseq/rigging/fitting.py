@@ -112,8 +112,7 @@ def fit_correctives(skin: Skin, points: Float, bound: float, max_targets: int) -
     shapes, weights, _ = fit_targets(displacements, bound, max_targets, measure_distances)
     fitted = replace(without_targets, targets=shapes, target_weights=weights)
     error = max(
-        float(np.linalg.norm(block[0] - points[frame], axis=1).max())
-        for frame, block in enumerate(fitted.blocks(1))
+        float(np.linalg.norm(block[0] - points[frame], axis=1).max()) for frame, block in enumerate(fitted.blocks(1))
     )
     return fitted, error
 

@@ -76,9 +76,7 @@ class Skeleton:
             raise InvalidSequenceError("a skeleton has no bones; at least one is expected")
         invalid = [name for name, uses in Counter(self.names).items() if not name or uses > 1]
         if invalid:
-            raise InvalidSequenceError(
-                f"the name {invalid[0]!r} of a bone is empty or occurs twice; rename it"
-            )
+            raise InvalidSequenceError(f"the name {invalid[0]!r} of a bone is empty or occurs twice; rename it")
         parents = np.asarray(self.parents, dtype=np.int64)
         if parents.shape != (count,):
             raise InvalidSequenceError(f"parents have shape {parents.shape}; ({count},) is expected")

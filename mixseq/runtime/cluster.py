@@ -188,9 +188,7 @@ def dask_module(module: str) -> Any:
     try:
         return import_module(module)
     except ImportError as error:
-        raise MissingExtraError(
-            "clusters need dask.distributed; get it with: pip install 'mixseq[dask]'"
-        ) from error
+        raise MissingExtraError("clusters need dask.distributed; get it with: pip install 'mixseq[dask]'") from error
 
 
 CONNECT_TIMEOUT_SECONDS = 10.0
@@ -205,9 +203,7 @@ _ONE_THREAD_VARIABLES = dict.fromkeys(
 def connect_to_cluster(address: str) -> Iterator[ClusterExecutor]:
     """Connect to a cluster, or start a local one, for the duration of the block."""
     process_count = _local_process_count(address)
-    distributed = dask_module(
-        "distributed"
-    )  # first, as its import sets the configuration that is changed here
+    distributed = dask_module("distributed")  # first, as its import sets the configuration that is changed here
     # No warning about large tasks: items may be blocks of frames, of which few are sent at a time.
     unwarned = dask_module("dask.config").set({"distributed.admin.large-graph-warning-threshold": "1 TiB"})
     with unwarned, distributed.utils.silence_logging_cmgr(logging.CRITICAL):

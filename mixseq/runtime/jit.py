@@ -83,11 +83,8 @@ class _CompactCacheImpl(CompileResultCacheImpl):
     def reduce(self, overload: Any) -> tuple[Any, ...]:
         """Return the arguments for a pickle."""
         *rest, environments = super().reduce(overload)  # type: ignore[no-untyped-call]
-        return (*rest, tuple(entry for entry in environments if not _is_from_numba(entry)))
-
-
-def _is_from_numba(environment: Any) -> bool:
-    return str(environment.globals["__name__"]).startswith("numba.")
+        kept = (entry for entry in environments if not str(entry.globals["__name__"]).startswith("numba."))
+        return (*rest, tuple(kept))
 
 
 class _Cache(FunctionCache):
@@ -104,9 +101,7 @@ class _Cache(FunctionCache):
         except OSError as error:
             self._disable(error)
         except _PICKLE_ERRORS:
-            _warn_once(
-                f"the cache of compiled functions in {self.cache_path} is damaged; they are compiled again"
-            )
+            _warn_once(f"the cache of compiled functions in {self.cache_path} is damaged; they are compiled again")
             try:
                 Path(self._cache_file._index_path).unlink(missing_ok=True)
             except OSError as error:

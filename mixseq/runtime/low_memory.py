@@ -88,9 +88,7 @@ class DiskArray:
             yield columns, self._read(0, len(self), columns)
 
     def _seek(self, row: int, columns: slice) -> None:
-        self._file.seek(
-            self.dtype.itemsize * (len(self) * columns.start + row * (columns.stop - columns.start))
-        )
+        self._file.seek(self.dtype.itemsize * (len(self) * columns.start + row * (columns.stop - columns.start)))
 
     def _read(self, first: int, count: int, columns: slice) -> NDArray[Any]:
         block = np.empty((count, columns.stop - columns.start), dtype=self.dtype)

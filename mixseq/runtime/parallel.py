@@ -98,9 +98,7 @@ def thread_executor(count: int | None = None) -> Executor:
     if threads == 1:
         return serial_executor
 
-    def run(
-        function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
-    ) -> Iterator[Result]:
+    def run(function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]) -> Iterator[Result]:
         with one_blas_thread(), ThreadPoolExecutor(threads) as pool:
             pending: deque[Future[Result]] = deque()
             process_id = os.getpid()

@@ -30,9 +30,7 @@ class StagedProgress:
         """Return the progress callback of the first of some consecutive stages, or of several as one."""
 
         def report(done: int, total: int, what: str) -> None:
-            self.progress(
-                first * self.frames + stages * self.frames * done // total, self.count * self.frames, what
-            )
+            self.progress(first * self.frames + stages * self.frames * done // total, self.count * self.frames, what)
 
         return report
 

@@ -148,9 +148,7 @@ def check_part_count(parts: int | None, topology: Topology) -> None:
     is_whole = isinstance(parts, int | np.integer)
     if not (is_whole and 1 <= parts <= len(topology.faces)):
         given = parts if np.ndim(parts) == 0 else f"of type {type(parts).__name__}"
-        raise SettingsError(
-            f"parts is {given}; a whole number from 1 to {len(topology.faces)} (the faces) is expected"
-        )
+        raise SettingsError(f"parts is {given}; a whole number from 1 to {len(topology.faces)} (the faces) is expected")
 
 
 Table = NDArray[np.int32]
@@ -235,9 +233,7 @@ class Elements:
         """Every element and its neighbours ``(E, m)``, m >= 4, padded with E."""
         from mixseq.segmentation.segmentation_kernels import list_neighbours
 
-        table = _padded(
-            np.arange(len(self))[:, None], len(self), int(self._neighbourhood_sizes.max(initial=1))
-        )
+        table = _padded(np.arange(len(self))[:, None], len(self), int(self._neighbourhood_sizes.max(initial=1)))
         list_neighbours(self.pairs, table)
         return table
 

@@ -83,9 +83,7 @@ def measure_part_motion(shapes: PartShapes, points: FloatArray) -> PartMotion:
     degenerate_mask = np.zeros(len(shapes.faces), dtype=bool)
     covariances = np.empty((len(points), len(shapes.parts), 3, 3))
     for frame, frame_covariances in zip(points, covariances, strict=True):
-        x = read_only(
-            np.ascontiguousarray(frame, dtype=np.float64)
-        )  # as frames often are: one type for numba
+        x = read_only(np.ascontiguousarray(frame, dtype=np.float64))  # always, as numba compiles per type
         mark_degenerate(x, shapes.faces, DEGENERATE_HEIGHT_RATIO, degenerate_mask)
         for part, (vertices, shape) in enumerate(zip(shapes.parts, shapes.shapes, strict=True)):
             posed = x[vertices]
@@ -164,9 +162,7 @@ def decompose(
     part_count = int(part_of_face.max()) + 1
     part_masks = [mark_face_vertices(topology, part_of_face == part) for part in range(part_count)]
     boundary_widths = _boundary_widths(topology, part_of_face, joint_width, motion)
-    depths = [
-        propagate_depth(topology, np.minimum(boundary_widths, width)) for width in range(joint_width + 1)
-    ]
+    depths = [propagate_depth(topology, np.minimum(boundary_widths, width)) for width in range(joint_width + 1)]
     widths = np.array([_largest_width(depths, mask, core) for mask in part_masks], dtype=np.int64)
 
     kept = [mask & (depths[width] <= 1) for mask, width in zip(part_masks, widths, strict=True)]
@@ -185,16 +181,12 @@ def decompose(
     return Decomposition(
         part_of_face=np.asarray(part_of_face, dtype=np.int64),
         parts=tuple(np.flatnonzero(mask) for mask in kept),
-        joints=tuple(
-            make_joint(topology, patches == number, in_parts) for number in np.unique(patches[patches >= 0])
-        ),
+        joints=tuple(make_joint(topology, patches == number, in_parts) for number in np.unique(patches[patches >= 0])),
         widths=widths,
     )
 
 
-def _boundary_widths(
-    topology: Topology, part_of_face: Index, joint_width: int, motion: PartMotion | None
-) -> Index:
+def _boundary_widths(topology: Topology, part_of_face: Index, joint_width: int, motion: PartMotion | None) -> Index:
     """Return the width ``(V,)`` of joints at boundary vertices, 0 elsewhere."""
     boundaries = Boundaries.from_labels(topology, part_of_face)
     width_of_pair = np.full(len(boundaries.parts), joint_width)

@@ -127,9 +127,7 @@ class Clusters:
         longest = 1 + max(len(elements), elements.trajectories.coordinates.shape[1])
         self._batch_size = max(
             _COLUMN_MULTIPLE,
-            min(capacity + _COLUMN_MULTIPLE - 1, _MAX_WORK_NUMBERS // longest)
-            // _COLUMN_MULTIPLE
-            * _COLUMN_MULTIPLE,
+            min(capacity + _COLUMN_MULTIPLE - 1, _MAX_WORK_NUMBERS // longest) // _COLUMN_MULTIPLE * _COLUMN_MULTIPLE,
         )
         self._work = np.empty((3, longest * self._batch_size), dtype=np.float32)
         self._costs = np.full((len(elements), capacity), np.inf, dtype=np.float32)
@@ -231,9 +229,7 @@ def moments_of(tallies: Float, trajectories: Trajectories) -> list[Moments]:
 
 
 MAX_FACES_WITHOUT_CELLS = 20_000  # larger meshes are clustered by cells first
-MAX_FACES_TO_REFINE = (
-    160_000  # larger meshes are clustered by cells only: boundaries are off by at most an edge
-)
+MAX_FACES_TO_REFINE = 160_000  # larger meshes are clustered by cells only: boundaries are off by at most an edge
 
 
 @dataclass(frozen=True)
@@ -384,9 +380,7 @@ def _merge_small_patches(patches: _Patches, settings: MotionSettings) -> None:
         patches.merge(keep, drop)
 
 
-def _merge_stiff_pairs(
-    patches: _Patches, topology: Topology, parts: int | None, settings: MotionSettings
-) -> None:
+def _merge_stiff_pairs(patches: _Patches, topology: Topology, parts: int | None, settings: MotionSettings) -> None:
     """Merge neighbours, the pair that bends least first, until `parts` remain or every boundary bends enough."""
     moments = patches.moments
     rotations = {p: m.motion()[0] for p, m in moments.items()}
@@ -402,9 +396,7 @@ def _merge_stiff_pairs(
             bends[i, j] = largest_rotation(rotations[i], rotations[j])
         bends = {pair: bends[pair] for pair in pairs}
         narrow = rim.narrowness(patches.labels)
-        costs = {
-            (i, j): b / (1.0 + settings.narrow * max(narrow[i], narrow[j])) for (i, j), b in bends.items()
-        }
+        costs = {(i, j): b / (1.0 + settings.narrow * max(narrow[i], narrow[j])) for (i, j), b in bends.items()}
         for i, j in bends:
             if max(softness[i], softness[j]) > settings.soft:
                 pair_softness[i, j] = pair_softness.get((i, j)) or (moments[i] + moments[j]).softness

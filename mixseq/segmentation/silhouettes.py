@@ -243,11 +243,7 @@ class SilhouetteSettings:
         least_count = min(self.frames, self.viewpoints, self.silhouettes, self.eigenvectors)
         least_size = min(self.seed, self.radius, self.still, self.time, self.contrast)
         is_finite = np.isfinite([self.radius, self.still, self.time, self.contrast]).all()
-        if (
-            least_count < 1
-            or least_size < 0
-            or not (is_finite and 0 < self.share <= 1 and 0 <= self.small_region < 1)
-        ):
+        if least_count < 1 or least_size < 0 or not (is_finite and 0 < self.share <= 1 and 0 <= self.small_region < 1):
             raise SettingsError(
                 f"{self}: frames, viewpoints, silhouettes and eigenvectors of at least 1, seed, radius, still, time "
                 "and contrast of at least 0, a share from above 0 to 1 and a small_region from 0 to below 1 are "
@@ -361,9 +357,7 @@ class SpanningTreeSettings:
 
     def __post_init__(self) -> None:
         sizes = (self.radius, self.contrast, self.still)
-        if self.frames < 1 or not (
-            np.isfinite(sizes).all() and min(sizes) >= 0 and 0 <= self.small_region < 1
-        ):
+        if self.frames < 1 or not (np.isfinite(sizes).all() and min(sizes) >= 0 and 0 <= self.small_region < 1):
             raise SettingsError(
                 f"{self}: frames of at least 1, radius, contrast and still of at least 0, and a small_region from 0 to "
                 f"below 1 are expected"

@@ -163,9 +163,7 @@ def _check_header(header: SequenceHeader) -> None:
     if header.times.size == 0:
         raise InvalidSequenceError("the sequence has no frames")
     if not np.isfinite(header.times).all():
-        raise InvalidSequenceError(
-            f"frame {int(np.argmin(np.isfinite(header.times)))}: its time is not finite"
-        )
+        raise InvalidSequenceError(f"frame {int(np.argmin(np.isfinite(header.times)))}: its time is not finite")
     steps = np.diff(header.times)
     if (steps <= 0).any():
         frame = int(np.argmax(steps <= 0)) + 1

@@ -220,9 +220,7 @@ def _check_velocities(header: SequenceHeader, points: FloatArray, velocities: Fl
         )
     if not np.isfinite(velocities).all():
         frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(velocities))[0][:2])
-        raise InvalidSequenceError(
-            f"{header.frame_name(frame)}: the velocity of vertex {vertex} is not finite"
-        )
+        raise InvalidSequenceError(f"{header.frame_name(frame)}: the velocity of vertex {vertex} is not finite")
 
 
 def _rate_of_times(times: ArrayLike, fps: float) -> float:
@@ -272,11 +270,7 @@ class FrameStore:
 
 def load_frames(frames: Frames, progress: Progress = no_progress) -> FrameStore:
     """Return a sequence with random access to its points, a copy unless it is in memory."""
-    store = (
-        FrameStore(frames.header, frames.points)
-        if isinstance(frames, MeshSequence)
-        else _copy(frames, progress)
-    )
+    store = FrameStore(frames.header, frames.points) if isinstance(frames, MeshSequence) else _copy(frames, progress)
     _check_lengths(store)
     return store
 
@@ -290,9 +284,7 @@ def _copy(frames: Frames, progress: Progress) -> FrameStore:
         if points is None:
             points = new_large_array((count, header.vertex_count, 3), block.dtype)
         if done + len(block) > count:
-            raise InvalidSequenceError(
-                f"there are more frames than the {count} times; give one time per frame"
-            )
+            raise InvalidSequenceError(f"there are more frames than the {count} times; give one time per frame")
         points[done : done + len(block)] = block
         done += len(block)
         progress(done, count, "reading frames")
@@ -398,9 +390,7 @@ class UnitConversion:
 
 
 @public
-def convert_units(
-    sequence: MeshSequence, up_axis: str | None = None, units: str | float | None = None
-) -> MeshSequence:
+def convert_units(sequence: MeshSequence, up_axis: str | None = None, units: str | float | None = None) -> MeshSequence:
     """Return a sequence rotated so that an axis points up, and scaled to a unit of length.
 
     Points and velocities change, so that size and orientation in the world stay. To set metadata that a file lacks,
@@ -450,9 +440,7 @@ def parse_unit(units: str | float) -> float:
     except (TypeError, ValueError):
         metres = np.nan
     if not (np.isfinite(metres) and metres > 0):
-        raise SettingsError(
-            f"the unit is {units!r}; one of {', '.join(UNITS)} is expected, or its length in metres"
-        )
+        raise SettingsError(f"the unit is {units!r}; one of {', '.join(UNITS)} is expected, or its length in metres")
     return metres
 
 

@@ -61,9 +61,7 @@ class NormalEquations:
     hinge_blocks: Index  # (h', 6) blocks of the vertices ba, ca, cb, da, db, dc of a hinge, -1 if fixed
 
     @classmethod
-    def from_elements(
-        cls, edges: Index, hinges: Index, free: Index, number: Index, threads: int | None = None
-    ) -> Self:
+    def from_elements(cls, edges: Index, hinges: Index, free: Index, number: Index, threads: int | None = None) -> Self:
         """Find the blocks of edges and hinges with a free vertex."""
         ends, corners = number[edges], number[hinges]
         p, o = np.tril_indices(4, -1)
@@ -263,18 +261,14 @@ class ShellProblem:
         return gradient[self.patch.free_ids].reshape(-1)
 
 
-def fit_shell(
-    problem: ShellProblem, start: Float, settings: ShellSettings | None = None
-) -> tuple[Float, ShellReport]:
+def fit_shell(problem: ShellProblem, start: Float, settings: ShellSettings | None = None) -> tuple[Float, ShellReport]:
     """Fit a patch to edge lengths and dihedral angles from a start ``(n, 3)``; return vertices ``(n, 3)``."""
     settings = settings or ShellSettings()
     pattern, free = problem.patch.equations.pattern, problem.patch.free_ids
     points = np.array(start, dtype=np.float64)
     residuals, energy = problem.residuals_and_energy(points)
     if not np.isfinite(energy):
-        raise ReconstructionError(
-            "lengths, angles, volumes or fixed vertices are not finite, or overflow if squared"
-        )
+        raise ReconstructionError("lengths, angles, volumes or fixed vertices are not finite, or overflow if squared")
     damping, use_cg = 1e-6, bool(problem.constraint.weights.size)
     for iteration in range(settings.iterations):
         if np.abs(residuals).max(initial=0.0) <= settings.exact:
@@ -309,9 +303,7 @@ def fit_shell(
     return points, ShellReport(energy, settings.iterations, False)
 
 
-def _solve_step(
-    pattern: BlockSparsePattern, values: Float, gradient: Float, use_cg: bool
-) -> tuple[Float, bool]:
+def _solve_step(pattern: BlockSparsePattern, values: Float, gradient: Float, use_cg: bool) -> tuple[Float, bool]:
     """Solve for a step, optionally by conjugate gradients; return whether these converged.
 
     If all positions are constrained, the matrix is well conditioned, and a few conjugate gradients cost a tenth of a
@@ -326,9 +318,7 @@ def _solve_step(
     return -pattern.analysis.factor(values).solve(gradient), False
 
 
-def _solve_step_with_volume(
-    pattern: BlockSparsePattern, values: Float, gradient: Float, volume_row: Float
-) -> Float:
+def _solve_step_with_volume(pattern: BlockSparsePattern, values: Float, gradient: Float, volume_row: Float) -> Float:
     """Solve ``(A + row row^T) step = -gradient`` with the factor of A (Sherman and Morrison 1950)."""
     columns = np.stack([-gradient, volume_row], axis=1)
     step, change = pattern.analysis.factor(values).solve(columns).T

@@ -58,9 +58,7 @@ def length_gradient(x: Float, a: int, b: int, scale: float, g: Float) -> None:
 
 
 @inlined
-def _sides_and_normals(
-    x: Float, a: int, b: int, c: int, d: int
-) -> tuple[Vector, Vector, Vector, Vector, Vector]:
+def _sides_and_normals(x: Float, a: int, b: int, c: int, d: int) -> tuple[Vector, Vector, Vector, Vector, Vector]:
     """Return the sides ab, ac and ad of the hinge abcd, and the normals of its faces."""
     e, p, q = side(x, a, b), side(x, a, c), side(x, a, d)
     return e, p, q, _cross(e, p), _cross(q, e)

@@ -281,9 +281,7 @@ def _fit_curves_within_slack(
     return time, placement, _fit_rounded(quarter_times, values, slack, correction_norm, step)
 
 
-def _fit_rounded(
-    times: Float, values: Float, slack: float, norm: DeviationNorm, step: float | Float
-) -> Curve:
+def _fit_rounded(times: Float, values: Float, slack: float, norm: DeviationNorm, step: float | Float) -> Curve:
     curve = fit_curve(times, values, slack, norm) if slack > 0 else Curve(times, values)
     return Curve(curve.times, _round(curve.values, step)) if np.any(step) else curve
 

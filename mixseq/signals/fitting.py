@@ -244,8 +244,8 @@ def fit(
     Raises
     ------
     SettingsError
-        If a setting is out of range, contradicts another one, or is unused by the space; or if the sequence is so far
-        from the origin, relative to its size, that double precision cannot resolve the tolerance.
+        If a setting is out of range, contradicts another one, or is unused by the space; or if the sequence is too far
+        from the origin, relative to its size, for double precision to resolve the tolerance.
     ReconstructionError
         If the most accurate model exceeds the tolerance for another reason.
     SegmentationError

@@ -80,9 +80,7 @@ class Model(Decodable, PickledWithoutCaches):
         if self.shapes.shape != expected:
             raise SettingsError(f"the key shapes have shape {self.shapes.shape}; {expected} is expected")
         if self.time.dim != self.pose.dim:
-            raise SettingsError(
-                f"the time signal has {self.time.dim} coordinates, the pose signal {self.pose.dim}"
-            )
+            raise SettingsError(f"the time signal has {self.time.dim} coordinates, the pose signal {self.pose.dim}")
         if self.placement.dim != self.space.placement_dim:
             raise SettingsError(
                 f"the placement has {self.placement.dim} coordinates; {self.space.placement_dim} are expected"

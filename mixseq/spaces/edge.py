@@ -165,9 +165,7 @@ class DiscreteShell(PickledWithoutCaches):
             reports.append(report)
         return rows, reports
 
-    def problem(
-        self, number: int, piece: ShellPiece, targets: ShellTargets, settings: ShellSettings
-    ) -> ShellProblem:
+    def problem(self, number: int, piece: ShellPiece, targets: ShellTargets, settings: ShellSettings) -> ShellProblem:
         """Return the fitting problem of one piece."""
         weights = targets.length_weights[piece.edge_ids]
         has_volume = targets.volumes.size > 0 and bool(targets.volume_weights[number])
@@ -316,9 +314,7 @@ class EdgeSettings:
         if not (np.isfinite(self.volume) and self.volume >= 0):
             raise SettingsError(f"volume is {self.volume}; a weight of 0 or more is expected")
         if self.volume and self.projection != "dso":
-            raise SettingsError(
-                f"projection {self.projection!r} has no use for volume; leave it out, or choose 'dso'"
-            )
+            raise SettingsError(f"projection {self.projection!r} has no use for volume; leave it out, or choose 'dso'")
 
 
 @dataclass(frozen=True, eq=False)

@@ -138,9 +138,7 @@ def make_space(
     return EdgeSpace(topology, scale, reference, lengths, settings)
 
 
-def segment_faces(
-    frames: FrameStore | MeshSequence, settings: MixedSettings, topology: Topology
-) -> NDArray[np.int64]:
+def segment_faces(frames: FrameStore | MeshSequence, settings: MixedSettings, topology: Topology) -> NDArray[np.int64]:
     """Return the part ``(F,)`` of every triangle, from settings or segmentation."""
     points, parts = frames.points, settings.parts
     if not (parts is None or isinstance(parts, int | np.integer)):

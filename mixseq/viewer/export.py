@@ -209,9 +209,7 @@ def _times(item: PageItem, settings: ExportSettings) -> Float:
     """Return the elapsed times ``(n,)`` of stored poses."""
     elapsed = np.asarray(item.mesh.elapsed, dtype=np.float64).reshape(-1)
     if not (elapsed.size and np.isfinite(elapsed).all() and elapsed[0] >= 0 and (np.diff(elapsed) > 0).all()):
-        raise SettingsError(
-            f"the times of {item.mesh.name} do not increase from zero; give it regular frame times"
-        )
+        raise SettingsError(f"the times of {item.mesh.name} do not increase from zero; give it regular frame times")
     if not item.colourings:
         raise SettingsError(f"{item.mesh.name} has no colouring; give it one, such as clay")
     if settings.fps is not None:

@@ -82,15 +82,11 @@ class PageItem:
     compressed: CompressedSequence | None = None  # the mesh as it was opened, if it was compressed
 
 
-def page_items(
-    colours: SceneColours, compressed: Sequence[CompressedSequence | None] | None = None
-) -> list[PageItem]:
+def page_items(colours: SceneColours, compressed: Sequence[CompressedSequence | None] | None = None) -> list[PageItem]:
     """Return the meshes of a scene with all their colourings, and the chart data of models."""
     items = colours.scene.items
     return [
-        PageItem(
-            item, colours.of_mesh(index), None if item.model is None else chart_data(item.model), sequence
-        )
+        PageItem(item, colours.of_mesh(index), None if item.model is None else chart_data(item.model), sequence)
         for index, (item, sequence) in enumerate(zip(items, compressed or [None] * len(items), strict=True))
     ]
 
@@ -125,9 +121,7 @@ class Extent:
 
     def rectangles(self, views: Sequence[View]) -> Float:
         """Return screen rectangles ``(views, 4)`` around the mesh and its shadow on the ground."""
-        floors = [
-            view.rotation[1, 1] * self.low[1] + row[4] for view, row in zip(views, self.screen, strict=True)
-        ]
+        floors = [view.rotation[1, 1] * self.low[1] + row[4] for view, row in zip(views, self.screen, strict=True)]
         left, right, bottom, top, _ = self.screen.T
         return np.stack([left, right, np.minimum(bottom, floors), top], axis=1)
 
@@ -316,8 +310,7 @@ def _has_frame_times(header: SequenceHeader, elapsed: Float) -> bool:
 def _describe_extent(extent: Extent, page_poses: PagePoses) -> dict[str, Any]:
     digits = EXTENT_DIGITS - int(np.ceil(np.log10(extent.side or 1.0)))
     low, high, screen = (
-        np.round(values, digits).tolist()
-        for values in (extent.low, extent.high, extent.rectangles(page_poses.views))
+        np.round(values, digits).tolist() for values in (extent.low, extent.high, extent.rectangles(page_poses.views))
     )
     return {"low": low, "high": high, "seen": screen}
 

@@ -69,9 +69,7 @@ class Marking:
         if self.started is None or self.started[0] == side:
             return replace(self, started=(side, vertex))
         first = self.started[1]
-        return replace(
-            self.with_pair(Pair((vertex, first) if side == SOURCE else (first, vertex))), started=None
-        )
+        return replace(self.with_pair(Pair((vertex, first) if side == SOURCE else (first, vertex))), started=None)
 
     def with_pair(self, pair: Pair) -> Marking:
         """Return the state with another pair."""
@@ -105,9 +103,7 @@ def normalize(points: Float) -> Float:
     return np.asarray(points / (float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0))
 
 
-def filter_proposals(
-    meshes: tuple[Float, Float], marking: Marking, candidates: Iterable[Pair]
-) -> tuple[Pair, ...]:
+def filter_proposals(meshes: tuple[Float, Float], marking: Marking, candidates: Iterable[Pair]) -> tuple[Pair, ...]:
     """Return the candidates, in order, without duplicates, set pairs and skipped ones.
 
     `meshes` are normalized points of source ``(V, 3)`` and target ``(V', 3)``.
@@ -140,9 +136,7 @@ class MarkingListener(Protocol):
 class MarkingSession(JobQueue[Callable[[], None]]):
     """Sets markers of two meshes."""
 
-    def __init__(
-        self, source: MeshSequence, target: MeshSequence, markers: Markers, listener: MarkingListener
-    ) -> None:
+    def __init__(self, source: MeshSequence, target: MeshSequence, markers: Markers, listener: MarkingListener) -> None:
         self._meshes = source, target
         self._listener = listener
         rest_poses = (np.asarray(mesh.points[0], np.float64) for mesh in self._meshes)
@@ -266,9 +260,7 @@ class MarkingSession(JobQueue[Callable[[], None]]):
 
     def _find_mirrors(self) -> None:
         self._set_work("looking for left and right")
-        mirrors = [
-            Mirror.from_mesh(mesh.points[0], Topology(mesh.faces, mesh.vertex_count)) for mesh in self._meshes
-        ]
+        mirrors = [Mirror.from_mesh(mesh.points[0], Topology(mesh.faces, mesh.vertex_count)) for mesh in self._meshes]
         if mirrors[0] is not None and mirrors[1] is not None:
             self._mirrors = mirrors[0], mirrors[1]
             self._mirror_pairs()
@@ -280,8 +272,7 @@ class MarkingSession(JobQueue[Callable[[], None]]):
         for pair in self.marking.pairs:
             if pair.vertices not in self._mirrored_pairs:
                 source, target = (
-                    mirror.find_partner(vertex)
-                    for mirror, vertex in zip(self._mirrors, pair.vertices, strict=True)
+                    mirror.find_partner(vertex) for mirror, vertex in zip(self._mirrors, pair.vertices, strict=True)
                 )
                 mirrored = None if source is None or target is None else Pair((source, target))
                 self._mirrored_pairs[pair.vertices] = mirrored

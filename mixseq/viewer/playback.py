@@ -147,9 +147,7 @@ Key = tuple[SceneItem, float]
 class FrameCache(BackgroundWorker):
     """Cache of poses that are decoded in the background."""
 
-    def __init__(
-        self, on_decoded: Callable[[], None], threads: int = 2, max_bytes: int = DEFAULT_CACHE_BYTES
-    ) -> None:
+    def __init__(self, on_decoded: Callable[[], None], threads: int = 2, max_bytes: int = DEFAULT_CACHE_BYTES) -> None:
         self._on_decoded = on_decoded
         self._max_bytes = max_bytes
         self._poses: OrderedDict[Key, Single | MixseqError] = OrderedDict()

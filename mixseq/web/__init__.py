@@ -18,9 +18,7 @@ SEQUENCE_MODULE = "decoder/sequence.js"
 """The module that opens compressed sequences; it imports all of the decoder."""
 
 _IMPORT_LINE = re.compile(r'^import \{([^}]*)\} from "(\.[^"]+)";\n', re.MULTILINE)
-_EXPORT_KEYWORD = re.compile(
-    r"^export (?=(?:async )?(function\*?|class|const|let) (\w+)([^\n]*))", re.MULTILINE
-)
+_EXPORT_KEYWORD = re.compile(r"^export (?=(?:async )?(function\*?|class|const|let) (\w+)([^\n]*))", re.MULTILINE)
 _REEXPORT_LINE = re.compile(r"^export \{([\w, ]*)\};\n", re.MULTILINE)
 _STRING_PATTERN = r"""(?P<text>"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*'|`(?:\\.|[^`\\])*`)"""
 _COMMENT_OR_BREAK = re.compile(_STRING_PATTERN + r"|/\*.*?\*/|[ \t]*//[^\n]*|(?P<gap>\s*\n\s*)", re.DOTALL)

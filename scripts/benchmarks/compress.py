@@ -196,9 +196,7 @@ def _options() -> argparse.Namespace:
 
     parser = argparse.ArgumentParser(prog="scripts/bench compress", description=__doc__)
     parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
-    parser.add_argument(
-        "--only", type=only, default=known, metavar="CODER,CODER", help=f"of {', '.join(known)}"
-    )
+    parser.add_argument("--only", type=only, default=known, metavar="CODER,CODER", help=f"of {', '.join(known)}")
     parser.add_argument("--plots", type=Path, metavar="FOLDER", help="draw the curves into two pictures")
     parser.add_argument("--json", type=Path, metavar="FILE", default=Path("out", "compress.json"))
     return parser.parse_args()

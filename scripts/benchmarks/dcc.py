@@ -89,9 +89,7 @@ def _line(row: Row) -> str:
     def cell(name: str) -> str:
         found = row.checks.get(name)
         word = "—" if found is None else "yes" if found else "**no**"
-        return (
-            f"{word}, {row.velocities:.2g}" if name == "velocities" and row.velocities is not None else word
-        )
+        return f"{word}, {row.velocities:.2g}" if name == "velocities" and row.velocities is not None else word
 
     numbers = ["—" if each is None else f"{each:.1e}" for each in (row.rms, row.largest)]
     cells = [row.way, row.task, str(row.frames), *numbers, *map(cell, COLUMNS)]
@@ -99,9 +97,7 @@ def _line(row: Row) -> str:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", help="only rows whose way and task have this in their names")
     parser.add_argument("--keep", type=Path, help="folder that keeps all files")
     parser.add_argument("--json", type=Path, default=Path("out/dcc.json"))

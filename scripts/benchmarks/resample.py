@@ -44,9 +44,7 @@ SHOWN = ("rms", "strain rms", "degrees rms", "max", "wrong hinges")
 
 def main() -> int:
     data = Path(os.environ.get("MIXSEQ_DATA", ""), "npz")
-    names = sys.argv[1:] or sorted(
-        path.stem for path in data.glob("*.npz") if path.stem in CHOSEN_ON | OTHERS
-    )
+    names = sys.argv[1:] or sorted(path.stem for path in data.glob("*.npz") if path.stem in CHOSEN_ON | OTHERS)
     if not names:
         print("no animations: set MIXSEQ_DATA to the folder that holds npz/", file=sys.stderr)
         return 2
@@ -115,19 +113,13 @@ def report(half: str, rows: list[dict[str, Any]]) -> None:
         if ratios.size:
             print(f"  {name}: median {np.median(ratios):.3f}, smallest {ratios.min():.3f}")
     same = np.array([row["operator"]["rms"] / max(row["model"]["rms"], 1e-15) for row in rows])
-    print(
-        f"  rms against the spline with the same operator: median {np.median(same):.3f}, smallest {same.min():.3f}"
-    )
+    print(f"  rms against the spline with the same operator: median {np.median(same):.3f}, smallest {same.min():.3f}")
     wrong = [sum(row[of]["wrong hinges"] for row in rows) for of in ("spline", "model")]
-    print(
-        f"  hinges wrong by more than 90 degrees, in sum over cases: spline {wrong[0]:.1f}, model {wrong[1]:.1f}"
-    )
+    print(f"  hinges wrong by more than 90 degrees, in sum over cases: spline {wrong[0]:.1f}, model {wrong[1]:.1f}")
     more = max(row["acceleration"] / row["acceleration of the spline"] for row in rows)
     usual = np.median([row["acceleration rms"] / row["acceleration rms of the spline"] for row in rows])
     leaping = max(row["leaping"] for row in rows)
-    print(
-        f"  acceleration: at most {more:.2f} of the spline's, rms {usual:.2f} in the median; leaping {leaping:.3g}"
-    )
+    print(f"  acceleration: at most {more:.2f} of the spline's, rms {usual:.2f} in the median; leaping {leaping:.3g}")
 
 
 if __name__ == "__main__":

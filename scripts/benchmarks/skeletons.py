@@ -67,9 +67,7 @@ class Rig:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("files", nargs="*", default=FILES)
     _compile()
     print("| " + " | ".join(COLUMNS) + " |\n|" + len(COLUMNS) * "---|")

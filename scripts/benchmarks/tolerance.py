@@ -40,9 +40,7 @@ def main() -> int:
     rows = [measure(data / f"{name}.npz", tolerance) for name in names for tolerance in TOLERANCES]
     Path("out").mkdir(exist_ok=True)
     Path("out/tolerance.json").write_text(json.dumps(rows, indent=1))
-    broken = [
-        f"{row['sequence']} {row['tolerance']:g}" for row in rows if row["max_error"] > row["tolerance"]
-    ]
+    broken = [f"{row['sequence']} {row['tolerance']:g}" for row in rows if row["max_error"] > row["tolerance"]]
     print(f"\npromises broken: {', '.join(broken) or 'none'} of {len(rows)}")
     return 1 if broken else 0
 

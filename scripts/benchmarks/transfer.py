@@ -71,9 +71,7 @@ def first(sequence: MeshSequence) -> MeshSequence:
 GALLOP = (("animation", "Gallop"), ("fps", 24.0))
 
 PAIRS = {
-    "horse-camel": Pair(
-        "npz/horse_poses.npz", "npz/camel_poses.npz", DATA / "markers/golevka_horse_camel.cons"
-    ),
+    "horse-camel": Pair("npz/horse_poses.npz", "npz/camel_poses.npz", DATA / "markers/golevka_horse_camel.cons"),
     "horse-camel-picked": Pair("npz/horse_poses.npz", "npz/camel_poses.npz", OWN / "horse_camel_picked.txt"),
     "cat-lion": Pair("npz/cat_poses.npz", "npz/lion_poses.npz", DATA / "markers/markers-cat-lion.yml"),
     "cat-lion-picked": Pair("npz/cat_poses.npz", "npz/lion_poses.npz", OWN / "cat_lion_picked.txt"),
@@ -160,9 +158,7 @@ def worst_acceleration(transfer: Transfer, points: Float) -> float:
 
     scale = ExpectedTriangles.from_transfer(transfer).gradients.alignment.scale
     carried = scale * transfer.correspondence.interpolate(transfer.source.points[:].astype(np.float64))
-    own, other = (
-        np.sqrt(np.square(np.diff(x, 2, axis=0)).sum(axis=2).mean(axis=1)) for x in (points, carried)
-    )
+    own, other = (np.sqrt(np.square(np.diff(x, 2, axis=0)).sum(axis=2).mean(axis=1)) for x in (points, carried))
     much = other >= 0.5 * np.sqrt(np.square(other).mean())
     return float((own[much] / other[much]).max())
 
@@ -180,9 +176,7 @@ def distances(method: str, transfer: Transfer, points: Float, reference: Float) 
         for how, shift in zip(rows, (away.mean(axis=0), 0.0, away[held]), strict=False):
             rows[how].append(100 * float(np.sqrt(np.square(away - shift).sum(axis=1).mean())) / diagonal)
     for how, values in rows.items():
-        print(
-            f"{method}, {how}: {_listed(values)} %; mean {np.mean(values):.2f} %, largest {max(values):.2f} %"
-        )
+        print(f"{method}, {how}: {_listed(values)} %; mean {np.mean(values):.2f} %, largest {max(values):.2f} %")
 
 
 def _listed(values: Sequence[float]) -> str:

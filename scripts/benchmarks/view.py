@@ -67,9 +67,7 @@ def rounds(scene: Scene) -> list[str]:
         begin = time.monotonic()
         playback.play()
         time.sleep(ROUNDS * period)
-    seen = [
-        {frame for at, frame in watch.shown if 0 <= at - begin - k * period < period} for k in range(ROUNDS)
-    ]
+    seen = [{frame for at, frame in watch.shown if 0 <= at - begin - k * period < period} for k in range(ROUNDS)]
     return [f"{len(frames)} of {scene.count}" for frames in seen]
 
 
@@ -95,9 +93,7 @@ def sending(item: SceneItem, colour: str) -> float:
         server = ViserServer("127.0.0.1", 8500, verbose=False)
         stage = LiveStage(server, SceneColours(scene), "standard", False, lambda moment: None)
         stage.set_colour(colour)
-        moments = [
-            Moment(scene, frame, (item.pose(scene.elapsed(frame)),)) for frame in scene.sample_frames(24)
-        ]
+        moments = [Moment(scene, frame, (item.pose(scene.elapsed(frame)),)) for frame in scene.sample_frames(24)]
         stage.show(moments[0])  # works out the colours
         seconds = []
         for moment in moments:
@@ -115,9 +111,7 @@ def sheet(frames: int = 24) -> MeshSequence:
     y = 0.4 * np.sin(phase + 2 * x)
     points = np.stack([np.broadcast_to(x, y.shape), y, np.broadcast_to(z, y.shape)], axis=2)
     corner = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
-    a, b, c, d = (
-        each.ravel() for each in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:])
-    )
+    a, b, c, d = (each.ravel() for each in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]))
     faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     return MeshSequence.from_arrays(points, faces, fps=24)
 

@@ -238,9 +238,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--minutes", type=float, default=600, help="how long at most")
     parser.add_argument("--cases", type=int, default=10**9, help="how many at most")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--reader", action="append", choices=READERS, help="only this one; may be given again"
-    )
+    parser.add_argument("--reader", action="append", choices=READERS, help="only this one; may be given again")
     parser.add_argument("--case", metavar="SEED:READER:INDEX", help="the case that is to be repeated")
     return parser.parse_args(arguments)
 

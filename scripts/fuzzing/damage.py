@@ -75,9 +75,7 @@ def damage_bytes(rng: Random, file: Path) -> str:
     near = min(len(data), 1024)  # structure is at the ends of most files
     at = rng.choice([rng.randrange(len(data)), rng.randrange(near), len(data) - 1 - rng.randrange(near)])
     size = min(rng.choice([1, 4, 16, 100, 1000]), len(data) - at)
-    kind = rng.choice(
-        ["bit", "bit", "bit", "cut", "zeros", "ones", "chance", "number", "number", "without", "twice"]
-    )
+    kind = rng.choice(["bit", "bit", "bit", "cut", "zeros", "ones", "chance", "number", "number", "without", "twice"])
     if kind == "bit":
         data[at] ^= 1 << rng.randrange(8)
     elif kind == "cut":
@@ -201,9 +199,7 @@ def damage_h5(rng: Random, file: Path) -> str:
     """Change a dataset or an attribute of an HDF5 file, whose checksums stay right."""
     with h5py.File(file, "r+", libver="latest") as opened:
         datasets: list[str] = []
-        opened.visititems(
-            lambda name, each: datasets.append(name) if isinstance(each, h5py.Dataset) else None
-        )
+        opened.visititems(lambda name, each: datasets.append(name) if isinstance(each, h5py.Dataset) else None)
         if opened.attrs and rng.random() < 0.25:
             name = rng.choice(list(opened.attrs))
             value = opened.attrs[name]

@@ -67,9 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="scripts/fuzz kills", description="End commands at random moments.")
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--command", action="append", choices=COMMANDS, help="only this one; may be given again"
-    )
+    parser.add_argument("--command", action="append", choices=COMMANDS, help="only this one; may be given again")
     options = parser.parse_args(arguments)
     # In the background of a shell Ctrl-C is ignored, by us and by what we start.
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -175,9 +173,7 @@ def _is_readable(file: str) -> bool:
 
 
 def _left(each: Prepared) -> list[str]:
-    every = {
-        str(file.relative_to(WORK)) for file in WORK.rglob("*") if not file.is_dir() or file.name[0] == "."
-    }
+    every = {str(file.relative_to(WORK)) for file in WORK.rglob("*") if not file.is_dir() or file.name[0] == "."}
     return sorted(every - each.old.keys()) + [f"TMPDIR/{file.name}" for file in TEMPORARY.iterdir()]
 
 

@@ -139,9 +139,7 @@ READERS: Mapping[str, Reader] = {
         ),
         (damage_bytes, damage_json, damage_json),
     ),
-    "npz": Reader(
-        convert, (written("walk.npz", velocities=True), written("walk.npz", compress=True)), _ARCHIVE
-    ),
+    "npz": Reader(convert, (written("walk.npz", velocities=True), written("walk.npz", compress=True)), _ARCHIVE),
     "pc2": Reader(convert, (written("walk.pc2", "*.pc2"), written("walk.pc2")), (damage_bytes,)),
     "mdd": Reader(convert, (written("walk.mdd", "*.mdd"), written("walk.mdd")), (damage_bytes,)),
     "obj": Reader(convert, (written("walk_####.obj", "*1.obj"), written("walk_####.obj")), _TEXT),
@@ -153,9 +151,7 @@ READERS: Mapping[str, Reader] = {
         tuple(
             samples.beside(each, _MESH)
             for each in (
-                samples.array(
-                    "parts.npz", labels=np.arange(28) // 9, names=np.array(["arm", "bow", "hat", "cap"])
-                ),
+                samples.array("parts.npz", labels=np.arange(28) // 9, names=np.array(["arm", "bow", "hat", "cap"])),
                 written("parts.usda", flatten=True),
             )
         ),

@@ -77,9 +77,7 @@ def model(**settings: Any) -> Sample:
 
 def compressed(name: str, **options: Any) -> Sample:
     """Return a sample of a compressed model."""
-    return Sample(
-        name, lambda folder: mixseq.save(folder / name, mixseq.compress(arm(6), max_error=1e-4), **options)
-    )
+    return Sample(name, lambda folder: mixseq.save(folder / name, mixseq.compress(arm(6), max_error=1e-4), **options))
 
 
 def packed(name: str) -> Sample:
@@ -132,9 +130,7 @@ def report(folder: Path) -> None:
 PAIRS = [(5, 6), (1, 2), (3, 3), (10, 11)]
 MARKERS = (
     text("markers.txt", "".join(f"{a} {b}  # place {a}\n" for a, b in PAIRS)),
-    text(
-        "markers.json", json.dumps({"markers": [{"source": a, "target": b, "name": "n"} for a, b in PAIRS]})
-    ),
+    text("markers.json", json.dumps({"markers": [{"source": a, "target": b, "name": "n"} for a, b in PAIRS]})),
     text(
         "markers.yaml",
         "markers:\n" + "".join(f"- source: {a}\n  target: {b}\n  name: n{a}\n" for a, b in PAIRS),

@@ -62,11 +62,7 @@ def faults(site: Path) -> Iterator[str]:
         for address in links.loaded:
             if urlsplit(address).scheme not in ("", "data") or address.startswith("//"):
                 yield f"{name} loads {address} from elsewhere"
-            elif (
-                page.name != NOT_FOUND
-                and not address.startswith("data:")
-                and not inside(page, address).is_file()
-            ):
+            elif page.name != NOT_FOUND and not address.startswith("data:") and not inside(page, address).is_file():
                 yield f"{name} loads {address}, which is not there"
         for _, address in links.found:
             fault = None if page.name == NOT_FOUND else fault_of(page, address)
@@ -84,18 +80,12 @@ def fault_of(page: Path, address: str) -> str | None:
     if parts.scheme == "mailto":
         return None
     if parts.scheme or parts.netloc:
-        well_formed = parts.scheme in ("http", "https") and re.fullmatch(
-            r"[\w-]+(\.[\w-]+)+(:\d+)?", parts.netloc
-        )
+        well_formed = parts.scheme in ("http", "https") and re.fullmatch(r"[\w-]+(\.[\w-]+)+(:\d+)?", parts.netloc)
         return None if well_formed else "is no address of a page"
     target = inside(page, address)
     if not target.is_file():
         return "leads nowhere"
-    if (
-        parts.fragment
-        and target.suffix == ".html"
-        and unquote(parts.fragment) not in links_of(target).anchors
-    ):
+    if parts.fragment and target.suffix == ".html" and unquote(parts.fragment) not in links_of(target).anchors:
         return "leads to an anchor that is not there"
     return None
 

@@ -27,9 +27,7 @@ def commands_page() -> str:
         command = main.get_command(context, name)
         assert command is not None
         overview.append(f"| [`{name}`](#mixseq-{name}) | {_plain(command.get_short_help_str(200))} |")
-        sections.append(
-            "\n\n".join(_section(command, click.Context(command, info_name=name, parent=context)))
-        )
+        sections.append("\n\n".join(_section(command, click.Context(command, info_name=name, parent=context))))
     return "\n\n".join([INTRODUCTION, "\n".join(overview), *sections]) + "\n"
 
 

@@ -35,9 +35,7 @@ def with_docstrings(page: str) -> str:
 
 def _with_docstrings(section: str) -> str:
     directives = "".join(f"\n::: {name}\n" for name in ROW.findall(section))
-    return (
-        re.sub(r"^\| `(mixseq[\w.]*)` \|", r"| [`\1`][\1] |", section, flags=re.MULTILINE) + directives + "\n"
-    )
+    return re.sub(r"^\| `(mixseq[\w.]*)` \|", r"| [`\1`][\1] |", section, flags=re.MULTILINE) + directives + "\n"
 
 
 if __name__ == "__main__":

@@ -101,9 +101,7 @@ def test_the_same_archive_is_made_twice(downloaded: None, tmp_path: Path) -> Non
 
 def test_the_wheel_matches_its_record(tmp_path: Path) -> None:
     with zipfile.ZipFile(extension.build_wheel(tmp_path)) as wheel:
-        records = csv.reader(
-            wheel.read(f"mixseq-{mixseq.__version__}.dist-info/RECORD").decode().splitlines()
-        )
+        records = csv.reader(wheel.read(f"mixseq-{mixseq.__version__}.dist-info/RECORD").decode().splitlines())
         rows = {name: digest for name, digest, _ in records}
         assert rows.keys() == set(wheel.namelist())
         for name, digest in rows.items():
@@ -157,9 +155,7 @@ def test_platforms_are_named_as_blender_names_them(monkeypatch: pytest.MonkeyPat
         monkeypatch.setattr("platform.machine", lambda machine=machine: machine)
         assert this_platform() == name
     monkeypatch.setattr("platform.machine", lambda: "riscv64")
-    with pytest.raises(
-        SettingsError, match=r"no extension for macos-riscv64; choose a platform from linux-x64"
-    ):
+    with pytest.raises(SettingsError, match=r"no extension for macos-riscv64; choose a platform from linux-x64"):
         this_platform()
 
 

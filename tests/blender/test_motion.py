@@ -41,9 +41,7 @@ def pair() -> Model:
         fps=3,
         up_axis="Y",
         metres_per_unit=0.01,
-        surface=Surface(
-            objects=(MeshObject("body", "/rig/body", 3, 1), MeshObject("sword", "/rig/sword", 3, 1))
-        ),
+        surface=Surface(objects=(MeshObject("body", "/rig/body", 3, 1), MeshObject("sword", "/rig/sword", 3, 1))),
     )
     sequence = MeshSequence.from_header(header, rest + np.arange(4)[:, None, None] * [1.0, 0, 0])
     return mixseq.fit(sequence, space="vertex", exact=True)
@@ -53,9 +51,7 @@ def test_points_are_turned_and_scaled(pair: Model) -> None:
     points = Motion(pair, Placement("Y", 0.01)).points(1 / 2)
     assert points.dtype == np.float32
     assert points.flags.c_contiguous
-    np.testing.assert_allclose(
-        points[2], [0.015, -0.01, 0], atol=1e-8
-    )  # (1.5, 0, 1) cm, z down where y was up
+    np.testing.assert_allclose(points[2], [0.015, -0.01, 0], atol=1e-8)  # (1.5, 0, 1) cm, z down where y was up
     np.testing.assert_allclose(Motion(pair, Placement("Z", 1)).points(1 / 2)[2], [1.5, 0, 1], atol=1e-6)
 
 
@@ -69,14 +65,8 @@ def test_ends_are_held(pair: Model, time: float, shown: float) -> None:
 def test_parts_are_found_by_path_and_by_name(pair: Model) -> None:
     assert part_names(pair.header) == ["/rig/body", "/rig/sword"]
     assert part_slices(pair.header, "") == (slice(0, 6), slice(0, 2))
-    assert (
-        part_slices(pair.header, "/rig/sword")
-        == part_slices(pair.header, "sword")
-        == (slice(3, 6), slice(1, 2))
-    )
-    with pytest.raises(
-        SettingsError, match=r"no mesh 'shield'; choose one of its meshes: /rig/body, /rig/sword"
-    ):
+    assert part_slices(pair.header, "/rig/sword") == part_slices(pair.header, "sword") == (slice(3, 6), slice(1, 2))
+    with pytest.raises(SettingsError, match=r"no mesh 'shield'; choose one of its meshes: /rig/body, /rig/sword"):
         part_slices(pair.header, "shield")
 
 
@@ -93,9 +83,7 @@ def test_a_mesh_is_found_as_importers_leave_it(pair: Model, placement: Placement
 
 
 def test_another_number_of_vertices_is_told(pair: Model) -> None:
-    with pytest.raises(
-        SettingsError, match=r"has 5 vertices, the model 6, 3, 3; import the model as a new object"
-    ):
+    with pytest.raises(SettingsError, match=r"has 5 vertices, the model 6, 3, 3; import the model as a new object"):
         find_placement(pair, np.zeros((5, 3)))
 
 
@@ -233,9 +221,7 @@ def corners(*groups: int) -> Index:
         (corners(0, 1, 2, 3, 3, 2, 4, 5), []),  # every vertex has a number of its own
     ],
 )
-def test_edges_are_hard_where_corners_beside_them_do_not_share_a_normal(
-    groups: Index, hard: list[int]
-) -> None:
+def test_edges_are_hard_where_corners_beside_them_do_not_share_a_normal(groups: Index, hard: list[int]) -> None:
     parts = MeshParts.from_header(roof(hard_edges=groups), "")
     assert np.flatnonzero(parts.sharp_edges(EDGES)).tolist() == hard
 

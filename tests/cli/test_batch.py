@@ -305,9 +305,7 @@ def test_names_stay_when_others_come(tmp_path: Path) -> None:
 
 def test_two_of_the_same_name_are_refused(tmp_path: Path) -> None:
     sources = touched(tmp_path, "a/walk.usdc", "b/walk.usdc")
-    with pytest.raises(
-        OutputError, match=r"b/walk.usdc and .*a/walk.usdc would both be written to .*another --out"
-    ):
+    with pytest.raises(OutputError, match=r"b/walk.usdc and .*a/walk.usdc would both be written to .*another --out"):
         plan(sources, tmp_path / "out", {})
     names = {str(sources[0]): "walk.h5", "gone.usdc": "walk.usdc.h5"}
     with pytest.raises(OutputError, match=r"b/walk.usdc and gone.usdc would both"):
@@ -343,9 +341,7 @@ def test_refusals(arguments: str, message: str) -> None:
     Path("empty").mkdir()
     Path("damaged").mkdir()
     Path("damaged/report.json").write_text("{")
-    result = CliRunner().invoke(
-        main, ["batch", *arguments.split()], prog_name="mixseq", catch_exceptions=False
-    )
+    result = CliRunner().invoke(main, ["batch", *arguments.split()], prog_name="mixseq", catch_exceptions=False)
     assert result.exit_code == 2
     assert message in result.stderr
     assert len(result.stderr.splitlines()) == 1
@@ -398,9 +394,7 @@ def test_assets_on_a_cluster_of_which_a_worker_dies(tmp_path: Path, bent_bar: Me
             if done == 1 and victims:
                 os.kill(victims.pop(), signal.SIGKILL)
 
-        report = run(
-            there, SETTINGS, Report({}), tmp_path / "there", on_cluster(workers, kill_one), force=False
-        )
+        report = run(there, SETTINGS, Report({}), tmp_path / "there", on_cluster(workers, kill_one), force=False)
     assert report.finished and report.count("done") == 6
     for one, other in zip(here, there, strict=True):
         assert one.target.read_bytes() == other.target.read_bytes()
@@ -428,9 +422,7 @@ def test_only_the_asset_that_kills_workers_fails(
         dask.config.set({"distributed.scheduler.allowed-failures": 1}),
         connect_to_cluster("local:2") as workers,
     ):
-        report = run(
-            assets, SETTINGS, Report({}), tmp_path / "models", on_cluster(workers, no_progress), force=False
-        )
+        report = run(assets, SETTINGS, Report({}), tmp_path / "models", on_cluster(workers, no_progress), force=False)
     found = {Path(entry.source).stem: entry.state for entry in report.entries.values()}
     assert found == {"a": "done", "killer": "failed", "x": "done", "y": "done"}
     assert report.finished
@@ -447,9 +439,7 @@ def test_work_that_was_given_up_is_a_failure(tmp_path: Path, bent_bar: MeshSeque
 
     assets = plan(touched(tmp_path, "walk.npz"), tmp_path, {})
     report = run(assets, SETTINGS, Report({}), tmp_path, given_up, force=False)
-    assert [(entry.state, entry.message) for entry in report.entries.values()] == [
-        ("failed", "several workers died")
-    ]
+    assert [(entry.state, entry.message) for entry in report.entries.values()] == [("failed", "several workers died")]
 
 
 def test_silence(shots: Path) -> None:

@@ -70,9 +70,7 @@ def test_help_has_examples_that_parse(run: Run, name: str) -> None:
 def test_help_lists_what_its_examples_use(run: Run, name: str) -> None:
     listed, _, lines = succeed(run(name, "--help")).partition("Options:")[2].partition("Examples:")
     options, _, settings = listed.partition("Settings (--set NAME=VALUE):")
-    assert set(re.findall(r" (--[a-z-]+)", lines)) <= set(
-        re.findall(r"^  .*?(--[a-z-]+)", options, re.MULTILINE)
-    )
+    assert set(re.findall(r" (--[a-z-]+)", lines)) <= set(re.findall(r"^  .*?(--[a-z-]+)", options, re.MULTILINE))
     used = set(re.findall(r"--set ([a-z_]+)=", lines))
     assert used <= set(re.findall(r"^  ([a-z_]+)=", settings, re.MULTILINE))
 
@@ -82,9 +80,7 @@ def test_defaults_are_those_in_python() -> None:
     command = main.get_command(click.Context(main), "encode")
     assert command is not None
     shown = {
-        str(each.name): each.default
-        for each in command.params
-        if each.name in ("space", "placement", "joint_width")
+        str(each.name): each.default for each in command.params if each.name in ("space", "placement", "joint_width")
     }
     assert shown == {name: python[name].default for name in shown}
     assert len(shown) == 3
@@ -183,9 +179,7 @@ def test_convert_to_obj_and_back(run: Run, bent_bar: MeshSequence, folder: Path)
     (folder / "obj").mkdir()
     text = succeed_with_warning(run("convert", "bar.npz", "obj/bar_####.obj"))
     assert text == f"wrote {Path('obj/bar_####.obj')}\n"
-    assert sorted(path.name for path in Path("obj").iterdir()) == [
-        f"bar_{number:04d}.obj" for number in range(4)
-    ]
+    assert sorted(path.name for path in Path("obj").iterdir()) == [f"bar_{number:04d}.obj" for number in range(4)]
     succeed(run("convert", "obj", "back.npz", "--input-fps", "10"))
     back = mixseq.read("back.npz")
     assert np.array_equal(back.points, bent_bar.points)
@@ -207,9 +201,7 @@ def test_frames_have_numbers(run: Run, folder: Path) -> None:
     assert "frame 1001 (index 0) is at 100.1 s" in found.stderr
 
 
-@pytest.mark.parametrize(
-    ("chosen", "indices"), [("1002-1003", [1, 2]), ("1001", [0]), ("1004,1001-1002", [0, 1, 3])]
-)
+@pytest.mark.parametrize(("chosen", "indices"), [("1002-1003", [1, 2]), ("1001", [0]), ("1004,1001-1002", [0, 1, 3])])
 def test_frames_are_converted_and_decoded_by_their_numbers(
     run: Run, bent_bar: MeshSequence, folder: Path, chosen: str, indices: list[int]
 ) -> None:
@@ -305,9 +297,7 @@ def test_compare(run: Run) -> None:
     table = rows(succeed(run("compare", "bar.npz", "model.h5")))
     assert table["compared"].strip() == "4 frames of 77 vertices"
     assert float(table["max error"].split()[0]) < 1e-10
-    assert {"KG error", "rms error", "worst frame", "edge strain", "dihedral error", "volume error"} <= set(
-        table
-    )
+    assert {"KG error", "rms error", "worst frame", "edge strain", "dihedral error", "volume error"} <= set(table)
     facts = json.loads(succeed(run("compare", "bar.npz", "bar.usdc", "--json")))
     assert (facts["reference"], facts["other"], facts["left_out"]) == ("bar.npz", "bar.usdc", 0)
     assert 0 < facts["max_error"] < 1e-6

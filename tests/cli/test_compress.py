@@ -34,11 +34,7 @@ def succeed(result: Result) -> str:
 
 
 def rows(text: str) -> dict[str, str]:
-    return {
-        name: value.strip()
-        for name, _, value in (line.partition("  ") for line in text.splitlines())
-        if value
-    }
+    return {name: value.strip() for name, _, value in (line.partition("  ") for line in text.splitlines()) if value}
 
 
 @pytest.fixture
@@ -170,9 +166,7 @@ def test_encode_in_an_order_of_our_own(run: Run) -> None:
         ("--size 1MB --volume 1", "--volume is for"),
     ],
 )
-def test_encode_refuses(
-    run: Run, contents: Callable[[], dict[str, bytes | None]], options: str, message: str
-) -> None:
+def test_encode_refuses(run: Run, contents: Callable[[], dict[str, bytes | None]], options: str, message: str) -> None:
     before = contents()
     result = run("encode", "bar.npz", "old.h5", *options.split())
     assert result.exit_code == 2
@@ -248,9 +242,7 @@ def test_damaged_files_are_refused(run: Run, folder: Path) -> None:
     damage(Path("long.h5"), lambda index: index.chunks[1].coefficients)
     result = run("decode", "long.h5", "old.npz")
     assert result.exit_code == 2
-    assert result.stderr.startswith(
-        f"mixseq: error: long.h5: the coefficients of frames {first} to 259 are damaged; "
-    )
+    assert result.stderr.startswith(f"mixseq: error: long.h5: the coefficients of frames {first} to 259 are damaged; ")
     assert Path("old.npz").read_bytes() == b"somebody's work"
 
 

@@ -45,9 +45,7 @@ def test_commands_turn_and_scale(command: tuple[str, ...], run: Run) -> None:
 
 def test_the_mesh_beside_a_cache(run: Run, bent_bar: MeshSequence) -> None:
     assert run("convert", "bar.npz", "bar.pc2", *CONVERTED, "-q").exit_code == 0
-    np.testing.assert_allclose(
-        mixseq.read("bar.obj").points[0], expected(bent_bar.points[0]), rtol=1e-6, atol=1e-5
-    )
+    np.testing.assert_allclose(mixseq.read("bar.obj").points[0], expected(bent_bar.points[0]), rtol=1e-6, atol=1e-5)
 
 
 def test_onto_an_original_in_other_units(run: Run) -> None:

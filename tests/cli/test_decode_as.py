@@ -186,9 +186,7 @@ def test_times_of_a_sequence_are_its_own(run: Run, option: tuple[str, str]) -> N
     assert "bar.npz is a sequence, whose frames are fitted as they are; leave out --fps" in result.stderr
 
 
-@pytest.mark.parametrize(
-    "source", ["missing.h5", "missing.usdc", "notes.txt", "cut_model.h5", "cut_bar.usdc"]
-)
+@pytest.mark.parametrize("source", ["missing.h5", "missing.usdc", "notes.txt", "cut_model.h5", "cut_bar.usdc"])
 def test_sources_that_cannot_be_read(run: Run, source: str) -> None:
     result = run("decode", source, "out.glb", "--as", "skin")
     assert result.exit_code == 2
@@ -220,9 +218,7 @@ def test_textures(run: Run) -> None:
     ]  # fmt: skip
 
 
-def test_textures_replace_those_of_an_older_run(
-    run: Run, contents: Callable[[], dict[str, bytes | None]]
-) -> None:
+def test_textures_replace_those_of_an_older_run(run: Run, contents: Callable[[], dict[str, bytes | None]]) -> None:
     succeed(run("decode", "model.h5", "bar.vat", "--max-error", "1e-3"))
     Path("bar.vat/points.png.import").write_text("an engine's")
     before = contents()

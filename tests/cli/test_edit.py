@@ -182,7 +182,5 @@ def test_travel_is_that_of_one_edit(run: Run, folder: Path, script: str, times: 
     (folder / "spot.toml").write_text(script)
     result = run("edit", "model.h5", "spot.npz", "--script", "spot.toml", "--set", "travel=travel.csv")
     assert result.exit_code == 2
-    assert (
-        f"the script has the operation in_place {times} times; travel is what it takes away" in result.stderr
-    )
+    assert f"the script has the operation in_place {times} times; travel is what it takes away" in result.stderr
     assert not (folder / "travel.csv").exists()

@@ -189,9 +189,7 @@ def test_interrupt(
     assert contents() == before
 
 
-def test_interrupt_in_the_middle_of_a_file(
-    run: Run, contents: Contents, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_interrupt_in_the_middle_of_a_file(run: Run, contents: Contents, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[str] = []
 
     def stop(file: Path) -> NoReturn:
@@ -299,9 +297,7 @@ def test_nothing_changes_without_one(limited: pytest.MonkeyPatch) -> None:
 
 def test_too_little(limited: pytest.MonkeyPatch) -> None:
     limited.setattr("resource.getrlimit", lambda _: (300 << 20, -1))
-    with pytest.raises(
-        SettingsError, match=r"limited to 300 MiB \(ulimit -v\), .* need 2000 MiB .*; raise the limit"
-    ):
+    with pytest.raises(SettingsError, match=r"limited to 300 MiB \(ulimit -v\), .* need 2000 MiB .*; raise the limit"):
         limit_threads()
 
 

@@ -130,9 +130,7 @@ HALVES = "--pose 0=1/2 --pose 1=1/2"
         (f"nowhere.npz new.npz {HALVES}", "nowhere.npz does not exist"),
     ],
 )
-def test_errors_take_one_line_and_write_nothing(
-    run: Run, contents: Contents, arguments: str, message: str
-) -> None:
+def test_errors_take_one_line_and_write_nothing(run: Run, contents: Contents, arguments: str, message: str) -> None:
     before = contents()
     result = run("interpolate", *arguments.split())
     assert result.exit_code == 2

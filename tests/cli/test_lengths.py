@@ -23,9 +23,7 @@ def moving(scale: float = 1.0, metres_per_unit: float = 1.0) -> mixseq.MeshSeque
     """Return a tetrahedron whose bounding box has the sides 3, 4 and 12, and the diagonal 13, times a scale."""
     corners = scale * np.array([[0.0, 0, 0], [3, 0, 0], [0, 4, 0], [0, 0, 12]])
     faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
-    return mixseq.MeshSequence.from_arrays(
-        np.stack([corners, corners * 1.1]), faces, metres_per_unit=metres_per_unit
-    )
+    return mixseq.MeshSequence.from_arrays(np.stack([corners, corners * 1.1]), faces, metres_per_unit=metres_per_unit)
 
 
 @pytest.mark.parametrize(
@@ -46,9 +44,7 @@ def test_what_is_no_length_is_refused(text: str) -> None:
     ("length", "scale", "unit", "expected"),
     [("13m", 1.0, 1.0, 1.0), ("13mm", 1.0, 1.0, 1e-3), ("13mm", 1.0, 0.01, 0.1), ("1.3cm", 10.0, 0.01, 0.01)],
 )
-def test_a_length_is_divided_by_the_diagonal_in_metres(
-    length: str, scale: float, unit: float, expected: float
-) -> None:
+def test_a_length_is_divided_by_the_diagonal_in_metres(length: str, scale: float, unit: float, expected: float) -> None:
     converted = in_diagonals({"max_error": length, "kg": 0.1}, moving(scale, unit), "max_error")
     assert converted == {"max_error": pytest.approx(expected, rel=1e-12), "kg": 0.1}
 
@@ -101,9 +97,7 @@ def test_commands_take_lengths(run: Run, tmp_path: Path, monkeypatch: pytest.Mon
 
 
 @pytest.mark.slow
-def test_a_batch_converts_by_the_size_of_every_asset(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_batch_converts_by_the_size_of_every_asset(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("shots").mkdir()
     mixseq.write("shots/small.npz", moving())

@@ -104,10 +104,7 @@ def test_all_files_are_named_in_one_question(folder: Path, terminal: None) -> No
     )
     (folder / "new_05.obj").touch()
     Path("new-parts.png").touch()
-    assert (
-        "new_1.obj ... new-parts.png (6 files) exist"
-        in answer("n\n", "segment", "bar.npz", "new_#.obj").stderr
-    )
+    assert "new_1.obj ... new-parts.png (6 files) exist" in answer("n\n", "segment", "bar.npz", "new_#.obj").stderr
     assert "exist" not in answer("", "convert", "bar.npz", "new_#.npz").stderr  # no numbers in names of npz
 
 
@@ -138,9 +135,7 @@ def test_files_beside_count(folder: Path, run: Run, bent_bar: MeshSequence) -> N
         ("transfer bar.npz bar.usdc rest.npz --rest rest.npz --no-picture", "rest.npz"),
     ],
 )
-def test_nothing_that_is_read_is_written(
-    folder: Path, run: Run, contents: Contents, arguments: str, lost: str
-) -> None:
+def test_nothing_that_is_read_is_written(folder: Path, run: Run, contents: Contents, arguments: str, lost: str) -> None:
     for name in (lost, "bar.mdd"):
         (folder / name).touch()
     before = contents()
@@ -165,9 +160,7 @@ def test_two_outputs_of_one_name(run: Run) -> None:
 
 
 def test_the_viewer_has_its_own_question(run: Run) -> None:
-    assert (
-        "--overwrite is about pages; give --export as well" in run("view", "model.h5", "--overwrite").stderr
-    )
+    assert "--overwrite is about pages; give --export as well" in run("view", "model.h5", "--overwrite").stderr
 
 
 @pytest.mark.slow

@@ -176,9 +176,7 @@ def test_a_broken_pipe_is_quiet(folder: Path, line: str) -> None:
 
 
 def test_a_mistake_in_a_process(folder: Path) -> None:
-    result = subprocess.run(
-        [MIXSEQ, "info", "none.npz"], cwd=folder, capture_output=True, timeout=PATIENCE, text=True
-    )
+    result = subprocess.run([MIXSEQ, "info", "none.npz"], cwd=folder, capture_output=True, timeout=PATIENCE, text=True)
     assert (result.returncode, result.stdout) == (2, "")
     assert re.fullmatch(r"mixseq: error: .*none\.npz.*\n", result.stderr)
 

@@ -66,9 +66,7 @@ def test_labels_become_connected_parts(run: Run, folder: Path) -> None:
     along = height[:, int(np.ptp(height, axis=0).argmax())]
     thirds = np.digitize(along, np.quantile(along, [1 / 3, 2 / 3]))
     np.savez(folder / "thirds.npz", labels=np.array(["end", "middle", "end"])[thirds])
-    told = json.loads(
-        succeed(run("segment", "bar.npz", "out.npz", "--labels", "thirds.npz", "--json", "--no-picture"))
-    )
+    told = json.loads(succeed(run("segment", "bar.npz", "out.npz", "--labels", "thirds.npz", "--json", "--no-picture")))
     assert [each["name"] for each in told["parts"]] == ["end", "end_1", "middle"]
     assert told["method"] == "labels"
     assert sum(each["faces"] for each in told["parts"]) == len(bar.faces)
@@ -133,9 +131,7 @@ def test_a_skeleton_and_how_motion_agrees_with_it(run: Run, skin: Path) -> None:
         ("bar.npz out.npz --labels notes.txt", "is not known"),
     ],
 )
-def test_refusals_leave_everything_as_it_was(
-    run: Run, contents: Contents, arguments: str, message: str
-) -> None:
+def test_refusals_leave_everything_as_it_was(run: Run, contents: Contents, arguments: str, message: str) -> None:
     if "--labels out.npz" in arguments:
         Path("out.npz").write_bytes(b"somebody's work")
     before = contents()
@@ -154,9 +150,7 @@ def test_encode_takes_parts_or_labels(run: Run, contents: Contents) -> None:
 
 @pytest.mark.parametrize("options", ["silhouettes --seed 3", "spanning-tree", "motion"])
 def test_methods(run: Run, options: str) -> None:
-    succeed(
-        run("segment", "bar.npz", "out.npz", "--no-picture", "--parts", "2", "--method", *options.split())
-    )
+    succeed(run("segment", "bar.npz", "out.npz", "--no-picture", "--parts", "2", "--method", *options.split()))
     assert len(read_labels("out.npz", mixseq.read("bar.npz")).names) == 2
 
 

@@ -86,9 +86,7 @@ PATIENCE = 60.0
         ("view bar.npz --export new.html --against other.npz", "errors need the same topology"),
     ],
 )
-def test_failure(
-    run: Run, contents: Contents, monkeypatch: pytest.MonkeyPatch, line: str, message: str
-) -> None:
+def test_failure(run: Run, contents: Contents, monkeypatch: pytest.MonkeyPatch, line: str, message: str) -> None:
     monkeypatch.setattr(live, "check_viser", lambda: None)
     monkeypatch.setattr(live, "run_viewer", None)  # nothing gets so far
     before = contents()
@@ -185,9 +183,7 @@ class Room:
     def _viewer(self, colours: SceneColours, settings: live.ViewSettings, save: Any) -> Iterator[Any]:
         self.colours, self.settings, self.save = colours, settings, save
         try:
-            yield SimpleNamespace(
-                address="http://127.0.0.1:8080", session=SimpleNamespace(unsaved=self.unsaved)
-            )
+            yield SimpleNamespace(address="http://127.0.0.1:8080", session=SimpleNamespace(unsaved=self.unsaved))
         finally:
             self.ended = True
 
@@ -363,9 +359,7 @@ def test_it_runs_until_it_is_ended(folder: Path, number: signal.Signals, code: i
     pytest.importorskip("viser", reason="the extra viewer is not installed")
     before = sorted(folder.iterdir())
     command = [MIXSEQ, "view", "model.h5", "bar.npz", "--no-browser", "--port", str(free_port())]
-    with subprocess.Popen(
-        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             found = re.fullmatch(
                 r"mixseq view: (http://127\.0\.0\.1:\d+/\?token=[\w-]{43}) \(Ctrl-C ends it\)\n",

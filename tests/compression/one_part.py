@@ -28,17 +28,13 @@ def candidate_of(components: PrincipalComponents, graph: SignalGraph) -> Candida
     return Candidate.from_labels(components, one_part, no_faces, graph)
 
 
-def write_basis(
-    components: PrincipalComponents, step: float, graph: SignalGraph
-) -> tuple[Float, tuple[bytes, ...]]:
+def write_basis(components: PrincipalComponents, step: float, graph: SignalGraph) -> tuple[Float, tuple[bytes, ...]]:
     candidate = candidate_of(components, graph)
     rounded = round_basis(candidate.parts, step)
     return rounded[0].vectors, code_basis(rounded, candidate.labels, graph)
 
 
-def read_basis(
-    streams: Sequence[bytes], rank: int, coordinates: int, step: float, graph: SignalGraph
-) -> Float:
+def read_basis(streams: Sequence[bytes], rank: int, coordinates: int, step: float, graph: SignalGraph) -> Float:
     no_faces = np.zeros((0, 3), dtype=np.int32)
     [vectors], _ = spatial_basis.read_basis(streams, [rank], coordinates, step, no_faces, graph)
     return vectors

@@ -1,4 +1,4 @@
-"""Golden streams decode to the same bits on other machines: without a compiler, on any processor, with fused sums."""
+"""Golden streams decode to the same bits on other machines: without a compiler, and with fused sums."""
 
 from __future__ import annotations
 
@@ -36,7 +36,6 @@ print(json.dumps(found))
 MACHINES: dict[str, dict[str, str]] = {
     "this one": {},
     "no compiler": {"NUMBA_DISABLE_JIT": "1"},
-    "any processor": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
     "fused sums": {"NUMBA_CPU_FEATURES": "+fma,+avx2"},
 }
 
@@ -47,9 +46,7 @@ def decoded(machine: str, cache: Path | None = None) -> dict[str, list[int]]:
     environment = {**os.environ, **MACHINES[machine]}
     if cache is not None:
         environment["NUMBA_CACHE_DIR"] = str(cache)
-    run = subprocess.run(
-        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
-    )
+    run = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
     found: dict[str, list[int]] = json.loads(run.stdout)
     return found
 
@@ -59,9 +56,8 @@ def here() -> dict[str, list[int]]:
     return decoded("this one")
 
 
-@pytest.mark.parametrize("machine", ["no compiler", "any processor"])
-def test_streams_are_the_same_everywhere(machine: str, here: dict[str, list[int]]) -> None:
-    assert decoded(machine) == here
+def test_streams_are_the_same_without_a_compiler(here: dict[str, list[int]]) -> None:
+    assert decoded("no compiler") == here
 
 
 def test_fused_sums_do_not_matter(here: dict[str, list[int]], tmp_path: Path) -> None:

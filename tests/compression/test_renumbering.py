@@ -172,9 +172,7 @@ def test_objects_keep_their_vertices_and_polygons() -> None:
 
 def test_hard_edges_are_numbered_as_they_come() -> None:
     grid = scrambled()
-    hard_edges = (
-        identity_numbering(grid.polygons, grid.vertex_count).renumber_header(grid.header).surface.hard_edges
-    )
+    hard_edges = identity_numbering(grid.polygons, grid.vertex_count).renumber_header(grid.header).surface.hard_edges
     assert hard_edges is not None and hard_edges[0] == 0
     highest = np.maximum.accumulate(hard_edges)
     assert (hard_edges[1:] <= highest[:-1] + 1).all()

@@ -69,12 +69,8 @@ def painted() -> MeshSequence:
 CASES: dict[str, Callable[[], MeshSequence]] = {
     "triangles": lambda: MeshSequence.from_arrays(wave(), fan()),
     "polygons": lambda: MeshSequence.from_arrays(wave(), PENTAGON_QUAD_TRIANGLE),
-    "quads": lambda: MeshSequence.from_arrays(
-        wave(), Polygons(np.array([4, 4]), np.array([0, 1, 2, 3, 4, 5, 6, 7]))
-    ),
-    "tiny": lambda: MeshSequence.from_arrays(
-        wave(vertices=3, scale=1e-9), [[0, 1, 2]], metres_per_unit=0.001
-    ),
+    "quads": lambda: MeshSequence.from_arrays(wave(), Polygons(np.array([4, 4]), np.array([0, 1, 2, 3, 4, 5, 6, 7]))),
+    "tiny": lambda: MeshSequence.from_arrays(wave(vertices=3, scale=1e-9), [[0, 1, 2]], metres_per_unit=0.001),
     "unused vertices": lambda: MeshSequence.from_arrays(wave(vertices=9), [[0, 4, 8]]),
     "one frame": lambda: MeshSequence.from_arrays(wave(1), fan()),
     "dressed": dressed,
@@ -194,9 +190,7 @@ def store(tmp_path: Path) -> Callable[[Target, MeshSequence], Path]:
 def files(tmp_path: Path) -> Callable[[], dict[str, bytes]]:
     """Return the names and contents of all files in the test's folder."""
     return lambda: {
-        str(file.relative_to(tmp_path)): file.read_bytes()
-        for file in sorted(tmp_path.rglob("*"))
-        if file.is_file()
+        str(file.relative_to(tmp_path)): file.read_bytes() for file in sorted(tmp_path.rglob("*")) if file.is_file()
     }
 
 

@@ -70,9 +70,7 @@ class Gltf:
         return self.accessor(self.primitives(name)[primitive]["attributes"][attribute])
 
     def triangles(self, name: str, primitive: int = 0) -> list[list[int]]:
-        triangles: list[list[int]] = (
-            self.accessor(self.primitives(name)[primitive]["indices"]).reshape(-1, 3).tolist()
-        )
+        triangles: list[list[int]] = self.accessor(self.primitives(name)[primitive]["indices"]).reshape(-1, 3).tolist()
         return triangles
 
     def played(self, name: str, time: float, attribute: str = "POSITION", primitive: int = 0) -> NDArray[Any]:
@@ -96,9 +94,7 @@ def write_glb(path: Path, document: Json, buffer: bytes, others: Sequence[Json] 
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
     buffer += bytes(-len(buffer) % 4)
-    chunks = (
-        struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(buffer), b"BIN\0") + buffer
-    )
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(buffer), b"BIN\0") + buffer
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
     return path
 

@@ -28,9 +28,7 @@ class Maker:
         self.json: dict[str, Any] = {"asset": {"version": "2.0"}, "accessors": [], "bufferViews": [], **json}
 
     def view(self, values: NDArray[Any]) -> int:
-        self.json["bufferViews"].append(
-            {"buffer": 0, "byteOffset": len(self.binary), "byteLength": values.nbytes}
-        )
+        self.json["bufferViews"].append({"buffer": 0, "byteOffset": len(self.binary), "byteLength": values.nbytes})
         self.binary += values.tobytes() + bytes(-values.nbytes % 4)
         return len(self.json["bufferViews"]) - 1
 
@@ -101,9 +99,7 @@ def skinned(weights: Any, joints: Any, dtype: str = "f4", **more: Any) -> Maker:
     binds[1, 0, 3] = -1
     second = maker.node("second", translation=[1, 0, 0])
     first = maker.node("first", children=[second])
-    maker.node(
-        "body", mesh=maker.mesh([[2, 0, 0], [2, 1, 0], [0, 1, 0]], on=on), skin=0, translation=[100, 0, 0]
-    )
+    maker.node("body", mesh=maker.mesh([[2, 0, 0], [2, 1, 0], [0, 1, 0]], on=on), skin=0, translation=[100, 0, 0])
     inverse = maker.add(binds.transpose(0, 2, 1).reshape(2, 16))
     maker.json["skins"] = [{"joints": [first, second], "inverseBindMatrices": inverse}]
     maker.animate(second, "rotation", [0, 1], [[0, 0, 0, 1], [0, 0, np.sqrt(0.5), np.sqrt(0.5)]])

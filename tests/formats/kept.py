@@ -46,9 +46,7 @@ def sorted_triangles(sequence: MeshSequence) -> IntArray:
     return np.asarray(corners[np.lexsort(places.T[::-1])]).reshape(-1)
 
 
-def assert_points(
-    target: Any, written: MeshSequence, got: MeshSequence, order: IntArray, found: IntArray
-) -> None:
+def assert_points(target: Any, written: MeshSequence, got: MeshSequence, order: IntArray, found: IntArray) -> None:
     """Compare the positions of all corners, and of vertices without corners where they are kept."""
     dtype = np.float32 if target.rounds else written.points.dtype
     assert got.points.dtype == dtype
@@ -78,9 +76,7 @@ def assert_header(target: Any, written: MeshSequence, got: MeshSequence) -> None
     if not capabilities.times.startswith(("no", "even")) or (
         "even" in capabilities.times and even and written.fps == 24
     ):
-        np.testing.assert_allclose(
-            got.times, times, rtol=max(target.time_error, 1e-14), atol=target.time_error
-        )
+        np.testing.assert_allclose(got.times, times, rtol=max(target.time_error, 1e-14), atol=target.time_error)
     if target.keeps_rate:
         assert got.fps == written.fps
     if target.keeps_name and len(written.objects) == 1:
@@ -89,16 +85,12 @@ def assert_header(target: Any, written: MeshSequence, got: MeshSequence) -> None
         assert (got.up_axis, got.metres_per_unit) == (written.up_axis, written.metres_per_unit)
 
 
-def assert_surface(
-    target: Any, written: MeshSequence, got: MeshSequence, order: IntArray, found: IntArray
-) -> None:
+def assert_surface(target: Any, written: MeshSequence, got: MeshSequence, order: IntArray, found: IntArray) -> None:
     capabilities, ours, theirs = target.format.capabilities, written.surface, got.surface
     if capabilities.uvs and ours.uvs is not None:
         assert theirs.uvs is not None
         # glTF counts v downwards, and 1 - v rounds.
-        np.testing.assert_allclose(
-            theirs.uvs.at_corners[found], ours.uvs.at_corners[order], rtol=0, atol=1e-7
-        )
+        np.testing.assert_allclose(theirs.uvs.at_corners[found], ours.uvs.at_corners[order], rtol=0, atol=1e-7)
     if capabilities.colours and ours.colours is not None:
         assert theirs.colours is not None
         expected = ours.colours

@@ -17,9 +17,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.reader import SequenceReader
 
-HEADER = SequenceHeader(
-    polygons=Polygons(np.array([3]), np.array([0, 1, 2])), vertex_count=3, times=np.arange(4.0)
-)
+HEADER = SequenceHeader(polygons=Polygons(np.array([3]), np.array([0, 1, 2])), vertex_count=3, times=np.arange(4.0))
 
 
 def open_file(path: Path, how: str = "well", when: str = "opening") -> SequenceReader:

@@ -42,9 +42,7 @@ def random_sequence(seed: int) -> MeshSequence:
     corners = np.concatenate([rng.permutation(vertices)[:count] for count in counts])
     size = 10.0 ** rng.integers(-6, 7)
     place = size * 10.0 ** rng.integers(-3, 3) * rng.normal(size=3)  # not so far that vertices fall together
-    points = (size * rng.normal(size=(frames, vertices, 3)) + place).astype(
-        np.float32 if seed % 2 else np.float64
-    )
+    points = (size * rng.normal(size=(frames, vertices, 3)) + place).astype(np.float32 if seed % 2 else np.float64)
     times = np.cumsum(rng.integers(1, 5, frames)) / 24
     return MeshSequence.from_arrays(points, Polygons(counts, corners), times=times)
 
@@ -60,9 +58,7 @@ def test_random_meshes(target: Any, seed: int) -> None:
         assert_kept(target, sequence, read(Path(folder, target.file_name)))
 
 
-def test_read_only_files_in_read_only_folders(
-    target: Any, plain: MeshSequence, store: Store, tmp_path: Path
-) -> None:
+def test_read_only_files_in_read_only_folders(target: Any, plain: MeshSequence, store: Store, tmp_path: Path) -> None:
     path = store(target, plain)
     everything = [tmp_path, *tmp_path.rglob("*")]
     for each in everything:
@@ -120,14 +116,10 @@ def test_blocks_give_the_whole(target: Any, store: Store, tmp_path: Path) -> Non
         np.testing.assert_array_equal(next(second), whole.points[3:6])
 
 
-def test_writing_in_blocks_gives_the_same_file(
-    target: Any, plain: MeshSequence, store: Store, files: Files
-) -> None:
+def test_writing_in_blocks_gives_the_same_file(target: Any, plain: MeshSequence, store: Store, files: Files) -> None:
     path = store(target, plain)
     whole = read(path)
-    write_blocks(
-        path, plain.header, iter([plain.points[:1], plain.points[1:4], plain.points[4:]]), **target.options
-    )
+    write_blocks(path, plain.header, iter([plain.points[:1], plain.points[1:4], plain.points[4:]]), **target.options)
     assert_kept(target, whole, read(path))
 
 
@@ -147,9 +139,7 @@ def test_a_sequence_can_be_written_onto_the_file_it_streams_from(
     assert_close(target, read(path).points, 2 * plain.points)
 
 
-def test_a_replaced_file_is_read_anew_while_the_old_one_is_open(
-    target: Any, plain: MeshSequence, store: Store
-) -> None:
+def test_a_replaced_file_is_read_anew_while_the_old_one_is_open(target: Any, plain: MeshSequence, store: Store) -> None:
     path = store(target, plain)
     with open_sequence(path):
         store(target, plain.with_points(plain.points + 1))

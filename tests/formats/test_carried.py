@@ -37,8 +37,7 @@ def test_usd(data: Path, tmp_path: Path) -> None:
         old, new = (stage.GetPrimAtPath(path).GetAttribute(name).Get() for stage in (before, after))
         assert np.array_equal(old, new), name
     materials = [
-        UsdShade.MaterialBindingAPI(stage.GetPrimAtPath(path)).ComputeBoundMaterial()[0]
-        for stage in (before, after)
+        UsdShade.MaterialBindingAPI(stage.GetPrimAtPath(path)).ComputeBoundMaterial()[0] for stage in (before, after)
     ]
     assert materials[0].GetPath() == materials[1].GetPath()
     (texture,) = (
@@ -66,9 +65,7 @@ def document(path: Path) -> tuple[dict[str, Any], bytes]:
 def images(path: Path) -> list[bytes]:
     parsed, binary = document(path)
     views = [parsed["bufferViews"][image["bufferView"]] for image in parsed["images"]]
-    return [
-        binary[view.get("byteOffset", 0) : view.get("byteOffset", 0) + view["byteLength"]] for view in views
-    ]
+    return [binary[view.get("byteOffset", 0) : view.get("byteOffset", 0) + view["byteLength"]] for view in views]
 
 
 @pytest.mark.parametrize(("name", "animation"), [("KhronosFox", "Run"), ("CesiumMan", "0")])
@@ -94,10 +91,7 @@ def test_gltf(name: str, animation: str, data: Path, tmp_path: Path) -> None:
     assert images(source) == images(target)
     (old,), (new,) = before["meshes"][0]["primitives"], after["meshes"][0]["primitives"]
     assert old["material"] == new["material"]
-    assert (
-        old["attributes"]["TEXCOORD_0"] == new["attributes"]["TEXCOORD_0"]
-        or "TEXCOORD_0" in new["attributes"]
-    )
+    assert old["attributes"]["TEXCOORD_0"] == new["attributes"]["TEXCOORD_0"] or "TEXCOORD_0" in new["attributes"]
     assert "JOINTS_0" not in new["attributes"]
 
     original, slow = mixseq.read(source, animation=animation), mixseq.read(target)

@@ -129,13 +129,9 @@ BEYOND = np.array([[-0.5, 0, 0, 1], [0.25, 0, 0, 1], [2, 0, 0, 1], [0, 0.1, 0, 1
 
 @pytest.mark.parametrize("name", ["a.obj", "a.off", "a.ply", "a.glb", "a.pc2"])
 def test_colours_beyond_white_are_cut_with_a_warning(name: str, tmp_path: Path) -> None:
-    with pytest.warns(
-        MixseqWarning, match=r"cannot hold .*colours below 0 and above 1 \(0 and 1 are written\)"
-    ):
+    with pytest.warns(MixseqWarning, match=r"cannot hold .*colours below 0 and above 1 \(0 and 1 are written\)"):
         write(tmp_path / name, square(BEYOND))
-    np.testing.assert_allclose(
-        colours(read(tmp_path / name)), colours(square(clip_to_unit(BEYOND))), atol=1e-7
-    )
+    np.testing.assert_allclose(colours(read(tmp_path / name)), colours(square(clip_to_unit(BEYOND))), atol=1e-7)
 
 
 @pytest.mark.parametrize("name", ["a.obj", "a.off", "a.ply"])
@@ -170,9 +166,7 @@ def test_colours_beyond_single_precision_are_very_bright(name: str, text: str, t
 def test_what_is_not_written_is_not_lost(tmp_path: Path) -> None:
     """Corners that differ in what is cut off or in alpha only have one colour; rows of no corner have none."""
     values = np.array([[0.3, 1.5, 0, 1], [0.3, 2.5, 0, 0.5], [-1, -1, -1, 0]])
-    with pytest.warns(
-        MixseqWarning, match=r"cannot hold colours above 1 \(1 is written\), the alpha of colours; USD"
-    ):
+    with pytest.warns(MixseqWarning, match=r"cannot hold colours above 1 \(1 is written\), the alpha of colours; USD"):
         write(tmp_path / "a.obj", square(values, np.array([0, 0, 0, 1, 1, 1])))
 
 
@@ -293,9 +287,7 @@ def test_compressed_files_keep_every_bit(
     np.testing.assert_array_equal(colours(got), colours(expected))
 
 
-def test_colours_of_vertices_take_a_byte_for_a_channel_at_most(
-    painted_bar: MeshSequence, tmp_path: Path
-) -> None:
+def test_colours_of_vertices_take_a_byte_for_a_channel_at_most(painted_bar: MeshSequence, tmp_path: Path) -> None:
     """Noise cannot be packed: what is left is the index of corners, which is not stored."""
     plain = replace(painted_bar, surface=Surface())
     assert painted_bar.surface.colours is not None

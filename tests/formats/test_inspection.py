@@ -169,9 +169,7 @@ def test_the_same_bytes_are_not_claimed_twice(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("shape", [(500, 5000), (3, 200000), (1, 3), (2000, 50)])
-def test_a_mesh_that_stands_still_is_no_bomb(
-    tmp_path: Path, shape: tuple[int, int], dtype: type[np.float32]
-) -> None:
+def test_a_mesh_that_stands_still_is_no_bomb(tmp_path: Path, shape: tuple[int, int], dtype: type[np.float32]) -> None:
     frames, vertices = shape
     points: FloatArray = np.zeros((frames, vertices, 3), dtype)
     path = tmp_path / "still.h5"

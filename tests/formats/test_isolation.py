@@ -125,9 +125,7 @@ def test_no_answer(how: str, when: str, new_workers: pytest.MonkeyPatch) -> None
 def test_absurd_allocation(when: str, new_workers: pytest.MonkeyPatch) -> None:
     new_workers.setenv("MIXSEQ_READER_MEMORY", "1")
     with (
-        pytest.raises(
-            FormatError, match=r"walk.abc: reading needs more than 1.07 GB of memory, .* --max-memory"
-        ),
+        pytest.raises(FormatError, match=r"walk.abc: reading needs more than 1.07 GB of memory, .* --max-memory"),
         opened("memory", when) as reader,
     ):
         list(reader.blocks(1))

@@ -57,10 +57,7 @@ def test_maps_of_other_meshes_are_refused_by_name(tmp_path: Path) -> None:
 
 def test_checksums_are_of_the_connectivity() -> None:
     assert mesh_checksum(4, TARGET[1]) == mesh_checksum(4, TARGET[1].astype(np.int32))
-    assert (
-        len({mesh_checksum(4, TARGET[1]), mesh_checksum(5, TARGET[1]), mesh_checksum(4, TARGET[1][::-1])})
-        == 3
-    )
+    assert len({mesh_checksum(4, TARGET[1]), mesh_checksum(5, TARGET[1]), mesh_checksum(4, TARGET[1][::-1])}) == 3
 
 
 @pytest.mark.parametrize(
@@ -238,7 +235,5 @@ def test_a_few_rows_are_no_map(tmp_path: Path) -> None:
     points, faces = grid(5, 5)
     file = tmp_path / "pairs.txt"
     file.write_text("1 2\n3 4\n")
-    with pytest.raises(
-        FormatError, match=r"pairs\.txt: it has rows for 2 of the target's 36 vertices.*as markers"
-    ):
+    with pytest.raises(FormatError, match=r"pairs\.txt: it has rows for 2 of the target's 36 vertices.*as markers"):
         to_correspondence(read_map(file), (points, faces), (points, faces))

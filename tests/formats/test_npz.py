@@ -88,9 +88,7 @@ def test_quads_in_one_array(path: Path) -> None:
         ({"up_axis": "W"}, InvalidSequenceError, "up axis is 'W'"),
     ],
 )
-def test_arrays_that_are_no_sequence(
-    path: Path, arrays: dict[str, Any], error: type[Exception], message: str
-) -> None:
+def test_arrays_that_are_no_sequence(path: Path, arrays: dict[str, Any], error: type[Exception], message: str) -> None:
     save(path, **arrays)
     with pytest.raises(error, match=f"(?s)walk.npz.*{message}"):
         read(path)

@@ -52,9 +52,7 @@ def test_ways_to_name_a_sequence(tmp_path: Path, kind: str, pattern: str) -> Non
 def test_gaps(tmp_path: Path, kind: str) -> None:
     write(tmp_path / f"a_#.{kind}", moving(5), start=1)
     (tmp_path / f"a_2.{kind}").unlink()
-    with pytest.raises(
-        InvalidSequenceError, match=rf"numbers 2 are missing between a_1\.{kind} and a_5\.{kind}"
-    ):
+    with pytest.raises(InvalidSequenceError, match=rf"numbers 2 are missing between a_1\.{kind} and a_5\.{kind}"):
         read(tmp_path / f"a_#.{kind}")
     assert read(tmp_path / f"a_#.{kind}", allow_gaps=True, fps=1).times.tolist() == [1, 3, 4, 5]
 
@@ -65,9 +63,7 @@ def test_numbers_of_written_files(tmp_path: Path, kind: str) -> None:
     assert sorted(file.name for file in tmp_path.iterdir()) == [f"a_099.{kind}", f"a_100.{kind}"]
     with pytest.raises(SettingsError, match="start is -1"):
         write(tmp_path / f"a_#.{kind}", moving(2), start=-1)
-    with pytest.raises(
-        OutputError, match=rf"holds one frame, this sequence has 2; .* such as b_####\.{kind}"
-    ):
+    with pytest.raises(OutputError, match=rf"holds one frame, this sequence has 2; .* such as b_####\.{kind}"):
         write(tmp_path / f"b.{kind}", moving(2))
     with pytest.warns(MixseqWarning, match=r"1 files of another sequence, a_100"):
         write(tmp_path / f"a_###.{kind}", moving(1), start=99)

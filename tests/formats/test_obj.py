@@ -62,9 +62,7 @@ def test_a_single_file(tmp_path: Path) -> None:
 
 def test_gaps(tmp_path: Path) -> None:
     save(tmp_path, "a_01.obj", "a_02.obj", "a_04.obj", "a_10.obj")
-    with pytest.raises(
-        InvalidSequenceError, match=r"numbers 3, 5-9 are missing between a_01.obj and a_10.obj"
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"numbers 3, 5-9 are missing between a_01.obj and a_10.obj"):
         read(tmp_path / "a_##.obj")
     sequence = read(tmp_path / "a_##.obj", allow_gaps=True, fps=1)
     assert sequence.times.tolist() == [1, 2, 4, 10]
@@ -165,9 +163,7 @@ def test_bad_text(tmp_path: Path, text: str, error: type[Exception], message: st
 
 def test_lines_that_mean_nothing_are_told(tmp_path: Path) -> None:
     (tmp_path / "bad.obj").write_text(TRIANGLE.format(z=0) + "d 1 2 3\n\x00\nF 3 2 1\n")
-    with pytest.warns(
-        MixseqWarning, match=r"bad.obj, line 5: 'd 1 2 3' is not a statement .* like 2 other lines"
-    ):
+    with pytest.warns(MixseqWarning, match=r"bad.obj, line 5: 'd 1 2 3' is not a statement .* like 2 other lines"):
         assert len(read(tmp_path / "bad.obj").faces) == 1
 
 
@@ -198,9 +194,7 @@ def test_numbers_of_written_files(tmp_path: Path, plain: MeshSequence) -> None:
 
 def test_several_frames_need_a_pattern(tmp_path: Path, plain: MeshSequence) -> None:
     for name in ("out.obj", "out_*.obj"):
-        with pytest.raises(
-            OutputError, match=r"holds one frame, this sequence has 5; .* such as out_+####\.obj"
-        ):
+        with pytest.raises(OutputError, match=r"holds one frame, this sequence has 5; .* such as out_+####\.obj"):
             write(tmp_path / name, plain)
     single = MeshSequence.from_arrays(plain.points[:1], plain.polygons)
     write(tmp_path / "out.obj", single)

@@ -21,9 +21,7 @@ SQUARE = "OFF\n4 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n"
         SQUARE,
         SQUARE.replace("OFF\n", "OFF "),
         SQUARE.replace("OFF", "# a square\n\nOFF").replace("4 2 0", "4 2 0 # counts"),
-        SQUARE.replace("OFF", "COFF")
-        .replace(" 0\n", " 0 255 0 0 255\n")
-        .replace("4 2 0 255 0 0 255", "4 2 0"),
+        SQUARE.replace("OFF", "COFF").replace(" 0\n", " 0 255 0 0 255\n").replace("4 2 0 255 0 0 255", "4 2 0"),
         SQUARE.removesuffix("\n"),
         SQUARE.replace("4 2 0", "4 1 0").replace("3 0 1 2\n3 0 2 3", "4 0 1 2 3"),
     ],

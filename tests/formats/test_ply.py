@@ -190,9 +190,7 @@ def test_damaged_text(tmp_path: Path, old: bytes, new: bytes, message: str) -> N
 
 def test_faces_of_vertices_that_do_not_exist(tmp_path: Path) -> None:
     (tmp_path / "bad.ply").write_bytes(text().replace(b"3 3 2 4", b"3 3 2 5"))
-    with pytest.raises(
-        InvalidSequenceError, match=r"bad\.ply: face 1 uses vertex 5, but vertices are 0 to 4"
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"bad\.ply: face 1 uses vertex 5, but vertices are 0 to 4"):
         read(tmp_path / "bad.ply")
     (tmp_path / "bad.ply").write_bytes(text().replace(b"3 3 2 4 ", b"2 3 2 "))
     with pytest.raises(InvalidSequenceError, match=r"bad\.ply: polygon 1 has 2 corners"):
@@ -254,17 +252,13 @@ def test_trimesh_agrees(tmp_path: Path, encoding: str) -> None:
     np.testing.assert_array_equal(got.faces, ours.faces)
 
 
-def painted(
-    vertex: str = "", of_vertices: str = "", face: str = "", of_faces: tuple[str, str] = ("", "")
-) -> bytes:
+def painted(vertex: str = "", of_vertices: str = "", face: str = "", of_faces: tuple[str, str] = ("", "")) -> bytes:
     """Return a text file of a quad and a triangle with more properties, and their numbers."""
     head = ["ply", "format ascii 1.0", "element vertex 5"]
     head += [*(f"property float {axis}" for axis in "xyz"), *filter(None, [vertex]), "element face 2"]
     head += ["property list uchar int vertex_indices", *filter(None, [face]), "end_header"]
     rows = [" ".join(map(str, point)) + f" {of_vertices}" for point in POINTS]
-    rows += [
-        f"{len(each)} {' '.join(map(str, each))} {own}" for each, own in zip(FACES, of_faces, strict=True)
-    ]
+    rows += [f"{len(each)} {' '.join(map(str, each))} {own}" for each, own in zip(FACES, of_faces, strict=True)]
     return "\n".join([*head, *rows]).encode() + b"\n"
 
 

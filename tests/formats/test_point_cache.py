@@ -105,9 +105,7 @@ def test_no_mesh(tmp_path: Path, kind: str) -> None:
 def test_a_mesh_with_other_vertices(tmp_path: Path, kind: str) -> None:
     (tmp_path / f"run.{kind}").write_bytes(contents(kind, wave()[:, :4]))
     write(tmp_path / "run.obj", sequence(1))
-    with pytest.raises(
-        FormatError, match=rf"run\.{kind} has 4 points, but its mesh .*run\.obj has 5 vertices"
-    ):
+    with pytest.raises(FormatError, match=rf"run\.{kind} has 4 points, but its mesh .*run\.obj has 5 vertices"):
         read(tmp_path / f"run.{kind}")
 
 
@@ -126,9 +124,7 @@ def test_through_a_link(tmp_path: Path, kind: str) -> None:
 def test_another_mesh_of_that_name_is_not_replaced(tmp_path: Path, kind: str, files: Files) -> None:
     write(tmp_path / "run.obj", MeshSequence.from_arrays(wave(1), [[0, 1, 2]]))
     before = files()
-    with pytest.raises(
-        OutputError, match=rf"run\.obj has the name of the mesh of run\.{kind}, but is another"
-    ):
+    with pytest.raises(OutputError, match=rf"run\.obj has the name of the mesh of run\.{kind}, but is another"):
         write(tmp_path / f"run.{kind}", sequence())
     (tmp_path / "run.obj").write_text("notes")
     with pytest.raises(OutputError, match="is another mesh; remove it, or choose another name"):
@@ -181,9 +177,7 @@ def test_sizes_that_do_not_fit(tmp_path: Path, kind: str) -> None:
 
 
 @KINDS
-@pytest.mark.parametrize(
-    ("frames", "points"), [(0, 5), (-1, 5), (3, 0), (3, -5), (2**31 - 1, 2**31 - 1), (-3, -5)]
-)
+@pytest.mark.parametrize(("frames", "points"), [(0, 5), (-1, 5), (3, 0), (3, -5), (2**31 - 1, 2**31 - 1), (-3, -5)])
 def test_absurd_counts(tmp_path: Path, kind: str, frames: int, points: int) -> None:
     write(tmp_path / "run.obj", sequence(1))
     content = bytearray(contents(kind, wave()))
@@ -264,16 +258,12 @@ def test_a_last_time_that_is_not_after_the_first(tmp_path: Path, last: float) ->
     content = bytearray((tmp_path / "a.mdd").read_bytes())
     content[8 + 4 * 4 : 8 + 5 * 4] = struct.pack(">f", last)
     (tmp_path / "a.mdd").write_bytes(content)
-    with pytest.raises(
-        InvalidSequenceError, match=r"a.mdd: frame 4(: its time is not finite| is at .* s, not after)"
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"a.mdd: frame 4(: its time is not finite| is at .* s, not after)"):
         read(tmp_path / "a.mdd")
 
 
 def test_times_too_close_for_single_precision(tmp_path: Path) -> None:
-    with pytest.raises(
-        InvalidSequenceError, match=r"frames 1 and 2 are both at 1000 s in float32, which MDD stores"
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"frames 1 and 2 are both at 1000 s in float32, which MDD stores"):
         write(tmp_path / "a.mdd", moving(np.array([999.0, 1000.0, 1000.00001])))
 
 
@@ -292,9 +282,7 @@ def test_times_that_do_not_increase(tmp_path: Path, last: float) -> None:
 POINTS = np.eye(3, dtype=np.float32)[None] + np.arange(4, dtype=np.float32)[:, None, None]
 
 
-def save(
-    folder: Path, start: float = 0, rate: float = 1, version: int = 1, magic: bytes = b"POINTCACHE2\0"
-) -> Path:
+def save(folder: Path, start: float = 0, rate: float = 1, version: int = 1, magic: bytes = b"POINTCACHE2\0") -> Path:
     write(folder / "a.obj", MeshSequence.from_arrays(POINTS[:1], [[0, 1, 2]]))
     header = struct.pack("<12siiffi", magic, version, 3, start, rate, 4)
     (folder / "a.pc2").write_bytes(header + POINTS.tobytes())
@@ -347,6 +335,4 @@ def test_uneven_times_and_other_rates_are_lost(tmp_path: Path) -> None:
     (warning,) = caught
     assert "29.97 frames per second (read it with fps=29.97)" in str(warning.message)
     assert warning.filename == __file__
-    np.testing.assert_allclose(
-        read(tmp_path / "b.pc2", fps=29.97).times, np.arange(4) * 1001 / 30000, rtol=1e-7
-    )
+    np.testing.assert_allclose(read(tmp_path / "b.pc2", fps=29.97).times, np.arange(4) * 1001 / 30000, rtol=1e-7)

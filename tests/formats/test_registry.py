@@ -18,9 +18,7 @@ from mixseq_io import FORMATS, read, write
 
 
 def test_importing_loads_no_format() -> None:
-    code = (
-        "import sys, mixseq_io; print([m for m in ('pxr', 'h5py', 'trimesh', 'scipy') if m in sys.modules])"
-    )
+    code = "import sys, mixseq_io; print([m for m in ('pxr', 'h5py', 'trimesh', 'scipy') if m in sys.modules])"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout == "[]\n"
 
@@ -50,9 +48,7 @@ def test_extensions_may_be_capitals(plain: MeshSequence, tmp_path: Path) -> None
         ),
     ],
 )
-def test_files_under_a_wrong_name(
-    plain: MeshSequence, tmp_path: Path, written: str, named: str, message: str
-) -> None:
+def test_files_under_a_wrong_name(plain: MeshSequence, tmp_path: Path, written: str, named: str, message: str) -> None:
     write(tmp_path / written, plain)
     shutil.move(tmp_path / written, tmp_path / named)
     with pytest.raises(FormatError, match=f"{named}.* ?{message}"):

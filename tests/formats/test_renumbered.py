@@ -80,9 +80,7 @@ def test_the_mesh_of_a_file_is_told_in_its_numbers() -> None:
 def test_another_mesh_is_refused(tmp_path: Path) -> None:
     sequence = pair()
     mixseq.write(tmp_path / "original.usdc", sequence)
-    polygons = Polygons(
-        sequence.polygons.counts, np.roll(sequence.polygons.indices.reshape(-1, 3), 1, 1).ravel()
-    )
+    polygons = Polygons(sequence.polygons.counts, np.roll(sequence.polygons.indices.reshape(-1, 3), 1, 1).ravel())
     free = walk_numbering(polygons, object_vertex_counts(sequence), vertices=True).renumber_frames(
         replace(sequence, polygons=polygons)
     )

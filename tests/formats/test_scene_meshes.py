@@ -190,9 +190,7 @@ def test_a_path_as_it_is_listed_comes_before_names() -> None:
 
 
 def test_what_cannot_be_meant() -> None:
-    with pytest.raises(
-        AmbiguousError, match="'hat' is in several places, '/copy/hat', '/man/head/hat'; give"
-    ):
+    with pytest.raises(AmbiguousError, match="'hat' is in several places, '/copy/hat', '/man/head/hat'; give"):
         select_meshes(FILE, MESHES, "hat")
     for prim in ("/hat", "HEAD", "man/hat", "ma"):
         with pytest.raises(FormatError, match=r"no mesh at or below .*; its meshes are '/man/body', "):
@@ -200,9 +198,7 @@ def test_what_cannot_be_meant() -> None:
 
 
 def test_what_moves() -> None:
-    with pytest.warns(
-        MixseqWarning, match=r"prim='/' \(--prim / .*\) takes them, too: '/house', '/copy/hat'"
-    ):
+    with pytest.warns(MixseqWarning, match=r"prim='/' \(--prim / .*\) takes them, too: '/house', '/copy/hat'"):
         assert select_moving_meshes(FILE, MESHES[:4], [True, True, False, False]) == [0, 1]
     assert select_moving_meshes(FILE, MESHES[:2], [False, False]) == [0, 1]
     assert select_moving_meshes(FILE, MESHES[:2], [True, True]) == [0, 1]

@@ -60,9 +60,7 @@ def test_another_version(path: Path, plain: MeshSequence) -> None:
     write(path, plain)
     with h5py.File(path, "a") as file:
         file.attrs["version"] = 2
-    with pytest.raises(
-        FormatError, match=r"version 2 .* reads version 1; it was written by another version of mixseq"
-    ):
+    with pytest.raises(FormatError, match=r"version 2 .* reads version 1; it was written by another version of mixseq"):
         read(path)
 
 
@@ -154,9 +152,7 @@ def test_faces_out_of_range(path: Path, plain: MeshSequence) -> None:
 def test_a_model_is_sampled(path: Path, plain: MeshSequence, monkeypatch: pytest.MonkeyPatch) -> None:
     with h5py.File(path, "w") as file:
         file.attrs["format"] = np.bytes_("mixseq-model")
-    model = SimpleNamespace(
-        header=plain.header, times=plain.times, blocks=lambda times, size: plain.blocks(size)
-    )
+    model = SimpleNamespace(header=plain.header, times=plain.times, blocks=lambda times, size: plain.blocks(size))
     monkeypatch.setattr("mixseq_io.loading.load", lambda path: model)
     np.testing.assert_array_equal(read(path).points, plain.points)
 

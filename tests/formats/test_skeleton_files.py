@@ -114,9 +114,7 @@ def test_skins_of_the_same_joints_are_one_skeleton(tmp_path: Path) -> None:
         mixseq.read_skeleton(maker.glb(tmp_path / "b.glb"))
     assert mixseq.read_skeleton(tmp_path / "b.glb", "tail").names == ("first",)
     assert mixseq.read_skeleton(tmp_path / "b.glb", "skin 3").names == ("second",)
-    with pytest.raises(
-        FormatError, match=r"b\.glb has no skeleton 'hand'; there are 'left', 'tail', 'skin 3'"
-    ):
+    with pytest.raises(FormatError, match=r"b\.glb has no skeleton 'hand'; there are 'left', 'tail', 'skin 3'"):
         mixseq.read_skeleton(tmp_path / "b.glb", "hand")
     maker.json["skins"][2]["name"] = "left"
     with pytest.raises(
@@ -151,9 +149,7 @@ def test_what_gltf_is_refused(tmp_path: Path, change: Callable[[Maker], Any], me
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "arm.abc").write_bytes(b"")
-    with pytest.raises(
-        FormatError, match=r"arm\.abc: skeletons are read from glTF and USD; .* \.glb, .*\.usdz"
-    ):
+    with pytest.raises(FormatError, match=r"arm\.abc: skeletons are read from glTF and USD; .* \.glb, .*\.usdz"):
         mixseq.read_skeleton(tmp_path / "arm.abc")
     for suffix in (".glb", ".usda"):
         with pytest.raises(FormatError, match=re.escape(f"none{suffix}")):
@@ -256,9 +252,7 @@ def test_what_hangs_on_a_joint_of_gltf_is_bound_there(tmp_path: Path) -> None:
     maker = arm()
     second = maker.json["nodes"][0]  # bound at x = 1; it stands elsewhere, turned
     second.update(translation=[9, 9, 9], rotation=[0, 0, HALF, HALF], scale=[2, 2, 2])
-    second["children"] = [
-        maker.node("ring", mesh=maker.mesh([[0, 0, 0], [0, 0, 1], [0, 1, 0]]), translation=[0, 0, 3])
-    ]
+    second["children"] = [maker.node("ring", mesh=maker.mesh([[0, 0, 0], [0, 0, 1], [0, 1, 0]]), translation=[0, 0, 3])]
     maker.node("floor", mesh=maker.mesh([[0, 0, 0], [0, 0, 1], [0, 1, 0]]))
     found = mixseq.read_bind_pose(maker.glb(tmp_path / "arm.glb"))
     assert [each.name for each in found.objects] == ["ring", "body"]

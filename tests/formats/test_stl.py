@@ -84,9 +84,7 @@ def test_corners_that_come_apart(tmp_path: Path) -> None:
 def test_changing_numbers_of_triangles(tmp_path: Path) -> None:
     (tmp_path / "a_1.stl").write_bytes(binary(SQUARE[FACES]))
     (tmp_path / "a_2.stl").write_bytes(binary(SQUARE[FACES[:1]]))
-    with pytest.raises(
-        InvalidSequenceError, match=r"a_2\.stl \(frame 2\): it has 1 triangles, the first frame has 2"
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"a_2\.stl \(frame 2\): it has 1 triangles, the first frame has 2"):
         read(tmp_path / "a_#.stl")
 
 

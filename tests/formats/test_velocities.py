@@ -205,9 +205,7 @@ def test_damage_is_noticed(tmp_path: Path, name: str) -> None:
 def test_archives_of_others(tmp_path: Path) -> None:
     points = moving().points
     np.savez(tmp_path / "diff.npz", points=points, faces=FACES, velocities=np.diff(points, axis=0))
-    with pytest.warns(
-        MixseqWarning, match=r"velocities have shape \(4, 4, 3\), points \(5, 4, 3\); they are left"
-    ):
+    with pytest.warns(MixseqWarning, match=r"velocities have shape \(4, 4, 3\), points \(5, 4, 3\); they are left"):
         assert read(tmp_path / "diff.npz").velocities is None
     np.savez(tmp_path / "whole.npz", points=points, faces=FACES, velocities=np.ones((5, 4, 3), dtype=np.int8))
     velocities = read(tmp_path / "whole.npz").velocities

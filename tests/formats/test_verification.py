@@ -61,9 +61,7 @@ def test_the_worst_vertex_is_found(path: Path, bent_bar: MeshSequence) -> None:
     assert found.as_dict()["holds"] is False
 
 
-def test_a_bound_is_met_to_the_last_digit(
-    path: Path, bent_bar: MeshSequence, coded: CompressedSequence
-) -> None:
+def test_a_bound_is_met_to_the_last_digit(path: Path, bent_bar: MeshSequence, coded: CompressedSequence) -> None:
     error = mixseq.verify(path, bent_bar).max_error
     assert error is not None
     for bound, promised, holds in (
@@ -96,8 +94,7 @@ def test_nothing_is_said_to_hold_that_does_not_at_any_scale(
 ) -> None:
     original = bent_bar.with_points(np.ldexp(bent_bar.points, exponent))
     lengths: dict[str, Any] = {
-        name: float(np.ldexp(getattr(coded.parameters, name), exponent))
-        for name in ("step", "diagonal", "correction")
+        name: float(np.ldexp(getattr(coded.parameters, name), exponent)) for name in ("step", "diagonal", "correction")
     }
     mixseq.save(path, replace(coded, parameters=replace(coded.parameters, **lengths)))
     try:
@@ -141,9 +138,7 @@ def test_what_is_no_original_is_refused(path: Path, bent_bar: MeshSequence) -> N
     with pytest.raises(TypeError, match=r"verify: original is of type int; .*mixseq\.read reads one"):
         mixseq.verify(path, 3)  # type: ignore[arg-type]
     later = MeshSequence.from_header(bent_bar.header.with_times(bent_bar.times + 1), bent_bar.points)
-    with pytest.raises(
-        InvalidSequenceError, match=r"frame 10 \(index 0\) is at 1 s in the reference, at 0 s"
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"frame 10 \(index 0\) is at 1 s in the reference, at 0 s"):
         mixseq.verify(path, later)
 
 
@@ -151,9 +146,7 @@ def test_damage_is_refused(path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[-len(read_compressed(path).chunks[-1].residuals) - 5] ^= 1
     path.write_bytes(data)
-    with pytest.raises(
-        FormatError, match=r"small\.h5: the (coefficients|residuals) of frames .* are damaged"
-    ):
+    with pytest.raises(FormatError, match=r"small\.h5: the (coefficients|residuals) of frames .* are damaged"):
         mixseq.verify(path)
 
 

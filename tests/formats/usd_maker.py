@@ -34,9 +34,7 @@ def lift(frames: int = 3) -> FloatArray:
 
 def shot(points: FloatArray | None = None, name: str = "mesh", **surface: Any) -> MeshSequence:
     given = lift() if points is None else points
-    plain = MeshSequence.from_arrays(
-        given, FACES, name=name, up_axis="Z", times=[0.0, 0.5, 1.0][: len(given)]
-    )
+    plain = MeshSequence.from_arrays(given, FACES, name=name, up_axis="Z", times=[0.0, 0.5, 1.0][: len(given)])
     return MeshSequence(**{**header_fields(plain), "surface": Surface(**surface), "points": given})
 
 
@@ -128,17 +126,13 @@ def paint(asset: Asset, texture: str = "./wool.png", uvs: str = "UVMap") -> UsdS
     link(picture, "st", Sdf.ValueTypeNames.Float2, where, "result")
     link(surface, "diffuseColor", Sdf.ValueTypeNames.Color3f, picture, "rgb")
     material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
-    primvar = UsdGeom.PrimvarsAPI(asset.mesh).CreatePrimvar(
-        uvs, Sdf.ValueTypeNames.TexCoord2fArray, TOKENS.vertex
-    )
+    primvar = UsdGeom.PrimvarsAPI(asset.mesh).CreatePrimvar(uvs, Sdf.ValueTypeNames.TexCoord2fArray, TOKENS.vertex)
     primvar.Set(Vt.Vec2fArrayFromBuffer(np.ascontiguousarray(CORNERS[:, :2])))
     UsdShade.MaterialBindingAPI.Apply(asset.mesh.GetPrim()).Bind(material)
     return material
 
 
-def link(
-    shader: UsdShade.Shader, name: str, kind: Sdf.ValueTypeName, source: UsdShade.Shader, output: str
-) -> None:
+def link(shader: UsdShade.Shader, name: str, kind: Sdf.ValueTypeName, source: UsdShade.Shader, output: str) -> None:
     source.CreateOutput(output, kind)
     shader.CreateInput(name, kind).ConnectToSource(source.ConnectableAPI(), output)
 
@@ -149,13 +143,9 @@ def author_normals(mesh: UsdGeom.Mesh, where: str, interpolation: str) -> None:
         mesh.CreateNormalsAttr([(1, 0, 0)] * counts[interpolation])
         mesh.SetNormalsInterpolation(interpolation)
         return
-    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
-        "normals", Sdf.ValueTypeNames.Normal3fArray, interpolation
-    )
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, interpolation)
     primvar.Set([(1, 0, 0), (0, 1, 0)])
-    primvar.SetIndices(
-        [0, 0, 0, 0, 1, 1, 1][: counts[interpolation]] if interpolation != "uniform" else [0, 1]
-    )
+    primvar.SetIndices([0, 0, 0, 0, 1, 1, 1][: counts[interpolation]] if interpolation != "uniform" else [0, 1])
 
 
 def character(asset: Asset, scale: float = 1.0) -> UsdGeom.Mesh:

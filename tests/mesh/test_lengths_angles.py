@@ -123,9 +123,7 @@ def test_angle_gradients_are_the_derivatives(points: Float) -> None:
         for axis in range(3):
             shift = np.zeros((4, 3))
             shift[vertex, axis] = step
-            change = wrap_angles(
-                dihedral_angles(points + shift, HINGE) - dihedral_angles(points - shift, HINGE)
-            )
+            change = wrap_angles(dihedral_angles(points + shift, HINGE) - dihedral_angles(points - shift, HINGE))
             numeric = change[0] / (2 * step)
             assert gradient[vertex, axis] == pytest.approx(numeric, rel=1e-4, abs=1e-4)
 
@@ -162,15 +160,11 @@ def test_wrap(angle: float, turns: int) -> None:
     (wrapped,) = wrap_angles(np.array([angle]))
     assert -np.pi < wrapped <= np.pi
     assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * angle))
-    assert np.exp(1j * wrap_angles(np.array([angle + turns * 2 * np.pi]))[0]) == pytest.approx(
-        np.exp(1j * angle)
-    )
+    assert np.exp(1j * wrap_angles(np.array([angle + turns * 2 * np.pi]))[0]) == pytest.approx(np.exp(1j * angle))
 
 
 def test_wrap_at_half_a_turn() -> None:
-    np.testing.assert_allclose(
-        wrap_angles(np.array([np.pi, -np.pi, 3 * np.pi, 0.0])), [np.pi, np.pi, np.pi, 0.0]
-    )
+    np.testing.assert_allclose(wrap_angles(np.array([np.pi, -np.pi, 3 * np.pi, 0.0])), [np.pi, np.pi, np.pi, 0.0])
 
 
 @settings(max_examples=50, deadline=None)
@@ -283,8 +277,6 @@ def test_one_normal_per_vertex_is_no_hard_edge() -> None:
 def test_triangles_have_the_normals_of_polygons() -> None:
     random = np.random.default_rng(0)
     points, triangles = random.standard_normal((2, 12, 3)), random.integers(0, 12, (40, 3))
-    with_a_square = Polygons(
-        np.append(np.full(40, 3), 4), np.append(triangles, [0, 0, 0, 0])
-    )  # without an area
+    with_a_square = Polygons(np.append(np.full(40, 3), 4), np.append(triangles, [0, 0, 0, 0]))  # without an area
     expected = corner_normals(points, with_a_square)
     np.testing.assert_array_equal(corner_normals(points, Polygons.from_triangles(triangles)), expected)

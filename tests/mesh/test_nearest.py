@@ -86,9 +86,7 @@ def test_regions_of_a_triangle(
 def test_points_inside_a_tetrahedron() -> None:
     mesh = tetrahedron()
     found = ClosestPointQuery.from_mesh(*mesh).query(np.array([[0.0, 0, 0], [3, 3, 3], [-0.1, -0.1, -0.1]]))
-    np.testing.assert_allclose(
-        found.distances, [1 / np.sqrt(3), 2 * np.sqrt(3), 1 / np.sqrt(3) - 0.1 * np.sqrt(3)]
-    )
+    np.testing.assert_allclose(found.distances, [1 / np.sqrt(3), 2 * np.sqrt(3), 1 / np.sqrt(3) - 0.1 * np.sqrt(3)])
     assert found.faces[1] == 0  # of the three around the corner the first
     np.testing.assert_allclose(found.weights[1], [1, 0, 0])
     assert found.faces[2] == 3  # opposite (1, 1, 1)
@@ -99,9 +97,7 @@ def test_points_inside_a_tetrahedron() -> None:
 def test_as_triangle_by_triangle(count: int) -> None:
     rng = np.random.default_rng(count)
     mesh = soup(count, count)
-    queries = np.concatenate(
-        [1.5 * rng.normal(size=(200, 3)), mesh[0][:50], mesh[0][mesh[1]].mean(axis=1)[:50]]
-    )
+    queries = np.concatenate([1.5 * rng.normal(size=(200, 3)), mesh[0][:50], mesh[0][mesh[1]].mean(axis=1)[:50]])
     found = ClosestPointQuery.from_mesh(*mesh).query(queries)
     faces, distances = one_by_one(mesh, queries, np.ones((count, 1), dtype=bool))
     np.testing.assert_array_equal(found.faces, faces)
@@ -111,9 +107,7 @@ def test_as_triangle_by_triangle(count: int) -> None:
     np.testing.assert_allclose(np.linalg.norm(places(mesh, found) - queries, axis=1), distances, atol=1e-14)
 
 
-@pytest.mark.parametrize(
-    "mesh", [torus(12, 8), tube(7, 9), tetrahedron()], ids=["torus", "tube", "tetrahedron"]
-)
+@pytest.mark.parametrize("mesh", [torus(12, 8), tube(7, 9), tetrahedron()], ids=["torus", "tube", "tetrahedron"])
 def test_trimesh_finds_the_same(mesh: Mesh) -> None:
     queries = 2 * np.random.default_rng(7).normal(size=(50, 3)) * np.abs(mesh[0]).max()
     found = ClosestPointQuery.from_mesh(*mesh).query(queries)
@@ -186,9 +180,7 @@ def test_an_empty_mesh_and_no_queries() -> None:
 
 def test_meshes_that_are_refused() -> None:
     points, faces = RIGHT
-    with pytest.raises(
-        InvalidSequenceError, match=r"triangle 0 has vertices \[0, 1, 3\], but there are 3 points"
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"triangle 0 has vertices \[0, 1, 3\], but there are 3 points"):
         ClosestPointQuery.from_mesh(points, np.array([[0, 1, 3]]))
     with pytest.raises(InvalidSequenceError, match="triangle 0 has a corner that is not finite"):
         ClosestPointQuery.from_mesh(np.where(points == 1, np.nan, points), faces)
@@ -358,9 +350,7 @@ def test_more_pairs_than_triangles() -> None:
     assert pairs.tolist() == [[i, 12 + j] for i in range(12) for j in range(10)]
 
 
-@pytest.mark.parametrize(
-    "mesh", [tetrahedron(), torus(20, 12), tube(9, 20), grid(9, 9)], ids=lambda _: "mesh"
-)
+@pytest.mark.parametrize("mesh", [tetrahedron(), torus(20, 12), tube(9, 20), grid(9, 9)], ids=lambda _: "mesh")
 def test_sound_meshes_do_not_cross_themselves(mesh: Mesh) -> None:
     points, faces = mesh
     assert self_intersections(points, faces).shape == (0, 2)

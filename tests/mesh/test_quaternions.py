@@ -87,21 +87,15 @@ def test_units_multiply_as_hamilton_has_them() -> None:
 @given(seed=seeds)
 def test_products_are_rotations_one_after_the_other(seed: int) -> None:
     p, q = random(seed, 2, 3)
-    np.testing.assert_allclose(
-        quat_to_matrix(quat_multiply(p, q)), quat_to_matrix(p) @ quat_to_matrix(q), atol=1e-14
-    )
+    np.testing.assert_allclose(quat_to_matrix(quat_multiply(p, q)), quat_to_matrix(p) @ quat_to_matrix(q), atol=1e-14)
     np.testing.assert_allclose(quat_multiply(q, quat_conjugate(q)), [[1, 0, 0, 0]] * 3, atol=1e-15)
-    np.testing.assert_allclose(
-        quat_to_matrix(quat_conjugate(q)), np.swapaxes(quat_to_matrix(q), 1, 2), atol=1e-15
-    )
+    np.testing.assert_allclose(quat_to_matrix(quat_conjugate(q)), np.swapaxes(quat_to_matrix(q), 1, 2), atol=1e-15)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-14, 1e-9, 0.7, 3.0, -2.5])
 @pytest.mark.parametrize("exponent", [0.0, 0.25, 1.0, -1.5, 2.0])
 def test_powers_multiply_angles(angle: float, exponent: float) -> None:
-    np.testing.assert_allclose(
-        quat_power(turn(angle), np.array(exponent)), turn(exponent * angle), atol=1e-15
-    )
+    np.testing.assert_allclose(quat_power(turn(angle), np.array(exponent)), turn(exponent * angle), atol=1e-15)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-14, 1e-9, 0.7, 3.0, -2.5, 6.0, 9.0, -20.0])
@@ -115,16 +109,12 @@ def test_exponentials_are_rotations_of_vectors(vector: Float) -> None:
     np.testing.assert_allclose(quat_to_matrix(rotvec_to_quat(vector)), rotation(vector), atol=1e-12)
     size = np.linalg.norm(vector)
     if size > 1e-3:
-        np.testing.assert_allclose(
-            rotvec_to_quat(vector * (1 + 2 * np.pi / size)), -rotvec_to_quat(vector), atol=1e-12
-        )
+        np.testing.assert_allclose(rotvec_to_quat(vector * (1 + 2 * np.pi / size)), -rotvec_to_quat(vector), atol=1e-12)
 
 
 def test_powers_take_the_shorter_way() -> None:
     """A turn by 300 degrees is one by 60 the other way round."""
-    np.testing.assert_allclose(
-        quat_power(turn(np.radians(300)), np.array(0.5)), turn(np.radians(-30)), atol=1e-15
-    )
+    np.testing.assert_allclose(quat_power(turn(np.radians(300)), np.array(0.5)), turn(np.radians(-30)), atol=1e-15)
     half = quat_power(turn(np.pi), np.array(0.5))
     np.testing.assert_allclose(np.abs(half), np.abs(turn(np.pi / 2)), atol=1e-15)
 

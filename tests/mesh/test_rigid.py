@@ -176,9 +176,7 @@ def test_the_mean_minimises_the_distances_of_aligned_frames() -> None:
 
 
 def test_the_mean_of_one_frame_is_the_frame() -> None:
-    np.testing.assert_allclose(
-        mean_shape(CLOUD[None].astype(np.float32)), CLOUD - CLOUD.mean(axis=0), atol=1e-6
-    )
+    np.testing.assert_allclose(mean_shape(CLOUD[None].astype(np.float32)), CLOUD - CLOUD.mean(axis=0), atol=1e-6)
 
 
 def test_bend_is_the_largest_relative_turn() -> None:

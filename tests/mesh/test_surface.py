@@ -20,9 +20,7 @@ QUAD_TRIANGLE = Polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 4, 5, 6]))
 
 
 def header(**surface: Any) -> SequenceHeader:
-    return SequenceHeader(
-        polygons=QUAD_TRIANGLE, vertex_count=7, times=np.arange(2.0), surface=Surface(**surface)
-    )
+    return SequenceHeader(polygons=QUAD_TRIANGLE, vertex_count=7, times=np.arange(2.0), surface=Surface(**surface))
 
 
 def uvs(corners: int = 7, values: int = 2) -> CornerValues:

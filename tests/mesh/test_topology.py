@@ -205,9 +205,7 @@ def test_marks() -> None:
 def test_spread_is_the_largest_depth_less_the_distance(seed: int, deepest: int) -> None:
     rng = np.random.default_rng(seed)
     topology = topology_of(joined(grid(5, 4), tube(4, 5, closed=False)))
-    depth = np.where(
-        rng.random(topology.vertex_count) < 0.15, rng.integers(-2, deepest + 1, topology.vertex_count), 0
-    )
+    depth = np.where(rng.random(topology.vertex_count) < 0.15, rng.integers(-2, deepest + 1, topology.vertex_count), 0)
     neighbours: list[set[int]] = [set() for _ in range(topology.vertex_count)]
     for i, j in topology.edges.tolist():
         neighbours[i].add(j)

@@ -31,9 +31,7 @@ def posed(first: float, second: float, time: float) -> Float:
     """The tube with its joints bent, which turns and wanders off with time."""
     points = bent(MESH[0], second, middle=JOINTS[1], blend=BLEND)
     points = bent(points, first, middle=JOINTS[0], blend=BLEND) if first else points
-    return np.asarray(
-        points @ rotation((0.2 * time, 0.9 * time, -0.4 * time)).T + np.array([time, 2.0 * time, -time])
-    )
+    return np.asarray(points @ rotation((0.2 * time, 0.9 * time, -0.4 * time)).T + np.array([time, 2.0 * time, -time]))
 
 
 def frames(bends: Float) -> Float:

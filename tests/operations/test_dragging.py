@@ -46,9 +46,7 @@ def place_of(model: Model, time: float, plane: Plane | None = None) -> Float:
 
 @given(seed=seeds, time=st.floats(0, 0.8), reach=st.one_of(st.none(), st.floats(0.01, 3)))
 @settings(max_examples=40, deadline=None)
-def test_the_point_arrives_and_what_is_out_of_reach_stays(
-    seed: int, time: float, reach: float | None
-) -> None:
+def test_the_point_arrives_and_what_is_out_of_reach_stays(seed: int, time: float, reach: float | None) -> None:
     for model in (bar_motion(), bar_motion(knots=2), bar_motion("vertex")):
         to = np.random.default_rng(seed).normal(size=2)
         time = snap_time(model, time)
@@ -94,16 +92,12 @@ def test_frames_near_each_other_in_the_plane_make_no_leaps() -> None:
     """Two rounds of a circle, a little apart in the plane, and far apart across it."""
     points, faces = tube(6, 5)
     round_and_round = 2 * np.pi * np.arange(32) / 16.01
-    shifts = np.stack(
-        [3 * np.cos(round_and_round), 3 * np.sin(round_and_round), np.repeat([0, 1], 16)], axis=1
-    )
+    shifts = np.stack([3 * np.cos(round_and_round), 3 * np.sin(round_and_round), np.repeat([0, 1], 16)], axis=1)
     sequence = MeshSequence.from_arrays(points + shifts[:, None], faces, fps=16)
     model = fit(sequence, exact=True, space="vertex")
     time, end = 0.0, place_of(model, 0.5)
     ways = np.linspace(0.0, 1.0, 65)[:, None]
-    poses = np.stack(
-        [drag(model, time, place)(time)[0] for place in (1 - ways) * place_of(model, time) + ways * end]
-    )
+    poses = np.stack([drag(model, time, place)(time)[0] for place in (1 - ways) * place_of(model, time) + ways * end])
     steps = np.linalg.norm(np.diff(poses, axis=0), axis=1)
     assert steps.max() < 2 * steps.mean()
 
@@ -218,9 +212,7 @@ def test_drags_that_are_none(time: float, to: list[float], reach: float | None, 
 
 
 def test_a_plane_of_another_model() -> None:
-    with pytest.raises(
-        SettingsError, match="the plane is of 9 key shapes and 8 coordinates of pose space, the"
-    ):
+    with pytest.raises(SettingsError, match="the plane is of 9 key shapes and 8 coordinates of pose space, the"):
         drag(circling(), 0.5, [0.0, 0.0], plane=bar_motion().plane)
     with pytest.raises(SettingsError, match="give the plane of a model with the same pose and shape signals"):
         circling().embedding([0.5], bar_motion().plane)

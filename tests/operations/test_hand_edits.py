@@ -167,9 +167,7 @@ def test_a_new_key_shows_in_its_frame_and_no_other() -> None:
     x[3] += [0.1, 0.0, 0.0]
     swapped = swap_key(keyed("vertex"), 4, x).sample().points
     np.testing.assert_allclose(swapped[4], x, atol=1e-12)
-    np.testing.assert_allclose(
-        np.delete(swapped, 4, axis=0), np.delete(SEQUENCE.points, 4, axis=0), atol=1e-12
-    )
+    np.testing.assert_allclose(np.delete(swapped, 4, axis=0), np.delete(SEQUENCE.points, 4, axis=0), atol=1e-12)
 
 
 @pytest.mark.parametrize("key", [-1, 6])

@@ -42,9 +42,7 @@ def test_a_pose_alone_comes_back(space: SpaceName, settings: dict[str, Any]) -> 
 
 
 @pytest.mark.parametrize("space", SPACES)
-@pytest.mark.parametrize(
-    "name", ["several components", "rigid component", "unused vertices", "one frame", "float32"]
-)
+@pytest.mark.parametrize("name", ["several components", "rigid component", "unused vertices", "one frame", "float32"])
 def test_awkward_meshes_come_back(name: str, space: SpaceName) -> None:
     poses = SEQUENCES[name]()
     last = mixseq.interpolate(poses, np.eye(poses.frame_count)[-1], space)
@@ -119,9 +117,7 @@ def test_settings_are_used() -> None:
     assert isinstance(interpolator.space, mixseq.spaces.MixedSpace)
     assert len(interpolator.space.decomposition.parts) == 2
     assert interpolator.space.placement == "anchored"
-    free = PoseInterpolator.from_poses(
-        POSES, parts=np.arange(len(POSES.faces)) % 2 * 0, placement="free"
-    ).space
+    free = PoseInterpolator.from_poses(POSES, parts=np.arange(len(POSES.faces)) % 2 * 0, placement="free").space
     assert isinstance(free, mixseq.spaces.MixedSpace)
     assert (free.placement, len(free.decomposition.parts)) == ("free", 1)
 
@@ -138,9 +134,7 @@ def test_lengths_and_angles_are_made_to_agree_between_poses_that_are_apart() -> 
 
 
 def test_fits_are_reported() -> None:
-    points, reports = PoseInterpolator.from_poses(POSES, "edge", pose_ids=[0, 1]).blend_with_reports(
-        [0.5, 0.5]
-    )
+    points, reports = PoseInterpolator.from_poses(POSES, "edge", pose_ids=[0, 1]).blend_with_reports([0.5, 0.5])
     np.testing.assert_array_equal(points, mixseq.interpolate(POSES, [0.5, 0.5, 0, 0], "edge"))
     assert reports
     assert all(report.converged for report in reports)

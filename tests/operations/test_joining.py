@@ -77,14 +77,10 @@ def test_a_jump_is_taken_up_within_the_fade(seed: int, fade: float, share: float
 def test_without_a_share_a_side_stays_as_it_is() -> None:
     before, after = wild(1, start=0, end=1), wild(2, start=1, end=2)
     times = np.linspace(0, 1, 50)
-    kept = join_curves(
-        [CurveSection(before, 0, 1), CurveSection(after, 1, 2)], [Seam(0.5, fraction_before=0.0)]
-    )
+    kept = join_curves([CurveSection(before, 0, 1), CurveSection(after, 1, 2)], [Seam(0.5, fraction_before=0.0)])
     np.testing.assert_allclose(kept(times), before(times), atol=1e-12)
     assert np.abs(kept(1 + times) - after(1 + times)).max() > 0.1
-    kept = join_curves(
-        [CurveSection(before, 0, 1), CurveSection(after, 1, 2)], [Seam(0.5, fraction_before=1.0)]
-    )
+    kept = join_curves([CurveSection(before, 0, 1), CurveSection(after, 1, 2)], [Seam(0.5, fraction_before=1.0)])
     np.testing.assert_allclose(kept(1 + times), after(1 + times), atol=1e-12)
 
 
@@ -120,9 +116,7 @@ def test_refined_times() -> None:
 @pytest.mark.parametrize("scale", [0.5, 3.0, -1.0])
 def test_moved_curves(scale: float) -> None:
     curve, times = wild(3), np.linspace(0, 2, 40)
-    np.testing.assert_allclose(
-        map_curve_times(curve, 0.3, scale)(scale * times + 0.3), curve(times), atol=1e-12
-    )
+    np.testing.assert_allclose(map_curve_times(curve, 0.3, scale)(scale * times + 0.3), curve(times), atol=1e-12)
 
 
 # Means of placements: turns in proportion
@@ -156,9 +150,7 @@ def test_a_body_turns_along_the_shortest_way() -> None:
     model = chain()
     one, other = (model.placement(times) for times in (TIMES, LATER))
     found = model.space.unpack_placements(blend_placements(model.space, one, other, shares(0.3)))
-    turns, others = (
-        quat_to_matrix(model.space.unpack_placements(each).rotations[:, 0]) for each in (one, other)
-    )
+    turns, others = (quat_to_matrix(model.space.unpack_placements(each).rotations[:, 0]) for each in (one, other))
     expected = turns @ rotvec_to_matrix(0.3 * matrix_to_rotvec(np.swapaxes(turns, 1, 2) @ others))
     np.testing.assert_allclose(quat_to_matrix(found.rotations[:, 0]), expected, atol=1e-12)
     here, there = (model.space.unpack_placements(each).centres[:, 0] for each in (one, other))
@@ -172,9 +164,7 @@ def test_whole_turns_count() -> None:
     still = np.repeat(turning[:1], len(times), axis=0)
     found = blend_placements(model.space, turning, still, np.full((len(times), 1), 0.5))
     cosines = np.abs(model.space.unpack_placements(found).rotations[:, 0] @ turning[0, :4])
-    np.testing.assert_allclose(
-        cosines, np.abs(np.cos(np.pi * times / 2)), atol=1e-9
-    )  # a quarter of the angle
+    np.testing.assert_allclose(cosines, np.abs(np.cos(np.pi * times / 2)), atol=1e-9)  # a quarter of the angle
 
 
 # Splines through functions, and lengths of steps in pose space
@@ -206,9 +196,7 @@ def test_kinks_end_it() -> None:
 
 
 def test_one_site_stays_one() -> None:
-    assert interpolate_adaptively(lambda t: t[:, None], np.array([2.0]), 1e-3, largest).times.tolist() == [
-        2.0
-    ]
+    assert interpolate_adaptively(lambda t: t[:, None], np.array([2.0]), 1e-3, largest).times.tolist() == [2.0]
 
 
 def test_lengths_of_steps_are_those_of_scores() -> None:

@@ -47,9 +47,7 @@ def test_only_what_hangs_on_the_part_moves() -> None:
     bends[:, 1] = bends[:, 1].mean() + 1.7 * (bends[:, 1] - bends[:, 1].mean())
     points = edited.sample().points
     np.testing.assert_allclose(points[:, bone(2)], frames(bends)[:, bone(2)], atol=PIVOT)
-    below = (
-        model.header.vertex_count - 2 - 20 * 8
-    )  # rings under the second joint, and the faces that it bends
+    below = model.header.vertex_count - 2 - 20 * 8  # rings under the second joint, and the faces that it bends
     np.testing.assert_allclose(points[:, :below], model.sample().points[:, :below], atol=1e-9)
 
 

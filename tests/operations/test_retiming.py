@@ -76,9 +76,7 @@ def test_it_passes_through_its_points(smooth: bool) -> None:
     st.lists(st.floats(-1, 1), min_size=6, max_size=6),
     st.booleans(),
 )
-def test_it_rises_and_falls_only_where_its_points_do(
-    steps: list[float], changes: list[float], smooth: bool
-) -> None:
+def test_it_rises_and_falls_only_where_its_points_do(steps: list[float], changes: list[float], smooth: bool) -> None:
     outputs = np.cumsum(steps)
     sources = np.cumsum(changes)[: len(outputs)]
     retiming = Retiming.through(outputs, sources, smooth)

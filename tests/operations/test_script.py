@@ -220,9 +220,7 @@ def test_files_elsewhere_are_not_read(tmp_path: Path, table: str) -> None:
 def test_files_elsewhere_are_read_where_that_is_allowed(tmp_path: Path) -> None:
     (tmp_path / "script").mkdir()
     (tmp_path / "keys.csv").write_text("0,0\n1,2\n")
-    (script := tmp_path / "script" / "edits.toml").write_text(
-        '[[edit]]\noperation = "retime"\nkeys = "../keys.csv"\n'
-    )
+    (script := tmp_path / "script" / "edits.toml").write_text('[[edit]]\noperation = "retime"\nkeys = "../keys.csv"\n')
     (edit,) = read_script(script, Readers(load, read, (tmp_path,)))
     np.testing.assert_array_equal(edit.arguments["keys"].points, [[0, 0], [1, 2]])
 
@@ -354,9 +352,7 @@ def test_keys_are_parameters_and_their_types(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mesh.points[0], bar(5, 15, frames=1).points[0])
     with pytest.raises(SettingsError, match=r"three.obj has 3 frames; a file with one is expected"):
         keys["mesh"].read("three.obj", tmp_path, readers)
-    np.testing.assert_array_equal(
-        keys["curve"].read([[0, 1], [2.5, 3]], tmp_path, readers), [[0, 1], [2.5, 3]]
-    )
+    np.testing.assert_array_equal(keys["curve"].read([[0, 1], [2.5, 3]], tmp_path, readers), [[0, 1], [2.5, 3]])
     assert keys["where"].read("there", tmp_path, readers) == "there"
 
 

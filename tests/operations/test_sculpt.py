@@ -83,27 +83,21 @@ def test_a_bump_keeps_its_shape_in_the_frame_of_its_part(kind: str, error: float
     for time in model.times:
         before, after = model(time), sculpted(time)
         inside = (after - before)[bump] @ turn_of(model, part, time)
-        np.testing.assert_allclose(
-            inside, (edited - model(0.2))[bump] @ turn_of(model, part, 0.2), atol=error
-        )
+        np.testing.assert_allclose(inside, (edited - model(0.2))[bump] @ turn_of(model, part, 0.2), atol=error)
         np.testing.assert_allclose(after[rigid], before[rigid], atol=error)
 
 
 def turn_of(model: Model, part: int, time: float) -> Float:
     """How the part is turned: the rotation from its mean shape."""
     space = model.mixed
-    rotation: Float = register_parts(space.shapes, space.decomposition.parts, model(time) / space.scale)[1][
-        part
-    ]
+    rotation: Float = register_parts(space.shapes, space.decomposition.parts, model(time) / space.scale)[1][part]
     return rotation
 
 
 def test_a_bump_turns_with_a_rigid_body_by_any_angle() -> None:
     """One part that turns by a right angle: the bump turns with it."""
     mesh = tube(6, 9)
-    model = fit(
-        bar(sides=6, rings=9, frames=2).with_points(bending(mesh, 2, angle=0.0, wobble=0.0)), exact=True
-    )
+    model = fit(bar(sides=6, rings=9, frames=2).with_points(bending(mesh, 2, angle=0.0, wobble=0.0)), exact=True)
     first, last = model(0.0), model(0.1)
     turn, shift = kabsch(first, last)
     edited = bumped(first, np.arange(10, 20))
@@ -183,15 +177,11 @@ def test_similar_shapes_are_sculpted_more() -> None:
     shapes = (model.time(times) - model.time([0.3])) @ model.pose.matrix @ model.shapes
     distance = np.linalg.norm(shapes * model.space.embedding_weights, axis=1)
     expected = np.exp(-0.5 * (distance / (0.5 * distance.max())) ** 2)
-    np.testing.assert_allclose(
-        weight, expected, atol=2e-3
-    )  # the largest distance is looked for at some times
+    np.testing.assert_allclose(weight, expected, atol=2e-3)  # the largest distance is looked for at some times
     assert weight[3] == 1.0
     assert (narrow.time(times)[:, -1] <= weight + 1e-12).all()
     default = sculpt(model, 0.3, edited, "similar")
-    np.testing.assert_array_equal(
-        default.time.values, sculpt(model, 0.3, edited, "similar", radius=0.25).time.values
-    )
+    np.testing.assert_array_equal(default.time.values, sculpt(model, 0.3, edited, "similar", radius=0.25).time.values)
 
 
 def test_what_does_not_move_is_similar_everywhere() -> None:
@@ -260,9 +250,7 @@ def test_settings_that_make_no_sense(settings: dict[str, object], message: str) 
 
 def test_points_of_another_mesh() -> None:
     model = model_of()
-    with pytest.raises(
-        InvalidSequenceError, match=r"have shape \(127, 3\); \(128, 3\) is expected: move the vertices"
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"have shape \(127, 3\); \(128, 3\) is expected: move the vertices"):
         sculpt(model, 0.2, model(0.2)[:-1])
     broken = model(0.2).copy()
     broken[7, 1] = np.nan
@@ -326,7 +314,5 @@ def test_a_mesh_that_is_not_the_frame_is_doubted() -> None:
     sequence = bar(sides=5, rings=15, frames=4)
     model = fit(sequence, exact=True, space="vertex")
     turned = sequence.points[0][:, [0, 2, 1]]
-    with pytest.warns(
-        MixseqWarning, match=r"vertices moved, by up to .* diagonals; is the mesh the frame at 0 s"
-    ):
+    with pytest.warns(MixseqWarning, match=r"vertices moved, by up to .* diagonals; is the mesh the frame at 0 s"):
         sculpt(model, 0.0, turned)

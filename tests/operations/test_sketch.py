@@ -30,9 +30,7 @@ def model_of(kind: str = "anchored", frames: int = 12) -> Model:
     shapes = []
     for phase in np.linspace(0, 2 * np.pi, frames, endpoint=False):
         swollen = points * (1 + 0.15 * np.cos(phase) * np.sin(points[:, 2:]) * [1, 1, 0])
-        shapes.append(
-            bent(swollen, 0.6 + 0.5 * np.sin(phase)) @ rotation((0.0, 0.2 * phase, 0.1)).T + [0, 0, phase]
-        )
+        shapes.append(bent(swollen, 0.6 + 0.5 * np.sin(phase)) @ rotation((0.0, 0.2 * phase, 0.1)).T + [0, 0, phase])
     sequence = MeshSequence.from_arrays(np.stack(shapes), faces, fps=10, name="swelling bar")
     if kind == "vertex":
         return fit(sequence, exact=True, space="vertex")
@@ -114,9 +112,7 @@ def test_frames_that_share_a_place_but_differ_are_told() -> None:
     model = model_of()
     points = np.concatenate([model.sample().points, model.sample().points + 5.0])
     twice = fit(MeshSequence.from_arrays(points, model.header.polygons, fps=10), exact=True, parts=2)
-    with pytest.warns(
-        MixseqWarning, match="12 frames share their position in the embedding with an earlier frame"
-    ):
+    with pytest.warns(MixseqWarning, match="12 frames share their position in the embedding with an earlier frame"):
         sketched = sketch(twice, twice.embedding(twice.times[:5]), 1.0)
     np.testing.assert_allclose(sketched(0.0), points[0], atol=1e-9)
 

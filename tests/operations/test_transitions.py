@@ -143,9 +143,7 @@ def test_a_transition(space: SpaceName, at: float, duration: float) -> None:
         expected = (1 - weight) * before(inside) + weight * after(inside)
         if curve is over.placement:
             found = over.space.unpack_placements(curve(inside))
-            means = over.space.unpack_placements(
-                blend_placements(over.space, before(inside), after(inside), weight)
-            )
+            means = over.space.unpack_placements(blend_placements(over.space, before(inside), after(inside), weight))
             turns, others = (quat_to_matrix(poses.rotations) for poses in (found, means))
             np.testing.assert_allclose(turns, others, atol=1e-4)
             np.testing.assert_allclose(found.centres, means.centres, atol=1e-4)
@@ -186,20 +184,14 @@ def negated(model: Model) -> Model:
     return replace(model, placement=Curve(model.placement.times, values))
 
 
-@pytest.mark.parametrize(
-    "edit", [concatenate, lambda a, b: transition(a, b, 0.2, 0.3), lambda a, b: blend(a, b, 0.4)]
-)
+@pytest.mark.parametrize("edit", [concatenate, lambda a, b: transition(a, b, 0.2, 0.3), lambda a, b: blend(a, b, 0.4)])
 def test_signs_of_quaternions_do_not_matter(edit: Callable[[Model, Model], Model]) -> None:
     a, b = bar_motion(), reverse(bar_motion())
     times = edit(a, b).times
-    np.testing.assert_allclose(
-        edit(a, negated(b)).sample(times).points, edit(a, b).sample(times).points, atol=1e-12
-    )
+    np.testing.assert_allclose(edit(a, negated(b)).sample(times).points, edit(a, b).sample(times).points, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "edit", [concatenate, lambda a, b: transition(a, b, 0.2, 0.3), lambda a, b: blend(a, b, 0.4)]
-)
+@pytest.mark.parametrize("edit", [concatenate, lambda a, b: transition(a, b, 0.2, 0.3), lambda a, b: blend(a, b, 0.4)])
 def test_signs_of_quaternions_of_parts_do_not_matter(edit: Callable[[Model, Model], Model]) -> None:
     a, b = chain(), reverse(chain())
     shapes = np.array(b.shapes)
@@ -278,14 +270,10 @@ def test_half_is_the_mean_of_the_vertices() -> None:
 def test_a_body_that_spins_blends_with_one_at_rest(weight: float) -> None:
     """Three turns, of which so many are left: there is no time at which quaternions cancel."""
     spins = repeat(spin(), 0, 1, 3)
-    rest = Curve(
-        spins.placement.times, np.repeat(spins.placement.values[:1], len(spins.placement.times), axis=0)
-    )
+    rest = Curve(spins.placement.times, np.repeat(spins.placement.values[:1], len(spins.placement.times), axis=0))
     mixed = blend(spins, replace(spins, placement=rest), weight)
     times = np.linspace(0, 3, 73)
-    np.testing.assert_allclose(
-        mixed.sample(times).points, spinning(2 * np.pi * (1 - weight) * times), atol=CIRCLE
-    )
+    np.testing.assert_allclose(mixed.sample(times).points, spinning(2 * np.pi * (1 - weight) * times), atol=CIRCLE)
 
 
 def test_a_weight_over_time() -> None:

@@ -26,9 +26,7 @@ def going(speed: float, start: tuple[float, float, float] = (0.0, 0.0, 0.0), fps
     """A body that goes along x, and rises as it does, for a second."""
     points, faces = tube(5, 4)
     way = np.arange(fps + 1)[:, None, None] / fps * np.array([speed, 0.5, 0.0])
-    return fit(
-        MeshSequence.from_arrays(points + way + np.array(start), faces, fps=fps), exact=True, space="lri"
-    )
+    return fit(MeshSequence.from_arrays(points + way + np.array(start), faces, fps=fps), exact=True, space="lri")
 
 
 # The curve ------------------------------------------------------------------------------------------------
@@ -152,9 +150,7 @@ EDITS: list[Callable[[Model], object]] = [
 
 @pytest.mark.parametrize("edit", EDITS)
 def test_what_has_no_placement_does_not_travel(edit: Callable[[Model], object]) -> None:
-    with pytest.raises(
-        SettingsError, match="the vertex space has no positions of bodies, so nothing can travel"
-    ):
+    with pytest.raises(SettingsError, match="the vertex space has no positions of bodies, so nothing can travel"):
         edit(bar_motion("vertex"))
 
 

@@ -118,8 +118,7 @@ def test_gain_one_changes_nothing(made: Made) -> None:
 def test_more_gain_moves_all_parts_more() -> None:
     """And every part about as much more."""
     before, after = (
-        aligned(np.asarray(each.sample().points, dtype=np.float64))
-        for each in (fox(), exaggerate(fox(), 1.2))
+        aligned(np.asarray(each.sample().points, dtype=np.float64)) for each in (fox(), exaggerate(fox(), 1.2))
     )
     swings = [np.linalg.norm(points - points.mean(axis=0), axis=2).max(axis=0) for points in (before, after)]
     large = swings[0] > 0.25 * swings[0].max()
@@ -148,9 +147,7 @@ def test_a_limb_moves_in_its_joint_and_all_else_stays(made: Made, kind: str) -> 
     assert away[(follows == 0) & ~at_joints].max() < 1e-9
     assert away[(follows == 1) & ~at_joints].max() > 0.01
     ends = space.topology.edges[follows[space.topology.edges].max(axis=1) > 0]
-    lengths = [
-        np.linalg.norm(points[:, ends[:, 0]] - points[:, ends[:, 1]], axis=2) for points in (before, after)
-    ]
+    lengths = [np.linalg.norm(points[:, ends[:, 0]] - points[:, ends[:, 1]], axis=2) for points in (before, after)]
     assert (lengths[1] - lengths[0]).max() < 0.05
 
 

@@ -47,9 +47,7 @@ def test_patches(topology: Topology, leaf: int, group: int, strips: int) -> None
         if not region.children:
             continue
         assert 2 <= len(region.children) <= group
-        assert np.array_equal(
-            np.unique(np.concatenate([child.faces for child in region.children])), region.faces
-        )
+        assert np.array_equal(np.unique(np.concatenate([child.faces for child in region.children])), region.faces)
         # Children hang together by overlaps of at least two faces.
         held, waiting = [region.children[0]], list(region.children[1:])
         while waiting:
@@ -98,10 +96,7 @@ def test_same_again() -> None:
 def test_larger_leaves_are_fewer() -> None:
     topology = meshes.topology_of(MESHES["torus"])
     counts = [
-        sum(
-            not region.children
-            for region in regions(divide(topology, np.arange(len(topology.faces)), leaf, 4, 1))
-        )
+        sum(not region.children for region in regions(divide(topology, np.arange(len(topology.faces)), leaf, 4, 1)))
         for leaf in (10, 40, 100, 10_000)
     ]
     assert all(many > few for many, few in pairwise(counts))

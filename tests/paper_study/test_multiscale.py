@@ -175,9 +175,7 @@ def test_rigid_motions_do_not_matter() -> None:
     this, lengths, angles = half_bent(**SMALL)
     rows, _ = this.rebuild(lengths, angles)
     points = meshes.tube(12, 40)[0]
-    moved = [
-        frame @ meshes.rotation((0.3, -1.0, 0.7)).T + 5.0 for frame in (points, meshes.bent(points, BEND))
-    ]
+    moved = [frame @ meshes.rotation((0.3, -1.0, 0.7)).T + 5.0 for frame in (points, meshes.bent(points, BEND))]
     again, _ = this.rebuild(*this.half_way(*moved))
     assert this.distance(again, rows) < 1e-9
 
@@ -206,9 +204,7 @@ def test_seams_do_not_turn_edges_round() -> None:
     below, short = lengths.copy(), lengths.copy()
     below[::9], short[::9] = -0.5 * lengths[::9], 1e-6 * lengths[::9]
     weights = 1.0 / lengths
-    first, second = (
-        this.projection.fit(wanted(each, angles, weights), ShellSettings())[0] for each in (below, short)
-    )
+    first, second = (this.projection.fit(wanted(each, angles, weights), ShellSettings())[0] for each in (below, short))
     np.testing.assert_allclose(first, second, atol=1e-9)
 
 
@@ -222,9 +218,7 @@ def test_wrong_numbers_are_refused() -> None:
     ("name", "pair", "limits"),
     [("lion_poses", (2, 5), (0.1, 0.2, 15, 50)), ("horse_poses", (1, 3), (0.05, 0.1, 6, 20))],
 )
-def test_half_way_between_two_poses(
-    data: Path, name: str, pair: tuple[int, int], limits: tuple[float, ...]
-) -> None:
+def test_half_way_between_two_poses(data: Path, name: str, pair: tuple[int, int], limits: tuple[float, ...]) -> None:
     """Errors at 99 and 99.9 % are at most about twice those of Gauss-Newton on the whole mesh."""
     sequence = mixseq.read(data / "npz" / f"{name}.npz")
     frames = sequence.points[list(pair)].astype(np.float64) / sequence.diagonal

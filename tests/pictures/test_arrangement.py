@@ -46,9 +46,9 @@ def scene_of(*sequences: MeshSequence) -> Scene:
 def placed(scene: Scene, found: Arrangement) -> list[Float]:
     """Points (T, V, 3) of all meshes over the scene."""
     return [
-        np.stack(
-            [found.to_scene(index, item.pose(scene.elapsed(frame))) for frame in range(scene.count)]
-        ).astype(np.float64)
+        np.stack([found.to_scene(index, item.pose(scene.elapsed(frame))) for frame in range(scene.count)]).astype(
+            np.float64
+        )
         for index, item in enumerate(scene.items)
     ]
 
@@ -64,9 +64,7 @@ SHOTS = {
     "two": [bar(), bar()],
     "moving": [bar(frames=5), bar(frames=3), bar(frames=5)],
     "unlike": [box((1, 7, 2), (50, 3, -9)), box((4, 1, 9), (-7, 0, 0)), box((0.5, 0.5, 0.5))],
-    "up": [
-        MeshSequence.from_arrays(bar().points, bar().faces, fps=10, up_axis=axis) for axis in ("X", "Y", "Z")
-    ],
+    "up": [MeshSequence.from_arrays(bar().points, bar().faces, fps=10, up_axis=axis) for axis in ("X", "Y", "Z")],
 }
 
 
@@ -104,9 +102,7 @@ def test_two_boxes_in_closed_form() -> None:
     apart = (sum(widths) / 2 + MESH_GAP_RATIO * max(widths)) * right  # from middle to middle
     first, second = (mesh.reshape(-1, 3) for mesh in placed(scene, found))
     centres = [(mesh.min(axis=0) + mesh.max(axis=0)) / 2 for mesh in (first, second)]
-    np.testing.assert_allclose(
-        (centres[1] - centres[0])[[0, 2]] / found.scale, apart[[0, 2]], rtol=1e-5, atol=1e-5
-    )
+    np.testing.assert_allclose((centres[1] - centres[0])[[0, 2]] / found.scale, apart[[0, 2]], rtol=1e-5, atol=1e-5)
 
 
 def test_in_one_place_they_stay_where_they_are() -> None:
@@ -170,9 +166,7 @@ def test_the_camera_sees_everything(name: str, aspect: float) -> None:
     st.floats(0.0, 360.0),
     st.floats(0.2, 6.0),
 )
-def test_the_camera_sees_any_box(
-    size: tuple[float, ...], at: tuple[float, ...], azimuth: float, aspect: float
-) -> None:
+def test_the_camera_sees_any_box(size: tuple[float, ...], at: tuple[float, ...], azimuth: float, aspect: float) -> None:
     box = np.array([[at, np.add(at, size)]])
     found = Arrangement(("Y",), 1.0, box, np.zeros((1, 3)), View(azimuth))
     assert shares(found, aspect).max() == pytest.approx(1 / FRAMING_RATIO)
@@ -245,9 +239,9 @@ def test_who_stays_faces_as_formats_do() -> None:
     neck, nose = np.zeros(3), {"Y": [0.0, 0, 1], "Z": [0.0, -1, 0]}
     for up, tip in nose.items():
         body = np.array([neck, tip, [0.4, 0, 0], [-0.4, 0, 0]])
-        near = (
-            body[:, [0, 1, 2] if up == "Y" else [1, 2, 0]] @ View(front_azimuth(body[None], up), 0).rotation.T
-        )[:, 2]
+        near = (body[:, [0, 1, 2] if up == "Y" else [1, 2, 0]] @ View(front_azimuth(body[None], up), 0).rotation.T)[
+            :, 2
+        ]
         assert near[1] - near[0] == pytest.approx(1)
 
 

@@ -142,12 +142,8 @@ def test_shared_colours_cannot_be_written_to() -> None:
 def test_scales_reach_what_is_shown() -> None:
     found = available_colourings(BAR.header, REST, original=original, poses=poses())
     strain, curvature = Strain.from_rest(REST, BAR.faces), Curvature.from_rest(REST, BAR.faces)
-    assert np.isclose(
-        found["strain"].top, max(100 * np.quantile(strain(x), SCALE_QUANTILE) for x in BAR.points)
-    )
-    assert np.isclose(
-        found["curvature"].top, max(np.quantile(curvature(x), SCALE_QUANTILE) for x in BAR.points)
-    )
+    assert np.isclose(found["strain"].top, max(100 * np.quantile(strain(x), SCALE_QUANTILE) for x in BAR.points))
+    assert np.isclose(found["curvature"].top, max(np.quantile(curvature(x), SCALE_QUANTILE) for x in BAR.points))
     assert found["error"].top == MIN_SCALE_ENDS["error"]  # it is the original
     assert np.array_equal(found["curvature"].entries(REST, 0), np.zeros(BAR.vertex_count))
     assert found["curvature"].entries(BAR.points[-1], 0.3).max() == 255
@@ -248,17 +244,13 @@ def test_they_need_no_matplotlib() -> None:
 
 def painted(sequence: MeshSequence, values: FloatArray) -> MeshSequence:
     """The sequence with linear colours ``(V, 4)`` of its vertices."""
-    return replace(
-        sequence, surface=Surface(colours=CornerValues(values, np.asarray(sequence.polygons.indices)))
-    )
+    return replace(sequence, surface=Surface(colours=CornerValues(values, np.asarray(sequence.polygons.indices))))
 
 
 def by_place(sequence: MeshSequence) -> MeshSequence:
     """The sequence painted by where its vertices are in the first frame."""
     low, size = sequence.points[0].min(axis=0), np.ptp(sequence.points[0], axis=0)
-    return painted(
-        sequence, np.hstack([(sequence.points[0] - low) / size, np.ones((sequence.vertex_count, 1))])
-    )
+    return painted(sequence, np.hstack([(sequence.points[0] - low) / size, np.ones((sequence.vertex_count, 1))]))
 
 
 def shown(sequence: MeshSequence) -> NDArray[np.uint8]:
@@ -268,9 +260,7 @@ def shown(sequence: MeshSequence) -> NDArray[np.uint8]:
 
 
 def srgb(linear: FloatArray) -> FloatArray:
-    return np.where(
-        linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
-    )
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
 
 
 def test_linear_colours_are_shown_in_srgb() -> None:
@@ -488,9 +478,7 @@ def test_slivers_do_not_bend() -> None:
 
 
 @pytest.mark.parametrize("name", MEASURES)
-@given(
-    st.tuples(*3 * [st.floats(-3, 3)]), st.tuples(*3 * [st.floats(-10, 10)]), st.sampled_from(sorted(AWKWARD))
-)
+@given(st.tuples(*3 * [st.floats(-3, 3)]), st.tuples(*3 * [st.floats(-10, 10)]), st.sampled_from(sorted(AWKWARD)))
 def test_rigid_motions_change_nothing(
     name: str, turn: tuple[float, float, float], move: tuple[float, float, float], mesh: str
 ) -> None:

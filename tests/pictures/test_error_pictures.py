@@ -98,9 +98,7 @@ def test_no_error_at_all_is_drawn(original: MeshSequence, ax: Any) -> None:
 def test_pictures_of_vertices() -> None:
     figure = pytest.importorskip("matplotlib.figure").Figure()
     original = bar(sides=5, rings=4, frames=3)
-    off = np.arange(3.0)[:, None] * (
-        np.arange(original.vertex_count) == 3
-    )  # in frame 2, twice that of frame 1
+    off = np.arange(3.0)[:, None] * (np.arange(original.vertex_count) == 3)  # in frame 2, twice that of frame 1
     errors = VertexErrors(off.max(axis=1), off.mean(axis=1), off.max(axis=0), 2, {1: off[1], 2: off[2]})
     panels = figure.subplots(3, 2)
     heat = draw_vertex_errors(panels.tolist(), errors, original, [1, 2])

@@ -149,9 +149,7 @@ def test_coefficients_with_knots(model: Model, ax: Any) -> None:
 
 def test_coefficients_are_the_largest(bar_model: Model, bent_bar: MeshSequence, ax: Any) -> None:
     many = fit(
-        bent_bar.with_points(
-            bent_bar.points + 0.1 * np.random.default_rng(0).normal(size=bent_bar.points.shape)
-        ),
+        bent_bar.with_points(bent_bar.points + 0.1 * np.random.default_rng(0).normal(size=bent_bar.points.shape)),
         exact=True,
         space="vertex",
         pose="keys",

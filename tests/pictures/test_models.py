@@ -39,9 +39,7 @@ def vertex_model(bent_bar: MeshSequence) -> Model:
     return fit(bent_bar, rank=1, space="vertex")
 
 
-def picture(
-    model: Model, kind: PictureKind | None = None, file_format: Format = "png", **settings: Any
-) -> bytes:
+def picture(model: Model, kind: PictureKind | None = None, file_format: Format = "png", **settings: Any) -> bytes:
     file = io.BytesIO()
     plot_model(file, model, kind, file_format=file_format, **settings)
     return file.getvalue()
@@ -61,9 +59,7 @@ def test_every_kind_is_reproducible(
         assert len(first) < 1_000_000
 
 
-def test_overview_has_a_row_for_what_there_is(
-    bar_model: Model, vertex_model: Model, bent_bar: MeshSequence
-) -> None:
+def test_overview_has_a_row_for_what_there_is(bar_model: Model, vertex_model: Model, bent_bar: MeshSequence) -> None:
     def height(model: Model, against: MeshSequence | None = None) -> float:
         return _page_section(model, None, against, None, None, None, no_progress).height
 
@@ -134,9 +130,7 @@ def test_summary_counts(vertex_model: Model) -> None:
         ("error-vertices", True, [], None, "errors of 1 to 12 frames fit on a page"),
     ],
 )
-def test_settings_that_contradict(
-    kind: Any, against: bool, frames: Any, tolerance: Any, message: str
-) -> None:
+def test_settings_that_contradict(kind: Any, against: bool, frames: Any, tolerance: Any, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         check_settings(kind, against, frames, tolerance)
 
@@ -159,9 +153,7 @@ def test_frames_must_exist(kind: PictureKind | None, vertex_model: Model, bent_b
         picture(vertex_model, kind, against=against, frames=[4])
 
 
-def test_without_matplotlib_the_message_names_the_cure(
-    vertex_model: Model, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_matplotlib_the_message_names_the_cure(vertex_model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
         monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(MissingExtraError, match=r"pip install 'mixseq\[plot\]'"):

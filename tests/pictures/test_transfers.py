@@ -91,9 +91,7 @@ def test_the_same_mesh_has_the_same_parts(body: MeshSequence, method: str) -> No
 def test_what_follows_has_the_colour_of_what_it_follows() -> None:
     points, faces = tetrahedron()
     source = MeshSequence.from_arrays(points[None], faces)
-    target = MeshSequence.from_arrays(
-        np.concatenate([points, points + 5])[None], np.concatenate([faces, faces + 4])
-    )
+    target = MeshSequence.from_arrays(np.concatenate([points, points + 5])[None], np.concatenate([faces, faces + 4]))
     same = Correspondence.identity(4, 4)
     mapping = replace(
         same,

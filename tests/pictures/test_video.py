@@ -118,9 +118,7 @@ def test_one_camera_for_equal_meshes_and_one_for_each_other(gem: MeshSequence) -
 
 def test_cameras_are_in_the_middle_of_what_is_far_away(gem: MeshSequence) -> None:
     away = MeshSequence.from_arrays(gem.points + np.array([100, 5, -40]), gem.faces)
-    here, there = (
-        make_cameras([decoded(each, gem.times)], FilmSettings(turn=90), 24)[0] for each in (gem, away)
-    )
+    here, there = (make_cameras([decoded(each, gem.times)], FilmSettings(turn=90), 24)[0] for each in (gem, away))
     assert np.allclose(here.limits, there.limits)
     assert np.allclose(there.centres - here.centres, [100, 5, -40])
 
@@ -186,18 +184,14 @@ def test_names_stay_in_their_panels() -> None:
 
 @pytest.mark.parametrize("colour", ["strain", "curvature"])
 def test_changes_are_since_the_first_frame(gem: MeshSequence, colour: str) -> None:
-    squeezed = MeshSequence.from_arrays(
-        gem.points * np.linspace(1, 0.5, 9)[:, None, None] ** [0, 1, 0], gem.faces
-    )
+    squeezed = MeshSequence.from_arrays(gem.points * np.linspace(1, 0.5, 9)[:, None, None] ** [0, 1, 0], gem.faces)
     track = decoded(squeezed, squeezed.times[3:])
     change = make_colouring(colour, gem.header, track.pose(0))  # type: ignore[arg-type]
     part = 100 if colour == "strain" else 1  # percent
     assert change.measure is not None
     assert np.array_equal(change.measure(track.pose(0), 0), np.zeros(6))
     for frame in (0, 5):
-        expected = part * MEASURES[colour].from_rest(squeezed.points[3], gem.faces)(
-            squeezed.points[3 + frame]
-        )
+        expected = part * MEASURES[colour].from_rest(squeezed.points[3], gem.faces)(squeezed.points[3 + frame])
         assert np.array_equal(change.measure(track.pose(frame), frame), expected)
         assert change.scale_end(track.pose(frame), frame) == np.quantile(expected, 0.99)
 
@@ -234,9 +228,7 @@ def test_the_same_bytes_on_any_number_of_threads(gem: MeshSequence, tmp_path: Pa
     assert one == three
 
 
-def test_poses_on_disk_make_the_same_film(
-    gem: MeshSequence, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_poses_on_disk_make_the_same_film(gem: MeshSequence, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     model = fit(gem, space="vertex", exact=True)
     for name, most in (("memory", 1 << 28), ("disk", 0)):
         monkeypatch.setattr("mixseq.runtime.low_memory.MAX_BYTES_IN_MEMORY", most)
@@ -245,9 +237,7 @@ def test_poses_on_disk_make_the_same_film(
 
 
 @pytest.mark.parametrize("extension", ["gif", "webp"])
-def test_a_film_that_is_interrupted_leaves_the_old_one(
-    gem: MeshSequence, tmp_path: Path, extension: str
-) -> None:
+def test_a_film_that_is_interrupted_leaves_the_old_one(gem: MeshSequence, tmp_path: Path, extension: str) -> None:
     def interrupt(done: int, total: int, what: str) -> None:
         if what == "drawing frames" and done == 7:
             raise KeyboardInterrupt
@@ -325,9 +315,7 @@ def test_the_film_shows_the_meshes(gem: MeshSequence, tmp_path: Path) -> None:
     assert (frames[0] != frames[4]).any()
 
 
-def test_parts_are_coloured_also_of_the_original(
-    bent_bar: MeshSequence, bar_model: Model, tmp_path: Path
-) -> None:
+def test_parts_are_coloured_also_of_the_original(bent_bar: MeshSequence, bar_model: Model, tmp_path: Path) -> None:
     settings = FilmSettings(size=(160, 80), colour="parts")
     film(tmp_path / "a.gif", [SceneItem("", bent_bar), SceneItem("", bar_model)], settings)
     grey = np.ptp(opened(tmp_path / "a.gif")[0].astype(int), axis=2)

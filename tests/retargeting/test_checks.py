@@ -157,9 +157,7 @@ def test_a_marker_far_away_is_named() -> None:
 
 
 def test_a_mirrored_target_is_refused() -> None:
-    with pytest.raises(
-        SettingsError, match=r"left and right are exchanged in all markers, or one mesh is mirrored"
-    ):
+    with pytest.raises(SettingsError, match=r"left and right are exchanged in all markers, or one mesh is mirrored"):
         check_markers(markers(), creature(), other(creature()) * [-1, 1, 1])
 
 
@@ -329,9 +327,7 @@ def test_exchanged_legs_are_named(data: Path, name: str) -> None:
     across = (places[:, 0] - (low + high)[0] / 2) / (high - low)[0]
     on_leg = places[:, 1] < (low + high)[1] / 2
     pairs = [
-        (i, j)
-        for i in np.flatnonzero(on_leg & (across < -0.05))
-        for j in np.flatnonzero(on_leg & (across > 0.05))
+        (i, j) for i in np.flatnonzero(on_leg & (across < -0.05)) for j in np.flatnonzero(on_leg & (across > 0.05))
     ]
     chosen = np.random.default_rng(0).permutation(len(pairs))[:5]
     for i, j in (pairs[number] for number in chosen):

@@ -43,9 +43,7 @@ def error(carried: Float, truth: Float) -> Float:
 @pytest.mark.parametrize("moved", [False, True])
 def test_a_mesh_corresponds_to_itself_and_its_similarities(moved: bool) -> None:
     points = 5.0 * BODY[0] @ rotation((1.0, 0.2, -2.0)).T + [10.0, -3.0, 8.0] if moved else BODY[0]
-    correspondence, quality = correspond_and_assess(
-        still(*BODY), still(points, BODY[1]), Markers(MARKED, MARKED)
-    )
+    correspondence, quality = correspond_and_assess(still(*BODY), still(points, BODY[1]), Markers(MARKED, MARKED))
     found = correspondence
     own = (found.weights * (found.corners == np.arange(len(points))[:, None])).sum(axis=1)
     np.testing.assert_allclose(own, 1.0, atol=1e-6)
@@ -147,9 +145,7 @@ def test_vertices_that_no_triangle_uses_change_nothing() -> None:
     alone_correspondence, alone = correspond_and_assess(still(*BODY), still(target, BODY[1]), markers)
     stray = np.random.default_rng(0).normal(size=(50, 3)) * 1e4
     source = still(np.concatenate([BODY[0], stray]), BODY[1])
-    correspondence, quality = correspond_and_assess(
-        source, still(np.concatenate([target, stray]), BODY[1]), markers
-    )
+    correspondence, quality = correspond_and_assess(source, still(np.concatenate([target, stray]), BODY[1]), markers)
     carried, expected = (each.interpolate(BODY[0]) for each in (correspondence, alone_correspondence))
     np.testing.assert_allclose(carried[: len(BODY[0])], expected, atol=1e-6)
     assert quality.largest_distance == pytest.approx(alone.largest_distance)

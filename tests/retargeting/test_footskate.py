@@ -81,12 +81,9 @@ def test_a_foot_in_the_air_keeps_to_its_path() -> None:
     whole = walk(1.0, 0.9, frames=2 * CYCLE)
     late = [np.concatenate([np.repeat(path[28:29], 60, axis=0), path[28:]]) for path in whole.paths]
     motions = [
-        np.concatenate([np.repeat(each[28:29], 60, axis=0), each[28:]])
-        for each in (whole.rotations, whole.centres)
+        np.concatenate([np.repeat(each[28:29], 60, axis=0), each[28:]]) for each in (whole.rotations, whole.centres)
     ]
-    scene = replace(
-        whole, rotations=motions[0], centres=motions[1], paths=late[:1], contacts=whole.contacts[:1]
-    )
+    scene = replace(whole, rotations=motions[0], centres=motions[1], paths=late[:1], contacts=whole.contacts[:1])
     result = scene.planted()
     assert result.report.groups[0].stances[0].start > 60
     np.testing.assert_array_equal(result.rotations[:40], scene.rotations[:40])
@@ -157,9 +154,7 @@ def test_toes_go_along() -> None:
     def relative(rotations: np.ndarray, centres: np.ndarray) -> np.ndarray:
         return np.asarray(np.einsum("tji,tj->ti", rotations[:, 3], centres[:, 7] - centres[:, 3]))
 
-    np.testing.assert_allclose(
-        relative(result.rotations, result.centres), relative(rotations, centres), atol=1e-12
-    )
+    np.testing.assert_allclose(relative(result.rotations, result.centres), relative(rotations, centres), atol=1e-12)
 
 
 def test_gaps_of_joints_turn_with_the_part_above() -> None:
@@ -207,9 +202,7 @@ def test_a_swinging_bar() -> None:
     assert group.before > 0.02
     assert group.after < 1e-9
     assert group.residual < 1e-12
-    joints = [
-        target.pose_points(target.pivots, side, result.rotations, result.centres) for side in target.pairs.T
-    ]
+    joints = [target.pose_points(target.pivots, side, result.rotations, result.centres) for side in target.pairs.T]
     np.testing.assert_allclose(joints[0], joints[1], atol=1e-9)
 
 
@@ -263,9 +256,7 @@ def test_refusals_name_the_contact() -> None:
     stray = replace(scene.contacts[0], parts=np.array([3, -1, 3]))
     with pytest.raises(SettingsError, match="'left' follow no part"):
         replace(scene, contacts=[stray, scene.contacts[1]]).planted()
-    with pytest.raises(
-        SettingsError, match="2 contacts and motions of 100 frames, but 1 paths of 100 frames"
-    ):
+    with pytest.raises(SettingsError, match="2 contacts and motions of 100 frames, but 1 paths of 100 frames"):
         replace(scene, paths=scene.paths[:1]).planted()
     with pytest.raises(SettingsError, match="2 paths of 9, 100 frames"):
         replace(scene, paths=[scene.paths[0][:9], scene.paths[1]]).planted()
@@ -375,9 +366,7 @@ def test_ratio_of_legs() -> None:
 
 
 def test_placed_points_follow_their_parts() -> None:
-    walker = ArticulatedBody(
-        np.array([[1.0, 0, 0], [3, 0, 0]]), np.array([[0, 1]]), np.array([[2.0, 0, 0]]), 0
-    )
+    walker = ArticulatedBody(np.array([[1.0, 0, 0], [3, 0, 0]]), np.array([[0, 1]]), np.array([[2.0, 0, 0]]), 0)
     quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     rotations, centres = np.stack([np.eye(3), quarter])[None], np.array([[[1.0, 0, 0], [2, 1, 0]]])
     both = walker.pose_points(np.array([[2.0, 0, 0], [2, 0, 0]]), [0, 1], rotations, centres)
@@ -429,18 +418,14 @@ def ends(levers: np.ndarray, turns: np.ndarray) -> np.ndarray:
 ANKLE = np.array([1.0, 1.0, 0.0])
 
 
-@pytest.mark.parametrize(
-    "move", [[0.1, 0, 0], [0, 0.05, 0], [0, -0.05, 0], [0, 0, 0.1], [0.05, 0.02, 0.05]], ids=str
-)
+@pytest.mark.parametrize("move", [[0.1, 0, 0], [0, 0.05, 0], [0, -0.05, 0], [0, 0, 0.1], [0.05, 0.02, 0.05]], ids=str)
 def test_a_bent_leg_reaches_its_goal(move: list[float]) -> None:
     levers = leg(0.6)
     turns, left = rotate_limbs(levers, np.array([[move]]), ANKLE)
     np.testing.assert_allclose(left, 0.0, atol=1e-12)
     np.testing.assert_allclose(ends(levers, turns) - levers.sum(axis=2), [[move]], atol=1e-12)
     np.testing.assert_array_equal(turns[:, 2], np.eye(3)[None])  # the sole stays level
-    np.testing.assert_allclose(
-        turns @ np.swapaxes(turns, -1, -2), np.tile(np.eye(3), (1, 3, 1, 1)), atol=1e-14
-    )
+    np.testing.assert_allclose(turns @ np.swapaxes(turns, -1, -2), np.tile(np.eye(3), (1, 3, 1, 1)), atol=1e-14)
 
 
 def test_one_bone_swings_like_a_pendulum() -> None:
@@ -451,9 +436,7 @@ def test_one_bone_swings_like_a_pendulum() -> None:
     direction = ends(levers, turns)[0, 0] / 2.0
     # The move along the bone is not made by turning it; across it, all is.
     assert np.degrees(np.arccos(direction @ swung / 2.0)) < 3.0
-    np.testing.assert_allclose(
-        ends(levers, turns) - levers[:, :, 0] + left, (swung - levers[0, 0])[None], atol=1e-15
-    )
+    np.testing.assert_allclose(ends(levers, turns) - levers[:, :, 0] + left, (swung - levers[0, 0])[None], atol=1e-15)
 
 
 def test_nothing_turns_for_nothing() -> None:
@@ -494,9 +477,7 @@ def test_two_limbs_share_a_part() -> None:
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-6, 1e-3, 0.03, 0.1, 0.2, 0.3, 0.5])
-@pytest.mark.parametrize(
-    "move", [[0, 0.1, 0], [0, -0.1, 0], [0, 0.03, 0], [0, -0.03, 0], [0.2, 0, 0]], ids=str
-)
+@pytest.mark.parametrize("move", [[0, 0.1, 0], [0, -0.1, 0], [0, 0.03, 0], [0, -0.03, 0], [0.2, 0, 0]], ids=str)
 def test_knees_do_not_pop(bend: float, move: list[float]) -> None:
     """However straight the leg is: the knee accelerates at most four times as much as the foot is asked to."""
     levers, moves = leg(bend, len(FADE)), FADE[:, None, None] * np.array(move)
@@ -511,6 +492,4 @@ def test_legs_that_are_too_short_stretch_out() -> None:
     levers = leg(0.6)
     turns, left = rotate_limbs(levers, np.array([[[0.0, -3.0, 0.0]]]), ANKLE)
     assert np.isfinite(turns).all()
-    np.testing.assert_allclose(
-        ends(levers, turns) - levers.sum(axis=2) + left, [[[0.0, -3.0, 0.0]]], atol=1e-12
-    )
+    np.testing.assert_allclose(ends(levers, turns) - levers.sum(axis=2) + left, [[[0.0, -3.0, 0.0]]], atol=1e-12)

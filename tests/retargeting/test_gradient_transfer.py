@@ -88,9 +88,7 @@ def test_a_linear_map_of_the_source_is_applied_to_the_target() -> None:
     moved, expected = method.transfer_frame(source[0] @ matrix.T), target[0] @ matrix.T
     np.testing.assert_allclose(moved - moved.mean(axis=0), expected - expected.mean(axis=0), atol=1e-9)
     way = (source[0] @ matrix.T - source[0]).mean(axis=0)
-    np.testing.assert_allclose(
-        moved.mean(axis=0) - target[0].mean(axis=0), method.alignment.scale * way, atol=1e-9
-    )
+    np.testing.assert_allclose(moved.mean(axis=0) - target[0].mean(axis=0), method.alignment.scale * way, atol=1e-9)
 
 
 @pytest.mark.parametrize("size", [0.1, 1.0, 25.0])
@@ -126,9 +124,7 @@ def test_a_gap_that_opens_opens_as_much_for_the_size() -> None:
     opened[count:] += away
     moved = method.transfer_frame(opened)
     np.testing.assert_allclose(moved[:count], target[0][:count], atol=1e-9)
-    np.testing.assert_allclose(
-        moved[count:], target[0][count:] + method.alignment.map_vectors(away), atol=1e-9
-    )
+    np.testing.assert_allclose(moved[count:], target[0][count:] + method.alignment.map_vectors(away), atol=1e-9)
 
 
 def test_what_is_held_turns_with_its_holder() -> None:
@@ -190,7 +186,5 @@ def test_a_source_in_single_precision_is_computed_in_double() -> None:
     mesh = tube(6, 9)
     method = gradients(mesh, mesh)
     single = bending(mesh)[2].astype(np.float32)
-    np.testing.assert_array_equal(
-        method.transfer_frame(single), method.transfer_frame(single.astype(np.float64))
-    )
+    np.testing.assert_array_equal(method.transfer_frame(single), method.transfer_frame(single.astype(np.float64)))
     assert topology_of(mesh).vertex_count == len(method.transfer_frame(single))

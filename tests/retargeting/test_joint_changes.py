@@ -32,9 +32,7 @@ def arched(points: Float, share: float = 1.0) -> Float:
     before, after = np.minimum(along, 0.0), np.maximum(along - bent_length, 0.0)
     y = radius * (1 - np.cos(angle)) + after * np.sin(angle)
     z = start + before + radius * np.sin(angle) + after * np.cos(angle)
-    return np.stack(
-        [points[:, 0], y + points[:, 1] * np.cos(angle), z - points[:, 1] * np.sin(angle)], axis=1
-    )
+    return np.stack([points[:, 0], y + points[:, 1] * np.cos(angle), z - points[:, 1] * np.sin(angle)], axis=1)
 
 
 def on(source: Mesh, target: Mesh) -> Correspondence:
@@ -81,13 +79,10 @@ def test_joints_tell_most_of_a_bend_however_finely_they_are_cut(sides: int, ring
         method.gradients.source.scale,
     )
     change = (
-        joints.lengths_and_angles(arched(source[0], 0.125) / scale)[1]
-        - joints.lengths_and_angles(source[0] / scale)[1]
+        joints.lengths_and_angles(arched(source[0], 0.125) / scale)[1] - joints.lengths_and_angles(source[0] / scale)[1]
     )
     topology = method.gradients.target.topology
-    middles = target[0][topology.edges].mean(axis=1)[
-        topology.hinge_edges[method.joint_solver.joints.hinge_ids]
-    ]
+    middles = target[0][topology.edges].mean(axis=1)[topology.hinge_edges[method.joint_solver.joints.hinge_ids]]
     width = np.linalg.norm(target[0][1] - target[0][0])
     lengths = np.linalg.norm(hinges_of(method)[0], axis=1) * method.gradients.target.scale
     for top in (-1, 1):
@@ -100,9 +95,7 @@ def test_joints_tell_most_of_a_bend_however_finely_they_are_cut(sides: int, ring
     ("sides", "rings", "length"), [(18, 49, 4.0), (6, 17, 4.0), (10, 33, 4.0), (18, 49, 7.0), (6, 33, 3.0)]
 )
 @pytest.mark.parametrize("share", [0.125, 0.25])
-def test_a_tube_bends_as_much_in_all_as_its_source(
-    sides: int, rings: int, length: float, share: float
-) -> None:
+def test_a_tube_bends_as_much_in_all_as_its_source(sides: int, rings: int, length: float, share: float) -> None:
     source, target = tube(10, 33, radius=0.3), tube(sides, rings, radius=0.3)
     correspondence = on(source, target)
     longer = target[0] * [1.0, 1.0, length / 4]
@@ -147,9 +140,7 @@ def test_at_rest_other_edges_are_at_rest() -> None:
     assert isinstance(method.joint_metrics, GradientMetrics)
     lengths, angles = method.joint_metrics.lengths_and_angles(method.gradients.source.reference)
     topology, rest = method.gradients.target.topology, method.gradients.target.reference
-    np.testing.assert_allclose(
-        lengths, edge_lengths(rest, topology.edges[method.joint_solver.joints.edge_ids])
-    )
+    np.testing.assert_allclose(lengths, edge_lengths(rest, topology.edges[method.joint_solver.joints.edge_ids]))
     np.testing.assert_allclose(
         angles, dihedral_angles(rest, topology.hinges[method.joint_solver.joints.hinge_ids]), atol=1e-9
     )
@@ -320,7 +311,5 @@ def test_the_start_of_lower_energy_is_taken(patch: Patch) -> None:
     best, settled = rebuild_patch(patch, lengths, angles, 1 / lengths, squeezed, ShellSettings())
     assert settled.converged
     assert settled.energy < report.energy
-    taken, _ = rebuild_patch(
-        patch, lengths, angles, 1 / lengths, squeezed, no_steps, guess=best[patch.free_ids]
-    )
+    taken, _ = rebuild_patch(patch, lengths, angles, 1 / lengths, squeezed, no_steps, guess=best[patch.free_ids])
     np.testing.assert_array_equal(taken, best)

@@ -23,9 +23,7 @@ def test_no_pairs_are_no_markers() -> None:
     assert len(Markers.from_pairs([])) == 0
 
 
-@pytest.mark.parametrize(
-    "pairs", [[1, 2, 3], [[1, 2, 3]], [[1.5, 2]], [["a", "b"]], [[1, 2], [3]], [[[1, 2]]], None]
-)
+@pytest.mark.parametrize("pairs", [[1, 2, 3], [[1, 2, 3]], [[1.5, 2]], [["a", "b"]], [[1, 2], [3]], [[[1, 2]]], None])
 def test_what_is_no_pairs_is_refused(pairs: Any) -> None:
     with pytest.raises(SettingsError, match=r"\(n, 2\) whole numbers"):
         Markers.from_pairs(pairs)
@@ -74,9 +72,7 @@ def test_values_are_mixed_by_weights_and_followers_take_their_leaders() -> None:
     assert mixed().matched.tolist() == [True, True, False]
 
 
-@pytest.mark.parametrize(
-    ("source", "target", "wrong"), [((4, 1), (3, 1), "source"), ((3, 1), (3, 2), "target")]
-)
+@pytest.mark.parametrize(("source", "target", "wrong"), [((4, 1), (3, 1), "source"), ((3, 1), (3, 2), "target")])
 def test_other_meshes_are_refused(source: tuple[int, int], target: tuple[int, int], wrong: str) -> None:
     with pytest.raises(SettingsError, match=f"the map is of a {wrong} with 3 vertices and 1 triangles"):
         mixed().check(source, target)

@@ -102,9 +102,7 @@ def test_a_component_without_a_marker_follows_one_vertex() -> None:
     assert set(found.leaders[own]) == {97}  # the cap's middle
     assert (found.faces[len(body[1]) :] == -1).all()
     assert (found.faces[: len(body[1])] >= 0).all()
-    np.testing.assert_array_equal(
-        found.interpolate(body[0][None])[0, own], np.tile(body[0][97], (len(own), 1))
-    )
+    np.testing.assert_array_equal(found.interpolate(body[0][None])[0, own], np.tile(body[0][97], (len(own), 1)))
 
 
 def test_unused_vertices_follow() -> None:
@@ -177,9 +175,7 @@ def test_distances_are_in_diagonals_of_the_target() -> None:
     sheet = grid(3, 4)
     lifted = sheet[0] + [0, 0, 0.1]
     found = quality((lifted, sheet[1]), sheet, Markers.from_pairs([(0, 0)]))
-    assert (found.mean_distance, found.p99_distance, found.largest_distance) == pytest.approx(
-        (0.02, 0.02, 0.02)
-    )
+    assert (found.mean_distance, found.p99_distance, found.largest_distance) == pytest.approx((0.02, 0.02, 0.02))
     assert found.marker_distances == pytest.approx([0.02])
 
 

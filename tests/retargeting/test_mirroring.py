@@ -21,19 +21,13 @@ def test_a_walking_fox() -> None:
         mirror = Mirror.from_mesh(fox.points, fox.topology)
         assert mirror is not None
         for side, other in ("lr", "rl"):
-            for bone, vertex in zip(
-                PAIRED, on_bones(fox, *(f"{each}.{side}" for each in PAIRED)), strict=True
-            ):
+            for bone, vertex in zip(PAIRED, on_bones(fox, *(f"{each}.{side}" for each in PAIRED)), strict=True):
                 partner = mirror.find_partner(int(vertex))
                 if partner is not None:
                     assert fox.bones[partner].endswith(f".{other}"), bone
                     assert fox.bones[partner].split(".")[0] in (bone, *neighbours(bone))
         assert (
-            sum(
-                mirror.find_partner(int(v)) is not None
-                for v in on_bones(fox, "ear.l", "forepaw.l", "hindpaw.l")
-            )
-            == 3
+            sum(mirror.find_partner(int(v)) is not None for v in on_bones(fox, "ear.l", "forepaw.l", "hindpaw.l")) == 3
         )
 
 
@@ -69,9 +63,7 @@ def test_partners_do_not_depend_on_place_and_unit() -> None:
 
 def test_other_components_have_none() -> None:
     fox, hat = short(), tube(8, 4)
-    points, faces = joined(
-        (fox.points, fox.mesh.faces.astype(np.int64)), (0.05 * hat[0] + [0.3, 1.1, 0], hat[1])
-    )
+    points, faces = joined((fox.points, fox.mesh.faces.astype(np.int64)), (0.05 * hat[0] + [0.3, 1.1, 0], hat[1]))
     mirror = Mirror.from_mesh(points, Topology(faces, len(points)))
     assert mirror is not None
     assert mirror.find_partner(len(fox.points) + 3) is None

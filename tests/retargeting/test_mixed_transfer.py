@@ -29,9 +29,7 @@ def lengthened(points: Float, thicker: float = 1.0) -> Float:
     return np.stack([thicker * points[:, 0], thicker * points[:, 1], 1.5 * below + 0.75 * above], axis=1)
 
 
-def moving(
-    source: Mesh, target: Mesh, frames: Float, correspondence: Correspondence | None = None
-) -> MixedTransfer:
+def moving(source: Mesh, target: Mesh, frames: Float, correspondence: Correspondence | None = None) -> MixedTransfer:
     """Two parts that meet at z = 2."""
     halves = (source[0][source[1]].mean(axis=1)[:, 2] > 2).astype(np.int64)
     labels = segment_by_labels(halves, topology_of(source))
@@ -60,9 +58,7 @@ def test_bones_keep_their_lengths_and_take_the_angle(finer: bool, thicker: float
     for bone, turn, shift in zip(bones, turns, shifts, strict=True):
         assert furthest(rest[bone] @ turn.T + shift, moved[bone]) < (0.003 if thicker == 1 else 0.025) * 4.5
         ends = [bone[rest[bone, 2] == pick(rest[bone, 2])] for pick in (np.min, np.max)]
-        length, own = (
-            np.linalg.norm(np.diff([x[end].mean(axis=0) for end in ends], axis=0)) for x in (moved, rest)
-        )
+        length, own = (np.linalg.norm(np.diff([x[end].mean(axis=0) for end in ends], axis=0)) for x in (moved, rest))
         assert length == pytest.approx(own, rel=5e-3)
     # The elbow of both is at the same place.
     first, second = (turn @ [0.0, 0.0, 3.0] + shift for turn, shift in zip(turns, shifts, strict=True))

@@ -97,9 +97,7 @@ def test_a_part_in_two_places_is_two_parts() -> None:
     lowest = int(np.flatnonzero(cut.part_of_face == 0)[0])
     faces = correspondence.faces.copy()
     faces[upper] = lowest
-    found = transfer_parts(
-        cut, turning(2), replace(correspondence, faces=faces), topology_of(mesh), mesh[0], 3
-    )
+    found = transfer_parts(cut, turning(2), replace(correspondence, faces=faces), topology_of(mesh), mesh[0], 3)
     assert found.source_parts.tolist() == [0, 0, 1]
     assert len(found.target.parts) == 3
 
@@ -217,9 +215,7 @@ def body(seed: int, extra: int = 0, parts: int = 7) -> tuple[PivotSolver, Float,
 
 def test_an_elbow_by_hand() -> None:
     ends = np.array([[0.5, 0, 0], [1.75, 0, 0]])
-    arm = PivotSolver(
-        ArticulatedBody(ends, np.array([[0, 1]]), np.array([[1.0, 0, 0]]), 0), np.ones(1), np.ones(1)
-    )
+    arm = PivotSolver(ArticulatedBody(ends, np.array([[0, 1]]), np.array([[1.0, 0, 0]]), 0), np.ones(1), np.ones(1))
     turns = np.stack([np.eye(3), rotation((0, 0, np.pi / 2))])
     bent = arm.solve_centres(turns, np.zeros((1, 3)), np.array([0.5, 0, 0]))
     np.testing.assert_allclose(bent, [[0.5, 0, 0], [1.0, 0.75, 0]], atol=1e-12)
@@ -258,9 +254,7 @@ def test_loops_are_solved_by_least_squares(seed: int) -> None:
         axis=1,
     )
     weights = loops.lengths[:, None]
-    wanted = np.linalg.lstsq(weights * matrix, weights * (gaps - loops.body.gaps(turns, still)), rcond=None)[
-        0
-    ]
+    wanted = np.linalg.lstsq(weights * matrix, weights * (gaps - loops.body.gaps(turns, still)), rcond=None)[0]
     np.testing.assert_allclose(placed[others], wanted, atol=1e-9)
 
 

@@ -132,9 +132,7 @@ def test_the_body_travels_as_its_legs_are_long(walk: Walk) -> None:
     way = walk.planted[-1].mean(axis=0) - walk.planted[0].mean(axis=0)
     own = walk.source.points[-1].mean(axis=0) - walk.source.points[0].mean(axis=0)
     assert 1.1 < way[0] / own[0] < LONGER
-    assert way[0] / own[0] == pytest.approx(
-        walk.method.stride_ratio * walk.method.gradients.alignment.scale, rel=0.03
-    )
+    assert way[0] / own[0] == pytest.approx(walk.method.stride_ratio * walk.method.gradients.alignment.scale, rel=0.03)
 
 
 def test_a_walk_on_the_spot_never_rests() -> None:
@@ -147,17 +145,13 @@ def test_a_walk_on_the_spot_never_rests() -> None:
 
 def test_one_contact_is_on_one_leg(walk: Walk) -> None:
     both = np.concatenate([walk.soles["forepaw.l"], walk.soles["hindpaw.r"]])
-    with pytest.raises(
-        SettingsError, match=r"contact 'paws' are on several limbs.*one contact for each foot"
-    ):
+    with pytest.raises(SettingsError, match=r"contact 'paws' are on several limbs.*one contact for each foot"):
         plan_transfer(walk.source, walk.target, TransferSettings(contacts={"paws": both}))
 
 
 def test_a_contact_may_bend_within_its_part() -> None:
     """Its way is that of its vertices as the part sees them in every frame."""
-    walker = ArticulatedBody(
-        np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[0, 1]]), np.array([[0.5, 0, 0]]), 0
-    )
+    walker = ArticulatedBody(np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[0, 1]]), np.array([[0.5, 0, 0]]), 0)
     points = np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
     stiff = Contact("foot", points, np.array([1, 1]))
     turns = np.stack([[np.eye(3), rotation((0, 0, 0.1 * t))] for t in range(4)])

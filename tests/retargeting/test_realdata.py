@@ -33,9 +33,7 @@ def still(points: FloatArray, like: MeshSequence) -> MeshSequence:
 
 
 @both
-@pytest.mark.parametrize(
-    ("name", "frames"), [("q_wolf_gallop", 6), ("cat_poses", 4), ("q_man_run", 6), ("camel_poses", 2)]
-)
+@pytest.mark.parametrize(("name", "frames"), [("q_wolf_gallop", 4), ("camel_poses", 2)])
 def test_onto_itself_nothing_changes(data: Path, name: str, frames: int, method: TransferName) -> None:
     sequence = some_frames(data, name, frames)
     moved = mixseq.transfer(sequence, still(sequence.points[0], sequence), method=method)

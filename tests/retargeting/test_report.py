@@ -85,9 +85,7 @@ def test_the_source_strain_is_expected_of_the_target() -> None:
     points, faces = grid(2, 2)
     growing = MeshSequence.from_arrays(points * np.array([1.0, 1.2])[:, None, None], faces)
     target = at_rest(growing, points * [3, 1, 1])
-    report = measure_transfer(
-        planned(growing, target), [np.stack([target.points[0], 1.2 * target.points[0]])]
-    )
+    report = measure_transfer(planned(growing, target), [np.stack([target.points[0], 1.2 * target.points[0]])])
     assert report.excess.max < 1e-12
     assert report.strain.max == pytest.approx(0.2)
 

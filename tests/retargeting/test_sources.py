@@ -82,16 +82,12 @@ def test_parts_are_found_counted_or_given() -> None:
     assert prepare_source(WALK).part_of_face().max() >= 1
     assert prepare_source(WALK, parts=3).part_of_face().max() == 2
     given = np.where(middle > 2, 7, 3)
-    np.testing.assert_array_equal(
-        prepare_source(WALK, parts=given).part_of_face(), np.where(middle > 2, 1, 0)
-    )
+    np.testing.assert_array_equal(prepare_source(WALK, parts=given).part_of_face(), np.where(middle > 2, 1, 0))
 
 
 @pytest.mark.parametrize("rest", [6, -7, 1.0, "0", None, True])
 def test_a_frame_that_is_none_is_refused(rest: object) -> None:
-    with pytest.raises(
-        SettingsError, match=r"rest is .*; a frame from 0 to 5 is expected, or a mesh at rest"
-    ):
+    with pytest.raises(SettingsError, match=r"rest is .*; a frame from 0 to 5 is expected, or a mesh at rest"):
         prepare_source(WALK, rest)  # type: ignore[arg-type]
 
 
@@ -147,9 +143,7 @@ def cloud(seed: int, count: int = 40) -> Float:
 
 @given(rigid_motions, st.floats(0.01, 100.0), seeds)
 @settings(max_examples=50, deadline=None)
-def test_a_copy_tells_its_rotation_and_its_scale(
-    motion: tuple[Float, Float], scale: float, seed: int
-) -> None:
+def test_a_copy_tells_its_rotation_and_its_scale(motion: tuple[Float, Float], scale: float, seed: int) -> None:
     turn, shift = motion
     source = cloud(seed)
     weights = np.random.default_rng(seed).uniform(0.1, 1.0, len(source))

@@ -69,9 +69,7 @@ def test_what_does_not_move_rests_all_the_time() -> None:
 
 
 def test_hysteresis() -> None:
-    steps = np.concatenate(
-        [np.full(5, 1.0), np.full(4, 0.07), np.full(3, 0.0), np.full(4, 0.07), np.full(5, 1.0)]
-    )
+    steps = np.concatenate([np.full(5, 1.0), np.full(4, 0.07), np.full(3, 0.0), np.full(4, 0.07), np.full(5, 1.0)])
     slow = np.concatenate([steps, np.full(4, 0.07), np.full(5, 1.0)])
     points = np.pad(np.cumsum(np.concatenate([[0.0], slow]))[:, None, None], ((0, 0), (0, 0), (0, 2)))
     assert found(points, size=1e-3) == [(5, 17)]  # the second slow part never comes to rest
@@ -124,9 +122,7 @@ def test_feet_that_slide_evenly_carry_the_body() -> None:
     """Every stance asks for the same speed, so the body has it all the time, and limbs have nothing to do."""
     whole = (Stance("left", 0, 31), Stance("right", 30, 60))
     paths = np.concatenate([sliding(0.1), sliding(0.1)])
-    shift, left = solve_body_shift(
-        anchor_offsets(paths, [whole[:1], whole[1:]], 1e-9), [whole[:1], whole[1:]], 1, FPS
-    )
+    shift, left = solve_body_shift(anchor_offsets(paths, [whole[:1], whole[1:]], 1e-9), [whole[:1], whole[1:]], 1, FPS)
     np.testing.assert_allclose(shift[:, 0], 0.1 * (29.5 - np.arange(60)), atol=0.01)
     assert np.abs(left).max() < 0.01
     np.testing.assert_allclose(shift.mean(axis=0), 0.0, atol=1e-12)
@@ -177,9 +173,7 @@ def test_stances_that_are_near_are_joined() -> None:
     np.testing.assert_allclose(moves[5:25], 1.0, atol=1e-15)
 
 
-@pytest.mark.parametrize(
-    "stance", [Stance("a", 0, 1), Stance("a", 0, 30), Stance("a", 28, 30), Stance("a", 0, 2)]
-)
+@pytest.mark.parametrize("stance", [Stance("a", 0, 1), Stance("a", 0, 30), Stance("a", 28, 30), Stance("a", 0, 2)])
 def test_fades_end_with_the_sequence(stance: Stance) -> None:
     wanted = np.zeros((30, 3))
     wanted[stance.frames] = 1.0

@@ -50,8 +50,7 @@ def test_a_mesh_and_itself_elsewhere() -> None:
 
 def test_the_surest_come_first() -> None:
     source, target = (
-        Extremities.from_surface(CoarseSurface.from_mesh(fox.points, fox.topology))
-        for fox in (short(), tall())
+        Extremities.from_surface(CoarseSurface.from_mesh(fox.points, fox.topology)) for fox in (short(), tall())
     )
     margins = [each.margin for each in match_extremities(source, target)]
     assert margins[:6] == sorted(margins[:6], reverse=True)
@@ -68,9 +67,7 @@ def test_nothing_is_sure_of_bodies_without_limbs(mesh: tuple[np.ndarray, np.ndar
 
 def test_rest_is_a_frame_of_the_source() -> None:
     fox = short()
-    moving = MeshSequence.from_arrays(
-        np.stack([fox.points * [1, 0.3, 3], fox.points]), fox.mesh.faces, fps=24
-    )
+    moving = MeshSequence.from_arrays(np.stack([fox.points * [1, 0.3, 3], fox.points]), fox.mesh.faces, fps=24)
     at_rest = suggest_markers(moving, tall().mesh, rest=1)
     assert np.array_equal(at_rest.source, suggest_markers(fox.mesh, tall().mesh).source)
     with pytest.raises(SettingsError, match="the source has no frame 2"):

@@ -53,9 +53,7 @@ def test_onto_itself_nothing_changes(name: str, method: TransferName) -> None:
 
 
 @both
-@pytest.mark.parametrize(
-    "name", ["bar", "rigid component", "several components", "three pages", "unused vertices"]
-)
+@pytest.mark.parametrize("name", ["bar", "rigid component", "several components", "three pages", "unused vertices"])
 def test_onto_a_copy_of_another_size_it_commutes(name: str, method: TransferName) -> None:
     sequence = SEQUENCES[name]()
     turn, size, shift = rotation((0.5, -1.3, 2.1)), 7.3, np.array([10.0, -3.0, 5.0])
@@ -67,16 +65,12 @@ def test_onto_a_copy_of_another_size_it_commutes(name: str, method: TransferName
 @both
 @given(motion=rigid_motions)
 @settings(max_examples=8, deadline=None)
-def test_a_rigid_motion_of_all_frames_is_one_of_the_result(
-    method: TransferName, motion: tuple[Float, Float]
-) -> None:
+def test_a_rigid_motion_of_all_frames_is_one_of_the_result(method: TransferName, motion: tuple[Float, Float]) -> None:
     """With the rest where it was; whatever body the target is."""
     turn, shift = motion
     source = bar(sides=5, rings=15, frames=3)
     rest, target = first(source), one(shaped(source.points[0]), source)
-    mover = plan_transfer(
-        source, target, TransferSettings(method=method, rest=rest), workers=serial_executor
-    ).method
+    mover = plan_transfer(source, target, TransferSettings(method=method, rest=rest), workers=serial_executor).method
     still = mixseq.transfer(source, target, method=method, rest=rest, workers=serial_executor).points
     away = source.with_points(source.points @ turn.T + shift)
     moved = mixseq.transfer(away, target, method=method, rest=rest, workers=serial_executor).points
@@ -214,9 +208,7 @@ def test_blocks_are_the_whole(method: TransferName) -> None:
     blocks = list(planned.blocks(lambda *what: told.append(what)))
     assert len(blocks) > 1
     assert planned.header.frame_count == 21
-    np.testing.assert_array_equal(
-        np.concatenate(blocks), mixseq.transfer(source, target, method=method).points
-    )
+    np.testing.assert_array_equal(np.concatenate(blocks), mixseq.transfer(source, target, method=method).points)
     assert told[-1] == (21, 21, "transferring frames")
 
 
@@ -226,9 +218,7 @@ def test_threads_do_not_change_a_bit(method: TransferName) -> None:
     mesh = source.points[0], source.faces.astype(np.int64)
     fine = MeshSequence.from_arrays(shaped(subdivided(mesh)[0])[None], subdivided(mesh)[1])
     results = [
-        mixseq.transfer(
-            source, fine, mapping=to_subdivided(mesh), method=method, workers=thread_executor(count)
-        )
+        mixseq.transfer(source, fine, mapping=to_subdivided(mesh), method=method, workers=thread_executor(count))
         for count in (1, 2)
     ]
     assert np.array_equal(results[0].points, results[1].points)
@@ -390,7 +380,5 @@ def test_parts_of_another_mesh_are_refused() -> None:
 @pytest.mark.parametrize("wrong", ["source", "target"])
 def test_what_is_no_sequence_is_refused(wrong: str) -> None:
     meshes: dict[str, object] = {"source": SOURCE, "target": TARGET, wrong: SOURCE.points}
-    with pytest.raises(
-        TypeError, match=f"transfer: {wrong} is of type ndarray; MeshSequence or an open reader"
-    ):
+    with pytest.raises(TypeError, match=f"transfer: {wrong} is of type ndarray; MeshSequence or an open reader"):
         mixseq.transfer(**meshes)  # type: ignore[arg-type]

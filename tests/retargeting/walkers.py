@@ -46,16 +46,11 @@ class Walk:
 
     def joints(self, rotations: Float, centres: Float) -> Float:
         """Where both parts of every link have their pivot, ``(2, T, n, 3)``."""
-        places = (
-            self.target.pose_points(self.target.pivots, side, rotations, centres)
-            for side in self.target.pairs.T
-        )
+        places = (self.target.pose_points(self.target.pivots, side, rotations, centres) for side in self.target.pairs.T)
         return np.stack(list(places))
 
     def feet(self, rotations: Float, centres: Float) -> Float:
-        paths = [
-            self.target.pose_points(c.points, c.parts, rotations, centres).mean(axis=1) for c in self.contacts
-        ]
+        paths = [self.target.pose_points(c.points, c.parts, rotations, centres).mean(axis=1) for c in self.contacts]
         return np.stack(paths, axis=1)
 
     def moved(self, rotation: Float, shift: Float) -> Walk:

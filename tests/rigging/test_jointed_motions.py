@@ -25,9 +25,7 @@ def turning(joints: Joints, frames: int = 7, seed: int = 0) -> Float:
     rng = np.random.default_rng(seed)
     turns = 0.7 * rng.normal(size=(len(PARENTS), frames, 3))
     rotations = [np.stack([rotation(vector) for vector in bone]) for bone in turns]
-    return attach_joints(
-        np.stack([transpose_motion(r, rng.normal(size=(frames, 3))) for r in rotations]), joints
-    )
+    return attach_joints(np.stack([transpose_motion(r, rng.normal(size=(frames, 3))) for r in rotations]), joints)
 
 
 def followers(count: int = 120, seed: int = 1) -> Binding:
@@ -106,9 +104,7 @@ def test_errors_never_grow(sliding: tuple[int, ...]) -> None:
         assert now <= past * (1 + 1e-9)
         past = now
     turns = rotations_of(motions)
-    np.testing.assert_allclose(
-        turns @ np.swapaxes(turns, 2, 3), np.broadcast_to(np.eye(3), turns.shape), atol=1e-9
-    )
+    np.testing.assert_allclose(turns @ np.swapaxes(turns, 2, 3), np.broadcast_to(np.eye(3), turns.shape), atol=1e-9)
     assert (np.linalg.det(turns) > 0).all()
 
 

@@ -45,19 +45,15 @@ def test_two_rigid_bodies_take_four_each() -> None:
     assert len(set(fitted.parts[:count])) == len(set(fitted.parts[count:])) == 1
 
 
-@pytest.mark.parametrize("max_error", [1e-2, 1e-3, 1e-5])
-def test_the_bound_holds(max_error: float) -> None:
-    fox = walk_cycle(frames=10)
-    fitted = fit_low_rank(fox, max_error)
-    assert error(fitted, fox) <= max_error * (1 + 1e-6)
-    assert np.abs(fitted.basis).max() <= 1 + 1e-12
-
-
-def test_more_error_takes_fewer() -> None:
-    fox = walk_cycle(frames=10)
-    ranks = [fit_low_rank(fox, each).rank for each in (1e-2, 1e-3, 1e-4)]
-    assert ranks == sorted(ranks)
-    assert ranks[0] < ranks[-1]
+def test_bounds_hold_and_larger_ones_take_fewer_vectors() -> None:
+    fox = walk_cycle(frames=6)
+    ranks = []
+    for max_error in (1e-2, 1e-4):
+        fitted = fit_low_rank(fox, max_error)
+        assert error(fitted, fox) <= max_error * (1 + 1e-6)
+        assert np.abs(fitted.basis).max() <= 1 + 1e-12
+        ranks.append(fitted.rank)
+    assert ranks[0] < ranks[1]
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
@@ -67,7 +63,7 @@ def test_odd_meshes(name: str) -> None:
 
 
 def test_units_do_not_matter() -> None:
-    fox = walk_cycle(frames=6)
+    fox = walk_cycle(frames=3)
     large = fox.with_points(fox.points * 1024)
     np.testing.assert_array_equal(fit_low_rank(fox, 1e-3).parts, fit_low_rank(large, 1e-3).parts)
 

@@ -130,9 +130,7 @@ def test_times_outside_are_refused(make: Callable[[], Skin | Morph]) -> None:
 
 def test_quaternions_are_rotations() -> None:
     for vector in ((0.3, -1.2, 2.0), (0.0, 0, 3.1), (0.0, 0, 0)):
-        np.testing.assert_allclose(
-            rotation_matrices(np.array(quaternion(vector))), rotation(vector), atol=1e-14
-        )
+        np.testing.assert_allclose(rotation_matrices(np.array(quaternion(vector))), rotation(vector), atol=1e-14)
 
 
 def test_signs_do_not_jump() -> None:

@@ -58,9 +58,7 @@ def test_weights_are_nearly_the_best_there_are() -> None:
     binding = bind(tracks, motions, unbound(rest), free_rest=False)
     np.testing.assert_allclose(np.sum((shown(motions, binding) - tracks) ** 2, axis=1), binding.errors)
     homogeneous = np.concatenate([rest, np.ones((60, 1))], axis=1)
-    best = np.array(
-        [best_of_all(np.einsum("bit,i->tb", motions, homogeneous[v]), tracks[v]) for v in range(60)]
-    )
+    best = np.array([best_of_all(np.einsum("bit,i->tb", motions, homogeneous[v]), tracks[v]) for v in range(60)])
     assert (binding.errors > best * (1 - 1e-6)).all()
     assert np.median(binding.errors / best) < 1 + 1e-6  # one out at a time finds most of them
     assert (binding.errors < 1.2 * best).all()
@@ -76,9 +74,7 @@ def test_known_weights_are_found() -> None:
         np.zeros(50),
     )
     found = bind(shown(motions, known), motions, unbound(rest), free_rest=False)
-    np.testing.assert_allclose(
-        found.matrix(9).toarray()[:, 3::4], known.matrix(9).toarray()[:, 3::4], atol=1e-6
-    )
+    np.testing.assert_allclose(found.matrix(9).toarray()[:, 3::4], known.matrix(9).toarray()[:, 3::4], atol=1e-6)
 
 
 def test_known_rest_positions_and_motions_are_found() -> None:
@@ -117,9 +113,7 @@ def test_bones_that_no_vertex_follows_keep_still() -> None:
     binding.weights[:, 0] = 1.0  # all on bone 0
     moved, _ = fit_motions(rng.normal(size=(20, 12)), binding, motions, Joints.free(3))
     np.testing.assert_array_equal(moved[1:], motions[1:])
-    np.testing.assert_allclose(
-        moved[0], fit_rigid_motion(rng_tracks(), binding.rest, np.arange(20)), atol=1e-9
-    )
+    np.testing.assert_allclose(moved[0], fit_rigid_motion(rng_tracks(), binding.rest, np.arange(20)), atol=1e-9)
 
 
 def rng_tracks() -> Float:
@@ -137,9 +131,7 @@ def test_bones_that_move_together_are_merged_first() -> None:
     binding = unbound(rest)
     binding.weights[:, 0] = 1.0
     binding.influences[:, 0] = np.array([0, 1, 0, 1])[labels]
-    np.testing.assert_array_equal(
-        merge_bones(shown(motions, binding), labels, 2), np.array([0, 1, 0, 1])[labels]
-    )
+    np.testing.assert_array_equal(merge_bones(shown(motions, binding), labels, 2), np.array([0, 1, 0, 1])[labels])
     assert merge_bones(shown(motions, binding), labels, 1).max() == 0
     np.testing.assert_array_equal(merge_bones(shown(motions, binding), labels, 9), labels)
 
@@ -233,9 +225,7 @@ def test_a_joint_that_never_turns_is_where_bones_touch() -> None:
 def test_components_hang_from_what_they_move_with() -> None:
     """An ornament next to the lowest bone, but moving with the highest one."""
     faces, binding, motions = chain()
-    points, all_faces = joined(
-        (binding.rest, faces), (0.1 * tetrahedron()[0] + [0.7, 0, 0.5], tetrahedron()[1])
-    )
+    points, all_faces = joined((binding.rest, faces), (0.1 * tetrahedron()[0] + [0.7, 0, 0.5], tetrahedron()[1]))
     more = len(points) - len(binding.rest)
     influences = np.concatenate([binding.influences, np.tile([4, 0, 0, 0], (more, 1))])
     weights = np.concatenate([binding.weights, np.tile([1.0, 0, 0, 0], (more, 1))])

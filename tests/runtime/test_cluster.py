@@ -223,9 +223,7 @@ def test_the_scheduler_dies(way: str, scheduler: tuple[str, subprocess.Popen[str
         connect_to_cluster(address) as workers,
     ):
         results = (
-            workers(slept, None, [0.1] * 100)
-            if way == "in order"
-            else workers.as_completed(slept, None, [0.1] * 100)
+            workers(slept, None, [0.1] * 100) if way == "in order" else workers.as_completed(slept, None, [0.1] * 100)
         )
         for number, each in enumerate(results):
             if callable(result := each[1] if isinstance(each, tuple) else None):
@@ -268,9 +266,7 @@ def test_no_number_of_processes(address: str) -> None:
         pass
 
 
-@pytest.mark.parametrize(
-    "address", ["tcp://127.0.0.1:9", "tcp://127.0.0.1:port", "nonsense://x", "", "localhost"]
-)
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "tcp://127.0.0.1:port", "nonsense://x", "", "localhost"])
 def test_nobody_answers(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mixseq.runtime.cluster, "CONNECT_TIMEOUT_SECONDS", 0.3)
     with pytest.raises(ClusterError, match=f"no scheduler answers at {address}"), connect_to_cluster(address):

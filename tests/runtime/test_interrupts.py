@@ -49,9 +49,7 @@ def test_termination_ends_the_work(number: int, code: int) -> None:
 
 def test_an_import_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Libraries in C that import modules drop what is raised there."""
-    (tmp_path / "interrupted_module.py").write_text(
-        "import signal\nsignal.raise_signal(signal.SIGINT)\ndone = True"
-    )
+    (tmp_path / "interrupted_module.py").write_text("import signal\nsignal.raise_signal(signal.SIGINT)\ndone = True")
     monkeypatch.syspath_prepend(tmp_path)
     done: list[bool] = []
 
@@ -129,9 +127,7 @@ def test_other_errors_are_printed_as_ever(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("write", [atomic_file, atomic_files])
-def test_no_output_is_replaced_after_a_signal_was_swallowed(
-    tmp_path: Path, write: Callable[..., Any]
-) -> None:
+def test_no_output_is_replaced_after_a_signal_was_swallowed(tmp_path: Path, write: Callable[..., Any]) -> None:
     (tmp_path / "a").write_text("old")
 
     def swallow() -> None:
@@ -196,9 +192,7 @@ def test_what_fails_while_a_signal_waits_does_not_take_its_place() -> None:
         waiting()
 
 
-@pytest.mark.parametrize(
-    ("number", "kind"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)]
-)
+@pytest.mark.parametrize(("number", "kind"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])
 def test_what_fails_while_a_signal_cleans_up_does_not_take_its_place(
     tmp_path: Path, number: int, kind: type[BaseException]
 ) -> None:
@@ -280,9 +274,7 @@ def started(script: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "code", "said"), [("SIGINT", 130, "mixseq: interrupted\n"), ("SIGTERM", 143, "")]
-)
+@pytest.mark.parametrize(("name", "code", "said"), [("SIGINT", 130, "mixseq: interrupted\n"), ("SIGTERM", 143, "")])
 def test_while_it_starts(tmp_path: Path, name: str, code: int, said: str) -> None:
     script = f"import signal, time\nsignal.raise_signal(signal.{name})\ntime.sleep(20)"
     ended = started(script, tmp_path)

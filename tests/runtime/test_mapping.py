@@ -102,9 +102,7 @@ def test_thread_count_is_a_setting(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 2, 9])
-def test_what_takes_much_memory_is_done_twice_at_once_at_most(
-    threads: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_takes_much_memory_is_done_twice_at_once_at_most(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MIXSEQ_THREADS", str(threads))
     under_way, most, lock = 0, 0, threading.Lock()
 

@@ -33,9 +33,7 @@ def test_what_was_computed_stays_behind() -> None:
     ("space", "placement"),
     [("mixed", "anchored"), ("mixed", "free"), *((name, "anchored") for name in SPACES if name != "mixed")],
 )
-def test_models_decode_to_the_same_bits(
-    bent_bar: MeshSequence, space: SpaceName, placement: PlacementName
-) -> None:
+def test_models_decode_to_the_same_bits(bent_bar: MeshSequence, space: SpaceName, placement: PlacementName) -> None:
     model = fit(bent_bar, space=space, placement=placement)
     times = np.linspace(model.start, model.end, 5)
     expected = model.sample(times, velocities=True)

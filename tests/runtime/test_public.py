@@ -153,9 +153,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     Path("markers.json").write_text(json.dumps([[number, number] for number in range(0, 77, 4)]))
     Path("feet.json").write_text('{"end": [76]}')
     Path("pairs.csv").write_text("0,0\n0.8,1\n")
-    write_map(
-        "map.npz", Correspondence.identity(SOURCE.vertex_count, len(SOURCE.faces)), SOURCE.faces, TALL.faces
-    )
+    write_map("map.npz", Correspondence.identity(SOURCE.vertex_count, len(SOURCE.faces)), SOURCE.faces, TALL.faces)
     labels = np.arange(len(SOURCE.faces)) * 2 // len(SOURCE.faces)
     np.savez("labels.npz", labels=labels)
     return tmp_path
@@ -165,12 +163,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_sequences_and_models_are_read(folder: Path, path: Any) -> None:
     assert mixseq.compare(path("walk.npz"), SOURCE).max_error == 0.0
     assert mixseq.fit(path("walk.npz"), rank=2).header.vertex_count == SOURCE.vertex_count
-    from_model = operations.resample(
-        path("walk.h5"), fps=20.0
-    )  # a model and a sequence, by what is in the file
-    np.testing.assert_allclose(
-        operations.resample(path("walk.npz"), fps=20.0).points, from_model.points, atol=1e-6
-    )
+    from_model = operations.resample(path("walk.h5"), fps=20.0)  # a model and a sequence, by what is in the file
+    np.testing.assert_allclose(operations.resample(path("walk.npz"), fps=20.0).points, from_model.points, atol=1e-6)
     both = operations.concatenate(bar_motion(), path("back.h5"))
     np.testing.assert_array_equal(
         both.sample().points, operations.concatenate(bar_motion(), mixseq.load("back.h5")).sample().points

@@ -79,9 +79,7 @@ CALLS: dict[str, Callable[[Path], object]] = {
 def results(folder: Path) -> dict[str, str]:
     """Return a digest of what each function makes of the files in a folder."""
     return {
-        what: sha256(
-            made if isinstance(made := call(folder), bytes) else np.asarray(made).tobytes()
-        ).hexdigest()
+        what: sha256(made if isinstance(made := call(folder), bytes) else np.asarray(made).tobytes()).hexdigest()
         for what, call in CALLS.items()
     }
 

@@ -113,9 +113,7 @@ def test_cells_cover_the_mesh() -> None:
         assert set(cell_of_face.tolist()) <= set(range(len(cells)))
         assert cells.weights.sum() == pytest.approx(3 * faces.weights.sum())
         # Centres are not beside each other, and every vertex is one or beside one.
-        centres = [
-            int(np.flatnonzero((mesh[0] == p).all(axis=1))[0]) for p in cells.trajectories.rows[:, -4:-1]
-        ]
+        centres = [int(np.flatnonzero((mesh[0] == p).all(axis=1))[0]) for p in cells.trajectories.rows[:, -4:-1]]
         graph = topology.vertex_adjacency
         assert graph[centres][:, centres].nnz == 0
         assert (np.asarray(graph[centres].sum(axis=0)) + np.isin(np.arange(len(mesh[0])), centres) > 0).all()

@@ -31,9 +31,7 @@ def on(mesh: Mesh) -> Diffusion:
 
 def test_areas_add_up() -> None:
     assert on(grid(3, 5)).areas.sum() == pytest.approx(15.0)
-    assert on(tetrahedron()).areas == pytest.approx(
-        [np.sqrt(3.0) * 2.0] * 4
-    )  # a third of three faces of 2 sqrt(3)
+    assert on(tetrahedron()).areas == pytest.approx([np.sqrt(3.0) * 2.0] * 4)  # a third of three faces of 2 sqrt(3)
 
 
 def test_cotangents_of_a_regular_tetrahedron() -> None:
@@ -171,9 +169,7 @@ def test_frames_are_spread_and_in_diagonals() -> None:
     some = sample_frames(points, 4)
     assert some.shape == (4, *points.shape[1:])
     assert np.linalg.norm(np.ptp(some[0], axis=0)) == pytest.approx(1.0)
-    np.testing.assert_allclose(
-        some[-1] - some[0], (points[-1] - points[0]) / np.linalg.norm(np.ptp(points[0], axis=0))
-    )
+    np.testing.assert_allclose(some[-1] - some[0], (points[-1] - points[0]) / np.linalg.norm(np.ptp(points[0], axis=0)))
 
 
 def test_a_first_frame_that_is_a_point_has_no_diagonal() -> None:

@@ -22,9 +22,7 @@ def chain(heights: list[float], areas: list[float] | None = None) -> Passes:
     faces = np.array([[k, k + 1, k + 2] if k % 2 == 0 else [k + 1, k, k + 2] for k in range(count)])
     h = np.array(heights)
     bottoms = np.minimum(np.append(h, np.inf), np.insert(h, 0, np.inf))
-    return find_passes(
-        Topology(faces, count + 2), h, bottoms, np.ones(count) if areas is None else np.array(areas)
-    )
+    return find_passes(Topology(faces, count + 2), h, bottoms, np.ones(count) if areas is None else np.array(areas))
 
 
 LANDSCAPE = [1.0, 5.0, 2.0, 3.0, 9.0, 0.0]

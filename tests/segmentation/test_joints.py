@@ -59,9 +59,7 @@ def assert_sound(topology: Topology, decomposition: Decomposition) -> None:
         np.testing.assert_array_equal(joint.free, holders[joint.vertices] == 0)
         np.testing.assert_array_equal(joint.edge_ids, np.unique(topology.face_edges[joint.face_ids]))
         inside = np.isin(np.arange(len(topology.faces)), joint.face_ids)
-        np.testing.assert_array_equal(
-            joint.hinge_ids, np.flatnonzero(inside[topology.hinge_faces].all(axis=1))
-        )
+        np.testing.assert_array_equal(joint.hinge_ids, np.flatnonzero(inside[topology.hinge_faces].all(axis=1)))
         assert face_patches(topology, inside).max() == 0, "a joint hangs together across hinges"
         held = [np.isin(faces, part).all(axis=1).any() for part in decomposition.parts]
         assert any(held), "one part holds a face of every joint"
@@ -98,9 +96,7 @@ BASES: list[Mesh] = [
     scattered=st.booleans(),
     with_points=st.booleans(),
 )
-def test_what_always_holds(
-    seed: int, mesh: Mesh, count: int, width: int, scattered: bool, with_points: bool
-) -> None:
+def test_what_always_holds(seed: int, mesh: Mesh, count: int, width: int, scattered: bool, with_points: bool) -> None:
     rng = np.random.default_rng(seed)
     topology = topology_of(mesh)
     centres = mesh[0][mesh[1]].mean(axis=1)
@@ -157,9 +153,7 @@ def test_strips_on_a_tube(width: int) -> None:
     assert decomposition.paper_dimension == 2 * edges + 3 * 7 * (len(below) + len(above)) + 6
 
 
-@pytest.mark.parametrize(
-    ("angle", "width"), [(5.0, 2), (29.0, 2), (31.0, 3), (61.0, 4), (91.0, 5), (170.0, 5)]
-)
+@pytest.mark.parametrize(("angle", "width"), [(5.0, 2), (29.0, 2), (31.0, 3), (61.0, 4), (91.0, 5), (170.0, 5)])
 def test_joints_are_as_wide_as_the_sequence_bends(angle: float, width: int) -> None:
     """Two rigid halves: one strip, and one more for each 30 degrees, two at least, joint_width at most."""
     mesh = tube(7, 41, length=40.0, closed=False)
@@ -223,9 +217,7 @@ def test_faces_without_area_are_never_in_a_joint() -> None:
 def test_a_face_that_loses_its_area_in_one_frame_only_counts() -> None:
     sequence = bar()
     topology = Topology(sequence.faces, sequence.vertex_count)
-    labels = segment_by_labels(
-        (bar(frames=1).points[0][topology.faces].mean(axis=1)[:, 2] > 2).astype(int), topology
-    )
+    labels = segment_by_labels((bar(frames=1).points[0][topology.faces].mean(axis=1)[:, 2] > 2).astype(int), topology)
     before = decompose(topology, labels, 3, sequence.points)
     victim = int(before.joints[0].face_ids[40])
     points = sequence.points.copy()
@@ -336,9 +328,7 @@ def test_flat_faces_are_those_of_any_frame() -> None:
     seen = measure_part_motion(
         PartShapes.from_labels(topology, np.zeros(len(topology.faces), int), sequence.points), sequence.points
     )
-    expected = degenerate_faces(
-        sequence.points.astype(np.float64), topology.faces, DEGENERATE_HEIGHT_RATIO
-    ).any(axis=0)
+    expected = degenerate_faces(sequence.points.astype(np.float64), topology.faces, DEGENERATE_HEIGHT_RATIO).any(axis=0)
     assert expected.any()
     np.testing.assert_array_equal(seen.degenerate_mask, expected)
 

@@ -126,9 +126,7 @@ def test_impossible_numbers_of_parts(method: SegmentationName, parts: int) -> No
 
 
 @methods
-@pytest.mark.parametrize(
-    ("parts", "told"), [(2.5, "float"), ("3", "str"), (np.zeros(150, dtype=int), "ndarray")]
-)
+@pytest.mark.parametrize(("parts", "told"), [(2.5, "float"), ("3", "str"), (np.zeros(150, dtype=int), "ndarray")])
 def test_what_is_no_number_of_parts(method: SegmentationName, parts: Any, told: str) -> None:
     with pytest.raises(TypeError, match=f"segment: parts is of type {told}; whole number is expected"):
         mixseq.segment(bar(), method, parts)
@@ -153,9 +151,7 @@ def test_a_first_frame_that_is_a_point(method: SegmentationName) -> None:
 
 
 def test_unknown_methods() -> None:
-    with pytest.raises(
-        SettingsError, match="segmentation is 'magic'; one of motion, silhouettes, spanning-tree"
-    ):
+    with pytest.raises(SettingsError, match="segmentation is 'magic'; one of motion, silhouettes, spanning-tree"):
         mixseq.segment(bar(), "magic")  # type: ignore[arg-type]
 
 

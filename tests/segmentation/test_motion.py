@@ -29,9 +29,7 @@ def test_a_bar_of_two_bones_has_two_parts() -> None:
     assert_sound(topology, labels)
     assert labels.max() == 1
     z = bar(frames=1).points[0][topology.faces].mean(axis=1)[:, 2]
-    boundary = topology.hinge_faces[
-        (labels[topology.hinge_faces][:, 0] != labels[topology.hinge_faces][:, 1])
-    ]
+    boundary = topology.hinge_faces[(labels[topology.hinge_faces][:, 0] != labels[topology.hinge_faces][:, 1])]
     assert np.abs(z[boundary] - 2.0).max() < 0.5  # bones meet at z = 2 and blend over 0.8
     assert len(set(labels[z < 1.5])) == len(set(labels[z > 2.5])) == 1
 
@@ -72,9 +70,7 @@ def test_every_component_has_a_part_whatever_is_asked_for() -> None:
     sequence = SEQUENCES["several components"]()
     topology, labels = segmented(sequence, 1)
     assert_sound(topology, labels)
-    np.testing.assert_array_equal(
-        np.unique(np.stack([labels, topology.component_of_face]), axis=1).shape, (2, 3)
-    )
+    np.testing.assert_array_equal(np.unique(np.stack([labels, topology.component_of_face]), axis=1).shape, (2, 3))
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
@@ -86,9 +82,7 @@ def test_a_sequence_without_motion_has_a_part_for_each_component() -> None:
     mesh = joined(tube(5, 6), tube(6, 4), grid(2, 2))
     points = np.repeat(mesh[0][None], 4, axis=0)
     topology, labels = segmented(MeshSequence.from_arrays(points, mesh[1]))
-    np.testing.assert_array_equal(
-        np.unique(np.stack([labels, topology.component_of_face]), axis=1)[0], [0, 1, 2]
-    )
+    np.testing.assert_array_equal(np.unique(np.stack([labels, topology.component_of_face]), axis=1)[0], [0, 1, 2])
 
 
 def test_a_rigid_sequence_is_one_part() -> None:

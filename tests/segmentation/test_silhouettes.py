@@ -95,9 +95,7 @@ def test_more_silhouettes_than_there_are() -> None:
     all_views = SilhouetteSettings(viewpoints=5, silhouettes=5 * sequence.frame_count)
     np.testing.assert_array_equal(
         segment_by_silhouettes(sequence.points, topology, settings=all_views),
-        segment_by_silhouettes(
-            sequence.points, topology, settings=replace(all_views, silhouettes=999, seed=8)
-        ),
+        segment_by_silhouettes(sequence.points, topology, settings=replace(all_views, silhouettes=999, seed=8)),
     )
 
 

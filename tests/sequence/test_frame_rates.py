@@ -81,9 +81,7 @@ RATES = (24.0, 24000 / 1001, 25.0, 30000 / 1001, 120.0)
 def test_numbers_and_times_are_inverse(fps: float) -> None:
     for number in (-5, 0, 1, 1001, 9_999):
         assert time_to_number(number_to_time(number, fps), fps) == number
-        assert (
-            format_frame(float(np.float32(number_to_time(number, fps))), fps) == f"{number}"
-        )  # as MDD holds times
+        assert format_frame(float(np.float32(number_to_time(number, fps))), fps) == f"{number}"  # as MDD holds times
 
 
 def test_what_is_no_frame_keeps_its_fraction() -> None:

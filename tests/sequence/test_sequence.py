@@ -86,9 +86,7 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "below": (lambda: MeshSequence.from_arrays(points(), [[0, 1, -1]]), "face 0 uses vertex -1"),
     "beyond in polygons": (
-        lambda: MeshSequence.from_arrays(
-            points(), Polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 0, 1, 9]))
-        ),
+        lambda: MeshSequence.from_arrays(points(), Polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 0, 1, 9]))),
         "face 1 uses vertex 9",
     ),
     "huge indices": (
@@ -319,9 +317,7 @@ def test_faces_keep_their_side() -> None:
     """A rotation turns no mesh inside out."""
     for old in "XYZ":
         for new in "XYZ":
-            assert np.linalg.det(
-                UnitConversion.from_header(sequence(up_axis=old), new).rotation
-            ) == pytest.approx(1)
+            assert np.linalg.det(UnitConversion.from_header(sequence(up_axis=old), new).rotation) == pytest.approx(1)
 
 
 def test_scaled() -> None:

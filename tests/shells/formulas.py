@@ -44,9 +44,7 @@ def jacobian(problem: ShellProblem, points: Float) -> sparse.csr_array:
     length = length_gradients(points, edges) * problem.length_weights[:, None]
     stretch = np.stack([-length, length], axis=1)
     bend = problem.bending * dihedral_gradients(points, hinges)
-    row = np.concatenate(
-        [np.repeat(np.arange(len(edges)), 6), len(edges) + np.repeat(np.arange(len(hinges)), 12)]
-    )
+    row = np.concatenate([np.repeat(np.arange(len(edges)), 6), len(edges) + np.repeat(np.arange(len(hinges)), 12)])
     place = problem.patch.free_index[np.concatenate([edges.reshape(-1), hinges.reshape(-1)])]
     column = (3 * place[:, None] + np.arange(3)).reshape(-1)
     value = np.concatenate([stretch.reshape(-1), bend.reshape(-1)])

@@ -131,9 +131,7 @@ def test_energy_never_rises(seed: int, bending: float) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_where_it_stops_the_energy_is_stationary(seed: int) -> None:
     problem = impossible(seed, 0.3)
-    points, report = fit_shell(
-        problem, BENT[0], ShellSettings(tolerance=1e-13, accuracy=1e-12, iterations=300)
-    )
+    points, report = fit_shell(problem, BENT[0], ShellSettings(tolerance=1e-13, accuracy=1e-12, iterations=300))
     assert report.converged
     slope = 2 * jacobian(problem, points).T @ problem.residuals(points)
     begin = 2 * jacobian(problem, BENT[0]).T @ problem.residuals(BENT[0])

@@ -29,9 +29,7 @@ def dense(pattern: BlockSparsePattern, values: Float) -> Float:
 def pulled(problem: ShellProblem, rng: np.random.Generator) -> ShellProblem:
     count = len(problem.patch.free_ids)
     soft = SoftConstraint(rng.normal(size=(count, 3)), rng.uniform(0.5, 2.0, count))
-    return ShellProblem(
-        problem.patch, problem.lengths, problem.angles, problem.length_weights, problem.bending, soft
-    )
+    return ShellProblem(problem.patch, problem.lengths, problem.angles, problem.length_weights, problem.bending, soft)
 
 
 @settings(max_examples=30, deadline=None)
@@ -48,9 +46,7 @@ def test_residuals_and_equations(seed: int, name: str, soft: bool) -> None:
         problem.bending * wrap_angles(dihedral_angles(x, problem.patch.equations.hinges) - problem.angles),
     ]
     if soft:
-        away = problem.constraint.weights[:, None] * (
-            x[problem.patch.free_ids] - problem.constraint.positions
-        )
+        away = problem.constraint.weights[:, None] * (x[problem.patch.free_ids] - problem.constraint.positions)
         expected.append(away.reshape(-1))
     residuals = problem.residuals(x)
     np.testing.assert_allclose(residuals, np.concatenate(expected), atol=1e-12)
@@ -111,9 +107,7 @@ def test_pattern_and_conjugate_gradients(seed: int, count: int) -> None:
             row, column = max(i, j), min(i, j)
             assert values[pattern.places[block, 0] + 2] == matrix[3 * row + 2, 3 * column]
     right, solution = rng.normal(size=3 * count), np.empty(3 * count)
-    steps = conjugate_gradients(
-        pattern.starts, pattern.rows, pattern.places, values, right, 1e-12, 500, solution
-    )
+    steps = conjugate_gradients(pattern.starts, pattern.rows, pattern.places, values, right, 1e-12, 500, solution)
     assert 0 <= steps <= 500
     np.testing.assert_allclose(solution, np.linalg.solve(matrix, right), atol=1e-9)
     np.testing.assert_allclose(pattern.analysis.factor(values).solve(right), solution, atol=1e-9)

@@ -85,9 +85,7 @@ def test_nothing_to_solve_for() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(seed=seeds, motion=rigid_motions, name=st.sampled_from(list(MESHES)), free=st.booleans())
-def test_exact_on_crumpled_meshes_anywhere(
-    seed: int, motion: tuple[Float, Float], name: str, free: bool
-) -> None:
+def test_exact_on_crumpled_meshes_anywhere(seed: int, motion: tuple[Float, Float], name: str, free: bool) -> None:
     rng = np.random.default_rng(seed)
     points, faces = MESHES[name]
     crumpled = points + rng.uniform(-0.08, 0.08, points.shape)

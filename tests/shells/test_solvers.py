@@ -100,9 +100,7 @@ def test_forked_processes_solve_with_the_same_bits(size: int) -> None:
     """rslab's threads are not copied, neither for large systems nor for small ones."""
     width = int(np.sqrt(size))
     offsets = [0, -1, 1, -width, width]
-    matrix = sparse.csr_array(
-        sparse.diags_array([4.5, -1.0, -1.0, -1.0, -1.0], offsets=offsets, shape=(size, size))
-    )
+    matrix = sparse.csr_array(sparse.diags_array([4.5, -1.0, -1.0, -1.0, -1.0], offsets=offsets, shape=(size, size)))
     right = np.random.default_rng(0).normal(size=(size, 3))
     factor = factorise(matrix)
 

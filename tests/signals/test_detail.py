@@ -147,9 +147,7 @@ def test_another_motion_through_the_same_shapes() -> None:
 
 def test_key_shapes_of_exact_models_are_rounded() -> None:
     model = fit(LONG, exact=True)
-    np.testing.assert_array_equal(
-        np.round(model.shapes / EXACT_ROUNDING_STEP) * EXACT_ROUNDING_STEP, model.shapes
-    )
+    np.testing.assert_array_equal(np.round(model.shapes / EXACT_ROUNDING_STEP) * EXACT_ROUNDING_STEP, model.shapes)
     assert mixseq.compare(LONG, model.sample()).max_error < 1e-9
 
 

@@ -142,9 +142,7 @@ def test_settings_of_the_edge_space_are_used() -> None:
 
 @pytest.mark.parametrize("space", ["vertex", "gradient", "lri", "edge"])
 def test_other_spaces_have_no_parts(space: SpaceName) -> None:
-    with pytest.raises(
-        SettingsError, match=f"the {space} space has no parts; fit a model with space='mixed'"
-    ):
+    with pytest.raises(SettingsError, match=f"the {space} space has no parts; fit a model with space='mixed'"):
         _ = fit(SMALL, rank=1, space=space).decomposition
 
 
@@ -273,8 +271,7 @@ def test_few_frames_of_large_meshes_are_left_out(monkeypatch: pytest.MonkeyPatch
     np.testing.assert_array_equal(many.points, sequence.points[many.frame_ids] / encoded.space.scale)
     monkeypatch.setattr("mixseq.signals.fitting.MAX_VALIDATION_VERTICES", 100)
     assert (
-        len(CrossValidation.from_sequence(encoded, encoded.space, sequence.points).frame_ids)
-        == MIN_VALIDATION_FRAMES
+        len(CrossValidation.from_sequence(encoded, encoded.space, sequence.points).frame_ids) == MIN_VALIDATION_FRAMES
     )
 
 
@@ -284,8 +281,6 @@ def test_frames_that_are_left_out_are_made_of_the_others() -> None:
     encoded = encoded_of(sequence, 1)
     assert isinstance(encoded.space, MixedSpace)
     trial = CrossValidation.from_sequence(encoded, encoded.space, sequence.points)
-    for frame, used, weights in zip(
-        trial.frame_ids, trial.weights.frame_ids, trial.weights.weights, strict=True
-    ):
+    for frame, used, weights in zip(trial.frame_ids, trial.weights.frame_ids, trial.weights.weights, strict=True):
         assert not weights[used == frame].any()
         assert weights.sum() == pytest.approx(1.0)

@@ -76,9 +76,7 @@ def test_middles_between_frames_are_predicted(placement: PlacementName, uneven: 
     points = sequence.points.astype(np.float64)
     held = space.to_body_axes(points, np.arange(points.shape[1]), vectors[:, size:end])
     operator = select_operator(sequence.times, held.reshape(5, -1))
-    np.testing.assert_allclose(
-        found[:, :size], operator.weights_at(middles).interpolate(vectors[:, :size]), atol=1e-11
-    )
+    np.testing.assert_allclose(found[:, :size], operator.weights_at(middles).interpolate(vectors[:, :size]), atol=1e-11)
     off = []
     for in_body in (False, True):  # which way is chosen by leaving frames out
         poses = vectors[:, size - space.pose_dim : size]
@@ -236,9 +234,7 @@ def test_a_tail_that_twists_by_half_a_turn_goes_on_twisting() -> None:
     keys = np.radians([0, 45, 90, 135, 180, 225, 270])
 
     def twisted(turn: float) -> NDArray[np.float64]:
-        return np.stack(
-            [rotation(np.array([0, 0, turn * a])) @ x for a, x in zip(along, mesh[0], strict=True)]
-        )
+        return np.stack([rotation(np.array([0, 0, turn * a])) @ x for a, x in zip(along, mesh[0], strict=True)])
 
     points = np.stack([twisted(turn) for turn in keys])
     model = fit(MeshSequence.from_arrays(points, mesh[1], fps=1), exact=True)

@@ -29,9 +29,7 @@ from tests.meshes import SEQUENCES, bar
 pytestmark = pytest.mark.slow
 
 LONG = bar(sides=5, rings=13, frames=30)
-BENT = MeshSequence.from_header(
-    LONG.header.with_times(np.arange(30) / 24, fps=24.0), LONG.points.astype(np.float32)
-)
+BENT = MeshSequence.from_header(LONG.header.with_times(np.arange(30) / 24, fps=24.0), LONG.points.astype(np.float32))
 FILES = (
     "bar.npz",
     "bar.h5",
@@ -161,9 +159,7 @@ def test_a_source_that_fails_leaves_no_file(
 
 @pytest.mark.usefixtures("on_disk")
 @pytest.mark.parametrize("stage", ["registering parts", "encoding frames", "choosing modes and knots"])
-def test_an_interrupted_fit_leaves_no_file(
-    stage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_fit_leaves_no_file(stage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
     def stop(done: int, total: int, what: str) -> None:

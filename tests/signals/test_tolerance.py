@@ -164,14 +164,10 @@ def test_vertex_models_have_no_parts() -> None:
         _ = fit(LONG, rank=2, space="vertex").decomposition
 
 
-@pytest.mark.parametrize(
-    "settings", [{"exact": True}, {"tolerance": 1e-9}, {"tolerance": 1e-9, "space": "vertex"}]
-)
+@pytest.mark.parametrize("settings", [{"exact": True}, {"tolerance": 1e-9}, {"tolerance": 1e-9, "space": "vertex"}])
 def test_what_doubles_have_no_digits_for_is_refused(settings: dict[str, Any]) -> None:
     far = MeshSequence.from_arrays(LONG.points[:4] + 1e9, LONG.polygons)
-    message = (
-        r"off by .* diagonals, more than 1e-0.: coordinates are up to .* move the sequence to the origin"
-    )
+    message = r"off by .* diagonals, more than 1e-0.: coordinates are up to .* move the sequence to the origin"
     with pytest.raises(SettingsError, match=message):
         fit(far, **settings)
     assert mixseq.compare(far, fit(far, tolerance=1e-3).sample()).max_error <= 1e-3
@@ -179,9 +175,7 @@ def test_what_doubles_have_no_digits_for_is_refused(settings: dict[str, Any]) ->
 
 def test_growth_that_leaves_too_few_digits_is_refused() -> None:
     growing = LONG.points * np.geomspace(1e-6, 1e6, 30)[:, None, None]
-    with pytest.raises(
-        SettingsError, match=r"more than 0\.0001: vertices move up to \S+e\+11 diagonals"
-    ) as error:
+    with pytest.raises(SettingsError, match=r"more than 0\.0001: vertices move up to \S+e\+11 diagonals") as error:
         fit(LONG.with_points(growing), tolerance=1e-4)
     assert str(error.value).startswith(repr(LONG.header.name))
     assert "origin" not in str(error.value)
@@ -201,6 +195,4 @@ def test_one_frame() -> None:
     for space in ("mixed", "vertex"):
         model = fit(still, space=space, exact=True)
         np.testing.assert_allclose(model.sample().points, still.points, atol=1e-9)
-        assert (
-            mixseq.compare(still, fit(still, space=space).sample()).max_error <= VISUALLY_LOSSLESS_TOLERANCE
-        )
+        assert mixseq.compare(still, fit(still, space=space).sample()).max_error <= VISUALLY_LOSSLESS_TOLERANCE

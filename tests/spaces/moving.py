@@ -23,9 +23,5 @@ def wandering(seed: int, parts: int, frames: int = 12) -> Poses:
     q = normalise_quat(rng.normal(size=(1, parts, 4)))
     path = [q[0]]
     for _ in range(frames - 1):
-        path.append(
-            quat_multiply(path[-1], normalise_quat([1.0, 0, 0, 0] + 0.3 * rng.normal(size=(parts, 4))))
-        )
-    return Poses(
-        align_quat_signs(np.stack(path)), np.cumsum(rng.normal(scale=0.2, size=(frames, parts, 3)), axis=0)
-    )
+        path.append(quat_multiply(path[-1], normalise_quat([1.0, 0, 0, 0] + 0.3 * rng.normal(size=(parts, 4)))))
+    return Poses(align_quat_signs(np.stack(path)), np.cumsum(rng.normal(scale=0.2, size=(frames, parts, 3)), axis=0))

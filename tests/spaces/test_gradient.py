@@ -125,9 +125,7 @@ def test_the_fourth_vertex_of_a_flat_face_follows_its_neighbours() -> None:
 # What is between them -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "mesh", [tetrahedron(), torus(7, 5), tube(5, 4)], ids=["tetrahedron", "torus", "tube"]
-)
+@pytest.mark.parametrize("mesh", [tetrahedron(), torus(7, 5), tube(5, 4)], ids=["tetrahedron", "torus", "tube"])
 def test_half_way_to_three_times_the_size_is_twice_the_size(mesh: Mesh) -> None:
     points = np.stack([mesh[0], 3 * mesh[0] + [1.0, 0, 0]])
     space = space_of(points, mesh[1])
@@ -161,9 +159,7 @@ def test_a_linear_blend_of_matrices_would_be_one_of_vertices() -> None:
     sequence = bar()
     space = space_of(sequence.points, sequence.faces)
     first, last = sequence.points[0] / space.scale, sequence.points[-1] / space.scale
-    gradients = (
-        (space.complete_triangles(first) + space.complete_triangles(last)) @ space.inverse_triangles / 2
-    )
+    gradients = (space.complete_triangles(first) + space.complete_triangles(last)) @ space.inverse_triangles / 2
     rows = space.poisson_system.solve(np.swapaxes(gradients @ space.reference_sides, 1, 2).reshape(-1, 3))
     averaged = (first + last) / 2
     np.testing.assert_allclose(rows - rows.mean(axis=0), averaged - averaged.mean(axis=0), atol=1e-13)
@@ -178,9 +174,7 @@ def test_without_rotations_decoding_is_linear() -> None:
     vectors = rng.normal(size=(2, space.dim))
     vectors[:, : 3 * len(space.face_rows)] = 0
     one, other = space.decode(vectors)
-    np.testing.assert_allclose(
-        space.decode([0.3, 0.7] @ vectors[None])[0], 0.3 * one + 0.7 * other, atol=1e-11
-    )
+    np.testing.assert_allclose(space.decode([0.3, 0.7] @ vectors[None])[0], 0.3 * one + 0.7 * other, atol=1e-11)
 
 
 def test_the_integral_weighs_by_area() -> None:
@@ -193,9 +187,7 @@ def test_the_integral_weighs_by_area() -> None:
     pinv = np.linalg.pinv(space.reference_triangles[:, :, :2])  # the gradient in the plane of the reference
     got = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2) @ pinv
     inside = stretches @ space.reference_triangles[:, :, :2] @ pinv
-    areas = (
-        np.linalg.norm(np.cross(space.reference_sides[:, :, 0], space.reference_sides[:, :, 1]), axis=1) / 2
-    )
+    areas = np.linalg.norm(np.cross(space.reference_sides[:, :, 0], space.reference_sides[:, :, 1]), axis=1) / 2
     residual = areas[:, None, None] * (got - inside) @ np.swapaxes(pinv, 1, 2)
     sums = np.zeros_like(rows)
     for corner, part in ((1, residual[:, :, 0]), (2, residual[:, :, 1]), (0, -residual.sum(axis=2))):

@@ -103,9 +103,7 @@ def test_coordinates_of_a_sheet() -> None:
     assert space.dim == 15 * len(space.topology.edges) + 7
 
 
-@pytest.mark.parametrize(
-    "mesh", [tetrahedron(), torus(7, 5), tube(5, 4)], ids=["tetrahedron", "torus", "tube"]
-)
+@pytest.mark.parametrize("mesh", [tetrahedron(), torus(7, 5), tube(5, 4)], ids=["tetrahedron", "torus", "tube"])
 def test_half_way_to_three_times_the_size_is_twice_the_size(mesh: Mesh) -> None:
     turn = np.array([0.6, -1.2, 0.3])
     centred = mesh[0] - mesh[0].mean(axis=0)

@@ -72,9 +72,7 @@ def test_frames_of_other_meshes_are_refused(name: SpaceName) -> None:
     space, points = make_space(LONG, name), LONG.points
     assert space.vertex_count == LONG.vertex_count
     for wrong in (points[:, :-1], points[:, :, :2], points[0, 0], points[None], points[:0, :-1]):
-        with pytest.raises(
-            SettingsError, match=r"points have shape .*; \(T, 38, 3\) is expected, or \(38, 3\)"
-        ):
+        with pytest.raises(SettingsError, match=r"points have shape .*; \(T, 38, 3\) is expected, or \(38, 3\)"):
             space.encode(wrong)
     for dtype in (np.complex128, np.bool_, np.object_):
         with pytest.raises(SettingsError, match=r"points are (complex128|bool|object); real numbers"):

@@ -30,9 +30,7 @@ def frames() -> Float:
 
 @pytest.mark.parametrize("placement", PLACEMENTS)
 @pytest.mark.parametrize("weights", [[0.5, 0.5, 0, 0], [0.25, 0.25, 0.25, 0.25], [1.5, -0.5, 0, 0]])
-def test_one_part_is_blended_by_its_registered_vertices(
-    placement: PlacementName, weights: list[float]
-) -> None:
+def test_one_part_is_blended_by_its_registered_vertices(placement: PlacementName, weights: list[float]) -> None:
     points, mesh = frames(), tube(8, 12)
     topology = topology_of(mesh)
     decomposition = decompose(topology, np.zeros(len(mesh[1]), dtype=np.int64), 3, points)

@@ -143,16 +143,12 @@ def test_frames_that_are_evenly_spaced_share_a_system(length: float, monkeypatch
 
 def test_frames_that_are_nearly_at_one_time_stay_two() -> None:
     times = np.array([0.0, 2.0**-40, 2.0, 3.0])
-    found = (
-        TemporalOperator(times, np.inf, NATURAL).weights_at(np.array([0.5, 2.5])).interpolate(times[:, None])
-    )
+    found = TemporalOperator(times, np.inf, NATURAL).weights_at(np.array([0.5, 2.5])).interpolate(times[:, None])
     np.testing.assert_allclose(found[:, 0], [0.5, 2.5], atol=1e-6)
 
 
 @settings(max_examples=10, deadline=None)
-@given(
-    shift=st.floats(-1e3, 1e3), scale=st.floats(1e-3, 1e3), length=st.sampled_from(CANDIDATE_LENGTH_SCALES)
-)
+@given(shift=st.floats(-1e3, 1e3), scale=st.floats(1e-3, 1e3), length=st.sampled_from(CANDIDATE_LENGTH_SCALES))
 def test_units_of_time_do_not_matter(shift: float, scale: float, length: float) -> None:
     times = np.linspace(0.1, 2.9, 20)
     here = full(TemporalOperator(UNEVEN, length).weights_at(times))
@@ -249,10 +245,7 @@ def test_dense_frames_of_something_smooth_take_the_usual_spline_at_the_ends() ->
     away = np.abs(operator.weights_at(between).interpolate(samples) - truth).max()
     assert (
         away
-        < 0.5
-        * np.abs(
-            TemporalOperator(times, np.inf, NATURAL).weights_at(between).interpolate(samples) - truth
-        ).max()
+        < 0.5 * np.abs(TemporalOperator(times, np.inf, NATURAL).weights_at(between).interpolate(samples) - truth).max()
     )
 
 
@@ -290,9 +283,7 @@ def test_what_is_chosen_predicts_frames_left_out_best() -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_too_few_frames_choose_nothing(count: int) -> None:
-    operator = select_operator(
-        0.1 * np.arange(float(count)), np.random.default_rng(0).normal(size=(count, 3))
-    )
+    operator = select_operator(0.1 * np.arange(float(count)), np.random.default_rng(0).normal(size=(count, 3)))
     assert operator.length_scale == np.inf
     assert operator.cubic_shares == (0.5, 0.5)
 
@@ -363,9 +354,7 @@ def test_rigid_motions_of_everything_go_through(seed: int, motion: tuple[Float, 
     moved = Poses(quat_multiply(matrix_to_quat(turn), poses.rotations), poses.centres @ turn.T + shift)
     rows = TemporalOperator(times, 4.0).weights_at(insert_midpoints(times))
     here, there = (interpolate_poses(rows, each) for each in (poses, moved))
-    np.testing.assert_allclose(
-        quat_to_matrix(there.rotations), turn @ quat_to_matrix(here.rotations), atol=1e-9
-    )
+    np.testing.assert_allclose(quat_to_matrix(there.rotations), turn @ quat_to_matrix(here.rotations), atol=1e-9)
     np.testing.assert_allclose(there.centres, here.centres @ turn.T + shift, atol=1e-9)
 
 

@@ -73,9 +73,7 @@ def test_poses_are_the_motion_of_a_piece(motion: tuple[Float, Float]) -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(first=rigid_motions, second=rigid_motions)
-def test_placing_undoes_any_motion_of_a_piece(
-    first: tuple[Float, Float], second: tuple[Float, Float]
-) -> None:
+def test_placing_undoes_any_motion_of_a_piece(first: tuple[Float, Float], second: tuple[Float, Float]) -> None:
     topology, points = two_and_a_point()
     pieces = Pieces.from_mesh(topology, points)
     rotations, centres = pieces.measure_poses(points)
@@ -173,9 +171,7 @@ def test_between_frames_a_body_turns_as_evenly_as_at_them() -> None:
     _, placements = SPACE.interpolate_poses(
         operator, vectors[:, :0], vectors[:, SPACE.shape_dim :], at, in_body_axes=False
     )
-    found = SPACE.decode(
-        np.concatenate([np.repeat(vectors[:1, : SPACE.shape_dim], 4, axis=0), placements], axis=1)
-    )
+    found = SPACE.decode(np.concatenate([np.repeat(vectors[:1, : SPACE.shape_dim], 4, axis=0), placements], axis=1))
     centres = operator.weights_at(at).interpolate(path)
     expected = [POINTS @ rotation((0.0, np.radians(150.0) * 24 * t, 0.0)).T for t in at]
     np.testing.assert_allclose(found, np.stack(expected) + centres[:, None], atol=1e-12)

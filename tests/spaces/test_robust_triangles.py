@@ -54,9 +54,7 @@ def test_vertices_of_a_tetrahedron_look_outwards() -> None:
 
 def test_vertices_without_a_normal_ask_their_neighbours_and_theirs() -> None:
     """A triangle with area, and a chain of flat ones, out along its side; and a piece with none."""
-    points = np.array(
-        [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0], [9, 9, 9], [9, 9, 8]]
-    )
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0], [9, 9, 9], [9, 9, 8]])
     faces = np.array([[0, 1, 2], [0, 1, 3], [1, 3, 4], [3, 4, 5], [6, 7, 7]])
     normals = vertex_normals(points, faces, topology_of((points, faces)).edges)
     np.testing.assert_allclose(normals, [[0, 0, 1]] * 6 + [[0, 0, 0]] * 2)

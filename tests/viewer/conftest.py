@@ -56,9 +56,7 @@ def browser() -> Iterator[Browser]:
     if executable is None:
         pytest.skip(f"there is no browser: none of {', '.join(NAMES)} is on the PATH")
     with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=executable, args=list(ARGUMENTS), timeout=PATIENCE
-        )
+        browser = playwright.chromium.launch(executable_path=executable, args=list(ARGUMENTS), timeout=PATIENCE)
         yield browser
         browser.close()
 

@@ -212,9 +212,7 @@ def test_showing_does_not_fight_the_hand(charts: Charts, signals: dict[str, Any]
     assert charts.ask("handlePixels()") == []
 
 
-def test_what_a_drag_will_make_is_shown_at_once(
-    charts: Charts, signals: dict[str, Any], model: Model
-) -> None:
+def test_what_a_drag_will_make_is_shown_at_once(charts: Charts, signals: dict[str, Any], model: Model) -> None:
     time, start = signals["handles"][5]["time"], charts.ask("handlePixels()")[5]
     charts.grab(start)
     charts.move((start[0] + 30, start[1] - 60))
@@ -314,9 +312,7 @@ def test_keys_keep_their_order(charts: Charts, signals: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("towards", [-30, 30])
-def test_the_last_key_makes_it_shorter_or_longer(
-    charts: Charts, signals: dict[str, Any], towards: int
-) -> None:
+def test_the_last_key_makes_it_shorter_or_longer(charts: Charts, signals: dict[str, Any], towards: int) -> None:
     x, y = charts.ask("keyPixels()")[-1]
     charts.drag((x, y), (x + towards, y))
     output, source = charts.told("retime")[-1]["keys"][-1]
@@ -355,9 +351,7 @@ def test_the_curve_through_keys_is_that_of_the_retiming(small: Page, keys: list[
     Charts(small, None)
     wanted = PchipInterpolator(*np.transpose(keys)) if len(keys) > 2 else None
     times = np.linspace(keys[0][0], keys[-1][0], 50)
-    drawn = small.evaluate(
-        "([keys, times]) => times.map(mixseqChartParts.monotone(keys))", [keys, times.tolist()]
-    )
+    drawn = small.evaluate("([keys, times]) => times.map(mixseqChartParts.monotone(keys))", [keys, times.tolist()])
     if wanted is None:
         np.testing.assert_allclose(drawn, np.stack([1 + 2 * times, np.full(50, 2.0)], axis=1), atol=1e-12)
     else:

@@ -345,9 +345,7 @@ def test_names_stay_names(tmp_path: Path, name: str) -> None:
 def test_pages_ask_for_nothing_else(tmp_path: Path) -> None:
     export_page(tmp_path / "a.html", [exported(bar())])
     page = Opened(tmp_path / "a.html")
-    text = "".join(
-        [re.sub(r">[^<]*</script>", "", page.text), page.style, page.body, page.decoder, page.scripts]
-    )
+    text = "".join([re.sub(r">[^<]*</script>", "", page.text), page.style, page.body, page.decoder, page.scripts])
     assert not re.findall(r"""(?:src|href)\s*=\s*["']|url\(|https?://|@import""", text)
     assert "default-src 'none'" in text
 
@@ -362,9 +360,7 @@ def test_charts_are_in_pages_that_show_them(tmp_path: Path, bar_model: Model) ->
 
 def test_progress_is_told(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
-    export_page(
-        tmp_path / "a.html", [exported(bar())], progress=lambda done, total, what: told.append((done, total))
-    )
+    export_page(tmp_path / "a.html", [exported(bar())], progress=lambda done, total, what: told.append((done, total)))
     assert told[-1][0] == told[-1][1]
     assert {total for _, total in told} == {told[-1][1]}
     assert all(before[0] <= after[0] for before, after in pairwise(told))

@@ -30,9 +30,7 @@ def make() -> Iterator[Make]:
     """Makes frames, and closes them."""
     made: list[FrameCache] = []
 
-    def make_it(
-        threads: int = 1, memory: int = 1 << 20, ready: Callable[[], None] = lambda: None
-    ) -> FrameCache:
+    def make_it(threads: int = 1, memory: int = 1 << 20, ready: Callable[[], None] = lambda: None) -> FrameCache:
         made.append(FrameCache(ready, threads, memory))
         return made[-1]
 

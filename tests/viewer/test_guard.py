@@ -163,9 +163,7 @@ def test_pages_are_not_for_other_names(page: Page) -> None:
         {"cookie": "mixseq-1={token}"},
     ],
 )
-def test_websockets_are_for_our_own_pages(
-    page: Page, given: dict[str, str], capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_websockets_are_for_our_own_pages(page: Page, given: dict[str, str], capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(InvalidStatus) as refused:
         page.open(**{name: each.format(port=page.port, token=page.token) for name, each in given.items()})
     assert refused.value.response.status_code == 403
@@ -248,9 +246,7 @@ def test_no_uploads(running: Viewer, page: Page, capfd: pytest.CaptureFixture[st
         {},
     ],
 )
-def test_only_values_of_controls_change(
-    page: Page, updates: dict[str, Any], capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_only_values_of_controls_change(page: Page, updates: dict[str, Any], capfd: pytest.CaptureFixture[str]) -> None:
     with page.open() as line:
         line.send(change(page.control("Wireframe"), **updates))
         check_it_hears(page, line)

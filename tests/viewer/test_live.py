@@ -102,9 +102,7 @@ class Window:
     def __init__(self, page: Page, address: str) -> None:
         self.page = page
         page.goto(address + QUICK)
-        page.wait_for_function(
-            "() => document.getElementById('mixseq-charts')?.mixseqCharts?.handlePixels().length"
-        )
+        page.wait_for_function("() => document.getElementById('mixseq-charts')?.mixseqCharts?.handlePixels().length")
         eventually(lambda: self.array("color"))
         # tells that there is no graphics card, and stands in the way
         eventually(lambda: page.get_by_text("Software WebGL").count())
@@ -150,9 +148,7 @@ class Window:
         self.page.get_by_role("option", name=option, exact=True).click()
 
 
-def test_a_session(
-    new_page: NewPage, running: Viewer, screenshots: Path, model: Model, tmp_path: Path
-) -> None:
+def test_a_session(new_page: NewPage, running: Viewer, screenshots: Path, model: Model, tmp_path: Path) -> None:
     window = Window(new_page(), running.address)
     page, session, playback = window.page, running.session, running.playback
     page.screenshot(path=screenshots / "view.png")
@@ -224,9 +220,7 @@ EDGES = """() => {
 """Where the picture ends, and the left, upper and right edge of the panel."""
 
 
-def test_on_a_phone_the_panel_is_under_the_picture(
-    new_page: NewPage, running: Viewer, screenshots: Path
-) -> None:
+def test_on_a_phone_the_panel_is_under_the_picture(new_page: NewPage, running: Viewer, screenshots: Path) -> None:
     page = new_page(390, 844)
     page.goto(running.address + QUICK)
     page.locator(".mixseq-sheet").wait_for()

@@ -94,9 +94,7 @@ def running(tmp_path: Path) -> Iterator[MarkingViewer]:
         yield started
 
 
-def test_from_nothing_to_a_file(
-    new_page: NewPage, running: MarkingViewer, keep: Keep, tmp_path: Path
-) -> None:
+def test_from_nothing_to_a_file(new_page: NewPage, running: MarkingViewer, keep: Keep, tmp_path: Path) -> None:
     hand = Hand(new_page(), running)
     page, session = hand.page, running.session
     eventually(lambda: len(session.proposals) == 8 and session._mirrors is not None)
@@ -183,9 +181,7 @@ def test_no_mesh_hides_the_other(new_page: NewPage, running: MarkingViewer) -> N
         """How far meshes are from where the camera looks, as shares of the way between them."""
         (client,) = running._server.get_clients().values()
         middles = stage.arrangement.centres
-        far = np.linalg.norm(middles - client.camera.look_at, axis=1) / np.linalg.norm(
-            middles[1] - middles[0]
-        )
+        far = np.linalg.norm(middles - client.camera.look_at, axis=1) / np.linalg.norm(middles[1] - middles[0])
         return np.asarray(far)
 
     def looked_at() -> int:

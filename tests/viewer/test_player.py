@@ -84,9 +84,7 @@ class Player:
 
     def run(self, script: str) -> Any:
         """Run a script, wait until all is drawn, and return what it returned."""
-        return self.page.evaluate(
-            f"async () => {{ const made = {script}; await mixseqPlayer.settled(); return made }}"
-        )
+        return self.page.evaluate(f"async () => {{ const made = {script}; await mixseqPlayer.settled(); return made }}")
 
     def seek(self, time: float) -> None:
         self.run(f"mixseqPlayer.seek({time})")
@@ -209,9 +207,7 @@ POSES = """(async () => {
 """All poses, as they are decoded."""
 
 
-@pytest.mark.parametrize(
-    "without", ["", "delete window.Worker", "window.Worker = class { constructor() { throw 0 } }"]
-)
+@pytest.mark.parametrize("without", ["", "delete window.Worker", "window.Worker = class { constructor() { throw 0 } }"])
 def test_the_browser_finds_what_python_does(new_page: NewPage, bar_page: Path, without: str) -> None:
     """Places, and what colours measure of them; in a worker and, where there is none, in the page."""
     page = new_page(*SMALL)

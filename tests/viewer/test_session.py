@@ -626,9 +626,7 @@ def test_a_line(line: MeshSequence) -> None:
     np.testing.assert_allclose(np.abs(path[:, 0] - path[0, 0]), speed * (times - 1), atol=1e-4)
     np.testing.assert_allclose(path[:, 1], 0, atol=1e-12)
     assert signals["frameTimes"] == [1, 1.5, 2, 2.5]
-    np.testing.assert_allclose(
-        np.array(signals["frames"])[:, 0], np.linspace(path[0, 0], path[-1, 0], 4), atol=1e-4
-    )
+    np.testing.assert_allclose(np.array(signals["frames"])[:, 0], np.linspace(path[0, 0], path[-1, 0], 4), atol=1e-4)
 
 
 def test_handles_are_on_the_path(line: MeshSequence) -> None:

@@ -25,9 +25,7 @@ def shown(following: bool) -> tuple[Float, Float]:
     travel = np.multiply.outer(np.arange(FRAMES), [[5.0, 0, 0]])
     moving = MeshSequence.from_arrays(points + travel, faces)
     scene = Scene((SceneItem("tube", moving).with_random_access(),))
-    stage = LiveStage(
-        MagicMock(), SceneColours(scene, None), "standard", False, MagicMock(), following=following
-    )
+    stage = LiveStage(MagicMock(), SceneColours(scene, None), "standard", False, MagicMock(), following=following)
     middles, grounds = [], []
     for frame in range(FRAMES):
         stage.show(Moment(scene, frame, (scene.items[0].pose(scene.elapsed(frame)),)))

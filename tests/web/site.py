@@ -51,9 +51,7 @@ def three(kind: str) -> tuple[str, Mapping[str, str | bytes]]:
     folder = os.environ.get("MIXSEQ_THREE")
     if not folder:
         pytest.skip("MIXSEQ_THREE is not set to the folder of npm's three")
-    imports = (
-        '{"imports": {"three": "./three/build/three.module.js", "three/addons/": "./three/examples/jsm/"}}'
-    )
+    imports = '{"imports": {"three": "./three/build/three.module.js", "three/addons/": "./three/examples/jsm/"}}'
     served = {
         f"three/{path.relative_to(folder).as_posix()}": path.read_bytes()
         for part in ("build/three.*.js", "examples/jsm/loaders/GLTFLoader.js", "examples/jsm/utils/*.js")

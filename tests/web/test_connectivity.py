@@ -66,9 +66,7 @@ SHAPES = {
     "turned over": Polygons.from_triangles(flipped(tube(8, 25)[1])),
     "many sides": polygons_of([0, 1, 2, 3], [3, 2, 4], [2, 1, 5, 6, 7, 4], [0, 3, 8], list(range(8, 300))),
     "a hundred at a vertex": polygons_of(*[[0, i, i + 1] for i in range(1, 200, 2)]),
-    "a hundred at an edge": polygons_of(
-        *[[0, 1, i] for i in range(2, 100)], *[[1, 0, i] for i in range(2, 70)]
-    ),
+    "a hundred at an edge": polygons_of(*[[0, 1, i] for i in range(2, 100)], *[[1, 0, i] for i in range(2, 70)]),
     "large steps": polygons_of(*[[i, 40000 - i, (i * 7919) % 40000] for i in range(300)]),
 }
 
@@ -112,16 +110,12 @@ def vertices_of(polygons: Polygons) -> int:
 
 
 def test_golden_meshes_come_back(node: Node, tmp_path: Path) -> None:
-    meshes = [
-        Polygons(kept["counts"], kept["indices"]) for kept in map(np.load, sorted(GOLDEN.glob("*.npz")))
-    ]
+    meshes = [Polygons(kept["counts"], kept["indices"]) for kept in map(np.load, sorted(GOLDEN.glob("*.npz")))]
     come_back(node, tmp_path, [(each, vertices_of(each) + unused) for each in meshes for unused in (0, 7)])
 
 
 def test_meshes_of_all_kinds_come_back(node: Node, tmp_path: Path) -> None:
-    come_back(
-        node, tmp_path, [(each, vertices_of(each) + unused) for each in SHAPES.values() for unused in (0, 5)]
-    )
+    come_back(node, tmp_path, [(each, vertices_of(each) + unused) for each in SHAPES.values() for unused in (0, 5)])
 
 
 def test_meshes_without_order_come_back(node: Node, tmp_path: Path) -> None:

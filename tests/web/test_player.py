@@ -130,9 +130,7 @@ def test_normals_on_the_graphics_card(page: Page, tmp_path: Path) -> None:
     opened(page, tmp_path, coded)
     positions, normals = drawn(page, coded.header.times)
     for points, found in zip(positions, normals, strict=True):
-        np.testing.assert_allclose(
-            found, normals_of(points.astype(np.float64), coded.header.faces), atol=2e-5
-        )
+        np.testing.assert_allclose(found, normals_of(points.astype(np.float64), coded.header.faces), atol=2e-5)
 
 
 def test_vertices_that_are_cut_along_seams(page: Page, tmp_path: Path) -> None:

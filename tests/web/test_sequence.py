@@ -145,9 +145,7 @@ def test_random_sequences(node: Node, tmp_path: Path, seed: int, monkeypatch: py
     colours = coded.header.surface.colours
     assert found.colours.tobytes() == (b"" if colours is None else colours.at_corners.tobytes())
     if coded.header.surface.hard_edges is not None:
-        np.testing.assert_array_equal(
-            found.hard_edges, renumber_by_first_use(coded.header.surface.hard_edges)
-        )
+        np.testing.assert_array_equal(found.hard_edges, renumber_by_first_use(coded.header.surface.hard_edges))
 
 
 def test_only_chunks_that_are_needed_are_decoded(node: Node, tmp_path: Path) -> None:

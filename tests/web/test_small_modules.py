@@ -21,9 +21,7 @@ def told(node: Node, folder: Path, script: str, given: Any) -> Any:
     """What a script prints as JSON that finds what is given in `given`."""
     path = folder / "given.json"
     path.write_text(json.dumps(given), encoding="utf-8")
-    head = (
-        'import { readFileSync } from "node:fs";\nconst given = JSON.parse(readFileSync(process.argv[2]));\n'
-    )
+    head = 'import { readFileSync } from "node:fs";\nconst given = JSON.parse(readFileSync(process.argv[2]));\n'
     return json.loads(node(f"{head}{script}", path))
 
 

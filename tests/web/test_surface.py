@@ -29,14 +29,10 @@ def test_coordinates_and_edges_that_are_kept_as_they_are(node: Node, tmp_path: P
     """Coordinates on no grid, and normals that vertices share, with face sets before them."""
     corners = bar().faces.size
     random = np.random.default_rng(2)
-    uvs = CornerValues(
-        random.random((40, 2)).astype(np.float32), random.integers(0, 40, corners).astype(np.int32)
-    )
+    uvs = CornerValues(random.random((40, 2)).astype(np.float32), random.integers(0, 40, corners).astype(np.int32))
     hard = random.integers(0, 9, corners).astype(np.int32)
     sets = (FaceSet("red", np.arange(5), "paint"),)
-    coded = compress(
-        with_surface(Surface(uvs=uvs, hard_edges=hard, face_sets=sets)), max_error=1e-3, uv_error=0
-    )
+    coded = compress(with_surface(Surface(uvs=uvs, hard_edges=hard, face_sets=sets)), max_error=1e-3, uv_error=0)
     assert coded.parameters.uv_steps is None
     found = played(node, tmp_path, coded, np.zeros(1))
     assert found.uvs.tobytes() == uvs.at_corners.tobytes()

@@ -44,9 +44,7 @@ console.log(JSON.stringify(told));
 """
 
 
-def decoded(
-    node: Node, folder: Path, kind: str, cases: Sequence[tuple[Polygons, bytes]]
-) -> list[list[int] | str]:
+def decoded(node: Node, folder: Path, kind: str, cases: Sequence[tuple[Polygons, bytes]]) -> list[list[int] | str]:
     """What JavaScript finds."""
     given = [
         (kind, b64encode(data).decode(), mesh.counts.tolist(), mesh.indices.tolist(), vertices_of(mesh))

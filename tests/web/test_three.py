@@ -130,9 +130,7 @@ def test_frames_are_those_of_python(
     )
     hard = header.surface.hard_edges
     assert hard is not None
-    assert len(vertices) == len(
-        np.unique(np.column_stack([header.polygons.indices, hard, uvs.indices]), axis=0)
-    )
+    assert len(vertices) == len(np.unique(np.column_stack([header.polygons.indices, hard, uvs.indices]), axis=0))
     times = moments(model)
     for script, width in ((NUMBERS, 3), (CARD, 4)):
         frames = page.evaluate(script, (times - header.times[0]).tolist())
@@ -274,8 +272,7 @@ def test_it_is_drawn(page: Page, tmp_path: Path, keep: Keep) -> None:
     )
     keep(page, "three")
     first, last, card_first, card_last = (
-        np.frombuffer(b64decode(each), np.uint8).reshape(200, 200, 4)[..., :3].max(axis=2) > 100
-        for each in pictures
+        np.frombuffer(b64decode(each), np.uint8).reshape(200, 200, 4)[..., :3].max(axis=2) > 100 for each in pictures
     )
     assert 500 < first.sum() < 20_000
     assert (first != last).sum() > 200

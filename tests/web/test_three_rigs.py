@@ -116,9 +116,7 @@ def test_a_real_rig_is_as_far_off_as_is_told(page: Page, tmp_path: Path, data: P
 @pytest.mark.realdata
 @pytest.mark.parametrize("kind", ["trimesh", "npm"])
 @pytest.mark.parametrize("name", ["gltf/CesiumMan.glb", "gltf/KhronosFox.glb", "usd/RiggedFigure.usdz"])
-def test_a_character_on_its_own_skeleton(
-    page: Page, tmp_path: Path, data: Path, name: str, kind: str
-) -> None:
+def test_a_character_on_its_own_skeleton(page: Page, tmp_path: Path, data: Path, name: str, kind: str) -> None:
     """Textured, with split vertices; bones keep names and parents, and the error is the one that is told."""
     with lossy():
         there = mixseq.read(data / name)

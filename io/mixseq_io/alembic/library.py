@@ -20,9 +20,7 @@ try:
     from alembic3d import AbcGeom as AbcGeom
     from alembic3d import AbcMaterial as AbcMaterial
 except ImportError as error:
-    raise MissingExtraError(
-        "Alembic files need the package alembic3d: pip install 'mixseq[alembic]'"
-    ) from error
+    raise MissingExtraError("Alembic files need the package alembic3d: pip install 'mixseq[alembic]'") from error
 
 LIBRARY_ERRORS: tuple[type[Exception], ...] = (
     RuntimeError,
@@ -50,11 +48,7 @@ def open_archive(path: Path) -> Any:
         )
     if not start.startswith(b"Ogawa"):
         raise FormatError(f"{path} cannot be read as Alembic; it is damaged or of another type")
-    if (
-        len(start) < _HEADER_BYTES
-        or start[5] != 0xFF
-        or int.from_bytes(start[8:], "little") >= path.stat().st_size
-    ):
+    if len(start) < _HEADER_BYTES or start[5] != 0xFF or int.from_bytes(start[8:], "little") >= path.stat().st_size:
         raise FormatError(f"{path} is not complete; it is truncated, or was not written to its end")
     return Abc.IArchive(str(path))
 

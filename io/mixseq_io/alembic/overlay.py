@@ -331,11 +331,7 @@ class _Copier:
 
 def _with_ancestors(paths: Collection[str]) -> set[str]:
     """Return paths and all their ancestors."""
-    return {
-        "/".join(names[:end])
-        for names in (path.split("/") for path in paths)
-        for end in range(2, len(names) + 1)
-    }
+    return {"/".join(names[:end]) for names in (path.split("/") for path in paths) for end in range(2, len(names) + 1)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -492,9 +488,7 @@ def copy_archive(
     copier = _Copier(copy, paths, header.times, original.path.stat().st_size)
     copier.copy_objects(original.archive.getTop())
     if copier.lost:
-        warn(
-            f"{path}: of {original.path} the library cannot copy {format_names(copier.lost)}; they are left out"
-        )
+        warn(f"{path}: of {original.path} the library cannot copy {format_names(copier.lost)}; they are left out")
     warn_of_unretimed_motion(path, header, dict(sorted(copier.spans.items())), sources)
     return [
         CopiedMeshWriter.create(match, copier.schemas[match.mesh.path], sampling, has_velocities)

@@ -143,9 +143,7 @@ def find_meshes(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
         node, scene_object, transforms, is_hidden, has_animated_visibility, depth = stack.pop()
         count += 1
         if depth > _MAX_OBJECT_DEPTH or count > _MAX_OBJECT_COUNT:
-            raise FormatError(
-                f"{path}: its objects nest without end; it is damaged, or an instance contains itself"
-            )
+            raise FormatError(f"{path}: its objects nest without end; it is damaged, or an instance contains itself")
         metadata = node.getMetaData()
         visibility = AbcGeom.GetVisibilityProperty(node) if depth else None
         if visibility is not None and visibility.valid() and visibility.getNumSamples():
@@ -158,9 +156,7 @@ def find_meshes(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
             kind = AbcGeom.IPolyMesh if AbcGeom.IPolyMesh.matches(metadata) else AbcGeom.ISubD
             schema = kind(node, existing).getSchema()
             if schema.getPositionsProperty().getNumSamples():
-                meshes.append(
-                    Mesh(node, scene_object, schema, transforms, is_hidden, has_animated_visibility)
-                )
+                meshes.append(Mesh(node, scene_object, schema, transforms, is_hidden, has_animated_visibility))
         elif AbcGeom.IXform.matches(metadata):
             transforms = (AbcGeom.IXform(node, existing).getSchema(), *transforms)
         elif not AbcGeom.IFaceSet.matches(metadata) and metadata.get("schema"):
@@ -249,9 +245,7 @@ def _find_change(array: Any) -> float | None:
         return None
     first = array.getKey(sample_selector(array, 0))
     times = enumerate(sample_times(array))
-    return next(
-        (time for sample, time in times if array.getKey(sample_selector(array, sample)) != first), None
-    )
+    return next((time for sample, time in times if array.getKey(sample_selector(array, sample)) != first), None)
 
 
 def _read_uvs(source: MeshSource, polygons: Polygons) -> CornerValues | None:
@@ -290,14 +284,10 @@ def _warn_if_animated(source: MeshSource, parameter: Any, label: str) -> None:
     if parameter.isIndexed():
         arrays.append(parameter.getIndexProperty())
     if any(_find_change(array) is not None for array in arrays):
-        warn(
-            f"{source.path}: {label} of {source.mesh.path} that change over time stay as they are in the first frame"
-        )
+        warn(f"{source.path}: {label} of {source.mesh.path} that change over time stay as they are in the first frame")
 
 
-def _read_corner_values(
-    source: MeshSource, parameter: Any, polygons: Polygons, label: str
-) -> CornerValues | None:
+def _read_corner_values(source: MeshSource, parameter: Any, polygons: Polygons, label: str) -> CornerValues | None:
     """Return a geometry parameter's first sample at the corners, in stored order, for any scope."""
     if not parameter.valid() or not parameter.getNumSamples():
         return None
@@ -437,9 +427,7 @@ def _locate_frames(path: Path, meshes: list[Mesh], times: Float, fps: float) -> 
         samples = locate_samples(sample_times(points), times)
         end = vertex + sample_length(points, samples.at(0)[0])
         if 12 * (end - vertex) > file_size:
-            raise FormatError(
-                f"{path}: {mesh.path} claims {end - vertex} vertices, more than the file can hold"
-            )
+            raise FormatError(f"{path}: {mesh.path} claims {end - vertex} vertices, more than the file can hold")
         is_mirrored = determinant(transforms.to_world(0)) < 0
         source = MeshSource(path, file_size, mesh, slice(vertex, end), is_mirrored, times)
         overlay_transform = None
@@ -508,9 +496,7 @@ def _have_velocities(path: Path, animated_meshes: list[_AnimatedMesh]) -> bool:
             problem = f"are {sample_length(velocities, 0)}, not as many as its points"
         elif not (mesh.is_overlaid or mesh.has_static_transforms):
             problem = "do not contain the motion of its transforms"
-        elif mesh.is_moving and (
-            animated.samples.weight.any() or (np.diff(animated.samples.before) <= 0).any()
-        ):
+        elif mesh.is_moving and (animated.samples.weight.any() or (np.diff(animated.samples.before) <= 0).any()):
             problem = "are not sampled in every frame"
         else:
             problem = ""

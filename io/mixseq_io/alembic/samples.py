@@ -281,9 +281,7 @@ class MeshTransform:
         Only samples for these frames are used, so that a copy without others gives the same result.
         """
         window = float(frames[0]), float(frames[-1])
-        now, before, after = (
-            _evaluate_matrices(schemas, frames + shift / fps, window) for shift in (0.0, -0.5, 0.5)
-        )
+        now, before, after = (_evaluate_matrices(schemas, frames + shift / fps, window) for shift in (0.0, -0.5, 0.5))
         return cls(now, (after - before) * fps)
 
     def check_invertible(self) -> None:

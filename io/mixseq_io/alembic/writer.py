@@ -54,9 +54,7 @@ def write_alembic(
 ) -> None:
     """Write an Alembic file; options as in `FORMATS`, `sources` ``(T,)`` are the original's times in s, to compare."""
     if sources is not None and np.shape(sources) != header.times.shape:
-        raise SettingsError(
-            f"sources are {np.size(sources)} times for {header.frame_count} frames; give one per frame"
-        )
+        raise SettingsError(f"sources are {np.size(sources)} times for {header.frame_count} frames; give one per frame")
     match = partial(match_archive, header=header)
     original = open_original_file(path, header, flatten, onto, "Alembic", match)
     new_meshes = [] if original else plan_meshes(header)
@@ -83,9 +81,7 @@ def _translate_write_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except _WRITE_ERRORS as error:
-        raise OutputError(
-            f"cannot write {path}: {summarize_error(error)}; check the disk and the path"
-        ) from error
+        raise OutputError(f"cannot write {path}: {summarize_error(error)}; check the disk and the path") from error
 
 
 def _write(

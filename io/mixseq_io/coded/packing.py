@@ -59,9 +59,7 @@ def room_for_signals(
     if size <= static:
         parts = f"faces take {connectivity}, texture coordinates and the like {surface}, the container {container}"
         cure = "; leave out texture coordinates (--no-uvs), or give more" if surface else ""
-        raise SettingsError(
-            f"size is {size} bytes; {static} are taken before there is any motion: {parts}{cure}"
-        )
+        raise SettingsError(f"size is {size} bytes; {static} are taken before there is any motion: {parts}{cure}")
     return size - static
 
 

@@ -361,8 +361,7 @@ def read_sequence(path: Path, container: Container) -> CompressedSequence:
     header_data = {name: read(stream) for name, stream in index.header.items()}
     basis = tuple(map(read, index.basis))
     chunks = tuple(
-        Chunk(chunk.first, chunk.count, read(chunk.coefficients), read(chunk.residuals))
-        for chunk in index.chunks
+        Chunk(chunk.first, chunk.count, read(chunk.coefficients), read(chunk.residuals)) for chunk in index.chunks
     )
     facts = read_facts(path, container)
     parameters = _parameters(path, facts)

@@ -63,9 +63,7 @@ def sample_times(path: Path, keys: Float, fps: float) -> Float:
         return keys
     count = (keys[-1] - keys[0]) * fps + _GRID_TOLERANCE_FRAMES
     if not count < _MAX_FRAME_COUNT:
-        raise FormatError(
-            f"{path}: {keys[-1] - keys[0]:g} s at {fps:g} frames per second are too many frames"
-        )
+        raise FormatError(f"{path}: {keys[-1] - keys[0]:g} s at {fps:g} frames per second are too many frames")
     times: Float = keys[0] + np.arange(int(count) + 1) / fps
     return times
 
@@ -294,18 +292,14 @@ def read_channels(document: Document, animation: Fields | None, nodes: Collectio
         document.check_effort(numbers, animation.place)
         channels[node, name] = channel
     if pointers:
-        warn(
-            f"{document.path}: {pointers} channels of KHR_animation_pointer are left out; only nodes are animated"
-        )
+        warn(f"{document.path}: {pointers} channels of KHR_animation_pointer are left out; only nodes are animated")
     return list(channels.values())
 
 
 def _read_channel(document: Document, node: int, name: str, sampler: Fields) -> Channel:
     interpolation = sampler.text("interpolation", "LINEAR")
     if interpolation not in _INTERPOLATIONS:
-        raise sampler.error(
-            f"has the interpolation {interpolation[:40]!r}; one of {_INTERPOLATIONS} is expected"
-        )
+        raise sampler.error(f"has the interpolation {interpolation[:40]!r}; one of {_INTERPOLATIONS} is expected")
     times = document.accessor(sampler.integer("input")).astype(np.float64)
     values = document.accessor(sampler.integer("output"))
     if times.ndim != 1 or not times.size or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
@@ -449,9 +443,7 @@ def _read_skin(document: Document, fields: Fields, weld: Weld) -> MeshSkin:
     if not joints.size:
         raise fields.error("moves a mesh that has no JOINTS_0 and WEIGHTS_0; the file is damaged")
     if joints.max() >= len(nodes):
-        raise fields.error(
-            f"has {len(nodes)} joints, but vertices follow joint {joints.max()}; the file is damaged"
-        )
+        raise fields.error(f"has {len(nodes)} joints, but vertices follow joint {joints.max()}; the file is damaged")
     kept = weld.representatives
     return MeshSkin(nodes, inverse_binds, _normalise_weights(joints[kept], weights[kept], len(nodes)))
 

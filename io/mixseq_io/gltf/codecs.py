@@ -91,9 +91,7 @@ class Layout:
         self.set_bounds(accessor, compute_bounds(points))
         return accessor
 
-    def accessor(
-        self, view: int, count: int, kind: str, offset: int = 0, component: int = FLOAT_COMPONENT
-    ) -> int:
+    def accessor(self, view: int, count: int, kind: str, offset: int = 0, component: int = FLOAT_COMPONENT) -> int:
         """Add an accessor at an offset in bytes within a view; return its index."""
         position = {"bufferView": view, "byteOffset": offset}
         contents = {"componentType": component, "count": count, "type": kind}
@@ -190,9 +188,7 @@ def _write_text(file: IO[bytes], layout: Layout) -> Iterator[BufferWriter]:
 
 def _check_size(path: Path, layout: Layout, is_binary: bool) -> None:
     if not is_binary and layout.length > _MAX_TEXT_BUFFER_BYTES:
-        raise OutputError(
-            f"{path}: {layout.length / 1e9:.2f} GB of points are too many for a text file; write .glb"
-        )
+        raise OutputError(f"{path}: {layout.length / 1e9:.2f} GB of points are too many for a text file; write .glb")
     if is_binary and layout.length + len(_encode(layout.document)) + 64 > _MAX_GLB_BYTES:
         raise OutputError(
             f"{path}: the points take {layout.length / 1e9:.2f} GB, but a GLB file cannot exceed 4.29 GB; "
@@ -258,18 +254,14 @@ def _unpack_primitive(
 ) -> bytes:
     """Return the concatenated bytes of the accessors of a Draco primitive, each padded to a size."""
     if find_spec("DracoPy") is None:
-        raise MissingExtraError(
-            f"{document.path} is compressed with Draco; to read it: pip install 'mixseq[gltf]'"
-        )
+        raise MissingExtraError(f"{document.path} is compressed with Draco; to read it: pip install 'mixseq[gltf]'")
     data = document.read_view(document.item("bufferViews", packed.integer("bufferView")))
     function = "mixseq_io.gltf.codecs:decode_draco"
     arrays = call_isolated(function, document.path, data, packed.place, list(layouts))
     return b"".join(array.tobytes().ljust(size, b"\0") for array, size in zip(arrays, sizes, strict=True))
 
 
-def decode_draco(
-    path: Path, data: bytes, place: str, layouts: Sequence[_AccessorLayout]
-) -> list[NDArray[Any]]:
+def decode_draco(path: Path, data: bytes, place: str, layouts: Sequence[_AccessorLayout]) -> list[NDArray[Any]]:
     """Decode the accessors of a primitive; damaged data may end the process."""
     import DracoPy
 
@@ -385,8 +377,7 @@ class _Decompression:
                 self._json[member] = others
         if "buffers" in self._json:
             self._json["buffers"] = [
-                {key: value for key, value in each.items() if key != "extensions"}
-                for each in self._json["buffers"]
+                {key: value for key, value in each.items() if key != "extensions"} for each in self._json["buffers"]
             ]
         return replace(self._compressed, json=self._json, unpackers=self._unpackers)
 

@@ -247,13 +247,9 @@ def read_uri(buffer: Fields, uri: str) -> Data:
     with translate_read_errors(folder / name, "the buffer of a glTF file"):
         file = (folder / name).resolve()
         if not file.is_relative_to(folder):
-            raise buffer.error(
-                f"is in {name[:80]!r}, a link; only files in the folder of the glTF file are read"
-            )
+            raise buffer.error(f"is in {name[:80]!r}, a link; only files in the folder of the glTF file are read")
         if not file.is_file():
-            raise buffer.error(
-                f"is in {name[:80]!r}, which is not a file beside {buffer.file.name}; put it there"
-            )
+            raise buffer.error(f"is in {name[:80]!r}, which is not a file beside {buffer.file.name}; put it there")
         return open_data(file)
 
 
@@ -307,9 +303,7 @@ class Document:
         """Return an item of a list, see `items`."""
         items = self._items[kind]
         if not 0 <= index < len(items):
-            raise FormatError(
-                f"{self.path}: {kind}[{index}] is referenced, but there are {len(items)} {kind}"
-            )
+            raise FormatError(f"{self.path}: {kind}[{index}] is referenced, but there are {len(items)} {kind}")
         return items[index]
 
     def accessor(self, index: int) -> NDArray[Any]:
@@ -385,9 +379,7 @@ class Document:
         if start + length > data.size or stride < element:
             raise view.error(f"does not fit its buffer of {data.size} bytes; the file is damaged")
         if shape[0] and offset + stride * (shape[0] - 1) + element > length:
-            raise owner.error(
-                f"has {shape[0]} elements, more than its {length} bytes hold; the file is damaged"
-            )
+            raise owner.error(f"has {shape[0]} elements, more than its {length} bytes hold; the file is damaged")
         if not shape[0]:
             return np.empty(shape, dtype)
         content = data.read(start + offset, stride * (shape[0] - 1) + element)
@@ -424,9 +416,7 @@ def load_document(path: Path) -> Document:
         raise FormatError(f"{path} is glTF version {version or 'unknown'}; convert it to version 2")
     for name in top.texts("extensionsRequired"):
         if name not in _SUPPORTED_EXTENSIONS and not name.startswith(_APPEARANCE_PREFIXES):
-            raise FormatError(
-                f"{path} requires the extension {name[:80]}, which is not supported; export without it"
-            )
+            raise FormatError(f"{path} requires the extension {name[:80]}, which is not supported; export without it")
     document = Document(path, parsed, chunk, data.size)
     document.items("nodes")  # checks all lists
     return document
@@ -436,9 +426,7 @@ def element_layout(accessor: Fields) -> tuple[np.dtype[Any], int]:
     """Return the dtype of an accessor's components and their number per element."""
     kind, shape = accessor.integer("componentType"), accessor.text("type")
     if kind not in COMPONENT_DTYPES or shape not in ELEMENT_WIDTHS:
-        raise accessor.error(
-            f"has components {kind} of type {shape[:20]!r}, which meshes and animations never have"
-        )
+        raise accessor.error(f"has components {kind} of type {shape[:20]!r}, which meshes and animations never have")
     return np.dtype(COMPONENT_DTYPES[kind]), ELEMENT_WIDTHS[shape]
 
 

@@ -68,9 +68,7 @@ def collect_extensions(document: Json) -> set[str]:
 
 def _prune_list(document: Json, kind: str) -> None:
     references = [
-        (owner, key)
-        for owner, key, target in _iterate_references(document)
-        if target == kind and key in owner
+        (owner, key) for owner, key, target in _iterate_references(document) if target == kind and key in owner
     ]
     used = sorted({owner[key] for owner, key in references})
     new_indices = {old: new for new, old in enumerate(used)}

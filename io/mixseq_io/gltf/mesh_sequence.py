@@ -274,9 +274,7 @@ def _select_used(
 
 def _add_plain(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
     accessors = {
-        name: add_colours(layout, values)
-        if name == "COLOR_0"
-        else layout.add_array(values, target=ARRAY_BUFFER)
+        name: add_colours(layout, values) if name == "COLOR_0" else layout.add_array(values, target=ARRAY_BUFFER)
         for name, values in attributes.items()
     }
     layout.set_bounds(accessors["POSITION"], compute_bounds(attributes["POSITION"]))
@@ -290,9 +288,7 @@ def _add_draco(layout: Layout, triangles: NDArray[np.uint32], attributes: Mappin
     compressed = compress_triangles(triangles, attributes)
     view = layout.add([compressed.data], len(compressed.data))
     accessors = {
-        name: _add_empty_accessor(
-            layout, len(values), f"VEC{values.shape[1]}", COMPONENT_TYPES[values.dtype.str[1:]]
-        )
+        name: _add_empty_accessor(layout, len(values), f"VEC{values.shape[1]}", COMPONENT_TYPES[values.dtype.str[1:]])
         for name, values in compressed.attributes.items()
     }
     if "COLOR_0" in accessors:
@@ -349,9 +345,7 @@ def bound_overhead_size(header: SequenceHeader, points: FloatArray, still: Still
     return int(_STILL_SIZE_MARGIN * compute_glb_size(layout))
 
 
-def _create_layout(
-    header: SequenceHeader, points: FloatArray, container: Container, still: StillName
-) -> Layout:
+def _create_layout(header: SequenceHeader, points: FloatArray, container: Container, still: StillName) -> Layout:
     layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR_NAME}})
     coding = layout.add([container.text], len(container.text))
     streams = layout.add([container.streams], len(container.streams))

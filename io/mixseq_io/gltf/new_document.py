@@ -83,9 +83,7 @@ class MorphFrameWriter:
         self._frames = [self._reserve(layout, frame) for frame in range(header.frame_count)]
         self._first: tuple[FloatArray, list[Single]] | None = None
 
-    def _add_animation(
-        self, layout: Layout, header: SequenceHeader, keep_start: bool, others: OtherMotion
-    ) -> None:
+    def _add_animation(self, layout: Layout, header: SequenceHeader, keep_start: bool, others: OtherMotion) -> None:
         """Add the animation of the weights, 1 for the target of each frame."""
         if header.frame_count == 1:
             return
@@ -199,9 +197,7 @@ def split_primitives(mesh: SceneMesh) -> list[SplitPrimitive]:
     Vertices keep their order within a primitive. Unused vertices are in the first one, without triangles.
     """
     owner_of_corner = np.repeat(assign_face_sets(mesh), mesh.polygons.counts)
-    layers = {
-        name: layer for name, layer in (("uvs", mesh.uvs), ("colours", mesh.colours)) if layer is not None
-    }
+    layers = {name: layer for name, layer in (("uvs", mesh.uvs), ("colours", mesh.colours)) if layer is not None}
     keys = {"vertices": mesh.polygons.indices, **{name: layer.indices for name, layer in layers.items()}}
     if mesh.hard_edges is not None:
         keys["normals"] = mesh.hard_edges
@@ -291,8 +287,7 @@ def create_meshes(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
     names = [header.name if len(scene_meshes) == 1 else scene_mesh.name for scene_mesh in scene_meshes]
     materials: dict[str, int] = {}
     return layout, [
-        _add_mesh(layout, scene_mesh, name, materials)
-        for scene_mesh, name in zip(scene_meshes, names, strict=True)
+        _add_mesh(layout, scene_mesh, name, materials) for scene_mesh, name in zip(scene_meshes, names, strict=True)
     ]
 
 
@@ -330,9 +325,7 @@ def material_name(face_set: FaceSet) -> str:
 
 
 def _add_mesh(layout: Layout, scene_mesh: SceneMesh, name: str, materials: dict[str, int]) -> MovingMesh:
-    primitives = [
-        _add_primitive(layout, each, scene_mesh, materials) for each in split_primitives(scene_mesh)
-    ]
+    primitives = [_add_primitive(layout, each, scene_mesh, materials) for each in split_primitives(scene_mesh)]
     entry = {**name_member(name), "primitives": [each.entry for each in primitives]}
     mesh = append(layout.document, "meshes", entry)
     node = append(layout.document, "nodes", {**name_member(name), "mesh": mesh})

@@ -143,9 +143,7 @@ def _read_triangles(document: Document, fields: Fields, mode: int, vertex_count:
     index = fields.index("indices")
     corners: IntArray = np.arange(vertex_count) if index is None else document.accessor(index)
     if corners.ndim != 1 or corners.dtype.kind not in "ui":
-        raise fields.error(
-            f"has indices of shape {corners.shape} and type {corners.dtype}; integers are expected"
-        )
+        raise fields.error(f"has indices of shape {corners.shape} and type {corners.dtype}; integers are expected")
     if corners.size and int(corners.max()) >= vertex_count:
         raise fields.error(f"uses vertex {int(corners.max())}, but has {vertex_count}; the file is damaged")
     if mode == TRIANGLES_MODE and corners.size % 3:
@@ -236,9 +234,7 @@ def count_targets(primitives: Sequence[Primitive]) -> int:
     count = len(primitives[0].targets)
     for each in primitives:
         if len(each.targets) != count:
-            raise each.fields.error(
-                f"has {len(each.targets)} morph targets, another primitive of the mesh {count}"
-            )
+            raise each.fields.error(f"has {len(each.targets)} morph targets, another primitive of the mesh {count}")
     return count
 
 
@@ -270,9 +266,7 @@ def read_influences(primitives: Sequence[Primitive]) -> tuple[Index, Float]:
 def _read_joints(primitive: Primitive, index: int) -> NDArray[Any] | None:
     joints = primitive.attribute(f"JOINTS_{index}", 4)
     if joints is not None and joints.dtype.kind != "u":
-        raise primitive.attributes.error(
-            f"has JOINTS_{index} of type {joints.dtype}; unsigned integers are expected"
-        )
+        raise primitive.attributes.error(f"has JOINTS_{index} of type {joints.dtype}; unsigned integers are expected")
     return joints
 
 

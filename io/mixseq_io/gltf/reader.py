@@ -435,9 +435,7 @@ class _GltfReader(SequenceReader):
                 pose = evaluate_pose(self._channels, times)
                 world = _world_matrices(self._mesh_nodes, pose)
                 self._check_orientation(world, start)
-                points = [
-                    each.world_points(pose, world, len(times)).astype(np.float32) for each in self._mesh_nodes
-                ]
+                points = [each.world_points(pose, world, len(times)).astype(np.float32) for each in self._mesh_nodes]
             yield np.concatenate(points, axis=1)
 
     def _check_orientation(self, world: Mapping[int, Float], first: int) -> None:

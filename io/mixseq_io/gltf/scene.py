@@ -200,9 +200,7 @@ def _local_matrices(node: Fields, index: int, pose: Pose) -> Float:
     matrix = node.numbers("matrix", 16)
     if matrix is not None:
         if animated:
-            raise node.error(
-                f"has a matrix, and its {animated[0]} is animated; export the node with TRS instead"
-            )
+            raise node.error(f"has a matrix, and its {animated[0]} is animated; export the node with TRS instead")
         return matrix.reshape(1, 4, 4).transpose(0, 2, 1)
     translation, rotation, scale = (_read_property(node, index, name, pose) for name in _IDENTITY_TRS)
     matrices = np.zeros((max(map(len, (translation, rotation, scale))), 4, 4))

@@ -312,9 +312,7 @@ def standalone_losses(header: SequenceHeader) -> list[str]:
     return lost
 
 
-def warn_of_changes(
-    path: Path, header: SequenceHeader, lost: Sequence[str], keep_start: bool = False
-) -> None:
+def warn_of_changes(path: Path, header: SequenceHeader, lost: Sequence[str], keep_start: bool = False) -> None:
     """Warn of losses, and of differences after the file is read again."""
     warn_of_losses(path, "glTF files", lost)
     if axis_conversion(header):

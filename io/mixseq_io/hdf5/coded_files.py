@@ -29,9 +29,7 @@ def parse_container(file: Contents) -> Container:
     """Return the text and streams of a compressed model."""
     with translate_h5_errors(file.path):
         if file.kind != MODEL_FORMAT or "coding" not in file.attrs:
-            raise FormatError(
-                f"{file.path} is not a compressed model; make one with mixseq encode --max-error"
-            )
+            raise FormatError(f"{file.path} is not a compressed model; make one with mixseq encode --max-error")
         return Container(
             text=bytes(file.attrs["coding"]),
             streams=file.arrays["streams"].astype(np.uint8).tobytes(),

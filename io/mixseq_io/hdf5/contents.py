@@ -56,9 +56,7 @@ def read_attributes(path: Path) -> Contents:
     return contents
 
 
-def read_contents(
-    path: Path, kind: str | None = None, meanwhile: Callable[[], object] | None = None
-) -> Contents:
+def read_contents(path: Path, kind: str | None = None, meanwhile: Callable[[], object] | None = None) -> Contents:
     """Read a file, only its attributes if `format` is not `kind`; call `meanwhile` while the worker reads."""
     check_regular_file(path, "HDF5")
     contents: Contents = call_isolated(f"{_WORKER_MODULE}:load_contents", path, kind, meanwhile=meanwhile)

@@ -163,9 +163,7 @@ def write_index_lists(file: h5py.File, group: str, name: str, lists: Sequence[ND
     write_ragged(file, group, name, np.array(list(map(len, lists))), np.concatenate([*lists, np.zeros(0)]))
 
 
-def write_ragged(
-    file: h5py.File, group: str, name: str, sizes: NDArray[np.integer], items: NDArray[Any]
-) -> None:
+def write_ragged(file: h5py.File, group: str, name: str, sizes: NDArray[np.integer], items: NDArray[Any]) -> None:
     """Store a ragged array of indices by the sizes of its rows and their concatenation."""
     write_compact(file, f"{group}/sizes", sizes.astype(np.int32))
     write_compact(file, f"{group}/{name}", items.astype(np.int32))
@@ -198,16 +196,12 @@ def read_floats(file: Contents, name: str, shape: tuple[int | None, ...], limit:
     """Read finite numbers of a magnitude up to `limit`; None in the shape allows any length."""
     array = _read_array(file, name, shape, "floats")
     if not np.isfinite(array).all():
-        raise FormatError(
-            f"{file.path}: {name} is not finite in row {np.argwhere(~np.isfinite(array))[0, 0]}"
-        )
+        raise FormatError(f"{file.path}: {name} is not finite in row {np.argwhere(~np.isfinite(array))[0, 0]}")
     array = array.astype(np.float64)
     magnitude = np.abs(array)
     if array.size and magnitude.max() > limit:
         row = np.argwhere(magnitude > limit)[0, 0]
-        raise FormatError(
-            f"{file.path}: {name} has {magnitude.max():g} in row {row}, beyond {limit:g}; it is damaged"
-        )
+        raise FormatError(f"{file.path}: {name} has {magnitude.max():g} in row {row}, beyond {limit:g}; it is damaged")
     return array
 
 

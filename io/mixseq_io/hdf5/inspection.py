@@ -123,9 +123,7 @@ class _FileInspector:
             type_name = _TYPE_NAMES.get(kind, f"of class {kind} and {size} bytes")
             raise self._rejection(name, f"has the type {type_name}")
 
-    def _check_size(
-        self, dataset: h5d.DatasetID, name: str, shape: tuple[int, ...], chunk: tuple[int, ...]
-    ) -> None:
+    def _check_size(self, dataset: h5d.DatasetID, name: str, shape: tuple[int, ...], chunk: tuple[int, ...]) -> None:
         stored_bytes: int = dataset.get_storage_size()
         count = prod(shape) and max(prod(shape), prod(chunk))  # a chunk is unpacked as a whole
         declared_bytes = dataset.get_type().get_size() * count
@@ -171,9 +169,7 @@ def load_datasets(path: Path, file: h5py.File, excluded: Collection[str] = ()) -
             try:
                 arrays[name] = dataset[...]
             except OSError as error:
-                raise FormatError(
-                    f"{path}: {name} is damaged ({summarize_error(error)}); restore the file"
-                ) from error
+                raise FormatError(f"{path}: {name} is damaged ({summarize_error(error)}); restore the file") from error
     return Contents(path, _read_attributes(file), arrays)
 
 

@@ -143,9 +143,7 @@ def _read_skinning(file: Contents, vertex_count: int, part_count: int) -> sparse
         )
     sum_errors = np.abs(np.add.reduceat(weights, row_starts[:-1]) - 1.0)
     if (weights <= 0).any() or sum_errors.max() > _WEIGHT_SUM_TOLERANCE:
-        raise FormatError(
-            f"{file.path}: space/skinning/weights must be positive and add up to one for every vertex"
-        )
+        raise FormatError(f"{file.path}: space/skinning/weights must be positive and add up to one for every vertex")
     return sparse.csr_array((weights, parts, row_starts), shape=(vertex_count, part_count))
 
 
@@ -188,8 +186,7 @@ def shape_blocks(space: StoredSpace) -> Blocks:
             return {"connections": (len(space.edge_rows), 3, 3), "ends": (len(space.edge_rows), 2, 3)}
         case EdgeSpace():
             return {
-                name: (size,)
-                for name, size in zip(("lengths", "angles", "volumes"), space.block_sizes, strict=True)
+                name: (size,) for name, size in zip(("lengths", "angles", "volumes"), space.block_sizes, strict=True)
             }
         case MixedSpace():
             parts, relations = len(space.decomposition.parts), len(space.articulation.pairs)
@@ -360,9 +357,7 @@ def write_model(file: h5py.File, model: Model) -> None:
     """Store a model in a new file; raise `OutputError` if its shape space cannot be stored."""
     space = model.space
     if not isinstance(space, StoredSpace):
-        raise OutputError(
-            f"files hold models in the spaces {', '.join(SPACE_NAMES)}, not in {type(space).__name__}"
-        )
+        raise OutputError(f"files hold models in the spaces {', '.join(SPACE_NAMES)}, not in {type(space).__name__}")
     write_text(file, "format", MODEL_FORMAT)
     file.attrs["version"] = MODEL_VERSION
     write_text(file, "created_by", f"mixseq {__version__}")

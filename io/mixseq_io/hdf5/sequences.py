@@ -117,9 +117,7 @@ def write_h5(
         chunk_frames = min(max(1, _MAX_CHUNK_BYTES // bytes_per_frame), header.frame_count)
         names = _FRAME_DATASETS[:1] if velocities is None else _FRAME_DATASETS
         chunks = (chunk_frames, *shape[1:])
-        datasets = [
-            file.create_dataset(name, shape, dtype, chunks=chunks, **STORAGE_OPTIONS) for name in names
-        ]
+        datasets = [file.create_dataset(name, shape, dtype, chunks=chunks, **STORAGE_OPTIONS) for name in names]
         for first_frame, points, velocity_block in frame_blocks:
             for dataset, block in zip(datasets, (points, velocity_block), strict=False):
                 dataset[first_frame : first_frame + len(points)] = block

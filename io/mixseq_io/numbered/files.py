@@ -238,9 +238,7 @@ class _FilesReader(SequenceReader):
             )
         if not (self._first.has_changing_colours or _same_colours(mesh.surface, self.header.surface)):
             self._first = replace(self._first, has_changing_colours=True)
-            warn(
-                f"{self.path}: colours that change over time stay as they are in the first frame; {where} has others"
-            )
+            warn(f"{self.path}: colours that change over time stay as they are in the first frame; {where} has others")
         return mesh.points
 
 

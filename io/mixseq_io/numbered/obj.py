@@ -97,9 +97,7 @@ def _faces_by_name(statements: Sequence[Statement], count: int, split: bool = Fa
     return {name: np.concatenate(ranges) for name, ranges in faces.items()}
 
 
-def _split_objects(
-    statements: Sequence[Statement], polygons: Polygons, vertex_count: int
-) -> tuple[MeshObject, ...]:
+def _split_objects(statements: Sequence[Statement], polygons: Polygons, vertex_count: int) -> tuple[MeshObject, ...]:
     """Return the objects, or none if their vertices are not consecutive."""
     if not statements or statements[0].face > 0:
         return ()
@@ -114,9 +112,7 @@ def _split_objects(
         ):
             names = (statement.text for statement in statements)
             sizes = zip(names, np.diff(bounds).tolist(), np.diff(faces).tolist(), strict=True)
-            return tuple(
-                MeshObject(name, "", points, count) for name, points, count in sizes if points or count
-            )
+            return tuple(MeshObject(name, "", points, count) for name, points, count in sizes if points or count)
     return ()
 
 
@@ -288,9 +284,7 @@ def _parse_optional_index(word: bytes, before: int) -> int:
     return _MISSING_INDEX if word in (b"", b"0") else _parse_index(word, before)
 
 
-def _uvs(
-    file: Path, polygons: Polygons, values: list[tuple[float, ...]], indices: IntArray
-) -> CornerValues | None:
+def _uvs(file: Path, polygons: Polygons, values: list[tuple[float, ...]], indices: IntArray) -> CornerValues | None:
     """Return the texture coordinates, (0, 0) at corners without."""
     missing_mask = indices == _MISSING_INDEX
     if not values or missing_mask.all():
@@ -426,8 +420,7 @@ def _material_names(sets: Sequence[FaceSet]) -> dict[str, str]:
     names = {material: _collapse_spaces(material.rstrip("/").rpartition("/")[2]) for material in materials}
     counts = Counter(names.values())
     return {
-        material: name if name and counts[name] == 1 else _collapse_spaces(material)
-        for material, name in names.items()
+        material: name if name and counts[name] == 1 else _collapse_spaces(material) for material, name in names.items()
     }
 
 

@@ -130,9 +130,7 @@ class StoredRows:
     data: bytes
 
 
-def read_elements(
-    data: bytes, first_faces: StoredRows | None = None
-) -> tuple[dict[str, Columns], StoredRows | None]:
+def read_elements(data: bytes, first_faces: StoredRows | None = None) -> tuple[dict[str, Columns], StoredRows | None]:
     """Read all elements of a file, without faces equal to those of the first frame; also return the stored faces."""
     order, elements, start = read_header(data)
     if order == "":
@@ -143,11 +141,7 @@ def read_elements(
     faces = None
     for element in elements:
         stored = _with_double_properties(element) if order == "" else element
-        if (
-            first_faces is not None
-            and stored == first_faces.element
-            and data.startswith(first_faces.data, start)
-        ):
+        if first_faces is not None and stored == first_faces.element and data.startswith(first_faces.data, start):
             faces, start = first_faces, start + len(first_faces.data)
             continue
         columns, end = _read_rows(data, start, stored)
@@ -163,8 +157,7 @@ def read_elements(
 def _with_double_properties(element: Element) -> Element:
     double = np.dtype("<f8")
     properties = (
-        Property(prop.name, double, None if prop.count_type is None else double)
-        for prop in element.properties
+        Property(prop.name, double, None if prop.count_type is None else double) for prop in element.properties
     )
     return replace(element, properties=tuple(properties))
 
@@ -192,13 +185,9 @@ def _read_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]
     return uniform or _read_variable_rows(data, start, element)
 
 
-def _make_columns(
-    element: Element, values: Mapping[str, NDArray[Any]], counts: Mapping[str, ArrayLike]
-) -> Columns:
+def _make_columns(element: Element, values: Mapping[str, NDArray[Any]], counts: Mapping[str, ArrayLike]) -> Columns:
     lists = {name: np.asarray(own, dtype=np.int64) for name, own in counts.items()}
-    return {
-        prop.name: Column(values[prop.name], prop.type, lists.get(prop.name)) for prop in element.properties
-    }
+    return {prop.name: Column(values[prop.name], prop.type, lists.get(prop.name)) for prop in element.properties}
 
 
 def _read_uniform_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int] | None:
@@ -233,9 +222,7 @@ def _read_uniform_rows(data: bytes, start: int, element: Element) -> tuple[Colum
 def _read_variable_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
     """Read rows one by one."""
     chunks: dict[str, list[bytes]] = {prop.name: [] for prop in element.properties}
-    counts: dict[str, list[int]] = {
-        prop.name: [] for prop in element.properties if prop.count_type is not None
-    }
+    counts: dict[str, list[int]] = {prop.name: [] for prop in element.properties if prop.count_type is not None}
     plan = [
         (
             prop.type.itemsize,

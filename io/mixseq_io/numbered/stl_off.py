@@ -256,6 +256,4 @@ def _warn_of_changed_vertices(path: Path, header: SequenceHeader, corners: Float
         warn(f"{path}: STL stores no vertex order; vertices will be read in another; OBJ and PLY keep it")
 
 
-STL_FORMAT = FrameFormat(
-    "STL", parse_stl, _stl_encoder, lambda header: lost_surface(header) + lost_polygons(header)
-)
+STL_FORMAT = FrameFormat("STL", parse_stl, _stl_encoder, lambda header: lost_surface(header) + lost_polygons(header))

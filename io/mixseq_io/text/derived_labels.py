@@ -81,9 +81,7 @@ def labels_from_colours(colours: FloatArray, polygons: Polygons) -> Labels:
     return Labels(triangle_labels(labels, polygons), tuple(_format_colour(distinct[label]) for label in used))
 
 
-def labels_from_skinning(
-    skinning: Skinning, polygons: Polygons, min_ratio: float = MIN_JOINT_FACE_RATIO
-) -> Labels:
+def labels_from_skinning(skinning: Skinning, polygons: Polygons, min_ratio: float = MIN_JOINT_FACE_RATIO) -> Labels:
     """Label polygons by the joint with the largest sum of weights."""
     count, vertex_count = len(polygons.counts), skinning.weights.shape[0]
     rows = np.repeat(np.arange(count), polygons.counts)

@@ -116,9 +116,7 @@ def to_correspondence(stored_map: MapFile, source: RestMesh, target: RestMesh) -
         raise FormatError(f"{stored_map.path}: {error}") from None
 
 
-def write_map(
-    path: PathLike, correspondence: Correspondence, source_faces: IntArray, target_faces: IntArray
-) -> None:
+def write_map(path: PathLike, correspondence: Correspondence, source_faces: IntArray, target_faces: IntArray) -> None:
     """Write a correspondence of meshes with triangles ``(F, 3)``, ``(F', 3)`` as an npz file, atomically."""
     file = Path(path)
     if file.suffix.lower() != ".npz":
@@ -169,9 +167,7 @@ def _read_npz(file: Path) -> MapFile:
     )
 
 
-def _stored_correspondence(
-    arrays: dict[str, NDArray[Any]], source: RestMesh, target: RestMesh
-) -> Correspondence:
+def _stored_correspondence(arrays: dict[str, NDArray[Any]], source: RestMesh, target: RestMesh) -> Correspondence:
     """Return the correspondence written by `write_map`; raise an error for other meshes or damage."""
     sizes = [(len(points), len(faces)) for points, faces in (source, target)]
     for name, mesh in (("source", source), ("target", target)):
@@ -295,9 +291,7 @@ def _sort_by_target(
     if kind != "triangles":
         for a, b in pairwise(np.argsort(target_ids, kind="stable").tolist()):
             if target_ids[a] == target_ids[b] and not np.array_equal(rows[a], rows[b]):
-                raise SettingsError(
-                    f"target {target_ids[a]} is given two sources, {source_ids[a]} and {source_ids[b]}"
-                )
+                raise SettingsError(f"target {target_ids[a]} is given two sources, {source_ids[a]} and {source_ids[b]}")
     unique_targets, first_rows = np.unique(target_ids, return_index=True)
     sorted_ids, sorted_weights = np.full(target_count, -1), np.zeros((target_count, weights.shape[1]))
     sorted_ids[unique_targets], sorted_weights[unique_targets] = source_ids[first_rows], weights[first_rows]

@@ -196,9 +196,7 @@ def _parse_yaml(file: Path, text: str) -> list[_RawMarker]:
             # A few lines of aliases of aliases can expand beyond any memory.
             if isinstance(token, yaml.AnchorToken | yaml.AliasToken):
                 line = token.start_mark.line + 1
-                raise FormatError(
-                    f"{file}, line {line}: anchors (&) and aliases (*) are not read; write it out"
-                )
+                raise FormatError(f"{file}, line {line}: anchors (&) and aliases (*) are not read; write it out")
         root = yaml.compose(text, Loader=yaml.SafeLoader)
         values = _find_list(file, _to_plain(root))
     except (yaml.YAMLError, RecursionError) as error:

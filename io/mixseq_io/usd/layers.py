@@ -147,9 +147,7 @@ def _attribute_values(
         yield f"{extent.path}.extent", compute_extent(_box_corners(extent, points, time))
 
 
-def _to_local(
-    vectors: FloatArray, prims: SampledPrims, spaces: Sequence[LocalSpace], weight: float
-) -> FloatArray:
+def _to_local(vectors: FloatArray, prims: SampledPrims, spaces: Sequence[LocalSpace], weight: float) -> FloatArray:
     """Transform world-space points (homogeneous weight 1) or directions (weight 0) ``(V, 3)`` to their local spaces."""
     if all(space is WORLD_SPACE for space in spaces):
         return vectors

@@ -304,9 +304,7 @@ class MeshMotion:
     @cached_property
     def transform(self) -> WorldTransform:
         """Transform of the points: that of the skeleton if joints move them, else that of the mesh."""
-        return WorldTransform(
-            self.skin.skeleton.prim if self.skin and self.skin.has_joints else self.mesh.GetPrim()
-        )
+        return WorldTransform(self.skin.skeleton.prim if self.skin and self.skin.has_joints else self.mesh.GetPrim())
 
     @cached_property
     def animated_attributes(self) -> tuple[Usd.Attribute, ...]:

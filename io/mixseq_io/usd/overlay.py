@@ -184,12 +184,8 @@ def open_original(path: Path, header: SequenceHeader) -> Original:
     if not 0 < rate < np.inf:
         raise OutputError(f"{path} has {rate:g} time codes per second, a positive number is needed")
     try:
-        meshes = {
-            str(prim.GetPath()): mesh for prim in traverse_prims(path, stage) if (mesh := UsdGeom.Mesh(prim))
-        }
-        return Original(
-            path, stage, tuple(match_meshes(path, header, meshes, _match_mesh, _describe_difference))
-        )
+        meshes = {str(prim.GetPath()): mesh for prim in traverse_prims(path, stage) if (mesh := UsdGeom.Mesh(prim))}
+        return Original(path, stage, tuple(match_meshes(path, header, meshes, _match_mesh, _describe_difference)))
     except FormatError as error:
         raise OutputError(str(error)) from error
 
@@ -297,9 +293,7 @@ def disable_instancing(layer: Sdf.Layer, target: Path, prims: Iterable[Usd.Prim]
         warn(f"{target}: instances with moving meshes are instances no longer: {format_names(paths, str)}")
 
 
-def _local_space(
-    original: Original, prim: Usd.Prim, time_map: TimeMap, freeze: Freeze | None = None
-) -> LocalSpaceAt:
+def _local_space(original: Original, prim: Usd.Prim, time_map: TimeMap, freeze: Freeze | None = None) -> LocalSpaceAt:
     transform = WorldTransform(prim)
 
     def check_invertible(matrix: Gf.Matrix4d, time: float) -> None:
@@ -397,9 +391,7 @@ def _set_orientation(layer: Sdf.Layer, matched: MatchedMesh, sampled: SampledMes
     # Faces of the sequence are counter-clockwise in the world; those of the mesh are in reverse if reversed.
     is_left_handed = matched.is_reversed != is_mirrored
     if is_left_handed != (orientation.Get() == tokens.leftHanded):
-        override_spec(layer, orientation).default = (
-            tokens.leftHanded if is_left_handed else tokens.rightHanded
-        )
+        override_spec(layer, orientation).default = tokens.leftHanded if is_left_handed else tokens.rightHanded
 
 
 def _store_vertices(layer: Sdf.Layer, matched: MatchedMesh) -> None:
@@ -447,9 +439,7 @@ def _original_extent(root: Usd.Prim, time_map: TimeMap, mesh_count: int) -> Call
     return extent_at
 
 
-def warn_of_other_motion(
-    target: Path, header: SequenceHeader, original: Original, times: NDArray[np.float64]
-) -> None:
+def warn_of_other_motion(target: Path, header: SequenceHeader, original: Original, times: NDArray[np.float64]) -> None:
     """Warn of other visible prims that change over time, if the sequence shows the source times ``(T,)`` in s."""
     if not is_retimed(header, times):
         return

@@ -116,9 +116,7 @@ class _Animation:
 
 
 class _UsdReader(SequenceReader):
-    def __init__(
-        self, path: Path, header: SequenceHeader, animation: _Animation, has_velocities: bool
-    ) -> None:
+    def __init__(self, path: Path, header: SequenceHeader, animation: _Animation, has_velocities: bool) -> None:
         super().__init__(path, header, has_velocities=has_velocities)
         self._animation: _Animation | None = animation
 
@@ -172,8 +170,7 @@ def _header(path: Path, animation: _Animation, warnings: PrimWarnings) -> Sequen
     rate = stage.GetTimeCodesPerSecond()
     ends = np.cumsum([mesh.vertex_count for mesh in meshes]).tolist()
     scene_meshes = [
-        read_scene_mesh(mesh, end - mesh.vertex_count, warnings)
-        for mesh, end in zip(meshes, ends, strict=True)
+        read_scene_mesh(mesh, end - mesh.vertex_count, warnings) for mesh, end in zip(meshes, ends, strict=True)
     ]
     polygons, surface = join_meshes(scene_meshes, Origin("USD", absolute_path(path)))
     return SequenceHeader(
@@ -220,9 +217,7 @@ def _frame_rate_codes(stage: Usd.Stage, first: float, last: float) -> tuple[NDAr
 def _read_markings(header: SequenceHeader, meshes: Sequence[AnimatedMesh]) -> Markings:
     """Return the families of subsets and the skinning weights of meshes."""
     is_skinned = any(mesh.motion.skin and mesh.motion.skin.has_joints for mesh in meshes)
-    materials = {
-        source: sets for source, sets in group_face_sets(header).items() if source == MATERIALS_SOURCE
-    }
+    materials = {source: sets for source, sets in group_face_sets(header).items() if source == MATERIALS_SOURCE}
     return Markings(
         sets=_face_sets_by_family(meshes) | materials,
         skinning=concatenate_skinning([_read_skinning(mesh) for mesh in meshes]) if is_skinned else None,

@@ -161,12 +161,8 @@ def _animate_joints(
     rotations, translations = local_joint_transforms(skin, "USD", skin.header)
     animation.CreateJointsAttr(skeleton.GetJointsAttr().Get())
     # Gf.Quatf is stored as x, y, z, w.
-    _set_samples(
-        animation.CreateRotationsAttr(), [Vt.QuatfArrayFromBuffer(each) for each in rotations], codes
-    )
-    _set_samples(
-        animation.CreateTranslationsAttr(), [Vt.Vec3fArrayFromBuffer(each) for each in translations], codes
-    )
+    _set_samples(animation.CreateRotationsAttr(), [Vt.QuatfArrayFromBuffer(each) for each in rotations], codes)
+    _set_samples(animation.CreateTranslationsAttr(), [Vt.Vec3fArrayFromBuffer(each) for each in translations], codes)
     animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * skin.bone_count))
 
 

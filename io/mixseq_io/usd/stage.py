@@ -72,9 +72,7 @@ def translate_usd_write_errors(path: Path) -> Iterator[None]:
         raise_system_error(message, path.resolve().parent)
         message = _TEMPORARY_NAME.sub(lambda match: f"{path.name}{'.clips' if match[1] else ''}", message)
         reason = shorten(message, _MAX_REASON_LENGTH, placeholder=" ...")
-        raise OutputError(
-            f"cannot write {path}: {reason}; check the free space of the disk and the path"
-        ) from error
+        raise OutputError(f"cannot write {path}: {reason}; check the free space of the disk and the path") from error
 
 
 def save_layer(layer: Sdf.Layer) -> None:
@@ -119,9 +117,7 @@ def time_codes(times: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
 
 def identifier(name: str) -> str:
     """Return a valid prim name with invalid characters replaced by underscores: "2nd try" becomes "_2nd_try"."""
-    cleaned = (
-        "".join(letter if Sdf.Path.IsValidIdentifier("_" + letter) else "_" for letter in name) or "mesh"
-    )
+    cleaned = "".join(letter if Sdf.Path.IsValidIdentifier("_" + letter) else "_" for letter in name) or "mesh"
     return cleaned if Sdf.Path.IsValidIdentifier(cleaned) else "_" + cleaned
 
 
@@ -172,7 +168,7 @@ def find_sublayer(path: Path) -> str:
 
 
 def clips_folder(path: Path) -> Path:
-    """Return the folder of a USD file's value clips; its name has the extension, to tell x.usda from x.usdc."""
+    """Return the folder of a USD file's value clips, named with its extension: x.usda and x.usdc differ."""
     return path.with_name(f"{path.name}.clips")
 
 
@@ -225,9 +221,7 @@ def traverse_prims(path: Path, stage: Usd.Stage) -> Iterator[Usd.Prim]:
     prims = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
     for count, prim in enumerate(prims):
         if count == _MAX_PRIMS:
-            raise FormatError(
-                f"{path} holds more than {_MAX_PRIMS} prims; export only the meshes that are needed"
-            )
+            raise FormatError(f"{path} holds more than {_MAX_PRIMS} prims; export only the meshes that are needed")
         if UsdGeom.PointInstancer(prim):
             prims.PruneChildren()
         yield prim
@@ -345,9 +339,7 @@ def _are_inverse(first: UsdGeom.XformOp, second: UsdGeom.XformOp) -> bool:
     return all(a.Get(a_code) == b.Get(b_code) for a_code, b_code in zip(a_codes, b_codes, strict=True))
 
 
-def find_meshes(
-    path: Path, stage: Usd.Stage, prim_path: str | None, warnings: PrimWarnings
-) -> list[UsdGeom.Mesh]:
+def find_meshes(path: Path, stage: Usd.Stage, prim_path: str | None, warnings: PrimWarnings) -> list[UsdGeom.Mesh]:
     """Return the meshes of a stage, or those at or below a prim path, in stage order.
 
     Hidden meshes, guides, proxies, and meshes without points are returned only if there are no others.
@@ -377,9 +369,7 @@ def scene_objects_of(schemas: Sequence[UsdGeom.Mesh | Usd.Prim]) -> list[SceneOb
     """Return meshes or other prims as scene objects that share their ancestors."""
     objects: dict[Sdf.Path, SceneObject] = {}
     for schema in schemas:
-        new_prims = takewhile(
-            lambda prim: prim.GetPath() not in objects, self_and_ancestors(schema.GetPrim())
-        )
+        new_prims = takewhile(lambda prim: prim.GetPath() not in objects, self_and_ancestors(schema.GetPrim()))
         for prim in reversed(list(new_prims)):
             path, names = prim.GetPath(), (display_name(prim), prim.GetName())
             objects[path] = SceneObject(str(path), names, objects.get(path.GetParentPath()))

@@ -193,9 +193,7 @@ def value_ids_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.i
     return np.asarray(polygons.indices, dtype=np.int32)
 
 
-def _read_face_sets(
-    mesh: UsdGeom.Mesh, face_count: int, code: Usd.TimeCode, warnings: PrimWarnings
-) -> list[FaceSet]:
+def _read_face_sets(mesh: UsdGeom.Mesh, face_count: int, code: Usd.TimeCode, warnings: PrimWarnings) -> list[FaceSet]:
     """Return the subsets of a mesh's faces, after a set for the mesh's material on all other faces."""
     sets, material_sets = [], []
     for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):

@@ -80,9 +80,7 @@ class FaceParts:
     names: Sequence[str]
 
 
-def _author_parts(
-    layer: Sdf.Layer, paths: Sequence[str], parts: FaceParts, original: Original | None
-) -> None:
+def _author_parts(layer: Sdf.Layer, paths: Sequence[str], parts: FaceParts, original: Original | None) -> None:
     """Author a subset for every part of every mesh; replace those of an earlier layer."""
     stage = Usd.Stage.Open(layer)
     for index, path in enumerate(paths):
@@ -99,9 +97,7 @@ def _author_parts(
             name = identifiers.reserve(parts.names[part])
             kept.add(name)
             faces = Vt.IntArrayFromBuffer(np.flatnonzero(part_of_polygon == part).astype(np.int32))
-            subset = UsdGeom.Subset.CreateGeomSubset(
-                mesh, name, UsdGeom.Tokens.face, faces, LABEL_SUBSET_FAMILY
-            )
+            subset = UsdGeom.Subset.CreateGeomSubset(mesh, name, UsdGeom.Tokens.face, faces, LABEL_SUBSET_FAMILY)
             prim = subset.GetPrim()
             prim.SetCustomDataByKey(PART_NUMBER_KEY, part)
             if parts.names[part] != name or prim.GetDisplayName():
@@ -142,9 +138,7 @@ def _define_materials(
     materials = {name: UsdShade.Material.Get(stage, path) for name, path in paths.items()}
     empty = [name for name, each in materials.items() if not each.GetPrim().GetAuthoredProperties()]
     if empty and not _is_missing(origin):
-        warn(
-            f"{target}: materials are written by name only: {format_names(empty, str)}; bind them to networks again"
-        )
+        warn(f"{target}: materials are written by name only: {format_names(empty, str)}; bind them to networks again")
     origin_path = origin.path if origin else ""
     UsdUtils.ModifyAssetPaths(layer, lambda asset: _rebase_texture(target, asset, origin_path))
     return materials
@@ -215,9 +209,7 @@ def _rebase_texture(target: Path, asset: str, origin: str) -> str:
     return Ar.JoinPackageRelativePath(path, inner) if inner else path
 
 
-def define_component(
-    layer: Sdf.Layer, target: Path, header: SequenceHeader, has_velocities: bool
-) -> SampledPrims:
+def define_component(layer: Sdf.Layer, target: Path, header: SequenceHeader, has_velocities: bool) -> SampledPrims:
     """Author everything but samples, and return the prims that get them."""
     stage = Usd.Stage.Open(layer)
     name = identifier(header.name)
@@ -236,9 +228,7 @@ def define_component(
         normals = None
         if scene_mesh.hard_edges is not None and scene_mesh.subdivision == "none":
             normals = SampledNormals("normals", UsdGeom.Tokens.faceVarying, *[scene_mesh.hard_edges] * 2)
-        meshes.append(
-            SampledMesh(path=path, scene_mesh=scene_mesh, normals=normals, has_velocities=has_velocities)
-        )
+        meshes.append(SampledMesh(path=path, scene_mesh=scene_mesh, normals=normals, has_velocities=has_velocities))
     return SampledPrims(tuple(meshes))
 
 
@@ -336,9 +326,7 @@ _RANGE_TOLERANCE_FRAMES = 1.0 - 1e-3
 """Distance within which frames at whole time codes reach the end of a motion."""
 
 
-def author_time_range(
-    layer: Sdf.Layer, header: SequenceHeader, time_map: TimeMap, original: Original | None
-) -> None:
+def author_time_range(layer: Sdf.Layer, header: SequenceHeader, time_map: TimeMap, original: Original | None) -> None:
     """Author units, rates and the time range.
 
     The range is that of the frames. At an end where they cover the motion of the original's meshes, a longer range of
@@ -414,14 +402,10 @@ def write_usd(
     check_up_axis(path, header)
     original = _open_original(path, header, flatten, onto)
     if whole_stage and not original:
-        raise OutputError(
-            f"{path} stands alone, without a stage that could be retimed; leave out whole_stage"
-        )
+        raise OutputError(f"{path} stands alone, without a stage that could be retimed; leave out whole_stage")
     times = None if sources is None else np.asarray(sources, dtype=np.float64)
     if times is not None and times.shape != header.times.shape:
-        raise SettingsError(
-            f"sources are {times.size} times for {header.frame_count} frames; give one for every frame"
-        )
+        raise SettingsError(f"sources are {times.size} times for {header.frame_count} frames; give one for every frame")
     original_rate = original.stage.GetTimeCodesPerSecond() if original else header.fps
     time_map = TimeMap.from_header(header, original_rate, times if whole_stage else None)
     _, frame_blocks = validate_blocks(header, blocks, velocities)
@@ -535,9 +519,7 @@ def _open_original(
         if _is_missing(origin) and (loss or not flatten):
             warn(f"{path} stands alone: the original {file} is gone{loss}")
         elif not flatten:
-            warn(
-                f"{path} stands alone, as .usdz files do: only the mesh and its materials are kept of {file}"
-            )
+            warn(f"{path} stands alone, as .usdz files do: only the mesh and its materials are kept of {file}")
         return None
     try:
         with capture_diagnostics():
@@ -559,6 +541,4 @@ def check_not_overwritten(path: Path, original: Path) -> None:
     layers = stage.GetUsedLayers() if stage else []
     files = [Path(Ar.SplitPackageRelativePathOuter(each.realPath)[0]) for each in layers if each.realPath]
     if any(each.exists() and each.samefile(path) for each in (original, *files)):
-        raise OutputError(
-            f"{path} is the original, or a layer that it uses, and would be lost; write to another name"
-        )
+        raise OutputError(f"{path} is the original, or a layer that it uses, and would be lost; write to another name")

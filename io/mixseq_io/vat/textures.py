@@ -294,9 +294,7 @@ def encode_low_rank(fitted: LowRank, frames: VertexFrames, texels: Texels, pixel
     coefficients = np.zeros((count, parts, columns, 3))
     coefficients[:, :, : fitted.rank] = fitted.coefficients
     if parts * columns > MAX_TEXTURE_SIDE_PIXELS:
-        raise SettingsError(
-            f"{parts} parts with {columns} basis vectors are too wide for a texture; allow more error"
-        )
+        raise SettingsError(f"{parts} parts with {columns} basis vectors are too wide for a texture; allow more error")
     if 2 * count > MAX_TEXTURE_SIDE_PIXELS:
         raise SettingsError(f"{count} frames are too high for a texture of coefficients; write fewer")
     largest = float(np.abs(coefficients).max(initial=0)) or 1.0

@@ -75,9 +75,7 @@ def update_mesh(mesh: bpy.types.Mesh, settings: MotionSettings, fps: float) -> N
 
 def _move_vertices(mesh: bpy.types.Mesh, settings: MotionSettings, fps: float) -> None:
     if mesh.shape_keys is not None:
-        raise SettingsError(
-            "the mesh has shape keys, which override the model; delete them, or turn Live off"
-        )
+        raise SettingsError("the mesh has shape keys, which override the model; delete them, or turn Live off")
     motion = Motion(load_model(mesh.mixseq), Placement(settings.up_axis, settings.scale))
     time = motion.clamp_time((settings.frame - settings.frame_offset) / fps)
     state = motion, time, settings.part

@@ -46,9 +46,7 @@ class MotionSettings(bpy.types.PropertyGroup):
         description="Displayed frame, at the scene's frame rate: driven by the scene, or animated to retime the motion",
         update=_tag_mesh,
     )
-    frame_offset: FloatProperty(
-        name="Offset", description="Scene frame of the model's time 0", update=_tag_mesh
-    )
+    frame_offset: FloatProperty(name="Offset", description="Scene frame of the model's time 0", update=_tag_mesh)
 
     @property
     def is_driven(self) -> bool:
@@ -81,11 +79,7 @@ class Preferences(bpy.types.AddonPreferences):
 def max_cache_bytes() -> int:
     """Return the memory limit of the frame cache, in bytes."""
     addon = bpy.context.preferences.addons.get(__package__)
-    return (
-        DEFAULT_CACHE_BYTES
-        if addon is None or addon.preferences is None
-        else addon.preferences.megabytes << 20
-    )
+    return DEFAULT_CACHE_BYTES if addon is None or addon.preferences is None else addon.preferences.megabytes << 20
 
 
 _register, _unregister = bpy.utils.register_classes_factory((MotionSettings, Preferences))

@@ -89,9 +89,7 @@ class CodingParameters:
                 )
         object.__setattr__(self, "ranks", tuple(self.ranks))
         if self.ranks and not (len(self.ranks) <= MAX_PARTS and sum(self.ranks) == self.rank):
-            raise SettingsError(
-                f"the parts have {self.ranks} basis vectors, which are not {self.rank} in all"
-            )
+            raise SettingsError(f"the parts have {self.ranks} basis vectors, which are not {self.rank} in all")
         if self.ranks and self.factors == "shapes":
             raise SettingsError("shapes are of the whole mesh, not of parts")
         if any(not (isinstance(rank, int) and rank > 0) for rank in self.ranks):
@@ -118,9 +116,7 @@ class TemporalInterpolation:
     def __post_init__(self) -> None:
         length, cubic, least, most = self.length, self.cubic, MIN_COVARIANCE_LENGTH, MAX_COVARIANCE_LENGTH
         if not (_is_number(length) and (least <= length <= most or length == inf)):
-            raise SettingsError(
-                f"length is {length!r}; a number from {least:g} to {most:g} is expected, or infinity"
-            )
+            raise SettingsError(f"length is {length!r}; a number from {least:g} to {most:g} is expected, or infinity")
         is_pair = isinstance(cubic, tuple) and len(cubic) == 2
         if not (is_pair and all(_is_number(value) and 0 <= value <= 1 for value in cubic)):
             raise SettingsError(f"cubic is {cubic!r}; two numbers from 0 to 1 are expected")
@@ -191,9 +187,7 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
         )
     count, expected = len(coded.basis), len(part_groups(ranks))
     if count != expected:
-        raise FormatError(
-            f"the spatial basis has {count} groups, {expected} are expected; the file is damaged"
-        )
+        raise FormatError(f"the spatial basis has {count} groups, {expected} are expected; the file is damaged")
     coordinates, step = 1 if parameters.factors == "trajectories" else 3, parameters.step
     vectors, vertices = read_basis(coded.basis, ranks, coordinates, step, coded.header.faces, graph)
     return assemble_basis(parameters.factors, vectors, vertices, parameters.frame_count)
@@ -204,9 +198,7 @@ def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialB
     return read_coefficients(basis, chunk.coefficients, chunk.count, coded.parameters.step)
 
 
-def _principal_frames(
-    basis: SpatialBasis, coefficients: Float, unit: float
-) -> tuple[ShapeSpace, Float, Float, Float]:
+def _principal_frames(basis: SpatialBasis, coefficients: Float, unit: float) -> tuple[ShapeSpace, Float, Float, Float]:
     """Return a shape space, and its frames as mean plus scores ``(T, r)`` times directions ``(r, D)``."""
     if basis.kind == "shapes":
         vectors = basis.vectors.transpose(0, 2, 1).reshape(len(basis.vectors), -1) / unit

@@ -252,9 +252,7 @@ def new_history(vertex_count: int) -> History:
 
 
 @force_inlined
-def make_guesses(
-    mesh: HalfEdges, history: History, place: int, previous: int, first: int, last_new: int
-) -> None:
+def make_guesses(mesh: HalfEdges, history: History, place: int, previous: int, first: int, last_new: int) -> None:
     """Guess the vertex of the corner at a place 0 to 3 of a polygon with the first vertex `first`.
 
     `previous` is the vertex of the corner before, `last_new` the one last used for the first time.
@@ -357,9 +355,7 @@ def code_polygons(bits: HashedBits, mesh: HalfEdges, history: History, counts: I
             same = older_start + offset
             if offset and same < last_start:
                 guesses[10] = previous + indices[same] - indices[same - 1]
-            vertex, winner = _code_vertex(
-                bits, mesh, history, indices, polygon, start, corner, place, last_new, run
-            )
+            vertex, winner = _code_vertex(bits, mesh, history, indices, polygon, start, corner, place, last_new, run)
             if has_failed(bits):
                 return
             indices[corner] = vertex

@@ -115,9 +115,7 @@ def _corners_of_nodes(polygons: Polygons, nodes: Index) -> Corners:
     return corners_on_nodes(Polygons(polygons.counts, np.maximum(nodes, 0)), int(nodes.max(initial=-1)) + 1)
 
 
-def _code_values(
-    bits: HashedBits, corners: Corners, values: Index, regions: Index | None
-) -> tuple[Copies, KnownNodes]:
+def _code_values(bits: HashedBits, corners: Corners, values: Index, regions: Index | None) -> tuple[Copies, KnownNodes]:
     """Code the values ``(N, 2)``, or decode them in place; return the copies and the known nodes."""
     order = growing_order(corners)
     copies = new_copies(corners, order)
@@ -144,7 +142,5 @@ def decode_hard_edges(data: bytes, polygons: Polygons, vertex_count: int) -> Ind
     nodes = _code_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, dtype=np.int64))
     numbers = renumber_by_first_use(nodes)
     if bits.failed[0] or checksum_of(numbers) != expected:
-        raise FormatError(
-            f"hard edges at {polygons.indices.size} corners are damaged, or those of another mesh"
-        )
+        raise FormatError(f"hard edges at {polygons.indices.size} corners are damaged, or those of another mesh")
     return numbers

@@ -104,9 +104,7 @@ def _compute_stencils(graph: SignalGraph) -> Stencils:
 
 
 @compiled
-def _fit_stencils(
-    level: Level, lengths: Float, new_lengths: Float, node_of_vertex: Index, stencils: Stencils
-) -> None:
+def _fit_stencils(level: Level, lengths: Float, new_lengths: Float, node_of_vertex: Index, stencils: Stencils) -> None:
     """Write the stencils of removed vertices, from edge lengths ``(2 E,)`` before and ``(2 E',)`` after."""
     starts, adjacent, new_starts = level.starts, level.adjacent, level.new_starts
     slot = np.full(len(node_of_vertex), -1, dtype=np.int64)  # where a vertex is in the two lists
@@ -134,10 +132,7 @@ def _fit_stencils(
                 for place in range(new_starts[neighbour], new_starts[neighbour + 1]):
                     other = level.new_adjacent[place]
                     other_slot = slot[other]
-                    if (
-                        0 <= other_slot < degree
-                        and new_lengths[place] >= length + lengths[first + other_slot]
-                    ):
+                    if 0 <= other_slot < degree and new_lengths[place] >= length + lengths[first + other_slot]:
                         continue
                     if turn == 0:
                         count += 1
@@ -296,9 +291,7 @@ class Predictor:
         most = SIMILAR_FRAMES if graph.is_over_time else SIMILAR_VERTICES
         similar, counts = np.zeros((graph.size, most), dtype=np.int32), np.zeros(graph.size, dtype=np.int32)
         sources = graph.neighbours.astype(np.int32), graph.counts.astype(np.int32)
-        kernels.find_similar_nodes(
-            np.array(self._signals), *sources, EXHAUSTIVE_SEARCH_NODES, similar, counts
-        )
+        kernels.find_similar_nodes(np.array(self._signals), *sources, EXHAUSTIVE_SEARCH_NODES, similar, counts)
         joined = graph.with_extra_neighbours(similar, counts)
         self._set_neighbours(joined.neighbours, joined.counts, joined.weights)
         self._pending, self._signals = self._signals, []

@@ -223,9 +223,7 @@ def find_similar_nodes(
 
 
 @force_inlined
-def _insert(
-    node: int, other: int, distance: float, similar: Int32, similar_counts: Int32, nearest: Float
-) -> None:
+def _insert(node: int, other: int, distance: float, similar: Int32, similar_counts: Int32, nearest: Float) -> None:
     """Insert another node into the similar ones of a node by its squared distance, replacing the farthest."""
     place = len(nearest) - 1
     while place > 0 and nearest[place - 1] > distance:

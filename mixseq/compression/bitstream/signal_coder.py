@@ -357,9 +357,7 @@ class SignalCoder:
         predictor, numbers, values = self._predictor, np.zeros_like(self._numbers), np.empty(self._graph.size)
         neighbours, counts = predictor.neighbours, predictor.counts
         sizes = self._activity, self._ring_activity, self._numbers
-        code_numbers(
-            reader.stream(), self._models.bits, self._signal_count, neighbours, counts, *sizes, numbers
-        )
+        code_numbers(reader.stream(), self._models.bits, self._signal_count, neighbours, counts, *sizes, numbers)
         self._add_numbers(numbers)
 
         def reconstruct() -> None:

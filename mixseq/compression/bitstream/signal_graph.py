@@ -40,9 +40,7 @@ _HUB_DEGREE_RATIO = 32
 
 
 @compiled
-def update_adjacency(
-    starts: Index, adjacent: Index, remaining_mask: Mask, new_edges: Index
-) -> tuple[Index, Index]:
+def update_adjacency(starts: Index, adjacent: Index, remaining_mask: Mask, new_edges: Index) -> tuple[Index, Index]:
     """Return the adjacency of the remaining nodes ``(N,)`` of a graph, with new edges ``(E, 2)``.
 
     The neighbours of a node are ``adjacent[starts[node] : starts[node + 1]]``, ascending and unique, with starts
@@ -109,9 +107,7 @@ def renumber_adjacency(starts: Index, adjacent: Index, order: Index, inverse: In
 
 
 @compiled
-def find_independent_nodes(
-    nodes: Index, starts: Index, adjacent: Index, min_degree: int, max_degree: int
-) -> Index:
+def find_independent_nodes(nodes: Index, starts: Index, adjacent: Index, min_degree: int, max_degree: int) -> Index:
     """Return nodes of at most `max_degree` neighbours, no two of them adjacent, by increasing degree.
 
     Ties among nodes ``(n,)`` int64, of `min_degree` or more neighbours, keep their order.

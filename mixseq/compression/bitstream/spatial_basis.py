@@ -75,9 +75,7 @@ def _new_label_models() -> BitModels:
 
 
 @compiled
-def _code_labels(
-    stream: BitStream, models: BitModels, labels: Index, neighbours: Index, counts: Index
-) -> None:
+def _code_labels(stream: BitStream, models: BitModels, labels: Index, neighbours: Index, counts: Index) -> None:
     """Write or read the labels ``(N,)`` of nodes."""
     votes = np.zeros(1 << _LABEL_BITS, dtype=np.int64)
     for node in range(len(labels)):
@@ -250,9 +248,7 @@ def read_basis(
             del coder
         reader.finish()
     shapes = [(-1, coordinates, len(of_part)) for of_part in vertices]
-    return [
-        step * np.array(values).reshape(shape) for values, shape in zip(signals, shapes, strict=True)
-    ], vertices
+    return [step * np.array(values).reshape(shape) for values, shape in zip(signals, shapes, strict=True)], vertices
 
 
 def assemble_basis(

@@ -364,9 +364,7 @@ def _is_shared(node: int, other: int) -> int:
 
 
 @compiled
-def _set_contexts(
-    bits: HashedBits, kind: int, edges: int, around: int, history: int, own_count: int, own: int
-) -> None:
+def _set_contexts(bits: HashedBits, kind: int, edges: int, around: int, history: int, own_count: int, own: int) -> None:
     contexts = bits.contexts
     contexts[0] = edges << 4 | kind
     contexts[1] = (around << 8 | edges) << 4 | kind

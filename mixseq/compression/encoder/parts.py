@@ -144,9 +144,7 @@ MIN_COMPONENT_STEPS = 0.1
 """Mean displacement of vertices by a component, in steps, below which it is ignored."""
 
 
-def refine_parts(
-    components: PrincipalComponents, labels: Index, faces: NDArray[np.integer], step: float
-) -> Index:
+def refine_parts(components: PrincipalComponents, labels: Index, faces: NDArray[np.integer], step: float) -> Index:
     """Return labels ``(V,)`` of fewer bytes for the same number of parts of a mesh: faces ``(F, 3)``."""
     part_count, vertex_count = int(labels.max()) + 1, len(labels)
     min_norm = MIN_COMPONENT_STEPS * step * np.sqrt(vertex_count)

@@ -162,9 +162,7 @@ class Candidate:
     ) -> Candidate:
         """Make a candidate with parts by labels ``(V,)``, without their components of norms below `min_norm`."""
         parts = split_parts(labels, faces) if labels.any() else [Part(np.arange(graph.size), graph)]
-        of_parts = two_thread_executor()(
-            lambda _, part: PartComponents(components, part, min_norm), None, parts
-        )
+        of_parts = two_thread_executor()(lambda _, part: PartComponents(components, part, min_norm), None, parts)
         return cls(components, tuple(of_parts), graph, labels, share)
 
 
@@ -232,9 +230,7 @@ class Trial:
         return self.signal_size + sum(map(len, self.residuals))
 
 
-def try_step(
-    sequence: FrameStore, candidate: Candidate, step: float, chunk: int = DEFAULT_CHUNK_FRAMES
-) -> Trial:
+def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int = DEFAULT_CHUNK_FRAMES) -> Trial:
     """Round a sequence with one step."""
     rounded = round_basis(candidate.parts, step)
     vectors = [part.vectors for part in rounded]

@@ -199,9 +199,7 @@ def _distance(values: Index, x: int, y: int) -> int:
 
 
 @compiled
-def _copy_error(
-    values: Index, x: int, y: int, p: int, p_image: int, q: int, q_image: int, mirrored: bool
-) -> float:
+def _copy_error(values: Index, x: int, y: int, p: int, p_image: int, q: int, q_image: int, mirrored: bool) -> float:
     """Return the distance of node x from its position predicted by its image y, and p and q with their images."""
     sign = -1.0 if mirrored else 1.0
     side_u, side_v = values[q, 0] - values[p, 0], values[q, 1] - values[p, 1]

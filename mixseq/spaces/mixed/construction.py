@@ -179,8 +179,7 @@ def are_far_apart(space: MixedSpace, frames: LargeArray) -> bool:
     """Whether more than `FAR_TORN_SHARE` of the faces are torn half-way between neighbouring frames ``(T, V, 3)``."""
     pairs = list(_neighbour_pairs(frames))
     return bool(pairs) and all(
-        sum(_torn_share(space.topology, midpoint(space, pair), pair) for pair in pairs)
-        > FAR_TORN_SHARE * len(pairs)
+        sum(_torn_share(space.topology, midpoint(space, pair), pair) for pair in pairs) > FAR_TORN_SHARE * len(pairs)
         for midpoint in (_linear_midpoint, _skinned_midpoint)  # the first is quick, and often suffices
     )
 

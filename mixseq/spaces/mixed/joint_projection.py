@@ -455,9 +455,7 @@ class JointProjection(PickledWithoutCaches):
         all_lengths[self.edge_ids] = np.maximum(lengths, 0.0)
         return all_lengths, all_angles
 
-    def project(
-        self, x: RealOrComplex, lengths: RealOrComplex, angles: RealOrComplex, share: float
-    ) -> RealOrComplex:
+    def project(self, x: RealOrComplex, lengths: RealOrComplex, angles: RealOrComplex, share: float) -> RealOrComplex:
         """Move skinned vertices ``(V, 3)`` at joints by a share towards lengths ``(E',)`` and angles ``(H',)``."""
         if not share or self.frame_factor is None or self.vertex_factor is None:
             return x

@@ -173,9 +173,7 @@ def _error_precisions(errors: Float, radii: Float) -> Float:
     return np.asarray(inverted * lengths[:, :, None] * lengths[:, None, :])
 
 
-def _fuse(
-    estimates: Float, precisions: Float, relations: Float, relation_precisions: Float, pairs: Index
-) -> Poses:
+def _fuse(estimates: Float, precisions: Float, relations: Float, relation_precisions: Float, pairs: Index) -> Poses:
     """Return the poses ``(N, p)`` that fit estimates ``(N, p, 4, 3)`` and relations ``(N, n, 4, 4)`` best."""
     count, size = estimates.shape[:2]
     i, j = pairs.T

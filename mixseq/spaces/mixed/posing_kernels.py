@@ -21,9 +21,7 @@ SERIES_SQUARED_ANGLE = 1e-6
 
 
 @inlined
-def _rotate(
-    w: float, p: float, q: float, r: float, x: float, y: float, z: float
-) -> tuple[float, float, float]:
+def _rotate(w: float, p: float, q: float, r: float, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Rotate a vector by a unit quaternion: ``v + 2 w (u x v) + 2 u x (u x v)``."""
     a = 2.0 * (q * z - r * y)
     b = 2.0 * (r * x - p * z)

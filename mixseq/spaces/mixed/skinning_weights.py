@@ -202,9 +202,7 @@ def _split_vertices(topology: Topology, decomposition: Decomposition) -> tuple[I
     return np.flatnonzero(mask), rigid, part[rigid]
 
 
-def _parts_around_vertices(
-    topology: Topology, decomposition: Decomposition, vertex_ids: Index
-) -> sparse.csr_array:
+def _parts_around_vertices(topology: Topology, decomposition: Decomposition, vertex_ids: Index) -> sparse.csr_array:
     """Return the fractions ``(n, p)`` of parts among the faces of vertices ``(n,)``."""
     row_of_vertex = np.full(topology.vertex_count, -1)
     row_of_vertex[vertex_ids] = np.arange(len(vertex_ids))

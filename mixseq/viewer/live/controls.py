@@ -93,9 +93,7 @@ class PlayControls:
         self._slider.precision = digits
         self._text = gui.add_html("")
         speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1")
-        self._rate = gui.add_number(
-            "Frames/s", playback.scene.fps, min=1e-3, max=1e4, hint="Playback frame rate"
-        )
+        self._rate = gui.add_number("Frames/s", playback.scene.fps, min=1e-3, max=1e4, hint="Playback frame rate")
         self._button.on_click(lambda _: self.toggle())
         self._slider.on_update(self._scrub)
         speed.on_update(lambda _: playback.set_speed(SPEEDS[speed.value]))
@@ -239,9 +237,7 @@ class SaveControls:
         self._folder = folder
         self._save = save
         with gui.add_folder("Save"):
-            self._name = gui.add_text(
-                "File", name, hint=f"A model (.h5), or a sequence in any format, in {folder}"
-            )
+            self._name = gui.add_text("File", name, hint=f"A model (.h5), or a sequence in any format, in {folder}")
             self._replace = gui.add_checkbox("Replace", False, hint="Replace an existing file")
             self._button = gui.add_button("Save", icon=_icon("DEVICE_FLOPPY"))
         self._button.on_click(self._clicked)
@@ -273,9 +269,7 @@ def _is_file_name(name: str) -> bool:
 class Charts:
     """Charts of the time curve, its coefficients, and the keys of a retiming."""
 
-    def __init__(
-        self, server: Any, session: Session, playback: Playback, reach: float, seconds: float
-    ) -> None:
+    def __init__(self, server: Any, session: Session, playback: Playback, reach: float, seconds: float) -> None:
         gui = server.gui
         self._session = session
         self._playback = playback
@@ -402,9 +396,7 @@ class Editor:
             self._frames = gui.add_html("")
             self._times = gui.add_number("Times", 2, min=1, max=100, step=1, hint="Number of repetitions")
             sections = gui.add_button_group("", ("Repeat", "Cut", "Loop", "Reverse"))
-            self._part = gui.add_dropdown(
-                "Part", (WHOLE_BODY, *_parts(model)), hint="Or click a part of the mesh"
-            )
+            self._part = gui.add_dropdown("Part", (WHOLE_BODY, *_parts(model)), hint="Or click a part of the mesh")
             self._gain = gui.add_number("Gain", 1.5, min=-10.0, max=10.0, step=0.1)
             parts = gui.add_button_group("", ("Exaggerate", "Hold"))
         self._show_steps()  # now, as a later line would move the controls below it
@@ -428,9 +420,7 @@ class Editor:
         model, history = self._session.model, self._session.history
         position = f"{history.index} of {len(history.states) - 1} steps"
         last = f": {history.current.name}" if history.index else ""
-        self._steps.content = (
-            f'<div id="mixseq-steps" style="padding: 0 12px; font-size: 12px">{position}{last}</div>'
-        )
+        self._steps.content = f'<div id="mixseq-steps" style="padding: 0 12px; font-size: 12px">{position}{last}</div>'
         before, after = (self._section.min, self._section.max), span(model)
         if after != before:
             start, end = (min(max(time, after[0]), after[1]) for time in self._section.value)

@@ -389,9 +389,7 @@ class _Connection(sockets.ServerConnection):
                 raw = await super().recv(decode)
             except ConnectionClosed as closed:
                 if closed.sent is not None and closed.sent.code == CloseCode.MESSAGE_TOO_BIG:
-                    self._guard.report(
-                        f"disconnected a page: its message is larger than {MAX_MESSAGE_BYTES} bytes"
-                    )
+                    self._guard.report(f"disconnected a page: its message is larger than {MAX_MESSAGE_BYTES} bytes")
                 raise
             await sleep(self._message_rate.delay())  # unread messages stay in the page
             try:

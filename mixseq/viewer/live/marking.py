@@ -71,9 +71,7 @@ class Ball:
     scale: float  # relative radius
 
 
-def make_balls(
-    marking: Marking, proposals: Sequence[Pair], suspects: frozenset[int], side: int
-) -> Iterator[Ball]:
+def make_balls(marking: Marking, proposals: Sequence[Pair], suspects: frozenset[int], side: int) -> Iterator[Ball]:
     """Yield the balls of a side; the numbers of suspicious pairs have a ``!``."""
     for number, pair in enumerate(marking.pairs):
         text = f"{number + 1}{'!' if number in suspects else ''}"
@@ -89,9 +87,7 @@ def make_balls(
 class MarkingStage:
     """Balls and numbers of markers in the scene of a viser server."""
 
-    def __init__(
-        self, server: Any, topologies: Sequence[Topology], on_click: Callable[[int, int], None]
-    ) -> None:
+    def __init__(self, server: Any, topologies: Sequence[Topology], on_click: Callable[[int, int], None]) -> None:
         from trimesh.creation import icosphere
 
         self._server = server
@@ -132,9 +128,7 @@ class MarkingStage:
         vertices = np.array([ball.vertex for ball in balls], np.int64)
         with self._server.atomic():
             self._draw_balls(side, balls, points[vertices])
-            self._draw_labels(
-                side, balls, points[vertices] + LABEL_HEIGHT_RADII * self._radius * normals[vertices]
-            )
+            self._draw_labels(side, balls, points[vertices] + LABEL_HEIGHT_RADII * self._radius * normals[vertices])
 
     def _draw_balls(self, side: int, balls: Sequence[Ball], points: Float) -> None:
         """Move the balls of a side to points ``(n, 3)``; unused ones wait below the ground, as new ones flicker."""
@@ -238,9 +232,7 @@ class MarkingControls:
             button = gui.add_button("Save")
         views.on_click(lambda _: set_view(VIEWS[views.value]))
         across.on_click(lambda event: show_other_mesh(event.client.camera))
-        gui.add_command("Other mesh", hotkey="O").on_trigger(
-            lambda event: show_other_mesh(event.client.camera)
-        )
+        gui.add_command("Other mesh", hotkey="O").on_trigger(lambda event: show_other_mesh(event.client.camera))
         for group in (steps, proposals):
             group.on_click(lambda _, by=group: self._do(by.value))
         again.on_click(lambda _: session.suggest())
@@ -264,9 +256,7 @@ class MarkingControls:
         session = self._session
         marking, proposals, examination = session.marking, session.proposals, session.examination
         self._hint_line.content = _lines("mixseq-hint", [_hint_text(marking, self._names)])
-        self._proposal_line.content = _lines(
-            "mixseq-proposed", [_proposal_text(len(proposals), session.work)]
-        )
+        self._proposal_line.content = _lines("mixseq-proposed", [_proposal_text(len(proposals), session.work)])
         self._map.content = _lines("mixseq-map", _map_lines(marking, examination, session.work))
         state = "changed since it was saved" if session.has_changes else "as in the file"
         self._saved.content = _lines("mixseq-saved", [escape(f"{self._file}: {state}")])
@@ -278,9 +268,7 @@ def _hint_text(marking: Marking, names: tuple[str, str]) -> str:
     if marking.selected is not None:
         text = f"{_format_number(marking.selected)} is selected: click its new place, or Delete"
     elif marking.started is None:
-        text = (
-            f"Click a point of {escape(names[0])} or {escape(names[1])}; click a number to move or delete it"
-        )
+        text = f"Click a point of {escape(names[0])} or {escape(names[1])}; click a number to move or delete it"
     else:
         other = names[1 - marking.started[0]]
         text = f"{_format_number(count)}: now click the same point of {escape(other)}"
@@ -463,9 +451,7 @@ class MarkingViewer:
         """Move the camera to the corresponding point of the other mesh, by the nearest marker."""
         centres = self._stage.arrangement.centres
         side_in_view = int(np.linalg.norm(centres - camera.look_at, axis=1).argmin())
-        pairs = np.array(
-            [pair.vertices for pair in (*self.session.marking.pairs, *self.session.proposals)], np.int64
-        )
+        pairs = np.array([pair.vertices for pair in (*self.session.marking.pairs, *self.session.proposals)], np.int64)
         anchors = [
             np.concatenate([centres[[side]], self._balls.positions(side, pairs.reshape(-1, 2)[:, side])])
             for side in (side_in_view, 1 - side_in_view)
@@ -489,9 +475,7 @@ class MarkingViewer:
 
 
 @contextmanager
-def run_marking_viewer(
-    meshes: MarkedMeshes, settings: ViewSettings, save: SaveMarkers
-) -> Iterator[MarkingViewer]:
+def run_marking_viewer(meshes: MarkedMeshes, settings: ViewSettings, save: SaveMarkers) -> Iterator[MarkingViewer]:
     """Run a viewer for markers in the background during the context."""
     with ExitStack() as stack:
         server, address = stack.enter_context(run_server(settings.host, settings.port))

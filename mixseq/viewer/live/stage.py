@@ -81,9 +81,7 @@ class LiveStage:
                 cast_shadow=False,
                 receive_shadow=False,
             )
-            cloud = server.scene.add_point_cloud(
-                f"/paint/{index}", zeros, colors=zeros.astype(np.uint8), visible=False
-            )
+            cloud = server.scene.add_point_cloud(f"/paint/{index}", zeros, colors=zeros.astype(np.uint8), visible=False)
             self._meshes.append(mesh)
             self._colour_clouds.append(cloud)
         if len(self._meshes) > 1:
@@ -226,9 +224,7 @@ class LiveStage:
                 return
             position, aspect = self._client_views[client.client_id]
             initial = self._server.initial_camera.position  # may be reported late
-            is_unmoved = any(
-                np.allclose(camera.position, known, rtol=1e-3, atol=1e-3) for known in (position, initial)
-            )
+            is_unmoved = any(np.allclose(camera.position, known, rtol=1e-3, atol=1e-3) for known in (position, initial))
             if is_unmoved and abs(camera.aspect / aspect - 1) > ASPECT_TOLERANCE:
                 self._update_camera(client)
 

@@ -97,15 +97,9 @@ def find_port(host: str, requested: int | None) -> int:
             if requested is None and error.errno == errno.EADDRINUSE:
                 continue
             reason = str(error.strerror or error).partition(" (")[0]
-            cure = (
-                "give another --port"
-                if error.errno in (errno.EADDRINUSE, errno.EACCES)
-                else "give another --host"
-            )
+            cure = "give another --port" if error.errno in (errno.EADDRINUSE, errno.EACCES) else "give another --host"
             raise SettingsError(f"cannot listen at {host}:{port}: {reason}; {cure}") from None
-    raise SettingsError(
-        f"the ports {FIRST_PORT} to {FIRST_PORT + PORT_COUNT - 1} are all taken; give a --port"
-    )
+    raise SettingsError(f"the ports {FIRST_PORT} to {FIRST_PORT + PORT_COUNT - 1} are all taken; give a --port")
 
 
 @dataclass(frozen=True)

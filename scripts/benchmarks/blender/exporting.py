@@ -20,9 +20,7 @@ def main() -> None:
         stem = str(folder / f"walker{fps}")
         bpy.ops.wm.save_as_mainfile(filepath=f"{stem}.blend")
         bpy.ops.wm.usd_export(filepath=f"{stem}.usdc", export_animation=True)
-        bpy.ops.wm.alembic_export(
-            filepath=f"{stem}.abc", start=scene.frame_start, end=scene.frame_end, face_sets=True
-        )
+        bpy.ops.wm.alembic_export(filepath=f"{stem}.abc", start=scene.frame_start, end=scene.frame_end, face_sets=True)
         bpy.ops.export_scene.gltf(
             filepath=f"{stem}.glb",
             export_cameras=True,

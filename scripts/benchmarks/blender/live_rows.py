@@ -135,9 +135,7 @@ def _off(model: Model, frames: Any, seen: Any) -> float:
 def _positions(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
     several, retimed, reopened, baked = map(seen, ("several", "retimed", "reopened", "baked"))
     moments = several["moments"]
-    yield LiveRow(
-        "frames and sub-frames, signals", _off(models["signals"], moments, several["signals"]), SINGLE
-    )
+    yield LiveRow("frames and sub-frames, signals", _off(models["signals"], moments, several["signals"]), SINGLE)
     later = _off(models["compressed"], moments - 3, several["compressed"])
     yield LiveRow("beside it, compressed, 3 frames later", later, SINGLE)
     size = np.ptp(several["compressed"][-1], axis=0)
@@ -177,9 +175,7 @@ def _rendered(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
     inside = np.abs(vectors).max(axis=-1) > 0
     yield LiveRow("pixels that move", int(inside.sum()), 0.9 * (PIXELS / 2) ** 2, "pixels", at_least=True)
     error = float(np.abs(vectors[inside] - expected).max()) if inside.any() else np.inf
-    yield LiveRow(
-        f"their vectors, of {abs(expected[0]):.1f} and {abs(expected[2]):.1f}", error, 1e-3, "pixels"
-    )
+    yield LiveRow(f"their vectors, of {abs(expected[0]):.1f} and {abs(expected[2]):.1f}", error, 1e-3, "pixels")
 
 
 def _others(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:

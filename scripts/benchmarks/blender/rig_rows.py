@@ -110,9 +110,7 @@ def _rows(name: str, sequence: MeshSequence, rig: Skin | Morph, file: Path, seen
     if isinstance(rig, Skin):
         bones = dict(seen.names["bones"])
         names, parents = rig.skeleton.names, rig.skeleton.parents.tolist()
-        meant = {
-            bone: names[parent] if parent >= 0 else "" for bone, parent in zip(names, parents, strict=True)
-        }
+        meant = {bone: names[parent] if parent >= 0 else "" for bone, parent in zip(names, parents, strict=True)}
         others = sum(bones.get(bone) not in (parent, parent or "skeleton") for bone, parent in meant.items())
         yield LiveRow(f"{name}, bones with other names or parents", others, 0, "bones")
 

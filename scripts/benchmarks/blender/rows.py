@@ -110,9 +110,7 @@ def by_itself(way: Way, folder: Path) -> Row:
     return row
 
 
-def _described(
-    jobs: Mapping[str, tuple[dict[str, Any], Float | Index]], folder: Path
-) -> list[dict[str, Any]]:
+def _described(jobs: Mapping[str, tuple[dict[str, Any], Float | Index]], folder: Path) -> list[dict[str, Any]]:
     return [
         {"open": opened, "frames": frames.tolist(), "output": str(folder / name)}
         for name, (opened, frames) in jobs.items()
@@ -147,6 +145,4 @@ def _camera(row: Row, seen: Seen, original: Seen) -> None:
 
 
 def _range(row: Row, found: tuple[float, float], asked: Float) -> None:
-    row.check(
-        "range", np.allclose(found, asked, atol=1e-2), f"frames {found}, {asked.tolist()} were asked for"
-    )
+    row.check("range", np.allclose(found, asked, atol=1e-2), f"frames {found}, {asked.tolist()} were asked for")

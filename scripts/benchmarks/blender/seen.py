@@ -100,8 +100,7 @@ class Surface:
     def has_materials_of(self, other: Surface) -> bool:
         """Tell whether every polygon has the material that the same polygon has in the other one."""
         own, theirs = (
-            {frozenset(map(int, corners)): material for material, corners in each._corners}
-            for each in (self, other)
+            {frozenset(map(int, corners)): material for material, corners in each._corners} for each in (self, other)
         )
         return own == theirs
 

@@ -79,9 +79,7 @@ def slow() -> Task:
     """Four times as long."""
     frames = _frames(START, START + 4 * (END - START), BASE)
     source = START + (frames / BASE - START) / 4
-    return Task(
-        "x4 slow motion", BASE, frames, source, np.full(len(frames), 0.25), _resample("--speed", "0.25")
-    )
+    return Task("x4 slow motion", BASE, frames, source, np.full(len(frames), 0.25), _resample("--speed", "0.25"))
 
 
 def section() -> Task:

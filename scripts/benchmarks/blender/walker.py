@@ -94,11 +94,7 @@ def _body(rig: bpy.types.Object) -> bpy.types.Object:
 
     for name, (parent, head, tail) in _sides().items():
         size = THICKNESS[name.partition(".")[0]]
-        start = (
-            vertex(head, size)
-            if parent is None or (head - places[ends[parent]]).length > 1e-6
-            else ends[parent]
-        )
+        start = vertex(head, size) if parent is None or (head - places[ends[parent]]).length > 1e-6 else ends[parent]
         if parent and start != ends[parent]:
             edges.append((ends[parent] if name.startswith("arm") else 0, start))
         ends[name] = vertex(tail, 0.8 * size)
@@ -156,9 +152,7 @@ def _hang(thing: bpy.types.Object, rig: bpy.types.Object, bone: str, place: Matr
     bpy.context.scene.collection.objects.link(thing)
     thing.parent, thing.parent_type, thing.parent_bone = rig, "BONE", bone
     own = rig.data.bones[bone]
-    thing.matrix_parent_inverse = (
-        own.matrix_local @ Matrix.Translation((0, own.length, 0))
-    ).inverted() @ place
+    thing.matrix_parent_inverse = (own.matrix_local @ Matrix.Translation((0, own.length, 0))).inverted() @ place
 
 
 def _material(name: str, colour: tuple[float, float, float]) -> bpy.types.Material:

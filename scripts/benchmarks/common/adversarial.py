@@ -24,9 +24,7 @@ def sheet() -> tuple[Float, Index]:
     """A flat square of side one."""
     x, y = np.meshgrid(*2 * [np.linspace(0, 1, SIDE)], indexing="ij")
     number = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
-    a, b, c, d = (
-        part.reshape(-1) for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
-    )
+    a, b, c, d = (part.reshape(-1) for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
     faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     return np.stack([x, y, 0 * x], axis=2).reshape(-1, 3), faces
 

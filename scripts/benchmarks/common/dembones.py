@@ -64,9 +64,7 @@ def skinning(points: Float, faces: Any, bones: int, runs: int = 3) -> Skinning:
     return Skinning(weights, transforms, timing, "k-means")
 
 
-def _solve(
-    points: Float, faces: Any, bones: int, start: Float | None, most: int
-) -> tuple[Timing, tuple[Float, Float]]:
+def _solve(points: Float, faces: Any, bones: int, start: Float | None, most: int) -> tuple[Timing, tuple[Float, Float]]:
     """Weights and transforms; only the solver is timed, up to `most` times."""
     from py_dem_bones.portable import _prepare_solver, _read_skinning_result
 

@@ -99,9 +99,7 @@ def _against_peer(section: Section, sequences: Sequence[Measured]) -> None:
     section.tables.append(LargeArray("Bits of ours over bits of PCA in trajectory space.", columns, rows))
     for kg, column in zip(KG_TARGETS, ratios.T, strict=True):
         if kg in WANTED:
-            section.targets.append(
-                at_most(f"KG {kg:g} %: ours / PCA, median", np.nanmedian(column), WANTED[kg])
-            )
+            section.targets.append(at_most(f"KG {kg:g} %: ours / PCA, median", np.nanmedian(column), WANTED[kg]))
         section.targets.append(at_most(f"KG {kg:g} %: ours / PCA, largest", np.nanmax(column), 1))
 
 

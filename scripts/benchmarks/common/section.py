@@ -89,8 +89,7 @@ class Section:
         return cls(
             title=plain["title"],
             tables=[
-                LargeArray(t["caption"], tuple(t["columns"]), [tuple(r) for r in t["rows"]])
-                for t in plain["tables"]
+                LargeArray(t["caption"], tuple(t["columns"]), [tuple(r) for r in t["rows"]]) for t in plain["tables"]
             ],
             targets=[Target(**target) for target in targets],
             notes=plain["notes"],

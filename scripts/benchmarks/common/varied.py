@@ -32,9 +32,7 @@ def varied(sequence: mixseq.MeshSequence, loops: int, seed: int = 0) -> mixseq.M
     waves = random.normal(size=(BENDS, 3)) * 2 / diagonal  # about a third of a wave over the mesh
     towards = random.normal(size=(BENDS, 3)) * BEND * diagonal / np.sqrt(BENDS)
     sizes = _slow(random, frames, len(sequence), BENDS)
-    for wave, phase, vector, size in zip(
-        waves, random.uniform(0, 2 * np.pi, BENDS), towards, sizes.T, strict=True
-    ):
+    for wave, phase, vector, size in zip(waves, random.uniform(0, 2 * np.pi, BENDS), towards, sizes.T, strict=True):
         points += size[:, None, None] * np.sin(x @ wave + phase)[..., None] * vector
 
     turns = Rotation.from_rotvec(TURN * _slow(random, frames, len(sequence), 3)).as_matrix()

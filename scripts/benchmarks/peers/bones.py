@@ -23,9 +23,7 @@ FINE = 2**16 - 1
 WEIGHT = 2**8 - 1
 TURN = 2**15 - 1
 
-_HEAD = struct.Struct(
-    "<II4d6f6f3I"
-)  # frames, bones, centre, diagonal, boxes of rest shape and places, sizes of parts
+_HEAD = struct.Struct("<II4d6f6f3I")  # frames, bones, centre, diagonal, boxes of rest shape and places, sizes of parts
 _PREDICTOR = 2  # parallelograms
 
 
@@ -101,9 +99,7 @@ class Bones:
             Rotation.from_quat(np.column_stack([turns, last])).as_matrix().reshape(frames, bones, 3, 3)
         )
         centres = _centres(weights, rest)
-        transforms[..., 3] = _from(motion[:, :, 3:], range_) - np.einsum(
-            "tbij,bj->tbi", transforms[..., :3], centres
-        )
+        transforms[..., 3] = _from(motion[:, :, 3:], range_) - np.einsum("tbij,bj->tbi", transforms[..., :3], centres)
         return np.asarray(skinned(rest, weights, transforms) * diagonal + centre)
 
 

@@ -40,8 +40,7 @@ class Draco:
         size = float((points.max(axis=(0, 1)) - low).max())
         grid = {"quantization_range": size, "quantization_origin": low.tolist()}
         frames = [
-            DracoPy.encode(frame, faces, quantization_bits=setting, compression_level=LEVEL, **grid)
-            for frame in points
+            DracoPy.encode(frame, faces, quantization_bits=setting, compression_level=LEVEL, **grid) for frame in points
         ]
         return b"".join(_SIZE.pack(len(frame)) + frame for frame in frames)
 
@@ -87,15 +86,11 @@ def _order(faces: bytes, vertices: int) -> Index:
 
     triangles = np.frombuffer(faces, np.uint32).reshape(-1, 3)
     exact: dict[str, object] = {"quantization_range": float(2**LATTICE - 1), "quantization_origin": [0.0] * 3}
-    mesh = DracoPy.encode(
-        _lattice(vertices), triangles, quantization_bits=LATTICE, compression_level=LEVEL, **exact
-    )
+    mesh = DracoPy.encode(_lattice(vertices), triangles, quantization_bits=LATTICE, compression_level=LEVEL, **exact)
     found = np.rint(DracoPy.decode(mesh).points).astype(np.int64)
     order = found @ (1 << (LATTICE * np.arange(3)))
     if not np.array_equal(np.sort(order), np.arange(vertices)):
-        raise InvalidSequenceError(
-            f"Draco returns {len(order)} of {vertices} vertices; the others are in no face"
-        )
+        raise InvalidSequenceError(f"Draco returns {len(order)} of {vertices} vertices; the others are in no face")
     return np.asarray(order)
 
 

@@ -62,9 +62,7 @@ class Pca:
             if not (coefficients_q.any() and vector_q.any()):
                 continue
             values = vector_q.reshape(-1, vertices).T
-            predicted = [
-                over_mesh.residuals(values, k)[over_mesh.order].T for k in range(len(over_mesh.weights))
-            ]
+            predicted = [over_mesh.residuals(values, k)[over_mesh.order].T for k in range(len(over_mesh.weights))]
             in_time, in_space = _differences(coefficients_q, frames), _smallest(predicted)
             gained = np.square(vector).sum()
             for values, whole in ((coefficient, coefficients_q), (vector, vector_q)):
@@ -79,14 +77,10 @@ class Pca:
 
     def decode(self, mesh: mixseq.Topology, data: bytes) -> Float:
         frames, count, step, *centre = _HEAD.unpack_from(data)
-        rows, columns = (
-            (frames, 3 * mesh.vertex_count) if self._space == "shape" else (3 * frames, mesh.vertex_count)
-        )
+        rows, columns = (frames, 3 * mesh.vertex_count) if self._space == "shape" else (3 * frames, mesh.vertex_count)
         streams = _read(from_lzma(data[_HEAD.size :]), [rows] * (count + 1) + [columns] * count)
 
-        mean, *coefficients = [
-            _sums(values.reshape(-1, frames), order) for order, values in streams[: count + 1]
-        ]
+        mean, *coefficients = [_sums(values.reshape(-1, frames), order) for order, values in streams[: count + 1]]
         u = np.array(coefficients, np.float64).reshape(count, rows)
         u /= np.linalg.norm(u, axis=1, keepdims=True)
         vectors = _vectors(mesh, streams[count + 1 :]).reshape(count, columns)
@@ -156,9 +150,7 @@ def _vectors(mesh: mixseq.Topology, streams: Sequence[tuple[int, Index]]) -> Ind
 def _written(streams: Sequence[_Stream]) -> bytes:
     """Write for each stream its choice and its width, then the planes of all."""
     widths = [width(each.residuals) for each in streams]
-    table = bytes(
-        number for each, size in zip(streams, widths, strict=True) for number in (each.choice, size)
-    )
+    table = bytes(number for each, size in zip(streams, widths, strict=True) for number in (each.choice, size))
     return table + b"".join(planes(each.residuals, size) for each, size in zip(streams, widths, strict=True))
 
 

@@ -36,9 +36,7 @@ class Prediction:
         """Undo `residuals`."""
         matrix = self.weights[predictor]
         values = residuals.copy()
-        _fill(
-            self.order, matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64), matrix.data, values
-        )
+        _fill(self.order, matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64), matrix.data, values)
         return values
 
 
@@ -69,14 +67,10 @@ def traversal(mesh: mixseq.Topology) -> Index:
     """Return all vertices ``(V,)``: breadth first across edges, from the first face of every component."""
     starts = np.concatenate([[0], np.cumsum(mesh.edge_face_counts)])
     faces_at = np.argsort(mesh.face_edges.reshape(-1), kind="stable") // 3
-    return _traverse(
-        mesh.faces.astype(np.int64), mesh.face_edges.astype(np.int64), starts, faces_at, mesh.vertex_count
-    )
+    return _traverse(mesh.faces.astype(np.int64), mesh.face_edges.astype(np.int64), starts, faces_at, mesh.vertex_count)
 
 
-def _scaled(
-    matrix: sparse.csr_array, rows: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
-) -> sparse.csr_array:
+def _scaled(matrix: sparse.csr_array, rows: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> sparse.csr_array:
     return sparse.csr_array(sparse.diags_array(np.asarray(rows, np.float64)) @ matrix)
 
 

@@ -60,9 +60,7 @@ def measure(say: Say) -> Section:
                 if before is not None:
                     cpu, megabytes = (round(SHARE * each, 1) for each in before)
                     section.targets.append(at_most(f"{name}, {step}: CPU", found.cpu, cpu, " s"))
-                    section.targets.append(
-                        at_most(f"{name}, {step}: memory", found.megabytes, megabytes, " MB")
-                    )
+                    section.targets.append(at_most(f"{name}, {step}: memory", found.megabytes, megabytes, " MB"))
     return section
 
 

@@ -109,9 +109,7 @@ def _measure_pair(
     fastest = min(timing.median for method, timing, *_ in solved if method.startswith("full"))
     means = envelope(topology, ends.mean(axis=0), mesh.lengths, mesh.angles)
     rows.append((pair, "vertex means", "-", "-", "-", "", *means.texts()))
-    section.figures.append(
-        {"pair": pair, "method": "vertex means", "lengths": means.lengths, "degrees": means.degrees}
-    )
+    section.figures.append({"pair": pair, "method": "vertex means", "lengths": means.lengths, "degrees": means.degrees})
     for method, timing, reports_, points, threads in solved:
         errors = envelope(topology, points, mesh.lengths, mesh.angles)
         ratio = fastest / timing.median
@@ -154,9 +152,7 @@ def _measure_pair(
             mine = envelope(topology, points, whole.lengths, whole.angles)
             what = f"{pair}, {method}, w = {weight}"
             lengths, angles = mine.lengths[1] / theirs.lengths[1], mine.degrees[0] / theirs.degrees[0]
-            section.targets.append(
-                at_most(f"{what}: lengths at 99.9 %, over the full mesh's", lengths, LENGTHS)
-            )
+            section.targets.append(at_most(f"{what}: lengths at 99.9 %, over the full mesh's", lengths, LENGTHS))
             section.targets.append(at_most(f"{what}: angles at 99 %, over the full mesh's", angles, ANGLES))
 
 

@@ -88,9 +88,7 @@ def _measure(section: Section, rows: list[tuple[str, ...]], name: str, target: i
     if target is not None:
         for threads in THREADS:
             section.targets.append(
-                at_least(
-                    f"{name}: frames in one full-mesh iteration, {threads} threads", ratios[threads], target
-                )
+                at_least(f"{name}: frames in one full-mesh iteration, {threads} threads", ratios[threads], target)
             )
         section.bars.append(Bar(f"{name}, playback, 2 threads", ratios[2], target))
 

@@ -63,9 +63,7 @@ def measure(say: Say) -> Section:
             at_most("`import mixseq`, Python's own start included", import_.median, IMPORT, " s"),
             at_most("first frame of a compressed file", frame.median, SHOWN, " s"),
             at_most("pause of the first run (first minus second)", first, FIRST, " s"),
-            at_least(
-                "functions compiled in the first run (or they are not counted)", len(cold["compiled"]), 1
-            ),
+            at_least("functions compiled in the first run (or they are not counted)", len(cold["compiled"]), 1),
             at_most("functions compiled in later runs", compiled, 0),
         ],
         notes=[

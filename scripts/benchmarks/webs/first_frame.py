@@ -114,9 +114,7 @@ def _loaded(what: Shipped, rate: int) -> tuple[float, int]:
         page = browser.new_page()
         page.add_init_script(_WATCH)
         page.goto(f"{address}/{what.page}", wait_until="commit")
-        while (
-            shown := page.evaluate("globalThis.shown ?? null")
-        ) is None:  # pages may forbid to wait for a function
+        while (shown := page.evaluate("globalThis.shown ?? null")) is None:  # pages may forbid to wait for a function
             page.wait_for_timeout(20)
         sent = line.sent
         browser.close()

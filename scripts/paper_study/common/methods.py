@@ -128,9 +128,7 @@ class FromPose(Edge):
         wanted = space.targets(shapes[0])
         rows, reports = np.zeros_like(shell.pieces.shapes), []
         with one_blas_thread():
-            for number, (own, piece) in enumerate(
-                zip(shell.pieces.vertices, shell.shell_pieces, strict=True)
-            ):
+            for number, (own, piece) in enumerate(zip(shell.pieces.vertices, shell.shell_pieces, strict=True)):
                 if piece is not None:
                     problem = shell.problem(number, piece, wanted, space.shell)
                     start = self.poses.points[0][own] / space.scale
@@ -213,9 +211,7 @@ class Free(Anchored):
         with one_blas_thread():
             vector = (weights @ self.vectors)[None]
             blocks = space.split(vector)
-            frame = FreeFrame(
-                blocks.lengths[0], blocks.angles[0], blocks.rest_vertices[0], space.skin(vector)[0]
-            )
+            frame = FreeFrame(blocks.lengths[0], blocks.angles[0], blocks.rest_vertices[0], space.skin(vector)[0])
             lengths, angles = assembly.targets(frame)
             start = assembly.integrate(frame, lengths, angles)
             first = clock.lap()

@@ -49,9 +49,7 @@ def heat(poses: Poses, values: Float, most: float) -> Float:
     return np.asarray(cm.ScalarMappable(cmap="viridis").cmap(np.clip(of_face, 0, 1)))[:, :3]
 
 
-def gallery(
-    target: Path, poses: Poses, rows: Sequence[Sequence[Panel]], title: str = "", turn: float = 30.0
-) -> None:
+def gallery(target: Path, poses: Poses, rows: Sequence[Sequence[Panel]], title: str = "", turn: float = 30.0) -> None:
     """Draw rows of meshes with one camera, as a PNG."""
     up, faces = poses.sequence.up_axis, poses.sequence.faces
     everything = [panel for row in rows for panel in row]
@@ -123,9 +121,7 @@ def envelopes(target: Path, title: str, weights: Sequence[float], bands: Bands) 
                 ax.set_ylim(-most, most)
                 ax.set_xlim(0, 1)
             axes[0].set_ylabel(label)
-            axes[-1].legend(
-                loc="center left", bbox_to_anchor=(1.0, 0.5), title="share of edges", title_fontsize=8
-            )
+            axes[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title="share of edges", title_fontsize=8)
         for ax, name in zip(panels[0], names, strict=True):
             ax.set_title(name, fontsize=10)
         for ax in panels[1]:

@@ -99,9 +99,7 @@ class Overlaps:
         return np.linalg.pinv((self.incidence.T @ self.incidence).toarray(), hermitian=True)
 
 
-def register(
-    overlaps: Overlaps, points: Float, sweeps: int = 500, tolerance: float = 1e-12
-) -> tuple[Float, Float]:
+def register(overlaps: Overlaps, points: Float, sweeps: int = 500, tolerance: float = 1e-12) -> tuple[Float, Float]:
     """Find the rigid motions that bring pieces together.
 
     Parameters
@@ -125,9 +123,7 @@ def register(
     if not len(overlaps.pieces):
         return rotation, translation
     matrix, projected = _energy_matrix(overlaps, points)
-    stacked = np.swapaxes(rotation, 1, 2).reshape(
-        -1, 3
-    )  # R_k^T below each other: rows are points' coordinates
+    stacked = np.swapaxes(rotation, 1, 2).reshape(-1, 3)  # R_k^T below each other: rows are points' coordinates
     # Below this the energy is rounding: a hopelessly thin overlap may turn for ever without lowering it.
     rounding = 1e-15 * float(np.trace(matrix))
     energy = np.inf

@@ -58,9 +58,7 @@ class Seams:
             rows.append(place[topology.edges[inside]])
             edges.append(inside)
             start += len(piece)
-        return cls(
-            np.concatenate(vertices), np.concatenate(rows), np.concatenate(edges), topology.vertex_count
-        )
+        return cls(np.concatenate(vertices), np.concatenate(rows), np.concatenate(edges), topology.vertex_count)
 
     @cached_property
     def incidence(self) -> sparse.csr_array:

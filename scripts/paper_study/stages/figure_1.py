@@ -26,9 +26,7 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     weights = between(0.5)
     blends: dict[str, Float] = {}
     for name, space in SPACES.items():
-        blends[name] = PoseInterpolator.from_poses(poses.sequence, space, pose_ids=poses.frames).blend(
-            weights
-        )
+        blends[name] = PoseInterpolator.from_poses(poses.sequence, space, pose_ids=poses.frames).blend(weights)
     labels = poses.segmented()
     for name in ("DSO", "MixIT"):
         method = METHODS[name](poses, labels)
@@ -61,10 +59,7 @@ def verdict(results: Results) -> list[str]:
     gains = []
     for name in SPACES:
         each = [
-            result["methods"][name]["lengths"][1] / result["methods"][OURS]["lengths"][1]
-            for result in results.values()
+            result["methods"][name]["lengths"][1] / result["methods"][OURS]["lengths"][1] for result in results.values()
         ]
         gains.append(f"{min(each):.1f} to {max(each):.1f} times as large in {name}")
-    return [
-        f"Length errors at 99.9 % half-way are {', '.join(gains)}, as in S_m. The paper shows pictures only."
-    ]
+    return [f"Length errors at 99.9 % half-way are {', '.join(gains)}, as in S_m. The paper shows pictures only."]

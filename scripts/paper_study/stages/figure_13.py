@@ -57,8 +57,7 @@ def verdict(results: Results) -> list[str]:
     changes = []
     for mesh, result in results.items():
         three, five = (
-            result["methods"][f"MixIT, free, strips, width {width}"]["worst"]["lengths"][1]
-            for width in WIDTHS
+            result["methods"][f"MixIT, free, strips, width {width}"]["worst"]["lengths"][1] for width in WIDTHS
         )
         changes.append(f"{mesh} {three:.2g} to {five:.2g}")
     return [f"Length errors at 99.9 %, worst of all weights, from width 3 to 5: {', '.join(changes)}."]

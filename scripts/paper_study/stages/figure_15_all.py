@@ -91,9 +91,7 @@ def page(results: Results) -> list[str]:
     for result in results.values():
         rows = []
         for pair in result["animations"].values():
-            for name in filter(
-                pair.__contains__, SEGMENTATIONS
-            ):  # a method may be newer than what was measured
+            for name in filter(pair.__contains__, SEGMENTATIONS):  # a method may be newer than what was measured
                 row = pair[name]
                 rows.append(
                     (
@@ -133,10 +131,7 @@ def page(results: Results) -> list[str]:
             "Parts that the weights of a skeleton make, against as many by motion:",
             markdown_table(
                 ("file", "parts", "adjusted Rand index"),
-                [
-                    (each["file"], str(each["parts"]), f"{each['agreement']:.2f}")
-                    for each in result["skeletons"]
-                ],
+                [(each["file"], str(each["parts"]), f"{each['agreement']:.2f}") for each in result["skeletons"]],
             ),
         ]
     return blocks

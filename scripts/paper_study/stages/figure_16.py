@@ -57,9 +57,7 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
             "after": np.mean(after, axis=0).tolist(),
             "away": np.mean(away, axis=0).tolist(),
         }
-        say(
-            f"noise, {name}: {text(before)} to {text(noise[name]['after'])}, {text(noise[name]['away'])} edges away"
-        )
+        say(f"noise, {name}: {text(before)} to {text(noise[name]['after'])}, {text(noise[name]['away'])} edges away")
     local, rows = intersected(poses, labels, clean, say)
     gallery(folder / f"figure-16-{poses.mesh}.png", poses, rows, poses.title)
     return {"title": poses.title, "noise": noise, **local}
@@ -146,10 +144,7 @@ def page(results: Results) -> list[str]:
         f"lengths and more). *DSO, volume* has the volume term that the paper names (weight {VOLUME:g}).",
     ]
     for mesh, result in results.items():
-        found = [
-            (name, text(f["away"]), text(f["lengths"]), text(f["degrees"]))
-            for name, f in result["local"].items()
-        ]
+        found = [(name, text(f["away"]), text(f["lengths"]), text(f["degrees"])) for name, f in result["local"].items()]
         blocks += [
             f"### {mesh}: {result['title']}",
             f"{result['moved']} vertices moved, the limb is {result['thickness']:.1f} mean edge lengths thick.",
@@ -187,19 +182,14 @@ def verdict(results: Results) -> list[str]:
         noise.append(
             mesh
             + " "
-            + ", ".join(
-                f"{name} {n[name]['away'][0]:.2g}" for name in ("MSGI", "DSO", "MixIT, free", "MixIT")
-            )
+            + ", ".join(f"{name} {n[name]['away'][0]:.2g}" for name in ("MSGI", "DSO", "MixIT, free", "MixIT"))
         )
         local.append(
             mesh
             + " "
-            + ", ".join(
-                f"{name} {f[name]['away'][0]:.2g}" for name in ("MSGI", "DSO", "MixIT, free", "MixIT")
-            )
+            + ", ".join(f"{name} {f[name]['away'][0]:.2g}" for name in ("MSGI", "DSO", "MixIT, free", "MixIT"))
         )
     return [
         f"Noise of {NOISE:.0%} of an edge moves the blend by so many edge lengths (rms): {'; '.join(noise)}.",
-        "A patch that is pushed through the surface moves the rest by so many edge lengths (rms): "
-        f"{'; '.join(local)}.",
+        f"A patch that is pushed through the surface moves the rest by so many edge lengths (rms): {'; '.join(local)}.",
     ]

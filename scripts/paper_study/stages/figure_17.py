@@ -51,9 +51,7 @@ def blends_of(far: Poses, say: Callable[[str], None]) -> tuple[Json, list[list[P
         say(f"{far.title}, {name}: energy {found[name]['energy']:.3g}")
         if name in SHOWN:
             rows[1].append(Panel(f"{name}, w = 0.5", blend.points))
-            rows[2].append(
-                Panel("length errors", blend.points, heat(far, at_vertices(far, blend.points), MOST))
-            )
+            rows[2].append(Panel("length errors", blend.points, heat(far, at_vertices(far, blend.points), MOST)))
     return {"title": far.title, "methods": found}, rows
 
 

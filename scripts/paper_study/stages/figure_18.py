@@ -117,9 +117,7 @@ def draw(
     window = (x - size, x + size, y - size, y + size)
     time = float(sequence.times[frame])
     with chart_style():
-        page = new_page(
-            13.0, 3.4 * (len(models) + 1), f"Frame {frame} of {sequence.name}, from every {STEP}nd frame"
-        )
+        page = new_page(13.0, 3.4 * (len(models) + 1), f"Frame {frame} of {sequence.name}, from every {STEP}nd frame")
         panels = page.subplots(len(models) + 1, 4, squeeze=False)
         for axes, (name, model) in zip(panels, models.items(), strict=False):
             for ax in axes[:2]:
@@ -142,9 +140,7 @@ def close_up(ax: Any, model: Any, time: float) -> None:
     after = int(np.searchsorted(times, time))
     ends = model.embedding([times[after - 1], time, times[after]])
     middle, half = ends.mean(axis=0), 0.8 * np.ptp(ends, axis=0).max()
-    ax.set(
-        xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half), title="close-up"
-    )
+    ax.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half), title="close-up")
 
 
 def page(results: Results) -> list[str]:
@@ -167,8 +163,7 @@ def page(results: Results) -> list[str]:
             ]
             continue
         rows = [
-            (name, f"{f['dim']:,}", f"{f['rms']:.2g}", f"{f['largest']:.2g}", text(f["lengths"]))
-            for name, f in spaces
+            (name, f"{f['dim']:,}", f"{f['rms']:.2g}", f"{f['largest']:.2g}", text(f["lengths"])) for name, f in spaces
         ]
         columns = ("space", "dimension", "rms", "largest", "lengths against the original, 99 / 99.9 / 100 %")
         blocks += [
@@ -205,7 +200,5 @@ def verdict(results: Results) -> list[str]:
             lines.append(f"Frames between keys, {mesh}, rms / largest distance in diagonals: {shown}.")
         else:
             shown = "; ".join(f"{name} {f['lengths'][1]:.2g}" for name, f in spaces)
-            lines.append(
-                f"Half way between two far poses, {result['title']}, length errors at 99.9 %: {shown}."
-            )
+            lines.append(f"Half way between two far poses, {result['title']}, length errors at 99.9 %: {shown}.")
     return lines

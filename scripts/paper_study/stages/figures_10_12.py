@@ -87,9 +87,7 @@ def page(results: Results) -> list[str]:
         ]
         blocks += [
             f"## {mesh}: {result['title']}",
-            "Of all pairs of frames of the animation {} are as far apart or farther, of {}.".format(
-                *result["rank"]
-            ),
+            "Of all pairs of frames of the animation {} are as far apart or farther, of {}.".format(*result["rank"]),
             f"![Errors over the weight, {mesh}](figures-10-12-{mesh}.png)",
             markdown_table(
                 (

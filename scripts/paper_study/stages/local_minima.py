@@ -130,10 +130,7 @@ def page(results: Results) -> list[str]:
         "others do: energies are to be compared along a row."
     ]
     for mesh, result in results.items():
-        rows = [
-            (name, *(spread(energies) for energies in found.values()))
-            for name, found in result["methods"].items()
-        ]
+        rows = [(name, *(spread(energies) for energies in found.values())) for name, found in result["methods"].items()]
         heads = ("method", "no noise", *(f"{size:g} edges" for size in NOISE))
         blocks += [f"## {mesh}: {result['title']}", markdown_table(heads, rows)]
     return [

@@ -71,16 +71,12 @@ def frames_of(coded: CompressedSequence) -> Float:
     header, parameters = coded.header, coded.parameters
     graph = mesh_graph(header.faces, header.vertex_count)
     basis = decode_basis(coded, graph)
-    points = np.concatenate(
-        [basis.frames(decode_coefficients(coded, chunk, basis)) for chunk in coded.chunks]
-    )
+    points = np.concatenate([basis.frames(decode_coefficients(coded, chunk, basis)) for chunk in coded.chunks])
     for chunk in coded.chunks:
         for run in range(-(-chunk.count // FRAMES_PER_RUN)):
             residuals = read_residuals(chunk.residuals, chunk.count, run, graph)
             for place, (vertices, numbers) in enumerate(residuals):
-                points[chunk.first + run * FRAMES_PER_RUN + place, vertices] += (
-                    parameters.correction * numbers
-                )
+                points[chunk.first + run * FRAMES_PER_RUN + place, vertices] += parameters.correction * numbers
     return points
 
 
@@ -173,9 +169,7 @@ def test_one_frame_stands_still() -> None:
     assert not velocities.any()
     np.testing.assert_array_equal(points, model.sample().points)
     faces = sequence.faces
-    alone = CodedResidualLayer(
-        np.zeros(1), ((1, bounded().chunks[0].residuals),), faces, sequence.vertex_count, 0.1
-    )
+    alone = CodedResidualLayer(np.zeros(1), ((1, bounded().chunks[0].residuals),), faces, sequence.vertex_count, 0.1)
     assert not alone.rates(np.zeros(1)).any()
 
 
@@ -229,9 +223,7 @@ def test_chunks_decode_without_each_other(which: int) -> None:
 
 def test_damaged_streams_give_another_model_or_an_error() -> None:
     """Files have checksums, which notice: this is about not falling over."""
-    small = compress(
-        MeshSequence.from_arrays(np.random.default_rng(3).normal(size=(8, 4, 3)), tetrahedron()[1]), kg=1
-    )
+    small = compress(MeshSequence.from_arrays(np.random.default_rng(3).normal(size=(8, 4, 3)), tetrahedron()[1]), kg=1)
     for stream in (0, 1):
         data = small.basis[0] if stream == 0 else small.chunks[0].coefficients
         for place in range(len(data)):

@@ -100,9 +100,7 @@ def test_any_polygons_come_back(mesh: tuple[Polygons, int]) -> None:
 
 def test_a_grid_costs_nearly_nothing() -> None:
     rows, columns = 60, 70
-    assert (
-        bits_per_triangle(Polygons.from_triangles(grid(rows, columns)[1]), (rows + 1) * (columns + 1)) < 0.2
-    )
+    assert bits_per_triangle(Polygons.from_triangles(grid(rows, columns)[1]), (rows + 1) * (columns + 1)) < 0.2
 
 
 def test_an_arbitrary_order_costs_little_more_than_it_tells() -> None:

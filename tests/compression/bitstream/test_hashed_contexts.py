@@ -47,9 +47,7 @@ def test_products_overflow_where_it_is_known_how_large_they_are() -> None:
     """LLVM may take for granted that products of signed numbers do not."""
     bits, known = new_hashed_output(1, 1), np.arange(33, 33 + CONTEXTS_PER_BIT)
     code_small(bits, known)
-    assert bits.models.contexts.tolist() == [
-        ((16 * each + 2) * GOLDEN_RATIO % 2**64) >> 48 for each in known.tolist()
-    ]
+    assert bits.models.contexts.tolist() == [((16 * each + 2) * GOLDEN_RATIO % 2**64) >> 48 for each in known.tolist()]
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 1)), max_size=300))

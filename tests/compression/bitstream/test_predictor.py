@@ -55,9 +55,7 @@ GRAPHS = {
 
 
 @compiled
-def expected(
-    node: int, neighbours: NDArray[np.int32], counts: NDArray[np.int32], weights: Float, values: Index
-) -> int:
+def expected(node: int, neighbours: NDArray[np.int32], counts: NDArray[np.int32], weights: Float, values: Index) -> int:
     """Return what is predicted of a node."""
     return kernels.predict(node, neighbours, counts, weights, values)
 
@@ -202,8 +200,7 @@ def test_all_but_the_weights_is_exact(name: str) -> None:
     for node in range(graph.size):
         beside = predictor.neighbours[node, : predictor.counts[node]]
         exact = sum(
-            int(weights[node, i]) * int(predictor.values[other])
-            for i, other in reversed(list(enumerate(beside)))
+            int(weights[node, i]) * int(predictor.values[other]) for i, other in reversed(list(enumerate(beside)))
         )
         assert expected(node, *known) == (exact + 2**23) >> 24
 
@@ -292,9 +289,7 @@ def test_the_parallelogram_rule_is_a_case_of_it() -> None:
     np.testing.assert_allclose(weights[3], [-1, 1, 1], atol=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("many", "lanes"), [(20, kernels.LANES_PER_SMALL_BLOCK), (2000, kernels.LANES_PER_BLOCK)]
-)
+@pytest.mark.parametrize(("many", "lanes"), [(20, kernels.LANES_PER_SMALL_BLOCK), (2000, kernels.LANES_PER_BLOCK)])
 def test_blocks_are_of_nodes_with_equally_many_neighbours(many: int, lanes: int) -> None:
     counts = np.array([0, 1, *[3] * many, 2], dtype=np.int32)
     (members, sizes, _), _ = group_nodes(counts)
@@ -338,9 +333,7 @@ def test_similar_nodes_are_those_of_a_search_of_all_that_are_looked_at(exhaustiv
         looked: list[int] = list(range(node))
         if node >= exhaustive:
             looked = [
-                other
-                for one in beside
-                for other in [*graph.neighbours[one, : graph.counts[one]].tolist(), *found[one]]
+                other for one in beside for other in [*graph.neighbours[one, : graph.counts[one]].tolist(), *found[one]]
             ]
         others = [other for other in dict.fromkeys(looked) if other not in beside]
         others.sort(key=lambda other: float(np.square(signals[:, node] - signals[:, other]).sum()))

@@ -35,9 +35,7 @@ def errors(count: int, seed: int = 0, share: float = 0.2, size: float = 2.0) -> 
     """Errors of which about a share is above 1."""
     rng = np.random.default_rng(seed)
     apart = rng.normal(size=(count, VERTICES, 3))
-    lengths = np.where(
-        rng.random((count, VERTICES)) < share, 1 + rng.exponential(size, (count, VERTICES)), 0.5
-    )
+    lengths = np.where(rng.random((count, VERTICES)) < share, 1 + rng.exponential(size, (count, VERTICES)), 0.5)
     return np.asarray(apart * (lengths / np.linalg.norm(apart, axis=2))[..., None])
 
 
@@ -71,9 +69,7 @@ def test_residuals_come_back(count: int, share: float) -> None:
 @given(seed=seeds, power=st.integers(0, 60))
 def test_residuals_of_any_size_come_back(seed: int, power: int) -> None:
     rng = np.random.default_rng(seed)
-    numbers = rng.integers(-(1 << power), (1 << power) + 1, (3, VERTICES, 3)) * rng.integers(
-        0, 2, (3, VERTICES, 1)
-    )
+    numbers = rng.integers(-(1 << power), (1 << power) + 1, (3, VERTICES, 3)) * rng.integers(0, 2, (3, VERTICES, 1))
     np.testing.assert_array_equal(decoded(written(numbers), 3), numbers)
 
 
@@ -99,12 +95,7 @@ def test_runs_are_decoded_by_themselves() -> None:
     stream = written(numbers)
     lengths = np.frombuffer(stream[:12], dtype="<u4")
     start = 12 + int(lengths[0])
-    other = (
-        stream[:12]
-        + bytes(int(lengths[0]))
-        + stream[start : start + int(lengths[1])]
-        + bytes(int(lengths[2]))
-    )
+    other = stream[:12] + bytes(int(lengths[0])) + stream[start : start + int(lengths[1])] + bytes(int(lengths[2]))
     for frame, (vertices, found) in zip(
         numbers[FRAMES_PER_RUN:], read_residuals(other, 3 * FRAMES_PER_RUN, 1, GRAPH), strict=False
     ):
@@ -137,9 +128,7 @@ def test_flipped_bits_give_other_residuals_or_an_error() -> None:
         damaged = bytearray(stream)
         damaged[place] ^= 1 << place % 8
         try:
-            frames = [
-                frame for run in range(2) for frame in read_residuals(bytes(damaged), count, run, GRAPH)
-            ]
+            frames = [frame for run in range(2) for frame in read_residuals(bytes(damaged), count, run, GRAPH)]
         except FormatError as error:
             assert "damaged" in str(error)
             continue

@@ -65,9 +65,7 @@ def test_signals_come_back(name: str, size: float) -> None:
 @given(seed=seeds, count=st.integers(1, 60), powers=st.lists(st.integers(-3, 12), max_size=6))
 def test_any_signals_over_time_come_back(seed: int, count: int, powers: list[int]) -> None:
     rng = np.random.default_rng(seed)
-    there_and_back(
-        path_graph(count), [10.0**power * rng.standard_cauchy(count).clip(-9, 9) for power in powers]
-    )
+    there_and_back(path_graph(count), [10.0**power * rng.standard_cauchy(count).clip(-9, 9) for power in powers])
 
 
 def test_zeros_cost_next_to_nothing() -> None:
@@ -108,9 +106,7 @@ def test_signals_in_two_streams() -> None:
 
 
 @pytest.mark.parametrize("size", [13, 30])
-def test_bytes_and_values_are_the_same_on_any_number_of_threads(
-    size: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bytes_and_values_are_the_same_on_any_number_of_threads(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of graphs whose numbers are coded beside their predictions, and of small ones; two coders share a stream."""
     graph, rng = mesh_graph(grid(size, size)[1], (size + 1) ** 2), np.random.default_rng(1)
     signals = rng.normal(scale=20, size=(8, graph.size))
@@ -179,10 +175,7 @@ def test_models_may_be_shared() -> None:
     signals = [[rng.normal(scale=5, size=graph.size) for graph in graphs] for _ in range(5)]
     models, writer = NumberModels(), Writer()
     coders = [SignalCoder(graph, 1, models) for graph in graphs]
-    kept = [
-        [written(coder, writer, one, models) for coder, one in zip(coders, some, strict=True)]
-        for some in signals
-    ]
+    kept = [[written(coder, writer, one, models) for coder, one in zip(coders, some, strict=True)] for some in signals]
     models, reader = NumberModels(), Reader(writer.finish())
     coders = [SignalCoder(graph, 1, models) for graph in graphs]
     for some in kept:

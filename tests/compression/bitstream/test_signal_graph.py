@@ -87,9 +87,7 @@ def test_weights_add_to_one(name: str) -> None:
 def test_the_ring_is_that_of_the_mesh(name: str) -> None:
     graph, (faces, count) = graph_of(name), MESHES[name]()
     edges = Topology(faces, count).edges if len(faces) else np.zeros((0, 2), dtype=np.int64)
-    expected = {
-        (a, b) for one, other in edges.tolist() if one != other for a, b in ((one, other), (other, one))
-    }
+    expected = {(a, b) for one, other in edges.tolist() if one != other for a, b in ((one, other), (other, one))}
     found = {
         (int(graph.order[node]), int(graph.order[other]))
         for node in range(count)

@@ -28,25 +28,17 @@ def trajectories(count: int = 4) -> SpatialBasis:
 
 
 def shapes(count: int = 4) -> SpatialBasis:
-    return basis_of(
-        "shapes", RNG.normal(size=(count, 3, VERTICES)) * 10.0 ** -np.arange(count)[:, None, None], 11
-    )
+    return basis_of("shapes", RNG.normal(size=(count, 3, VERTICES)) * 10.0 ** -np.arange(count)[:, None, None], 11)
 
 
 def test_coefficients_of_trajectories_are_least_squares() -> None:
     basis, sequence = trajectories(), sequence_of()
     vectors = basis.vectors[:, 0]
-    expected = np.stack(
-        [np.linalg.lstsq(vectors.T, frame, rcond=None)[0] for frame in np.asarray(sequence.points)]
-    )
+    expected = np.stack([np.linalg.lstsq(vectors.T, frame, rcond=None)[0] for frame in np.asarray(sequence.points)])
     coefficients = least_squares(basis, sequence)
     assert coefficients.shape == (11, 5, 3)
-    np.testing.assert_allclose(
-        coefficients * basis.norms[:, None], expected * basis.norms[:, None], atol=1e-9
-    )
-    np.testing.assert_allclose(
-        basis.frames(coefficients), np.einsum("tki,kv->tvi", expected, vectors), atol=1e-9
-    )
+    np.testing.assert_allclose(coefficients * basis.norms[:, None], expected * basis.norms[:, None], atol=1e-9)
+    np.testing.assert_allclose(basis.frames(coefficients), np.einsum("tki,kv->tvi", expected, vectors), atol=1e-9)
 
 
 def test_coefficients_of_shapes_are_least_squares() -> None:

@@ -299,9 +299,7 @@ def test_bytes_are_the_same_in_every_process_on_any_number_of_threads() -> None:
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])
-def test_bytes_are_the_same_however_much_is_done_at_once(
-    threads: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bytes_are_the_same_however_much_is_done_at_once(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
     sequence = bar(sides=14, rings=25, frames=9)
     expected = digest_here()
     monkeypatch.setenv("MIXSEQ_THREADS", threads)
@@ -309,9 +307,7 @@ def test_bytes_are_the_same_however_much_is_done_at_once(
     assert digest(sequence) == expected
 
 
-@pytest.mark.parametrize(
-    ("module", "name"), [(parts, "_lengths"), (trial, "_components_of"), (spatial_basis, "_part")]
-)
+@pytest.mark.parametrize(("module", "name"), [(parts, "_lengths"), (trial, "_components_of"), (spatial_basis, "_part")])
 def test_more_than_two_cores_take_no_more_memory(
     module: ModuleType, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -540,9 +536,7 @@ def test_parts_are_chosen_only_if_they_pay(
     monkeypatch.setattr("mixseq.compression.encoder.search.PART_COUNTS", (10_000,))
     one = compress(sequence, kg=0.1)
     assert one.parameters.ranks == ()
-    sizes = [
-        sum(map(len, each.basis)) + sum(len(c.coefficients) for c in each.chunks) for each in (one, coded)
-    ]
+    sizes = [sum(map(len, each.basis)) + sum(len(c.coefficients) for c in each.chunks) for each in (one, coded)]
     assert sizes[1] < 0.8 * sizes[0]
 
 

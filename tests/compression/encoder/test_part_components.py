@@ -37,9 +37,7 @@ def of_part(sequence: FrameStore, part: Part) -> tuple[Float, PrincipalComponent
     """Singular values of a part's centred trajectories, and its components from its frames alone."""
     points = np.asarray(sequence.points)[:, part.vertices]
     rows = (points - points.mean(axis=1, keepdims=True)).transpose(0, 2, 1).reshape(-1, len(part.vertices))
-    return np.linalg.svd(rows, compute_uv=False), trajectory_components(
-        FrameStore(sequence.header, points), 1e-3
-    )
+    return np.linalg.svd(rows, compute_uv=False), trajectory_components(FrameStore(sequence.header, points), 1e-3)
 
 
 def test_components_of_a_part_are_those_of_its_frames() -> None:
@@ -75,9 +73,7 @@ def test_errors_are_those_of_the_frames(kind: BasisKind, labels: Index | None, s
 
 def test_what_is_left_out_is_part_of_the_error() -> None:
     trial = try_step(SEQUENCE, candidate_of("trajectories", least=0.5), 1e-3)
-    assert trial.error == pytest.approx(
-        np.sqrt(squared_error(SEQUENCE, trial.basis, trial.coefficients)), rel=1e-3
-    )
+    assert trial.error == pytest.approx(np.sqrt(squared_error(SEQUENCE, trial.basis, trial.coefficients)), rel=1e-3)
     assert trial.error >= np.sqrt(trial.candidate.components.left_out) > 1e-3
 
 

@@ -73,9 +73,7 @@ def test_vectors_are_principal_components(kind: BasisKind) -> None:
     sequence = load_frames(bar(frames=6))
     points = np.asarray(sequence.points)
     if kind == "trajectories":
-        centred = (
-            (points - points.mean(axis=1, keepdims=True)).transpose(0, 2, 1).reshape(-1, points.shape[1])
-        )
+        centred = (points - points.mean(axis=1, keepdims=True)).transpose(0, 2, 1).reshape(-1, points.shape[1])
     else:
         centred = (points - points.mean(axis=0)).reshape(len(points), -1)
     values = np.linalg.svd(centred, compute_uv=False)
@@ -94,12 +92,8 @@ def test_vectors_are_principal_components(kind: BasisKind) -> None:
 def test_a_rigid_motion_has_three_trajectories() -> None:
     """Beside the constant one: affine functions of the place."""
     points, faces = torus(10, 7)
-    frames = np.stack(
-        [points @ rotation((t, 0.3 * t * t, -t)).T + [t, t * t, 0] for t in np.linspace(0, 3, 12)]
-    )
-    components = principal_components(
-        load_frames(MeshSequence.from_arrays(frames, faces)), "trajectories", 1e-6
-    )
+    frames = np.stack([points @ rotation((t, 0.3 * t * t, -t)).T + [t, t * t, 0] for t in np.linspace(0, 3, 12)])
+    components = principal_components(load_frames(MeshSequence.from_arrays(frames, faces)), "trajectories", 1e-6)
     assert len(components.norms) == 3
     corners = np.concatenate([points, np.ones((len(points), 1))], axis=1)
     for vector in components.vectors[:, 0]:
@@ -110,9 +104,7 @@ def test_a_rigid_motion_has_three_trajectories() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_that_moves_leaves_a_vector_of_zeros(kind: BasisKind) -> None:
     points = np.full((3, 4, 3), 2.5)
-    components = principal_components(
-        load_frames(MeshSequence.from_arrays(points, tetrahedron()[1])), kind, 1e-9
-    )
+    components = principal_components(load_frames(MeshSequence.from_arrays(points, tetrahedron()[1])), kind, 1e-9)
     assert len(components.vectors) == 1
     assert not components.vectors.any()
 

@@ -51,9 +51,7 @@ def positions(points: ArrayLike) -> Any:
 def acyclic(*times: float) -> Any:
     listed = AbcCoreAbstract.TimeVector()
     listed.extend(list(times))
-    return AbcCoreAbstract.TimeSampling(
-        AbcCoreAbstract.TimeSamplingType(AbcCoreAbstract.AcyclicFlag.kAcyclic), listed
-    )
+    return AbcCoreAbstract.TimeSampling(AbcCoreAbstract.TimeSamplingType(AbcCoreAbstract.AcyclicFlag.kAcyclic), listed)
 
 
 def sampled(parent: Any, sampling: Any) -> int:
@@ -72,9 +70,7 @@ def add_mesh(
 ) -> Any:
     """Add a mesh of triangles with frames (N, V, 3); `dress` adds to the sample of every frame."""
     kind, made = (
-        (AbcGeom.OSubD, AbcGeom.OSubDSchemaSample)
-        if subdivided
-        else (AbcGeom.OPolyMesh, AbcGeom.OPolyMeshSchemaSample)
+        (AbcGeom.OSubD, AbcGeom.OSubDSchemaSample) if subdivided else (AbcGeom.OPolyMesh, AbcGeom.OPolyMeshSchemaSample)
     )
     mesh = kind(parent, name, sampled(parent, sampling))
     indices = filled(imath.IntArray, faces)
@@ -86,9 +82,7 @@ def add_mesh(
     return mesh
 
 
-def add_transform(
-    parent: Any, name: str, *rows: ArrayLike, sampling: Any = None, inherits: bool = True
-) -> Any:
+def add_transform(parent: Any, name: str, *rows: ArrayLike, sampling: Any = None, inherits: bool = True) -> Any:
     """Add a transform with one sample per matrix (4, 4), acting on rows."""
     transform = AbcGeom.OXform(parent, name, sampled(parent, sampling))
     for matrix in rows:

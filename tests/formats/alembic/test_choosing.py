@@ -41,9 +41,7 @@ def scene(path: Path) -> Path:
 
 
 def test_all_that_moves_is_joined(scene: Path) -> None:
-    with pytest.warns(
-        MixseqWarning, match=r"stand still are left out; prim='/' .* takes them, too: '/street/house'"
-    ):
+    with pytest.warns(MixseqWarning, match=r"stand still are left out; prim='/' .* takes them, too: '/street/house'"):
         got = load(scene)
     assert [each.path for each in got.surface.objects] == ["/man/body", "/man/head/hat", "/copy/hat"]
     assert got.name == "walk"  # nothing is above all
@@ -80,15 +78,11 @@ def test_a_still_mesh_alone_has_one_frame(scene: Path) -> None:
 
 
 def test_unknown_and_ambiguous_names(scene: Path) -> None:
-    with pytest.raises(
-        FormatError, match=r"no mesh at or below 'dog'; its meshes are '/man/body', '/man/head/hat'"
-    ):
+    with pytest.raises(FormatError, match=r"no mesh at or below 'dog'; its meshes are '/man/body', '/man/head/hat'"):
         load(scene, "dog")
     with pytest.raises(FormatError, match="no mesh at or below '/camera'"):
         load(scene, "/camera")
-    with pytest.raises(
-        AmbiguousError, match="'hat' is in several places, '/copy/hat', '/man/head/hat'; give its path"
-    ):
+    with pytest.raises(AmbiguousError, match="'hat' is in several places, '/copy/hat', '/man/head/hat'; give its path"):
         load(scene, "hat")
 
 

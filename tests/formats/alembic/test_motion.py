@@ -101,9 +101,7 @@ def test_transforms_multiply_up_to_one_that_inherits_nothing(path: Path) -> None
 
 def test_an_animated_transform_moves_a_still_mesh(path: Path) -> None:
     archive = Abc.OArchive(str(path))
-    transform = add_transform(
-        archive.getTop(), "mover", shift(0), shift(1), shift(4), sampling=acyclic(0, 1, 3)
-    )
+    transform = add_transform(archive.getTop(), "mover", shift(0), shift(1), shift(4), sampling=acyclic(0, 1, 3))
     add_mesh(transform, "square", SQUARE[None])
     del archive, transform
     got = load(path)
@@ -177,9 +175,7 @@ def test_velocities_are_turned_as_points(path: Path) -> None:
     quarter[:3, :3] = rotvec_to_matrix(np.array([0, 0, np.pi / 2])).T
     archive = Abc.OArchive(str(path))
     turn = add_transform(archive.getTop(), "turn", quarter)
-    add_mesh(
-        turn, "square", rising(), dress=lambda sample, k: sample.setVelocities(positions([[k, 0, 0]] * 4))
-    )
+    add_mesh(turn, "square", rising(), dress=lambda sample, k: sample.setVelocities(positions([[k, 0, 0]] * 4)))
     del archive, turn
     velocities = load(path).velocities
     assert velocities is not None
@@ -191,7 +187,5 @@ def test_velocities_under_a_moving_transform(path: Path) -> None:
     mover = add_transform(archive.getTop(), "mover", shift(0), shift(1))
     add_mesh(mover, "square", rising(2), dress=lambda sample, _: sample.setVelocities(positions(SQUARE)))
     del archive, mover
-    with pytest.warns(
-        MixseqWarning, match="velocities of /mover/square do not contain the motion of its transforms"
-    ):
+    with pytest.warns(MixseqWarning, match="velocities of /mover/square do not contain the motion of its transforms"):
         assert load(path).velocities is None

@@ -57,9 +57,7 @@ def shot(tmp_path: Path) -> Path:
     ghost = add_transform(archive.getTop(), "ghost", shift(y=9))
     ghost.addChildInstance(body, "body")
     odd = Abc.OObject(rig, "hair").getProperties()
-    strands = Abc.OFloatArrayProperty(
-        Abc.OCompoundProperty(odd, ".geom"), "strands", archive.addTimeSampling(sampling)
-    )
+    strands = Abc.OFloatArrayProperty(Abc.OCompoundProperty(odd, ".geom"), "strands", archive.addTimeSampling(sampling))
     for value in (1.0, 2.0):
         strands.setValue(filled(imath.FloatArray, [value] * 3))
     Abc.OStringProperty(odd, "note").setValue("hero")
@@ -164,9 +162,7 @@ def test_velocities_are_rates_of_own_points(tmp_path: Path, path: Path) -> None:
     rig = add_transform(archive.getTop(), "rig", np.eye(4), shift(x=1))
     add_mesh(rig, "body", np.repeat(SQUARE[None], 2, axis=0))
     del archive, rig
-    still = MeshSequence.from_arrays(
-        np.repeat(SQUARE[None], 3, axis=0), TRIANGLES, times=[0.1, 0.2, 0.3], fps=10
-    )
+    still = MeshSequence.from_arrays(np.repeat(SQUARE[None], 3, axis=0), TRIANGLES, times=[0.1, 0.2, 0.3], fps=10)
     still = replace(still, velocities=np.zeros((3, 4, 3), np.float32))
     mixseq.write(path, still, onto=shot)
     schema = AbcGeom.IPolyMesh(Abc.IArchive(str(path)).getTop().getChild("rig"), "body").getSchema()
@@ -201,9 +197,7 @@ def test_a_sequence_from_elsewhere_is_found_by_its_faces(shot: Path, body: MeshS
     """As a program leaves it that reorders polygons: the only mesh with these faces gets its points."""
     turned = Polygons.from_triangles([[2, 3, 0], [1, 2, 0]])
     other = MeshSequence.from_arrays(body.points + 5, turned, times=body.times)
-    with pytest.raises(
-        OutputError, match=r"shot.abc has 2 meshes with the faces of 'mesh', '/rig/body/body'"
-    ):
+    with pytest.raises(OutputError, match=r"shot.abc has 2 meshes with the faces of 'mesh', '/rig/body/body'"):
         mixseq.write(path, other, onto=shot)
     only = shot.with_name("only.abc")
     mixseq.write(only, body, flatten=True)
@@ -215,16 +209,12 @@ def test_a_sequence_from_elsewhere_is_found_by_its_faces(shot: Path, body: MeshS
 
 def test_what_else_moves_is_not_retimed(shot: Path, body: MeshSequence, path: Path) -> None:
     slow = MeshSequence(**{**body.__dict__, "times": [1.0, 3, 5]})
-    with pytest.warns(
-        MixseqWarning, match="keeps its own times, 1 to 2 s, and is not retimed: '/rig', '/rig/hair'"
-    ):
+    with pytest.warns(MixseqWarning, match="keeps its own times, 1 to 2 s, and is not retimed: '/rig', '/rig/hair'"):
         mixseq.write(path, slow)
     np.testing.assert_allclose(mixseq.read(path, prim="/rig/body").points, body.points, atol=1e-6)
 
 
-def test_what_the_library_has_no_words_for(
-    tmp_path: Path, path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_library_has_no_words_for(tmp_path: Path, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Types without a name in Python cannot be made in Python either, so one that can stands for them."""
 
     def refusing(array: Any, sample: int, room: int) -> Any:
@@ -257,12 +247,8 @@ def test_refusals(shot: Path, body: MeshSequence, path: Path) -> None:
     with pytest.raises(OutputError, match="is the original and would be lost"):
         mixseq.write(shot, body)
     flat = Polygons.from_triangles([[0, 1, 2], [0, 3, 2]])
-    with pytest.raises(
-        OutputError, match=r"no mesh with the faces of '/rig/body/body': polygon 1 of the sequence"
-    ):
-        mixseq.write(
-            path, MeshSequence(**{**body.__dict__, "polygons": flat, "surface": bare(body)}), onto=shot
-        )
+    with pytest.raises(OutputError, match=r"no mesh with the faces of '/rig/body/body': polygon 1 of the sequence"):
+        mixseq.write(path, MeshSequence(**{**body.__dict__, "polygons": flat, "surface": bare(body)}), onto=shot)
     fewer = MeshSequence.from_arrays(body.points[:, :3], [[0, 1, 2]])
     save(path, fewer)
     with pytest.raises(OutputError, match="/mesh/mesh has 3 vertices, the sequence 4"):

@@ -61,9 +61,7 @@ def test_texture_coordinates(path: Path, scope: Any, places: ArrayLike, indexed:
 
 def test_texture_coordinates_that_do_not_fit(path: Path) -> None:
     def dress(sample: Any, frame: int) -> None:
-        sample.setUVs(
-            AbcGeom.OV2fGeomParamSample(filled(imath.V2fArray, SQUARE[:, :2]), Scope.kFacevaryingScope)
-        )
+        sample.setUVs(AbcGeom.OV2fGeomParamSample(filled(imath.V2fArray, SQUARE[:, :2]), Scope.kFacevaryingScope))
 
     archive = Abc.OArchive(str(path))
     add_mesh(archive.getTop(), "square", rising(), dress=dress)
@@ -91,9 +89,7 @@ def test_normals_are_hard_edges(path: Path, scope: Any, normals: ArrayLike, hard
     del archive
     hard_edges = load(path).surface.hard_edges
     assert (hard_edges is not None) == hard
-    if (
-        hard_edges is not None
-    ):  # corners of triangles 0 1 2 and 0 2 3: no vertex's normal is shared by both faces
+    if hard_edges is not None:  # corners of triangles 0 1 2 and 0 2 3: no vertex's normal is shared by both faces
         assert len(set(hard_edges.tolist())) == 6
 
 

@@ -20,9 +20,7 @@ def test_a_cache_of_maya(data: Path) -> None:
     assert (got.frame_count, got.fps, got.name) == (400, 24, "BoneShape")
     assert set(got.polygons.counts) == {4}
     np.testing.assert_array_equal(got.faces, expected["faces"])
-    turned = np.stack(
-        [expected["points"][..., 0], expected["points"][..., 2], -expected["points"][..., 1]], -1
-    )
+    turned = np.stack([expected["points"][..., 0], expected["points"][..., 2], -expected["points"][..., 1]], -1)
     np.testing.assert_allclose(got.points, turned, rtol=0, atol=1e-7)
 
 
@@ -31,9 +29,7 @@ def test_a_cache_of_blender(data: Path, path: Path) -> None:
     got = load(data / "alembic" / "q_man_run_blender50.abc")
     expected = np.load(data / "npz" / "q_man_run.npz")
     np.testing.assert_array_equal(got.faces, expected["faces"])
-    turned = np.stack(
-        [expected["points"][..., 0], expected["points"][..., 2], -expected["points"][..., 1]], -1
-    )
+    turned = np.stack([expected["points"][..., 0], expected["points"][..., 2], -expected["points"][..., 1]], -1)
     np.testing.assert_allclose(got.points, turned, rtol=0, atol=3e-7)
     assert got.surface.hard_edges is not None
     save(path, got)

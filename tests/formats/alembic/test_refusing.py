@@ -49,9 +49,7 @@ def test_faces_that_change(path: Path) -> None:
     add = [filled(imath.IntArray, row) for row in ([0, 1, 3], [3])]
     mesh.getSchema().set(AbcGeom.OPolyMeshSchemaSample(positions(SQUARE), *add))
     del archive, mesh
-    with pytest.raises(
-        InvalidSequenceError, match=r"walk.abc: the faces of /square change at 1 s \(index 2\)"
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"walk.abc: the faces of /square change at 1 s \(index 2\)"):
         load(path)
 
 

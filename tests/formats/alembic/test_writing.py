@@ -152,9 +152,7 @@ def test_losses_are_told(path: Path) -> None:
     with pytest.warns(MixseqWarning, match=lost):
         save(path, written)
     assert load(path).name == "a_b"
-    caged = MeshSequence(
-        **{**moving().__dict__, "surface": Surface(hard_edges=np.arange(6), subdivision="bilinear")}
-    )
+    caged = MeshSequence(**{**moving().__dict__, "surface": Surface(hard_edges=np.arange(6), subdivision="bilinear")})
     with pytest.warns(MixseqWarning, match="cannot hold hard edges of subdivided meshes"):
         save(path, caged)
 

@@ -145,9 +145,7 @@ def changed(path: Path, change: Callable[[dict[str, object]], object]) -> None:
         (lambda facts: facts["between"].update(cubic=0.5), "cubic is 0.5; two numbers from 0 to 1"),
     ],
 )
-def test_contradictions_are_refused(
-    h5: Path, change: Callable[[dict[str, object]], object], message: str
-) -> None:
+def test_contradictions_are_refused(h5: Path, change: Callable[[dict[str, object]], object], message: str) -> None:
     changed(h5, change)
     with pytest.raises(FormatError, match=rf"small\.h5: .*{message}"):
         read_compressed(h5)
@@ -176,9 +174,7 @@ def test_other_files_are_no_compressed_models(tmp_path: Path, bar_model: mixseq.
     mixseq.save(model, bar_model)
     assert not is_compressed(model)
     for ask in (read_compressed, compressed_sizes, mixseq.verify):
-        with pytest.raises(
-            FormatError, match=r"model\.h5 is not a compressed model; make one with mixseq encode"
-        ):
+        with pytest.raises(FormatError, match=r"model\.h5 is not a compressed model; make one with mixseq encode"):
             ask(model)
     with pytest.raises(FormatError, match=r"none\.h5 does not exist"):
         read_compressed(tmp_path / "none.h5")

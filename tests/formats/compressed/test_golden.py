@@ -20,9 +20,7 @@ def golden_sequence() -> MeshSequence:
     walk = bar(5, 7, 200)
     tremble = np.sin(np.outer(np.arange(200), 1 + np.arange(3 * 37)) ** 1.1).reshape(200, 37, 3)
     times = walk.times + 0.01 * np.sin(np.arange(200))
-    surface = Surface(
-        hard_edges=np.arange(len(walk.polygons.indices)), face_sets=(FaceSet("end", np.arange(5)),)
-    )
+    surface = Surface(hard_edges=np.arange(len(walk.polygons.indices)), face_sets=(FaceSet("end", np.arange(5)),))
     header = replace(walk.header, times=times, surface=surface, name="golden")
     return MeshSequence.from_header(header, walk.points + 0.01 * tremble)
 

@@ -42,9 +42,7 @@ def test_the_file_says_what_it_is(h5: Path) -> None:
         assert list(file) == ["streams"]
         facts = json.loads(file.attrs["coding"])
     without = ("ranks", "uv_steps", "uv_error")
-    assert facts["coding"] == {
-        name: value for name, value in asdict(PARAMETERS).items() if name not in without
-    }
+    assert facts["coding"] == {name: value for name, value in asdict(PARAMETERS).items() if name not in without}
     assert (facts["name"], facts["frame_count"], facts["polygon_count"]) == ("Füchsin", 14, 150)
     assert facts["between"] == {"length": 2.8, "cubic": [1 / 3, 0.1 + 0.2]}
 
@@ -61,9 +59,7 @@ def test_sizes_add_up_and_hdf5_takes_few_bytes(h5: Path, coded: CompressedSequen
     sizes = compressed_sizes(h5)
     assert sizes["total"] == h5.stat().st_size
     assert sizes["total"] == sizes["connectivity"] + sizes["container"] + sizes["signals"]
-    streams = sum(map(len, coded.basis)) + sum(
-        len(each.coefficients + each.residuals) for each in coded.chunks
-    )
+    streams = sum(map(len, coded.basis)) + sum(len(each.coefficients + each.residuals) for each in coded.chunks)
     assert sizes["signals"] == streams + sizes["index"]
     assert sizes["surface"] == 0
     assert 0 < sizes["connectivity"] < 600

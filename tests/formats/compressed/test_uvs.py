@@ -28,9 +28,7 @@ def textured_sequence(frames: int = 3) -> MeshSequence:
     corners = sequence.points[0][sequence.polygons.indices]
     uvs = (corners[:, [0, 2]] - corners.min(axis=0)[[0, 2]]) * 0.317 + 0.003
     uvs[np.repeat(np.arange(len(sequence.polygons.counts)) % 9 == 0, 3)] += [0.211, 1.0]
-    surface = Surface(
-        uvs=CornerValues(uvs, np.arange(len(uvs))), face_sets=(FaceSet("end", np.arange(4), "skin"),)
-    )
+    surface = Surface(uvs=CornerValues(uvs, np.arange(len(uvs))), face_sets=(FaceSet("end", np.arange(4), "skin"),))
     return MeshSequence.from_header(replace(sequence.header, surface=surface), sequence.points)
 
 
@@ -145,10 +143,7 @@ def test_parameters_out_of_range_are_refused(
 
 
 def test_a_size_counts_coordinates_as_they_will_be(sequence: MeshSequence) -> None:
-    rooms = [
-        room_for_signals(sequence.header, 20_000, **options)
-        for options in ({"uv_error": 0}, {}, {"uvs": False})
-    ]
+    rooms = [room_for_signals(sequence.header, 20_000, **options) for options in ({"uv_error": 0}, {}, {"uvs": False})]
     assert rooms == sorted(rooms)
     assert rooms[0] < rooms[1] < rooms[2]
 

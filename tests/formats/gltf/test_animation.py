@@ -54,9 +54,7 @@ def test_cubic_rotations_are_normalised(made: Callable[..., MeshSequence]) -> No
     keys = [zero, [0, 0, 0, 1], zero, zero, [0, 0, half, half], zero]
     maker.animate(node, "rotation", [0, 1], keys, "CUBICSPLINE")
     got = made(maker, fps=2)
-    np.testing.assert_allclose(
-        got.points[1, 1], [np.sqrt(0.5), np.sqrt(0.5), 0], atol=1e-6
-    )  # by symmetry 45°
+    np.testing.assert_allclose(got.points[1, 1], [np.sqrt(0.5), np.sqrt(0.5), 0], atol=1e-6)  # by symmetry 45°
 
 
 def test_normalised_rotations(made: Callable[..., MeshSequence]) -> None:
@@ -206,9 +204,7 @@ def turning(times: NDArray[np.float64], angles: NDArray[np.float64]) -> Maker:
     maker = Maker()
     node = maker.node(mesh=maker.mesh(TRIANGLE))
     zero = np.zeros_like(angles)
-    maker.animate(
-        node, "rotation", times, np.stack([zero, zero, np.sin(angles / 2), np.cos(angles / 2)], axis=1)
-    )
+    maker.animate(node, "rotation", times, np.stack([zero, zero, np.sin(angles / 2), np.cos(angles / 2)], axis=1))
     return maker
 
 
@@ -328,9 +324,7 @@ def test_mirroring_that_changes_is_refused(made: Callable[..., MeshSequence]) ->
     maker = Maker()
     node = maker.node("body", mesh=maker.mesh(TRIANGLE))
     maker.animate(node, "scale", [0, 1], [[1, 1, 1], [-1, 1, 1]])
-    with pytest.raises(
-        InvalidSequenceError, match="frame 13: 'body' is mirrored relative to the first frame"
-    ):
+    with pytest.raises(InvalidSequenceError, match="frame 13: 'body' is mirrored relative to the first frame"):
         made(maker)
 
 
@@ -358,9 +352,7 @@ def test_what_stands_still_is_left_out_unless_named(made: Callable[..., MeshSequ
     maker.json["meshes"][0]["name"] = "skinny"
     floor = maker.node("floor", mesh=maker.mesh(SQUARE, [0, 1, 2]))
     maker.node("room", children=[floor])
-    with pytest.warns(
-        MixseqWarning, match=r"stand still are left out; prim='/' .* takes them, too: 'room/floor'"
-    ):
+    with pytest.warns(MixseqWarning, match=r"stand still are left out; prim='/' .* takes them, too: 'room/floor'"):
         got = made(maker)
     assert (got.name, got.vertex_count, got.frame_count) == ("body", 3, 2)
     assert made(maker, prim="/").vertex_count == 7
@@ -368,9 +360,7 @@ def test_what_stands_still_is_left_out_unless_named(made: Callable[..., MeshSequ
         got = made(maker, prim=prim)
         assert (got.name, got.vertex_count, got.frame_count) == ("floor", 4, 1)
     assert made(maker, prim="skinny").vertex_count == 3
-    with pytest.raises(
-        FormatError, match="no mesh at or below 'cellar'; its meshes are 'body', 'room/floor'"
-    ):
+    with pytest.raises(FormatError, match="no mesh at or below 'cellar'; its meshes are 'body', 'room/floor'"):
         made(maker, prim="cellar")
 
 
@@ -378,9 +368,7 @@ def test_a_name_of_several_nodes_is_ambiguous(made: Callable[..., MeshSequence])
     maker = Maker()
     for parent in ("left", "right"):
         maker.node(parent, children=[maker.node("hand", mesh=maker.mesh(TRIANGLE))])
-    with pytest.raises(
-        AmbiguousError, match="'hand' is in several places, 'left/hand', 'right/hand'; give its path"
-    ):
+    with pytest.raises(AmbiguousError, match="'hand' is in several places, 'left/hand', 'right/hand'; give its path"):
         made(maker, prim="hand")
     assert made(maker, prim="right/hand").vertex_count == 3
 
@@ -485,9 +473,7 @@ def test_animated_morph_targets(made: Callable[..., MeshSequence], how: str) -> 
     maker.animate(0, "weights", [0, 1], keys, how)
     got = made(maker, fps=2)
     middle = 0.0 if how == "STEP" else 0.5
-    np.testing.assert_allclose(
-        got.points[:, 1], np.array([[1, 0, 10], [1 + 2 * middle, 0, 10 + middle], [3, 0, 11]])
-    )
+    np.testing.assert_allclose(got.points[:, 1], np.array([[1, 0, 10], [1 + 2 * middle, 0, 10 + middle], [3, 0, 11]]))
 
 
 def test_morphs_come_before_the_skin(made: Callable[..., MeshSequence]) -> None:

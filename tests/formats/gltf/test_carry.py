@@ -40,9 +40,7 @@ def test_what_is_carried_over(rig: Path, lifted: MeshSequence, tmp_path: Path) -
     assert sorted(file.primitives("body")[0]["attributes"]) == ["NORMAL", "POSITION", "TEXCOORD_0", "_VERTEX"]
     assert file.primitives("body")[0]["material"] == 0
     assert file.triangles("body") == before.triangles("body")
-    np.testing.assert_array_equal(
-        file.attribute("body", "TEXCOORD_0"), before.attribute("body", "TEXCOORD_0")
-    )
+    np.testing.assert_array_equal(file.attribute("body", "TEXCOORD_0"), before.attribute("body", "TEXCOORD_0"))
     assert file.json["skins"] == [
         {"joints": [2, 3]}
     ]  # which are bones, without what only it and the old animation used
@@ -64,12 +62,8 @@ def test_triangles_in_another_order(rig: Path, lifted: MeshSequence, tmp_path: P
     order = [5, 3, 4, 2, 0, 1]
     assert lifted.polygons.indices[order].tolist() == shuffled.indices.tolist()
     same = replace(lifted, surface=replace(lifted.surface, face_sets=(), uvs=None, hard_edges=hard))
-    other = replace(
-        same, polygons=shuffled, surface=replace(same.surface, hard_edges=hard[order].astype(np.int32))
-    )
-    one, two = (
-        written(tmp_path / name, each, onto=rig) for name, each in (("1.glb", same), ("2.glb", other))
-    )
+    other = replace(same, polygons=shuffled, surface=replace(same.surface, hard_edges=hard[order].astype(np.int32)))
+    one, two = (written(tmp_path / name, each, onto=rig) for name, each in (("1.glb", same), ("2.glb", other)))
     for attribute in ("POSITION", "NORMAL"):
         np.testing.assert_array_equal(two.played("body", 1, attribute), one.played("body", 1, attribute))
 
@@ -216,9 +210,7 @@ def test_other_things_that_were_animated_are_named(rig: Path, tmp_path: Path) ->
     change(rig, shake)
     with lossy():
         sequence = read(rig)
-    with pytest.warns(
-        MixseqWarning, match="the place of all its animations, 'nod', 'animation 1'; .* still: 'tree'$"
-    ):
+    with pytest.warns(MixseqWarning, match="the place of all its animations, 'nod', 'animation 1'; .* still: 'tree'$"):
         written(tmp_path / "new.glb", sequence)
 
 
@@ -246,9 +238,7 @@ def test_images_in_files_are_taken_along(rig: Path, tmp_path: Path) -> None:
 
 def test_unknown_extensions_keep_everything(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
     change(rig, lambda document: document.update(extensions={"ACME_bones": {}}))
-    with pytest.warns(
-        MixseqWarning, match=r"old animation is kept, too, because 'ACME_bones' may refer to it"
-    ):
+    with pytest.warns(MixseqWarning, match=r"old animation is kept, too, because 'ACME_bones' may refer to it"):
         file = written(tmp_path / "new.glb", lifted)
     assert len(file.json["skins"]) == 1
     assert len(file.json["accessors"]) > len(rigged()[0]["accessors"])
@@ -390,10 +380,7 @@ def test_bytes_are_written_as_bytes(tmp_path: Path) -> None:
     assert (accessor["componentType"], accessor["normalized"], accessor["type"]) == (5121, True, "VEC4")
     floats = with_colours(sequence, lambda values: values**2)
     (primitive,) = written(tmp_path / "b.glb", floats).primitives(sequence.name)
-    assert (
-        Gltf(tmp_path / "b.glb").json["accessors"][primitive["attributes"]["COLOR_0"]]["componentType"]
-        == 5126
-    )
+    assert Gltf(tmp_path / "b.glb").json["accessors"][primitive["attributes"]["COLOR_0"]]["componentType"] == 5126
 
 
 def with_colours(sequence: MeshSequence, change: Any) -> MeshSequence:
@@ -432,9 +419,7 @@ def test_skins_are_painted(tmp_path: Path) -> None:
         mixseq.write_rig(tmp_path / name, fit_skin(sequence, bones=2))
         got = mixseq.read(tmp_path / name).surface.colours
         assert got is not None and sequence.surface.colours is not None
-        np.testing.assert_array_equal(
-            np.unique(got.values, axis=0), np.unique(sequence.surface.colours.values, axis=0)
-        )
+        np.testing.assert_array_equal(np.unique(got.values, axis=0), np.unique(sequence.surface.colours.values, axis=0))
 
 
 def test_vertex_animation_textures_are_painted(tmp_path: Path) -> None:

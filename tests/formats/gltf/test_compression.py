@@ -152,9 +152,7 @@ def test_a_view_that_unpacks_to_far_more_than_the_file(tmp_path: Path) -> None:
 
 def test_draco_without_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(codecs, "find_spec", lambda name: None)
-    with pytest.raises(
-        MissingExtraError, match=r"draco.glb is compressed with Draco.*pip install 'mixseq\[gltf\]'"
-    ):
+    with pytest.raises(MissingExtraError, match=r"draco.glb is compressed with Draco.*pip install 'mixseq\[gltf\]'"):
         load(FOLDER / "draco.glb")
 
 

@@ -80,9 +80,7 @@ def document(path: Path) -> tuple[dict[str, Any], bytes]:
 def write(path: Path, content: dict[str, Any], binary: bytes) -> None:
     text = json.dumps(content).encode()
     text += b" " * (-len(text) % 4)
-    chunks = (
-        struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    )
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
 
 
@@ -261,9 +259,7 @@ def test_materials_and_textures_come_along(tmp_path: Path, sequence: MeshSequenc
 def test_only_compressed_models(tmp_path: Path, sequence: MeshSequence, path: Path) -> None:
     whole = path.read_bytes()
     for model in (mixseq.fit(sequence, space="vertex"), mixseq.load(path)):
-        with pytest.raises(
-            OutputError, match=r"walk\.glb: a \.glb holds compressed models; .*mixseq\.compress"
-        ):
+        with pytest.raises(OutputError, match=r"walk\.glb: a \.glb holds compressed models; .*mixseq\.compress"):
             mixseq.save(path, model)
     assert path.read_bytes() == whole
 
@@ -275,15 +271,11 @@ def test_settings_are_checked(tmp_path: Path, coded: CompressedSequence, path: P
         mixseq.read(path, prim="/")
 
 
-def test_missing_draco_is_told(
-    tmp_path: Path, coded: CompressedSequence, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_draco_is_told(tmp_path: Path, coded: CompressedSequence, monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
     monkeypatch.setitem(sys.modules, "DracoPy", None)
-    with pytest.raises(
-        mixseq.errors.MissingExtraError, match=r"pip install 'mixseq\[gltf\]', or write a plain"
-    ):
+    with pytest.raises(mixseq.errors.MissingExtraError, match=r"pip install 'mixseq\[gltf\]', or write a plain"):
         mixseq.save(tmp_path / "walk.glb", coded)
     assert not list(tmp_path.iterdir())
 

@@ -65,9 +65,7 @@ def test_indices() -> None:
     [("KNOTS", "NONE", 4), ("ATTRIBUTES", "KALMAN", 4), ("ATTRIBUTES", "NONE", 6), ("TRIANGLES", "NONE", 4)],
 )
 def test_what_cannot_be_right(mode: str, name: str, stride: int) -> None:
-    with pytest.raises(
-        FormatError, match=r"walk\.glb.*bufferViews\[0\].*cannot be unpacked by meshoptimizer"
-    ):
+    with pytest.raises(FormatError, match=r"walk\.glb.*bufferViews\[0\].*cannot be unpacked by meshoptimizer"):
         view(b"\xa0" + bytes(40), 3, stride, mode, name)
 
 

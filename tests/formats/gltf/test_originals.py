@@ -29,9 +29,7 @@ def test_flatten_leaves_the_file_behind(lifted: MeshSequence, tmp_path: Path) ->
     assert file.json["materials"][0]["name"] == "fur"
 
 
-def test_a_file_that_is_gone_or_another_is_done_without(
-    rig: Path, lifted: MeshSequence, tmp_path: Path
-) -> None:
+def test_a_file_that_is_gone_or_another_is_done_without(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
     rig.rename(tmp_path / "moved.glb")
     with pytest.warns(MixseqWarning, match=r"rig.glb does not exist; the result is a stand-alone file"):
         file = written(tmp_path / "new.glb", lifted)
@@ -101,9 +99,7 @@ def twin(document: Json) -> None:
     document["nodes"].append({"name": "twin", "mesh": 0})
 
 
-def test_a_mesh_at_another_path_is_found_by_its_triangles(
-    rig: Path, lifted: MeshSequence, tmp_path: Path
-) -> None:
+def test_a_mesh_at_another_path_is_found_by_its_triangles(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
     """As of a sequence that comes from another format, with its triangles in another order."""
     faces = np.roll(lifted.faces[::-1], 1, axis=1)
     other = MeshSequence.from_arrays(lifted.points, faces, times=lifted.times)
@@ -138,9 +134,7 @@ def test_damaged_files_end_in_an_error_of_ours(rig: Path, lifted: MeshSequence, 
     text = json.dumps(rigged()[0])
 
     def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-        children = (
-            value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-        )
+        children = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
         for key, child in children:
             yield (*path, key)
             yield from places(child, (*path, key))
@@ -177,9 +171,7 @@ def test_real_characters_keep_their_textures(data: Path, tmp_path: Path, name: s
     with lossy():
         sequence = read(source)
         file, before = written(target, sequence), Gltf(source)
-    assert file.view(file.json["images"][0]["bufferView"]) == before.view(
-        before.json["images"][0]["bufferView"]
-    )
+    assert file.view(file.json["images"][0]["bufferView"]) == before.view(before.json["images"][0]["bufferView"])
     assert file.json["materials"] == before.json["materials"]
     again = read(target)
     assert again.polygons.same_as(sequence.polygons)

@@ -59,9 +59,7 @@ def test_a_camera_goes_on_while_its_walker_is_written_anew(tmp_path: Path) -> No
     keys, turns, how = played(file, "camera", "rotation")
     assert (keys, how) == ([0, 0.25, 0.5, 0.75, 1], "LINEAR")
     angles = np.pi / 8 * np.arange(5)
-    np.testing.assert_allclose(
-        turns[:, 2:], np.stack([np.sin(angles / 2), np.cos(angles / 2)], axis=1), atol=1e-6
-    )
+    np.testing.assert_allclose(turns[:, 2:], np.stack([np.sin(angles / 2), np.cos(angles / 2)], axis=1), atol=1e-6)
     _, sizes, how = played(file, "camera", "scale")
     assert (sizes[:, 0].tolist(), how) == ([1, 1, 2, 2, 2], "STEP")
     targets = [each["target"]["path"] for each in file.json["animations"][0]["channels"]]
@@ -75,13 +73,9 @@ def test_sections_of_sections_keep_the_time_of_the_shot(tmp_path: Path) -> None:
     assert half.times[0] == 0.5
     late = at(half, 0.75, 1, 2)
     for original in ("shot.glb", "half.glb"):
-        keys, turns, _ = played(
-            written(tmp_path / "late.glb", late, onto=tmp_path / original), "camera", "rotation"
-        )
+        keys, turns, _ = played(written(tmp_path / "late.glb", late, onto=tmp_path / original), "camera", "rotation")
         assert keys == [0, 0.25]
-        np.testing.assert_allclose(
-            2 * np.arctan2(turns[:, 2], turns[:, 3]), [3 * np.pi / 8, np.pi / 2], atol=1e-6
-        )
+        np.testing.assert_allclose(2 * np.arctan2(turns[:, 2], turns[:, 3]), [3 * np.pi / 8, np.pi / 2], atol=1e-6)
 
 
 def test_what_stands_still_at_the_end_is_named(tmp_path: Path) -> None:

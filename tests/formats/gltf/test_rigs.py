@@ -115,9 +115,7 @@ def test_correctives_move_the_rest_shape_before_the_bones_do(tmp_path: Path) -> 
     file = written(tmp_path / "a.glb", skin)
     np.testing.assert_allclose(read(tmp_path / "a.glb").points, skin.points(), atol=1e-6)
     weights = channels(file)["bar", "weights"].reshape(4, 3)
-    np.testing.assert_array_equal(
-        [weights.min(axis=0), weights.max(axis=0)], [[0] * 3, [1] * 3]
-    )  # as sliders have
+    np.testing.assert_array_equal([weights.min(axis=0), weights.max(axis=0)], [[0] * 3, [1] * 3])  # as sliders have
     mesh = file.json["meshes"][0]
     assert mesh["extras"]["targetNames"] == ["mode_00", "mode_01", "mode_02"]
     np.testing.assert_array_equal(np.float32(mesh["weights"]), weights[0])
@@ -180,10 +178,7 @@ def test_a_skin_that_stands_still_has_no_animation(tmp_path: Path) -> None:
     file = written(tmp_path / "a.glb", still)
     assert "animations" not in file.json
     np.testing.assert_allclose(read(tmp_path / "a.glb").points[0], bent(skin.rest, QUARTER), atol=1e-6)
-    assert (
-        measure_rig_file(tmp_path / "a.glb", MeshSequence.from_header(still.header, still.points())).max_error
-        < 1e-6
-    )
+    assert measure_rig_file(tmp_path / "a.glb", MeshSequence.from_header(still.header, still.points())).max_error < 1e-6
 
 
 # Morphs ---------------------------------------------------------------------------------------------------
@@ -230,9 +225,7 @@ def test_normals_of_targets_come_close_to_those_of_the_frames(tmp_path: Path) ->
 def test_a_morph_of_many_objects_and_materials(tmp_path: Path) -> None:
     sequence = dressed()
     rng = np.random.default_rng(5)
-    morph = Morph(
-        sequence.header, rng.normal(size=(12, 3)), rng.normal(size=(2, 12, 3)), rng.normal(size=(5, 2))
-    )
+    morph = Morph(sequence.header, rng.normal(size=(12, 3)), rng.normal(size=(2, 12, 3)), rng.normal(size=(5, 2)))
     with lossy():
         mixseq.write_rig(tmp_path / "a.glb", morph)
     np.testing.assert_allclose(read(tmp_path / "a.glb", prim="/").points, morph.points(), atol=1e-5)
@@ -258,9 +251,7 @@ def test_errors_are_those_of_the_file(tmp_path: Path) -> None:
 def test_the_size_of_all_frames_is_told_without_writing_them(tmp_path: Path) -> None:
     sequence = bar(sides=30, rings=60)
     mixseq.write(tmp_path / "a.glb", sequence)
-    assert size_with_frame_targets(sequence.header) == pytest.approx(
-        (tmp_path / "a.glb").stat().st_size, rel=2e-3
-    )
+    assert size_with_frame_targets(sequence.header) == pytest.approx((tmp_path / "a.glb").stat().st_size, rel=2e-3)
 
 
 def test_pygltflib_and_trimesh_load_them(tmp_path: Path) -> None:
@@ -312,9 +303,7 @@ def test_what_is_too_large_for_float32_is_refused_and_an_old_file_stays(tmp_path
 
 
 def test_the_same_rig_is_the_same_file(tmp_path: Path) -> None:
-    for one, other in itertools.pairwise(
-        [written(tmp_path / f"{i}.glb", hinge(targets=2)) for i in range(2)]
-    ):
+    for one, other in itertools.pairwise([written(tmp_path / f"{i}.glb", hinge(targets=2)) for i in range(2)]):
         assert (one.json, one.buffer) == (other.json, other.buffer)
 
 

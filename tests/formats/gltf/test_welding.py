@@ -81,9 +81,7 @@ def test_quantised_positions(made: Callable[..., MeshSequence], normalized: bool
     ids=["strip", "fan"],
 )
 @pytest.mark.parametrize("indexed", [False, True])
-def test_strips_and_fans(
-    made: Callable[..., MeshSequence], mode: int, faces: list[list[int]], indexed: bool
-) -> None:
+def test_strips_and_fans(made: Callable[..., MeshSequence], mode: int, faces: list[list[int]], indexed: bool) -> None:
     maker = Maker()
     points = np.arange(15).reshape(5, 3) ** 2
     maker.node(mesh=maker.mesh(points, range(5) if indexed else None, mode=mode))
@@ -93,9 +91,7 @@ def test_strips_and_fans(
 def test_points_and_lines_are_left_out(made: Callable[..., MeshSequence]) -> None:
     maker = Maker()
     mesh = maker.mesh(TRIANGLE)
-    maker.json["meshes"][mesh]["primitives"] += [
-        {"attributes": {"POSITION": 0}, "mode": mode} for mode in (0, 1)
-    ]
+    maker.json["meshes"][mesh]["primitives"] += [{"attributes": {"POSITION": 0}, "mode": mode} for mode in (0, 1)]
     maker.node(mesh=mesh)
     with pytest.warns(MixseqWarning, match="primitives 1, 2 are points, lines or empty"):
         assert made(maker).vertex_count == 3

@@ -125,9 +125,7 @@ def test_polygons_become_fans(tmp_path: Path) -> None:
 
 
 def test_vertices_are_split_where_textures_or_normals_are(tmp_path: Path) -> None:
-    uvs = CornerValues(
-        np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]), np.array([0, 1, 2, 0, 3, 1])
-    )  # vertex 2 has two
+    uvs = CornerValues(np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]), np.array([0, 1, 2, 0, 3, 1]))  # vertex 2 has two
     seam = written(tmp_path / "a.glb", moving_square(surface=Surface(uvs=uvs)))
     assert seam.attribute("square", "_VERTEX").tolist() == [0, 1, 2, 2, 3]
     assert seam.attribute("square", "TEXCOORD_0").tolist() == [[0, 1], [1, 1], [1, 0], [0, 0], [1, 1]]
@@ -224,9 +222,7 @@ def test_objects_without_polygons_are_left_out(tmp_path: Path) -> None:
     ("up_axis", "upwards"),
     [("X", [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]), ("Z", [[1, 0, 0], [0, 0, -1], [0, 1, 0]])],
 )
-def test_a_node_shows_points_upright_and_in_metres(
-    tmp_path: Path, up_axis: str, upwards: list[list[int]]
-) -> None:
+def test_a_node_shows_points_upright_and_in_metres(tmp_path: Path, up_axis: str, upwards: list[list[int]]) -> None:
     sequence = moving_square(up_axis=up_axis, metres_per_unit=0.5)
     with pytest.warns(MixseqWarning, match=f"in 0.5 metres per unit with {up_axis} up, under a node"):
         file = written(tmp_path / "a.glb", sequence)
@@ -279,9 +275,7 @@ def test_starts_that_are_none(tmp_path: Path, start: object) -> None:
 
 
 def test_times_too_close_for_float32(tmp_path: Path) -> None:
-    with pytest.raises(
-        InvalidSequenceError, match=r"frames 1 and 2 are at .* too close, or too late, for glTF"
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"frames 1 and 2 are at .* too close, or too late, for glTF"):
         written(tmp_path / "a.glb", moving_square(times=[0, 1e6, 1e6 + 1e-3]))
     assert list(tmp_path.iterdir()) == []
 

@@ -158,9 +158,7 @@ def test_another_file_may_split_or_weld_vertices_if_its_faces_are_in_the_same_or
     welded.write_text(OBJ + "g leg\nf 1 2 3\ng arm\nf 1 2 4\n")  # 3 is 0
     assert told(read_labels(welded, split)) == ["leg", "arm"]
     welded.write_text(OBJ + "g leg\nf 1 2 3\ng arm\nf 4 1 3\n")
-    with pytest.raises(
-        FormatError, match=r"polygon 1 of the sequence \(vertices 3 1 4\) is not in .*a\.obj; labels"
-    ):
+    with pytest.raises(FormatError, match=r"polygon 1 of the sequence \(vertices 3 1 4\) is not in .*a\.obj; labels"):
         read_labels(welded, split)
 
 
@@ -190,9 +188,7 @@ def test_skeletons_agree_with_motion(name: str, options: dict[str, Any], least: 
 
     whole = read(data / name, **options)
     topology = Topology(whole.faces, whole.vertex_count)
-    skeleton = segment_by_labels(
-        read_labels(data / name, whole, "skeleton", **options).part_of_face, topology
-    )
+    skeleton = segment_by_labels(read_labels(data / name, whole, "skeleton", **options).part_of_face, topology)
     motion = segment(whole.points, topology, "motion", int(skeleton.max()) + 1)
     assert adjusted_rand_index(skeleton, motion) > least
 
@@ -328,7 +324,5 @@ def test_polygons_in_several_parts_are_told(tmp_path: Path) -> None:
 
 
 def test_formats_without_a_place_for_parts(tmp_path: Path) -> None:
-    with pytest.raises(
-        OutputError, match=r"\.ply has no place for parts; write one of \.usd, .*\.npz, \.obj"
-    ):
+    with pytest.raises(OutputError, match=r"\.ply has no place for parts; write one of \.usd, .*\.npz, \.obj"):
         write_labels(tmp_path / "out.ply", mesh(), Labels(np.zeros(3, dtype=np.int64), ("a",)))

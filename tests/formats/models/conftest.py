@@ -27,9 +27,7 @@ def models() -> dict[str, Model]:
         "gradient": mixseq.fit(sequence, rank=2, knots=1, space="gradient"),
         "lri": mixseq.fit(sequence, rank=2, knots=1, space="lri"),
         "edge": mixseq.fit(sequence, rank=2, knots=1, space="edge"),
-        "volume": mixseq.fit(
-            sequence, rank=2, knots=1, space="edge", shell=shell, projection="dso", volume=0.5
-        ),
+        "volume": mixseq.fit(sequence, rank=2, knots=1, space="edge", shell=shell, projection="dso", volume=0.5),
     }
 
 

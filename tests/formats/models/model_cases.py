@@ -183,9 +183,7 @@ def assert_equal_spaces(first: Any, second: Any) -> None:
         np.testing.assert_array_equal(values, others)
     assert first.skinning_weights.shape == second.skinning_weights.shape
     for name in ("indptr", "indices", "data"):
-        np.testing.assert_array_equal(
-            getattr(first.skinning_weights, name), getattr(second.skinning_weights, name)
-        )
+        np.testing.assert_array_equal(getattr(first.skinning_weights, name), getattr(second.skinning_weights, name))
     a, b = first.decomposition, second.decomposition
     np.testing.assert_array_equal(a.part_of_face, b.part_of_face)
     np.testing.assert_array_equal(a.widths, b.widths)

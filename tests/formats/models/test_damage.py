@@ -150,9 +150,7 @@ def test_numbers_that_overflow_are_refused(copy: Path, name: str) -> None:
         return values
 
     replace(copy, name, enlarged)
-    with pytest.raises(
-        FormatError, match=rf"bar\.h5: {name} has 1e\+300 in row 1, beyond 1e\+60; it is damaged"
-    ):
+    with pytest.raises(FormatError, match=rf"bar\.h5: {name} has 1e\+300 in row 1, beyond 1e\+60; it is damaged"):
         mixseq.load(copy)
 
 
@@ -160,9 +158,7 @@ def test_numbers_that_overflow_are_refused(copy: Path, name: str) -> None:
 def test_scales_that_no_mesh_has_are_refused(copy: Path, scale: float) -> None:
     with h5py.File(copy, "r+") as file:
         file["space"].attrs["scale"] = scale
-    with pytest.raises(
-        FormatError, match=r"bar\.h5: the scale of the space is .* 1e-60 to 1e\+60 is expected"
-    ):
+    with pytest.raises(FormatError, match=r"bar\.h5: the scale of the space is .* 1e-60 to 1e\+60 is expected"):
         mixseq.load(copy)
 
 

@@ -82,9 +82,7 @@ def test_an_edited_matrix_damps_a_coordinate(vertices: Path, models: dict[str, M
         file["signals/pose/matrix"][1] *= 0.5
     damped = Curve(model.time.times, model.time.values * [1.0, 0.5])
     expected = Model(model.header, model.space, damped, model.pose, model.shapes, model.placement)
-    np.testing.assert_allclose(
-        points_at(mixseq.load(vertices), INSIDE), points_at(expected, INSIDE), atol=1e-12
-    )
+    np.testing.assert_allclose(points_at(mixseq.load(vertices), INSIDE), points_at(expected, INSIDE), atol=1e-12)
 
 
 def test_key_shapes_can_be_added(vertices: Path, models: dict[str, Model]) -> None:
@@ -104,9 +102,7 @@ def test_an_edited_translation_moves_the_body_there(copy: Path, model: Model) ->
         file["signals/placement/translations"][knot] += shift
     times = model.placement.times
     moved = points_at(mixseq.load(copy), times) - points_at(model, times)
-    np.testing.assert_allclose(
-        moved[knot], np.broadcast_to(shift * scale(model), moved[knot].shape), atol=1e-9
-    )
+    np.testing.assert_allclose(moved[knot], np.broadcast_to(shift * scale(model), moved[knot].shape), atol=1e-9)
     assert np.abs(np.delete(moved, knot, axis=0)).max() < 1e-9
 
 
@@ -114,9 +110,7 @@ def test_an_edited_rotation_turns_the_body_there(copy: Path, model: Model) -> No
     """By half a turn about z: as a whole, about its centre."""
     knot, space = 2, model.mixed
     with h5py.File(copy, "r+") as file:
-        before, centre = (
-            file[f"signals/placement/{name}"][knot, 0] for name in ("rotations", "translations")
-        )
+        before, centre = (file[f"signals/placement/{name}"][knot, 0] for name in ("rotations", "translations"))
         file["signals/placement/rotations"][knot, 0] = quat_multiply(np.array([0.0, 0.0, 0.0, 1.0]), before)
     time, centre = model.placement.times[knot], centre * space.scale
     expected = (model(time) - centre) @ np.diag([-1, -1, 1]) + centre
@@ -139,9 +133,7 @@ def test_an_edited_correction_moves_a_part_there(copy: Path, model: Model) -> No
         file["signals/correction/translations"][knot, 0] += shift
     times = model.correction.times
     moved = points_at(mixseq.load(copy), times) - points_at(model, times)
-    body = quat_to_matrix(normalise_quat(space.unpack_placements(model.placement(times[[knot]])).rotations))[
-        0, 0
-    ]
+    body = quat_to_matrix(normalise_quat(space.unpack_placements(model.placement(times[[knot]])).rotations))[0, 0]
     found = moved[knot][kept_by(model, 0)]
     np.testing.assert_allclose(found, np.broadcast_to(space.scale * body @ shift, found.shape), atol=1e-9)
     assert np.abs(moved[knot][kept_by(model, 1)]).max() < 1e-9

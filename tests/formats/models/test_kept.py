@@ -52,9 +52,7 @@ def test_nothing_is_lost_in_the_vertex_space(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("space", ["gradient", "lri", "edge"])
-@pytest.mark.parametrize(
-    "name", ["rigid component", "several components", "unused vertices", "one frame", "float32"]
-)
+@pytest.mark.parametrize("name", ["rigid component", "several components", "unused vertices", "one frame", "float32"])
 def test_nothing_is_lost_in_other_spaces(name: str, space: Any, tmp_path: Path) -> None:
     assert_kept(mixseq.fit(SEQUENCES[name](), space=space, exact=True), tmp_path / "model.h5")
 
@@ -199,8 +197,6 @@ def test_other_spaces_are_an_output_error(tmp_path: Path) -> None:
     curve = Curve(given.times, np.zeros((2, 0)))
     pose = mixseq.PoseMap(np.ones(1), np.zeros((0, 1)))
     model = Model(given.header, Volumes(), curve, pose, np.ones((1, 3)), curve)
-    with pytest.raises(
-        OutputError, match="the spaces mixed, vertex, gradient, lri, edge, basis, not in Volumes"
-    ):
+    with pytest.raises(OutputError, match="the spaces mixed, vertex, gradient, lri, edge, basis, not in Volumes"):
         mixseq.save(tmp_path / "model.h5", model)
     assert not list(tmp_path.iterdir())

@@ -116,9 +116,7 @@ class TestCharacters:
         binding = UsdSkel.BindingAPI(arm)
         binding.GetJointIndicesPrimvar().Set(Vt.IntArray(indices))
         binding.GetJointWeightsPrimvar().Set(Vt.FloatArray([0.5] * len(indices)))
-        with pytest.raises(
-            InvalidSequenceError, match=r"frame 0 .* joint indices and weights of /arm/skin do"
-        ):
+        with pytest.raises(InvalidSequenceError, match=r"frame 0 .* joint indices and weights of /arm/skin do"):
             saved(stage)
 
     def test_shapes_that_do_not_fit(self, stage: Usd.Stage, arm: UsdGeom.Mesh) -> None:

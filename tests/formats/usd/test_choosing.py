@@ -32,9 +32,7 @@ class TestChoosing:
     def test_meshes_that_stand_still_are_left_out_and_named(self, stage: Usd.Stage, make: Make) -> None:
         make("/floor")
         make("/hero/body", 1, 2)
-        with pytest.warns(
-            MixseqWarning, match=r"stand still are left out; prim='/' .* takes them, too: '/floor'"
-        ):
+        with pytest.warns(MixseqWarning, match=r"stand still are left out; prim='/' .* takes them, too: '/floor'"):
             assert paths(saved(stage)) == ["/hero/body"]
         assert paths(saved(stage, "/")) == ["/floor", "/hero/body"]
         assert paths(saved(stage, "/floor")) == ["/floor"]
@@ -44,9 +42,7 @@ class TestChoosing:
         for path in ("/a/walker/walker", "/a/walker/hat", "/b/shoe", "/c/shoe"):
             make(path)
         assert paths(saved(stage, "walker")) == ["/a/walker/walker", "/a/walker/hat"]
-        with pytest.raises(
-            AmbiguousError, match=r"'shoe' is in several places, '/b/shoe', '/c/shoe'; give its path"
-        ):
+        with pytest.raises(AmbiguousError, match=r"'shoe' is in several places, '/b/shoe', '/c/shoe'; give its path"):
             saved(stage, "shoe")
 
     def test_names_that_are_shown_count_too(self, stage: Usd.Stage, make: Make) -> None:
@@ -62,9 +58,7 @@ class TestChoosing:
         make("/hero/body")
         assert paths(saved(stage, prim)) == ["/hero/body"]
 
-    @pytest.mark.parametrize(
-        "prim", ["/hero/shoe", "hero hat", "/hero/bod", "body.points", "/hero/body1.points"]
-    )
+    @pytest.mark.parametrize("prim", ["/hero/shoe", "hero hat", "/hero/bod", "body.points", "/hero/body1.points"])
     def test_a_prim_that_is_not_there(self, stage: Usd.Stage, make: Make, prim: str) -> None:
         for number in range(25):
             make(f"/hero/body{number}")

@@ -123,9 +123,7 @@ def test_files_of_one_name_have_clips_of_their_own(path: Path) -> None:
 
 @pytest.mark.parametrize("clips", [(2, 0), (0, 2), (2, 3)])
 @pytest.mark.parametrize("rates", [(24, 60), (60, 25)])
-def test_layers_over_layers(
-    asset: Asset, path: Path, clips: tuple[int, int], rates: tuple[float, float]
-) -> None:
+def test_layers_over_layers(asset: Asset, path: Path, clips: tuple[int, int], rates: tuple[float, float]) -> None:
     before = asset.read()
     between = path.with_name("between.usda")
     header = before.header.with_times([0, 0.5, 1], rates[0])
@@ -235,9 +233,7 @@ def test_other_reasons_are_short_and_name_no_temporary_files(
 
 def test_a_layer_that_is_not_saved_for_no_reason(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pxr.Sdf.Layer.Save", lambda _: False)
-    with pytest.raises(
-        OutputError, match=r"usda: USD does not save it, and does not say why; check the free space"
-    ):
+    with pytest.raises(OutputError, match=r"usda: USD does not save it, and does not say why; check the free space"):
         save(path, shot())
 
 
@@ -296,9 +292,7 @@ def shelf(tmp_path: Path, asset: Asset) -> Path:
     return shelf
 
 
-@pytest.mark.parametrize(
-    "name", ["absolute", "../{}", "below/../../{}", "link.png", "wool.<UDIM>.png", "pipe.png"]
-)
+@pytest.mark.parametrize("name", ["absolute", "../{}", "below/../../{}", "link.png", "wool.<UDIM>.png", "pipe.png"])
 def test_files_elsewhere_are_not_packed(asset: Asset, tmp_path: Path, shelf: Path, name: str) -> None:
     (asset.path.parent / "below").mkdir()
     secret = shelf / "secret.png"
@@ -306,17 +300,10 @@ def test_files_elsewhere_are_not_packed(asset: Asset, tmp_path: Path, shelf: Pat
     paint(asset, texture if texture.startswith(("/", ".")) else f"./{texture}")
     before = asset.read()
     target = tmp_path / "out.usdz"
-    with pytest.warns(
-        MixseqWarning, match=r"are packed, not .*(secret|link|pipe|wool\.1001)\.png; .*--pack-from"
-    ):
+    with pytest.warns(MixseqWarning, match=r"are packed, not .*(secret|link|pipe|wool\.1001)\.png; .*--pack-from"):
         save(target, before, flatten=True)
     assert len(zipfile.ZipFile(target).namelist()) == 1
-    assert (
-        not Usd.Stage.Open(str(target))
-        .GetPrimAtPath("/walker/Looks/wool/picture")
-        .GetAttribute("inputs:file")
-        .Get()
-    )
+    assert not Usd.Stage.Open(str(target)).GetPrimAtPath("/walker/Looks/wool/picture").GetAttribute("inputs:file").Get()
 
 
 def test_files_elsewhere_are_packed_where_that_is_allowed(asset: Asset, tmp_path: Path, shelf: Path) -> None:

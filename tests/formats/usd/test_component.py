@@ -29,9 +29,7 @@ def path(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("extension", ["usda", "usdc", "usd", "usdz"])
 @pytest.mark.parametrize("name", ["walker", "Männchen", "1st try.001", ""])
-def test_what_is_written_is_a_valid_asset(
-    plain: MeshSequence, tmp_path: Path, extension: str, name: str
-) -> None:
+def test_what_is_written_is_a_valid_asset(plain: MeshSequence, tmp_path: Path, extension: str, name: str) -> None:
     path = tmp_path / f"asset.{extension}"
     stage = save(path, MeshSequence.from_arrays(plain.points, plain.polygons, name=name, up_axis="Z"))
     assert problems(stage) == set()
@@ -101,9 +99,7 @@ def two_objects() -> MeshSequence:
     points = np.concatenate([lift()[::-1], 5 + lift()[:, :3]], axis=1)
     plain = MeshSequence.from_arrays(points, FACES_OF_TWO, name="pair")
     surface = Surface(
-        uvs=CornerValues(
-            np.array([[0, 0], [1, 0], [1, 1], [0, 1]]), np.array([0, 1, 2, 3, 0, 1, 2, 3, 2, 1])
-        ),
+        uvs=CornerValues(np.array([[0, 0], [1, 0], [1, 1], [0, 1]]), np.array([0, 1, 2, 3, 0, 1, 2, 3, 2, 1])),
         hard_edges=np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 9]),
         face_sets=(
             FaceSet("skin", np.array([0]), "skin"),
@@ -131,8 +127,7 @@ def test_everything_on_a_mesh_comes_back(path: Path) -> None:
     np.testing.assert_array_equal(after.uvs.at_corners, before.uvs.at_corners)
     assert before.hard_edges is not None and after.hard_edges is not None
     one, other = (
-        corner_normals(written.points, FACES_OF_TWO, each)[:, each]
-        for each in (before.hard_edges, after.hard_edges)
+        corner_normals(written.points, FACES_OF_TWO, each)[:, each] for each in (before.hard_edges, after.hard_edges)
     )
     np.testing.assert_array_equal(one, other)
     sets = {each.name: (each.polygons.tolist(), each.material) for each in after.face_sets}
@@ -205,9 +200,7 @@ def test_materials_that_overlap(path: Path) -> None:
     sets = (FaceSet("one", one, "one"), FaceSet("two", two, "two"), FaceSet("two", more))
     with pytest.warns(MixseqWarning) as caught:
         stage = save(path, shot(face_sets=sets))
-    assert any(
-        "'mesh': the material of 'two' gives way to that of 'one'" in str(each.message) for each in caught
-    )
+    assert any("'mesh': the material of 'two' gives way to that of 'one'" in str(each.message) for each in caught)
     assert problems(stage) == set()
     subsets = mesh_at(stage, "/mesh/mesh").GetPrim().GetChildren()
     assert [prim.GetName() for prim in subsets] == ["one", "two", "two_1"]
@@ -220,9 +213,7 @@ def test_prims_defined_at_once_are_those_defined_one_by_one() -> None:
     composed: list[Usd.Notice.ObjectsChanged] = []
     for stage in (one_by_one, at_once):
         UsdGeom.Scope.Define(stage, "/Looks")
-    listener = Tf.Notice.Register(
-        Usd.Notice.ObjectsChanged, lambda notice, _: composed.append(notice), at_once
-    )
+    listener = Tf.Notice.Register(Usd.Notice.ObjectsChanged, lambda notice, _: composed.append(notice), at_once)
     for path in paths:
         UsdShade.Material.Define(one_by_one, path)
     with Sdf.ChangeBlock():
@@ -258,9 +249,7 @@ def test_networks_that_leave_their_material(asset: Asset, path: Path) -> None:
     shared = UsdShade.Shader.Define(asset.stage, "/set/shared")
     surface = UsdShade.Shader(asset.stage.GetPrimAtPath("/set/looks/wool/surface"))
     link(surface, "roughness", Sdf.ValueTypeNames.Float, shared, "value")
-    with pytest.warns(
-        MixseqWarning, match=r"outside of it, which are left out at .*surface\.inputs:roughness"
-    ):
+    with pytest.warns(MixseqWarning, match=r"outside of it, which are left out at .*surface\.inputs:roughness"):
         save(path, asset.read(), flatten=True)
 
 

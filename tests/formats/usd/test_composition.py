@@ -20,9 +20,7 @@ def test_a_pipe_is_no_layer(tmp_path: Path, arc: str) -> None:
     os.mkfifo(tmp_path / "pipe.usda")
     layer, prim = (arc, "") if arc != "references" else ("", "references = @./pipe.usda@")
     (tmp_path / "scene.usda").write_text(f'#usda 1.0\n(\n{layer}\n)\ndef "a" ({prim}) {{}}\n')
-    with pytest.raises(
-        FormatError, match=r"pipe\.usda is a pipe, a socket or a device, not a layer for .*scene\.usda"
-    ):
+    with pytest.raises(FormatError, match=r"pipe\.usda is a pipe, a socket or a device, not a layer for .*scene\.usda"):
         open_usd(tmp_path / "scene.usda")
 
 

@@ -95,9 +95,7 @@ def test_in_the_world_nothing_is_rounded(asset: Asset, rig: UsdGeom.Xform, path:
     np.testing.assert_array_equal(velocities, -written.points)
 
 
-def test_parents_move_it_neither_between_frames_nor_beyond(
-    asset: Asset, rig: UsdGeom.Xform, path: Path
-) -> None:
+def test_parents_move_it_neither_between_frames_nor_beyond(asset: Asset, rig: UsdGeom.Xform, path: Path) -> None:
     written = frames_over(asset)
     stage, before = save(path, written), Usd.Stage.Open(str(asset.path))
     codes = written.times * 60
@@ -106,9 +104,7 @@ def test_parents_move_it_neither_between_frames_nor_beyond(
         got = world_points(stage, "/set/rig/body/walker", code)
         np.testing.assert_allclose(got, np.reshape(expected, (5, 3)), atol=1e-5)
         lamp, known = (
-            np.array(
-                UsdGeom.Xformable(each.GetPrimAtPath("/set/rig/lamp")).ComputeLocalToWorldTransform(time)
-            )
+            np.array(UsdGeom.Xformable(each.GetPrimAtPath("/set/rig/lamp")).ComputeLocalToWorldTransform(time))
             for each, time in ((stage, code), (before, code / 60 * 25))
         )
         np.testing.assert_allclose(lamp, known, atol=1e-12)

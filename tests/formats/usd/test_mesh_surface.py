@@ -107,9 +107,7 @@ class TestSurface:
         assert colours is not None and colours.at_corners[0].tolist() == [1, 0, 0, 1]
         primvar.GetAttr().Clear()
         primvar.Set([(1, 0, 0)] * 4)
-        with pytest.warns(
-            MixseqWarning, match="colours 'displayColor' do not fit the faces and are left out"
-        ):
+        with pytest.warns(MixseqWarning, match="colours 'displayColor' do not fit the faces and are left out"):
             assert saved(stage).surface.colours is None
         primvar.Set([(1, 0, 0)] * 5)
         mesh.CreateDisplayOpacityPrimvar("vertex").Set([0.5])
@@ -147,9 +145,7 @@ class TestSurface:
         assert uvs.at_corners[0].tolist() == [2, 2]
 
     @pytest.mark.parametrize("indices", [None, [0, 1, 2, 3, 9], [0, 1, 2, -1, 0], [0]])
-    def test_texture_coordinates_that_do_not_fit(
-        self, stage: Usd.Stage, make: Make, indices: list[int] | None
-    ) -> None:
+    def test_texture_coordinates_that_do_not_fit(self, stage: Usd.Stage, make: Make, indices: list[int] | None) -> None:
         primvar = give_uvs(make("/mesh"), UVS[:3], "vertex")
         if indices:
             primvar.SetIndices(Vt.IntArray(indices))
@@ -162,9 +158,7 @@ class TestSurface:
         flat = [Gf.Vec3f(0, 0, 1)] * 4 + [Gf.Vec3f(0, 1, 0)] * 3
         if as_primvar:
             mesh.CreateNormalsAttr([Gf.Vec3f(0, 0, 1)] * 5)  # yields to the primvar
-            primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
-                "normals", Sdf.ValueTypeNames.Normal3fArray, "uniform"
-            )
+            primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, "uniform")
             primvar.Set(Vt.Vec3fArray([flat[4], flat[0]]))
             primvar.SetIndices(Vt.IntArray([1, 0]))
         else:
@@ -232,9 +226,7 @@ class TestSurface:
         both = mixseq.read(tmp_path / "mesh.glb").surface.face_sets
         assert [plain(each) for each in both] == [("skin", [0, 1], "skin"), ("cloth", [2], "cloth")]
 
-    def test_a_subset_of_another_family_leaves_the_mesh_its_material(
-        self, stage: Usd.Stage, make: Make
-    ) -> None:
+    def test_a_subset_of_another_family_leaves_the_mesh_its_material(self, stage: Usd.Stage, make: Make) -> None:
         mesh, bind = make("/mesh"), UsdShade.MaterialBindingAPI.Apply
         wool = UsdShade.Material.Define(stage, "/wool")
         bind(mesh.GetPrim()).Bind(wool)
@@ -246,9 +238,7 @@ class TestSurface:
         subset = UsdGeom.Subset.CreateGeomSubset(make("/mesh", 1, 2), "part", "face", Vt.IntArray())
         for code in (1, 2):
             subset.GetIndicesAttr().Set(Vt.IntArray([code - 1]), code)
-        with pytest.warns(
-            MixseqWarning, match="subsets that change over time stay .* first frame: /mesh/part"
-        ):
+        with pytest.warns(MixseqWarning, match="subsets that change over time stay .* first frame: /mesh/part"):
             assert plain(saved(stage).surface.face_sets[0]) == ("part", [0], "")
 
     def test_subsets_that_do_not_fit(self, stage: Usd.Stage, make: Make) -> None:

@@ -28,9 +28,7 @@ def path(tmp_path: Path) -> Path:
 def test_an_origin_that_is_gone_or_changed(asset: Asset, path: Path) -> None:
     before = asset.read()
     moved = asset.path.rename(asset.path.with_name("moved.usda"))
-    with pytest.warns(
-        MixseqWarning, match=r"out\.usda stands alone: .*asset\.usda does not exist; onto=\.\.\."
-    ):
+    with pytest.warns(MixseqWarning, match=r"out\.usda stands alone: .*asset\.usda does not exist; onto=\.\.\."):
         assert save(path, before).GetDefaultPrim().GetName() == "walker"
     assert save(path, before, onto=moved).GetDefaultPrim().GetName() == "set"
     shutil.copy(moved, asset.path)
@@ -87,9 +85,7 @@ def test_onto_a_file_with_its_faces_in_another_order(
         ({"vertex_count": 6}, "faces of 'mesh': it has 5 points, the sequence 6 vertices"),
     ],
 )
-def test_onto_a_file_that_does_not_fit(
-    asset: Asset, path: Path, change: dict[str, Any], message: str
-) -> None:
+def test_onto_a_file_that_does_not_fit(asset: Asset, path: Path, change: dict[str, Any], message: str) -> None:
     asset.read()
     sound = MeshSequence.from_arrays(lift(), FACES, up_axis="Z", metres_per_unit=0.01)
     points = lift() if "vertex_count" not in change else np.zeros((3, 6, 3), np.float32)
@@ -142,9 +138,7 @@ def test_a_package_cannot_replace_what_it_is_from(
     target = tmp_path / "link.usdz" if linked else package
     if linked:
         target.symlink_to(package)
-    with pytest.raises(
-        OutputError, match=r"usdz is the original, or a layer .* lost; write to another name$"
-    ):
+    with pytest.raises(OutputError, match=r"usdz is the original, or a layer .* lost; write to another name$"):
         save(target, before)
     assert package.read_bytes() == content
     save(target, before, flatten=True)  # on explicit wish
@@ -236,8 +230,6 @@ def test_origins_of_other_formats_are_none(path: Path) -> None:
         ("out.usdz", {"onto": "asset.usda"}, "has everything in itself"),
     ],
 )
-def test_options_that_contradict_each_other(
-    tmp_path: Path, file: str, options: dict[str, Any], message: str
-) -> None:
+def test_options_that_contradict_each_other(tmp_path: Path, file: str, options: dict[str, Any], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         save(tmp_path / file, shot(), **options)

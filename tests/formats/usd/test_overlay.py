@@ -100,9 +100,7 @@ def test_a_layer_and_its_origin_can_move_together(asset: Asset, tmp_path: Path) 
 
 @pytest.mark.parametrize("left_handed", [False, True])
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_points_are_in_the_space_of_their_prim(
-    asset: Asset, path: Path, left_handed: bool, mirrored: bool
-) -> None:
+def test_points_are_in_the_space_of_their_prim(asset: Asset, path: Path, left_handed: bool, mirrored: bool) -> None:
     turn = asset.rig.AddRotateZOp()
     for code, degrees in ((0, 0.0), (2, 90.0)):
         turn.Set(degrees, code)
@@ -213,9 +211,7 @@ def test_what_belongs_to_the_old_points_is_blocked(asset: Asset, path: Path) -> 
 @pytest.mark.parametrize("where", ["normals", "primvars:normals"])
 @pytest.mark.parametrize("interpolation", ["uniform", "vertex", "faceVarying", "constant"])
 @pytest.mark.parametrize("left_handed", [False, True])
-def test_normals_are_made_anew(
-    asset: Asset, path: Path, where: str, interpolation: str, left_handed: bool
-) -> None:
+def test_normals_are_made_anew(asset: Asset, path: Path, where: str, interpolation: str, left_handed: bool) -> None:
     asset.rig.AddRotateYOp().Set(90.0)
     asset.mesh.AddScaleOp().Set(Gf.Vec3f(1, 1, 2))
     if left_handed:
@@ -292,18 +288,14 @@ def test_characters_are_not_moved_twice(asset: Asset, path: Path, scale: float) 
 
 @pytest.mark.parametrize("applied", [False, True])
 @pytest.mark.parametrize("options", [{}, {"clips": 2}])
-def test_a_binding_above_the_mesh_is_undone(
-    asset: Asset, path: Path, applied: bool, options: dict[str, Any]
-) -> None:
+def test_a_binding_above_the_mesh_is_undone(asset: Asset, path: Path, applied: bool, options: dict[str, Any]) -> None:
     character(asset)
     group = UsdGeom.Xform.Define(asset.stage, "/set/rig/props").GetPrim()
     binding = UsdSkel.BindingAPI.Apply(group)
     binding.CreateJointIndicesPrimvar(True, 1).Set([0])
     binding.CreateJointWeightsPrimvar(True, 1).Set([1.0])
     asset.stage.Save()
-    Sdf.CopySpec(
-        asset.stage.GetRootLayer(), "/set/walker", asset.stage.GetRootLayer(), "/set/rig/props/glove"
-    )
+    Sdf.CopySpec(asset.stage.GetRootLayer(), "/set/walker", asset.stage.GetRootLayer(), "/set/rig/props/glove")
     glove = asset.stage.GetPrimAtPath("/set/rig/props/glove")
     if applied:
         UsdSkel.BindingAPI.Apply(glove)
@@ -338,9 +330,7 @@ def test_instances_become_prims(tmp_path: Path, path: Path) -> None:
     crowd.SetDefaultPrim(crowd.GetPrimAtPath("/crowd"))
     crowd.Save()
     before = load(tmp_path / "crowd.usda", "/crowd/two")
-    with pytest.warns(
-        MixseqWarning, match="instances with moving meshes are instances no longer: /crowd/two"
-    ):
+    with pytest.warns(MixseqWarning, match="instances with moving meshes are instances no longer: /crowd/two"):
         stage = save(path, before.with_points(before.points + 1))
     assert problems(stage) == set()
     np.testing.assert_array_equal(world_points(stage, "/crowd/two/walker", 2), lift()[2] + [1, 11, 1])
@@ -349,9 +339,7 @@ def test_instances_become_prims(tmp_path: Path, path: Path) -> None:
 
 @pytest.mark.parametrize("options", [{}, {"clips": 2}])
 @pytest.mark.parametrize("listed", [False, True])
-def test_value_clips_of_the_origin_are_weaker(
-    asset: Asset, path: Path, options: dict[str, Any], listed: bool
-) -> None:
+def test_value_clips_of_the_origin_are_weaker(asset: Asset, path: Path, options: dict[str, Any], listed: bool) -> None:
     asset.stage.Save()
     clip = Usd.Stage.CreateNew(str(asset.path.with_name("clip.usda")))
     mesh = UsdGeom.Mesh(clip.OverridePrim("/set/walker"))

@@ -130,9 +130,7 @@ def test_a_single_sample_of_a_transform_is_not_a_frame(path: Path) -> None:
 
 @pytest.mark.parametrize("left_handed", [False, True])
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_faces_are_counter_clockwise_whatever_the_handedness(
-    path: Path, left_handed: bool, mirrored: bool
-) -> None:
+def test_faces_are_counter_clockwise_whatever_the_handedness(path: Path, left_handed: bool, mirrored: bool) -> None:
     stage = make_stage(path)
     mesh = add_mesh(stage, "/mesh")
     if left_handed:
@@ -152,9 +150,7 @@ def test_a_transform_that_starts_to_mirror(path: Path) -> None:
     scale.Set(Gf.Vec3f(1, 1, 1), 1)
     scale.Set(Gf.Vec3f(-1, 1, 1), 3)
     stage.Save()
-    with pytest.raises(
-        InvalidSequenceError, match=r"frame 3 \(time code 3\): the transform of /mesh mirrors"
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"frame 3 \(time code 3\): the transform of /mesh mirrors"):
         read(path)
 
 
@@ -196,9 +192,7 @@ def test_changing_number_of_points(path: Path) -> None:
     points = add_mesh(stage, "/mesh").GetPointsAttr()
     points.Set(Vt.Vec3fArray(6), 3)
     stage.Save()
-    with pytest.raises(
-        InvalidSequenceError, match=r"frame 3 \(time code 3\): /mesh has 6 points, the first fr"
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"frame 3 \(time code 3\): /mesh has 6 points, the first fr"):
         read(path)
 
 

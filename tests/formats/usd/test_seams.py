@@ -109,9 +109,7 @@ def unbound(mesh: UsdGeom.Mesh) -> None:
     [(heavier, 6), (bulging, 5), (sampled, 6), (unbound, 6)],
     ids=["weights", "shapes", "samples", "no skeleton"],
 )
-def test_points_that_may_part_stay_apart(
-    change: Callable[[UsdGeom.Mesh], None], count: int, tmp_path: Path
-) -> None:
+def test_points_that_may_part_stay_apart(change: Callable[[UsdGeom.Mesh], None], count: int, tmp_path: Path) -> None:
     """The bulge moves points 3 and 5: only point 4 still moves as point 2 does."""
     with lossy():
         assert read(save(tmp_path / "square.usda", change)).vertex_count == count

@@ -114,9 +114,7 @@ def test_correctives_are_blend_shapes_of_the_points_they_move(tmp_path: Path) ->
     assert list(shape.GetPointIndicesAttr().Get()) == [0, 1, 2]
     weights = animation_of(stage).GetBlendShapeWeightsAttr()
     scaled = np.array([list(weights.Get(code)) for code in weights.GetTimeSamples()])
-    np.testing.assert_array_equal(
-        [scaled.min(axis=0), scaled.max(axis=0)], [[0, 0], [1, 1]]
-    )  # as sliders have
+    np.testing.assert_array_equal([scaled.min(axis=0), scaled.max(axis=0)], [[0, 0], [1, 1]])  # as sliders have
     back = mixseq.read(tmp_path / "a.usda")
     np.testing.assert_allclose(back.points, replace(skin, targets=few).points(), atol=1e-6)
 
@@ -164,9 +162,7 @@ def test_what_stands_still_has_no_samples(tmp_path: Path) -> None:
     still = replace(skin, rotations=skin.rotations[[1, 1]])
     stage = written(tmp_path / "a.usda", still)
     assert animation_of(stage).GetRotationsAttr().GetTimeSamples() == []
-    np.testing.assert_allclose(
-        mixseq.read(tmp_path / "a.usda").points[0], bent(skin.rest, QUARTER), atol=1e-6
-    )
+    np.testing.assert_allclose(mixseq.read(tmp_path / "a.usda").points[0], bent(skin.rest, QUARTER), atol=1e-6)
 
 
 def test_errors_are_those_of_the_file(tmp_path: Path) -> None:

@@ -45,9 +45,7 @@ def scene(asset: Asset) -> Asset:
     hair.CreateTypeAttr("linear")
     hair.CreateCurveVertexCountsAttr([2])
     hair.CreateExtentAttr([(0, 0, 0), (4, 4, 4)])
-    rough = stage.GetPrimAtPath("/set/looks/wool/surface").CreateAttribute(
-        "inputs:roughness", Sdf.ValueTypeNames.Float
-    )
+    rough = stage.GetPrimAtPath("/set/looks/wool/surface").CreateAttribute("inputs:roughness", Sdf.ValueTypeNames.Float)
     for code in range(3):
         slide.Set(Gf.Vec3d(code, code**2, 0), code)
         roll.Set(10.0 * code, code)
@@ -91,8 +89,7 @@ def test_everything_shows_the_same_time(scene: Asset, path: Path, name: str, opt
             "/set/looks/wool/surface.inputs:roughness",
         ):
             got, known = (
-                each.GetAttributeAtPath(attribute).Get(time)
-                for each, time in ((stage, code), (before, below))
+                each.GetAttributeAtPath(attribute).Get(time) for each, time in ((stage, code), (before, below))
             )
             np.testing.assert_allclose(got, known, atol=1e-6)
         np.testing.assert_allclose(world_points(stage, "/set/walker", code), written.points[frame], atol=1e-5)

@@ -138,9 +138,7 @@ def unity(text: str) -> str:
     rate = re.search(r'_Rate \("[^"]*", Float\) = (\S+)', text)
     assert rate
     program = text[text.index("CGPROGRAM") + len("CGPROGRAM") : text.index("ENDCG")]
-    program = re.sub(r"#(pragma|include).*\n", "", program).replace(
-        "float _Rate;", f"#define _Rate {rate.group(1)}"
-    )
+    program = re.sub(r"#(pragma|include).*\n", "", program).replace("float _Rate;", f"#define _Rate {rate.group(1)}")
     body = """appdata_full v; v.texcoord1 = float4(lookup, 0, 0); v.vertex = 0; v.normal = 0; vert(v);
     shown.at = v.vertex.xyz; shown.direction = v.normal;"""
     return from_hlsl(
@@ -206,16 +204,12 @@ def images(folder: Path, shader: str, turned: bool) -> list[dict[str, object]]:
         shares[:, :, : pixels.shape[2]] = pixels / np.float32(np.iinfo(pixels.dtype).max)
         shares = shares[::-1] if turned else shares
         height, width = pixels.shape[:2]
-        found.append(
-            {"sampler": sampler, "width": width, "height": height, "pixels": shares.ravel().tolist()}
-        )
+        found.append({"sampler": sampler, "width": width, "height": height, "pixels": shares.ravel().tolist()})
     return found
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_engines_draw_the_frames(
-    name: str, written: tuple[Path, VatReport], fox: MeshSequence, page: Page
-) -> None:
+def test_engines_draw_the_frames(name: str, written: tuple[Path, VatReport], fox: MeshSequence, page: Page) -> None:
     """At frames, and between two of them, where motion is straight."""
     folder, report = written
     engine = ENGINES[name]

@@ -78,8 +78,7 @@ def test_points_are_as_far_off_as_is_told(written: tuple[Path, VatReport], fox: 
     folder, report = written
     vertices, diagonal = vertices_of(folder), bounding_diagonal(fox.points[0])
     apart = [
-        np.linalg.norm(looked_up(folder, "points", frame) - fox.points[frame][vertices], axis=1).max()
-        / diagonal
+        np.linalg.norm(looked_up(folder, "points", frame) - fox.points[frame][vertices], axis=1).max() / diagonal
         for frame in range(fox.frame_count)
     ]
     assert max(apart) == pytest.approx(report.max_error, rel=1e-3)
@@ -242,9 +241,7 @@ def test_a_browser_draws_the_frames(written: tuple[Path, VatReport], fox: MeshSe
 
     def serve(route: Route) -> None:
         file = folder / route.request.url.rpartition("/")[2]
-        kind = {".js": "text/javascript", ".json": "application/json"}.get(
-            file.suffix, "application/octet-stream"
-        )
+        kind = {".js": "text/javascript", ".json": "application/json"}.get(file.suffix, "application/octet-stream")
         body = file.read_bytes() if file.is_file() else b"<!doctype html>"
         route.fulfill(body=body, content_type=kind if file.is_file() else "text/html")
 

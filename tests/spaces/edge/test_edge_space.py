@@ -46,9 +46,7 @@ def sequence_of(name: str) -> MeshSequence:
     return SEQUENCES[name]()
 
 
-def space_of(
-    sequence: MeshSequence, settings: EdgeSettings = STEPS, shell: ShellSettings | None = None
-) -> EdgeSpace:
+def space_of(sequence: MeshSequence, settings: EdgeSettings = STEPS, shell: ShellSettings | None = None) -> EdgeSpace:
     points = sequence.points.astype(np.float64)
     topology, scale = Topology(sequence.faces, sequence.vertex_count), bounding_diagonal(points[0])
     lengths = edge_lengths(points / scale, topology.edges).mean(axis=0)
@@ -187,9 +185,7 @@ def test_a_mesh_that_is_one_joint_is_the_same_in_the_mixed_space(monkeypatch: py
     (their,), (our,) = mixed.decode((weights @ theirs)[None]), space.decode((weights @ ours)[None])
     turn, shift = kabsch(our, their)
     np.testing.assert_allclose(our @ turn.T + shift, their, atol=1e-5 * space.scale)
-    assert not np.allclose(
-        edge_lengths(our, topology.edges), (weights @ ours)[:edges] * space.scale, atol=1e-4
-    )
+    assert not np.allclose(edge_lengths(our, topology.edges), (weights @ ours)[:edges] * space.scale, atol=1e-4)
 
 
 def test_angles_of_triangles_without_area_say_nothing() -> None:

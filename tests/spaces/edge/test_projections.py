@@ -53,9 +53,7 @@ def projection_of(kind: str, mesh: Mesh) -> EdgeProjection:
 
 
 def wanted(lengths: Float, angles: Float, weights: Float | None = None) -> ShellTargets:
-    return ShellTargets(
-        lengths, 1 / lengths if weights is None else weights, angles, np.zeros(0), np.zeros(0)
-    )
+    return ShellTargets(lengths, 1 / lengths if weights is None else weights, angles, np.zeros(0), np.zeros(0))
 
 
 def measured(mesh: Mesh, x: Float) -> tuple[Float, Float]:
@@ -109,9 +107,7 @@ def test_steps_go_nearly_as_far_as_gauss_newton(mesh: Mesh) -> None:
     first, last = (measured(mesh, x) for x in ends)
     lengths, angles = (first[0] + last[0]) / 2, first[1] + wrap_angles(last[1] - first[1]) / 2
     settings = ShellSettings(tolerance=1e-10, accuracy=1e-10)
-    (_, (ours,)), (_, (best,)) = (
-        projection_of(kind, mesh).fit(wanted(lengths, angles), settings) for kind in KINDS
-    )
+    (_, (ours,)), (_, (best,)) = (projection_of(kind, mesh).fit(wanted(lengths, angles), settings) for kind in KINDS)
     assert 1e-3 < ours.energy < 1.1 * best.energy
 
 
@@ -157,9 +153,7 @@ def test_gradient_and_rigid_motions(mesh: Mesh) -> None:
     gradient = volume_gradient(x, faces)
     direction = rng.normal(size=x.shape)
     step = 1e-5
-    difference = (signed_volume(x + step * direction, faces) - signed_volume(x - step * direction, faces)) / (
-        2 * step
-    )
+    difference = (signed_volume(x + step * direction, faces) - signed_volume(x - step * direction, faces)) / (2 * step)
     assert np.sum(gradient * direction) == pytest.approx(difference, rel=1e-7)
     assert np.abs(gradient.sum(axis=0)).max() < 1e-12
 

@@ -50,9 +50,7 @@ AXIS = np.array([2.0, -1.0, 2.0]) / 3
 def articulated(mesh: Mesh, labels: Index) -> Articulation:
     decomposition = decompose(topology_of(mesh), labels, 1)
     centres = np.stack([mesh[0][part].mean(axis=0) for part in decomposition.parts])
-    shapes = np.concatenate(
-        [mesh[0][part] - centre for part, centre in zip(decomposition.parts, centres, strict=True)]
-    )
+    shapes = np.concatenate([mesh[0][part] - centre for part, centre in zip(decomposition.parts, centres, strict=True)])
     radii = radii_of_gyration(shapes, decomposition.parts)
     return find_articulation(topology_of(mesh), decomposition, mesh[0], centres, radii)
 
@@ -162,16 +160,12 @@ def test_parts_that_move_as_one_are_a_body_with_that_motion(motion: tuple[Float,
 @pytest.mark.parametrize("degrees", [10.0, 40.0])
 def test_a_chain_that_bends_is_as_turned_as_its_links_on_average(degrees: float) -> None:
     body = CHAIN.fit_bodies(bending(CHAIN, np.radians(degrees)))
-    turned_by = angle_between(
-        body.rotations[0, 0], matrix_to_quat(rotation(AXIS * np.radians(1.5 * degrees)))
-    )
+    turned_by = angle_between(body.rotations[0, 0], matrix_to_quat(rotation(AXIS * np.radians(1.5 * degrees))))
     assert turned_by < np.radians(0.11 * degrees)
 
 
 @given(seed=seeds, motion=rigid_motions)
-def test_a_rigid_motion_of_a_body_changes_its_pose_and_nothing_else(
-    seed: int, motion: tuple[Float, Float]
-) -> None:
+def test_a_rigid_motion_of_a_body_changes_its_pose_and_nothing_else(seed: int, motion: tuple[Float, Float]) -> None:
     """Also if only one of the bodies moves."""
     turn, shift = motion
     poses = wild(seed, 4, spread=0.2)
@@ -326,9 +320,7 @@ def test_chains_stay_closed_between_far_poses(weight: float) -> None:
 
     def gap(poses: Poses) -> float:
         seen = chain.pairs[:, 1]
-        places = (
-            rotate_vectors(quat_to_matrix(poses.rotations[:, seen]), chain.pivots) + poses.centres[:, seen]
-        )
+        places = rotate_vectors(quat_to_matrix(poses.rotations[:, seen]), chain.pivots) + poses.centres[:, seen]
         return float(np.linalg.norm(np.diff(places.reshape(2, -1, 3), axis=0), axis=2).max())
 
     opened = gap(Poses(blend.rotations, blend.centres))
@@ -401,9 +393,7 @@ def motions(chain: Articulation, poses: Poses, bodies: Poses | None = None) -> F
 
 def applied(dual: Float, points: Float) -> Float:
     back = dual[:4] * np.array([1.0, -1, -1, -1])
-    return np.asarray(
-        rotate_vectors(quat_to_matrix(dual[:4]), points) + 2.0 * quat_multiply(dual[4:], back)[1:]
-    )
+    return np.asarray(rotate_vectors(quat_to_matrix(dual[:4]), points) + 2.0 * quat_multiply(dual[4:], back)[1:])
 
 
 @settings(max_examples=30, deadline=None)
@@ -540,9 +530,7 @@ def test_frames_are_passed(seed: int, length: float, frames: int, in_body: bool)
     times = np.cumsum(np.random.default_rng(seed).uniform(0.5, 1.5, frames))
     found = predicted(TemporalOperator(times, length), poses, ring(3), insert_midpoints(times), in_body)
     np.testing.assert_allclose(found.centres[::2], poses.centres, atol=1e-12)
-    np.testing.assert_allclose(
-        quat_to_matrix(found.rotations)[::2], quat_to_matrix(poses.rotations), atol=1e-12
-    )
+    np.testing.assert_allclose(quat_to_matrix(found.rotations)[::2], quat_to_matrix(poses.rotations), atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(found.rotations, axis=2), 1.0, atol=1e-14)
     assert (np.einsum("tpi,tpi->tp", found.rotations[1:], found.rotations[:-1]) > 0).all()
 
@@ -625,9 +613,7 @@ def test_an_elbow_that_bends_evenly_is_predicted() -> None:
     together = predicted(operator, poses, bones, middles)
     off = [gaps(found, bones).max() for found in (alone, together)]
     assert off[1] < 0.5 * off[0]
-    np.testing.assert_allclose(
-        quat_to_matrix(together.rotations), quat_to_matrix(expected.rotations), atol=5e-3
-    )
+    np.testing.assert_allclose(quat_to_matrix(together.rotations), quat_to_matrix(expected.rotations), atol=5e-3)
 
 
 def test_parts_that_move_as_one_nearly_stay_as_they_are_to_each_other() -> None:
@@ -653,9 +639,7 @@ def test_parts_that_move_as_one_nearly_stay_as_they_are_to_each_other() -> None:
 def test_what_is_still_stays(in_body: bool) -> None:
     poses = Poses(*(np.repeat(block[:1], 6, axis=0) for block in wandering(8, 4)))
     times = np.arange(6.0)
-    found = predicted(
-        select_operator(times, np.zeros((6, 3))), poses, ring(4), insert_midpoints(times), in_body
-    )
+    found = predicted(select_operator(times, np.zeros((6, 3))), poses, ring(4), insert_midpoints(times), in_body)
     for block, own in zip(found, poses, strict=True):
         np.testing.assert_allclose(block, np.broadcast_to(own[0], block.shape), atol=1e-9)
 

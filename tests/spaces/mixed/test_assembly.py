@@ -22,9 +22,7 @@ def rms(differences: Float) -> float:
 
 def frame_of(space: MixedSpace, vector: Float) -> FreeFrame:
     blocks = space.split(vector[None])
-    return FreeFrame(
-        blocks.lengths[0], blocks.angles[0], blocks.rest_vertices[0], space.skin(vector[None])[0]
-    )
+    return FreeFrame(blocks.lengths[0], blocks.angles[0], blocks.rest_vertices[0], space.skin(vector[None])[0])
 
 
 def test_half_way_the_joint_bends_by_half() -> None:
@@ -92,9 +90,7 @@ def test_steps_make_lengths_and_angles_agree() -> None:
     space = space_of("bar", "free")
     vectors = space.encode(sequence_of("bar").points)
     half, first = (frame_of(space, vector) for vector in (vectors[[0, 4]].mean(axis=0), vectors[0]))
-    with_steps = {
-        n: replace(space, projection=replace(space.projection, steps=n)).assembly for n in (0, 6, 10, 100)
-    }
+    with_steps = {n: replace(space, projection=replace(space.projection, steps=n)).assembly for n in (0, 6, 10, 100)}
     none, few, many = (with_steps[n].assemble(half).energy for n in (0, 10, 100))
     assert many <= 1.001 * few < 0.5 * none
     still, moved = (with_steps[n].assemble(first) for n in (0, 6))
@@ -109,6 +105,4 @@ def test_rigid_parts_stay_rigid_at_the_start() -> None:
     points, frame = plain.decode(blend[None])[0] / plain.scale, frame_of(plain, blend)
     for part in plain.assembly._rigid_parts:
         here = frame.rest_vertices[part]
-        np.testing.assert_allclose(
-            transform_points(here, *kabsch(here, points[part])), points[part], atol=2e-2
-        )
+        np.testing.assert_allclose(transform_points(here, *kabsch(here, points[part])), points[part], atol=2e-2)

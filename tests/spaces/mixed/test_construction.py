@@ -98,9 +98,7 @@ def test_the_worst_faces_are_joints_within_the_budget() -> None:
     wrong = midpoint_errors(small, (points[k : k + 2] for k in range(2)), 0.1, 25.0)
     told, others = (
         small.joint_faces,
-        ~small.joint_faces
-        & ~faces_without_area(topology, points)
-        & ~faces_at_winding_hinges(topology, points),
+        ~small.joint_faces & ~faces_without_area(topology, points) & ~faces_at_winding_hinges(topology, points),
     )
     assert wrong[told].min() >= wrong[others].max() * 0.9
     assert share_of_all(plain) < SIZE_REDUCTION
@@ -182,9 +180,7 @@ def test_mean_shapes_and_reference_are_on_a_grid() -> None:
     for start, part in zip(
         np.cumsum([0, *map(len, space.decomposition.parts)]), space.decomposition.parts, strict=False
     ):
-        np.testing.assert_allclose(
-            space.shapes[start : start + len(part)].mean(axis=0), 0.0, atol=REFERENCE_STEP
-        )
+        np.testing.assert_allclose(space.shapes[start : start + len(part)].mean(axis=0), 0.0, atol=REFERENCE_STEP)
 
 
 def test_steadiness_is_learned_from_the_frames() -> None:
@@ -216,9 +212,7 @@ def test_settings_are_checked() -> None:
 def test_progress_is_told(placement: PlacementName) -> None:
     points, space = sequence_of("bar").points, space_of("bar", placement)
     told: list[tuple[int, int, str]] = []
-    mixed_space(
-        points, space.topology, space.decomposition, placement, progress=lambda *step: told.append(step)
-    )
+    mixed_space(points, space.topology, space.decomposition, placement, progress=lambda *step: told.append(step))
     assert {what for _, _, what in told} == {"registering parts"}
     assert told[-1][0] == told[-1][1]
 

@@ -60,9 +60,7 @@ def stretched(points: Float, factor: float) -> Float:
 def told(joints: JointProjection, x: Float) -> tuple[Float, Float]:
     """Lengths and angles that joints have in a mesh."""
     topology = joints.topology
-    return edge_lengths(x, topology.edges[joints.edge_ids]), dihedral_angles(
-        x, topology.hinges[joints.hinge_ids]
-    )
+    return edge_lengths(x, topology.edges[joints.edge_ids]), dihedral_angles(x, topology.hinges[joints.hinge_ids])
 
 
 def errors(joints: JointProjection, x: Float, target: Float) -> tuple[float, float]:
@@ -222,9 +220,7 @@ def test_complex_steps_are_difference_quotients(seed: int, mesh: Mesh, share: fl
     speeds, growth, bends = (rng.normal(size=each.shape) for each in (x, lengths, angles))
 
     def at(time: float) -> Float:
-        return np.asarray(
-            joints.project(x + time * speeds, lengths + time * growth, angles + time * bends, share)
-        )
+        return np.asarray(joints.project(x + time * speeds, lengths + time * growth, angles + time * bends, share))
 
     numbers = to_complex_step(x, speeds), to_complex_step(lengths, growth), to_complex_step(angles, bends)
     values, found = from_complex_step(joints.project(*numbers, share))
@@ -279,9 +275,7 @@ def test_who_follows_one_part_moves_as_it_does(motion: tuple[Float, Float]) -> N
     turn, shift = motion
     weights = rows(np.tile([[1.0, 0.0]], (len(POINTS), 1)))
     duals = np.stack([dual(turn, shift), dual(rotation((1.0, 2, 3)), np.ones(3))])
-    np.testing.assert_allclose(
-        kernels.skin_vertices(*weights, duals, POINTS), POINTS @ turn.T + shift, atol=1e-13
-    )
+    np.testing.assert_allclose(kernels.skin_vertices(*weights, duals, POINTS), POINTS @ turn.T + shift, atol=1e-13)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 1.0])
@@ -353,9 +347,7 @@ def test_complex_steps_of_posing_are_difference_quotients(seed: int, back: bool)
         moved = np.concatenate([normalise_quat(real), duals[:, 4:] + time * rates[:, 4:]], axis=1)
         return np.asarray(kernel(*weights, moved, POINTS + time * speeds))
 
-    values, found = from_complex_step(
-        kernel(*weights, to_complex_step(duals, rates), to_complex_step(POINTS, speeds))
-    )
+    values, found = from_complex_step(kernel(*weights, to_complex_step(duals, rates), to_complex_step(POINTS, speeds)))
     np.testing.assert_allclose(values, at(0.0), atol=1e-13)
     quotient = (at(step) - at(-step)) / (2 * step)
     assert np.abs(found - quotient).max() < 1e-6 * np.abs(quotient).max()

@@ -72,9 +72,7 @@ def with_placement(space: MixedSpace, vectors: Float, turn: Float, shift: Float)
     """Vectors whose bodies are all moved, in diagonals."""
     blocks = space.split(vectors)
     turns = quat_multiply(matrix_to_quat(turn), blocks.body_rotations)
-    return space.join(
-        blocks._replace(body_rotations=turns, body_centres=blocks.body_centres @ turn.T + shift)
-    )
+    return space.join(blocks._replace(body_rotations=turns, body_centres=blocks.body_centres @ turn.T + shift))
 
 
 # Frames come back -----------------------------------------------------------------------------------------
@@ -120,9 +118,7 @@ def test_frames_come_back_whatever_the_parts(seed: int, mesh: Mesh, parts: int, 
     decomposition = decompose(topology, labels, width, points if rng.random() < 0.5 else None)
     made = [mixed_space(points, topology, decomposition, placement) for placement in PLACEMENTS]
     made.append(mixed_space(points, topology, decomposition, purpose="blends"))
-    made.append(
-        replace(made[0], joint_faces=rng.random(len(mesh[1])) < 0.5, projection=Projection(share=1.0))
-    )
+    made.append(replace(made[0], joint_faces=rng.random(len(mesh[1])) < 0.5, projection=Projection(share=1.0)))
     for space in made:
         assert error(space, points, space.decode(space.encode(points))) < 1e-9
 
@@ -302,12 +298,8 @@ def test_a_rigid_motion_of_a_frame_changes_the_placement_only(
     still, moved = space.encode(points), space.encode(points @ turn.T + shift)
     shape = space.shape_dim
     np.testing.assert_allclose(moved[:, :shape], still[:, :shape], atol=1e-9)
-    before, after = (
-        space.unpack_placements(each[:, shape : shape + space.placement_dim]) for each in (still, moved)
-    )
-    np.testing.assert_allclose(
-        quat_to_matrix(after.rotations), turn @ quat_to_matrix(before.rotations), atol=1e-9
-    )
+    before, after = (space.unpack_placements(each[:, shape : shape + space.placement_dim]) for each in (still, moved))
+    np.testing.assert_allclose(quat_to_matrix(after.rotations), turn @ quat_to_matrix(before.rotations), atol=1e-9)
     np.testing.assert_allclose(after.centres, before.centres @ turn.T + shift / space.scale, atol=1e-9)
 
 
@@ -324,9 +316,7 @@ def test_decoding_moves_with_the_placement(motion: tuple[Float, Float]) -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(motion=rigid_motions, steps=st.sampled_from([0, 8]), weight=st.sampled_from([0.25, 0.5, 1.5]))
-def test_blends_do_not_depend_on_how_poses_are_turned(
-    motion: tuple[Float, Float], steps: int, weight: float
-) -> None:
+def test_blends_do_not_depend_on_how_poses_are_turned(motion: tuple[Float, Float], steps: int, weight: float) -> None:
     """As shapes: the blend itself is turned by a share of it."""
     turn, shift = motion
     points = sequence_of("bar").points
@@ -349,9 +339,7 @@ def test_the_metric_is_in_diagonals(name: str) -> None:
     np.testing.assert_array_equal(weights.lengths, np.full((1, len(space.edge_ids)), JOINT_WEIGHT))
     np.testing.assert_allclose(weights.angles[0], JOINT_WEIGHT * angle, rtol=1e-12)
     assert (weights.rest_vertices == 1).all() and (weights.body_centres == 1).all()
-    np.testing.assert_allclose(
-        weights.part_rotations[0], np.tile((2 * space.part_radii * own)[:, None], 4), rtol=1e-12
-    )
+    np.testing.assert_allclose(weights.part_rotations[0], np.tile((2 * space.part_radii * own)[:, None], 4), rtol=1e-12)
     np.testing.assert_allclose(weights.part_centres[0], np.tile(own[:, None], 3), rtol=1e-12)
     assert not weights.relation_rotations.any() and not weights.relation_points.any()
     spins, shifts = weights.corrections.reshape(2, -1, 3)
@@ -599,9 +587,7 @@ def test_changes_by_hand_arrive() -> None:
 @pytest.mark.parametrize("name", MOVING)
 @settings(max_examples=4, deadline=None)
 @given(seed=seeds, scaled=st.booleans(), share=st.sampled_from([0.0, 0.5, 1.0]))
-def test_velocities_are_derivatives_of_decoded_points(
-    name: str, seed: int, scaled: bool, share: float
-) -> None:
+def test_velocities_are_derivatives_of_decoded_points(name: str, seed: int, scaled: bool, share: float) -> None:
     """At any combination of frames, along any rate, also of corrections; quaternions may have any length."""
     rng = np.random.default_rng(seed)
     space = steered(name, share)
@@ -685,9 +671,7 @@ def test_predictions_pass_through_the_frames(name: str, in_body: bool) -> None:
     np.testing.assert_allclose(centres, blocks.part_centres.reshape(len(points), -1), atol=1e-12)
     cosines = np.einsum("tpi,tpi->tp", turns.reshape(blocks.part_rotations.shape), blocks.part_rotations)
     np.testing.assert_allclose(np.abs(cosines), 1.0, atol=1e-12)
-    assert np.isfinite(
-        space.decode(at(space, vectors, TemporalOperator(times, 4.0), insert_midpoints(times)))
-    ).all()
+    assert np.isfinite(space.decode(at(space, vectors, TemporalOperator(times, 4.0), insert_midpoints(times)))).all()
 
 
 def test_bodies_that_do_not_touch_are_predicted_alone() -> None:
@@ -698,9 +682,7 @@ def test_bodies_that_do_not_touch_are_predicted_alone() -> None:
     vectors = space.encode(points)
     placements = vectors[:, size : size + space.placement_dim]
     operator, middles = TemporalOperator(np.arange(5.0)), np.arange(4.0) + 0.5
-    _, placed = space.interpolate_poses(
-        operator, vectors[:, size - space.pose_dim : size], placements, middles, False
-    )
+    _, placed = space.interpolate_poses(operator, vectors[:, size - space.pose_dim : size], placements, middles, False)
     found, alone = (
         space.unpack_placements(placed),
         interpolate_poses(operator.weights_at(middles), space.unpack_placements(placements)),
@@ -737,8 +719,7 @@ def test_corrected_poses_are_those_that_are_wanted(seed: int) -> None:
             world = space.articulation.to_world_axes(found, bodies)
             rest = blocks.rest_vertices[:, own] - space.articulation.rest_centres[part]
             expected = (
-                rotate_vectors(quat_to_matrix(world.rotations[:, None, part]), rest)
-                + world.centres[:, part, None]
+                rotate_vectors(quat_to_matrix(world.rotations[:, None, part]), rest) + world.centres[:, part, None]
             )
             np.testing.assert_allclose(posed[:, own], expected, atol=1e-11)
 

@@ -138,10 +138,7 @@ def test_blends_along_a_chain_are_found() -> None:
     decomposition = decompose(topology_of(mesh), sliced(mesh, 4.0, 8.0), 3)
     shares = shares_of(mesh, decomposition, frames / 12).toarray()
     z = mesh[0][:, 2]
-    along = [
-        decomposition.part_of_face[np.argmin(np.abs(mesh[0][mesh[1]].mean(axis=1)[:, 2] - at))]
-        for at in (2, 10)
-    ]
+    along = [decomposition.part_of_face[np.argmin(np.abs(mesh[0][mesh[1]].mean(axis=1)[:, 2] - at))] for at in (2, 10)]
     np.testing.assert_allclose(shares[:, along[0]], np.clip((4 - z) / 1.5 + 0.5, 0, 1), atol=0.1)
     np.testing.assert_allclose(shares[:, along[1]], np.clip((z - 8) / 1.5 + 0.5, 0, 1), atol=0.1)
 
