@@ -64,7 +64,7 @@ def room_for_signals(
 
 
 def _header_streams(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
-    """Return the streams of connectivity, surface and times, and that of texture coordinates if `uv_steps` is given."""
+    """Return the streams of connectivity, surface and times, and of texture coordinates if `uv_steps` is given."""
     polygons, vertex_count, surface = header.polygons, header.vertex_count, header.surface
     uv_streams = []
     if uv_steps is not None:

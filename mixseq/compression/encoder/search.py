@@ -5,7 +5,7 @@ by the secant method on logarithms. If every vertex has a bound, a coarse basis 
 residuals, so several steps are tried and the cheapest is used.
 
 With the first step, several numbers of parts are tried, and both kinds of basis unless the norms of the components rule
-out shapes. Every part has separate coefficients, so long sequences of few vertices take the fewest bytes with one part.
+out shapes. Every part has separate coefficients, which favours one part for long sequences of few vertices.
 The ratio of actual to expected error of a trial corrects the first step of the next trial.
 
 Candidates of large meshes are compared on a coarse mesh. It has the vertices that are coded first, and the edges that
