@@ -2,10 +2,10 @@ r"""Code bits by binary arithmetic coding, predict bits with adaptive models, an
 
 *Coding.* Encoder and decoder compute the same probability for each bit. An interval of 32-bit numbers is split in the
 ratio of the probabilities of 1 and 0, and the part of the actual bit is kept. Leading bytes that both ends share are
-output. The output is less than a thousandth above the ideal size. Probabilities depend on earlier bits, so compiled
-loops call the coder.
+output. The loss against the ideal size is below a thousandth. Probabilities depend on earlier bits, so the interval is
+split inside compiled loops.
 
-*Models.* A probability is mixed from several inputs. A bit has a *position* (first question about a number, second, ...)
+*Models.* A probability is mixed from several inputs. A bit has a *position* (first question on a number, second, ...)
 and, in every input, a *context*, which is a small integer. In context :math:`c` of input :math:`i`, :math:`n_{ic}` bits
 at this position were 1 with the relative frequency :math:`p_{ic}`. Inputs are mixed in the logistic domain
 (Mahoney 2005, *Adaptive weighing of context models for lossless data compression*),
@@ -25,7 +25,7 @@ different rounding, an error in a library or port, or a damaged file changes the
 error in each case.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz`` and
-``tests/formats/golden/compressed-v1.h5``). numba caches compiled loops by the text of their own file: edit the files that
+``tests/formats/golden/compressed-v1.h5``). numba caches compiled loops by the text of their own file: edit files that
 inline these functions (`connectivity_kernels`, `uv_seams`, `uv_values`) whenever this module changes.
 """
 
