@@ -52,7 +52,7 @@ SIZE_LEVELS = 32
 """Number of levels of expected sizes, two per octave. Frozen: breaks old files."""
 
 DEPTH_CLASSES = 18
-"""Number of node classes by bit length of the node number, which is roughly the level in the graph. Frozen: breaks old files."""
+"""Number of node classes by bit length of the node number, roughly the level in the graph. Frozen: breaks old files."""
 
 AGE_CLASSES = 8
 """Number of signal classes by number of earlier signals. Frozen: breaks old files."""
@@ -61,13 +61,13 @@ CONTEXTS_PER_BIT, CONTEXT_VALUES = 5, SIZE_LEVELS * SIZE_LEVELS
 """Number of contexts of a bit, and number of values of each. Frozen: breaks old files."""
 
 _MAX_MODELLED_BITS, _MAX_NUMBER_BITS = 24, 55
-"""Largest bit length that is coded with models only, and largest bit length of all numbers. Frozen: breaks old files."""
+"""Largest bit length that is coded with models only, and largest bit length of a number. Frozen: breaks old files."""
 
 POSITION_COUNT = 2 * _MAX_MODELLED_BITS
 """Number of modelled questions about a number. Frozen: breaks old files."""
 
 _MAX_ROUNDED_NUMBER = 2.0**54
-"""Largest magnitude to which numbers are clamped, as trial steps may be too fine for doubles. Free: only encoders round."""
+"""Largest magnitude of numbers, as trial steps may be too fine for doubles. Free: only encoders round."""
 
 _MAX_SIZE = 1 << 40
 """Upper bound to which sizes are clamped. Frozen: breaks old files."""
@@ -353,7 +353,7 @@ class SignalCoder:
         return values
 
     def read_ahead(self, reader: Reader) -> Float:
-        """Return an array ``(N,)`` for the next signal in steps, whose values are complete once `reader.finish` returns."""
+        """Return an array ``(N,)`` for the next signal in steps, which is complete once `reader.finish` returns."""
         predictor, numbers, values = self._predictor, np.zeros_like(self._numbers), np.empty(self._graph.size)
         neighbours, counts = predictor.neighbours, predictor.counts
         sizes = self._activity, self._ring_activity, self._numbers
