@@ -62,8 +62,8 @@ class Corners(NamedTuple):
     starts: Index  # (P + 1,) the first corner of every polygon, and the number C of corners
     polygon: Index  # (C,) the polygon of every corner
     node: Index  # (C,) the node of every corner
-    # (C,) corner at the start of the opposite half-edge, -1 if there is none. A half-edge runs from a corner to the next
-    # corner. Of several half-edges between two nodes, the first pair are twins, then the second pair, and so on.
+    # (C,) corner at the start of the opposite half-edge, -1 if there is none. A half-edge runs from a corner to the
+    # next. Of several half-edges between two nodes, the first pair are twins, then the second pair, and so on.
     twin: Index
     around_starts: Index  # (N + 1,) row offsets of around
     around: Index  # (C,) the corners at node n, ascending: around[around_starts[n] : around_starts[n + 1]]
@@ -118,7 +118,7 @@ def previous_corner(corners: Corners, corner: int) -> int:
 def growing_order(corners: Corners) -> Index:
     """Return the polygons ``(P,)`` in the order in which they are visited.
 
-    When a node becomes known, its unvisited polygons are queued, ascending, by number of unknown corners: 0, 1, 2, more.
+    When a node becomes known, its unvisited polygons are queued, ascending, by count of unknown corners: 0, 1, 2, more.
     Next is the first polygon of the first queue whose count is still valid, or else the lowest unvisited polygon.
     """
     starts, node = corners.starts, corners.node
@@ -167,7 +167,7 @@ def growing_order(corners: Corners) -> Index:
 
 
 def walk_polygons(polygons: Polygons, vertex_count: int) -> tuple[Index, Index]:
-    """Return the polygons ``(P,)`` in walk order, and their entry corners ``(P,)``; components are sorted by lowest vertex."""
+    """Return the polygons ``(P,)`` in walk order, and their entry corners ``(P,)``; components go by lowest vertex."""
     canonical = canonical_order(polygons)
     sorted_polygons = Polygons(polygons.counts[canonical.polygons], polygons.indices[canonical.corners])
     corners = corners_on_nodes(sorted_polygons, vertex_count)

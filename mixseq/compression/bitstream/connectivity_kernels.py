@@ -1,6 +1,6 @@
 """Code or decode the connectivity of a mesh in one compiled loop over all corners.
 
-The mesh grows polygon by polygon. A *half-edge* runs from the vertex of a corner to the vertex of the next corner, and is
+The mesh grows by polygons. A *half-edge* runs from the vertex of a corner to the vertex of the next corner, and is
 *open* until its opposite is added. A vertex is *unused* until a polygon has it, then *open* while open half-edges end
 or start at it, otherwise *closed*; a closed vertex may open again. The rank of a vertex among all vertices of its state
 comes from a tree of partial sums (Fenwick 1994, *A new data structure for cumulative frequency tables*).
@@ -23,7 +23,7 @@ the same corners of the polygon before that. The guesses at a corner are
 14, 15   *b* + 1, *b* - 1
 =======  ====================================================================================================
 
-*Bits.* For every guess that is a vertex, and not excluded already, one bit codes whether the guess is right. If no guess
+*Bits.* For every guess that is a vertex and not excluded already, one bit codes whether the guess is right. If none
 is right, the vertex is *named*: its state is coded as a number (-1 unused, 0 open, 1 closed), then the difference of
 its rank in this state from the rank of a base. Candidates for the base are the vertex after the last new vertex, the
 corner before, the vertex named last at this place, and the corners of the last two polygons. The base is the candidate
@@ -31,7 +31,7 @@ that was nearest on average. The bits of a number are whether it is not 0, wheth
 has a second bit, a third, ..., and its bits after the highest. The code here specifies the contexts of all bits.
 
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``). numba caches compiled loops
-by the text of their own file, and this one inlines `arithmetic`: edit this file whenever `arithmetic` changes. Format 5.
+by the text of their own file, and this file inlines `arithmetic`: edit it whenever `arithmetic` changes. Format 5.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ INTO, OUT_OF = 0, 1
 """Rows of tables for half-edges that end, or start, at a vertex. Free: not in files."""
 
 _MAX_SEARCHED_HALF_EDGES = 32
-"""Largest number of open half-edges at a vertex that are searched for the opposite half-edge. Frozen: breaks old files."""
+"""Largest number of open half-edges at a vertex, after the first, searched for the opposite. Frozen: breaks old files."""
 
 
 class HalfEdges(NamedTuple):
@@ -311,7 +311,7 @@ def repeat_slot(indices: Index, corner: int, place: int) -> int:
 
 
 BIT_KINDS = 4 * GUESS_COUNT + 4 * 5
-"""Number of kinds of bits, which have separate mixing weights: guesses by place, numbers by topic. Frozen: breaks old files."""
+"""Kinds of bits, which have separate mixing weights: guesses by place, numbers by topic. Frozen: breaks old files."""
 
 _COUNT_TOPIC, _STATE_TOPIC = 3, 4
 """Topics of numbers; topics 0 to 2 are ranks of unused, open, closed vertices. Frozen: breaks old files."""
@@ -320,7 +320,7 @@ _MAX_NUMBER_BITS = 33
 """Largest bit length of a number. Frozen: breaks old files."""
 
 _MAX_SEARCHED_CORNERS = 32
-"""Largest number of corners of a polygon searched for a repeated vertex, to bound the time. Frozen: breaks old files."""
+"""Largest number of corners per polygon searched for a repeated vertex, to bound time. Frozen: breaks old files."""
 
 
 @compiled
