@@ -59,7 +59,7 @@ INTO, OUT_OF = 0, 1
 """Rows of tables for half-edges that end, or start, at a vertex. Free: not in files."""
 
 _MAX_SEARCHED_HALF_EDGES = 32
-"""Largest number of open half-edges at a vertex, after the first, searched for the opposite. Frozen: breaks old files."""
+"""Open half-edges at a vertex, after the first, that are searched for the opposite. Frozen: breaks old files."""
 
 
 class HalfEdges(NamedTuple):

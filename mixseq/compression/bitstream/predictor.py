@@ -250,7 +250,7 @@ class Predictor:
         """Set the neighbours of nodes, and their initial weights."""
         self.neighbours = neighbours.astype(np.int32)
         self.counts = counts.astype(np.int32)
-        self._initial_weights = kernels.round_weights(read_only(weights))  # read-only like stencils, so that numba compiles once
+        self._initial_weights = kernels.round_weights(read_only(weights))  # same type as stencils
         self.weights = self._initial_weights.copy()
         self._blocks, self._gram = group_nodes(self.counts)
         self._ridge = 0.0
@@ -297,7 +297,7 @@ class Predictor:
 
 
 def level_steps(size: int) -> Index:
-    """Return the steps ``(N,)`` of `size` nodes in units, smaller on coarse levels; each level has twice the nodes of the coarser one."""
+    """Return the steps ``(N,)`` of `size` nodes in units, smaller on coarse levels; node numbers double per level."""
     steps = np.full(size, UNITS_PER_STEP)
     first, step = size // 2, UNITS_PER_STEP
     while first:
