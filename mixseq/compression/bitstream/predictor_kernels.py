@@ -75,7 +75,7 @@ def round_weights(weights: Float) -> Float:
 
 @compiled
 def compute_trust(values: Float, scale: float, neighbours: Int32, counts: Int32) -> float:
-    """Return a power of two, 2/3 to 4/3 of ``1 / (1 + m / scale)``, m the mean squared difference from first neighbours."""
+    """Return a power of two, 2/3 to 4/3 of ``1 / (1 + m / scale)``; m is the mean square of first differences."""
     total, pairs = 0.0, 0
     for node in range(len(values)):
         if counts[node]:
