@@ -140,7 +140,7 @@ def read_index(path: Path, container: Container) -> StreamIndex:
     has_uvs = read_facts(path, container)["coding"].get("uv_steps") is not None
     try:
         return _index_streams(size, numbers, checksums[1:], has_uvs)
-    except (IndexError, ValueError, StopIteration) as error:  # written like this: the checksum is right
+    except (IndexError, ValueError, StopIteration) as error:  # checksum right: written with this error
         raise damaged from error
 
 

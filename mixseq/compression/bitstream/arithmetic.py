@@ -189,7 +189,7 @@ class BitModels(NamedTuple):
 
     # (inputs, contexts, positions) frequencies of 1, and the numbers of bits counted: 256 p + n.
     frequencies: NDArray[np.int32]
-    weights: Index  # (kinds, inputs) weights. Kinds are positions, except for hashed contexts
+    weights: Index  # (kinds, inputs) mixing weights; kinds are positions, except for hashed contexts
     contexts: Index  # (inputs,) current contexts, set before every bit
     inputs: Index  # (inputs,) the inputs x of the current bit
     stretch: Index  # (4096,) table of x by p, with p in units of 2^-12

@@ -214,8 +214,8 @@ def update_activity(numbers: Index, ring: Index, starts: Index, activity: Index)
 
 
 ROUNDING_MARGINS: Float = np.interp(np.arange(SIZE_LEVELS), [2, 6, 10, 14], [0.15, 0.25, 0.38, 0.45])
-"""Margins by level of expected size: a residual is rounded up if its fraction is at least 1 - margin. Small residuals
-are rounded towards zero most, as zeros save more bits. Chosen on seven sequences. Free: only encoders round.
+"""Margins by level of expected size: a residual is rounded up if its fraction is at least 1 - margin. Where
+zeros are expected, margins are smallest, as zeros save most bits. Chosen on seven sequences. Free: only encoders round.
 """
 
 _MAX_BYTES_PER_NUMBER = 16

@@ -83,7 +83,7 @@ def _code_labels(stream: BitStream, models: BitModels, labels: Index, neighbours
         count = counts[node]
         for i in range(count):
             votes[labels[neighbours[node, i]]] += 1
-        # Ties go to the label of the last, which is the nearest, neighbour.
+        # Ties go to the label of the last neighbour, which is the nearest.
         first, second = -1, -1
         for i in range(count - 1, -1, -1):
             label = labels[neighbours[node, i]]
@@ -106,7 +106,7 @@ def _code_labels(stream: BitStream, models: BitModels, labels: Index, neighbours
             labels[node] = second
             continue
         models.contexts[0] = models.contexts[1] = 0
-        prefix = 1  # a 1, then the bits read up to now
+        prefix = 1  # a 1, then the bits coded up to now
         for shift in range(_LABEL_BITS - 1, -1, -1):
             prefix = 2 * prefix + code_modelled_bit(stream, models, 1 + prefix, (label >> shift) & 1)
         labels[node] = prefix - (1 << _LABEL_BITS)

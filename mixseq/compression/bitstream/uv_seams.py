@@ -24,9 +24,9 @@ the midpoint of *a* and *b*, by 3/8 of the distance, rounded down.
 *Copies* are translated, rotated, scaled or mirrored: the two halves of a character are usually unwrapped alike, and
 then packed. So a polygon may have an *image*, an earlier polygon with the same number of corners. Where a *region*
 begins, the image of the first corner, and whether the image is mirrored, are coded. Within the region, the image of a
-polygon follows from the image of an adjacent polygon. Corner o is the corner before or after x, or else the first
-corner of the region, whose coordinates are known, as are those of its image. With two distant corners :math:`p, q` of
-the region, the copy of x is
+polygon follows from the image of an adjacent polygon. Let o be the corner before x, after x, or else the first corner
+of the region, whichever first has known coordinates and a known image. With two distant corners :math:`p, q` of the
+region, the copy of x is
 
 .. math:: x = o + \frac{q - p}{q' - p'}\, (x' - o')
 
@@ -299,7 +299,7 @@ MAX_SEAM_BITS = 2 + MAX_SEARCHED_NODES
 
 @compiled
 def code_seams(bits: HashedBits, corners: Corners, order: Index, labels: Index, nodes: Index) -> int:
-    """Code or decode which corners at a vertex have the same label ``(C,)``; `order` ``(P,)`` is that of the polygons.
+    """Code or decode which corners at a vertex have the same label ``(C,)``; `order` ``(P,)`` has the polygons as visited.
 
     Writes the nodes of the corners to `nodes` ``(C,)``, and returns the number of nodes.
     """

@@ -58,7 +58,7 @@ def compress(
         Guaranteed largest distance of a vertex from the original at any frame, as a fraction of the bounding box's
         diagonal in the first frame.
     kg : float, optional
-        KG error in percent: root of the sum of squared errors, relative to that of distances from the centroids.
+        KG error in percent: root mean square distance, relative to the same mean of distances from the centroids.
     size : int, optional
         Largest number of bytes of the signals. The KG error is minimised for this size.
     progress : callable, optional
