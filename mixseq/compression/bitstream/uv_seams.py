@@ -299,7 +299,7 @@ MAX_SEAM_BITS = 2 + MAX_SEARCHED_NODES
 
 @compiled
 def code_seams(bits: HashedBits, corners: Corners, order: Index, labels: Index, nodes: Index) -> int:
-    """Code or decode which corners at a vertex have the same label ``(C,)``; `order` ``(P,)`` has the polygons as visited.
+    """Code or decode which corners at a vertex have equal labels ``(C,)``; polygons are visited in `order` ``(P,)``.
 
     Writes the nodes of the corners to `nodes` ``(C,)``, and returns the number of nodes.
     """

@@ -280,7 +280,7 @@ class Search:
         return best
 
     def find_for_size(self, size: int, deviation: float) -> Trial:
-        """Find the finest step whose signals fit into `size` bytes, from `INITIAL_ERROR` times the deviation on."""
+        """Find the finest step whose signals fit into `size` bytes, beginning at `INITIAL_ERROR` * `deviation`."""
         error = INITIAL_ERROR * deviation
         trials = self._compare_candidates(error)
         for _ in range(MAX_RESTARTS):
@@ -343,7 +343,7 @@ def _find_step(
     trial: Trial,
     power: float = 1.0,
 ) -> Trial | None:
-    """Find the trial with the least room (target / actual) above one by the secant method: room ~ error^-power."""
+    """Find the trial with the least room (target / actual >= 1) by the secant method: room ~ error^-power."""
     exponent, candidate = power * _error_exponent(trial), trial.candidate
     best: Trial | None = None
     previous: tuple[float, float] | None = None  # step and room of the last trial
