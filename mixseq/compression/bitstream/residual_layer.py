@@ -41,7 +41,7 @@ _MAX_MODELLED_NUMBER, _MAX_EXCESS_BITS = 8, 62
 """Largest magnitude coded with models only, and largest bit length of the excess over it. Frozen: breaks old files."""
 
 POSITION_COUNT = 4 + _MAX_MODELLED_NUMBER
-"""Questions: any vertex displaced, this vertex displaced, coordinate nonzero, sign, above 1, 2, ... Frozen: breaks files."""
+"""Questions: any vertex displaced, this one displaced, coordinate not 0, sign, above 1, 2, ... Frozen: breaks files."""
 
 
 @compiled
