@@ -36,7 +36,7 @@ MAX_ROOT_NEIGHBOURS = 6
 """Number of earlier roots that predict a node without neighbours. Frozen: breaks old files."""
 
 _HUB_DEGREE_RATIO = 32
-"""Ratio of degrees, neighbour to removed node, above which neighbours are found by bisection. Free: affects time only."""
+"""Degree ratio, neighbour to removed node, above which shared neighbours are found by bisection. Free: time only."""
 
 
 @compiled
