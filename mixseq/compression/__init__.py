@@ -1,4 +1,4 @@
 """Compress mesh sequences with guaranteed error bounds.
 
-`bitstream` decodes files and codes their contents, `encoder` chooses what is coded, `numbering` the order of vertices.
+`bitstream` codes and decodes streams, `encoder` chooses basis and step, `numbering` the order of vertices and faces.
 """

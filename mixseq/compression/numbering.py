@@ -1,13 +1,13 @@
-"""Choose the numbering of vertices and polygons in a compressed file that takes the fewest bytes.
+"""Choose the numbering of vertices and polygons that takes the fewest bytes in a compressed file.
 
-The numbering takes more bytes than the connectivity, twenty times more if it is random. So a compressed file may leave
-out the order of polygons, and that of vertices, and use the walk of `mixseq.compression.bitstream.connectivity`. The
-walk is a function of the mesh, so it is not stored, and originals can be renumbered in the same way, with all
-attributes.
+The original numbering takes more bytes than the connectivity, and twenty times more if it is random. So a compressed
+file may replace the order of polygons, or of both polygons and vertices, by the walk of
+`mixseq.compression.bitstream.connectivity`. The walk is a function of the mesh, so it is not stored. An original with
+all its attributes can be renumbered by the same walk.
 
-Windings and triangulations stay: a triangle may begin at another corner, a quad at the opposite one, and larger
-polygons keep their first corner. Hard edges only record which corners share a normal, so normals are numbered in order
-of first use.
+Windings and triangulations are kept: a triangle may begin at any corner, a quad at its first or third corner, and
+larger polygons keep their first corner. Hard edges only record which corners share a normal, so normals are numbered in
+order of first use.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from mixseq.types import FloatArray, Index
 
 @dataclass(frozen=True, eq=False)
 class Renumbering:
-    """A permutation of the vertices, polygons and corners of a mesh: old numbers in their new order."""
+    """A permutation of the vertices, polygons and corners of a mesh, stored as old numbers in new order."""
 
     vertices: Index  # (V,) old number of every vertex
     polygons: Index  # (P,) old number of every polygon
@@ -37,7 +37,7 @@ class Renumbering:
 
     @property
     def order(self) -> OrderName:
-        """Numbering that is kept: of vertices and polygons, of vertices only, or neither."""
+        """Name of the kept numbering: of vertices and polygons, of vertices only, or of neither."""
         if not _is_sorted(self.vertices):
             return "free"
         return "keep" if _is_sorted(self.corners) else "vertices"
@@ -53,13 +53,13 @@ class Renumbering:
         return Polygons(polygons.counts[self.polygons], new_ids[polygons.indices[self.corners]])
 
     def renumber_header(self, header: SequenceHeader) -> SequenceHeader:
-        """Return the same mesh with all its attributes, at the same times."""
+        """Return the header with its mesh and all attributes renumbered."""
         polygons = self.renumber_polygons(header.polygons)
         surface = self._renumber_surface(header.surface)
         return SequenceHeader(**{**header_fields(header), "polygons": polygons, "surface": surface})
 
     def renumber_frames(self, frames: Frames) -> Frames:
-        """Return the same frames of the same mesh: in memory if they are, else read on demand."""
+        """Return the frames with renumbered vertices: in memory if `frames` are, otherwise read on demand."""
         header = self.renumber_header(frames.header)
         if not isinstance(frames, MeshSequence):
             return LazyFrames(header, lambda size: map(self._renumber_points, frames.blocks(size)))
@@ -92,7 +92,7 @@ def identity_numbering(polygons: Polygons, vertex_count: int) -> Renumbering:
 def walk_numbering(polygons: Polygons, sizes: Sequence[int], *, vertices: bool) -> Renumbering:
     """Return the numbering of polygons, and optionally of `vertices`, in the order of the walk.
 
-    Vertices are numbered in order of first use, within the objects, which have `sizes` vertices each.
+    Vertices are numbered in order of first use within each object; `sizes` has the vertex counts of the objects.
     """
     order, entry_corners = walk_polygons(polygons, sum(sizes))
     counts, starts = polygons.counts.astype(np.int64), np.cumsum(polygons.counts) - polygons.counts
@@ -109,7 +109,7 @@ def walk_numbering(polygons: Polygons, sizes: Sequence[int], *, vertices: bool) 
 
 
 def cheapest_numbering(header: SequenceHeader, order: OrderName) -> Renumbering:
-    """Return the numbering in which polygons take the fewest bytes, of those that keep `order`."""
+    """Return the numbering that keeps `order` and in which polygons take the fewest bytes."""
     if order not in ORDERS:
         raise SettingsError(f"order is {order!r}; one of {', '.join(ORDERS)} is expected")
     polygons, sizes = header.polygons, object_vertex_counts(header)
@@ -124,7 +124,7 @@ def cheapest_numbering(header: SequenceHeader, order: OrderName) -> Renumbering:
 
 
 def find_numbering(other: Polygons, polygons: Polygons, sizes: Sequence[int]) -> Renumbering | None:
-    """Return the numbering of a mesh in the polygons of a file, None if the file has another mesh."""
+    """Return the renumbering of a mesh that gives the polygons of a file, or None if the file has another mesh."""
     if not np.array_equal(np.sort(polygons.counts), np.sort(other.counts)):
         return None
     if match_polygons(polygons, other) is not None:
@@ -139,7 +139,7 @@ def object_vertex_counts(header: SequenceHeader) -> list[int]:
 
 
 def _corners(starts: Index, sizes: Index, begin: Index) -> Index:
-    """Return the corners of polygons, one polygon after the other, each from its corner number `begin` on."""
+    """Return the corners of consecutive polygons; the corners of a polygon begin at corner `begin`, cyclically."""
     first = np.cumsum(sizes) - sizes
     along = np.arange(int(sizes.sum())) - np.repeat(first - begin, sizes)
     return np.asarray(np.repeat(starts, sizes) + along % np.repeat(sizes, sizes), dtype=np.int64)

@@ -1,6 +1,6 @@
-"""mixseq's JavaScript: modules bundled as one without imports, and the files of the npm package.
+"""Bundle mixseq's JavaScript modules into one module without imports, and make the files of the npm package.
 
-The package has the decoder, a plugin for three.js, pages, types and a schema.
+The npm package has the decoder, a plugin for three.js, pages, types and a schema.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from posixpath import dirname, join, normpath
 from mixseq.version import __version__
 
 SEQUENCE_MODULE = "decoder/sequence.js"
-"""The module that opens compressed sequences; it imports all of the decoder."""
+"""Module that opens compressed sequences and imports the whole decoder."""
 
 _IMPORT_LINE = re.compile(r'^import \{([^}]*)\} from "(\.[^"]+)";\n', re.MULTILINE)
 _EXPORT_KEYWORD = re.compile(r"^export (?=(?:async )?(function\*?|class|const|let) (\w+)([^\n]*))", re.MULTILINE)
@@ -26,13 +26,13 @@ _SPACED_SIGN = re.compile(_STRING_PATTERN + r"| ?(?P<sign>[-+]=|[=,;:?{}()\[\]<>
 
 
 def read_module(path: str) -> str:
-    """Return the text of a module, such as ``"decoder/arithmetic.js"``."""
+    """Return the source of a JavaScript module, such as ``"decoder/arithmetic.js"``."""
     return files("mixseq.web").joinpath(*path.split("/")).read_text(encoding="utf-8")
 
 
 @cache
 def bundled(*entries: str) -> str:
-    """Return modules and their imports as one minified ES module; each becomes a function with its own names."""
+    """Bundle modules and their imports into one minified ES module, in which each module is a function."""
     entries = entries or (SEQUENCE_MODULE,)
     sources: dict[str, str] = {}
     for entry in entries:
@@ -44,7 +44,7 @@ def bundled(*entries: str) -> str:
 
 
 def _add_module(path: str, sources: dict[str, str]) -> None:
-    """Add a module after its imports; circular imports are not allowed."""
+    """Add the source of a module to `sources` after its imports, which must not be circular."""
     if path not in sources:
         source = read_module(path)
         for _, imported in _IMPORT_LINE.findall(source):
@@ -72,7 +72,7 @@ def _exported_names(source: str) -> str:
 
 
 def minify(source: str) -> str:
-    """Remove comments, indentation and most spaces of scripts that have no regular expressions with signs."""
+    """Remove comments, indentation and most spaces from a script without regular expressions that contain operators."""
 
     def replacement(match: re.Match[str]) -> str:
         return match["text"] or ("\n" if match["gap"] else "")
@@ -91,7 +91,7 @@ MODULES = (
     "player/remote.js",
     "player/worker.js",
 )
-"""Modules in ``mixseq.js``."""
+"""Modules bundled into ``mixseq.js``."""
 
 COPIED_FILES = (
     "mesh_sequence.js",
@@ -105,7 +105,7 @@ COPIED_FILES = (
 
 
 def package_files() -> Mapping[str, str]:
-    """Return the texts of the package's files by name."""
+    """Return the text of every file of the npm package by file name."""
     package = {
         "name": "mixseq-web",
         "version": __version__,

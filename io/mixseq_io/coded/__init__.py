@@ -1,1 +1,1 @@
-"""Compressed models as a text and streams of bytes: `streams` holds the layout and reads it, `packing` writes it."""
+"""Read (`streams`) and write (`packing`) compressed models: a JSON text, and a dataset of byte streams."""

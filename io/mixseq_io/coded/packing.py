@@ -1,4 +1,4 @@
-"""Layout of a compressed sequence as a text and streams; see `mixseq_io.coded.streams`."""
+"""Write a compressed sequence as a text and a dataset of streams, in the layout of `mixseq_io.coded.streams`."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq_io.coded.streams import INDEX_HEAD, MAGIC, Container, pack_leb128, pack_surface, pack_times
 
 _HDF5_SIZE, _INDEX_SIZE_PER_64_FRAMES = 1200, 64
-"""Largest size in bytes of HDF5 and the attributes, and of the index for 64 frames."""
+"""Largest size in bytes of HDF5 structures with attributes, and of the part of the index for 64 frames."""
 
 
 def pack(coded: CompressedSequence) -> Container:
-    """Concatenate an index and the streams of a compressed sequence."""
+    """Return the text of a compressed sequence, and its index and streams concatenated."""
     text = _facts_json(coded)
     chunk_streams = [stream for chunk in coded.chunks for stream in (chunk.coefficients, chunk.residuals)]
     streams = [*_header_streams(coded.header, coded.parameters.uv_steps), *coded.basis, *chunk_streams]
@@ -45,10 +45,10 @@ def room_for_signals(
     order: OrderName = "keep",
     container: int = _HDF5_SIZE,
 ) -> int:
-    """Return the bytes left for basis, coefficients and residual layer in a file of some size.
+    """Return the number of bytes available for basis, coefficients and residual layer in a file of `size` bytes.
 
-    Texture coordinates and order are options of `mixseq.compress`; `container` is the size of text and file format, by
-    default HDF5. Raises `SettingsError` if nothing is left, `uv_error` is out of range, or the order is unknown.
+    `uv_error`, `uvs` and `order` are options of `mixseq.compress`. `container` is the size of text and file format, by
+    default HDF5. Raises `SettingsError` if no bytes remain, `uv_error` is out of range, or `order` is unknown.
     """
     header = cheapest_numbering(header, order).renumber_header(header)
     streams = _header_streams(*with_quantised_uvs(header, uv_error, uvs))
@@ -64,7 +64,7 @@ def room_for_signals(
 
 
 def _header_streams(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
-    """Return connectivity, surface, times; and texture coordinates, if they are multiples of ``1 / uv_steps``."""
+    """Return the streams of connectivity, surface and times, and of texture coordinates if `uv_steps` is given."""
     polygons, vertex_count, surface = header.polygons, header.vertex_count, header.surface
     uv_streams = []
     if uv_steps is not None:

@@ -1,8 +1,8 @@
-"""Layout of a compressed model, and its reading: a text that describes the streams, and one dataset of all streams.
+"""Read compressed models, which have a text that describes the streams, and one dataset with all streams.
 
-The text is JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time. The streams are: connectivity,
-surface, times, texture coordinates if any; spatial basis by group; coefficients and residual layer chunk by chunk. The
-dataset begins with an index with the length and CRC-32 of each:
+The text is JSON with parameters, name, fps, up_axis, metres_per_unit, counts and first time. The order of the streams
+is connectivity, surface, times, texture coordinates if any; every group of the spatial basis; coefficients and residual
+layer of every chunk. The dataset begins with an index of the lengths and CRC-32 checksums of all streams:
 
 ==========  =====================================================================================================
 bytes       meaning, all numbers little-endian
@@ -14,8 +14,8 @@ any         lengths, as numbers of 7 bits a byte (LEB128): number of groups of t
 any         uint32 each: CRC-32 of the attribute ``coding``, and of every stream that is not empty
 ==========  =====================================================================================================
 
-Times and surfaces are packed without loss: first differences of numbers are stored bytewise, the first bytes of all
-numbers, then the second bytes, and so on. Most are zeros, which zlib compresses well.
+Times and surfaces are packed without loss. First differences of numbers are stored by byte: first bytes of all
+numbers, second bytes of all numbers, and so on. Most of these bytes are zero, so zlib compresses them well.
 
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1*``). Specification:
 ``docs/file-format.md``.
@@ -57,13 +57,13 @@ from mixseq_io.files import check_memory, format_gigabytes, max_memory
 from mixseq_io.surfaces import surface_from_arrays, surface_to_arrays
 
 COMPRESSED_VERSION = 1
-"""Version of compressed models, separate from that of models with datasets. Frozen: breaks old files."""
+"""Format version of compressed models, independent of the version of models with datasets. Frozen: breaks old files."""
 
 MAGIC = b"msq1"
 """First bytes of the index. Frozen: breaks old files."""
 
 INDEX_HEAD = struct.Struct("<4sIII")
-"""Magic, bytes of the lengths, bytes of the checksums, checksum of both. Frozen: breaks old files."""
+"""Magic, size of the lengths, size of the checksums, CRC-32 of lengths and checksums. Frozen: breaks old files."""
 
 _HEADER_STREAMS = {
     "connectivity": "the connectivity's bytes",
@@ -71,12 +71,12 @@ _HEADER_STREAMS = {
     "times": "the times",
     "uvs": "the texture coordinates",
 }
-"""Streams of the header, and how errors call them."""
+"""Streams of the header, and their names in error messages."""
 
 
 @dataclass(frozen=True)
 class Container:
-    """Contents of a file: the attribute ``coding`` and the dataset ``streams``, unchanged, and the version."""
+    """Contents of a file: the raw attribute ``coding``, the raw dataset ``streams``, and the format version."""
 
     text: bytes
     streams: bytes
@@ -85,7 +85,7 @@ class Container:
 
 @dataclass(frozen=True)
 class Stream:
-    """Range of a stream in the dataset, in bytes, and its CRC-32."""
+    """A stream in the dataset: its name, range in bytes, and CRC-32."""
 
     name: str
     start: int
@@ -110,7 +110,7 @@ class ChunkStreams:
 
 @dataclass(frozen=True)
 class StreamIndex:
-    """All streams of a file, and the size of the index; `header` has connectivity, surface, times, and any uvs."""
+    """The size of the index, and all streams of a file; `header` has connectivity, surface, times, and any uvs."""
 
     size: int
     header: Mapping[str, Stream]
@@ -119,7 +119,7 @@ class StreamIndex:
 
 
 def read_index(path: Path, container: Container) -> StreamIndex:
-    """Read the index; raise `FormatError` for another version, or a damaged index or attribute."""
+    """Read the index; raise `FormatError` if the version differs, or the index or the attribute is damaged."""
     if container.version != COMPRESSED_VERSION:
         raise FormatError(
             f"{path} is a compressed model of version {container.version}, this mixseq reads {COMPRESSED_VERSION}: "
@@ -140,7 +140,7 @@ def read_index(path: Path, container: Container) -> StreamIndex:
     has_uvs = read_facts(path, container)["coding"].get("uv_steps") is not None
     try:
         return _index_streams(size, numbers, checksums[1:], has_uvs)
-    except (IndexError, ValueError, StopIteration) as error:  # no accident: the checksum is right
+    except (IndexError, ValueError, StopIteration) as error:  # checksum right: written with this error
         raise damaged from error
 
 
@@ -183,7 +183,7 @@ def read_facts(path: Path, container: Container) -> dict[str, Any]:
 
 
 def pack_leb128(numbers: Iterable[int]) -> bytes:
-    """Write non-negative integers, 7 bits to the byte, the lowest first (LEB128): [5, 300] is 05 ac 02."""
+    """Pack non-negative integers with 7 bits per byte, lowest bits first (LEB128): [5, 300] becomes 05 ac 02."""
     packed = bytearray()
     for number in numbers:
         while number > 127:
@@ -208,20 +208,20 @@ Mesh = tuple[Polygons, int]
 """Polygons, and the number of vertices."""
 
 _HARD_EDGES = "hard_edges"
-"""Array of coded hard edges; `creases` are indices of normals. Frozen: breaks old files."""
+"""Name of the array of coded hard edges, which replaces `creases`, the indices of normals. Frozen: breaks old files."""
 
 
 def pack_times(times: Float, fps: float) -> bytes:
-    """Return the packed deviations of times ``(T,)`` from ``times[0] + n / fps``, empty if there are none.
+    """Pack the deviations of times ``(T,)`` from ``times[0] + n / fps``; return no bytes if all are zero.
 
-    Deviations are those of the numbers' bits, read as integers, so that nothing is rounded.
+    A deviation is the difference of two float64 bit patterns read as integers, so it is exact.
     """
     deviations = _as_integers(times) - _as_integers(_regular_times(float(times[0]), len(times), fps))
     return zlib.compress(_shuffle_bytes(np.diff(deviations, prepend=0)), 9) if deviations.any() else b""
 
 
 def unpack_times(packed: bytes, first: float, count: int, fps: float) -> Float:
-    """Return the times ``(T,)`` packed by `pack_times`; raise `FormatError` for another number of times."""
+    """Return the times ``(T,)`` packed by `pack_times`; raise `FormatError` if there are not `count` times."""
     regular = _regular_times(first, count, fps)
     if not packed:
         return regular
@@ -233,7 +233,7 @@ def unpack_times(packed: bytes, first: float, count: int, fps: float) -> Float:
 
 
 def _regular_times(first: float, count: int, fps: float) -> Float:
-    with np.errstate(all="ignore"):  # damaged files have any numbers
+    with np.errstate(all="ignore"):  # damaged files may have arbitrary numbers
         return np.asarray(first + np.arange(count) / fps, dtype=np.float64)
 
 
@@ -242,7 +242,7 @@ def _as_integers(times: Float) -> Index:
 
 
 def _decompress(packed: bytes, max_size: int, name: str) -> bytes:
-    """Decompress up to `max_size` bytes of the output of `zlib.compress`."""
+    """Decompress the output of `zlib.compress`; return at most `max_size` bytes."""
     try:
         return zlib.decompressobj().decompress(packed, max_size)
     except zlib.error as error:
@@ -250,11 +250,11 @@ def _decompress(packed: bytes, max_size: int, name: str) -> bytes:
 
 
 def pack_surface(surface: Surface, mesh: Mesh) -> bytes:
-    """Return a packed surface; empty if it has no attributes.
+    """Pack a surface; return no bytes if it has no attributes.
 
-    A JSON list of the arrays' names, types and shapes (with all texts), a zero byte, the arrays' bytes;
-    all of it compressed by zlib. Hard edges are coded by `mixseq.compression.bitstream.corner_values`, if they can be.
-    Colours per vertex are in the order of the vertices, without indices.
+    The result is a JSON list of the arrays' names, types and shapes (with all texts), a zero byte, and the arrays'
+    bytes, compressed by zlib. If possible, `mixseq.compression.bitstream.corner_values` codes the hard edges. Colours
+    per vertex are stored in the order of the vertices, without indices.
     """
     descriptions: list[list[Any]] = []
     data = []
@@ -299,7 +299,7 @@ def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
     try:
         limit = max_memory()
         unpacked = _decompress(packed, limit, "the surface is")
-        if len(unpacked) == limit:  # it continues to an unknown length
+        if len(unpacked) == limit:  # the length of the rest is unknown
             raise FormatError(
                 f"the surface takes more than {format_gigabytes(limit)} of memory, the limit (--max-memory)"
             )
@@ -344,11 +344,11 @@ def _unshuffle_bytes(data: bytes, dtype: np.dtype[Any], count: int) -> NDArray[A
 
 
 _BYTES_PER_ELEMENT, _BYTES_PER_SURFACE_CORNER, _BYTES_PER_NUMBER = 64, 256, 16
-"""Memory that decoding takes per vertex, corner and frame, extra per corner with a surface, per number of signals."""
+"""Memory in bytes for decoding: per vertex, corner or frame; extra per corner with a surface; per number of signals."""
 
 
 def read_sequence(path: Path, container: Container) -> CompressedSequence:
-    """Return the compressed sequence of a file, checked; raise `FormatError` with the damaged stream and its frames."""
+    """Read and check a compressed sequence; raise `FormatError` that names the damaged stream and its frames."""
     index = read_index(path, container)
 
     def read(stream: Stream) -> bytes:
@@ -411,7 +411,7 @@ def _header(
     index: StreamIndex,
     data: Mapping[str, bytes],
 ) -> SequenceHeader:
-    """Decode mesh and times from `StreamIndex.header`; raise `FormatError` for contradictions or too much memory."""
+    """Decode mesh and times from `StreamIndex.header`; raise `FormatError` if they are contradictory or too large."""
     counts = [facts.get(f"{element}_count") for element in ("vertex", "corner", "frame")]
     elements = sum(count for count in counts if isinstance(count, int))
     has_surface = "uvs" in data or data["surface"]
@@ -446,7 +446,7 @@ def _header(
 
 
 def decode_model(path: Path, coded: CompressedSequence) -> Model:
-    """Decode a sequence read from a file; raise `FormatError` for contradictions or too much memory."""
+    """Decode a sequence read from a file; raise `FormatError` if it is contradictory or takes too much memory."""
     width, frames = 3 if coded.parameters.factors == "shapes" else 1, coded.header.frame_count
     numbers = coded.parameters.rank * (width * coded.header.vertex_count + 3 * frames)
     check_memory(path, _BYTES_PER_NUMBER * numbers, "its basis and coefficients")

@@ -1,30 +1,31 @@
-r"""Binary arithmetic coding: predicted bits to bytes, and back; models that predict them; checks of decoded numbers.
+r"""Code bits by binary arithmetic coding, predict bits with adaptive models, and check decoded numbers.
 
-*Coding.* Encoder and decoder share a probability for each bit. An interval of 32-bit numbers is split in that
-proportion, and the bit's half is kept; bytes on which both ends agree are output. The loss against the ideal is below a
-thousandth. The probability of a bit depends on the bits before it, so the split is made inside compiled loops.
+*Coding.* Encoder and decoder compute the same probability for each bit. An interval of 32-bit numbers is split in the
+ratio of the probabilities of 1 and 0, and the part of the actual bit is kept. Leading bytes that both ends share are
+output. The loss against the ideal size is below a thousandth. Probabilities depend on earlier bits, so the interval is
+split inside compiled loops.
 
-*Models.* The probability is mixed from several contexts. A bit has a *position* (first question about a number, second,
-...) and a *context* in every input, a small integer. In context :math:`c` of input :math:`i`, bits at that position
-were 1 with the relative frequency :math:`p_{ic}`, counted :math:`n_{ic}` times. Inputs are mixed in the logistic domain
+*Models.* A probability is mixed from several inputs. A bit has a *position* (first question on a number, second, ...)
+and, in every input, a *context*, which is a small integer. In context :math:`c` of input :math:`i`, :math:`n_{ic}` bits
+at this position were 1 with the relative frequency :math:`p_{ic}`. Inputs are mixed in the logistic domain
 (Mahoney 2005, *Adaptive weighing of context models for lossless data compression*),
 
 .. math:: x_i = \frac{n_{ic}}{n_{ic} + 1} \ln \frac{p_{ic}}{1 - p_{ic}}, \qquad x = \sum_i w_i x_i,
           \qquad p = \frac{1}{1 + e^{-x}}
 
-so that a new context contributes nothing. After the bit :math:`b`, frequencies move towards it, and weights of the
-position by :math:`w_i \leftarrow w_i + \eta (b - p) x_i`. Values are integers: :math:`p` in units of :math:`2^{-16}`,
-:math:`x` of :math:`2^{-8}`, :math:`w` of :math:`2^{-16}`, all below :math:`2^{49}`.
+so that a new context contributes nothing. After the bit :math:`b`, frequencies move towards :math:`b`, and weights of
+the position become :math:`w_i \leftarrow w_i + \eta (b - p) x_i`. All values are integers below :math:`2^{49}`:
+:math:`p` and :math:`w` in units of :math:`2^{-16}`, :math:`x` in units of :math:`2^{-8}`.
 
-*Hashed contexts* are too numerous for tables. A bit has a kind and, in every input, a context, any 64-bit number.
-Contexts share frequencies if the highest 16 bits of their product with a constant are the same.
+*Hashed contexts* replace tables that would be too large. A bit has a kind and, in every input, a context, which is any
+64-bit number. Contexts share frequencies if the highest 16 bits of their product with a constant are the same.
 
-*Checks.* Streams end with the CRC-32 of the numbers that they decode to. Decoding repeats every prediction of the
-encoder. Different rounding, an error in a library or port, and a damaged file would lead to other numbers; the check
-turns all of these into one error.
+*Checks.* A stream ends with the CRC-32 of its decoded numbers. Decoding repeats every prediction of the encoder, so
+different rounding, an error in a library or port, or a damaged file changes the decoded numbers. The check raises an
+error in each case.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz`` and
-``tests/formats/golden/compressed-v1.h5``). numba caches compiled loops by the text of their own file: edit those that
+``tests/formats/golden/compressed-v1.h5``). numba caches compiled loops by the text of their own file: edit files that
 inline these functions (`connectivity_kernels`, `uv_seams`, `uv_values`) whenever this module changes.
 """
 
@@ -60,7 +61,7 @@ def split_checksum(data: bytes) -> tuple[bytes, int]:
 
 
 PROBABILITY_SCALE = 1 << 16
-"""Integer for the probability 1. Frozen: breaks old files."""
+"""Integer that represents the probability 1. Frozen: breaks old files."""
 
 _MAX_INTERVAL_END = (1 << 32) - 1
 """Largest end of an interval. Frozen: breaks old files."""
@@ -73,9 +74,9 @@ class BitStream(NamedTuple):
     """A byte buffer with the state of writing or reading."""
 
     is_input: bool  # whether bits are read
-    data: NDArray[np.uint8]  # (n,) the bytes, or room for them
+    data: NDArray[np.uint8]  # (n,) bytes to read, or buffer for written bytes
     place: Index  # (1,) index of the next byte
-    interval: Index  # (3,) both ends of the interval, and if decoding the number in it
+    interval: Index  # (3,) both ends of the interval; when reading, also the coded number in the interval
 
 
 def new_output_stream(capacity: int) -> BitStream:
@@ -103,7 +104,7 @@ def new_input_stream(data: bytes) -> BitStream:
 
 
 def finish_stream(stream: BitStream) -> bytes:
-    """Return the bytes of all bits; the last ones are the shortest number in the interval."""
+    """Return the bytes of a stream; the last bytes are the shortest number in the interval."""
     low, high = int(stream.interval[0]), int(stream.interval[1])
     tail = b""
     for size in range(5):
@@ -116,13 +117,13 @@ def finish_stream(stream: BitStream) -> bytes:
 
 
 def is_past_end(stream: BitStream) -> bool:
-    """Return whether more bits were read than there are; not compiled, as `has_failed` is."""
+    """Return whether bits were read beyond the end of a stream; compiled loops use `has_failed`."""
     return int(stream.place[0]) > len(stream.data) + PADDING_BYTES
 
 
 @force_inlined
 def code_bit(stream: BitStream, probability: int, bit: int) -> int:
-    """Write or read a bit whose probability of being 1 is `probability` / 65536; return it."""
+    """Write or read a bit that is 1 with probability `probability` / 65536; return the bit."""
     low, high = stream.interval[0], stream.interval[1]
     middle = low + (((high - low) * probability) >> 16)
     if stream.is_input:
@@ -188,7 +189,7 @@ class BitModels(NamedTuple):
 
     # (inputs, contexts, positions) frequencies of 1, and the numbers of bits counted: 256 p + n.
     frequencies: NDArray[np.int32]
-    weights: Index  # (kinds, inputs) weights. Kinds are the positions, unless contexts tell these apart
+    weights: Index  # (kinds, inputs) mixing weights; kinds are positions, except for hashed contexts
     contexts: Index  # (inputs,) current contexts, set before every bit
     inputs: Index  # (inputs,) the inputs x of the current bit
     stretch: Index  # (4096,) table of x by p, with p in units of 2^-12
@@ -229,7 +230,7 @@ def _logistic_tables() -> tuple[Index, Index, Index, Index]:
 
 @force_inlined
 def code_modelled_bit(stream: BitStream, models: BitModels, position: int, bit: int) -> int:
-    """Write or read a bit at a position in the current contexts, update the models, and return it."""
+    """Write or read a bit at a position in the current contexts, update the models, and return the bit."""
     return code_bit_of_kind(stream, models, position, position, bit)
 
 
@@ -268,7 +269,7 @@ _HASH_SHIFT = np.uint64(48)
 """Right shift of a product to its highest 16 bits, the slot. Frozen: breaks old files."""
 
 _MAX_BYTES_PER_BIT = 2
-"""Bytes of a bit at most, as probabilities are above 2^-12. Free: memory is allocated ahead."""
+"""Largest number of bytes per bit, as probabilities are at least 2^-12. Free: memory is allocated ahead."""
 
 
 class HashedBits(NamedTuple):
@@ -276,7 +277,7 @@ class HashedBits(NamedTuple):
 
     stream: BitStream  # bytes that are written or read
     models: BitModels  # models of slots and kinds
-    contexts: Index  # (CONTEXTS_PER_BIT,) current contexts, any numbers, set before every bit
+    contexts: Index  # (CONTEXTS_PER_BIT,) current contexts, arbitrary integers, set before every bit
     failed: Index  # (1,) whether the input is damaged
 
 
@@ -292,13 +293,13 @@ def new_hashed_output(count: int, kinds: int) -> HashedBits:
 
 
 def reserve_bits(bits: HashedBits, count: int) -> HashedBits:
-    """Return the same with room for `count` more bits."""
+    """Return the models and the stream with room for `count` more bits."""
     return bits._replace(stream=reserve(bits.stream, _MAX_BYTES_PER_BIT * count))
 
 
 @force_inlined
 def code_hashed_bit(bits: HashedBits, kind: int, bit: int) -> int:
-    """Write or read a bit of a kind in the current contexts, update the models, and return it."""
+    """Write or read a bit of a kind in the current contexts, update the models, and return the bit."""
     slots, contexts = bits.models.contexts, bits.contexts
     for i in range(CONTEXTS_PER_BIT):
         slots[i] = np.int64(np.uint64(contexts[i]) * HASH_MULTIPLIER >> _HASH_SHIFT)
@@ -307,7 +308,7 @@ def code_hashed_bit(bits: HashedBits, kind: int, bit: int) -> int:
 
 @force_inlined
 def has_failed(bits: HashedBits) -> bool:
-    """Return whether the stream is damaged or ends early; loops check once a corner, to save time."""
+    """Return whether the stream is damaged or ends early; loops call it once per corner, to save time."""
     if bits.stream.place[0] > len(bits.stream.data) + PADDING_BYTES:
         bits.failed[0] = 1
     return bool(bits.failed[0])

@@ -1,6 +1,6 @@
-"""A compressed sequence: the streams and parameters in a file, and decoding them to a model.
+"""Hold the streams and parameters of a compressed sequence, and decode them to a model.
 
-Frozen: names and meanings of the parameters are those of the JSON text in files; changing them breaks old files
+Frozen: the JSON text in files has the same parameter names and meanings; changing them breaks old files
 (golden: ``tests/formats/golden/compressed-v1.h5``).
 """
 
@@ -43,12 +43,12 @@ MIN_COVARIANCE_LENGTH, MAX_COVARIANCE_LENGTH = 0.5, 64.0
 
 @dataclass(frozen=True)
 class Chunk:
-    """Consecutive frames that can be decoded without those of other chunks."""
+    """Consecutive frames that can be decoded without other chunks."""
 
     first: int  # first frame
     count: int  # number of frames
     coefficients: bytes  # the coefficients of the spatial basis at these frames
-    # The residual layer, which brings vertices within the bound; empty if all are.
+    # The residual layer, which brings vertices within the bound; empty if none is needed.
     residuals: bytes = b""
 
 
@@ -57,20 +57,20 @@ class CodingParameters:
     """Parameters needed for decoding: numbers and strings, named as in files."""
 
     factors: BasisKind  # kind of the spatial basis: see mixseq.compression.bitstream.spatial_basis
-    rank: int  # number K of basis vectors that are coded, of all parts together
+    rank: int  # number K of coded basis vectors of all parts together
     frame_count: int  # number T of frames
     step: float  # quantisation step, in the units of the sequence
     diagonal: float  # diagonal of the bounding box of the first frame, in the units of the sequence
     # Guaranteed largest distance of a vertex from the original at the frames, in diagonals, measured by decoding.
     max_error: float
-    kg_percent: float  # KG error of all frames, measured
-    # Whether max_error was requested: then it is the requested bound, kept by the residual layer.
+    kg_percent: float  # measured KG error of all frames, in percent
+    # Whether max_error is a bound requested by the user, which the residual layer keeps.
     promised: bool
     correction: float = 0.0  # unit of the residual layer, in the units of the sequence; zero if there is none
     ranks: tuple[int, ...] = ()  # number of basis vectors of every part, if the mesh has several
-    # Steps per unit of texture coordinates. None if there are none, or they are not rounded.
+    # Steps per unit of texture coordinates. None without rounded texture coordinates.
     uv_steps: int | None = None
-    # Guaranteed largest difference of u and of v from the original. None as uv_steps.
+    # Guaranteed largest difference of u and of v from the original. None if uv_steps is None.
     uv_error: float | None = None
 
     def __post_init__(self) -> None:
@@ -107,10 +107,10 @@ class CodingParameters:
 
 @dataclass(frozen=True)
 class TemporalInterpolation:
-    """The interpolation of coefficients between frames, as found by `mixseq.spaces.temporal.select_operator`."""
+    """Interpolation of coefficients between frames, as chosen by `mixseq.spaces.temporal.select_operator`."""
 
     length: float  # length of the covariance, in mean steps between frames: from 0.5 to 64, or infinite
-    # Weights of the usual cubic spline in the first and in the last interval, from 0 to 1.
+    # Weights of the usual cubic spline in the first and the last interval between frames, from 0 to 1.
     cubic: tuple[float, float]
 
     def __post_init__(self) -> None:
@@ -132,22 +132,22 @@ class CompressedSequence:
 
     header: SequenceHeader  # mesh and times
     parameters: CodingParameters  # parameters of the streams
-    # The spatial basis, in groups; each group needs those before it, and makes the sequence more accurate.
+    # Groups of the spatial basis; each group needs the groups before it, and makes frames more accurate.
     basis: tuple[bytes, ...]
     chunks: tuple[Chunk, ...]  # signals over time: all frames, in order
-    # Numbering kept from the original: of vertices and polygons, of vertices only, or neither. Decoders ignore it.
+    # Numbering kept from the original: of vertices and polygons, of vertices only, or none. Decoders ignore it.
     order: OrderName = "keep"
     # Interpolation of coefficients between frames. None if the decoder chooses it.
     between: TemporalInterpolation | None = None
 
 
 def to_model(coded: CompressedSequence) -> Model:
-    """Decode a compressed sequence."""
+    """Decode a compressed sequence to a model."""
     return decode(coded)[0]
 
 
 def decode(coded: CompressedSequence) -> tuple[Model, TemporalInterpolation]:
-    """Decode a compressed sequence; also return the interpolation of coefficients between frames."""
+    """Decode a compressed sequence to a model; also return the interpolation of coefficients between frames."""
     parameters, header = coded.parameters, coded.header
     graph = mesh_graph(header.faces, header.vertex_count)
     # Damaged files may have numbers that are not finite.
@@ -176,7 +176,7 @@ def decode(coded: CompressedSequence) -> tuple[Model, TemporalInterpolation]:
 
 
 def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
-    """Return the spatial basis of a compressed sequence."""
+    """Decode the spatial basis of a compressed sequence."""
     parameters = coded.parameters
     ranks = parameters.ranks or (parameters.rank,)
     max_rank = 3 * min(len(ranks) * parameters.frame_count, graph.size) + len(ranks)
@@ -194,12 +194,12 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
 
 
 def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialBasis) -> Float:
-    """Return the coefficients ``(n, K, d)`` of a chunk's frames, for the K varying vectors of the basis."""
+    """Decode the coefficients ``(n, K, d)`` of a chunk of n frames, for the K varying vectors of the basis."""
     return read_coefficients(basis, chunk.coefficients, chunk.count, coded.parameters.step)
 
 
 def _principal_frames(basis: SpatialBasis, coefficients: Float, unit: float) -> tuple[ShapeSpace, Float, Float, Float]:
-    """Return a shape space, and its frames as mean plus scores ``(T, r)`` times directions ``(r, D)``."""
+    """Return a shape space, and its frames as scores ``(T, r)``, a mean ``(D,)``, and directions ``(r, D)``."""
     if basis.kind == "shapes":
         vectors = basis.vectors.transpose(0, 2, 1).reshape(len(basis.vectors), -1) / unit
         mean = vectors[0] / np.sqrt(basis.frame_count)
@@ -207,7 +207,7 @@ def _principal_frames(basis: SpatialBasis, coefficients: Float, unit: float) -> 
     space = BasisSpace(basis.vectors[:, 0], unit)
     frames = coefficients.reshape(len(coefficients), -1) / unit
     mean = frames.mean(axis=0)
-    # PCA: coordinates of the pose space are those of most motion.
+    # PCA: the pose space has the directions of most motion.
     left, values, right = np.linalg.svd((frames - mean) * space.weights, full_matrices=False)
     kept = values > NEGLIGIBLE_MODE * values.max(initial=0.0)
     return space, left[:, kept] * values[kept], mean, right[kept] / space.weights

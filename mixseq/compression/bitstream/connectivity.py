@@ -1,27 +1,27 @@
 """Code polygons without loss: the order of vertices and faces, and first corners, are kept.
 
-Users number vertices and faces, so they cannot be renumbered as Edgebreaker does. Corners are coded in their order, and
-predicted from the known mesh, from the last polygons, and from the numbers of their neighbours (in the spirit of the
-index codec of *meshoptimizer*). Probabilities of the predictions are learned bit by bit
-(`mixseq.compression.bitstream.arithmetic`). Meshes in coherent order take 2 to 10 bits per triangle; random order takes
-about half a logarithm of V! F!.
+Users refer to vertices and faces by number, so the mesh cannot be renumbered as Edgebreaker does. Corners are coded in
+the given order. They are predicted from the known mesh, from the last polygons, and from the numbers of their
+neighbours (in the spirit of the index codec of *meshoptimizer*). Probabilities of the predictions are learned bit by
+bit (`mixseq.compression.bitstream.arithmetic`). Meshes in coherent order take 2 to 10 bits per triangle; random order
+takes about half a logarithm of V! F!.
 
-*The bits.* For every polygon, its number of corners minus that of the polygon before (3 for the first), then its
-corners, as specified in `mixseq.compression.bitstream.connectivity_kernels`. Then the checksum of both.
+*The bits.* For every polygon, its number of corners minus the number of the polygon before (3 for the first) is coded,
+then its corners (see `mixseq.compression.bitstream.connectivity_kernels`). The checksum of counts and corners follows.
 
-*The growing order* of polygons, in which texture coordinates are coded, is breadth first, those with the fewest unknown
-nodes first, so that values at a node are predicted from complete polygons around it.
+*The growing order* of polygons, in which texture coordinates are coded, is breadth first. Polygons with the fewest
+unknown nodes come first, so that values at a node are predicted from complete polygons around it.
 
-*The walk* over the mesh from edge to edge is an order in which connectivity takes few bits. From every polygon it
-crosses its edges, first the one after the edge by which it entered, and so turns around the vertex between both; it
-returns later to polygons not entered at once, the newest first. This is the order of Edgebreaker (Rossignac 1999,
-*Edgebreaker: connectivity compression for triangle meshes*). A polygon that begins where it was entered is predicted by
-the first guesses of a corner. Start and direction of the walk depend on vertex numbers and on the set of polygons,
-neither on their order nor on their first corners.
+*The walk* over the mesh from edge to edge is an order in which connectivity takes few bits. In every polygon, the walk
+first crosses the edge after the entry edge, and so turns around the vertex between both edges. It returns later to
+polygons across other edges, the newest first. This is the order of Edgebreaker (Rossignac 1999, *Edgebreaker:
+connectivity compression for triangle meshes*). A polygon whose first corner is its entry corner is predicted by the
+first guesses. Start and direction of the walk depend on vertex numbers and on the set of polygons, but not on the order
+or the first corners of polygons.
 
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``,
 ``tests/compression/golden/uvs.npz``); files with vertices numbered by the walk are compared with their originals by
-walking over these again (golden: the digest in ``tests/compression/bitstream/test_polygon_walk.py``).
+walking over the originals again (golden: the digest in ``tests/compression/bitstream/test_polygon_walk.py``).
 """
 
 from __future__ import annotations
@@ -53,24 +53,24 @@ from mixseq.runtime.jit import compiled
 from mixseq.types import Index
 
 _QUEUE_COUNT = 4
-"""Number of queues, by unknown nodes per polygon; the last takes all larger counts. Frozen: breaks old files."""
+"""Number of queues by unknown nodes per polygon; the last queue takes all larger counts. Frozen: breaks old files."""
 
 
 class Corners(NamedTuple):
-    """Corners of polygons on nodes: vertices, or texture coordinates."""
+    """Corners of polygons on nodes, which are vertices or pairs of texture coordinates."""
 
     starts: Index  # (P + 1,) the first corner of every polygon, and the number C of corners
     polygon: Index  # (C,) the polygon of every corner
     node: Index  # (C,) the node of every corner
-    # (C,) a half-edge runs from a corner to the next one of its polygon. The corner of the opposite half-edge, -1 if
-    # there is none. Of several between the same nodes, the first is the twin of the first, and so on.
+    # (C,) corner at the start of the opposite half-edge, -1 if there is none. A half-edge runs from a corner to the
+    # next. Of several half-edges between two nodes, the first pair are twins, then the second pair, and so on.
     twin: Index
     around_starts: Index  # (N + 1,) row offsets of around
     around: Index  # (C,) the corners at node n, ascending: around[around_starts[n] : around_starts[n + 1]]
 
 
 def corners_on_nodes(polygons: Polygons, node_count: int) -> Corners:
-    """Return the corners of polygons on nodes."""
+    """Return the corners of polygons whose indices are nodes."""
     counts, node = polygons.counts.astype(np.int64), polygons.indices.astype(np.int64)
     starts = np.concatenate([[0], np.cumsum(counts)])
     following = np.arange(1, len(node) + 1)
@@ -118,8 +118,8 @@ def previous_corner(corners: Corners, corner: int) -> int:
 def growing_order(corners: Corners) -> Index:
     """Return the polygons ``(P,)`` in the order in which they are visited.
 
-    Unvisited polygons of each newly known node queue up, ascending, by their corners with unknown nodes: 0, 1, 2, more.
-    Next is the first of the first queue whose count still holds; with none, the lowest unvisited polygon.
+    When a node becomes known, its unvisited polygons are queued, ascending, by count of unknown corners: 0, 1, 2, more.
+    Next is the first polygon of the first queue whose count is still valid, or else the lowest unvisited polygon.
     """
     starts, node = corners.starts, corners.node
     polygon_count = len(starts) - 1
@@ -127,7 +127,7 @@ def growing_order(corners: Corners) -> Index:
     known_mask = np.zeros(len(corners.around_starts) - 1, dtype=np.bool_)
     visited_mask = np.zeros(polygon_count, dtype=np.bool_)
     heads, tails = np.full(_QUEUE_COUNT, -1, dtype=np.int64), np.full(_QUEUE_COUNT, -1, dtype=np.int64)
-    # Queues are linked lists of entries: their polygons, and the entries that follow.
+    # Queues are linked lists of entries, which have a polygon and the following entry.
     queued, following = np.empty(len(node), dtype=np.int64), np.full(len(node), -1, dtype=np.int64)
     order = np.empty(polygon_count, dtype=np.int64)
     lowest = entries = 0
@@ -167,7 +167,7 @@ def growing_order(corners: Corners) -> Index:
 
 
 def walk_polygons(polygons: Polygons, vertex_count: int) -> tuple[Index, Index]:
-    """Return the polygons ``(P,)`` in walk order, and their entry corners ``(P,)``; components by lowest vertex."""
+    """Return the polygons ``(P,)`` in walk order, and their entry corners ``(P,)``; components go by lowest vertex."""
     canonical = canonical_order(polygons)
     sorted_polygons = Polygons(polygons.counts[canonical.polygons], polygons.indices[canonical.corners])
     corners = corners_on_nodes(sorted_polygons, vertex_count)
@@ -181,7 +181,7 @@ def _walk_corners(corners: Corners) -> Index:
     polygon_count = len(corners.starts) - 1
     visited_mask = np.zeros(polygon_count, dtype=np.bool_)
     entry_corners = np.empty(polygon_count, dtype=np.int64)
-    stack = np.empty(len(corners.node) + 1, dtype=np.int64)  # where polygons may be entered, the newest last
+    stack = np.empty(len(corners.node) + 1, dtype=np.int64)  # corners at which polygons may be entered, the newest last
     entered_count = 0
     for seed in corners.around:
         stack[0] = seed
@@ -215,7 +215,7 @@ def encode_polygons(polygons: Polygons, vertex_count: int) -> bytes:
             f"corners have vertices {lowest} to {highest}; with {vertex_count} vertices, 0 to {vertex_count - 1} exist"
         )
     counts, indices = polygons.counts.astype(np.int64), polygons.indices.astype(np.int64)
-    # Bits at most: guesses, and numbers for counts, states (up to 1) and distances.
+    # Largest number of bits: for guesses, and for numbers (counts, states up to 1, distances).
     count, state, distance = (2 + 2 * largest.bit_length() for largest in (len(indices), 1, vertex_count))
     capacity = len(counts) * count + len(indices) * (GUESS_COUNT + state + distance)
     bits = new_hashed_output(capacity, BIT_KINDS)

@@ -1,21 +1,21 @@
-"""The compiled loop over all corners of a mesh, for coding and decoding connectivity.
+"""Code or decode the connectivity of a mesh in one compiled loop over all corners.
 
-*Half-edges* of a mesh that grows polygon by polygon run from a corner's vertex to the next corner's. A half-edge is
+The mesh grows by polygons. A *half-edge* runs from the vertex of a corner to the vertex of the next corner, and is
 *open* until its opposite is added. A vertex is *unused* until a polygon has it, then *open* while open half-edges end
-or start there, otherwise *closed*; it may open again. Vertices of a state have ranks, in the order of their numbers, by
-a tree of partial sums (Fenwick 1994, *A new data structure for cumulative frequency tables*).
+or start at it, otherwise *closed*; a closed vertex may open again. The rank of a vertex among all vertices of its state
+comes from a tree of partial sums (Fenwick 1994, *A new data structure for cumulative frequency tables*).
 
-*Guesses.* The *place* of a corner is 0 for the first, 1 for the second, 3 for the last and 2 for those between. With
-*b* the corner before (of any polygon; 0 at the start), *s* the first corner of this polygon (*b* at place 0), and
-:math:`p_0, p_1, p_2` the first, second and last corner of the polygon before (0 at the start), :math:`q_i` those of the
-one before that, the guesses at a corner are
+*Guesses.* The *place* of a corner is 0 for the first, 1 for the second, 3 for the last, and 2 for any other corner. Let
+*b* be the corner before (of any polygon; 0 at the start), and *s* the first corner of this polygon (*b* at place 0).
+Let :math:`p_0, p_1, p_2` be the first, second and last corner of the polygon before (0 at the start), and :math:`q_i`
+the same corners of the polygon before that. The guesses at a corner are
 
 =======  ====================================================================================================
 0-2      place 0: where the newest open half-edge into :math:`p_0, p_1, p_2` starts; else: where the newest, second,
          third newest open half-edge into *b* starts
 3-5      place 0: where the newest open half-edge out of :math:`p_0, p_1, p_2` ends; place 3: where the newest,
          second, third newest open half-edge out of *s* ends
-6, 7     the next unused vertex above, below the one that was last used for the first time
+6, 7     the next unused vertex above, below the vertex that was last used for the first time
 8        *b* plus the difference that came after the same three differences of corners, the last time
 9        place 0: :math:`2 p_0 - q_0`; else: *b* plus the same difference in the polygon before
 10       not at place 0: *b* plus the same difference in the polygon before that
@@ -23,15 +23,15 @@ one before that, the guesses at a corner are
 14, 15   *b* + 1, *b* - 1
 =======  ====================================================================================================
 
-*Bits.* Every new guess at a corner that is a vertex is one bit: whether it is right. If none is, the vertex is *named*:
-its state as a number (-1 unused, 0 open, 1 closed), and the count of vertices of this state between a base and it. The
-base is the one nearest on average among the vertex after the last new one, the corner before, the vertex named last at
-this place, and the corners of the last two polygons. A number is coded as whether it is not 0, whether it is negative,
-whether its magnitude has a second bit, a third, ..., and its bits after the highest. The code here specifies the
-contexts of all bits.
+*Bits.* For every guess that is a vertex and not excluded already, one bit codes whether the guess is right. If none
+is right, the vertex is *named*: its state is coded as a number (-1 unused, 0 open, 1 closed), then the difference of
+its rank in this state from the rank of a base. Candidates for the base are the vertex after the last new vertex, the
+corner before, the vertex named last at this place, and the corners of the last two polygons. The base is the candidate
+that was nearest on average. The bits of a number are whether it is not 0, whether it is negative, whether its magnitude
+has a second bit, a third, ..., and its bits after the highest. The code here specifies the contexts of all bits.
 
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``). numba caches compiled loops
-by the text of their own file, and this one inlines `arithmetic`: edit this file whenever that changes. Format 5.
+by the text of their own file, and this file inlines `arithmetic`: edit it whenever `arithmetic` changes. Format 5.
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ UNUSED, OPEN, CLOSED = 0, 1, 2
 """States of vertices. Frozen: breaks old files."""
 
 INTO, OUT_OF = 0, 1
-"""Half-edges that end, or start, at a vertex. Free: rows of tables."""
+"""Rows of tables for half-edges that end, or start, at a vertex. Free: not in files."""
 
 _MAX_SEARCHED_HALF_EDGES = 32
-"""Open half-edges at a vertex, after the first, searched for the opposite one. Frozen: breaks old files."""
+"""Open half-edges at a vertex, after the first, that are searched for the opposite. Frozen: breaks old files."""
 
 
 class HalfEdges(NamedTuple):
-    """The mesh of the polygons that are coded. A half-edge has the number of its first corner."""
+    """The mesh of the polygons coded up to now. A half-edge has the number of its first corner."""
 
     tails: Int32  # (C,) start vertex of every half-edge that was opened
     heads: Int32  # (C,) end vertex of every half-edge that was opened
@@ -76,13 +76,13 @@ class HalfEdges(NamedTuple):
     states: NDArray[np.uint8]  # (V,) UNUSED, OPEN, or CLOSED
     state_counts: Index  # (3,) number of vertices in every state
     trees: Int32  # (3, V + 1) partial sums over the vertices of every state
-    # (2, V + 2) for vertex v at v + 1, the next unused vertex below (0) and above (1), also at v + 1; of used vertices,
-    # as it was when they came into use. The ends are no vertices.
+    # (2, V + 2) next unused vertex below (0) and above (1) every vertex. Vertex v has the index and the number v + 1. A
+    # used vertex keeps the values from its first use. The first and the last index are not vertices.
     unused: Int32
 
 
 def new_half_edges(corner_count: int, vertex_count: int) -> HalfEdges:
-    """Return a mesh of unused vertices."""
+    """Return a mesh without polygons, whose vertices are unused."""
     trees = np.zeros((3, vertex_count + 1), dtype=np.int32)
     numbers = np.arange(vertex_count + 1, dtype=np.int32)
     trees[UNUSED] = numbers & -numbers
@@ -113,7 +113,7 @@ def vertex_rank(mesh: HalfEdges, state: int, vertex: int) -> int:
 
 @compiled
 def vertex_at_rank(mesh: HalfEdges, state: int, rank: int) -> int:
-    """Return the vertex of a state and rank, which must be below the number of vertices of that state."""
+    """Return the vertex of a state with a rank, which must be below the number of vertices of this state."""
     count = mesh.trees.shape[1]
     step = 1
     while 2 * step < count:
@@ -201,31 +201,31 @@ def _unlink(mesh: HalfEdges, side: int, vertex: int, edge: int) -> None:
 
 
 GUESS_COUNT, BASE_COUNT = 16, 9
-"""Number of guesses at a corner, and of vertices from which unguessed ones are counted. Frozen: breaks old files."""
+"""Number of guesses at a corner, and of bases for naming a vertex. Frozen: breaks old files."""
 
 _REPEAT_SLOTS = 1 << 16
-"""Slots of the table from three corner differences to the corner that followed. Frozen: breaks old files."""
+"""Number of slots in the table from three corner differences to the next corner. Frozen: breaks old files."""
 
 _HASH_FACTOR, _HASH_PLACES, _HASH_SHIFT = np.uint64(1000003), np.uint64(4), np.uint64(32)
-"""Constants of the hash from differences to a slot, and its lowest bit used. Frozen: breaks old files."""
+"""Factors of the hash from differences to a slot, and right shift of the result. Frozen: breaks old files."""
 
 
 class History(NamedTuple):
-    """History of earlier corners beside the mesh."""
+    """History of earlier corners, in addition to the mesh."""
 
     guesses: Index  # (GUESS_COUNT,) guesses at the current corner, -1 if there is none
-    successes: Index  # (4, GUESS_COUNT) at every place, whether the last 8 guesses were right, as bits
-    # (4, 2) at every place of the last polygons: which guess was right, or GUESS_COUNT and the state of the vertex.
+    successes: Index  # (4, GUESS_COUNT) for every place, 8 bits: whether the last 8 guesses were right
+    # (4, 2) at every place of the last two polygons: right guess, or GUESS_COUNT plus the state of the named vertex.
     winners: Index
-    recent_winners: Index  # (3,) the same for the last corners
-    recent_corners: Index  # (6,) first, second and last corner of the last polygon, and of the one before it
-    bases: Index  # (BASE_COUNT,) vertices from which the current one is counted
-    # (3, 4, BASE_COUNT) for every state, place and base: mean of the number of bits of the distance, in 256ths.
+    recent_winners: Index  # (3,) the same numbers for the last three corners
+    recent_corners: Index  # (6,) first, second and last corner of the last polygon, and of the polygon before it
+    bases: Index  # (BASE_COUNT,) candidates for the base of the current vertex
+    # (3, 4, BASE_COUNT) for every state, place and base: mean bit length of the distance in ranks, in 256ths.
     distances: Index
-    last_unguessed: Index  # (4,) the last unguessed vertex at every place
-    last_distances: Index  # (3,) the last distance for every state
-    repeats: Index  # (_REPEAT_SLOTS,) corners that follow certain differences, 0 for none
-    facts: Index  # (CONTEXTS_PER_BIT,) known facts, contexts of the current number
+    last_unguessed: Index  # (4,) the last named vertex at every place
+    last_distances: Index  # (3,) the last distance in ranks for every state
+    repeats: Index  # (_REPEAT_SLOTS,) corner that last followed the differences of a slot, 0 for none
+    facts: Index  # (CONTEXTS_PER_BIT,) known facts that are contexts of the current number
     last_polygons: Int32  # (V,) the polygon that had a vertex last, -1 if there is none
 
 
@@ -255,7 +255,7 @@ def new_history(vertex_count: int) -> History:
 def make_guesses(mesh: HalfEdges, history: History, place: int, previous: int, first: int, last_new: int) -> None:
     """Guess the vertex of the corner at a place 0 to 3 of a polygon with the first vertex `first`.
 
-    `previous` is the vertex of the corner before, `last_new` the one last used for the first time.
+    `previous` is the vertex of the corner before, `last_new` the vertex last used for the first time.
     """
     guesses, corners = history.guesses, history.recent_corners
     guesses[:] = -1
@@ -290,7 +290,7 @@ def make_guesses(mesh: HalfEdges, history: History, place: int, previous: int, f
 
 @force_inlined
 def record_guesses(history: History, place: int, vertex: int, winner: int) -> None:
-    """Record the right guesses at a corner; `winner` is the first of them, or `GUESS_COUNT` plus the state."""
+    """Record the right guesses at a corner; `winner` is the first right guess, or `GUESS_COUNT` plus the state."""
     successes, winners, recent = history.successes, history.winners, history.recent_winners
     for g in range(GUESS_COUNT):
         if history.guesses[g] >= 0:
@@ -311,16 +311,16 @@ def repeat_slot(indices: Index, corner: int, place: int) -> int:
 
 
 BIT_KINDS = 4 * GUESS_COUNT + 4 * 5
-"""Kinds of bits with mixing weights of their own: guesses by place, numbers by topic. Frozen: breaks old files."""
+"""Kinds of bits, which have separate mixing weights: guesses by place, numbers by topic. Frozen: breaks old files."""
 
 _COUNT_TOPIC, _STATE_TOPIC = 3, 4
-"""Topics of numbers, after 0 to 2: ranks of unused, open, closed vertices. Frozen: breaks old files."""
+"""Topics of numbers; topics 0 to 2 are ranks of unused, open, closed vertices. Frozen: breaks old files."""
 
 _MAX_NUMBER_BITS = 33
-"""Bits of the largest numbers. Frozen: breaks old files."""
+"""Largest bit length of a number. Frozen: breaks old files."""
 
 _MAX_SEARCHED_CORNERS = 32
-"""Corners of a polygon searched for a repeated vertex, which bounds the time. Frozen: breaks old files."""
+"""Largest number of corners per polygon searched for a repeated vertex, to bound time. Frozen: breaks old files."""
 
 
 @compiled
@@ -330,7 +330,7 @@ def code_polygons(bits: HashedBits, mesh: HalfEdges, history: History, counts: I
     corner = 0
     last_start = older_start = 0  # first corners of the last two polygons
     last_new = -1  # vertex last used for the first time
-    repeat = run = 0  # the corner after the same differences, and for how long it was right
+    repeat = run = 0  # corner after the last equal differences, and number of consecutive right guesses by it
     for polygon in range(len(counts)):
         start = corner
         last_count = counts[polygon - 1] if polygon else 3
@@ -396,7 +396,7 @@ def _code_vertex(
     last_new: int,
     run: int,
 ) -> tuple[int, int]:
-    """Code the vertex of a corner: the first right guess, or its state and rank. Also return the index of the guess."""
+    """Code the vertex of a corner by the first right guess, or by state and rank; return the vertex and the winner."""
     vertex = indices[corner]
     previous = indices[corner - 1] if corner else 0
     first = indices[start] if corner > start else previous
@@ -438,7 +438,7 @@ def _code_vertex(
 def _code_unguessed(
     bits: HashedBits, mesh: HalfEdges, history: History, vertex: int, previous: int, place: int, last_new: int
 ) -> tuple[int, int]:
-    """Code a vertex that was not guessed: its state, and its distance from a base among the vertices of this state."""
+    """Code a vertex that no guess gives, by its state, and its distance from a base in ranks of this state."""
     facts, bases, recent = history.facts, history.bases, history.recent_winners
     facts[0] = facts[4] = place
     facts[1] = facts[5] = (recent[0] << 5 | recent[1]) << 2 | place
@@ -491,7 +491,7 @@ def _code_unguessed(
 
 @compiled
 def _code_number(bits: HashedBits, history: History, topic: int, number: int) -> int:
-    """Code a number: whether it is 0, its sign, the bit length of its magnitude, and the bits after the first."""
+    """Code a number: whether it is not 0, its sign, the bit length of its magnitude, and the bits after the highest."""
     magnitude = abs(number)
     stage = length = negative = shift = 0
     value = 1
@@ -527,5 +527,5 @@ def _code_number(bits: HashedBits, history: History, topic: int, number: int) ->
 
 @force_inlined
 def _clamp(number: int) -> int:
-    """Clamp a number for use as a context, which is from 1 to 63."""
+    """Clamp a number to a context from 1 to 63."""
     return min(max(number, -31), 31) + 32

@@ -1,11 +1,11 @@
 """Code texture coordinates (multiples of 1 / n) and hard edges on the polygons of a mesh, without loss.
 
-First the seams (`mixseq.compression.bitstream.uv_seams`): corners at a vertex with the same coordinates, or the same
-normal, are one *node*. Then the coordinates of nodes (`mixseq.compression.bitstream.uv_values`), predicted from the
-polygons on nodes. Both are bits in contexts of `mixseq.compression.bitstream.arithmetic`, followed by the checksum of
-the coordinates at all corners, or of the numbers of normals.
+Seams are coded first (`mixseq.compression.bitstream.uv_seams`): corners at a vertex with the same coordinates, or the
+same normal, are one *node*. Then the coordinates of nodes (`mixseq.compression.bitstream.uv_values`) are predicted from
+the polygons on nodes. Both are coded with hashed contexts (`mixseq.compression.bitstream.arithmetic`). The checksum of
+the coordinates at all corners, or of the numbers of normals, follows.
 
-The coordinate k is the float32 next to the float64 k / n. All decisions use integers.
+The number k codes the coordinate k / n, computed in float64 and rounded to float32. All decisions use integers.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``, and the digest in
 ``tests/compression/bitstream/test_hard_edges.py``).
@@ -45,11 +45,11 @@ from mixseq.mesh.surface import CornerValues, renumber_by_first_use
 from mixseq.types import FloatArray, Index, IntArray
 
 _MAX_PAIR_BITS = 2 * (2 * MAX_NUMBER_BITS + 1)
-"""Bits of a pair of numbers at most. Free: memory is allocated ahead."""
+"""Largest number of bits of a pair of numbers. Free: memory is allocated ahead."""
 
 
 def to_grid(values: FloatArray, steps: int) -> Index | None:
-    """Return coordinates ``(n, 2)`` in steps of the grid; None if they are too large, or off the grid."""
+    """Return coordinates ``(n, 2)`` in steps of the grid, or None if they are too large or off the grid."""
     with np.errstate(invalid="ignore", over="ignore"):
         rounded = np.rint(values.astype(np.float64) * steps)
         if not (np.abs(rounded) <= MAX_COORDINATE).all():
@@ -67,14 +67,14 @@ def from_grid(numbers: Index, steps: int) -> FloatArray:
 class CodedUVs:
     """Coded texture coordinates."""
 
-    data: bytes  # input of decode_uvs
-    corners: Corners  # corners on nodes: on pairs of coordinates
-    copies: Copies  # which polygons have images
-    known: KnownNodes  # the coordinates of nodes, and their distances from the guesses
+    data: bytes  # stream for decode_uvs
+    corners: Corners  # corners on nodes, which are pairs of coordinates
+    copies: Copies  # images of the polygons
+    known: KnownNodes  # coordinates of nodes, and their distances from the guesses
 
 
 def code_uvs(polygons: Polygons, vertex_count: int, numbers: Index, regions: Index | None = None) -> CodedUVs:
-    """Code coordinates in steps for `decode_uvs`: numbers ``(sum of counts, 2)``; regions ``(P,)``."""
+    """Code the coordinates `numbers` ``(sum of counts, 2)``, in steps, with copied `regions` ``(P,)``."""
     keys = np.column_stack([polygons.indices, numbers])
     labels = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
     bits = new_hashed_output(len(labels) * MAX_SEAM_BITS, SEAM_KINDS + VALUE_KINDS)
@@ -103,7 +103,7 @@ def decode_uvs(data: bytes, polygons: Polygons, vertex_count: int, steps: int) -
 
 
 def _code_seams(bits: HashedBits, polygons: Polygons, vertex_count: int, labels: Index) -> Index:
-    """Code the seams by labels ``(C,)``, or decode them; return the node ``(C,)`` of every corner."""
+    """Code the seams between labels ``(C,)``, or decode seams; return the node ``(C,)`` of every corner."""
     corners = corners_on_nodes(polygons, vertex_count)
     nodes = np.full(len(labels), -1, dtype=np.int64)
     code_seams(bits, corners, growing_order(corners), labels, nodes)
@@ -111,7 +111,7 @@ def _code_seams(bits: HashedBits, polygons: Polygons, vertex_count: int, labels:
 
 
 def _corners_of_nodes(polygons: Polygons, nodes: Index) -> Corners:
-    """Return the corners on nodes ``(C,)``; those without one, of damaged files, are on the first."""
+    """Return the corners on nodes ``(C,)``; in damaged files, corners without a node are put on the first node."""
     return corners_on_nodes(Polygons(polygons.counts, np.maximum(nodes, 0)), int(nodes.max(initial=-1)) + 1)
 
 
@@ -126,7 +126,7 @@ def _code_values(bits: HashedBits, corners: Corners, values: Index, regions: Ind
 
 
 def encode_hard_edges(polygons: Polygons, vertex_count: int, numbers: IntArray) -> bytes | None:
-    """Code which corners share a normal: numbers ``(sum of counts,)``; None if that is not possible."""
+    """Code which corners share a normal, by normal numbers ``(sum of counts,)``; return None if this is impossible."""
     bits = new_hashed_output(len(numbers) * MAX_SEAM_BITS, SEAM_KINDS)
     normal_ids = renumber_by_first_use(numbers)
     nodes = _code_seams(bits, polygons, vertex_count, normal_ids)

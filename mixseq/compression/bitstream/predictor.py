@@ -1,41 +1,40 @@
 r"""Predict signals over a graph from earlier ones: basis vectors over a mesh, coefficients over time.
 
 Signals over one graph are similar: in a rigid part, every basis vector of trajectories is an affine function of the
-vertex's position, in a joint a smooth one. So weights fitted to earlier signals predict the next one. Node v has the
-weights of its neighbours that minimise
+vertex's position; near a joint, a smooth function. So weights fitted to earlier signals predict the next signal. At
+node v, the weights :math:`w_n` of its neighbours n minimise
 
 .. math:: \sum_j \tau_j \Bigl( \sum_n w_n b_j(n) - b_j(v) \Bigr)^2
           + \rho \sum_j \tau_j \sum_n (w_n - w^0_n)^2, \qquad \sum_n w_n = 1
 
-over the known signals j. The trust :math:`\tau_j`, about :math:`1 / (1 + m_j / 10)`, where m_j is the roughness of the
-signal (mean square difference of neighbours, in squared steps), balances large and small signals; the second term
-stands for rounding errors of the signals, and :math:`w^0` are weights from the graph alone. Where the known signals are
-affine functions, so is the prediction: the parallelogram rule is a case of it.
+over the known signals j. The trust :math:`\tau_j` balances large and small signals. It is about
+:math:`1 / (1 + m_j / 10)`, where m_j is the roughness of the signal (mean square difference of neighbours, in squared
+steps). The second term models rounding errors of the signals; :math:`w^0` are weights from the graph alone. Where known
+signals are affine functions, so is the prediction, as by the parallelogram rule.
 
-*Initial weights.* The first signals over a mesh are most of its bytes: these are predicted from many nodes around a
+*Initial weights.* The first signals over a mesh take most of the bytes. They are predicted from many nodes around a
 vertex, with :math:`w^0` of least bending. A removed vertex :math:`v` (`mixseq.compression.bitstream.signal_graph`) lies
-between its neighbours, but on a curved surface away from their mean. The predicted value minimises the squares of mean
-slopes, at the vertex and at its neighbours,
+between its neighbours, but not at their mean if the surface is curved. The predicted value minimises the sum of squared
+mean slopes at the vertex and at its neighbours,
 
 .. math:: \sum_{i \in \{v\} \cup N(v)} \Bigl( \frac{1}{|N(i)|} \sum_{j \in N(i)} \frac{x_j - x_i}{l_{ij}} \Bigr)^2 ,
 
-with v and the neighbours :math:`N(i)` that remain without v, except those across v. Lengths :math:`l_{ij}` are
-numbers of edges: one in the mesh, and the sum of both sides where an edge closes the hole of a removed vertex. So a
-vertex is predicted from its neighbours and from their neighbours; on a line of equal lengths with weights of -1/12,
-7/12, 7/12, -1/12.
+where :math:`N(i)` are v and the neighbours that i has after the removal of v, except for neighbours across v. A length
+:math:`l_{ij}` counts edges: one for an edge of the mesh, and the sum of the two replaced edges for an edge that closes
+the hole of a removed vertex. So a vertex is predicted from its neighbours and their neighbours; on a line of equal
+lengths, the weights are -1/12, 7/12, 7/12, -1/12.
 
-*Similar nodes.* Later, every node is also joined to the most similar nodes before it, anywhere in the graph. Distant
-vertices of one rigid part, or of several components, predict each other, and so do frames of one pose in a repeating
-motion.
+*Similar nodes.* After some signals, every node is also joined to the most similar earlier nodes, anywhere in the graph.
+Distant vertices of one rigid part, or of several components, predict each other. Frames with equal poses in a repeating
+motion do so, too.
 
-*Steps.* Later signals are small, and most of their numbers zero, so all nodes between nodes of a coarse level inherit
-the errors of these. Coarse levels have smaller steps.
+*Steps.* Later signals are small, and most of their numbers are zero, so the errors of coarse levels spread to all nodes
+between their nodes. Therefore coarse levels have smaller steps.
 
-*Reproducibility.* Values are whole 64ths of a step, trust is a power of two, and weights are whole multiples of
-2^-24, so that predictions are exact in float64, in any order of summation, for values below 2^29 (8 million steps); so
-are roughness, distances and sums of products in nearly all files, and where these are rounded, it is in a fixed order.
-Weights are solved for with rounded operations, + - * / and roots, in a fixed order:
-`mixseq.compression.bitstream.predictor_kernels`.
+*Reproducibility.* Values are whole 64ths of a step, trust is a power of two, and weights are whole multiples of 2^-24.
+So predictions are exact in float64, in any order of summation, for values below 2^29 (8 million steps). Roughness,
+distances and sums of products are exact in nearly all files; otherwise they are rounded in a fixed order. Weights are
+solved for with rounded + - * / and roots in a fixed order (`mixseq.compression.bitstream.predictor_kernels`).
 
 The constants were chosen empirically. Frozen: changing them breaks files.
 """
@@ -61,7 +60,7 @@ from mixseq.runtime.jit import compiled
 from mixseq.types import Float, Index, Int32
 
 MAX_STENCIL_NODES = 16
-"""Largest number of nodes in a stencil: the neighbours, and those of largest weight. Frozen: breaks files."""
+"""Largest number of nodes in a stencil: neighbours, then nodes with the largest weights. Frozen: breaks files."""
 
 MAX_SLOPE_NEIGHBOURS = 32
 """Number of neighbours above which slopes at a node are ignored, to save time. Frozen: breaks files."""
@@ -70,7 +69,7 @@ MAX_SLOPE_NEIGHBOURS = 32
 class Stencils(NamedTuple):
     """Neighbours and weights of every node, before any signal is known."""
 
-    neighbours: Index  # (N, MAX_STENCIL_NODES) nodes before every node; the first counts[node] of a row count
+    neighbours: Index  # (N, MAX_STENCIL_NODES) earlier nodes of every node; only counts[node] entries of a row are used
     counts: Index  # (N,) number of neighbours of every node
     weights: Float  # (N, MAX_STENCIL_NODES) rows add up to one
 
@@ -79,7 +78,7 @@ _stencil_cache: WeakKeyDictionary[SignalGraph, Stencils] = WeakKeyDictionary()
 
 
 def graph_stencils(graph: SignalGraph) -> Stencils:
-    """Return the stencils of a mesh's graph; for a graph over time, or nodes without edges, its own weights."""
+    """Return the stencils of a graph; graphs over time, and nodes without edges, keep the weights of the graph."""
     if graph not in _stencil_cache:
         _stencil_cache[graph] = _compute_stencils(graph)
     return _stencil_cache[graph]
@@ -107,13 +106,13 @@ def _compute_stencils(graph: SignalGraph) -> Stencils:
 def _fit_stencils(level: Level, lengths: Float, new_lengths: Float, node_of_vertex: Index, stencils: Stencils) -> None:
     """Write the stencils of removed vertices, from edge lengths ``(2 E,)`` before and ``(2 E',)`` after."""
     starts, adjacent, new_starts = level.starts, level.adjacent, level.new_starts
-    slot = np.full(len(node_of_vertex), -1, dtype=np.int64)  # where a vertex is in the two lists
+    slot = np.full(len(node_of_vertex), -1, dtype=np.int64)  # index of a vertex in `listed` and `weights`
     listed = np.empty(MAX_NEIGHBOURS * (MAX_SLOPE_NEIGHBOURS + 1), dtype=np.int64)
     weights = np.empty(MAX_NEIGHBOURS * (MAX_SLOPE_NEIGHBOURS + 1))  # not yet divided by their sum
     for vertex in level.removed:
         first = starts[vertex]
         degree = min(starts[vertex + 1] - first, MAX_NEIGHBOURS)
-        slope = 0.0  # of the vertex, by its own value
+        slope = 0.0  # derivative of the slope at the vertex by its value
         for place in range(first, first + degree):
             slope += 1.0 / lengths[place]
         slope /= degree
@@ -126,7 +125,7 @@ def _fit_stencils(level: Level, lengths: Float, new_lengths: Float, node_of_vert
             if new_starts[neighbour + 1] - new_starts[neighbour] > MAX_SLOPE_NEIGHBOURS:
                 continue
             count = 1
-            # First the number of remaining neighbours, without those across the vertex; then their weights.
+            # First pass: count remaining neighbours, except across the vertex. Second pass: add their weights.
             for turn in range(2):
                 slope = 1.0 / (count * length)
                 for place in range(new_starts[neighbour], new_starts[neighbour + 1]):
@@ -168,7 +167,7 @@ def _fit_stencils(level: Level, lengths: Float, new_lengths: Float, node_of_vert
 
 @compiled
 def _update_lengths(level: Level, lengths: Float) -> Float:
-    """Return the lengths ``(2 E',)`` of edges after vertices were removed, the shortest each, from those before."""
+    """Return shortest edge lengths ``(2 E',)`` after the removal of vertices, from the `lengths` before."""
     starts, adjacent, new_starts = level.starts, level.adjacent, level.new_starts
     new_lengths = np.full(len(level.new_adjacent), np.inf)
     for vertex in range(len(starts) - 1):
@@ -200,10 +199,10 @@ SIMILAR_VERTICES, SIMILAR_FRAMES = 8, 16
 """Number of most similar nodes joined to a node: vertices, or frames. Frozen: breaks files."""
 
 SIMILARITY_SEARCH_SIGNALS = 5
-"""Number of known signals, times their coordinates, at which similar nodes are searched for. Frozen: breaks files."""
+"""Number of known signals per coordinate at which similar nodes are searched for. Frozen: breaks files."""
 
 EXHAUSTIVE_SEARCH_NODES = 2048
-"""Number of first nodes that search all nodes before them; later ones search near neighbours. Frozen: breaks files."""
+"""Number of first nodes that search all earlier nodes; later nodes search near neighbours. Frozen: breaks files."""
 
 RIDGE_PER_SIGNAL = 0.5
 """Squared rounding error of a known signal, in steps: rho, the ridge of the weights. Frozen: breaks files."""
@@ -212,8 +211,8 @@ ROUGHNESS_SCALE = 10.0
 """Mean squared difference of neighbours, in squared steps, above which trust falls. Frozen: breaks files."""
 
 TRUST_DOUBLING_SIGNALS, _MAX_TRUST_DOUBLINGS = 16, 512
-"""Signals after which trust is doubled, as newer signals resemble the next one most, and largest number of doublings,
-reached by damaged files only. Frozen: breaks files.
+"""Number of signals after which trust is doubled, as newer signals resemble the next signal most, and largest number of
+doublings, which only damaged files reach. Frozen: breaks files.
 """
 
 RENEWAL_SHIFT = 2
@@ -225,7 +224,7 @@ STEP_RATIO_TENTHS, MIN_STEP_UNITS = 9, 38
 """Ratio of the steps of successive coarser levels, in tenths, and smallest step in units. Frozen: breaks files."""
 
 UNIFORM_STEP_SIGNALS = 3
-"""Number of signals, times their coordinates, with the same step at all nodes. Frozen: breaks files."""
+"""Number of signals per coordinate with the same step at all nodes. Frozen: breaks files."""
 
 _LARGE_GRAPH_NODES = 1024
 """Number of nodes above which graphs are processed in larger blocks. Free: affects time only."""
@@ -241,8 +240,8 @@ class Predictor:
         self._graph = graph
         self._coordinates, self.similarity_search_at = coordinates, SIMILARITY_SEARCH_SIGNALS * coordinates
         self._signal_count, self._next_update = 0, 1
-        self._signals: list[Float] = []  # all, until similar nodes are searched for
-        self._pending: list[Float] = []  # those that are not in the Gram matrices
+        self._signals: list[Float] = []  # all signals, until similar nodes are searched for
+        self._pending: list[Float] = []  # signals that are not yet in the Gram matrices
         self.values = np.zeros(graph.size, dtype=np.int64)
         self.steps = np.full(graph.size, UNITS_PER_STEP)
         self._set_neighbours(*graph_stencils(graph))
@@ -251,7 +250,7 @@ class Predictor:
         """Set the neighbours of nodes, and their initial weights."""
         self.neighbours = neighbours.astype(np.int32)
         self.counts = counts.astype(np.int32)
-        self._initial_weights = kernels.round_weights(read_only(weights))  # as stencils': one type to numba
+        self._initial_weights = kernels.round_weights(read_only(weights))  # same type as stencils
         self.weights = self._initial_weights.copy()
         self._blocks, self._gram = group_nodes(self.counts)
         self._ridge = 0.0
@@ -268,7 +267,7 @@ class Predictor:
             self._signals.append(signal)
         if count == self.similarity_search_at:
             self._add_similar_nodes()
-        # Weights are updated ever more rarely, as they change less.
+        # Weights are updated at increasing intervals, as they change less and less.
         if count == self.similarity_search_at or count >= self._next_update:
             self._update_weights()
             self._next_update = count + max(1, count >> RENEWAL_SHIFT)
@@ -286,7 +285,7 @@ class Predictor:
         self._pending = []
 
     def _add_similar_nodes(self) -> None:
-        """Join every node to the most similar nodes before it in all sources signals."""
+        """Join every node to the earlier nodes that are most similar in all known signals."""
         graph = self._graph
         most = SIMILAR_FRAMES if graph.is_over_time else SIMILAR_VERTICES
         similar, counts = np.zeros((graph.size, most), dtype=np.int32), np.zeros(graph.size, dtype=np.int32)
@@ -298,7 +297,7 @@ class Predictor:
 
 
 def level_steps(size: int) -> Index:
-    """Return the steps ``(N,)`` of `size` nodes in units, smaller on coarse levels; each level doubles the nodes."""
+    """Return the steps ``(N,)`` of `size` nodes in units, smaller on coarse levels; node numbers double per level."""
     steps = np.full(size, UNITS_PER_STEP)
     first, step = size // 2, UNITS_PER_STEP
     while first:
@@ -309,9 +308,9 @@ def level_steps(size: int) -> Index:
 
 
 def group_nodes(counts: Int32) -> tuple[kernels.Blocks, Float]:
-    """Return blocks of nodes with equal numbers of neighbours ``(N,)``, and their Gram matrices, zero.
+    """Return blocks of nodes with equal neighbour counts ``(N,)``, and their Gram matrices, filled with zeros.
 
-    Nodes with fewer than two neighbours are left out, having fixed weights. Partial blocks repeat their last node.
+    Nodes with fewer than two neighbours have fixed weights, and no block. Partial blocks repeat their last node.
     """
     lanes = kernels.LANES_PER_BLOCK if len(counts) > _LARGE_GRAPH_NODES else kernels.LANES_PER_SMALL_BLOCK
     blocks, block_counts = [np.zeros((0, lanes), dtype=np.int32)], []

@@ -1,21 +1,21 @@
-"""Compiled loops of `mixseq.compression.bitstream.predictor`: predictions, their weights, and similar nodes.
+"""Compute predictions, their weights and similar nodes in compiled loops for `mixseq.compression.bitstream.predictor`.
 
-Shared arguments, of a graph with N nodes of up to n neighbours each, all of them before the node:
+Shared arguments, for a graph of N nodes with up to n neighbours each, which are earlier nodes:
 
 ============  ====================================================================================================
 values        (N,) a signal, in units of 1/64 step: int64 while it is coded, then float64, whole numbers
-neighbours    (N, n) int32: nodes that each is predicted from; the first ``counts[node]`` of a row count
-counts        (N,) int32
-weights       (N, n) float64: of the neighbours, rows add up to one; multiples of 2^-24
+neighbours    (N, n) int32: nodes that predict every node; the first ``counts[node]`` of a row are used
+counts        (N,) int32: number of neighbours of every node
+weights       (N, n) float64: weights of the neighbours, multiples of 2^-24; rows add up to one
 gram          (entries, lanes) float64, in squared units: the matrices of every block, and the right sides below
               them, the lower triangles row by row
 ============  ====================================================================================================
 
-The weight of a node's first neighbour is one minus the others, so matrices are those of differences to it.
+The weight of the first neighbour is one minus the other weights, so matrices are of differences from this neighbour.
 
-Sums of values, trust and weights are exact up to values of 2^29; larger values, of damaged files, give arbitrary
-results without an error. Only `solve_weights` rounds: it needs + - * / and roots of float64 in the order written here,
-without contraction to fused operations, and then rounds its results.
+Sums of values, trust and weights are exact for values up to 2^29. Larger values, in damaged files, give arbitrary
+results without an error. Only `solve_weights` rounds: it requires float64 + - * / and roots in the order written here,
+without contraction to fused operations. It then rounds its results to multiples of 2^-24.
 
 Frozen: changing results breaks files.
 """
@@ -31,27 +31,27 @@ from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.types import Float, Index, Int32
 
 UNITS_PER_STEP = 64
-"""Units of values in a step. Frozen: breaks files."""
+"""Number of units per step. Frozen: breaks files."""
 
 LANES_PER_BLOCK, LANES_PER_SMALL_BLOCK = 64, 8
-"""Nodes in a block, for graphs with many, or few nodes. Free: affects time only."""
+"""Number of nodes in a block, for large and for small graphs. Free: affects time only."""
 
 _MAX_PREDICTION = 2.0**50
-"""Largest magnitude of predictions; bounds those of damaged files. Frozen: breaks files."""
+"""Largest magnitude of predictions; larger ones, in damaged files, are clamped. Frozen: breaks files."""
 
 _ROUNDING_OFFSET = 1.5 * 2.0**28
 """Number whose addition and subtraction rounds to a multiple of 2^-24. Frozen: breaks files."""
 
 _RELATIVE_RIDGE = 1e-12
-"""Share of a matrix's trace added to the ridge, for nearly singular ones of large signals. Frozen: breaks files."""
+"""Share of a matrix's trace added to the ridge, for nearly singular matrices. Frozen: breaks files."""
 
 
 class Blocks(NamedTuple):
     """Nodes with equal numbers of neighbours, processed together so that one instruction serves several."""
 
     nodes: Int32  # (B, lanes) nodes of every block
-    counts: Int32  # (B,) number of their neighbours
-    places: Index  # (B,) where a block begins in `gram`
+    counts: Int32  # (B,) number of neighbours of the nodes of every block
+    places: Index  # (B,) row at which a block begins in `gram`
 
 
 @force_inlined
@@ -75,7 +75,7 @@ def round_weights(weights: Float) -> Float:
 
 @compiled
 def compute_trust(values: Float, scale: float, neighbours: Int32, counts: Int32) -> float:
-    """Return the power of two from 2/3 to 4/3 of ``1 / (1 + m / scale)``, m the mean square of first differences."""
+    """Return a power of two, 2/3 to 4/3 of ``1 / (1 + m / scale)``; m is the mean square of first differences."""
     total, pairs = 0.0, 0
     for node in range(len(values)):
         if counts[node]:
@@ -91,7 +91,7 @@ def compute_trust(values: Float, scale: float, neighbours: Int32, counts: Int32)
 
 @compiled
 def accumulate_gram(signals: Float, trusts: Float, blocks: Blocks, neighbours: Int32, gram: Float) -> None:
-    """Add the products of the differences of signals ``(m, N)``, times trusts ``(m,)``, to the Gram matrices."""
+    """Add products of the differences of signals ``(m, N)``, times their trusts ``(m,)``, to the Gram matrices."""
     lanes = blocks.nodes.shape[1]
     differences = np.zeros((neighbours.shape[1], lanes))
     for block in range(len(blocks.nodes)):
@@ -116,9 +116,9 @@ def accumulate_gram(signals: Float, trusts: Float, blocks: Blocks, neighbours: I
 def solve_weights(ridge: float, blocks: Blocks, gram: Float, initial: Float, weights: Float) -> None:
     """Write the weights of sum one that minimise w G w + ridge |w - w^0|^2, by Cholesky: `initial` w^0 ``(N, n)``."""
     max_count, lanes = initial.shape[1], blocks.nodes.shape[1]
-    # The last row of the factor is the right side, divided by it.
+    # The last row of the factor is the right side, after forward substitution.
     factor = np.zeros((max_count * (max_count + 1) // 2, lanes))
-    inverse = np.zeros((max_count, lanes))  # of the diagonal: divisions are slow
+    inverse = np.zeros((max_count, lanes))  # inverse of the diagonal, as divisions are slow
     solution = np.zeros((max_count, lanes))
     damping, entry, first_weight = np.zeros(lanes), np.zeros(lanes), np.zeros(lanes)
     for block in range(len(blocks.nodes)):
@@ -131,7 +131,7 @@ def solve_weights(ridge: float, blocks: Blocks, gram: Float, initial: Float, wei
             row = i * (i + 1) // 2
             for j in range(min(i + 1, last)):
                 column = j * (j + 1) // 2
-                # The first weight, one minus the others, is damped as well.
+                # The first weight, one minus the other weights, is damped as well.
                 for lane in range(lanes):
                     entry[lane] = gram[place, lane] + damping[lane]
                 if i == last:
@@ -172,18 +172,18 @@ def solve_weights(ridge: float, blocks: Blocks, gram: Float, initial: Float, wei
 def find_similar_nodes(
     signals: Float, neighbours: Int32, counts: Int32, exhaustive: int, similar: Int32, similar_counts: Int32
 ) -> None:
-    """Write the nodes before every node that are nearest to it in signals ``(D, N)``, without its neighbours.
+    """Find the earlier nodes nearest to every node in signals ``(D, N)``, except for its neighbours.
 
-    The first `exhaustive` nodes search all nodes before them; later ones the neighbours of their neighbours, and the
-    results for these. Up to k nodes are written to `similar` ``(N, k)``, nearest first, ties in search order, and their
-    number to `similar_counts` ``(N,)``.
+    The first `exhaustive` nodes search all earlier nodes. Later nodes search the neighbours and similar nodes of their
+    neighbours. Up to k nodes are written to `similar` ``(N, k)``, nearest first, ties in search order, and their number
+    to `similar_counts` ``(N,)``.
     """
     size, most = signals.shape[1], similar.shape[1]
     first_count = min(size, exhaustive)
     nearest = np.empty(most)  # squared distances of the similar nodes of a node
     distances = np.empty(first_count)
     for node in range(first_count):
-        # Dimension by dimension: one instruction serves several nodes.
+        # Dimensions are the outer loop, so that one instruction serves several nodes.
         distances[:node] = 0.0
         for dimension in range(len(signals)):
             value = signals[dimension, node]
@@ -224,7 +224,7 @@ def find_similar_nodes(
 
 @force_inlined
 def _insert(node: int, other: int, distance: float, similar: Int32, similar_counts: Int32, nearest: Float) -> None:
-    """Insert another node into the similar ones of a node by its squared distance, replacing the farthest."""
+    """Insert another node into the similar nodes of a node by squared distance, replacing the farthest."""
     place = len(nearest) - 1
     while place > 0 and nearest[place - 1] > distance:
         nearest[place] = nearest[place - 1]

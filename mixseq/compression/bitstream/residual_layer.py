@@ -1,8 +1,8 @@
-"""The residual layer: corrections of decoded frames that bring every vertex within a bound.
+"""Code the residual layer: corrections of decoded frames that bring every vertex within a bound.
 
-A residual is a displacement of a vertex at a frame, in whole units :math:`w` per coordinate; nearly all vertices have
-none. Residuals are coded frame by frame, in contexts of adjacent vertices and of the frame before, as errors of
-a truncated basis persist over frames. All values are integers.
+A residual is the displacement of a vertex at a frame, in whole units :math:`w` per coordinate. Nearly all vertices have
+no residual. Residuals are coded frame by frame, in contexts of adjacent vertices and of the frame before, because the
+errors of a truncated basis persist over frames. All values are integers.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/bounded.npz``,
 ``tests/formats/golden/compressed-v1.h5``).
@@ -38,10 +38,10 @@ CONTEXTS_PER_BIT, CONTEXT_VALUES = 3, 3 * NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS
 """Number of contexts of a bit, and number of values of each. Frozen: breaks old files."""
 
 _MAX_MODELLED_NUMBER, _MAX_EXCESS_BITS = 8, 62
-"""Largest number with models for all questions, and bit length of the excess over it. Frozen: breaks old files."""
+"""Largest magnitude coded with models only, and largest bit length of the excess over it. Frozen: breaks old files."""
 
 POSITION_COUNT = 4 + _MAX_MODELLED_NUMBER
-"""Modelled questions: any vertex displaced, this one, zero coordinate, sign, above 1, 2, ... Frozen: breaks files."""
+"""Questions: any vertex displaced, this one displaced, coordinate not 0, sign, above 1, 2, ... Frozen: breaks files."""
 
 
 @compiled
@@ -55,9 +55,9 @@ def code_residuals(
     last: Index,
     numbers: Index,
 ) -> None:
-    """Write or read the `numbers` ``(N, 3)`` of a frame, in contexts of those of the last frame.
+    """Write or read the residuals `numbers` ``(N, 3)`` of a frame, in contexts of the `last` frame's residuals.
 
-    `neighbours`, `counts`, `ring` and `starts` are those of a `SignalGraph`.
+    `neighbours`, `counts`, `ring` and `starts` are arrays of a `SignalGraph`.
     """
     contexts = models.contexts
     any_displaced = 0
@@ -68,14 +68,14 @@ def code_residuals(
         return
     sums = np.zeros(3, dtype=np.int64)
     for node in range(len(numbers)):
-        displaced, count = 0, counts[node]  # displaced neighbours
+        displaced, count = 0, counts[node]  # number of displaced neighbours, and of all
         sums[:] = 0
         for i in range(count):
             neighbour = neighbours[node, i]
             displaced += _is_displaced(numbers, neighbour)
             for k in range(3):
                 sums[k] += min(max(numbers[neighbour, k], -1), 1)
-        last_displaced = 0  # adjacent nodes that were displaced in the last frame
+        last_displaced = 0  # number of adjacent nodes displaced in the last frame
         for place in range(starts[node], starts[node + 1]):
             last_displaced += _is_displaced(last, ring[place])
         was_displaced = _is_displaced(last, node)
@@ -123,10 +123,10 @@ def _code_coordinate(stream: BitStream, models: BitModels, number: int) -> int:
 
 
 Residuals = tuple[Index, Index]
-"""Vertices ``(n,)`` of a frame, and their displacements ``(n, 3)`` in units of the layer."""
+"""Displaced vertices ``(n,)`` of a frame, and their displacements ``(n, 3)`` in units of the layer."""
 
 FRAMES_PER_RUN = 16
-"""Frames coded together. Frozen: another number breaks old files."""
+"""Number of frames coded together. Frozen: another number breaks old files."""
 
 _MAX_CACHED_RUNS = 8
 """Number of cached decoded runs. Free: not in files."""
@@ -138,20 +138,20 @@ _NO_RESIDUALS: Residuals = np.zeros(0, dtype=np.int64), np.zeros((0, 3), dtype=n
 class CodedResidualLayer(PickledWithoutCaches):
     """The residual layer of a compressed sequence, decoded on demand."""
 
-    times: Float  # (T,) times of the frames in seconds; between them residuals are interpolated
+    times: Float  # (T,) times of frames in seconds; residuals are interpolated linearly between frames
     chunks: tuple[tuple[int, bytes], ...]  # number of frames of every chunk, and its stream
     faces: NDArray[np.int32]  # (F, 3) triangles of the mesh
     vertex_count: int  # number V of vertices
     unit: float  # length of the unit w, in the units of the sequence
-    graph: InitVar[SignalGraph | None] = None  # the graph of the mesh, if it was built already
+    graph: InitVar[SignalGraph | None] = None  # graph of the mesh, if already built
 
     def __post_init__(self, graph: SignalGraph | None) -> None:
         if graph is not None:
             object.__setattr__(self, "_graph", graph)
-        _ = self._lock, self._cache  # created before threads start, which might create two
+        _ = self._lock, self._cache  # create both before threads start, so that none is created twice
 
     def at(self, times: Float) -> Float:
-        """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""
+        """Return the displacements ``(N, V, 3)`` of vertices at times ``(N,)`` in seconds."""
         displacements = np.zeros((len(times), self.vertex_count, 3))
         for row, (frame, fraction) in enumerate(zip(*self._locate_times(times), strict=True)):
             for frame_id, weight in ((frame, 1.0 - fraction), (frame + 1, fraction)):
@@ -161,7 +161,7 @@ class CodedResidualLayer(PickledWithoutCaches):
         return displacements
 
     def rates(self, times: Float) -> Float:
-        """Return the derivatives ``(N, V, 3)`` of the displacements by time, per second."""
+        """Return the time derivatives ``(N, V, 3)`` of the displacements, per second."""
         displacements = np.zeros((len(times), self.vertex_count, 3))
         if len(self.times) == 1:
             return displacements
@@ -174,10 +174,10 @@ class CodedResidualLayer(PickledWithoutCaches):
         return displacements
 
     def _locate_times(self, times: Float) -> tuple[Index, Float]:
-        """Return the frames before or at times, and the fractions of the way to the next."""
+        """Return the frames at or before times ``(N,)``, and the fractions of the intervals to the next frames."""
         positions = np.interp(times, self.times, np.arange(len(self.times)))
         nearest = np.rint(positions)
-        at_frame_mask = np.abs(positions - nearest) < 1e-9  # but for rounding
+        at_frame_mask = np.abs(positions - nearest) < 1e-9  # up to rounding
         positions = np.where(at_frame_mask, nearest, positions)
         frames = np.floor(positions).astype(np.int64)
         return frames, positions - frames
@@ -212,10 +212,10 @@ class CodedResidualLayer(PickledWithoutCaches):
 
 
 def write_residuals(residuals: Callable[[int], Index], frames: range, graph: SignalGraph) -> bytes:
-    """Code the residuals of consecutive frames, ``(V, 3)`` each; empty if there are none.
+    """Code the residuals ``(V, 3)`` of consecutive frames; return no bytes if all are zero.
 
     Runs of `FRAMES_PER_RUN` frames are coded independently, two at a time, so that single frames decode quickly. The
-    stream has the lengths of all runs in bytes, four bytes each, then the runs.
+    stream has the sizes of all runs in bytes, as four-byte integers, then the runs.
     """
     spans = (frames[start : start + FRAMES_PER_RUN] for start in range(0, len(frames), FRAMES_PER_RUN))
     runs = list(two_thread_executor()(_write_run, (residuals, graph), spans))
@@ -225,7 +225,7 @@ def write_residuals(residuals: Callable[[int], Index], frames: range, graph: Sig
 
 
 def read_residuals(stream: bytes, frame_count: int, run: int, graph: SignalGraph) -> list[Residuals]:
-    """Return the residuals of the frames of one run, of the stream of `frame_count` frames."""
+    """Read the residuals of every frame in one run of a stream that has `frame_count` frames."""
     frames, data = min(FRAMES_PER_RUN, frame_count - run * FRAMES_PER_RUN), b""
     if stream:
         run_count = -(-frame_count // FRAMES_PER_RUN)

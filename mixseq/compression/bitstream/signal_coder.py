@@ -2,20 +2,20 @@ r"""Code signals over a graph: basis vectors over a mesh, and their coefficients
 
 Nodes are coded from coarse to fine levels. Each value is predicted from known values (`predictor`), the residual is
 rounded to a whole number of steps, and this number is written bit by bit: its length, its bits, its sign. The
-probability of a bit is mixed (`arithmetic`) from five contexts:
+probability of a bit is mixed (`arithmetic`) from five contexts, each of which combines two quantities:
 
-0. the mean size :math:`s` of this signal's numbers at the neighbours, with the *activity* :math:`a` of the node, an
-   average of the sizes of its numbers in earlier signals, weighted towards newer ones;
-1. the activity with its mean :math:`\bar a` over the ring of adjacent nodes;
-2. the expected size :math:`0.80\, s + 0.40\, a + 0.15\, \bar a` with the level of the node in the graph;
-3. the size at the neighbours with the size of the node's number in the previous signal;
-4. the expected size with the number of earlier signals.
+0. the mean size :math:`s` of this signal's numbers at the neighbours, and the *activity* :math:`a` of the node, an
+   average of the sizes of its numbers in earlier signals, weighted towards newer signals;
+1. the activity, and its mean :math:`\bar a` over the ring of adjacent nodes;
+2. the expected size :math:`0.80\, s + 0.40\, a + 0.15\, \bar a`, and the level of the node in the graph;
+3. the mean size at the neighbours, and the size of the node's number in the previous signal;
+4. the expected size, and the number of earlier signals.
 
-A stream ends with the CRC-32 of all its values: different rounding, an error in a port and a damaged file raise one
-error, and never decode to other points.
+A stream ends with the CRC-32 of all its values. So different rounding, an error in a port, or a damaged file raises an
+error, and never decodes to wrong points.
 
-The same compiled loop writes and reads numbers. Values are reconstructed by a second loop, on another thread if there
-are many: the contexts of a number depend on other numbers only.
+The same compiled loop writes and reads numbers. A second loop reconstructs values from numbers. This loop runs on
+another thread if there are many values, which is possible because the contexts of a number depend on numbers only.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``); how encoders round is free. All
 decisions use integers, except the sums of `predictor_kernels.predict`, which are rounded.
@@ -52,22 +52,22 @@ SIZE_LEVELS = 32
 """Number of levels of expected sizes, two per octave. Frozen: breaks old files."""
 
 DEPTH_CLASSES = 18
-"""Number of node classes, by bit length of the node number: about its level in the graph. Frozen: breaks old files."""
+"""Number of node classes by bit length of the node number, roughly the level in the graph. Frozen: breaks old files."""
 
 AGE_CLASSES = 8
-"""Number of signal classes, by the number of earlier signals. Frozen: breaks old files."""
+"""Number of signal classes by number of earlier signals. Frozen: breaks old files."""
 
 CONTEXTS_PER_BIT, CONTEXT_VALUES = 5, SIZE_LEVELS * SIZE_LEVELS
 """Number of contexts of a bit, and number of values of each. Frozen: breaks old files."""
 
 _MAX_MODELLED_BITS, _MAX_NUMBER_BITS = 24, 55
-"""Largest bit length of numbers whose questions all have models, and of all numbers. Frozen: breaks old files."""
+"""Largest bit length that is coded with models only, and largest bit length of a number. Frozen: breaks old files."""
 
 POSITION_COUNT = 2 * _MAX_MODELLED_BITS
 """Number of modelled questions about a number. Frozen: breaks old files."""
 
 _MAX_ROUNDED_NUMBER = 2.0**54
-"""Largest magnitude of numbers: trial steps may be too fine for doubles. Free: only encoders round."""
+"""Largest magnitude of numbers, as trial steps may be too fine for doubles. Free: only encoders round."""
 
 _MAX_SIZE = 1 << 40
 """Upper bound to which sizes are clamped. Frozen: breaks old files."""
@@ -123,8 +123,8 @@ def round_signal(
 ) -> None:
     """Round the residuals of `targets` ``(N,)`` to `numbers` ``(N,)``, and write the decoded `values` ``(N,)``.
 
-    Targets, values and `steps` ``(N,)`` are in units of 1 / `UNITS_PER_STEP`. Residuals are rounded up from 1 -
-    `margins` ``(SIZE_LEVELS,)``, by the level of their expected size. Free: only encoders round.
+    Targets, values and `steps` ``(N,)`` are in units of 1 / `UNITS_PER_STEP`. Residuals are rounded up if their
+    fraction is at least 1 - `margins` ``(SIZE_LEVELS,)``, by level of expected size. Free: only encoders round.
     """
     for node in range(len(values)):
         size = mean_neighbour_size(node, neighbours, counts, activity, numbers)
@@ -147,7 +147,7 @@ def reconstruct_values(
 
 @force_inlined
 def mean_neighbour_size(node: int, neighbours: Int32, counts: Int32, activity: Index, numbers: Index) -> int:
-    """Return the mean size of the numbers at a node's neighbours; the activity of a node that has none."""
+    """Return the mean size of the numbers at a node's neighbours, or the node's activity if it has no neighbours."""
     if not counts[node]:
         return activity[node]  # type: ignore[no-any-return]
     total = 0
@@ -158,13 +158,13 @@ def mean_neighbour_size(node: int, neighbours: Int32, counts: Int32, activity: I
 
 @force_inlined
 def expected_size(size: int, activity: int, ring_activity: int) -> int:
-    """Return the expected size of a number: .80 of the mean at its neighbours, .40 and .15 of the activities."""
+    """Return the expected size of a number: .80 size (mean at neighbours) + .40 activity + .15 ring activity."""
     return (205 * size + 102 * activity + 38 * ring_activity) >> 8
 
 
 @force_inlined
 def code_signed_number(stream: BitStream, models: BitModels, number: int) -> int:
-    """Write or read a number: bit length, highest of the bits after the first, the other bits, sign."""
+    """Write or read a number: its bit length, the bit after the highest bit, the remaining bits, and the sign."""
     magnitude = abs(number)
     bits = bit_length(magnitude)
     size = 0
@@ -200,7 +200,7 @@ def fine_size_level(size: int) -> int:
 
 @compiled
 def update_activity(numbers: Index, ring: Index, starts: Index, activity: Index) -> tuple[Index, Index]:
-    """Return the activity ``(N,)`` after a signal's numbers ``(N,)``, and its means over rings ``(N,)``."""
+    """Return the activity ``(N,)`` updated by a signal's numbers ``(N,)``, and its means over rings ``(N,)``."""
     updated, ring_activity = np.empty_like(activity), np.empty_like(activity)
     for node in range(len(numbers)):
         size = UNITS_PER_STEP * min(abs(numbers[node]), _MAX_SIZE)
@@ -214,43 +214,43 @@ def update_activity(numbers: Index, ring: Index, starts: Index, activity: Index)
 
 
 ROUNDING_MARGINS: Float = np.interp(np.arange(SIZE_LEVELS), [2, 6, 10, 14], [0.15, 0.25, 0.38, 0.45])
-"""Residuals are rounded up from 1 - margin, by the level of their expected size: towards zero, most where zeros are
-expected, as zeros save more bits than accuracy is worth. Chosen on seven sequences. Free: only encoders round.
+"""Margins by level of expected size: a residual is rounded up if its fraction is at least 1 - margin. Where
+zeros are expected, margins are smallest, as zeros save most bits. Chosen on seven sequences. Free: only encoders round.
 """
 
 _MAX_BYTES_PER_NUMBER = 16
-"""Memory that is reserved for a number. Free: memory is allocated ahead."""
+"""Bytes reserved in the stream per number. Free: memory is allocated ahead."""
 
 _MIN_NUMBERS_TO_QUEUE = 512
-"""Signal length from which values are computed on a second thread. Free: time only."""
+"""Smallest number of nodes for which values are computed on a second thread. Free: affects time only."""
 
 
 class Signal(NamedTuple):
-    """A rounded signal that is not yet coded: 20 bytes a node if its numbers are small enough; immutable."""
+    """A rounded signal before coding; immutable, with 20 bytes per node if its numbers fit 32 bits."""
 
     age: int  # number of earlier signals
-    neighbours: Int32  # (N, n) earlier nodes, from which every node is predicted
+    neighbours: Int32  # (N, n) earlier nodes that predict every node
     counts: Int32  # (N,) number of neighbours of every node
     # Activity, ring activity and numbers of the previous signal, for code_numbers.
     sizes: tuple[IntArray, IntArray, IntArray]
-    numbers: IntArray  # (N,) its numbers in nodes' order
-    values: IntArray  # (N,) its decoded values, in units of 1 / UNITS_PER_STEP
+    numbers: IntArray  # (N,) numbers of the signal, in coding order of nodes
+    values: IntArray  # (N,) decoded values, in units of 1 / UNITS_PER_STEP
 
 
 def _compact(numbers: Index) -> IntArray:
-    """Return a copy of integers, in 4 bytes each if they are small enough."""
+    """Return a copy of integers, as int32 if they fit 32 bits."""
     return numbers.astype(np.int32 if np.abs(numbers).max(initial=0) < 2**31 else np.int64)
 
 
 class NumberModels:
-    """Models of the bits of numbers; signals of several graphs can share them."""
+    """Models of the bits of numbers, which signals over several graphs can share."""
 
     def __init__(self) -> None:
         self.bits: BitModels = new_bit_models(CONTEXTS_PER_BIT, CONTEXT_VALUES, POSITION_COUNT)
 
 
 class Writer:
-    """Collect bits; `finish` returns their bytes."""
+    """Write signals to a stream; `finish` returns its bytes."""
 
     def __init__(self) -> None:
         self._stream = arithmetic.new_output_stream(1 << 12)
@@ -273,7 +273,7 @@ class Writer:
         self._checksum = checksum_of(values, self._checksum)
 
     def finish(self) -> bytes:
-        """Return the bytes of everything written."""
+        """Return the bytes of the stream with its checksum."""
         return append_checksum(arithmetic.finish_stream(self._stream), self._checksum)
 
 
@@ -284,7 +284,7 @@ class Reader:
         data, self._expected_checksum = split_checksum(data)
         self._stream = arithmetic.new_input_stream(data)
         self._checksum = 0
-        self.queue = WorkQueue()  # of the second thread
+        self.queue = WorkQueue()  # work of the second thread
 
     def stream(self) -> BitStream:
         """Return the stream; raise `FormatError` if it ended early."""
@@ -297,7 +297,7 @@ class Reader:
         self._checksum = checksum_of(values, self._checksum)
 
     def finish(self) -> None:
-        """Verify that the decoded values are those that were written."""
+        """Wait for all values, and verify their checksum."""
         self.queue.wait()
         if self._checksum != self._expected_checksum:
             raise FormatError(
@@ -307,19 +307,19 @@ class Reader:
 
 
 class SignalCoder:
-    """Round signals over one graph for coding, one after another; or read them."""
+    """Round signals over one graph for coding, or read signals, one after another."""
 
     def __init__(self, graph: SignalGraph, coordinates: int = 1, models: NumberModels | None = None) -> None:
         self._graph = graph
         self._predictor = Predictor(graph, coordinates)
         self._models = models or NumberModels()
-        # Arrays of the newest signal. They are replaced, and never changed, as signals share them.
+        # Arrays of the newest signal, replaced but never changed in place, as signals share them.
         self._numbers = np.zeros(graph.size, dtype=np.int64)
         self._activity, self._ring_activity = np.zeros_like(self._numbers), np.zeros_like(self._numbers)
         self._signal_count = 0
 
     def round(self, targets: Float) -> tuple[Float, Signal]:
-        """Round a signal ``(N,)`` in steps; return its decoded values ``(N,)`` as well."""
+        """Round a signal ``(N,)``, in steps; return its decoded values ``(N,)`` and the rounded signal."""
         predictor, numbers = self._predictor, np.empty_like(self._numbers)
         round_signal(
             UNITS_PER_STEP * np.asarray(targets, dtype=np.float64)[self._graph.order],
@@ -353,7 +353,7 @@ class SignalCoder:
         return values
 
     def read_ahead(self, reader: Reader) -> Float:
-        """Return an array ``(N,)`` for the values in steps of the next signal, filled when the reader is finished."""
+        """Return an array ``(N,)`` for the next signal in steps, which is complete once `reader.finish` returns."""
         predictor, numbers, values = self._predictor, np.zeros_like(self._numbers), np.empty(self._graph.size)
         neighbours, counts = predictor.neighbours, predictor.counts
         sizes = self._activity, self._ring_activity, self._numbers
@@ -373,7 +373,7 @@ class SignalCoder:
             self._finish_values(values)
 
         reader.queue.submit(reconstruct, len(numbers) >= _MIN_NUMBERS_TO_QUEUE)
-        if self._signal_count == predictor.similarity_search_at:  # later numbers have other neighbours
+        if self._signal_count == predictor.similarity_search_at:  # later numbers use new neighbours
             reader.queue.wait()
         return values
 
@@ -385,6 +385,6 @@ class SignalCoder:
         self._signal_count += 1
 
     def _finish_values(self, values: Float) -> None:
-        """Write the values ``(N,)`` of the newest signal in steps, and update the predictor."""
+        """Write the newest signal, in steps, to `values` ``(N,)``, and update the predictor."""
         values[self._graph.order] = self._predictor.values / UNITS_PER_STEP
         self._predictor.finish()

@@ -1,10 +1,10 @@
-"""The coding order of a signal over a mesh, or over time, and the neighbours that predict each value.
+"""Compute the coding order of a signal over a mesh, or over time, and the neighbours that predict each value.
 
-A signal has a value at every node of a graph: the vertices of a mesh and its edges, or frames and the steps between
-them. Nodes are removed level by level: each node of an independent set with few neighbours is collapsed onto one of
-them, which gives the graph of the next level. Coding runs coarse to fine, so that nearly all values are interpolated
-*between* known ones: this averages rounding errors, where an extrapolation such as the parallelogram rule enlarges
-them. The levels depend on connectivity only, so they are not stored.
+A signal has a value at every node of a graph: vertices joined by the edges of a mesh, or consecutive frames. Nodes are
+removed in levels. A level is an independent set of nodes with few neighbours; each of them is collapsed onto a
+neighbour, which gives the graph of the next level. Coding runs from coarse to fine levels, so nearly all values are
+interpolated *between* known values. Interpolation averages rounding errors, whereas extrapolation (such as the
+parallelogram rule) enlarges them. The levels depend on connectivity only, so they are not stored.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``).
 """
@@ -27,16 +27,16 @@ MAX_NEIGHBOURS = 12
 """Largest number of neighbours that predict a node. Frozen: breaks old files."""
 
 NEIGHBOUR_COUNTS = MAX_NEIGHBOURS + 1
-"""Number of possible counts of these neighbours, from 0 on. Frozen: breaks old files."""
+"""Number of possible neighbour counts of a node: 0 to `MAX_NEIGHBOURS`. Frozen: breaks old files."""
 
 MAX_REMOVED_DEGREE = 6
-"""Largest number of neighbours of a removed node, if there are any such nodes. Frozen: breaks old files."""
+"""Largest number of neighbours of a removed node, unless all nodes have more. Frozen: breaks old files."""
 
 MAX_ROOT_NEIGHBOURS = 6
 """Number of earlier roots that predict a node without neighbours. Frozen: breaks old files."""
 
 _HUB_DEGREE_RATIO = 32
-"""Ratio of degrees above which shared neighbours are found by binary search. Free: affects time only."""
+"""Degree ratio, neighbour to removed node, above which shared neighbours are found by bisection. Free: time only."""
 
 
 @compiled
@@ -93,7 +93,7 @@ def update_adjacency(starts: Index, adjacent: Index, remaining_mask: Mask, new_e
 
 @compiled
 def renumber_adjacency(starts: Index, adjacent: Index, order: Index, inverse: Index) -> tuple[Index, Index]:
-    """Return the adjacency of nodes in the order ``(N,)``: node i becomes ``inverse[i]``."""
+    """Return the adjacency of nodes renumbered by `order` ``(N,)``: node i becomes ``inverse[i]``."""
     new_starts = np.empty(len(order) + 1, dtype=np.int64)
     new_adjacent = np.empty(len(adjacent), dtype=np.int64)
     count = 0
@@ -108,9 +108,9 @@ def renumber_adjacency(starts: Index, adjacent: Index, order: Index, inverse: In
 
 @compiled
 def find_independent_nodes(nodes: Index, starts: Index, adjacent: Index, min_degree: int, max_degree: int) -> Index:
-    """Return nodes of at most `max_degree` neighbours, no two of them adjacent, by increasing degree.
+    """Return nodes with at most `max_degree` neighbours, of which no two are adjacent, by increasing degree.
 
-    Ties among nodes ``(n,)`` int64, of `min_degree` or more neighbours, keep their order.
+    `nodes` ``(n,)`` int64 have `min_degree` or more neighbours; nodes of equal degree keep their order.
     """
     blocked_mask = np.zeros(len(starts) - 1, dtype=np.bool_)
     independent = np.empty(len(nodes), dtype=np.int64)
@@ -130,7 +130,7 @@ def find_independent_nodes(nodes: Index, starts: Index, adjacent: Index, min_deg
 def collapse_nodes(removed: Index, starts: Index, adjacent: Index, neighbours: Index, counts: Index) -> Index:
     """Write neighbours ``(N, n)`` and counts ``(N,)`` of removed nodes; return edges ``(E, 2)`` that close the holes.
 
-    A node is collapsed onto its neighbour that is adjacent to most others, among equals that of fewest neighbours.
+    A node is collapsed onto the neighbour that is adjacent to most of its neighbours; ties go to the lowest degree.
     """
     size = 0
     for node in removed:
@@ -152,7 +152,7 @@ def collapse_nodes(removed: Index, starts: Index, adjacent: Index, neighbours: I
             degree = starts[other + 1] - starts[other]
             if degree > _HUB_DEGREE_RATIO * (last - first):
                 for wanted in adjacent[first:last]:
-                    # The first that is not less; NumPy's search would import SciPy when it is loaded.
+                    # Binary search; np.searchsorted would import SciPy when the compiled loop is loaded.
                     low, high = starts[other], starts[other + 1]
                     while low < high:
                         middle = (low + high) // 2
@@ -178,19 +178,19 @@ def collapse_nodes(removed: Index, starts: Index, adjacent: Index, neighbours: I
 
 @dataclass(frozen=True, eq=False)
 class SignalGraph:
-    """Nodes in coding order, and the earlier nodes that predict each; all node numbers refer to this order."""
+    """Nodes in coding order, and the earlier nodes that predict each node; node numbers refer to this order."""
 
-    order: Index  # (N,) vertices, or frames, of the nodes: coarse to fine
-    neighbours: Index  # (N, n) for every node, nodes before it
-    counts: Index  # (N,) their number
-    weights: Float  # (N, n) their initial weights; rows add up to one
-    ring: Index  # (R,) all nodes beside every node, before or after it, node by node
+    order: Index  # (N,) vertex, or frame, of every node, coarse to fine
+    neighbours: Index  # (N, n) earlier nodes that predict every node
+    counts: Index  # (N,) number of neighbours of every node
+    weights: Float  # (N, n) initial weights of the neighbours; rows add up to one
+    ring: Index  # (R,) all nodes adjacent to every node, earlier and later, row by row
     ring_starts: Index  # (N + 1,) row offsets of ring: ring[ring_starts[i] : ring_starts[i + 1]] of node i
     is_over_time: bool = False  # whether nodes are frames, not vertices
 
     def __post_init__(self) -> None:
         for name in ("order", "neighbours", "counts", "weights", "ring", "ring_starts"):
-            # Always: numba would compile again for writable arrays, which have another type.
+            # numba would compile again for writable arrays, which have another type.
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
@@ -199,7 +199,7 @@ class SignalGraph:
         return len(self.order)
 
     def with_extra_neighbours(self, nodes: NDArray[np.integer], sizes: NDArray[np.integer]) -> SignalGraph:
-        """Return the graph with further neighbours ``(N, k)``: node i has ``sizes[i]``, with initial weight zero."""
+        """Return the graph with extra neighbours ``(N, k)`` of initial weight zero: ``sizes[i]`` for node i."""
         neighbours = np.concatenate([self.neighbours, np.zeros_like(nodes)], axis=1)
         for i in range(nodes.shape[1]):
             node_ids = np.flatnonzero(sizes > i)
@@ -209,7 +209,7 @@ class SignalGraph:
 
 
 def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
-    """Return the graph of a mesh: vertices and edges; faces ``(F, 3)``."""
+    """Return the graph of the vertices and edges of a mesh with faces ``(F, 3)``."""
     ring_starts, ring = mesh_neighbours(faces, vertex_count)
     neighbours = np.zeros((vertex_count, MAX_NEIGHBOURS), dtype=np.int64)
     counts = np.zeros(vertex_count, dtype=np.int64)
@@ -224,38 +224,38 @@ def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
         counts[root] = len(earlier)
     neighbour_mask = np.arange(MAX_NEIGHBOURS) < counts[:, None]
     weights = neighbour_mask / np.maximum(counts, 1)[:, None]
-    # Roots are coded one by one, as each needs those before it.
+    # Roots come first, as coarser levels are coded before finer ones.
     return _order_graph([roots, *levels[::-1]], neighbours, counts, weights, ring, ring_starts)
 
 
 class Level(NamedTuple):
-    """Nodes removed together, and the graphs before and after, both of N nodes; removed nodes have no edges."""
+    """Nodes removed together, and the graphs of N nodes before and after; after removal, nodes have no edges."""
 
     removed: Index  # (n,) removed nodes
     starts: Index  # (N + 1,) row offsets of the graph before, see update_adjacency
     adjacent: Index  # (2 E,) neighbours in the graph before, row by row
-    new_edges: Index  # (n', 2) edges that close the holes; some twice, or there already
+    new_edges: Index  # (n', 2) edges that close the holes; some are repeated, or exist already
     new_starts: Index  # (N + 1,) row offsets of the graph after
     new_adjacent: Index  # (2 E',) neighbours in the graph after, row by row
 
 
 def mesh_neighbours(faces: NDArray[np.integer], vertex_count: int) -> tuple[Index, Index]:
-    """Return the adjacency of the vertices of triangles ``(F, 3)``, as `update_adjacency` does."""
+    """Return the adjacency of the vertices of triangles ``(F, 3)``, in the format of `update_adjacency`."""
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1)
     return edge_neighbours(edges.reshape(-1, 2).astype(np.int64), vertex_count)
 
 
 def edge_neighbours(edges: Index, count: int) -> tuple[Index, Index]:
-    """Return the adjacency of `count` nodes with edges ``(E, 2)``, as `update_adjacency` does."""
+    """Return the adjacency of `count` nodes with edges ``(E, 2)``, in the format of `update_adjacency`."""
     empty = np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
     return update_adjacency(*empty, np.ones(count, dtype=bool), edges)
 
 
 def coarser_levels(starts: Index, adjacent: Index, neighbours: Index, counts: Index) -> Iterator[Level]:
-    """Remove nodes of a graph until no edge is left, and yield the levels, fine to coarse.
+    """Remove nodes of a graph until no edge remains, and yield the levels, fine to coarse.
 
-    `starts` ``(N + 1,)`` and `adjacent` ``(2 E,)`` are those of `update_adjacency`. The `neighbours`
-    ``(N, MAX_NEIGHBOURS)`` and `counts` ``(N,)`` of removed nodes are written.
+    `starts` ``(N + 1,)`` and `adjacent` ``(2 E,)`` have the format of `update_adjacency`. Rows of removed nodes are
+    written to `neighbours` ``(N, MAX_NEIGHBOURS)`` and `counts` ``(N,)``.
     """
     remaining_mask = np.ones(len(counts), dtype=bool)
     while len(adjacent):
@@ -272,10 +272,10 @@ def coarser_levels(starts: Index, adjacent: Index, neighbours: Index, counts: In
 
 @lru_cache(maxsize=64)
 def path_graph(count: int) -> SignalGraph:
-    """Return the graph of consecutive frames: first and last, those in the middle, and so on by halves.
+    """Return the graph of consecutive frames, coded in levels with half the step each: first and last frame first.
 
-    A frame is predicted from two known frames on either side, at first by the polynomial through them (Lagrange), and
-    from the two nearest further known ones.
+    A frame is predicted from up to two known frames before it and two after it, and from the nearest other known
+    frames. Initial weights come from the polynomial through the former (Lagrange); the latter have weight zero.
     """
     neighbours = np.zeros((count, 6), dtype=np.int64)
     counts = np.zeros(count, dtype=np.int64)
@@ -305,7 +305,7 @@ def path_graph(count: int) -> SignalGraph:
 
 
 def _lagrange_weights(nodes: Index, at: int) -> Float:
-    """Return the weights of the polynomial through values at nodes: quotients of integers, the same on all machines."""
+    """Return the weights of nodes in the interpolating polynomial: quotients of integers, equal on all machines."""
     weights = np.ones(len(nodes))
     for i, node in enumerate(nodes.tolist()):
         numerator = denominator = 1
@@ -324,10 +324,10 @@ def _order_graph(
     ring: Index,
     ring_starts: Index,
 ) -> SignalGraph:
-    """Return a graph with the numbers of vertices, or frames, with its nodes in coding order."""
+    """Return a graph with nodes in coding order, from arrays with the numbers of vertices or frames."""
     order = np.concatenate(levels)
     inverse = np.argsort(order)
-    # Frozen as those of stencils are: one type to numba.
+    # Read-only like the arrays of stencils, so that numba compiles only once.
     starts, ring = renumber_adjacency(read_only(ring_starts), read_only(ring), order, read_only(inverse))
     counts = counts[order]
     neighbour_mask = np.arange(neighbours.shape[1]) < counts[:, None]

@@ -1,23 +1,24 @@
-r"""The spatial basis and the coefficients of a compressed sequence, read from streams of bytes.
+r"""Read the spatial basis and the coefficients of a compressed sequence from streams of bytes.
 
 A frame is a sum of basis vectors over the mesh, with coefficients over time,
 
 .. math:: x_t(v) = \sum_k u_k(t)\, b_k(v)
 
 trajectories
-    A basis vector has one number at each vertex, and three coefficients at each frame. The first one,
-    :math:`b_0 = 1 / \sqrt V`, is known. A mesh may be cut into parts with a basis each, which is zero elsewhere.
+    A basis vector has one number at each vertex, and three coefficients at each frame. The first vector,
+    :math:`b_0 = 1 / \sqrt V`, is known. If the mesh is cut into parts, every part has a basis that is zero elsewhere.
 shapes
-    A basis vector has three coordinates at each vertex, and one coefficient at each frame. The first one is the mean
+    A basis vector has three coordinates at each vertex, and one coefficient at each frame. The first vector is the mean
     shape, whose coefficient :math:`u_0 = 1 / \sqrt T` is known.
 
-Basis vectors are split into streams (groups), each of twice the size of the one before, so that a damaged file keeps
-the most important ones; every stream has vectors of all parts. Coefficients have one stream per chunk of frames, coded
-independently.
+Basis vectors are split into groups with one stream each. A group is twice as large as the group before, so that a
+damaged file keeps the most important vectors. Every group has vectors of all parts. Coefficients have one stream per
+chunk of frames, coded independently.
 
-The first group begins with the part of every vertex, in the order of the mesh's graph: whether a vertex has the most
-frequent label of its known neighbours, or the second most frequent; otherwise the label itself, from its highest bit.
-The contexts of both questions are the number of neighbours, and the numbers with either label.
+The first group begins with the part labels of vertices, in the order of the mesh's graph. A bit codes whether a vertex
+has the most frequent label of its known neighbours, and another bit the second most frequent label. If the vertex has
+neither, the label follows, highest bit first. Contexts of both bits are the numbers of neighbours with these labels,
+and of all neighbours.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``; ``parts.npz`` has several parts,
 ``shapes.npz`` several groups, ``long.npz`` several chunks). `mixseq.compression.encoder.trial` writes these streams.
@@ -42,24 +43,24 @@ from mixseq.runtime.parallel import two_thread_executor
 from mixseq.types import Float, Index
 
 MAX_PARTS = 128
-"""Largest number of parts of a mesh. Frozen: files with more are refused."""
+"""Largest number of parts of a mesh. Frozen: files with more parts are refused."""
 
 FIRST_GROUP_SIZE = 12
-"""Basis vectors in the first group. Frozen: another number breaks old files."""
+"""Number of basis vectors in the first group. Frozen: another number breaks old files."""
 
 _LABEL_BITS = 7
-"""Bits of a label. Frozen: breaks old files."""
+"""Number of bits of a label. Frozen: breaks old files."""
 
 
 def write_labels(writer: Writer, labels: Index, graph: SignalGraph) -> None:
-    """Code the part ``(V,)`` of every vertex; `graph` is that of the whole mesh."""
+    """Write the part labels ``(V,)`` of vertices; `graph` is the graph of the whole mesh."""
     node_labels = labels[graph.order]
     _code_labels(writer.reserve(graph.size), _new_label_models(), node_labels, graph.neighbours, graph.counts)
     writer.add_to_checksum(node_labels)
 
 
 def read_labels(reader: Reader, part_count: int, graph: SignalGraph) -> Index:
-    """Read the labels ``(V,)`` of `part_count` parts written by `write_labels`."""
+    """Read the part labels ``(V,)`` written by `write_labels` for `part_count` parts."""
     node_labels = np.zeros(graph.size, dtype=np.int64)
     _code_labels(reader.stream(), _new_label_models(), node_labels, graph.neighbours, graph.counts)
     reader.add_to_checksum(node_labels)
@@ -82,7 +83,7 @@ def _code_labels(stream: BitStream, models: BitModels, labels: Index, neighbours
         count = counts[node]
         for i in range(count):
             votes[labels[neighbours[node, i]]] += 1
-        # Ties go to the label of the nearest neighbour, the last one.
+        # Ties go to the label of the last neighbour, which is the nearest.
         first, second = -1, -1
         for i in range(count - 1, -1, -1):
             label = labels[neighbours[node, i]]
@@ -105,7 +106,7 @@ def _code_labels(stream: BitStream, models: BitModels, labels: Index, neighbours
             labels[node] = second
             continue
         models.contexts[0] = models.contexts[1] = 0
-        prefix = 1  # the bits so far, after a 1
+        prefix = 1  # a 1, then the bits coded up to now
         for shift in range(_LABEL_BITS - 1, -1, -1):
             prefix = 2 * prefix + code_modelled_bit(stream, models, 1 + prefix, (label >> shift) & 1)
         labels[node] = prefix - (1 << _LABEL_BITS)
@@ -115,14 +116,14 @@ BasisKind = Literal["trajectories", "shapes"]
 
 
 class Part(NamedTuple):
-    """Vertices ``(n,)`` of a part, ascending, and the graph over them."""
+    """Vertices ``(n,)`` of a part, ascending, and the graph over these vertices."""
 
     vertices: Index
     graph: SignalGraph
 
 
 def split_parts(labels: Index, faces: NDArray[np.integer]) -> list[Part]:
-    """Return the parts of labels ``(V,)`` 0 ... P - 1, each with the triangles ``(F, 3)`` that lie inside it."""
+    """Return the parts of labels ``(V,)`` 0 ... P - 1, with graphs of the `faces` ``(F, 3)`` inside each part."""
     vertices = part_vertices(labels)
     graphs = two_thread_executor()(
         lambda _, part: build_part_graph(part, vertices[part], labels, faces), None, range(len(vertices))
@@ -131,18 +132,18 @@ def split_parts(labels: Index, faces: NDArray[np.integer]) -> list[Part]:
 
 
 def part_vertices(labels: Index) -> list[Index]:
-    """Return the vertices of every part, ascending."""
+    """Return the ascending vertices of every part with labels ``(V,)``."""
     return [np.flatnonzero(labels == part) for part in range(int(labels.max(initial=-1)) + 1)]
 
 
 def build_part_graph(part: int, vertices: Index, labels: Index, faces: NDArray[np.integer]) -> SignalGraph:
-    """Return the graph over the vertices ``(n,)`` of a part."""
+    """Return the graph over the vertices ``(n,)`` of a part, from the `faces` ``(F, 3)`` inside the part."""
     inner_faces = faces[(labels[faces] == part).all(axis=1)]
     return mesh_graph(np.searchsorted(vertices, inner_faces), len(vertices))
 
 
 class PartBasis(NamedTuple):
-    """The basis of a part: its vertices ``(n,)``, ascending, and the vectors ``(K, c, n)`` over them."""
+    """The basis of a part: its vertices ``(n,)``, ascending, and the vectors ``(K, c, n)`` over these vertices."""
 
     vertices: Index
     vectors: Float
@@ -153,10 +154,10 @@ class SpatialBasis:
     """A decoded spatial basis."""
 
     kind: BasisKind  # vectors of trajectories or of shapes
-    # Basis vectors of every part, in the units of the sequence; they are zero everywhere else. c = 1 of trajectories,
-    # the first of which are constant; c = 3 of shapes, the first of which is the mean times the root of T.
+    # Basis vectors of every part, in the units of the sequence, zero outside the part. Trajectories: c = 1, the first
+    # vector of a part is constant. Shapes: c = 3, the first vector is the mean times the root of T.
     part_bases: tuple[PartBasis, ...]
-    part_ids: Index  # (K,) part that a vector belongs to, for all vectors in the order of their coefficients
+    part_ids: Index  # (K,) part of every vector, in the order of coefficients
     frame_count: int  # number T of frames
 
     @property
@@ -187,7 +188,7 @@ class SpatialBasis:
         return slice(0 if self.kind == "trajectories" else 1, None)
 
     def frames(self, coefficients: Float) -> Float:
-        """Return the frames ``(T, V, 3)`` of coefficients ``(T, K, 3 / c)`` of the varying vectors."""
+        """Return the frames ``(T, V, 3)`` with coefficients ``(T, K, 3 / c)`` of the varying vectors."""
         if self.kind == "shapes":
             vectors = self.part_bases[0].vectors
             mean = vectors[0].T / np.sqrt(self.frame_count)
@@ -201,7 +202,7 @@ class SpatialBasis:
 
 
 def group_slices(rank: int) -> list[slice]:
-    """Return the slice of basis vectors in every stream: 12, 24, 48, ... vectors."""
+    """Return the slice of a part's basis vectors in every group: 12, 24, 48, ... vectors."""
     ends, size = [0], FIRST_GROUP_SIZE
     while ends[-1] < rank:
         ends.append(min(ends[-1] + size, rank))
@@ -210,7 +211,7 @@ def group_slices(rank: int) -> list[slice]:
 
 
 def part_groups(ranks: Sequence[int]) -> list[list[tuple[int, slice]]]:
-    """Return the parts, and slices of their vectors, in every stream."""
+    """Return the parts, and the slices of their vectors, in every group."""
     slices = [group_slices(rank) for rank in ranks]
     return [
         [(part, of_part[group]) for part, of_part in enumerate(slices) if group < len(of_part)]
@@ -226,13 +227,13 @@ def read_basis(
     faces: NDArray[np.integer],
     graph: SignalGraph,
 ) -> tuple[list[Float], list[Index]]:
-    """Return the basis vectors ``(K, c, n)`` of every part, and its vertices."""
+    """Read the basis vectors ``(K, c, n)`` of every part; return vectors and vertices by part."""
     models, labels = NumberModels(), np.zeros(graph.size, dtype=np.int64)
     readers = [Reader(stream) for stream in streams]
     if len(ranks) > 1:
         labels = read_labels(readers[0], len(ranks), graph)
     vertices, signals = part_vertices(labels), [list[Float]() for _ in ranks]
-    # Created on demand and freed after use, as a coder takes more than a kilobyte a vertex.
+    # Coders are created on demand and freed after use, as each takes over a kilobyte per vertex.
     coders: dict[int, SignalCoder] = {}
     for reader, group in zip(readers, part_groups(ranks), strict=True):
         for part, vectors in group:
@@ -254,10 +255,10 @@ def read_basis(
 def assemble_basis(
     kind: BasisKind, vectors: Sequence[Float], vertices: Sequence[Index], frame_count: int
 ) -> SpatialBasis:
-    """Return the basis of decoded vectors ``(K, c, n)`` of all parts, without zero ones, ordered by groups."""
+    """Make a basis from the decoded vectors ``(K, c, n)`` of all parts, without zero vectors, ordered by groups."""
     nonzero_masks = [np.any(of_part, axis=(1, 2)) for of_part in vectors]
     if kind == "shapes":
-        nonzero_masks[0][:1] = True  # the mean, which may be zero
+        nonzero_masks[0][:1] = True  # keep the mean, even if it is zero
     part_bases, part_ids = [], [np.arange(len(vertices) if kind == "trajectories" else 0)]
     for ids, values, nonzero_mask in zip(vertices, vectors, nonzero_masks, strict=True):
         values = values[nonzero_mask]
@@ -270,7 +271,7 @@ def assemble_basis(
 
 
 def read_coefficients(basis: SpatialBasis, stream: bytes, count: int, step: float) -> Float:
-    """Return the coefficients ``(n, K, d)`` of the varying vectors in a chunk of `count` frames."""
+    """Read the coefficients ``(n, K, d)`` of the varying vectors in a chunk of n = `count` frames."""
     scales = basis.norms[basis.varying] / step
     models, graph = NumberModels(), path_graph(count)
     coefficients = np.empty((count, len(scales), 3 if basis.kind == "trajectories" else 1))

@@ -1,15 +1,15 @@
-r"""Compiled loops for texture coordinates: seams, guesses from adjacent nodes, and copies of earlier regions.
+r"""Code seams of texture coordinates, and guess coordinates from adjacent nodes and copies of earlier regions.
 
 *Seams* separate corners at a vertex that have different coordinates. Polygons are visited in the growing order
-(`mixseq.compression.bitstream.connectivity`), corners in that of the polygon. A corner takes the node (the pair of
-coordinates) of the polygon across the edge into it, or of that across the edge out of it, or another one of its vertex,
-the newest first; each of these is a bit, unless it was excluded already. If it takes none, it has a new node. Nodes are
-numbered in order of first use.
+(`mixseq.compression.bitstream.connectivity`), and corners in the order of the polygon. Candidates for the node (pair of
+coordinates) of a corner are the node across the edge into the corner, the node across the edge out of it, then other
+nodes of its vertex, the newest first. One bit per candidate codes whether it is the node, unless it was excluded
+already. If no candidate is the node, the corner has a new node. Nodes are numbered in order of first use.
 
-*Guesses.* With :math:`a, b` the corners before and after a corner x in a polygon that has it, they are, in this order,
+*Guesses.* Corners :math:`a, b` are before and after a corner x in a polygon. The guess is the first possible one of
 
 ==========  =========================================================================================================
-`AROUND`    the mean of :math:`a + b - z` over all polygons around the node: of a quad, *z* is the corner across; of a
+`AROUND`    the mean of :math:`a + b - z` over all polygons around the node: in a quad, *z* is the corner across; in a
             triangle, the corner before the half-edge beyond the one from *b* to *a*
 `BEYOND`    the mean of :math:`2 a - e` and :math:`2 b - e`, or the one that exists: *e* is adjacent to *a* (*b*) in the
             polygon beyond the edge of this polygon that runs into *a* (out of *b*)
@@ -17,19 +17,20 @@ numbered in order of first use.
 `ANYWHERE`  the last known node, (0, 0) at the start
 ==========  =========================================================================================================
 
-each from known nodes (parallelograms: Touma and Gotsman 1998, *Triangle mesh compression*). Means round to the nearest
-integer, halves up. Where guesses `AROUND` overshoot, as the map is less even than the rule assumes, :math:`a + b - z`
-is drawn back to the middle of *a* and *b*, by 3/8 of the way, rounded down.
+from known nodes only (parallelograms: Touma and Gotsman 1998, *Triangle mesh compression*). Means round to the nearest
+integer, halves up. Guesses `AROUND` overshoot where the map is uneven. There :math:`a + b - z` is drawn back towards
+the midpoint of *a* and *b*, by 3/8 of the distance, rounded down.
 
-*Copies* are translated, rotated, scaled, mirrored: the two sides of a character are usually unwrapped alike, and then
-packed. So a polygon may have an *image*, an earlier polygon with the same number of corners. The image of its first
-corner, and whether it is mirrored, is coded where a *region* begins; from there the image of a polygon follows from
-that of an adjacent one. With o a corner whose coordinates and whose image's are known, the one before or after x, or
-else the region's first, and :math:`p, q` two more of the region, far from each other, the copy of x is
+*Copies* are translated, rotated, scaled or mirrored: the two halves of a character are usually unwrapped alike, and
+then packed. So a polygon may have an *image*, an earlier polygon with the same number of corners. Where a *region*
+begins, the image of the first corner, and whether the image is mirrored, are coded. Within the region, the image of a
+polygon follows from the image of an adjacent polygon. Let o be the corner before x, after x, or else the first corner
+of the region, whichever first has known coordinates and a known image. With two distant corners :math:`p, q` of the
+region, the copy of x is
 
 .. math:: x = o + \frac{q - p}{q' - p'}\, (x' - o')
 
-as complex numbers, where primes are images, conjugated if they are mirrored. With only one known corner the image is
+as complex numbers, where primes are images, conjugated if they are mirrored. If only one corner is known, its image is
 translated, and mirrored in u.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``). numba caches compiled loops by
@@ -56,8 +57,8 @@ class Guess(NamedTuple):
     """A guess, and the properties of it used as contexts."""
 
     value: Index  # (2,) the guess
-    draw_back: Index  # (2,) how far it is drawn back where such guesses overshoot
-    # (3,) kind (AROUND, ...); number of guesses averaged; their spread, u and v added.
+    draw_back: Index  # (2,) amount by which the guess is drawn back where guesses overshoot
+    # (3,) kind (AROUND, ...); number of averaged guesses; their spread, summed over u and v.
     facts: Index
     low: Index  # (2,) least u and v of the guesses in the mean
     high: Index  # (2,) largest u and v of the guesses in the mean
@@ -67,8 +68,8 @@ class KnownNodes(NamedTuple):
     """Coordinates of the known nodes."""
 
     values: Index  # (N, 2) coordinates
-    is_known: Mask  # (N,) whether they are known
-    errors: Index  # (N,) distance from their guess, u and v added
+    is_known: Mask  # (N,) whether coordinates are known
+    errors: Index  # (N,) distance of coordinates from their guess, summed over u and v
 
 
 def new_guess() -> Guess:
@@ -78,7 +79,7 @@ def new_guess() -> Guess:
 
 @compiled
 def make_guess(corners: Corners, known: KnownNodes, corner: int, last: int, guess: Guess) -> None:
-    """Guess the coordinates at a corner; `last` is the last known node, -1 for none."""
+    """Guess the coordinates at a corner; `last` is the last known node, or -1 at the start."""
     node, twin, values, is_known = corners.node, corners.twin, known.values, known.is_known
     x = node[corner]
     for i in range(2):
@@ -137,7 +138,7 @@ def make_guess(corners: Corners, known: KnownNodes, corner: int, last: int, gues
 
 @compiled
 def _add_to_mean(guess: Guess, i: int, value: int, count: int) -> None:
-    """Add one of the guesses to be averaged."""
+    """Add a coordinate to the mean and the range of the guesses."""
     guess.value[i] += value
     guess.low[i] = min(guess.low[i], value) if count else value
     guess.high[i] = max(guess.high[i], value) if count else value
@@ -150,17 +151,17 @@ _ROTATION_BITS = 17
 class Copies(NamedTuple):
     """Images of the visited polygons."""
 
-    places: Index  # (P,) when a polygon is visited
+    places: Index  # (P,) position of a polygon in the visiting order
     image: Index  # (C,) the image of every corner, -1 if there is none
     mirrored: Mask  # (P,) whether the image of a polygon is mirrored
-    region: Index  # (P,) when the region of a polygon began, -1 for none
-    # (P, 2) for every region, by when it began: the first corner that is known with its image, and the one whose image
-    # is farthest from the image of that; -1 for none.
+    region: Index  # (P,) position at which the region of a polygon began, -1 for no region
+    # (P, 2) anchors of a region, by the position at which it began: the first corner that is known with its image, and
+    # the corner whose image is farthest from that first image; -1 for none.
     anchors: Index
 
 
 def new_copies(corners: Corners, order: Index) -> Copies:
-    """Return a state without regions."""
+    """Return copies without regions."""
     return Copies(
         places=np.argsort(order),
         image=np.full(len(corners.node), -1, dtype=np.int64),
@@ -178,7 +179,7 @@ def next_image(corners: Corners, image: int, mirrored: bool) -> int:
 
 @compiled
 def inherited_image(corners: Corners, copies: Copies, corner: int) -> int:
-    """Return the image of a corner that follows from the polygon across the half-edge from it; -1 if there is none."""
+    """Return a corner's image that follows from the polygon across its half-edge, or -1 if there is none."""
     across = corners.twin[corner]
     if across < 0 or copies.region[corners.polygon[across]] < 0:
         return -1
@@ -191,7 +192,7 @@ def inherited_image(corners: Corners, copies: Copies, corner: int) -> int:
 
 @compiled
 def inherit_image(corners: Corners, copies: Copies, polygon: int) -> bool:
-    """Set a polygon's image from an adjacent polygon, its corners in order; return whether there is one."""
+    """Set a polygon's image from the first adjacent polygon that gives one; return whether there is one."""
     for corner in range(corners.starts[polygon], corners.starts[polygon + 1]):
         image = inherited_image(corners, copies, corner)
         if image >= 0 and can_be_image(corners, copies, polygon, corners.polygon[image]):
@@ -211,7 +212,7 @@ def can_be_image(corners: Corners, copies: Copies, polygon: int, image: int) -> 
 
 @compiled
 def set_image(corners: Corners, copies: Copies, corner: int, image: int, mirrored: bool, region: int) -> None:
-    """Set the image of a corner, and with it of all corners of its polygon."""
+    """Set the image of a corner, and the resulting images of all corners of its polygon."""
     polygon = corners.polygon[corner]
     copies.mirrored[polygon] = mirrored
     copies.region[polygon] = region
@@ -223,7 +224,7 @@ def set_image(corners: Corners, copies: Copies, corner: int, image: int, mirrore
 
 @compiled
 def update_anchors(corners: Corners, copies: Copies, known: KnownNodes, corner: int) -> None:
-    """Make a corner an anchor of its region, if it is the first one, or its image farther from the first one's."""
+    """Make a corner an anchor of its region if it is the first one, or its image is farthest from the first image."""
     node, values, image = corners.node, known.values, copies.image[corner]
     anchors = copies.anchors[copies.region[corners.polygon[corner]]]
     if not (known.is_known[node[corner]] and known.is_known[node[image]]):
@@ -242,7 +243,7 @@ def update_anchors(corners: Corners, copies: Copies, known: KnownNodes, corner: 
 
 @compiled
 def guess_copy(corners: Corners, copies: Copies, known: KnownNodes, corner: int, guess: Guess) -> int:
-    """Set the guess at a corner to the copy of its image; return its number of anchors, 0 if there is no copy."""
+    """Set the guess at a corner to the copy of its image; return the number of anchors used, 0 if there is no copy."""
     node, values, is_known, images = corners.node, known.values, known.is_known, copies.image
     polygon = corners.polygon[corner]
     if copies.region[polygon] < 0 or not is_known[node[images[corner]]]:
@@ -282,30 +283,32 @@ def guess_copy(corners: Corners, copies: Copies, known: KnownNodes, corner: int,
 
 
 SEAM_KINDS = 4
-"""Kinds of bits with mixing weights of their own. Frozen: breaks old files."""
+"""Number of kinds of bits, which have separate mixing weights. Frozen: breaks old files."""
 
 _INTO, _OUT, _OTHER, _BOTH = range(SEAM_KINDS)
-"""Node across the edge into the corner, across that out of it, another one, that of both. Frozen: breaks old files."""
+"""Node across the edge into a corner, across the edge out of it, another node, or one node across both edges.
+Frozen: breaks old files.
+"""
 
 MAX_SEARCHED_NODES = 32
-"""Nodes of a vertex that are searched, which bounds the time. Frozen: breaks old files."""
+"""Largest number of searched nodes per vertex, to bound the time. Frozen: breaks old files."""
 
 MAX_SEAM_BITS = 2 + MAX_SEARCHED_NODES
-"""Bits of a corner at most. Free: memory is allocated ahead."""
+"""Largest number of bits per corner. Free: memory is allocated ahead."""
 
 
 @compiled
 def code_seams(bits: HashedBits, corners: Corners, order: Index, labels: Index, nodes: Index) -> int:
-    """Code which corners have the same label ``(C,)``, or decode it, polygons in the order ``(P,)``.
+    """Code or decode which corners at a vertex have equal labels ``(C,)``; polygons are visited in `order` ``(P,)``.
 
-    Corners on vertices get their `nodes` ``(C,)``. Returns the number of nodes.
+    Writes the nodes of the corners to `nodes` ``(C,)``, and returns the number of nodes.
     """
     vertices, twin = corners.node, corners.twin
     vertex_count = len(corners.around_starts) - 1
     newest = np.full(vertex_count, -1, dtype=np.int64)
     older, label_of = np.empty(len(vertices), dtype=np.int64), np.empty(len(vertices), dtype=np.int64)
     node_counts = np.zeros(vertex_count, dtype=np.int64)  # nodes of a vertex
-    coded = np.zeros(vertex_count, dtype=np.int64)  # corners of a vertex that have a node
+    coded = np.zeros(vertex_count, dtype=np.int64)  # corners of a vertex that have a node already
     count = history = 0
     for polygon in order:
         for corner in range(corners.starts[polygon], corners.starts[polygon + 1]):
@@ -359,7 +362,7 @@ def code_seams(bits: HashedBits, corners: Corners, order: Index, labels: Index, 
 
 @compiled
 def _is_shared(node: int, other: int) -> int:
-    """Return whether the other end of an edge has one node on both sides; 2 if unknown."""
+    """Return 1 if both sides of an edge have the same node at its other end, 0 if not, 2 if unknown."""
     return 2 if node < 0 or other < 0 else (1 if node == other else 0)
 
 

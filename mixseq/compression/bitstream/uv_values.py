@@ -1,22 +1,22 @@
 """Code the values of texture coordinates: their differences from guesses, node by node.
 
-Polygons are visited in the growing order of the polygons on nodes. Their corners start from the first known one that
-has an unknown one after it, else from the first one. Unknown ones are coded: the difference of u from its guess, then
-that of v. The guess is the copy of an image, or from adjacent nodes (`mixseq.compression.bitstream.uv_seams`).
+Polygons on nodes are visited in their growing order. Corners of a polygon are visited from the first known corner with
+an unknown successor, or else from the first corner. At an unknown corner, the differences of u and v from their guesses
+are coded. A guess is the copy of an image, or comes from adjacent nodes (`mixseq.compression.bitstream.uv_seams`).
 
-*Images.* A polygon has the image that follows from an adjacent one. If none does, and it has unknown nodes, a number
-codes whether a region begins with it: 0 for no, else how many polygons before it its image was visited; then another
-one, twice the place of the corner in that polygon that is the image of its first corner, plus 1 if it is mirrored. A
-polygon loses its image where a copy from two anchors was off by more than 8, and by more than the other guess.
+*Images.* The image of a polygon follows from an adjacent polygon. If none follows, and the polygon has unknown nodes,
+a number codes whether a region begins here: 0 if not, otherwise how many visits ago the image polygon was visited. A
+second number is twice the index, in the image polygon, of the image of the first corner, plus 1 if mirrored. A polygon
+loses its image if a copy from two anchors has an error above 8 that also exceeds the error of the other guess.
 
-*Drawing back.* Whether guesses `AROUND` are drawn back is decided by the loss of either, a sum of sizes as below that
-forgets 1/32 at every node that has such a guess.
+*Drawing back.* Guesses `AROUND` are drawn back if this had the smaller loss up to now. A loss is a sum of error sizes
+that decays by 1/32 at every node with such a guess.
 
-*Numbers.* Whether the magnitude has a bit, a second one, a third, ..., until it has no more; then its bits after the
-highest, from high to low, and the sign of differences, without a model. The code here specifies the contexts of the
-first. They are bit counts beyond the expected ones: recent ones, those of the neighbours, of the length of the edge
-across, of the spread of guesses (of v: of u). A *size* is the number of bits of a number in 16ths: 16 for each, plus
-the four after the highest.
+*Numbers.* Bits with models code whether the magnitude has a first bit, a second bit, and so on until it has no more.
+The bits after the highest follow, from high to low, then the sign of differences, all without a model. The code here
+specifies the contexts: bit counts in excess of expected sizes, which come from recent errors, errors of neighbours,
+the length of the edge across, and the spread of guesses (for v, the error of u). A *size* is a bit count in 16ths: 16
+per bit, plus the value of the four bits after the highest.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``). numba caches compiled loops by
 the text of their own file, and this one inlines `arithmetic`, `connectivity` and `uv_seams`: edit this file whenever
@@ -54,28 +54,28 @@ from mixseq.runtime.jit import compiled
 from mixseq.types import Index
 
 _GUESS_GROUPS = 4
-"""Groups of guesses with similar errors: around and beyond, copied, beside, anywhere. Frozen: breaks old files."""
+"""Groups of guesses with similar errors: around or beyond, copied, beside, anywhere. Frozen: breaks old files."""
 
 VALUE_KINDS = 2 * _GUESS_GROUPS + 2
-"""Kinds of bits with mixing weights, after those of seams: u and v by group; regions. Frozen: breaks old files."""
+"""Kinds of bits after the kinds of seams: u and v for every group, and two for regions. Frozen: breaks old files."""
 
 MAX_NUMBER_BITS = 40
-"""Bits of the largest numbers. Frozen: breaks old files."""
+"""Largest bit length of a number. Frozen: breaks old files."""
 
 MAX_COORDINATE = 1 << 26
 """Largest magnitude of a coordinate, in steps. Frozen: breaks old files."""
 
 _MAX_COPY_ERROR = 8
-"""Error above which a copy worse than the other guess ends, in steps. Frozen: breaks old files."""
+"""Error in steps above which a polygon loses its image, if the other guess is better. Frozen: breaks old files."""
 
 _REGION_KIND, _IMAGE_KIND = 2 * _GUESS_GROUPS, 2 * _GUESS_GROUPS + 1
-"""Kinds of the numbers of regions. Frozen: breaks old files."""
+"""Kinds of the two numbers that begin a region. Frozen: breaks old files."""
 
 _NO_NODE = -1
-"""No node, in the type of nodes. Free: saves a compilation."""
+"""Value for no node, of the same type as nodes. Free: saves a compilation."""
 
 _INITIAL_SIZES = (64, 64, 160, 160)
-"""Initial expected sizes of the groups. Frozen: breaks old files."""
+"""Initial expected size of an error in every group. Frozen: breaks old files."""
 
 
 @compiled
@@ -90,13 +90,13 @@ def code_values(
 ) -> None:
     """Code the values of all nodes, or decode them; set `bits.failed` on failure.
 
-    Polygons are visited in the order ``(P,)``; `copies`, `known` and `guess` start empty, but for the values of `known`
-    when coding. Then `regions` ``(P,)`` marks where they begin: 0 for nowhere, else 1 plus twice the image of the first
-    corner, which must have been visited, plus 1 if it is mirrored.
+    Polygons are visited in `order` ``(P,)``; `copies`, `known` and `guess` start empty. For coding, `known` has values,
+    and `regions` ``(P,)`` is 0 if no region begins with a polygon. Otherwise it is 1 plus twice the image of the first
+    corner, in a polygon visited before, plus 1 if the image is mirrored.
     """
     facts, sizes = np.zeros(3, dtype=np.int64), np.zeros(4, dtype=np.int64)
     means = np.array(_INITIAL_SIZES)
-    losses = np.zeros(2, dtype=np.int64)  # of guesses as they are, and drawn back
+    losses = np.zeros(2, dtype=np.int64)  # of unchanged guesses, and of guesses drawn back
     plain = np.zeros(2, dtype=np.int64)  # the guess without copies
     values, node = known.values, corners.node
     last = _NO_NODE
@@ -172,7 +172,7 @@ def _code_region(
     facts: Index,
     sizes: Index,
 ) -> None:
-    """Code whether a region begins with a polygon, and its image."""
+    """Code whether a region begins with a polygon, and if so, the image of the polygon."""
     place, image, back = copies.places[polygon], (region - 1) >> 1, 0
     if region:
         back = place - copies.places[corners.polygon[image]]
@@ -203,7 +203,7 @@ def _set_contexts(
     facts: Index,
     sizes: Index,
 ) -> None:
-    """Set the facts of a guess, and the expected sizes of its error."""
+    """Write the context facts of a guess, and the expected sizes of its error."""
     a, b = corners.node[previous_corner(corners, corner)], corners.node[next_corner(corners, corner)]
     near, edge = known.errors[a] + known.errors[b], 0
     if known.is_known[a] != known.is_known[b]:
@@ -218,7 +218,7 @@ def _set_contexts(
 
 @compiled
 def _code_number(bits: HashedBits, facts: Index, sizes: Index, kind: int, number: int) -> int:
-    """Code a number in contexts of known facts ``(3,)`` and expected sizes ``(4,)``."""
+    """Code a number in contexts made from `facts` ``(3,)`` and expected `sizes` ``(4,)``."""
     magnitude, contexts, length = abs(number), bits.contexts, 0
     while length < MAX_NUMBER_BITS:
         excess = _excess_bits(length, sizes[0], 4)
@@ -241,7 +241,7 @@ def _code_number(bits: HashedBits, facts: Index, sizes: Index, kind: int, number
 
 @compiled
 def _excess_bits(length: int, size: int, shift: int) -> int:
-    """Return the number of bits beyond the expected size, in units of ``2^shift`` 16ths: 1 to 63, 32 for none."""
+    """Return the bits beyond an expected size, in units of ``2^shift`` / 16 bits, plus 32: from 1 to 63."""
     return min(max(16 * length - size + 8 >> shift, -31), 31) + 32
 
 

@@ -1,4 +1,4 @@
-"""Choose step, basis and parts of a compressed file (`compress`). Free to change: any decoder reads the result.
+"""Choose the step, basis and parts of a compressed file. These modules may change, as any decoder reads the result.
 
-`components` and `parts` make the basis, `trial` compresses with one step, `search` finds the step, `uvs` does textures.
+`components` and `parts` compute the basis, `trial` compresses with one step, `search` finds the step, `uvs` codes UVs.
 """

@@ -1,19 +1,19 @@
-r"""Principal components of a sequence and of parts of its mesh: the spatial basis before it is rounded.
+r"""Compute principal components of a sequence and of parts of its mesh: the spatial basis before rounding.
 
 trajectories
     :math:`x_t(v) = m(t) + \sum_k u_k(t)\, b_k(v)`: principal components of the vertices' trajectories about their mean
-    m. A basis vector :math:`b_k` has one number per vertex, its coefficients :math:`u_k(t)` three coordinates. A rigid
-    part needs three vectors, affine functions of the position. The best for most sequences.
+    m. A basis vector :math:`b_k` has one number per vertex, a coefficient :math:`u_k(t)` three coordinates. A rigid
+    part needs three vectors, which are affine functions of the position. This kind is best for most sequences.
 shapes
     :math:`x_t(v) = m(v) + \sum_k u_k(t)\, b_k(v)`: principal components of the frames about their mean m. A basis
-    vector has three coordinates per vertex, its coefficients are numbers. For meshes with few vertices relative to
-    their frames.
+    vector has three coordinates per vertex, a coefficient is one number. This kind is best for meshes with few
+    vertices and many frames.
 
-Both are optimal in the least-squares sense. If every number of :math:`b_k` and of :math:`u_k \|b_k\|` is rounded to a
-multiple of the same step, all of them cost the same bits and make the same error: reverse water-filling.
+Both kinds are optimal in the least-squares sense. Every number of :math:`b_k` and of :math:`u_k \|b_k\|` is rounded to
+a multiple of the same step, so that all numbers have the same expected error (reverse water-filling).
 
-Frames are read for the trajectories of the whole mesh only. Shapes, the components of parts and the best-fitting
-coefficients of a part are computed from these components, which are far fewer than the frames.
+Only the trajectory components of the whole mesh are computed from frames. Shapes, components of parts and best-fitting
+coefficients are computed from these trajectory components, which are far fewer than the frames.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from mixseq.sequence.sequence import FrameStore
 from mixseq.types import Float, Index
 
 MAX_TABLE_SIDE = 3000
-"""Largest number of rows or columns for principal components; frames of longer sequences are skipped for it."""
+"""Largest smaller side of a table for principal components; from larger tables, evenly spaced frames are used."""
 
 
 @dataclass(frozen=True, eq=False)
 class PrincipalComponents:
-    """Principal components of a sequence: curves over time times vectors over the mesh, most important first."""
+    """Principal components of a sequence, largest first: each is a curve over time times a vector over the mesh."""
 
-    kind: BasisKind  # components of trajectories or of shapes
-    # (T, 3) mean of all vertices at every frame (trajectories), or of all frames at every vertex (shapes).
+    kind: BasisKind  # whether components are trajectories or shapes
+    # Trajectories: (T, 3) mean of all vertices at every frame. Shapes: (3, V) mean of all frames at every vertex.
     mean: Float
-    curves: Float  # (K, T, d) coefficients, orthonormal: d = 3 of trajectories, 1 of shapes
-    # (K, c, V) basis vectors in the units of the sequence, orthogonal: c = 1 of trajectories, 3 of shapes.
+    curves: Float  # (K, T, d) orthonormal coefficients; d = 3 for trajectories, 1 for shapes
+    # (K, c, V) orthogonal basis vectors in the units of the sequence; c = 1 for trajectories, 3 for shapes.
     vectors: Float
-    left_out: float  # sum of squares of the components that were left out as too small
+    left_out: float  # sum of squares of the omitted small components
 
     @cached_property
     def norms(self) -> Float:
@@ -61,7 +61,7 @@ def trajectory_components(sequence: FrameStore, min_norm: float) -> PrincipalCom
         curves = _leading_eigenvectors(_row_gram(table), min_norm)
         vectors = _multiply(curves, table)
     else:
-        # Each used frame stands for its skipped neighbours.
+        # Every used frame represents `stride` frames, so norms are smaller by the root of `stride`.
         used = table if stride == 1 else _centred_trajectories(sequence, np.arange(0, count, stride))[0]
         scores = _project(table, _principal_directions(used, min_norm / np.sqrt(stride)))
         curves = np.asarray(linalg.qr(scores, mode="economic")[0].T, dtype=np.float64)
@@ -75,12 +75,12 @@ def trajectory_components(sequence: FrameStore, min_norm: float) -> PrincipalCom
 
 
 def shape_components(components: PrincipalComponents, min_norm: float) -> PrincipalComponents:
-    """Compute the principal components of the frames from those of the trajectories."""
+    """Compute the principal components of the frames from the components of the trajectories."""
     used_mask = components.norms > 0
     curves, norms = components.curves[used_mask], components.norms[used_mask]
     vectors = components.vectors[used_mask, 0]
     mean = components.mean.mean(axis=0)[:, None] + curves.mean(axis=1).T @ vectors
-    # Frames as numbers (T, 3 (K + 1)) times vectors that are orthonormal, the last of which is constant.
+    # Frames are scores (T, 3 (K + 1)) times orthonormal vectors, the last of which is constant.
     scales = np.append(norms, np.sqrt(vectors.shape[1]))
     scores = np.concatenate([curves, components.mean[None]])
     scores = (scores - scores.mean(axis=1, keepdims=True)) * scales[:, None, None]
@@ -98,7 +98,7 @@ def shape_components(components: PrincipalComponents, min_norm: float) -> Princi
 
 
 def _leading_eigenvectors(gram: Float, min_norm: float) -> Float:
-    """Return the eigenvectors ``(K, n)`` of a matrix ``(n, n)`` with values above `min_norm` squared, one at least."""
+    """Return the eigenvectors ``(K, n)`` of a matrix ``(n, n)`` with eigenvalues above `min_norm`^2, at least one."""
     vectors = linalg.eigh(gram, subset_by_value=(max(min_norm, 0.0) ** 2, np.inf), check_finite=False)[1]
     if not vectors.shape[1]:
         vectors = np.eye(len(gram))[:, -1:]
@@ -113,7 +113,7 @@ def _row_gram(table: LargeArray) -> Float:
 
 
 def _principal_directions(table: LargeArray, min_norm: float) -> Float:
-    """Return orthogonal vectors ``(K, V)`` that nearly span rows ``(R, V)``."""
+    """Return orthogonal vectors ``(K, V)`` that nearly span the rows of a table ``(R, V)``."""
     height, width = table.shape
     if height <= width:
         return _multiply(_leading_eigenvectors(_row_gram(table), min_norm), table)
@@ -139,7 +139,7 @@ def _project(table: LargeArray, directions: Float) -> Float:
 
 
 def _centred_trajectories(sequence: FrameStore, frames: Index) -> tuple[LargeArray, Float]:
-    """Return trajectories ``(3T, V)`` without the mean of all vertices, and these means ``(T, 3)``."""
+    """Return trajectories ``(3T, V)`` relative to the mean of all vertices, and these means ``(T, 3)``."""
     table = new_large_array((3 * len(frames), sequence.points.shape[1]))
     means = np.empty((len(frames), 3))
     for row, frame in enumerate(frames):
@@ -150,24 +150,24 @@ def _centred_trajectories(sequence: FrameStore, frames: Index) -> tuple[LargeArr
 
 
 MIN_VECTOR_STEPS = 0.9
-"""Largest number of a basis vector, in steps, below which it does not pay: rounding leaves next to nothing."""
+"""Largest magnitude in a basis vector, in steps, below which it vanishes: rounding sets nearly all numbers to zero."""
 
 MAX_VANISHING_VECTORS = 2
-"""Number of consecutive basis vectors that do not pay, after which no more are coded."""
+"""Number of consecutive vanishing basis vectors after which no more vectors are coded."""
 
 _VECTORS_PER_BATCH = 16
-"""Number of vectors computed at once."""
+"""Number of basis vectors computed at once."""
 
 
 class Fit(NamedTuple):
     """Least-squares coefficients of a part."""
 
-    coefficients: Float  # (K, T, d) of the varying vectors, scaled to unit length
-    gram: Float  # (K, K) products of these vectors
-    squares: float  # sum of the squared distances with these coefficients
+    coefficients: Float  # (K, T, d) coefficients of the varying vectors, scaled to unit length
+    gram: Float  # (K, K) inner products of these vectors
+    squares: float  # sum of squared distances of the part from the fit
 
     def squares_of(self, coefficients: Float) -> float:
-        """Return the sum of squared distances of the part with other coefficients ``(K, T, d)``."""
+        """Return the sum of squared distances of the part from a fit with other coefficients ``(K, T, d)``."""
         difference = coefficients - self.coefficients
         return self.squares + float(np.vdot(difference, np.tensordot(self.gram, difference, 1)))
 
@@ -210,7 +210,7 @@ class PartComponents:
         return self._computed[number]
 
     def rank(self, step: float) -> int:
-        """Return the number of vectors before `MAX_VANISHING_VECTORS`, or all remaining ones, that do not pay."""
+        """Return the number of vectors, at least one, before the vanishing vectors at which coding stops."""
         vanishing = number = 0
         while number < len(self.norms) and vanishing < MAX_VANISHING_VECTORS:
             vanishes = np.abs(self.vector(number)).max() < MIN_VECTOR_STEPS * step
@@ -232,15 +232,15 @@ class PartComponents:
         solution = _solve_damped(gram, right)
         squares = np.square(loadings).sum() + np.vdot(solution, gram @ solution - 2 * right)
         coefficients = solution @ curves
-        if not has_mean_shape:  # the first vector is constant, and has all of the mean
+        if not has_mean_shape:  # the first vector is constant, and represents the whole mean
             coefficients[0] += np.sqrt(self.width) * self._components.mean.reshape(-1)
         return Fit(coefficients.reshape(len(unit), count, 3 // self.coordinates), gram, float(squares))
 
 
 def _rotate_to_part(loadings: Float, min_norm: float) -> tuple[Float, Float, Float]:
-    """Return a part's principal components from the whole mesh's vectors ``(R, n)``.
+    """Compute a part's principal components from the whole mesh's vectors ``(R, n)`` at its vertices.
 
-    Results are directions ``(K, R)``, products of these with the means of vectors ``(K,)``, and norms ``(K,)``.
+    Return directions ``(K, R)``, their products ``(K,)`` with the means of the vectors, and norms ``(K,)``.
     """
     means = loadings.mean(axis=1)
     gram = loadings @ loadings.T - loadings.shape[1] * np.outer(means, means)
@@ -254,7 +254,7 @@ def _solve_damped(gram: Float, right: Float) -> Float:
     """Solve the normal equations of nearly orthogonal vectors."""
     if not len(gram):  # a mean shape, and no motion
         return right
-    # Slight damping allows vectors that are equal after rounding; a second solve corrects for it.
+    # Damping keeps the matrix regular if vectors are equal after rounding; a second solve corrects for the damping.
     factor = linalg.cho_factor(gram + 1e-9 * np.eye(len(gram)), check_finite=False)
     solution = linalg.cho_solve(factor, right, check_finite=False)
     return np.asarray(solution + linalg.cho_solve(factor, right - gram @ solution, check_finite=False))

@@ -1,6 +1,6 @@
 """Compress a sequence to an error or a size, and measure the error by decoding the result.
 
-Guaranteed errors are measured ones. The step is found by `mixseq.compression.encoder.search`.
+Guaranteed errors are verified on the decoded frames. `mixseq.compression.encoder.search` finds the step.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def compress(
 ) -> CompressedSequence:
     """Compress a sequence.
 
-    The bytes are the same for any number of threads (`mixseq.runtime.parallel.thread_count`).
+    The compressed bytes are the same for any number of threads (`mixseq.runtime.parallel.thread_count`).
 
     Parameters
     ----------
@@ -58,36 +58,36 @@ def compress(
         Guaranteed largest distance of a vertex from the original at any frame, as a fraction of the bounding box's
         diagonal in the first frame.
     kg : float, optional
-        KG error in percent: root mean square distance, relative to that of the vertices from their centroid.
+        KG error in percent: root mean square distance, relative to the same mean of distances from the centroids.
     size : int, optional
-        Number of bytes of the signals, for which the KG error is minimised.
+        Largest number of bytes of the signals. The KG error is minimised for this size.
     progress : callable, optional
         Called at every stage.
     uv_error : float
-        Guaranteed largest difference of a texture coordinate, of u and of v, from the original, in units of the
-        texture's square. By default a sixteenth of a texel of a texture of 4096 x 4096; 0 keeps all bits.
+        Guaranteed largest difference of u and of v from the original texture coordinates, in units of the texture's
+        size. By default a sixteenth of a texel of a texture of 4096 x 4096; 0 keeps all bits.
     uvs : bool
         Whether to keep texture coordinates.
     order : {"keep", "vertices", "free"}
-        Numbering to keep: of vertices and faces; of vertices only; or neither. The others are chosen for the fewest
-        bytes; attributes of vertices, faces and corners are reordered as well.
+        Numbering to keep: of vertices and faces, of vertices only, or of neither. Numberings that need not be kept are
+        chosen for the fewest bytes, and attributes of vertices, faces and corners are reordered to match.
     chunk : int
-        Approximate number of frames, 16 or more, that are decoded together, or lost together. Small chunks take more
-        bytes.
+        Approximate number of frames per chunk, 16 or more. A chunk is decoded as a whole, and lost as a whole if it is
+        damaged. Small chunks take more bytes.
 
     Returns
     -------
     CompressedSequence
-        `mixseq.save` writes it, `mixseq.load` makes a model of it.
+        Compressed sequence that `mixseq.save` writes to a file. `mixseq.load` reads a model from this file.
 
     Raises
     ------
     SettingsError
-        If not exactly one of `max_error`, `kg` and `size` is given, or it is out of range, or `size` cannot be reached,
-        or `max_error` is beyond the digits of the coordinates, or `uv_error` is not from 0 to 0.25,
-        or there is no such `order`, or `chunk` is below 16.
+        If not exactly one of `max_error`, `kg` and `size` is given, or its value is out of range; if `size` is too
+        small; if `max_error` is below the precision of the coordinates; if `uv_error` is not from 0 to 0.25; if `order`
+        is unknown; or if `chunk` is below 16.
     FormatError, InvalidSequenceError
-        If the sequence is damaged or invalid, or too small or too large for double precision.
+        If the sequence is damaged or invalid, or its coordinates are too small or too large for double precision.
     """
     check_frames(sequence)
     _check_target(max_error, kg, size)
@@ -122,7 +122,7 @@ def _check_target(max_error: float | None, kg: float | None, size: int | None) -
 
 
 def _with_margin(bound: float, sequence: FrameStore) -> float:
-    """Reduce a bound by the last digits, which vary between machines, and by the rounding of single-precision files."""
+    """Reduce a bound by a margin for last digits, which vary between machines, and for single-precision files."""
     largest = largest_coordinate(sequence.points)
     least = rounding_error(largest)
     if bound < least:
@@ -137,7 +137,7 @@ def _with_margin(bound: float, sequence: FrameStore) -> float:
 
 
 def _total_deviation(sequence: FrameStore) -> float:
-    """Return the root of the sum of all squared distances from the centroids of the frames."""
+    """Return the root of the sum of all squared distances of vertices from the centroids of their frames."""
     squares = largest = 0.0
     for block in iterate_blocks(sequence.points):
         points = block.astype(np.float64)
@@ -157,7 +157,7 @@ def _search_streams(
     kg: float | None,
     size: int | None,
 ) -> CompressedSequence:
-    """Return the streams found by a search; its other results, some kB a vertex, are freed."""
+    """Return the streams found by a search; other results, a few kB per vertex, are freed on return."""
     search = Search(frames, mesh_graph(frames.header.faces, frames.header.vertex_count), stages, chunk)
     if max_error is not None:
         best = search.find_for_bound(_with_margin(max_error * unit, frames))
@@ -183,7 +183,7 @@ def _search_streams(
 def _measure_errors(
     sequence: FrameStore, coded: CompressedSequence, bound: float | None, kg: float | None
 ) -> CompressedSequence:
-    """Decode the compressed sequence, and measure its errors."""
+    """Decode a compressed sequence, and return it with its measured errors."""
     model, between = decode(coded)
     unit = coded.parameters.diagonal
     squares = variation = largest = 0.0

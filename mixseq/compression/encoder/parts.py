@@ -1,23 +1,25 @@
-r"""Parts of the mesh with a basis each: near-rigid parts, merged down to a number, and refined to take fewer bytes.
+r"""Divide a mesh into parts with a basis each: merge near-rigid parts, then refine them to take fewer bytes.
 
-Vertices that move with the same few bones need few components; the whole mesh needs some for every bone. So the mesh is
-cut into parts, as in clustered principal component analysis (Sattler, Sarlette and Klein 2005, *Simple and efficient
-compression of animation sequences*), all with one step.
+A part that moves with a few bones needs few components, whereas the whole mesh needs components for every bone. So the
+mesh is cut into parts, as in clustered principal component analysis (Sattler, Sarlette and Klein 2005, *Simple and
+efficient compression of animation sequences*). All parts have the same quantisation step.
 
-*Merging.* The two parts are merged whose union adds least to the error of the best rigid motions from the first frame,
+*Merging.* Two parts S with the least increase of the error E are merged, until the requested number of parts remains.
+E is the squared error of the best rigid motions from the first frame,
 
 .. math:: E(S) = \min_{R_t, c_t} \sum_{t,\, v \in S} |R_t x_0(v) + c_t - x_t(v)|^2,
 
-until their number is reached. Parts need not touch: vertices on one bone may be in several pieces.
+Merged parts need not be adjacent, as the vertices of one bone may be in several pieces.
 
 *Refining.* The motion y of a vertex, in the coordinates of the principal components, is modelled as normally
-distributed about the mean of its part. Rounded to steps :math:`\Delta` it takes about
+distributed about the mean of its part. If y is rounded to steps :math:`\Delta`, it takes about
 
 .. math:: L_p(y) = \tfrac12 \log \det \Bigl(1 + \frac{C_p}{\Delta^2}\Bigr)
                    + \tfrac12 (y - m_p)^T (C_p + \Delta^2)^{-1} (y - m_p)
 
-nats, with the mean :math:`m_p` and the covariance :math:`C_p` of the part. Vertices join the part of least length,
-averaged with their neighbours, as borders cost bits, too. Then means and covariances are updated (Lloyd's iteration).
+nats, where :math:`m_p` and :math:`C_p` are the mean and the covariance of part p. Every vertex joins the part with the
+least :math:`L_p`, averaged over its neighbourhood because borders cost bits. Then means and covariances are updated
+(Lloyd's iteration).
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ from mixseq.sequence.sequence import FrameStore
 from mixseq.types import Float, Index
 
 MIN_FACES_PER_PART = 8
-"""Smallest mean number of faces per part; smaller meshes are not cut."""
+"""Smallest mean number of faces per part; a mesh with fewer faces remains one part."""
 
 RIGID_PARTS = 24
 """Number of near-rigid parts before merging."""
@@ -48,7 +50,7 @@ SEGMENTATION_FRAMES = 16
 
 
 def initial_parts(sequence: FrameStore, counts: tuple[int, ...]) -> dict[int, Index]:
-    """Return labels ``(V,)`` of the vertices, for those of the numbers of parts that are possible, increasing."""
+    """Return part labels ``(V,)`` by number of parts, for every possible number in `counts`, in increasing order."""
     header = sequence.header
     if len(header.faces) < MIN_FACES_PER_PART * counts[-1]:
         return {}
@@ -69,7 +71,7 @@ def initial_parts(sequence: FrameStore, counts: tuple[int, ...]) -> dict[int, In
 
 
 def merge_parts(points: NDArray[np.floating], labels: Index, counts: tuple[int, ...]) -> dict[int, Index]:
-    """Merge parts pairwise: points ``(T, V, 3)``; labels ``(V,)``. Return the labels at every number in `counts`."""
+    """Merge the parts of points ``(T, V, 3)`` pairwise; return new labels ``(V,)`` by number of parts in `counts`."""
     part_count = int(labels.max(initial=0)) + 1
     sums = _PartSums.from_labels(points, labels, part_count)
     errors = sums.rigid_errors()
@@ -98,13 +100,13 @@ def merge_parts(points: NDArray[np.floating], labels: Index, counts: tuple[int, 
 
 
 class _PartSums(NamedTuple):
-    """Sums over the vertices of n parts, which give the errors of rigid motions."""
+    """Sums over the vertices of each of n parts, from which the errors of rigid motions are computed."""
 
     sizes: Float  # (n,) number of vertices
     first: Float  # (n, 3) sums of x_0
     points: Float  # (n, T, 3) sums of x_t
     products: Float  # (n, T, 3, 3) sums of products of x_0 and x_t
-    squares: Float  # (n,) sums of T |x_0|^2 and |x_t|^2
+    squares: Float  # (n,) sums of |x_0|^2 + |x_t|^2 over frames and vertices
 
     @classmethod
     def from_labels(cls, points: NDArray[np.floating], labels: Index, part_count: int) -> _PartSums:
@@ -117,7 +119,7 @@ class _PartSums(NamedTuple):
         return cls(*(np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)))
 
     def merge(self, part: int, others: Index) -> _PartSums:
-        """Return the sums of the unions of a part with others ``(n,)``."""
+        """Return the sums of n unions: of one part with each of `others` ``(n,)``."""
         return _PartSums(*(values[part] + values[others] for values in self))
 
     def rigid_errors(self) -> Float:
@@ -135,7 +137,7 @@ MAX_ROUNDS = 5
 """Largest number of rounds in which vertices change parts."""
 
 MIN_PART_VERTICES = 8
-"""Smallest number of vertices of a part."""
+"""Smallest number of vertices in a part."""
 
 MAX_COMPONENTS = 64
 """Largest number of components of the whole mesh that are used."""
@@ -145,7 +147,7 @@ MIN_COMPONENT_STEPS = 0.1
 
 
 def refine_parts(components: PrincipalComponents, labels: Index, faces: NDArray[np.integer], step: float) -> Index:
-    """Return labels ``(V,)`` of fewer bytes for the same number of parts of a mesh: faces ``(F, 3)``."""
+    """Move vertices of a mesh with faces ``(F, 3)`` between parts to save bytes; return the new labels ``(V,)``."""
     part_count, vertex_count = int(labels.max()) + 1, len(labels)
     min_norm = MIN_COMPONENT_STEPS * step * np.sqrt(vertex_count)
     rank = np.count_nonzero(components.norms > min_norm)
@@ -165,16 +167,16 @@ def refine_parts(components: PrincipalComponents, labels: Index, faces: NDArray[
 
 
 def _code_lengths(shared: tuple[Float, Float, Index, float], part: int) -> Float:
-    """Return the approximate code length in nats of every vertex's motion in a part.
+    """Return the approximate code length ``(V,)`` in nats that the motion of every vertex would have in a part.
 
-    Shared are the motion ``(R, V)`` of the vertices, its squares ``(V,)``, their parts ``(V,)``, and the step.
+    `shared` has the motion ``(R, V)`` of the vertices, its squares ``(V,)``, the part labels ``(V,)``, and the step.
     """
     motion, squares, labels, step = shared
     own, unit = motion[:, labels == part], step**2
     mean = own.mean(axis=1)
     covariance = own @ own.T / own.shape[1] - np.outer(mean, mean)
     values, directions = linalg.eigh(covariance, subset_by_value=(unit, np.inf), check_finite=False)
-    # All other directions are assumed to have rounding errors only.
+    # Directions of smaller variance are assumed to have rounding errors only.
     scores = directions.T @ motion - (directions.T @ mean)[:, None]
     squares = squares - 2 * (mean @ motion) + mean @ mean
     explained = (1 - unit / (values + unit)) @ np.square(scores, out=scores)

@@ -1,16 +1,16 @@
 """Find the quantisation step, the kind of basis and the parts with the fewest bytes.
 
-The error grows with the step, and the number of bytes shrinks. Both are nearly powers of the step, which is therefore
-found by the secant method on logarithms. With a bound on every vertex, an accurate basis needs few residuals and a
-coarse one many; the cheapest of some steps is taken.
+A larger step gives a larger error and fewer bytes. Error and bytes are nearly powers of the step, so the step is found
+by the secant method on logarithms. If every vertex has a bound, a coarse basis takes few bytes but needs many
+residuals, so several steps are tried and the cheapest is used.
 
-At the first step several numbers of parts are tried, and both kinds of basis unless the norms of the components exclude
-one. Every part has coefficients of its own, which favours one part for long sequences of few vertices. The ratio of
-actual and expected error of a trial corrects the first step of the next one.
+With the first step, several numbers of parts are tried, and both kinds of basis unless the norms of the components rule
+out shapes. Every part has separate coefficients, which favours one part for long sequences of few vertices.
+The ratio of actual to expected error of a trial corrects the first step of the next trial.
 
-Candidates of large meshes are compared on a coarse mesh. Its vertices are those coded first, and its edges those that
-close the holes of removed vertices (`mixseq.compression.bitstream.signal_graph`), so its streams resemble the first
-ones of the whole mesh.
+Candidates of large meshes are compared on a coarse mesh. It has the vertices that are coded first, and the edges that
+close the holes of removed vertices (`mixseq.compression.bitstream.signal_graph`). So its signals resemble the first
+values of the signals over the whole mesh.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from mixseq.types import Index
 
 
 def coarsen_mesh(faces: NDArray[np.integer], vertex_count: int, max_vertices: int) -> tuple[Index, Index]:
-    """Remove vertices of a mesh ``(F, 3)``, level by level; return the vertices ``(n,)`` and edges ``(E, 3)`` left."""
+    """Remove levels of vertices of a mesh ``(F, 3)``; return the vertices ``(n,)`` and edges ``(E, 3)`` that remain."""
     starts, adjacent = mesh_neighbours(faces, vertex_count)
     remaining_mask = np.ones(vertex_count, dtype=bool)
     scratch = np.zeros((vertex_count, MAX_NEIGHBOURS), dtype=np.int64), np.zeros(vertex_count, dtype=np.int64)
@@ -61,13 +61,13 @@ def coarsen_mesh(faces: NDArray[np.integer], vertex_count: int, max_vertices: in
 
 
 MAX_SHAPES_BIT_RATIO = 1.65
-"""Ratio of unpredicted bits up to which shapes are tried against trajectories, as they are predicted better."""
+"""Ratio of bits before prediction, shapes to trajectories, up to which shapes are tried; prediction favours shapes."""
 
 PART_COUNTS = (3, 6, 12)
 """Numbers of parts that are tried."""
 
 COARSE_VERTICES, LARGE_MESH_RATIO = 8000, 1.5
-"""Vertices of the coarse mesh, and ratio of vertices above which candidates are compared on it."""
+"""Number of vertices of the coarse mesh, and multiple of it above which meshes are compared on the coarse mesh."""
 
 BASIS_KINDS: tuple[BasisKind, ...] = ("trajectories", "shapes")
 
@@ -76,7 +76,7 @@ Layout = tuple[BasisKind, int]
 
 
 class TrialMesh(NamedTuple):
-    """Vertices ``(n,)`` of a mesh, triangles of these, their graph, and their share of all vertices."""
+    """The whole or the coarse mesh: its vertices ``(n,)``, triangles, graph, and share of all vertices."""
 
     vertices: Index
     faces: NDArray[np.integer]
@@ -85,7 +85,7 @@ class TrialMesh(NamedTuple):
 
 
 class Candidates:
-    """Candidates of an expected error, without components of norms below `min_norm`."""
+    """Candidates for coding a sequence with an expected error; components with norms below `min_norm` are dropped."""
 
     def __init__(
         self,
@@ -114,13 +114,13 @@ class Candidates:
         return shape_components(self._components, 3**0.5 * self._min_norm)
 
     def are_shapes_competitive(self) -> bool:
-        """Return whether the norms of the components do not exclude that shapes take fewer bytes."""
+        """Return whether shapes may take fewer bytes than trajectories, judged by the norms of the components."""
         shapes = self._candidate(self._shapes, self._labels[1], self.whole_mesh)
         bits = _unpredicted_bits(shapes, step_for_error(shapes, self._error))
         return bits < MAX_SHAPES_BIT_RATIO * _unpredicted_bits(self._one_part, self._step)
 
     def on_mesh(self, mesh: TrialMesh, layout: Layout) -> Candidate:
-        """Return the candidate of a layout on the coarse or the whole mesh."""
+        """Return the candidate with a kind of basis and number of parts, on the coarse or the whole mesh."""
         kind, part_count = layout
         components = self._components if kind == "trajectories" else self._shapes
         components, labels = _restrict(components, mesh.vertices), self._labels[part_count][mesh.vertices]
@@ -134,7 +134,7 @@ class Candidates:
 
 
 def _restrict(components: PrincipalComponents, vertices: Index) -> PrincipalComponents:
-    """Return components ``(K, c, V)`` at some vertices ``(n,)``."""
+    """Restrict components ``(K, c, V)`` to the vertices ``(n,)``."""
     if len(vertices) == components.vectors.shape[2]:
         return components
     mean = components.mean if components.kind == "trajectories" else components.mean[:, vertices]
@@ -142,7 +142,7 @@ def _restrict(components: PrincipalComponents, vertices: Index) -> PrincipalComp
 
 
 def expected_error(candidate: Candidate, step: float) -> float:
-    """Return the root of the expected squared error: s^2 / 12 per number of a vector, or all of it if that is less."""
+    """Return the root of the expected squared error: a vector adds step^2 / 12 per number, at most its squared norm."""
     squares, curve_size = 0.0, candidate.components.curves[0].size
     for part in candidate.parts:
         number_count = part.width / candidate.share + curve_size
@@ -152,7 +152,7 @@ def expected_error(candidate: Candidate, step: float) -> float:
 
 
 def step_for_error(candidate: Candidate, error: float) -> float:
-    """Return the step with a given expected error, by bisection."""
+    """Find the step with a given expected error by bisection."""
     low, high = 1e-12 * error, error
     for _ in range(60):
         step = float(np.sqrt(low * high))
@@ -161,7 +161,7 @@ def step_for_error(candidate: Candidate, error: float) -> float:
 
 
 def _unpredicted_bits(candidate: Candidate, step: float) -> float:
-    """Return the bits of a candidate of one part by the norms of its components alone."""
+    """Estimate the bits of a one-part candidate before prediction, from the norms of its components."""
     [part] = candidate.parts
     return float(part.width * np.log2(np.maximum(part.norms / (step * part.width**0.5), 1.0)).sum())
 
@@ -170,46 +170,46 @@ MAX_ROUNDS = 6
 """Largest number of steps that are tried."""
 
 TARGET_TOLERANCE = 0.01
-"""Largest share by which an error, or a size, may stay below the target."""
+"""Largest relative amount by which an error, or a size, may stay below the target."""
 
 SIZE_EXPONENT = 0.4
-"""Approximate power of the error with which sizes fall."""
+"""Approximate exponent e of the sizes: size is proportional to error^-e."""
 
 INITIAL_ERROR = 0.002
-"""Initial error of the search for a size, relative to the deviation."""
+"""Initial error of the search for a size, relative to the total deviation of vertices from centroids."""
 
 INITIAL_RMS_ERROR = 0.42
-"""Initial error of the search for a bound: root mean square, relative to the bound."""
+"""Initial root mean square error of the search for a bound, relative to the bound."""
 
 MAX_RESTARTS, RESTART_RATIO, MAX_RESTART_RATIO = 3, 3.0, 100.0
-"""Limits of new comparisons for a size: their number, the ratio of errors that causes one, the largest ratio."""
+"""Restarts of the search for a size: largest number, smallest ratio of errors for one, largest change of the error."""
 
 STEP_FACTOR = 1.5
-"""Ratio of the steps that are tried for a bound."""
+"""Ratio of successive steps that are tried for a bound."""
 
 RUNNER_UP_RATIO = 1.02
-"""Ratio of sizes at the first step up to which the best two candidates are tried with several steps."""
+"""Ratio of the two smallest sizes at the first step up to which both candidates are tried with further steps."""
 
 INITIAL_PART_COUNT = 6
 """Number of parts tried first; more or fewer are tried while bytes decrease."""
 
 MAX_COEFFICIENT_RATIO = 0.75
-"""Ratio of the bytes of coefficients and basis, with `INITIAL_PART_COUNT` parts, above which one part is tried next.
-Of 23 sequences those above had the fewest bytes with one part, the others, below 0.61, with several or nearly so.
+"""Ratio of coefficient bytes to basis bytes, with `INITIAL_PART_COUNT` parts, above which one part is tried next.
+Of 23 sequences, one part was smallest above this ratio; several parts were smallest, or nearly, below 0.61.
 """
 
 INITIAL_ERROR_RATIO = 0.9
-"""Error of the first trial, relative to its expected error."""
+"""Assumed ratio of actual to expected error in the first trial."""
 
 ALGEBRAIC_PRECISION = 1e-5
-"""Relative distance from the target below which errors are measured on frames, as algebra lacks the digits."""
+"""Relative distance from the target below which errors are measured on frames, as computed errors are less accurate."""
 
 MIN_RELATIVE_ERROR = 1e-9
-"""Share of the target to which smaller errors are clamped."""
+"""Smallest error relative to the target; smaller errors are clamped to this value."""
 
 
 class Search:
-    """Trials with several steps, until a target is met."""
+    """Search for the trial that meets a target with the fewest bytes."""
 
     def __init__(self, sequence: FrameStore, graph: SignalGraph, stages: StagedProgress, chunk: int) -> None:
         self._sequence = sequence
@@ -219,7 +219,7 @@ class Search:
         self._point_count = len(sequence.points) * sequence.points.shape[1]
         self._min_step = rounding_error(largest_coordinate(sequence.points)) * sequence.points.shape[1] ** 0.5
         self._rounds = 0
-        self._error_ratio = INITIAL_ERROR_RATIO  # of actual and expected errors
+        self._error_ratio = INITIAL_ERROR_RATIO  # actual to expected error
 
     def _try_step(self, candidate: Candidate, step: float) -> Trial:
         self._stages.at(1 + min(self._rounds, MAX_ROUNDS - 1))(0, 1, "choosing the step")
@@ -227,7 +227,7 @@ class Search:
         return try_step(self._sequence, candidate, max(step, self._min_step), self._chunk)
 
     def _compare_candidates(self, error: float) -> list[Trial]:
-        """Try candidates with steps of an expected error; return one or two trials on the whole mesh, best first."""
+        """Try candidates, each with the step for an expected error; return one or two whole-mesh trials, best first."""
         min_norm = 0.1 * error / float(np.sqrt(3 * len(self._sequence.points)))
         components = trajectory_components(self._sequence, min_norm)
         candidates = Candidates(self._sequence, self._graph, components, min_norm, error)
@@ -262,7 +262,7 @@ class Search:
         return trials
 
     def find_for_error(self, error: float) -> Trial:
-        """Find the coarsest step with an error below a given one (root of the sum of squares)."""
+        """Find the coarsest step whose error (root of the sum of squares) is at most `error`."""
         best: Trial | None = None
         trials, least = self._compare_candidates(error), MIN_RELATIVE_ERROR * error
         while trials and (best is None or best.size > _size_at_error(trials[0], error)):
@@ -275,12 +275,12 @@ class Search:
             if squared_error(self._sequence, best.basis, best.coefficients) <= error**2:
                 break
             best = self._try_step(best.candidate, (1 - TARGET_TOLERANCE / 3) * best.step)
-        if best is None:  # skipped frames have errors, which the residual layer corrects
+        if best is None:  # no step removes the errors of skipped frames, the residual layer does
             return self.find_for_bound(error / self._point_count**0.5)
         return best
 
     def find_for_size(self, size: int, deviation: float) -> Trial:
-        """Find the finest step that fits a number of bytes, starting from `INITIAL_ERROR` of the deviation."""
+        """Find the finest step whose signals fit into `size` bytes, beginning at `INITIAL_ERROR` * `deviation`."""
         error = INITIAL_ERROR * deviation
         trials = self._compare_candidates(error)
         for _ in range(MAX_RESTARTS):
@@ -299,13 +299,13 @@ class Search:
         return min(feasible, key=lambda trial: trial.error)
 
     def find_for_bound(self, bound: float) -> Trial:
-        """Find the cheapest of some steps whose residual layer keeps a bound, in the units of the sequence."""
+        """Find the step that takes the fewest bytes with a residual layer for a bound, in the units of the sequence."""
         first = self._compare_candidates(INITIAL_RMS_ERROR * bound * self._point_count**0.5)[0]
         best = add_residuals(self._sequence, first, bound)
         exponent = SIZE_EXPONENT * _error_exponent(first)
         for factor in (STEP_FACTOR, 1 / STEP_FACTOR):
             start = best
-            # A finer step does not pay if the signals alone would be larger.
+            # The next step is skipped if its signals alone are expected to exceed the best size.
             while self._rounds < 2 * MAX_ROUNDS and best.signal_size * factor**-exponent < best.size:
                 trial = self._try_step(best.candidate, best.step * factor)
                 trial = add_residuals(self._sequence, trial, bound)
@@ -320,7 +320,7 @@ class Search:
 
 
 def _descend(size_of: Callable[[Layout], float], layouts: list[Layout], start: Layout) -> None:
-    """Try layouts from `start` on to the right, or else to the left, while their sizes fall."""
+    """Try the layouts after `start`, or before it if the next layout is not smaller, while sizes decrease."""
     first = place = layouts.index(start)
     size_of(start)
     for direction in (1, -1):
@@ -333,7 +333,7 @@ def _descend(size_of: Callable[[Layout], float], layouts: list[Layout], start: L
 
 
 def _next_step(step: float, room: float, exponent: float) -> float:
-    """Return the step that should use up the room, which is about the power -`exponent` of steps."""
+    """Return the step at which room (target / actual) should be just above one: room ~ step^-exponent."""
     return step * float(np.clip((room / (1 + TARGET_TOLERANCE / 3)) ** (1 / exponent), 0.05, 20.0))
 
 
@@ -343,10 +343,10 @@ def _find_step(
     trial: Trial,
     power: float = 1.0,
 ) -> Trial | None:
-    """Return the trial with the least room of at least one, by the secant method; room is a power of the error."""
+    """Find the trial with the least room (target / actual >= 1) by the secant method: room ~ error^-power."""
     exponent, candidate = power * _error_exponent(trial), trial.candidate
     best: Trial | None = None
-    previous: tuple[float, float] | None = None  # step and room
+    previous: tuple[float, float] | None = None  # step and room of the last trial
     for number in range(MAX_ROUNDS):
         room, step = room_of(trial), trial.step
         if room >= 1 and (best is None or room < room_of(best)):
@@ -358,19 +358,19 @@ def _find_step(
             if 0.2 * abs(exponent) < measured * np.sign(exponent) < 5 * abs(exponent):
                 exponent = float(measured)
         previous = step, room
-        del trial  # before the next one takes memory
+        del trial  # free its memory before the next trial
         trial = try_with(candidate, _next_step(step, room, exponent))
-        if trial.step == step:  # there is no finer one
+        if trial.step == step:  # the smallest step is reached
             break
     return best
 
 
 def _size_at_error(trial: Trial, error: float) -> float:
-    """Return the approximate number of bytes of a trial at an error."""
+    """Estimate the number of bytes that a trial would take at another error."""
     return float(trial.size * (max(trial.error, MIN_RELATIVE_ERROR * error) / error) ** SIZE_EXPONENT)
 
 
 def _error_exponent(trial: Trial) -> float:
-    """Return the approximate power of the step with which the error grows."""
+    """Estimate the exponent e of a trial's error: error is proportional to step^e."""
     finer, coarser = (expected_error(trial.candidate, trial.step * factor) for factor in (0.9, 1.1))
     return float(max(np.log(coarser / finer) / np.log(1.1 / 0.9), 0.1)) if finer > 0 else 1.0

@@ -1,11 +1,11 @@
-"""A trial: one compression with a given step, its bytes and its error.
+"""Compress a sequence once with a given step (a trial), and determine the number of bytes and the error.
 
 The spatial basis is rounded first. The coefficients are then fitted to the sequence with the *decoded* basis, which
-compensates some of the rounding error, and rounded as well. If there is a bound, residuals are displacements where
-decoded frames exceed it.
+compensates some of the rounding error, and rounded as well. If there is a bound, residuals correct the vertices whose
+decoded errors exceed it.
 
-Parts are independent, and two are rounded at a time, to limit memory. Rounding determines the error of a trial. Its
-bytes take as long again, and are computed on demand by `code_basis` and `code_coefficients`.
+Parts are independent. Only two are rounded at a time, to limit memory. Rounding alone determines the error of a trial.
+The bytes take as much time as the rounding, so `code_basis` and `code_coefficients` compute them on demand.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from mixseq.sequence.sequence import FrameStore, block_size, iterate_blocks
 from mixseq.types import Float, Index
 
 DEFAULT_CHUNK_FRAMES, MIN_CHUNK_FRAMES = 512, 16
-"""Approximate number of frames in a chunk by default, and smallest number."""
+"""Default and smallest approximate number of frames in a chunk."""
 
 
 class RoundedPart(NamedTuple):
@@ -48,7 +48,7 @@ class RoundedPart(NamedTuple):
 
 
 def round_basis(parts: Sequence[PartComponents], step: float) -> list[RoundedPart]:
-    """Round the components of every part until they vanish, without the constant one of trajectories."""
+    """Round the components of every part until they vanish; the constant vector of trajectories is not included."""
     return list(two_thread_executor()(_round_part, step, parts))
 
 
@@ -61,7 +61,7 @@ def _round_part(step: float, part: PartComponents) -> RoundedPart:
 def _round_vectors(
     graph: SignalGraph, shape: tuple[int, int], vector_of: Callable[[int], Float]
 ) -> tuple[Float, list[Signal]]:
-    """Round vectors ``(c, N)`` in steps, K of them for a shape ``(K, c)``; return their values ``(K, c, N)``."""
+    """Round K vectors ``(c, N)``, in steps, for a shape ``(K, c)``; return their values ``(K, c, N)`` and signals."""
     coder, signals = SignalCoder(graph, shape[1]), list[Signal]()
     values = np.empty((*shape, graph.size))
     for k in range(shape[0]):
@@ -72,7 +72,7 @@ def _round_vectors(
 
 
 def code_basis(rounded: Sequence[RoundedPart], labels: Index, graph: SignalGraph) -> tuple[bytes, ...]:
-    """Return the streams of the groups of a basis, as `read_basis` reads them: labels ``(V,)``."""
+    """Code a basis and the part labels ``(V,)`` of vertices; return the streams of all groups for `read_basis`."""
     models, streams = NumberModels(), []
     for number, group in enumerate(part_groups([len(part.vectors) for part in rounded])):
         writer = Writer()
@@ -87,7 +87,7 @@ def code_basis(rounded: Sequence[RoundedPart], labels: Index, graph: SignalGraph
 
 
 def chunk_ranges(frame_count: int, size: int = DEFAULT_CHUNK_FRAMES) -> list[range]:
-    """Return the frames of every chunk of about `size` frames."""
+    """Return the range of frames of every chunk, which has about `size` frames."""
     count = max(1, round(frame_count / size))
     ends = [frame_count * chunk // count for chunk in range(count + 1)]
     return [range(a, b) for a, b in pairwise(ends)]
@@ -96,7 +96,7 @@ def chunk_ranges(frame_count: int, size: int = DEFAULT_CHUNK_FRAMES) -> list[ran
 def round_coefficients(
     basis: SpatialBasis, coefficients: Float, step: float, size: int = DEFAULT_CHUNK_FRAMES
 ) -> tuple[Float, list[list[Signal]]]:
-    """Round coefficients ``(T, K, d)`` of the varying vectors; return decoded ones, and the signals of every chunk."""
+    """Round coefficients ``(T, K, d)`` of the varying vectors; return decoded coefficients, and signals by chunk."""
     scales, part_ids = basis.norms[basis.varying] / step, basis.part_ids[basis.varying]
     decoded = np.empty_like(coefficients)
     vector_ids = [np.flatnonzero(part_ids == part) for part in range(len(basis.part_bases))]
@@ -116,14 +116,14 @@ def round_coefficients(
 
 
 def _round_chunk(numbers: Float, work: tuple[range, Index]) -> tuple[Float, list[Signal]]:
-    """Round the numbers ``(T, K, d)`` of one part, those ``(n,)`` of its vectors, in the frames of a chunk."""
+    """Round numbers ``(T, K, d)`` in the frames of a chunk for the vectors ``(n,)`` of a part; `work` has both."""
     frames, vector_ids = work
     chunk = numbers[frames.start : frames.stop, vector_ids].transpose(1, 2, 0)
     return _round_vectors(path_graph(len(frames)), (chunk.shape[0], chunk.shape[1]), chunk.__getitem__)
 
 
 def code_coefficients(signals: Sequence[Signal]) -> bytes:
-    """Return the stream of a chunk, as `read_coefficients` reads it."""
+    """Code the coefficients of a chunk; return the stream for `read_coefficients`."""
     models, writer = NumberModels(), Writer()
     for signal in signals:
         writer.write(signal, models)
@@ -131,24 +131,24 @@ def code_coefficients(signals: Sequence[Signal]) -> bytes:
 
 
 LATE_VERTEX_SIZE = 0.35
-"""Bytes of a late-coded vertex, relative to the mean of those before it: it is predicted better."""
+"""Bytes per vertex outside the coarse mesh, relative to the coarse mesh: finer levels are predicted better."""
 
 MAX_PENDING_NUMBERS = 1 << 22
-"""Count of numbers above which signals are coded at once: pending ones take 20 bytes each."""
+"""Number of rounded numbers above which signals are coded at once: uncoded numbers take 20 bytes each."""
 
 MIN_ALGEBRAIC_ERROR = 1e-10
-"""Share of the squared motion below which squared errors are measured on frames, as algebra loses too many digits."""
+"""Ratio of squared error to squared motion below which errors are measured on frames: computed errors lose digits."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A way to code a sequence: its components, of one kind, and its parts."""
+    """A way to code a sequence: one kind of components, and a division of the mesh into parts."""
 
     components: PrincipalComponents  # principal components of the whole mesh
     parts: tuple[PartComponents, ...]  # principal components of every part
     graph: SignalGraph  # prediction graph of the whole mesh
     labels: Index  # (V,) part of every vertex
-    share: float = 1.0  # these vertices' share of a larger mesh
+    share: float = 1.0  # ratio of these vertices to the vertices of the whole mesh
 
     @classmethod
     def from_labels(
@@ -160,7 +160,7 @@ class Candidate:
         min_norm: float = 0.0,
         share: float = 1.0,
     ) -> Candidate:
-        """Make a candidate with parts by labels ``(V,)``, without their components of norms below `min_norm`."""
+        """Make a candidate from part labels ``(V,)``; components of parts with norms below `min_norm` are dropped."""
         parts = split_parts(labels, faces) if labels.any() else [Part(np.arange(graph.size), graph)]
         of_parts = two_thread_executor()(lambda _, part: PartComponents(components, part, min_norm), None, parts)
         return cls(components, tuple(of_parts), graph, labels, share)
@@ -192,23 +192,23 @@ class Coding:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A sequence, rounded with one step. Sizes are numbers of bytes; on part of a mesh, about those of the whole."""
+    """A sequence rounded with one step. Sizes are in bytes; on a coarse mesh, they are estimates for the whole mesh."""
 
-    candidate: Candidate  # the way it is coded
-    step: float  # the step, in the units of the sequence
-    # Number of coded basis vectors of every part, with zero ones, which are not in the basis.
+    candidate: Candidate  # components and parts of the sequence
+    step: float  # quantisation step, in the units of the sequence
+    # Number of coded basis vectors of every part, including zero vectors, which `basis` omits.
     ranks: tuple[int, ...]
-    basis: SpatialBasis  # the decoded basis
-    coefficients: Float  # (T, K, d) its decoded coefficients
+    basis: SpatialBasis  # decoded basis
+    coefficients: Float  # (T, K, d) decoded coefficients
     spans: tuple[range, ...]  # frames of every chunk
-    coding: Coding  # streams of both
+    coding: Coding  # streams of basis and coefficients
     error: float  # root of the sum of all squared distances, without the residual layer
-    residuals: tuple[bytes, ...] = ()  # the residual layer of every chunk, if there is a bound
+    residuals: tuple[bytes, ...] = ()  # residual layer of every chunk, if there is a bound
     bound: float | None = None  # bound of the residual layer
 
     @property
     def chunks(self) -> tuple[Chunk, ...]:
-        """Streams of the chunks."""
+        """Chunks with their frames and streams."""
         residuals = self.residuals or (b"",) * len(self.spans)
         streams = zip(self.spans, self.coding.streams.coefficients, residuals, strict=True)
         return tuple(Chunk(frames.start, len(frames), *of_frames) for frames, *of_frames in streams)
@@ -221,12 +221,12 @@ class Trial:
 
     @property
     def signal_size(self) -> int:
-        """Size without the residual layer."""
+        """Size of the basis and the coefficients."""
         return self.basis_size + sum(map(len, self.coding.streams.coefficients))
 
     @property
     def size(self) -> int:
-        """Size of everything."""
+        """Size of basis, coefficients and residual layer."""
         return self.signal_size + sum(map(len, self.residuals))
 
 
@@ -238,7 +238,7 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int
     basis = assemble_basis(candidate.components.kind, vectors, vertices, len(sequence.points))
     fits = [part.fit(part_basis) for part, part_basis in zip(candidate.parts, basis.part_bases, strict=True)]
     scales, part_ids = basis.norms[basis.varying], basis.part_ids[basis.varying]
-    # Vectors over the larger mesh are longer: coefficients get the accuracy that they would have there.
+    # Vectors over the whole mesh are longer; coefficients are rounded as accurately as for those.
     length_ratio = candidate.share**-0.5
     exact = order_coefficients(basis, [fit.coefficients for fit in fits])
     decoded, signals = round_coefficients(basis, exact * (length_ratio / scales[:, None]), step, chunk)
@@ -258,7 +258,7 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int
 
 
 def order_coefficients(basis: SpatialBasis, coefficients: Sequence[Float]) -> Float:
-    """Return coefficients ``(K, T, d)`` of all parts in coding order, ``(T, K, d)``."""
+    """Merge the coefficients ``(K, T, d)`` of every part into one array ``(T, K, d)`` in coding order."""
     part_ids = basis.part_ids[basis.varying]
     ordered = np.empty((len(part_ids), *coefficients[0].shape[1:]))
     for part, of_part in enumerate(coefficients):
@@ -267,7 +267,7 @@ def order_coefficients(basis: SpatialBasis, coefficients: Sequence[Float]) -> Fl
 
 
 def squared_error(sequence: FrameStore, basis: SpatialBasis, coefficients: Float) -> float:
-    """Return the sum of all squared distances of decoded frames from those of a sequence."""
+    """Return the sum of all squared distances of decoded frames from the frames of a sequence."""
     blocks = zip(iterate_blocks(sequence.points), decode_blocks(basis, coefficients), strict=True)
     return sum(float(np.square(points - block).sum()) for points, block in blocks)
 
@@ -287,15 +287,15 @@ def residual_unit(bound: float) -> float:
 def quantise_residuals(errors: Float, bound: float) -> Index:
     r"""Return the residuals ``(T, V, 3)`` that bring errors ``(T, V, 3)`` within a bound :math:`\varepsilon`.
 
-    An error above the bound is rounded to multiples of :math:`w = 2 \varepsilon / \sqrt 3` in every coordinate, which
-    leaves at most :math:`w / 2` in each, so :math:`\varepsilon` in all. All other residuals are zero.
+    An error above the bound is rounded to multiples of :math:`w = 2 \varepsilon / \sqrt 3` in every coordinate. The
+    remaining error is at most :math:`w / 2` per coordinate, so at most :math:`\varepsilon`. Other residuals are zero.
     """
     exceeds_mask = np.einsum("tvi,tvi->tv", errors, errors) > bound * bound
     return np.where(exceeds_mask[..., None], np.rint(errors / residual_unit(bound)), 0.0).astype(np.int64)
 
 
 def add_residuals(sequence: FrameStore, trial: Trial, bound: float) -> Trial:
-    """Return a trial with the residual layer that keeps a bound, in the units of the sequence."""
+    """Add the residual layer that keeps a bound, in the units of the sequence, to a trial."""
 
     def frame_residuals(frame: int) -> Index:
         frames = slice(frame, frame + 1)

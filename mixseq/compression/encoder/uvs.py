@@ -1,12 +1,11 @@
-"""Texture coordinates of a compressed file: rounded to a grid, and coded with or without copies of earlier regions.
+"""Round texture coordinates to a grid, and code them with or without copies of earlier regions.
 
-The grid on the unit square has an even number of steps, so that 0, 1/2 and 1, where textures end and tiles meet, are
-kept.
+The grid has an even number of steps over the unit square, so it contains 0, 1/2 and 1, where textures end and tiles
+meet.
 
-*Regions* that are copies of earlier ones: a corner with its two neighbours is a triangle, whose shape, the quotient of
-its sides as complex numbers, is invariant to translation, rotation and scale. Corners of similar shape are candidates
-for images. The region grown from a candidate is compared with the coordinates, polygon by polygon, as far as they
-agree.
+*Copied regions* are found by shape. A corner and its two neighbours form a triangle. Its shape, the quotient of its
+sides as complex numbers, is invariant to translation, rotation and scale. Corners of similar shape are candidates for
+images. From a candidate, the region grows polygon by polygon, while copied coordinates agree with actual coordinates.
 """
 
 from __future__ import annotations
@@ -28,35 +27,35 @@ from mixseq.sequence.header import SequenceHeader, header_fields
 from mixseq.types import Float, Index, Mask
 
 _WIDE_SEARCH, _NARROW_SEARCH = (100, 0.2, 12.0), (12, 0.05, 24.0)
-"""Number of candidates, largest distance of their shapes (in logarithms), and bits that a region has to save."""
+"""Number of candidates, largest distance of their shapes (in logarithms), and least number of bits a region saves."""
 
 _MIN_ERROR_BITS = 8.0
-"""Bits of errors of a polygon from which it is tested as the start of a copy."""
+"""Least number of bits of a polygon's errors for which the polygon is tested as the start of a copy."""
 
 _MAX_TESTED_POLYGONS = 4096
-"""Largest number of tested polygons, those with the largest errors first, which bounds the time."""
+"""Largest number of tested polygons, to bound the time. Polygons with the largest errors are preferred."""
 
 _SAMPLED_POLYGONS = 256
 """Number of polygons examined to estimate the saving of a candidate."""
 
 _COPY_TOLERANCE = 6.0, 0.01
-"""Tolerance of a copy: in steps, and relative to its distance."""
+"""Tolerance of a copied node: in steps, and relative to the distance of its image from the first image."""
 
 
 class _Search(NamedTuple):
     """Arrays of the search for regions."""
 
     corners: Corners  # corners on nodes
-    places: Index  # (P,) when polygons are visited
-    values: Index  # (N, 2) coordinates
+    places: Index  # (P,) position of every polygon in the visiting order
+    values: Index  # (N, 2) coordinates of nodes, in steps
     bits: Float  # (N,) bits of a node's error without a copy
-    copied: Mask  # (P,) whether polygons are in a region
+    copied: Mask  # (P,) whether a polygon is in a region
     polygon_stamps: Index  # (P,) number of the last trial that reached a polygon
     node_stamps: Index  # (N,) number of the last trial that reached a node
 
 
 def encode_uvs(polygons: Polygons, vertex_count: int, numbers: Index) -> bytes:
-    """Code texture coordinates ``(sum of counts, 2)`` in steps, with or without copies, whichever is smallest."""
+    """Code texture coordinates ``(sum of counts, 2)`` in steps; return the smallest stream with or without copies."""
     plain = code_uvs(polygons, vertex_count, numbers)
     streams = [plain.data]
     for settings in (_WIDE_SEARCH, _NARROW_SEARCH):
@@ -67,7 +66,7 @@ def encode_uvs(polygons: Polygons, vertex_count: int, numbers: Index) -> bytes:
 
 
 def find_regions(coded: CodedUVs, max_candidates: int, max_distance: float, min_saving: float) -> Index:
-    """Return where copies begin, as `code_uvs` takes it, in coordinates coded without copies."""
+    """Find where copies begin in coordinates coded without copies; return `regions` ``(P,)`` for `code_uvs`."""
     from scipy.spatial import cKDTree
 
     corners, places = coded.corners, coded.copies.places
@@ -115,7 +114,7 @@ def find_regions(coded: CodedUVs, max_candidates: int, max_distance: float, min_
 
 
 def _corner_shapes(corners: Corners, values: Index) -> tuple[Float, Mask]:
-    """Return the shapes ``(2 C, 2)`` of corners, then of their mirror images; also which corners ``(C,)`` have one."""
+    """Return the shapes ``(2 C, 2)`` of corners, then of mirrored corners, and the mask ``(C,)`` of valid shapes."""
     number = np.arange(len(corners.node))
     start, end = corners.starts[corners.polygon], corners.starts[corners.polygon + 1]
     points = values @ np.array([1, 1j])
@@ -132,9 +131,9 @@ def _corner_shapes(corners: Corners, values: Index) -> tuple[Float, Mask]:
 def _grow_region(
     search: _Search, stamp: int, polygon: int, image: int, mirrored: bool, max_polygons: int, mark: bool
 ) -> float:
-    """Return the bits saved by giving a polygon's first corner an image, and growing the region from it.
+    """Grow a region from a polygon whose first corner has a given image; return the number of bits saved.
 
-    With `mark`, the polygons of the region, at most `max_polygons`, are marked as copied.
+    A region has at most `max_polygons` polygons. With `mark`, they are marked as copied.
     """
     corners, places, values = search.corners, search.places, search.values
     node, twin, starts = corners.node, corners.twin, corners.starts
@@ -142,7 +141,7 @@ def _grow_region(
     queue[0, 0], queue[0, 1] = starts[polygon], image
     search.polygon_stamps[polygon] = stamp
     head, tail, saving = 0, 1, 0.0
-    # Two nodes far from each other, and their images.
+    # Two distant nodes of the region, and their images.
     first, first_image = node[starts[polygon]], node[image]
     second = second_image = -1
     farthest = 0
@@ -180,7 +179,7 @@ def _grow_region(
                 second, second_image, farthest = x, y, distance
             across = twin[corner]
             edge = twin[previous_corner(corners, corner_image)] if mirrored else twin[corner_image]
-            reached = corners.polygon[across]  # any, if there is none across
+            reached = corners.polygon[across]  # arbitrary if across is -1
             if across >= 0 and edge >= 0 and search.polygon_stamps[reached] != stamp and tail < max_polygons:
                 search.polygon_stamps[reached] = stamp
                 queue[tail, 0] = across
@@ -193,14 +192,14 @@ def _grow_region(
 
 @compiled
 def _distance(values: Index, x: int, y: int) -> int:
-    """Return the distance of two nodes in steps, u and v added."""
+    """Return the distance of two nodes in steps: the sum of the distances in u and in v."""
     distance: int = abs(values[x, 0] - values[y, 0]) + abs(values[x, 1] - values[y, 1])
     return distance
 
 
 @compiled
 def _copy_error(values: Index, x: int, y: int, p: int, p_image: int, q: int, q_image: int, mirrored: bool) -> float:
-    """Return the distance of node x from its position predicted by its image y, and p and q with their images."""
+    """Return the error of copying node x from its image y; nodes p and q and their images define the transform."""
     sign = -1.0 if mirrored else 1.0
     side_u, side_v = values[q, 0] - values[p, 0], values[q, 1] - values[p, 1]
     image_u = values[q_image, 0] - values[p_image, 0]
@@ -219,7 +218,7 @@ UV_ERROR = 2.0**-16
 """Default largest error of u and v: 1/16 of a texel of a texture of 4096 x 4096."""
 
 MAX_UV_ERROR = 0.25
-"""Largest allowed error: coarser grids have no steps between 0, 1/2 and 1."""
+"""Largest allowed error: its grid has only the steps 0, 1/2 and 1."""
 
 _MAX_STEPS = 1 << 23
 """Largest coordinate in steps for which float32 separates adjacent steps."""
