@@ -229,7 +229,7 @@ class JointSolver:
         return offsets
 
     def _pose_parts(self, frame: JointFrame) -> Float:
-        """Return the vertices ``(V, 3)`` of the posed parts: shared vertices are averaged, free vertices are zero."""
+        """Return the vertices ``(V, 3)`` of the posed parts: averaged if parts share them, zero if in no part."""
         part, vertex, copy_counts = self._part_rows
         positions = rotate_vectors(frame.rotations[part], frame.part_vertices) + frame.translations[part]
         sums = [np.bincount(vertex, column, minlength=len(copy_counts)) for column in positions.T]

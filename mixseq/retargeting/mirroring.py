@@ -8,8 +8,8 @@ exchanged pair tolerates small differences, such as a bent leg, and favours the 
     \operatorname{mean}_{ij} |d_{ij} - d_{\pi(i)\pi(j)}| + w \operatorname{mean}_i |h_i - h_{\pi(i)}| - p\, |\pi| .
 
 Then vertices are paired. A vertex v has distances to the extremities; its partner has the most similar distances to the
-partners of the extremities. In further rounds sample points that are far apart replace the extremities, with weights
-that decrease with distance. The distance of a point from its double mirror image measures the quality.
+partners of the extremities. In further rounds sample points far apart, with their current partners, replace the
+extremities; their weights decrease with distance. Quality is the distance of a point from its double mirror image.
 """
 
 from __future__ import annotations

@@ -127,7 +127,7 @@ class MixedTransfer(PickledWithoutCaches):
         return self.gradients.transfer_frame(points) / self.gradients.target.scale
 
     def transfer_poses(self, points: FloatArray, deformed_poses: PartPoses) -> PartPoses:
-        """Return poses of the target's parts for a frame ``(V, 3)``: parts keep `deformed_poses` rotations."""
+        """Return poses of the target's parts for a source frame ``(V, 3)``, with the rotations of `deformed_poses`."""
         source_points = points.astype(np.float64) / self.gradients.source.scale
         _, source_poses = self._source_rest_shapes.register(source_points)
         source_rotations, source_centres = (values[self.parts.source_parts] for values in source_poses)
