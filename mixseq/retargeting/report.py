@@ -9,8 +9,8 @@ source triangle and the rotation G between the meshes (`mixseq.retargeting.gradi
   source, with the mean stretch of the triangles at the edge. Without source triangles the expected stretch is 1.
 - A triangle is *turned over* if it faces away from its expected normal.
 - The *acceleration* of a vertex is :math:`|x_{t+1} - 2 x_t + x_{t-1}| / d`, with the target's diagonal d at rest. For
-  the source d / s replaces d, with the scale s between the meshes (`mixseq.retargeting.sources`). The source is measured
-  at the source points of the target's vertices, independent of the mesh densities.
+  the source d / s replaces d, with the scale s between the meshes (`mixseq.retargeting.sources`). The source is
+  measured at the source points of the target's vertices, independent of the mesh densities.
 
 Self-intersections are counted in sampled frames; other measures use all frames. Frames are measured block by block, and
 only the largest thousandth of the strains is kept in memory.

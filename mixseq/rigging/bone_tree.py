@@ -162,11 +162,11 @@ class _MotionFit:
             self._apply(lever[None], (self.products @ lever)[:, None], residual[None] / weight)
 
     def fit_joint(self, bone: int) -> None:
-        """Fit the position of a joint, which moves the subtree of its bone."""
+        """Fit the position of a joint; a shift of the joint moves the subtree of its bone."""
         residual, weight = self.subtree_residual(bone)
         if weight <= _ROTATION_STIFFNESS:
             return
-        # Transposed differences of the rotations of parent and bone.
+        # Transposed differences between the rotations of parent and bone.
         d = (self.motions[self.parents[bone], :3] - self.motions[bone, :3]).reshape(3, -1, 3)
         normal = weight * (np.einsum("ati,bti->ab", d, d) + _JOINT_STIFFNESS * d.shape[1] * np.eye(3))
         step = np.linalg.solve(normal, np.einsum("ati,ti->a", d, residual.reshape(-1, 3)))

@@ -40,7 +40,7 @@ from mixseq.types import Float, Index
 MAX_ACTIVE_SET_ROUNDS = 60  # largest number of rounds, each of which adds a bone
 MIN_RELATIVE_GAIN = 1e-12  # smallest decrease of the error by a bone, relative to the squared positions
 NEAREST_CANDIDATES = 12  # number of bones that are tried besides the current bones
-RELATIVE_DAMPING = 1e-14  # damping of the diagonal, so that bones of equal motion share the weight
+RELATIVE_DAMPING = 1e-14  # relative damping of the diagonal, so that bones of equal motion share the weight
 REST_STIFFNESS = 1e-6  # weight of the previous rest position, relative to one frame
 
 
@@ -70,10 +70,10 @@ def cholesky_solve(a: Float, b: Float, n: int) -> None:
 
 @compiled
 def _minimise_affine(h: Float, bones: Index, n: int, scale: float, a: Float, z: Float) -> None:
-    """Minimise z^T h z over given bones with sum one and any signs: h z is constant."""
+    """Minimise z^T h z for weights z of given bones with sum one and any signs; h z is constant at the minimum."""
     for i in range(n):
         for j in range(n):
-            # With sum one, a constant added to h does not change the minimum; it keeps h regular.
+            # A constant added to h keeps h regular; it does not change the minimum, since z has sum one.
             a[i, j] = h[bones[i], bones[j]] + scale
         a[i, i] += RELATIVE_DAMPING * scale
         z[i] = 1.0
@@ -122,7 +122,7 @@ def _squared_error(h: Float, bones: Index, n: int, w: Float) -> float:
 def _active_set(
     h: Float, scale: float, candidates: Index, bones: Index, w: Float, n: int, limit: int, a: Float, z: Float
 ) -> int:
-    """Add candidates by Lawson and Hanson's active set, from feasible w, to at most `limit` bones; return their count."""
+    """Minimise by Lawson and Hanson's active set, from feasible w; return the number of bones, at most `limit`."""
     for _ in range(MAX_ACTIVE_SET_ROUNDS):
         if n == limit:
             break
@@ -421,7 +421,7 @@ def label_vertices(faces: Index, labels: Index, vertex_count: int) -> Index:
 
 
 def merge_bones(tracks: Float, labels: Index, count: int) -> Index:
-    """Merge labels ``(V,)`` of bones down to `count`, by the least increase of the error of common rigid motions."""
+    """Merge labels ``(V,)`` to `count` bones, first those whose common rigid motion increases the error least."""
     labels = np.unique(labels, return_inverse=True)[1]
     positions = tracks.reshape(len(tracks), -1, 3)
     bone_count = int(labels.max()) + 1
@@ -449,7 +449,7 @@ def merge_bones(tracks: Float, labels: Index, count: int) -> Index:
 
 
 def seed_bones(tracks: Float, binding: Binding, count: int, neighbour_count: int) -> Float:
-    """Return motions ``(n, 4, 3T)`` of new bones, fitted to the neighbourhoods of vertices with large errors."""
+    """Return motions ``(n, 4, 3T)`` of new bones, fitted to the vertices with tracks nearest to a worst vertex."""
     errors = binding.errors.copy()
     motions = []
     for _ in range(count):

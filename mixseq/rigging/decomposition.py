@@ -99,8 +99,8 @@ def alternate_fits(
 ) -> tuple[Binding, Float, Joints]:
     """Fit the binding and the motions alternately until the squared error is small or stops decreasing.
 
-    Rest positions and motions are extrapolated by a fraction j / (j + 3) of their last step (Nesterov 1983). Rounds that
-    increase the error are reverted; j is the number of rounds since the last such round.
+    Rest positions and motions are extrapolated by a fraction j / (j + 3) of their last step (Nesterov 1983). Rounds
+    that increase the error are reverted; j is the number of rounds since the last such round.
     """
     previous_rest, previous_motions = binding.rest, motions
     errors, good_rounds = [np.inf], 0
