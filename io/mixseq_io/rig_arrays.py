@@ -26,7 +26,7 @@ _ROUNDING_FRACTION = 4 * float(np.finfo(np.float32).eps)
 
 
 def four_influences(skin: Skin) -> tuple[Index, Single]:
-    """Return distinct bones and float32 weights ``(V, 4)`` with sum 1, by decreasing weight; zero weights have bone 0."""
+    """Return distinct bones and float32 weights ``(V, 4)`` with sum 1, by decreasing weight; bone 0 for weight 0."""
     bones = skin.influences.copy()
     weights = skin.weights.copy()
     for column in range(1, bones.shape[1]):

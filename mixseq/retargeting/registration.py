@@ -12,8 +12,8 @@ for Surface Registration*). Its constraints are
 On horse to camel and cat to lion it is as fast as trimesh's `nricp_sumner` and four times faster than `nricp_amberg`.
 Its distances are a sixth of theirs, and it supports separate components.
 
-*The energy.* The unknowns are the new position p_i of every vertex i, and an affine map A_i of its neighbourhood
-(embedded deformation, Sumner, Schmid and Pauly 2007; independent of the origin). With edges
+*The energy.* Unknowns are the new position p_i of every vertex i, and an affine map A_i of its neighbourhood. This form
+(embedded deformation, Sumner, Schmid and Pauly 2007) does not depend on the origin. With edges
 :math:`e_{ij} = x_j - x_i`,
 
 .. math::

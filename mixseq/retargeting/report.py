@@ -1,12 +1,12 @@
 r"""Measure a transfer: coverage, strain, smoothness, flipped triangles and self-intersections.
 
-A target triangle with rest side s has the expected side :math:`s' = G J G^T s` in a frame, with the gradient J of its
-source triangle and the rotation G between the meshes (`mixseq.retargeting.gradient_transfer`). The expected stretch is
-:math:`\lambda = |s'| / |s|`, and the expected normal is :math:`s'_1 \times s'_2`.
+In a frame, a side s of a target triangle at rest becomes the expected side :math:`s' = G J G^T s`. J is the gradient of
+the source triangle, and G the rotation between the meshes (`mixseq.retargeting.gradient_transfer`). The expected
+stretch is :math:`\lambda = |s'| / |s|`, and the expected normal is :math:`s'_1 \times s'_2`.
 
 - The *strain* of an edge in a frame is :math:`|\,l / l_\mathrm{rest} - 1\,|`, for the target and the source.
-- The *excess* of a target edge is :math:`|\,l / l_\mathrm{rest} - \lambda\,|`, its strain beyond the strain of the
-  source, with the mean stretch of the triangles at the edge. Without source triangles the expected stretch is 1.
+- The *excess* of a target edge is :math:`|\,l / l_\mathrm{rest} - \lambda\,|`: its strain beyond the source's strain.
+  The expected stretch is averaged over the triangles at the edge; without source triangles it is 1.
 - A triangle is *turned over* if it faces away from its expected normal.
 - The *acceleration* of a vertex is :math:`|x_{t+1} - 2 x_t + x_{t-1}| / d`, with the target's diagonal d at rest. For
   the source d / s replaces d, with the scale s between the meshes (`mixseq.retargeting.sources`). The source is

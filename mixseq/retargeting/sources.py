@@ -5,7 +5,8 @@ the target, and a displacement d becomes s G d. The scale is the ratio of the ro
 and target inverts this ratio, but not a least-squares scale.
 
 If proportions differ, the best rotation is slightly wrong: it is eight degrees between horse and camel in the same
-orientation, due to the camel's neck and hump. So G is the nearest rotation by quarter turns, unless it fits far worse.
+orientation, due to the camel's neck and hump. So G is the nearest rotation by quarter turns, unless its fit is clearly
+worse.
 """
 
 from __future__ import annotations

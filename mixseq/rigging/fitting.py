@@ -4,8 +4,8 @@ r"""Fit a skin or morph targets to a sequence, with the fewest bones or targets 
 :math:`U^T X` and the weights are columns of U (Alexa and Mueller 2000). The first M targets approximate X best in the
 sum of squares; all targets together reproduce X exactly. Targets are scaled to a largest weight of one.
 
-*Correctives.* The residual of a skin, :math:`e_t(v)`, is transformed to rest space by the weighted mean of the vertex's
-bone rotations, :math:`A_t(v) = \sum_b w_{vb} R_{tb}` (as in pose-space deformation, Lewis et al. 2000):
+*Correctives.* The residual :math:`e_t(v)` of a skin is transformed to rest space (Lewis et al. 2000, pose-space
+deformation). The weighted mean of bone rotations at a vertex is :math:`A_t(v) = \sum_b w_{vb} R_{tb}`, and
 
 .. math:: \delta_t(v) = \operatorname*{argmin}_\delta |A_t(v)\, \delta - e_t(v)|^2 + \mu |\delta|^2,
 
