@@ -10,7 +10,7 @@ for Surface Registration*). Its constraints are
   (humps, ears, hooves) are covered.
 
 On horse to camel and cat to lion it is as fast as trimesh's `nricp_sumner` and four times faster than `nricp_amberg`.
-Its distances are a sixth of theirs, and it supports separate components.
+Its distances from the target are a sixth of the distances of both, and it supports separate components.
 
 *The energy.* Unknowns are the new position p_i of every vertex i, and an affine map A_i of its neighbourhood. This form
 (embedded deformation, Sumner, Schmid and Pauly 2007) does not depend on the origin. With edges

@@ -4,9 +4,8 @@ Source and target are aligned by a rotation G and a scale s. A deformation F of 
 the target, and a displacement d becomes s G d. The scale is the ratio of the root mean square radii. Exchanging source
 and target inverts this ratio, but not a least-squares scale.
 
-If proportions differ, the best rotation is slightly wrong: it is eight degrees between horse and camel in the same
-orientation, due to the camel's neck and hump. So G is the nearest rotation by quarter turns, unless its fit is clearly
-worse.
+If proportions differ, the best rotation is slightly wrong: the camel's neck and hump rotate it by eight degrees from
+a horse in the same orientation. So G is the nearest rotation by quarter turns, unless its fit is clearly worse.
 """
 
 from __future__ import annotations
