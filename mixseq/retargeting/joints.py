@@ -1,9 +1,9 @@
 r"""Joints of the target: transfer their edge lengths and angles, and solve for their free vertices.
 
 A joint between posed parts is a boundary value problem: its free vertices fit edge lengths and dihedral angles
-(`mixseq.shells.fitting`), starting from skinned positions. Skinning blends the motions of all parts with fixed vertices
-in the joint, from a reference frame. The skinning weights are harmonic: 1 at the vertices of a part, and 0 at the
-vertices of other parts. Close to the reference frame the skinned positions have no folds.
+(`mixseq.shells.fitting`) near their skinned positions. Skinning from a reference frame blends the motions of all parts
+with fixed vertices in the joint. The weights are harmonic: 1 at the vertices of a part, 0 at the vertices of other
+parts. Close to the reference the skinned positions are a start without folds (there, lengths and angles conflict).
 
 Lengths are transferred as ratios, angles as differences. For meshes of the same connectivity they are transferred from
 each edge and hinge,

@@ -58,7 +58,7 @@ class Matches:
 class CorrespondenceQuality:
     """Quality of a correspondence; distances are in diagonals of the target."""
 
-    source_coverage: float  # share of the registered source's area that is close to the target
+    source_coverage: float  # share of the registered source's area with a match on the target
     target_coverage: float  # share of the target's area with a match on the source
     mean_distance: float  # mean distance of the matched target vertices from the registered source
     p99_distance: float  # 99th percentile of these distances
