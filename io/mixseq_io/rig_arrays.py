@@ -1,4 +1,4 @@
-"""Arrays of skins and morph targets for writers, and skeletons from the joint lists of readers."""
+"""Convert skins and morph targets to arrays for writers, and joint lists of readers to skeletons."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 
 _ROUNDING_FRACTION = 4 * float(np.finfo(np.float32).eps)
-"""Motion that counts as rounding, as a fraction of the largest magnitude."""
+"""Largest motion that counts as a rounding error, relative to the largest magnitude."""
 
 
 def four_influences(skin: Skin) -> tuple[Index, Single]:
-    """Return bones and float32 weights ``(V, 4)``: distinct, by falling weight, summing to 1, bone 0 for weight 0."""
+    """Return distinct bones and float32 weights ``(V, 4)`` with sum 1, by decreasing weight; bone 0 for weight 0."""
     bones = skin.influences.copy()
     weights = skin.weights.copy()
     for column in range(1, bones.shape[1]):
@@ -42,9 +42,9 @@ def four_influences(skin: Skin) -> tuple[Index, Single]:
 
 
 def normalise_morph_weights(rig: Skin | Morph) -> Morph:
-    r"""Return the morph targets of a rig with weights scaled to 0 to 1; Blender and Unity clip negative ones.
+    r"""Return the morph targets of a rig with weights from 0 to 1; Blender and Unity clip negative weights.
 
-    With the minimum and maximum weight of every target over the frames,
+    With the minimum :math:`w^-_m` and maximum :math:`w^+_m` of the weights of every target over the frames,
 
     .. math:: x + \sum_m w_{tm} d_m = \Bigl( x + \sum_m w^-_m d_m \Bigr)
               + \sum_m \frac{w_{tm} - w^-_m}{w^+_m - w^-_m} (w^+_m - w^-_m) d_m .
@@ -72,14 +72,14 @@ def numbered_names(prefix: str, count: int) -> list[str]:
 
 
 def remove_rounding_motion(values: Float, unit: float) -> Float:
-    """Freeze tracks ``(T, n, k)`` of bones that move by rounding only, relative to `unit` or the largest magnitude."""
+    """Freeze tracks ``(T, n, k)`` that vary only by rounding, relative to `unit` or the largest magnitude."""
     magnitude = max(unit, float(np.abs(values).max(initial=0.0)))
     motion = np.abs(values - values[:1]).max(axis=(0, 2), keepdims=True)
     return np.where(motion <= _ROUNDING_FRACTION * magnitude, values[:1], values)
 
 
 def local_joint_transforms(skin: Skin, file_format: str, header: SequenceHeader | None = None) -> tuple[Single, Single]:
-    """Return parent-relative rotations ``(T, B, 4)`` and translations ``(T, B, 3)`` in float32 for a format."""
+    """Return parent-relative rotations ``(T, B, 4)`` and translations ``(T, B, 3)`` in float32 for a file format."""
     local = skin.local_motion()
     rotations = remove_rounding_motion(local.rotations, 1.0).astype(np.float32)
     translations = remove_rounding_motion(local.translations, bounding_diagonal(skin.rest))
@@ -87,7 +87,7 @@ def local_joint_transforms(skin: Skin, file_format: str, header: SequenceHeader 
 
 
 def choose_skeleton(file: Path, names: Sequence[tuple[str, ...]], name: str | None) -> int:
-    """Return the index of the only skeleton that has a name, given the names of each; None selects all."""
+    """Return the index of the only skeleton called `name`, or of the only skeleton if `name` is None."""
     if not names:
         raise FormatError(f"{file} has no skeleton; a file with a character that is bound to joints is expected")
     matching = [index for index, own in enumerate(names) if name is None or name in own]
@@ -116,7 +116,7 @@ def build_skeleton(names: Sequence[str], parents: Sequence[int], bind: Float) ->
     order = order_parents_first(parents)
     bone_of_joint = {joint: bone for bone, joint in enumerate(order)} | {-1: -1}
     axes = bind[order][:, :3, :3]
-    # Normalised, since matrices in small units would count as singular.
+    # The matrices are normalised, since matrices in small units would count as singular.
     axes = axes / np.maximum(np.linalg.norm(axes, axis=(1, 2), keepdims=True), 1e-300)
     return Skeleton(
         tuple(_make_unique([names[joint] for joint in order])),
@@ -127,7 +127,7 @@ def build_skeleton(names: Sequence[str], parents: Sequence[int], bind: Float) ->
 
 
 def order_parents_first(parents: Sequence[int]) -> list[int]:
-    """Return joint indices with parents before children, otherwise in order."""
+    """Return joint indices with parents before children, in the given order where possible."""
     order: dict[int, None] = {}
     for joint in range(len(parents)):
         chain = []

@@ -27,34 +27,34 @@ _EXTENSION_LIST = f"{', '.join(RIG_EXTENSIONS[:-1])} or {RIG_EXTENSIONS[-1]}"
 def write_rig(path: PathLike, rig: Skin | Morph) -> None:
     """Write a skin or a morph to a glTF or USD file.
 
-    glTF: ``.glb`` is binary, ``.gltf`` text with everything in it. USD: ``.usd`` and ``.usdc`` are binary, ``.usda``
-    is text, ``.usdz`` a package; skins have a skeleton and blend shapes (UsdSkel).
+    In glTF, ``.glb`` is binary, and ``.gltf`` is text with embedded data. In USD, ``.usd`` and ``.usdc`` are binary,
+    ``.usda`` is text, and ``.usdz`` is a package; skins have a skeleton and blend shapes (UsdSkel).
 
-    Texture coordinates, hard edges and names of materials are written, in USD also the materials of the sequence's
-    original USD file. Numbers are float32. The file appears when it is complete; `mixseq_io.read` reads it.
+    Texture coordinates, hard edges and names of materials are written. USD files also get the materials of the original
+    USD file. Numbers are float32. The file appears when it is complete; `mixseq_io.read` can read it.
 
     Parameters
     ----------
     path : path-like
-        The file.
+        Path of the file to write.
     rig : Skin or Morph
-        Result of `mixseq.fit_skin` or `mixseq.fit_morph`. Keys are at its frames; ``rig.resampled`` changes them.
+        Result of `mixseq.fit_skin` or `mixseq.fit_morph`. Keys are at its frames; ``rig.resampled`` changes the frames.
 
     Raises
     ------
     OutputError
-        If the name has another extension, the file cannot be written or would be too large, a skin for glTF has more
-        than 65535 bones, or USD does not support the up axis.
+        If the file extension is not supported, the file cannot be written or would be too large, a skin for glTF has
+        more than 65535 bones, or USD does not support the up axis.
     TypeError
-        If `rig` is something else.
+        If `rig` is neither a skin nor a morph.
     InvalidSequenceError
         If points or times do not fit into float32.
 
     Warns
     -----
     MixseqWarning
-        If the format does not support an attribute of the mesh, the mesh is under a node that rotates and scales it
-        (glTF), times are changed, or materials are only names (USD).
+        If the format does not support an attribute of the mesh, a node rotates and scales the mesh (glTF), times are
+        changed, or only names of materials are written (USD).
     """
     file = Path(path)
     check_rig_target(file)
@@ -76,20 +76,20 @@ def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
     layout = create_skinned_scene(rig) if isinstance(rig, Skin) else create_morphed_scene(rig)
     warn_of_changes(file, rig.header, standalone_losses(rig.header))
     with atomic_file(file) as temporary, open_buffer_writer(file, temporary, layout):
-        pass  # the layout has all data
+        pass  # the layout already has all data
 
 
 def check_rig_target(path: Path) -> None:
-    """Raise for a path with another extension than those of rigs."""
+    """Raise if the extension of a path is not an extension of rig files."""
     if path.suffix.lower() not in RIG_EXTENSIONS:
         raise OutputError(f"{path}: skins and morphs are written as glTF or USD; end the name in {_EXTENSION_LIST}")
 
 
 @public
 def read_skeleton(path: PathLike, name: str | None = None) -> Skeleton:
-    """Read a skeleton: the joints of a glTF skin, or of a UsdSkel skeleton.
+    """Read the joints of a glTF skin or a UsdSkel skeleton.
 
-    Joints are in their bind pose in world space, as points of `mixseq_io.read` are. Joints without a name are named
+    Joints are in their bind pose, in world space like the points of `mixseq_io.read`. Joints without a name are named
     ``joint_000`` and so on; repeated names get a number.
 
     Parameters
@@ -97,13 +97,13 @@ def read_skeleton(path: PathLike, name: str | None = None) -> Skeleton:
     path : path-like
         A ``.glb``, ``.gltf``, ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file. Its meshes are not read.
     name : str, optional
-        Name of the skeleton, if there are several: that of the skin, or ``skin 0`` and so on for skins without a name,
-        in glTF; path or name of the prim in USD. Skins of the same joints are one skeleton.
+        Name of the skeleton, if there are several. In glTF: the skin's name, or ``skin 0`` and so on for unnamed skins;
+        skins with the same joints are one skeleton. In USD: the path or name of the prim.
 
     Returns
     -------
     Skeleton
-        Pivots and axes of the bind pose, parents before children, without the scales of joints.
+        Joints of the bind pose, parents before children; scales of joints are ignored.
 
     Raises
     ------
@@ -128,8 +128,8 @@ def read_skeleton(path: PathLike, name: str | None = None) -> Skeleton:
 def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
     """Read the meshes of a skeleton in their bind pose, as a sequence of one frame.
 
-    Vertices are those of `mixseq_io.read`, in the space of the joints of `read_skeleton`. Meshes below glTF joints are
-    included. glTF morph targets have their static weights, USD blend shapes are off.
+    Vertices have the order of `mixseq_io.read`, and are in the space of `read_skeleton`. Meshes below glTF joints are
+    included. Morph targets of glTF have their static weights; blend shapes of USD have zero weight.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
     FormatError
         If the file is missing, damaged, of another type, or has no skeleton of that name.
     NoMeshError
-        If there is no mesh on the skeleton.
+        If the skeleton has no mesh.
     AmbiguousError
         If there are several skeletons; the message names them.
     """
@@ -158,7 +158,7 @@ def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
 
 
 def _check_skeleton_file(file: Path) -> None:
-    """Raise for a file without skeletons, by its extension."""
+    """Raise if files with the extension of the given file have no skeletons."""
     check_regular_file(file, "a file")
     if file.suffix.lower() not in RIG_EXTENSIONS:
         raise FormatError(f"{file}: skeletons are read from glTF and USD; give a file that ends in {_EXTENSION_LIST}")

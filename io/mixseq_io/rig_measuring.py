@@ -1,7 +1,7 @@
 r"""Measure the errors of a file with a skin or a morph, compared with its original sequence.
 
-With the points :math:`x_t(v)` of the sequence, those of the file :math:`y_t(v)`, the centroid :math:`\bar x_t` of a
-frame and the diagonal :math:`D` of the first one:
+With points :math:`x_t(v)` of the sequence, points :math:`y_t(v)` of the file, the centroid :math:`\bar x_t` of every
+frame and the diagonal :math:`D` of the first frame:
 
 .. math::
     e_{max} = \max_{tv} \frac{|y_t(v) - x_t(v)|}{D}, \quad
@@ -30,7 +30,7 @@ from mixseq_io.scene_meshes import split_meshes
 
 @dataclass(frozen=True)
 class RigErrors:
-    """Errors of a file with a rig."""
+    """Errors of a rig file, compared with its original sequence."""
 
     max_error: float  # largest distance, in diagonals
     rms_error: float  # root mean square distance, in diagonals
@@ -44,7 +44,7 @@ def measure_rig_file(path: Path, sequence: MeshSequence) -> RigErrors:
     if path.suffix.lower() in GLTF_EXTENSIONS:
         vertex_ids = _vertices_with_polygons(sequence.header)
         matrix = axis_conversion(sequence.header).get("matrix", np.eye(4))
-        rotation = np.reshape(matrix, (4, 4))[:3, :3]  # columns in the file are rows here
+        rotation = np.reshape(matrix, (4, 4))[:3, :3]  # transposed: the file stores columns
     largest = squares = spread = 0.0
     for points, written in _frame_pairs(path, sequence):
         expected = points[vertex_ids].astype(np.float64) @ rotation
@@ -61,23 +61,23 @@ def measure_rig_file(path: Path, sequence: MeshSequence) -> RigErrors:
 
 
 def size_with_frame_targets(header: SequenceHeader) -> int:
-    """Return the size in bytes of a .glb with a morph target per frame, up to the text of bounds."""
+    """Return the size in bytes of a .glb with a morph target per frame; the text of bounds may differ in length."""
     layout, meshes = create_scene(header)
     MorphFrameWriter(layout, meshes, header)
     return compute_glb_size(layout)
 
 
 def _vertices_with_polygons(header: SequenceHeader) -> IntArray:
-    """Return the vertices ``(n,)`` of objects with polygons; glTF omits the others."""
+    """Return the vertices ``(n,)`` of objects with polygons; glTF omits objects without polygons."""
     vertices, meshes = np.arange(header.vertex_count), split_meshes(header)
     return np.concatenate([vertices[mesh.vertices] for mesh in meshes if mesh.polygons.counts.size])
 
 
 def _frame_pairs(path: Path, sequence: MeshSequence) -> Iterator[tuple[NDArray[np.floating], NDArray[np.float64]]]:
-    """Yield the points ``(V, 3)`` of every frame, and those of the file at its time."""
+    """Yield the points ``(V, 3)`` of every frame, and the file's points ``(V, 3)`` at the nearest time."""
     with open_sequence(path, prim="/") as reader:
         times = reader.header.times
-        # Nearest times, since glTF has float32 times, and static files a single frame.
+        # Frames are matched by nearest times: glTF has float32 times, and static files have a single frame.
         nearest = np.searchsorted((times[1:] + times[:-1]) / 2, sequence.times)
         file_frames = (points for block in reader.blocks() for points in block)
         for file_frame, points in enumerate(file_frames):

@@ -1,5 +1,5 @@
 """Transfer the motion of one mesh to another (deformation transfer; `transfer`).
 
-Correspondence: `markers`, `suggestions`, `checks`, `registration`, `matching`, all called by `correspond`.
-Motion: `sources`, then `gradient_transfer` (triangles) or `mixed_transfer` (`parts`, `joints`, `limbs`, `contacts`).
+Modules of the correspondence: `markers`, `suggestions`, `checks`, `registration`, `matching`, `correspond`.
+Modules of the motion: `sources`, `gradient_transfer` or `mixed_transfer` (with `parts`, `joints`, `limbs`, `contacts`).
 """

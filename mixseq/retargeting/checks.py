@@ -1,20 +1,20 @@
 r"""Check markers and meshes: raise errors for invalid markers and inverted meshes, warn of suspicious markers.
 
 *Inside out?* Triangles of source and target must have the same orientation. A closed component encloses the volume
-:math:`\frac16 \sum_t a_t \cdot (b_t \times c_t)`, negative if its triangles run clockwise seen from outside. With holes
-it depends on the origin, by the sum of the vector areas: the sign of a component counts if it is the same for all
-origins in its bounding sphere. Other open surfaces are checked after registration, by the normals of closest points.
+:math:`\frac16 \sum_t a_t \cdot (b_t \times c_t)`, negative if its triangles are clockwise seen from outside. The volume
+of a component with holes depends on the origin; its sign is used if it is equal for all origins in the bounding
+sphere. Other open surfaces are checked after registration, by the normals of closest points.
 
 *Mirrored?* With centred sources X and targets Y and singular values :math:`\sigma` of :math:`X^T Y`, the relative
-residual of the best similarity is :math:`1 - (\sigma_1 + \sigma_2 \pm \sigma_3)^2 / (\|X\|^2 \|Y\|^2)`, with one sign
-for rotations, the other for reflections (Umeyama 1991).
+residual of the best similarity is :math:`1 - (\sigma_1 + \sigma_2 \pm \sigma_3)^2 / (\|X\|^2 \|Y\|^2)`. One sign holds
+for rotations and the other for reflections (Umeyama 1991).
 
-*Exchanged?* Two markers are left out, and predicted by a thin-plate spline through the others. They are exchanged if
-their exchanged targets fit far better. The best pair is exchanged, and the search repeated. Then groups of markers are
-compared in the same way: if the left leg is marked as the right one, no two of its markers look wrong among the others,
-but with both legs left out their centres are predicted correctly. *Wrong?* The same with one marker.
+*Exchanged?* A thin-plate spline through all other markers predicts the targets of two markers. The two count as
+exchanged if their exchanged targets are far closer to the predictions. The best pair is exchanged, and the search is
+repeated. Groups of markers are compared in the same way, which finds exchanged legs: a spline without the markers of
+both legs predicts the centres of the legs correctly. *Wrong?* A single marker is compared with its prediction.
 
-Sources and targets are normalised: centred, with a root mean square distance of 1. The smoothest map of space from
+Sources and targets are centred and scaled to a root mean square distance of 1. The smoothest map of space from
 sources :math:`x_i` to targets :math:`y_i`, with a small slack :math:`\lambda`, has the bending energy (Duchon 1977; in
 three dimensions the kernel is :math:`-\|x\|`)
 
@@ -22,17 +22,17 @@ three dimensions the kernel is :math:`-\|x\|`)
     E = \operatorname{tr} Y^T B\, Y, \qquad B = Z (Z^T K Z)^{-1} Z^T, \qquad
     K_{ij} = -\|x_i - x_j\| + \lambda \delta_{ij},
 
-where the columns of Z are orthogonal to all affine functions of the :math:`x_i`. The markers of a set S are predicted
-from the others where the energy is least,
+where the columns of Z are orthogonal to all affine functions of the :math:`x_i`. The predicted targets of a set S of
+markers minimise the energy for fixed other markers,
 
 .. math:: \hat y_S = y_S - (B_{SS})^{-1} (B Y)_S,
 
 without another solve (Wahba 1990, chapter 4).
 
-Correct markers of horse and camel (107, 124 and 17 pairs) and of cat and lion (55): no exchange of two markers brings
-them closer than 0.57 times their distance, none of two groups closer than 1.08, and no marker is further than 0.35 from
-its prediction. Exchanged markers of a left and a right leg: 99 % are found, without false alarms; of three such pairs
-at a time, 95 % (fewer among 17 markers).
+Correct markers were tested on horse and camel (107, 124 and 17 pairs) and on cat and lion (55). Exchanges multiply the
+distance from the predictions by at least 0.57 for two markers, and by 1.08 for two groups. All markers are within 0.35
+of their predictions. Of single exchanged pairs of a left and a right leg 99 % are found, without false alarms. Of three
+exchanged pairs at a time 95 % are found (fewer among 17 markers).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ from mixseq.retargeting.markers import Markers
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index
 
-MIN_VOLUME_RATIO = 1e-9  # of a component, to its cubed diagonal; smaller volumes are rounding
+MIN_VOLUME_RATIO = 1e-9  # volume of a component, relative to its cubed diagonal; smaller volumes are rounding errors
 MAX_NAMED_COMPONENTS = 4  # largest number of components named in a message
 
 _FLIP_ADVICE = "turn its triangles over (faces[:, ::-1]; in a modelling program: flip the normals)"
@@ -67,7 +67,7 @@ class Orientation:
 
     @property
     def sign(self) -> int:
-        """Orientation of most of the closed components, by area."""
+        """Orientation of the larger part of the area of all closed components: 1, -1, or 0 without any."""
         return int(np.sign(self.areas @ self.signs))
 
 
@@ -79,7 +79,7 @@ def find_orientation(mesh: TriangleMesh) -> Orientation:
     lower_bounds, upper_bounds = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     np.minimum.at(lower_bounds, component_of_face, corners.min(axis=1))
     np.maximum.at(upper_bounds, component_of_face, corners.max(axis=1))
-    # Volumes are taken about the centres of the bounding boxes, against rounding.
+    # The origin is the centre of each bounding box, which reduces rounding errors.
     a, b, c = np.moveaxis(corners - ((lower_bounds + upper_bounds) / 2)[component_of_face, None], 1, 0)
     volumes = np.bincount(component_of_face, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6, count)
     vector_areas = [np.bincount(component_of_face, mesh.vector_areas[:, axis], count) for axis in range(3)]
@@ -92,7 +92,7 @@ def find_orientation(mesh: TriangleMesh) -> Orientation:
 
 
 def check_orientation(source: TriangleMesh, target: TriangleMesh) -> None:
-    """Raise if one of two closed meshes is inside out, and warn of inverted components of the target."""
+    """Raise if either of two closed meshes is inside out, and warn of inverted components of the target."""
     source_sign, orientation = find_orientation(source).sign, find_orientation(target)
     if source_sign * orientation.sign == -1:
         side = "target" if orientation.sign < 0 else "source"
@@ -111,11 +111,11 @@ def check_orientation(source: TriangleMesh, target: TriangleMesh) -> None:
 
 
 def check_facing(registered: TriangleMesh, target: TriangleMesh) -> None:
-    """Raise if most of a target faces away from the registered source, and one of them is open."""
+    """Raise if most of the target's area faces away from the registered source, unless both meshes are closed."""
     from mixseq.mesh.nearest import ClosestPointQuery
 
     if find_orientation(registered).sign * find_orientation(target).sign != 0:
-        return  # `check_orientation` decides
+        return  # `check_orientation` checks two closed meshes
     closest = ClosestPointQuery.from_mesh(registered.points, registered.faces).query(target.centroids)
     is_opposite = np.einsum("fi,fi->f", registered.face_normals[closest.faces], target.face_normals) < 0
     share = float(target.face_areas[is_opposite].sum() / max(target.face_areas.sum(), np.finfo(float).tiny))
@@ -126,35 +126,35 @@ def check_facing(registered: TriangleMesh, target: TriangleMesh) -> None:
         )
 
 
-SPLINE_SLACK = 0.05  # in root mean square distances from the centre; results hardly change from 0 to 0.2
-_MIN_SUPPORT_RATIO = 1e-9  # of a diagonal entry of B to their mean, for a prediction by the others
+SPLINE_SLACK = 0.05  # slack lambda, in root mean square distances; results hardly change from 0 to 0.2
+_MIN_SUPPORT_RATIO = 1e-9  # smallest diagonal entry of B for a prediction, relative to the mean entry
 MIN_COMPARED_MARKERS = 8  # smallest number of markers that are compared with each other
-MAX_EXCHANGED_DISTANCE_RATIO = 0.5  # of distances from predictions, exchanged to unchanged
-MIN_EXCHANGED_DISTANCE_MEDIANS = 2.5  # of unchanged markers, in medians of all markers
-MIN_WRONG_MARKER_DISTANCE = 0.5  # in root mean square distances from the centre
-MIN_WRONG_MARKER_SURPRISE = 5.0  # in medians of all markers
+MAX_EXCHANGED_DISTANCE_RATIO = 0.5  # largest ratio of distances from predictions, exchanged to unchanged
+MIN_EXCHANGED_DISTANCE_MEDIANS = 2.5  # smallest distance before the exchange, in medians of all markers
+MIN_WRONG_MARKER_DISTANCE = 0.5  # smallest distance from the prediction, in root mean square distances
+MIN_WRONG_MARKER_SURPRISE = 5.0  # smallest surprise of a wrong marker, in medians of all markers
 MAX_REPORTED_MARKERS = 20  # largest number of reported exchanges, and of reported wrong markers
-ROUNDING_DISTANCE = 1e-6  # largest rounding error, in root mean square distances from the centre
+ROUNDING_DISTANCE = 1e-6  # largest rounding error of a distance, in root mean square distances from the centre
 MAX_GROUP_MARKER_SHARE = 0.25  # largest number of markers in a group, relative to all markers
 MAX_GROUP_SIZE_RATIO = 2.5  # largest ratio of the sizes of two exchanged groups
 
 
 @dataclass(frozen=True, eq=False)
 class BendingEnergy:
-    """Bending energy of thin-plate splines through fixed sources."""
+    """Bending energy of thin-plate splines through fixed source points."""
 
-    matrix: Float  # (n, n) the matrix B above
+    matrix: Float  # (n, n) matrix B of the module's formulas
 
     @classmethod
     def from_points(cls, sources: Float, slack: float = SPLINE_SLACK) -> Self:
-        """Prepare the energy of maps of sources ``(n, 3)``, of which there are more than four."""
+        """Compute the energy matrix of more than four source points ``(n, 3)``."""
         kernel = -np.linalg.norm(sources[:, None] - sources, axis=2) + slack * np.eye(len(sources))
         affine = np.column_stack([np.ones(len(sources)), sources])
         complement = np.linalg.qr(affine, mode="complete")[0][:, 4:]
         return cls(np.asarray(complement @ np.linalg.solve(complement.T @ kernel @ complement, complement.T)))
 
     def leave_one_out(self, targets: Float) -> tuple[Float, Float]:
-        """Return distances ``(n,)`` and surprises ``(n,)`` of targets ``(n, 3)``, each predicted from the others."""
+        """Return distances ``(n,)`` of targets ``(n, 3)`` from leave-one-out predictions, and surprises ``(n,)``."""
         forces = np.linalg.norm(self.matrix @ targets, axis=1)
         diagonal = np.diag(self.matrix)
         is_supported = diagonal > _MIN_SUPPORT_RATIO * diagonal.mean()
@@ -163,10 +163,10 @@ class BendingEnergy:
         return distances, np.where(is_supported, forces / np.sqrt(diagonal), 0.0)
 
     def leave_pairs_out(self, targets: Float) -> tuple[Index, Index, Float, Float]:
-        """Predict the targets ``(n, 3)`` of all pairs of markers from the others.
+        """Predict the targets ``(n, 3)`` of every pair of markers from all markers outside the pair.
 
-        Return both markers of every pair ``(m,)``, and their root mean square distances ``(m,)`` from the predictions,
-        unchanged and exchanged.
+        Return the first and second markers ``(m,)`` of the pairs, and their root mean square distances ``(m,)`` from
+        the predictions before and after an exchange.
         """
         forces, diagonal = self.matrix @ targets, np.diag(self.matrix)
         i, j = np.triu_indices(len(targets), 1)
@@ -186,13 +186,13 @@ def _rms_distance(a: Float, b: Float) -> Float:
 
 
 def _min_exchanged_distance(bending: BendingEnergy, target: Float) -> float:
-    """Return the smallest distance from predictions of markers that count as exchanged."""
+    """Return the smallest distance from its prediction at which a marker may count as exchanged."""
     median_distance = float(np.median(bending.leave_one_out(target)[0]))
     return max(MIN_EXCHANGED_DISTANCE_MEDIANS * median_distance, ROUNDING_DISTANCE)
 
 
 def find_exchanged_pairs(bending: BendingEnergy, target: Float) -> list[tuple[int, int, float, float]]:
-    """Find pairs of exchanged targets ``(n, 3)``, the clearest first, with their distances before and after."""
+    """Find pairs of exchanged targets ``(n, 3)``, the clearest first, with distances before and after the exchange."""
     target, pairs = target.copy(), []
     for _ in range(min(len(target) // 4, MAX_REPORTED_MARKERS)):
         first, second, unchanged, exchanged = bending.leave_pairs_out(target)
@@ -209,7 +209,7 @@ def find_exchanged_pairs(bending: BendingEnergy, target: Float) -> list[tuple[in
 
 
 def find_wrong_markers(source: Float, target: Float) -> list[tuple[int, float, float]]:
-    """Find markers far from their predictions, by decreasing surprise: source, target ``(n, 3)``."""
+    """Find markers far from their predictions, in order of detection: source, target ``(n, 3)``."""
     remaining, wrong_ids = np.arange(len(source)), []
     for _ in range(min(len(source) // 4, MAX_REPORTED_MARKERS)):
         if len(remaining) < MIN_COMPARED_MARKERS:
@@ -226,7 +226,7 @@ def find_wrong_markers(source: Float, target: Float) -> list[tuple[int, float, f
 
 
 def cluster_markers(points: Float) -> list[Index]:
-    """Return the nested clusters of two or more points ``(n, 3)``, up to the largest size (Ward 1963)."""
+    """Return nested clusters (Ward 1963) of points ``(n, 3)``, from two points to the largest group size."""
     from scipy.cluster.hierarchy import linkage
 
     clusters = [np.array([point]) for point in range(len(points))]
@@ -236,7 +236,7 @@ def cluster_markers(points: Float) -> list[Index]:
 
 
 def find_exchanged_groups(bending: BendingEnergy, source: Float, target: Float) -> tuple[Index, Index, float, float]:
-    """Find the two groups that an exchange brings closest to their predictions: source, target ``(n, 3)``."""
+    """Find the two groups with the smallest distance ratio after to before an exchange: source, target ``(n, 3)``."""
     matrix, forces = bending.matrix, bending.matrix @ target
     best = np.zeros(0, np.int64), np.zeros(0, np.int64), 1.0, 1.0
     clusters = cluster_markers(source)
@@ -251,7 +251,7 @@ def find_exchanged_groups(bending: BendingEnergy, source: Float, target: Float) 
             marker_ids = np.concatenate([first, second])
             try:
                 errors = np.linalg.solve(matrix[np.ix_(marker_ids, marker_ids)], forces[marker_ids])
-            except np.linalg.LinAlgError:  # the other markers are in a plane
+            except np.linalg.LinAlgError:  # all markers outside both groups are in a plane
                 continue
             first_error, second_error = errors[: len(first)].mean(axis=0), errors[len(first) :].mean(axis=0)
             exchange = target[second].mean(axis=0) - target[first].mean(axis=0)
@@ -265,19 +265,19 @@ def find_exchanged_groups(bending: BendingEnergy, source: Float, target: Float) 
 
 MIN_MARKERS = 4  # smallest number of markers: four determine an affine map
 FLAT_EXTENT_RATIO = 0.01  # largest ratio of extents of markers on a line or a plane
-MAX_MIRRORED_RESIDUAL_RATIO = 0.5  # of the best reflection of mirrored markers, to the best rotation
-MIN_ROTATION_RESIDUAL = 0.01  # of mirrored markers; that of flat markers is smaller
+MAX_MIRRORED_RESIDUAL_RATIO = 0.5  # largest ratio of residuals of mirrored markers, reflection to rotation
+MIN_ROTATION_RESIDUAL = 0.01  # smallest residual of a rotation of mirrored markers; flat markers have smaller ones
 MAX_COMPARED_MARKERS = 1000  # largest number of markers that are compared with each other
-MAX_EXCHANGED_GROUP_DISTANCE_RATIO = 0.7  # of distances from predictions, exchanged to unchanged
+MAX_EXCHANGED_GROUP_DISTANCE_RATIO = 0.7  # largest ratio of distances from predictions, exchanged to unchanged
 MAX_GROUPED_MARKERS = 200  # largest number of markers that are grouped
 MAX_NAMED_MARKERS = 6  # largest number of markers named in a message
 
 
 @dataclass(frozen=True, eq=False)
 class Suspicion:
-    """Markers that do not fit the others."""
+    """Markers that are inconsistent with the remaining markers."""
 
-    marker_ids: Index  # (k,) the markers
+    marker_ids: Index  # (k,) ids of the inconsistent markers
     message: str  # problem and cure
 
 
@@ -288,7 +288,7 @@ def check_markers(
     source_topology: Topology | None = None,
     target_topology: Topology | None = None,
 ) -> None:
-    """Raise for invalid markers, and warn of suspicious ones: points ``(V, 3)`` and ``(V', 3)``."""
+    """Raise for invalid markers, and warn of suspicious markers: points ``(V, 3)`` and ``(V', 3)``."""
     distinct_count = len(_distinct_markers(markers))
     if distinct_count < MIN_MARKERS:
         suffix = f" that differ, of {len(markers)}" if distinct_count < len(markers) else ""
@@ -313,7 +313,7 @@ def check_markers(
 
 
 def check_rest_frame(source: MeshSequence, rest: int) -> None:
-    """Raise if a source does not have the frame of the rest pose."""
+    """Raise if the source has no frame with the index `rest`."""
     if not -source.frame_count <= rest < source.frame_count:
         raise SettingsError(f"the source has no frame {rest}; the rest pose is one of 0 ... {source.frame_count - 1}")
 
@@ -335,7 +335,7 @@ def find_suspicious_markers(markers: Markers, source: Float, target: Float, diag
 
 
 def _distinct_markers(markers: Markers) -> Index:
-    """Return the ids ``(m,)`` of markers, without repeated pairs."""
+    """Return the ids ``(m,)`` of the markers without repetitions of the same pair."""
     pairs = np.stack([markers.source, markers.target])
     return np.sort(np.unique(pairs, axis=1, return_index=True)[1])
 
@@ -359,7 +359,7 @@ def _check_vertices(markers: Markers, side: str, vertices: Index, count: int, to
 
 
 def _check_pairs(markers: Markers) -> None:
-    """Raise if a vertex has two partners; repeated pairs are allowed."""
+    """Raise if a vertex is paired with two different vertices; repetitions of a pair are allowed."""
     for side, other_side, vertices, partners in (
         ("source", "targets", markers.source, markers.target),
         ("target", "sources", markers.target, markers.source),
@@ -375,7 +375,7 @@ def _check_pairs(markers: Markers) -> None:
 
 
 def _check_spread(side: str, marked: Float, points: Float) -> None:
-    """Raise if markers do not extend in three directions, as the mesh does."""
+    """Raise if all markers are on a line, and warn if they are on a plane but the mesh is not."""
     centre = marked.mean(axis=0)
     _, extents, axes = np.linalg.svd(marked - centre, full_matrices=False)
     if extents[1] <= FLAT_EXTENT_RATIO * extents[0]:
@@ -403,7 +403,7 @@ def _check_hand(source: Float, target: Float) -> None:
 def _compare_markers(
     markers: Markers, marker_ids: Index, source: Float, target: Float, unit: float
 ) -> Iterator[Suspicion]:
-    """Yield suspicions; `unit` is the size of normalised targets in diagonals."""
+    """Yield suspicions about markers; `unit` converts normalised distances to diagonals of the target."""
     bending = BendingEnergy.from_points(source)
     for i, j, unchanged, exchanged in find_exchanged_pairs(bending, target):
         target[[i, j]] = target[[j, i]]
@@ -435,7 +435,7 @@ def _compare_markers(
 
 
 def _used_points(points: FloatArray, topology: Topology | None) -> Float:
-    """Return the points of triangles; all points without a topology."""
+    """Return the points that are used by triangles, or all points if no topology is given."""
     used_points = points if topology is None else np.delete(points, topology.unused_vertices, axis=0)
     return np.asarray(used_points, np.float64)
 
@@ -445,7 +445,7 @@ def _normalise_points(points: Float) -> Float:
 
 
 def _rms_radius(points: Float) -> float:
-    """Return the root mean square distance from the centre."""
+    """Return the root mean square distance of points from their centroid."""
     centred = points - points.mean(axis=0)
     return max(float(np.sqrt((centred**2).sum(axis=1).mean())), np.finfo(float).tiny)
 

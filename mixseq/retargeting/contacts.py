@@ -1,20 +1,20 @@
-r"""Footskate cleanup: contacts of the target are fixed while those of the source rest on the ground.
+r"""Footskate cleanup: fix contacts of the target while the contacts of the source rest on the ground.
 
-The scheme is that of Kovar, Schreiner and Gleicher 2002, "Footskate cleanup for motion capture editing": constraints
-from the motion, first on the root, then on the limbs, with blends in between.
+The scheme follows Kovar, Schreiner and Gleicher 2002, "Footskate cleanup for motion capture editing". Constraints are
+detected in the motion, and imposed first on the root, then on the limbs, with blends around them.
 
 *Stances* are the times when the feet of the source are on the ground. A *step* between two frames has the mean speed v
-of the contact's points. It is at rest if both its speed and its height z above the lowest are small,
+of the contact's points, and their height z. The step is at rest if both speed and height are small,
 
 .. math:: v < \max(a\, v_{95},\ a_0\, d), \qquad z - z_0 < \max(b\, (z_1 - z_0),\ b_0\, d),
 
 where :math:`v_{95}` is the 95th percentile of speeds, :math:`z_0` and :math:`z_1` are the lowest and the highest
-height, and d is the size of the body. The thresholds follow the motion, and contacts that hardly move rest. A run of
-steps is a stance if all of them are at rest by the wide thresholds and one of them by the narrow ones (hysteresis, as
-of edges by Canny 1986). It has at least two frames.
+height, and d is the size of the body. The thresholds adapt to the motion; contacts that hardly move are at rest. A run
+of steps is a stance if all its steps pass the wide thresholds and at least one step passes the narrow thresholds
+(hysteresis, Canny 1986). A stance has at least two frames.
 
-*The body* is shifted first. Let x be the transferred path of the middle of a contact. In every stance s it should stay
-at an anchor, from which its offset is :math:`d = \bar x - x`, with the mean :math:`\bar x` over the stance. The shift r
+*The body* is shifted first. Let x be the transferred path of the middle of a contact. In every stance s the contact
+should stay at an anchor. Its offset to the mean :math:`\bar x` over the stance is :math:`d = \bar x - x`. The shift r
 of the whole body minimises
 
 .. math::
@@ -22,14 +22,14 @@ of the whole body minimises
     \min_{r, b} \sum_{s} \sum_{t \in s} |d_{st} + b_s - r_t|^2
     + \alpha \sum_t |r_{t+1} - 2 r_t + r_{t-1}|^2 + \beta \sum_t |r_{t+1} - r_t|^2 .
 
-Along the ground the anchor is :math:`\bar x + b`, with free b: strides that do not fit the legs lengthen or shorten the
-path, and the body moves evenly. Upwards b is zero, and :math:`\gamma \sum_t |r_t|^2` is added against climbing and
-sinking. By :math:`\alpha` motions faster than `MIN_SHIFT_PERIOD_SECONDS` are left to the limbs, and by :math:`\beta`
-the shift decays within about `SHIFT_DECAY_SECONDS` while no foot is on the ground.
+Along the ground the anchor is :math:`\bar x + b` with free b, so that the path adapts to the target's strides and the
+body moves evenly. Vertically b is zero, and the term :math:`\gamma \sum_t |r_t|^2` prevents climbing and sinking. The
+weight :math:`\alpha` leaves motions faster than `MIN_SHIFT_PERIOD_SECONDS` to the limbs. The weight :math:`\beta` lets
+the shift level off within about `SHIFT_DECAY_SECONDS` while no foot is on the ground.
 
-*Limbs* correct the remaining moves, :math:`e = d + b - r` (`mixseq.retargeting.limbs`). Before and after a stance e
-fades by cubic Hermite splines with its value and slope, so that feet land and lift smoothly. A foot in the air keeps
-its path, even if its limb shares parts with others.
+*Limbs* make the remaining moves :math:`e = d + b - r` (`mixseq.retargeting.limbs`). Before and after a stance cubic
+Hermite splines blend e with its value and slope to zero, so that feet land and lift smoothly. A foot in the air keeps
+its path, even if its limb shares parts with other limbs.
 """
 
 from __future__ import annotations
@@ -53,17 +53,17 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import iterate_blocks
 from mixseq.types import Float, FloatArray, Index, Mask
 
-FAST_SPEED_PERCENTILE = 95.0  # of speeds of a contact, robust against outliers
+FAST_SPEED_PERCENTILE = 95.0  # percentile of a contact's speeds that is its fast speed; robust against outliers
 
 
 @dataclass(frozen=True)
 class StanceSettings:
-    """Narrow and wide thresholds of stances."""
+    """Thresholds of stances, as pairs of a narrow and a wide threshold."""
 
-    speed_ratio: tuple[float, float] = (0.05, 0.1)  # speed, relative to the contact's fast speed
-    rest_speed: tuple[float, float] = (0.01, 0.02)  # speed at rest in any motion, in body sizes per second
-    height_ratio: tuple[float, float] = (0.15, 0.3)  # height, relative to the contact's range of heights
-    rest_height: tuple[float, float] = (0.005, 0.01)  # height on the ground in any motion, in body sizes
+    speed_ratio: tuple[float, float] = (0.05, 0.1)  # a: speed, relative to the contact's fast speed
+    rest_speed: tuple[float, float] = (0.01, 0.02)  # a_0: speed at rest in any motion, in body sizes per second
+    height_ratio: tuple[float, float] = (0.15, 0.3)  # b: height, relative to the contact's range of heights
+    rest_height: tuple[float, float] = (0.005, 0.01)  # b_0: height on the ground in any motion, in body sizes
 
     def __post_init__(self) -> None:
         for name in ("speed_ratio", "rest_speed", "height_ratio", "rest_height"):
@@ -81,11 +81,11 @@ class Stance:
 
     group: str  # name of the contact
     start: int  # first frame
-    stop: int  # frame after the last
+    stop: int  # frame after the last frame
 
     @property
     def frames(self) -> slice:
-        """Slice of the frames."""
+        """Frames of the stance as a slice."""
         return slice(self.start, self.stop)
 
 
@@ -97,9 +97,9 @@ def find_stances(
     size: float,
     settings: StanceSettings | None = None,
 ) -> tuple[Stance, ...]:
-    """Find the disjoint stances of a contact ``(T, k, 3)``, in order; `size` is the diagonal of the body.
+    """Find the disjoint stances of a contact ``(T, k, 3)``, in order of time; `size` is the diagonal of the body.
 
-    A single frame, or a contact that never moves, is one stance.
+    The result is one stance for a single frame, and for a contact that never moves.
     """
     settings = settings or StanceSettings()
     points = np.asarray(trajectory, dtype=np.float64)
@@ -130,23 +130,23 @@ def find_stances(
 
 
 def axis_index(up: str) -> int:
-    """Return the index of an up axis."""
+    """Return the coordinate index of the up axis."""
     if up not in ("X", "Y", "Z"):
         raise SettingsError(f"the up axis is {up!r}; X, Y or Z is expected")
     return "XYZ".index(up)
 
 
 HermiteKnot = tuple[int, Float, Float]
-"""Frame, value and slope per frame."""
+"""Knot of a Hermite spline: frame, value, and slope per frame."""
 
 MIN_SHIFT_PERIOD_SECONDS = 0.5  # shortest period of the body's shift
 SHIFT_DECAY_SECONDS = 2.0  # decay time of the body's shift while no foot is on the ground
-BODY_HEIGHT_WEIGHT = 0.05  # gamma, of the body's height, relative to a foot on the ground
+BODY_HEIGHT_WEIGHT = 0.05  # gamma: weight of vertical shifts, relative to a foot on the ground
 MAX_FADE_SECONDS = 0.25  # longest blend of a contact before and after a stance
 
 
 def anchor_offsets(paths: Float, stances: Sequence[Sequence[Stance]], negligible: float) -> Float:
-    """Return offsets ``(g, T, 3)`` of contacts to their mean in each stance; zero in the air or if negligible."""
+    """Return offsets ``(g, T, 3)`` of contacts to their mean in each stance, or zero if in the air or negligible."""
     offsets = np.zeros_like(paths)
     for contact_offsets, path, contact_stances in zip(offsets, paths, stances, strict=True):
         for stance in contact_stances:
@@ -157,7 +157,7 @@ def anchor_offsets(paths: Float, stances: Sequence[Sequence[Stance]], negligible
 
 
 def solve_body_shift(offsets: Float, stances: Sequence[Sequence[Stance]], axis: int, fps: float) -> tuple[Float, Float]:
-    """Return the body's shift ``(T, 3)``, and remaining moves ``(g, T, 3)`` of contacts with offsets ``(g, T, 3)``."""
+    """Return the body's shift ``(T, 3)`` and the remaining moves ``(g, T, 3)`` of contacts: offsets ``(g, T, 3)``."""
     from scipy import sparse
     from scipy.sparse.linalg import splu
 
@@ -180,7 +180,7 @@ def solve_body_shift(offsets: Float, stances: Sequence[Sequence[Stance]], axis: 
     smoothness = alpha * curvature.T @ curvature + beta * differences.T @ differences
     body_rows = selection_matrix(frames, count)
     ground_rows = sparse.hstack([body_rows, -selection_matrix(stance_ids, len(numbered))])
-    # Along the ground body and anchors may shift together: the first frame is fixed, and the mean removed afterwards.
+    # A common shift of body and anchors along the ground is free: fix the first frame, then remove the mean.
     gauge = sparse.coo_array(([1.0], ([0], [0])), shape=(count, count))
     stance_count = len(numbered)
     ground_smoothness = sparse.block_diag([smoothness + gauge, sparse.coo_array(2 * (stance_count,))])
@@ -199,7 +199,7 @@ def solve_body_shift(offsets: Float, stances: Sequence[Sequence[Stance]], axis: 
 
 
 def fade_moves(moves: Float, stances: Sequence[Stance], fps: float) -> Float:
-    """Blend the moves ``(T, 3)`` of a contact from zero before and to zero after its stances, or between near ones."""
+    """Blend the moves ``(T, 3)`` of a contact to zero before and after its stances, or between nearby stances."""
     faded = np.zeros_like(moves)
     fade_frames = max(2, round(MAX_FADE_SECONDS * fps))
     zero = np.zeros(3)
@@ -243,18 +243,18 @@ MIN_SLIDE_DIAGONALS = 1e-9  # offset below which contacts are left unchanged, in
 
 @dataclass(frozen=True)
 class GroupReport:
-    """Sliding of one contact, before and after, in diagonals of the target."""
+    """Sliding of one contact before and after its correction, in diagonals of the target."""
 
     name: str  # name of the contact
     stances: tuple[Stance, ...]  # stances of the contact
-    before: float  # path length of its middle in all stances, as transferred
-    after: float  # path length of its middle in all stances, as corrected
-    residual: float  # largest stretch of its limb
+    before: float  # path length of the contact's middle in all stances, before correction
+    after: float  # path length of the contact's middle in all stances, after correction
+    residual: float  # largest stretch of the contact's limb
 
 
 @dataclass(frozen=True)
 class ContactReport:
-    """Sliding of all contacts, and the corrections."""
+    """Sliding of all contacts, and sizes of the corrections."""
 
     groups: tuple[GroupReport, ...] = ()  # report of each contact
     shift: float = 0.0  # largest shift of the whole body, in diagonals of the target
@@ -263,7 +263,7 @@ class ContactReport:
 
 @dataclass(frozen=True, eq=False)
 class PlantedMotion:
-    """Motions of parts without sliding contacts."""
+    """Motions of a body's parts after footskate cleanup."""
 
     rotations: Float  # (T, p, 3, 3) rotations of the parts
     centres: Float  # (T, p, 3) centres of the parts
@@ -281,9 +281,9 @@ def remove_footskate(
     diagonal: float,
     settings: StanceSettings | None = None,
 ) -> PlantedMotion:
-    """Fix contacts of a motion, rotations ``(T, p, 3, 3)`` and centres ``(T, p, 3)``, while those of the source rest.
+    """Fix contacts in the stances of the source: rotations ``(T, p, 3, 3)``, centres ``(T, p, 3)``.
 
-    Trajectories ``(T, k, 3)`` are those of the source's contact points, in the unit of the target.
+    `trajectories` has the source points ``(T, k, 3)`` of every contact, in the unit of the target.
     """
     frame_counts = [len(path) for path in trajectories]
     if frame_counts != len(contacts) * [len(centres)]:
@@ -353,9 +353,9 @@ def _report_groups(
 
 @dataclass(frozen=True, eq=False)
 class PlantedTransfer:
-    """A transfer without sliding contacts."""
+    """A transfer with footskate cleanup."""
 
-    method: MixedTransfer  # the transfer, with strides scaled to the target's legs
+    method: MixedTransfer  # transfer with strides scaled to the target's legs
     poses: PartPoses  # poses of the target's parts in all frames
     report: ContactReport  # report of the corrections
 
@@ -368,7 +368,7 @@ def plant_contacts(
     workers: Executor,
     progress: Progress = no_progress,
 ) -> PlantedTransfer:
-    """Find poses in which contacts ``(k,)`` are fixed while those of the source, with frames ``(T, V, 3)``, rest."""
+    """Find poses with contacts ``(k,)`` fixed in the stances of the source, from source frames ``(T, V, 3)``."""
     gradients = method.gradients
     target, source = gradients.target, gradients.source
     vertices = {name: _check_vertices(name, given, header.vertex_count) for name, given in contacts.items()}
@@ -408,7 +408,7 @@ def plant_contacts(
 
 
 def _measure_contacts(shared: tuple[MixedTransfer, Index, Index], block: FloatArray) -> tuple[PartPoses, Float, Float]:
-    """Return part poses for frames ``(B, V, 3)``, contact vertices on the source, and in the target's rest space."""
+    """Return part poses for frames ``(B, V, 3)``, and contact points on the source and in the target's rest space."""
     method, vertices, parts = shared
     correspondence = method.gradients.correspondence
     poses, local_points = [], []
@@ -416,7 +416,7 @@ def _measure_contacts(shared: tuple[MixedTransfer, Index, Index], block: FloatAr
         deformed = method.deform_by_gradients(points)
         _, deformed_poses = method.rest_shapes.register(deformed)
         poses.append(method.transfer_poses(points, deformed_poses))
-        # In rest space, since a paw may bend although it is one part with its leg.
+        # Contact points vary in rest space, since a paw may bend although it is one part with its leg.
         inverse_rotations = np.swapaxes(deformed_poses.rotations[parts], 1, 2)
         arms = rotate_vectors(inverse_rotations, deformed[vertices] - deformed_poses.centres[parts])
         local_points.append(arms + method.rest_shapes.centres[parts])

@@ -1,4 +1,4 @@
-"""Find a dense correspondence from markers: register, match, and measure its quality."""
+"""Find a dense correspondence from markers by registration and matching, and measure its quality."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import MeshSequence
 
-MIN_MARKED_AREA_SHARE = 0.5  # smallest share of a mesh's area in components with markers, without a warning
-MAX_FILLED_FACE_SHARE = 0.05  # of target triangles without a match; tested pairs have less than 0.01
-MAX_FLIPPED_FACE_SHARE = 0.01  # of flipped target triangles; tested pairs have none
+MIN_MARKED_AREA_SHARE = 0.5  # share of a mesh's area in components with markers, below which a warning is issued
+MAX_FILLED_FACE_SHARE = 0.05  # largest share of target triangles without a match; tested pairs have less than 0.01
+MAX_FLIPPED_FACE_SHARE = 0.01  # largest share of flipped target triangles; tested pairs have none
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,13 @@ def correspond(
     Parameters
     ----------
     source : MeshSequence
-        The mesh that moves.
+        Mesh whose motion is transferred.
     target : MeshSequence
-        The mesh to be moved; its first frame is used.
+        Mesh that receives the motion; its first frame is used.
     markers : Markers
         At least four pairs of vertices, spread over the meshes.
     rest : int
-        Frame of the source in a pose like the target's.
+        Frame of the source with a pose like the target's.
     settings : CorrespondenceSettings, optional
         Settings of registration and matching.
     progress : callable
@@ -61,18 +61,18 @@ def correspond(
     Returns
     -------
     Correspondence
-        Source points of the target; its components without markers follow other components.
+        Source points of the target's vertices. Target components without markers follow other components.
 
     Raises
     ------
     SettingsError
         If there are fewer than four markers, markers are invalid (see `check_markers`), the frame does not exist, a
-        mesh has no faces or no area where it is marked, or one is inside out.
+        mesh has no faces, the marked components of a mesh have no area, or a mesh is inside out.
 
     Warns
     -----
     MixseqWarning
-        If markers seem exchanged or wrong, components are inside out, or most of a mesh has no markers.
+        If markers seem exchanged or wrong, components are inside out, or most of a mesh's area has no markers.
     """
     return correspond_and_assess(source, target, markers, rest, settings, progress)[0]
 
@@ -86,7 +86,7 @@ def correspond_and_assess(
     settings: CorrespondenceSettings | None = None,
     progress: Progress = no_progress,
 ) -> tuple[Correspondence, CorrespondenceQuality]:
-    """Find the correspondence of `correspond`, and its quality."""
+    """Find a correspondence like `correspond`, and return it with its quality."""
     settings = CorrespondenceSettings() if settings is None else settings
     check_rest_frame(source, rest)
     source_mesh, target_mesh = _triangle_mesh(source, rest, "source"), _triangle_mesh(target, 0, "target")
@@ -104,7 +104,7 @@ def correspond_and_assess(
 
 
 def _warn_of_poor_matches(quality: CorrespondenceQuality, correspondence: Correspondence) -> None:
-    """Warn if much of the target has no counterpart, or a flipped one."""
+    """Warn if many triangles of the target have no match or are flipped."""
     mapped_count = max(int(np.count_nonzero(correspondence.faces >= 0)), 1)
     unmatched = "have no source triangle nearby that faces the same way, and follow their neighbours"
     for count, max_share, problem in (
@@ -121,7 +121,7 @@ def _warn_of_poor_matches(quality: CorrespondenceQuality, correspondence: Corres
 
 
 def _check_areas(source: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairing, ...]) -> None:
-    """Raise if marked components have no area; warn if they are a small part of the mesh."""
+    """Raise if the marked components of a mesh have no area, and warn if their share of its area is small."""
     for side, mesh, component_faces in (
         ("source", source, [pairing.source_faces for pairing in pairings]),
         ("target", target, [pairing.target_faces for pairing in pairings]),

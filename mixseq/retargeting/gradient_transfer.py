@@ -1,18 +1,18 @@
 r"""Transfer by deformation gradients (S_f; Sumner and Popović 2004), the reference method.
 
 The deformation gradient :math:`J_f` of every source triangle, from rest to a frame, is applied to the corresponding
-target triangles. The target's vertices fit these gradients best (`mixseq.spaces.gradient`):
+target triangles. The target's vertices are a least-squares fit to these gradients (`mixseq.spaces.gradient`):
 
 .. math:: \min_x \sum_{f'} A_{f'}\, | \nabla x - G J_{f(f')} G^T |^2 .
 
 Gradients do not determine the positions of disconnected pieces. The largest piece has the mean displacement of its
-source points; every other piece is attached to the vertex next to it (`mixseq.mesh.nearest`), and rotates with it:
+source points. Every other piece is attached to a nearby vertex b (`mixseq.mesh.nearest`), and rotates with b:
 
 .. math:: x_a = x_b + R_b (y_a - y_b) + s G (g_t - \bar R_b\, g_0)
 
-with the target's rest y, the rotation :math:`\bar R_b` of the source around b, which is :math:`R_b = G \bar R_b G^T` on
-the target, and the gap g between the source points of a and b, which may open and close. Triangles without a
-counterpart rotate with their leader.
+Here a is the attached vertex and y the target at rest. The source rotates by :math:`\bar R_b` around b, the target by
+:math:`R_b = G \bar R_b G^T`. The gap g between the source points of a and b may vary with time. Triangles without a
+source triangle rotate with their leader.
 """
 
 from __future__ import annotations
@@ -39,25 +39,25 @@ from mixseq.types import Float, FloatArray, Index
 class GradientTransfer(PickledWithoutCaches):
     """Transfer by the deformation gradients of the source."""
 
-    source: GradientSpace  # gradient space of the source at rest, in its own unit
-    target: GradientSpace  # gradient space of the target at rest, in its own unit
+    source: GradientSpace  # gradient space of the source at rest, in the unit of this space
+    target: GradientSpace  # gradient space of the target at rest, in the unit of this space
     correspondence: Correspondence  # source points and triangles of the target
     alignment: Alignment  # from source to target, in the units of the meshes
     parts = None  # this method has no parts
 
     @cached_property
     def attachments(self) -> Attachments:
-        """Attachments of the target's pieces to each other."""
+        """Attachments of the target's disconnected pieces to each other."""
         return attach_pieces(self.target.pieces.vertices, self.target.reference, self.correspondence.leaders)
 
     @cached_property
     def _holder_means(self) -> sparse.csr_array:
-        """Matrix ``(n, F)`` of means over the source triangles around the vertices that pieces are attached to."""
+        """Matrix ``(n, F)`` that averages over the source triangles around the vertices with attached pieces."""
         return self.averaging_matrix(self.attachments.holder_vertices)
 
     @cached_property
     def _follower_means(self) -> tuple[Index, sparse.csr_array]:
-        """Target triangles ``(n,)`` without a source triangle, and the matrix ``(n, F)`` of means at their leaders."""
+        """Target triangles ``(n,)`` without source triangle, and averaging matrix ``(n, F)`` around their leaders."""
         face_ids = np.flatnonzero(self.correspondence.faces < 0)
         faces = self.target.topology.faces[face_ids]
         is_follower = ~self.correspondence.matched[faces]
@@ -65,9 +65,9 @@ class GradientTransfer(PickledWithoutCaches):
         return face_ids, self.averaging_matrix(vertices)
 
     def averaging_matrix(self, vertices: Index) -> sparse.csr_array:
-        """Return area-weighted means ``(n, F)`` over the source triangles around target vertices ``(n,)``.
+        """Return the matrix ``(n, F)`` of area-weighted means over source triangles around target vertices ``(n,)``.
 
-        Vertices without a source point use that of their leader.
+        A vertex without a source point uses the source point of its leader.
         """
         correspondence = self.correspondence
         faces, edge_vectors = self.source.topology.faces, self.source.reference_triangles
@@ -101,7 +101,7 @@ class GradientTransfer(PickledWithoutCaches):
         return self._place_pieces(piece_vertices, points, holder_rotations) * target.scale
 
     def _place_pieces(self, piece_vertices: Float, points: FloatArray, holder_rotations: Float) -> Float:
-        """Place the pieces ``(N, 3)``, and return the target ``(V', 3)`` in its unit."""
+        """Translate and attach the pieces ``(N, 3)``, and return the target ``(V', 3)`` in the unit of its space."""
         pieces, attachments, rest = self.target.pieces, self.attachments, self.target.reference
         correspondence = self.correspondence
         linear_map = self.alignment.scale * self.source.scale / self.target.scale * self.alignment.rotation
@@ -131,7 +131,7 @@ class GradientTransfer(PickledWithoutCaches):
 def gradient_transfer(
     source: Topology, source_rest: Float, target: Topology, target_rest: Float, correspondence: Correspondence
 ) -> GradientTransfer:
-    """Prepare a transfer between two meshes at rest, ``(V, 3)`` and ``(V', 3)``; raises what `fit_alignment` raises."""
+    """Prepare a transfer between meshes at rest ``(V, 3)`` and ``(V', 3)``; raises the errors of `fit_alignment`."""
     source_space, target_space = _space(source, source_rest), _space(target, target_rest)
     matched = correspondence.matched
     alignment = fit_alignment(
@@ -149,11 +149,11 @@ def _space(topology: Topology, rest: Float) -> GradientSpace:
 
 
 def average_matrices(weights: sparse.csr_array, matrices: Float) -> Float:
-    """Return weighted sums ``(n, 3, 3)`` of matrices ``(F, 3, 3)``."""
+    """Return weighted sums ``(n, 3, 3)`` of matrices ``(F, 3, 3)``: weights ``(n, F)``."""
     return np.asarray(weights @ matrices.reshape(-1, 9)).reshape(-1, 3, 3)
 
 
 def normalise_rows(weights: sparse.csr_array) -> sparse.csr_array:
-    """Normalise the rows of a matrix of weights to sums of one; rows of zeros stay."""
+    """Scale every row of a weight matrix to a sum of one; rows of zeros are unchanged."""
     sums = np.asarray(weights.sum(axis=1)).reshape(-1)
     return sparse.csr_array(sparse.diags_array(1.0 / np.where(sums > 0, sums, 1.0)) @ weights)

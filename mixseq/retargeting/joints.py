@@ -1,24 +1,24 @@
-r"""Joints of the target: skinning of their free vertices, their solves, and transfer of their lengths and angles.
+r"""Joints of the target: transfer their edge lengths and angles, and solve for their free vertices.
 
 A joint between posed parts is a boundary value problem: its free vertices fit edge lengths and dihedral angles
-(`mixseq.shells.fitting`), near their skinned positions. These are linear blends from a reference frame: every free
-vertex follows all parts with fixed vertices in its joint, with harmonic skinning weights (1 at the vertices of a part,
-0 at those of other parts). Close to the reference this start has no folds, where lengths and angles are inconsistent.
+(`mixseq.shells.fitting`) near their skinned positions. Skinning from a reference frame blends the motions of all parts
+with fixed vertices in the joint. The weights are harmonic: 1 at the vertices of a part, 0 at the vertices of other
+parts. Close to the reference the skinned positions are a start without folds (there, lengths and angles conflict).
 
-Lengths are transferred as ratios, angles as differences. With the same connectivity these are those of each edge and
-hinge,
+Lengths are transferred as ratios, angles as differences. For meshes of the same connectivity they are transferred from
+each edge and hinge,
 
 .. math:: l' = l'_0\, l / l_0, \qquad \theta' = \theta'_0 + (\theta - \theta_0) .
 
-Otherwise triangles correspond, but not edges and hinges. Deformation gradients J = R S of the source's triangles are
-averaged around the points that correspond to the corners of a target triangle (rotations and stretches apart, so that
-a bend does not shrink); those of the two triangles at an edge give its length and angle:
+For other meshes only triangles correspond. Deformation gradients J = R S of the source's triangles are averaged around
+the source points of the corners of a target triangle. Rotations and stretches are averaged separately, so that bends do
+not shrink. The mean gradients of the two triangles f and g at an edge determine its length and angle:
 
 .. math:: l' = \tfrac12 (|J_f e| + |J_g e|), \qquad
    \theta' = \angle_{\bar e}\bigl(J_f e \times J_f a,\; J_g b \times J_g e\bigr),
    \qquad \bar e = J_f e + J_g e .
 
-A bend is thus distributed over the hinges of the target, more or fewer than the source's.
+A bend is thus distributed over the hinges of the target, even if the source has more or fewer hinges.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class SolvedJoints:
     """Joints with free vertices; arrays of edges, hinges and vertices are stored joint by joint."""
 
     joints: tuple[Joint, ...]  # the joints
-    patches: tuple[Patch, ...]  # patch of each joint, with the vertices of parts fixed
+    patches: tuple[Patch, ...]  # patch of each joint, in which the vertices of parts are fixed
 
     @classmethod
     def from_decomposition(cls, topology: Topology, decomposition: Decomposition) -> SolvedJoints:
@@ -110,25 +110,25 @@ class HarmonicSkin:
 
     @classmethod
     def from_patch(cls, patch: Patch, part_of_vertex: Index, rest: Float) -> HarmonicSkin:
-        """Solve for the weights of a patch: part_of_vertex ``(n,)``; rest ``(n, 3)``."""
+        """Solve for the skinning weights of a patch: part_of_vertex ``(n,)``; rest ``(n, 3)``."""
         parts, part_index = np.unique(part_of_vertex[patch.fixed_mask], return_inverse=True)
         boundary = np.eye(len(parts))[part_index.reshape(-1)]
         coupling = patch.laplacian[patch.free_ids][:, patch.fixed_mask]
         return cls(parts, -patch.laplacian_factor.solve(coupling @ boundary), rest[patch.free_ids])
 
     def deform(self, rotations: Float, translations: Float) -> Float:
-        """Return the free vertices ``(f, 3)`` skinned by motions ``x -> R x + t`` of all parts from the reference."""
+        """Skin the free vertices ``(f, 3)`` by motions ``x -> R x + t`` of all parts from the reference frame."""
         part_positions = np.einsum("kij,fj->fki", rotations[self.parts], self.rest) + translations[self.parts]
         return np.asarray(np.einsum("fk,fki->fi", self.weights, part_positions))
 
     @cached_property
     def main_part(self) -> Index:
-        """Part of largest weight ``(f,)`` of every free vertex."""
+        """Part ``(f,)`` with the largest skinning weight at every free vertex."""
         return np.asarray(self.parts[self.weights.argmax(axis=1)])
 
 
 def _concatenate(ids: list[Index]) -> Index:
-    """Concatenate index arrays, of which there may be none."""
+    """Concatenate a list of index arrays, which may be empty."""
     return np.concatenate(ids) if ids else np.zeros(0, dtype=np.int64)
 
 
@@ -166,7 +166,7 @@ class JointSolver:
 
     @cached_property
     def _part_rows(self) -> tuple[Index, Index, Float]:
-        """Part and vertex ``(N,)`` of every row of part vertices, and the number of rows of each vertex ``(V,)``."""
+        """Part and vertex ``(N,)`` of every row of `part_vertices`, and the number of rows ``(V,)`` per vertex."""
         parts = self.decomposition.parts
         vertex = np.concatenate(parts)
         copy_counts = np.bincount(vertex, minlength=self.topology.vertex_count)
@@ -193,7 +193,7 @@ class JointSolver:
         )
 
     def solve(self, frame: JointFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Return the mesh ``(V, 3)`` of a frame, with means of shared vertices, and a report for every joint."""
+        """Return the mesh ``(V, 3)`` of a frame and a report for every joint; vertices shared by parts are averaged."""
         points = self._pose_parts(frame)
         rotations, translations = self._relative_motions(frame.rotations, frame.translations)
         reports, joints = [], self.joints
@@ -219,7 +219,7 @@ class JointSolver:
     def skinning_offsets(self, rotations: Float, translations: Float, points: Float) -> Float:
         """Return the offsets ``(F, 3)`` of a frame's free vertices from their skinned positions (`HarmonicSkin`).
 
-        Offsets are in the axes of the main part of a vertex, and rotate with the body.
+        The offset of a vertex is in the rotated axes of its main part, so that it rotates with the body.
         """
         motions = self._relative_motions(rotations, translations)
         offsets = np.zeros((len(self.joints.vertices), 3))
@@ -229,14 +229,14 @@ class JointSolver:
         return offsets
 
     def _pose_parts(self, frame: JointFrame) -> Float:
-        """Return the vertices ``(V, 3)`` of the posed parts: means of shared vertices, zero without a part."""
+        """Return the vertices ``(V, 3)`` of the posed parts: averaged if parts share them, zero if in no part."""
         part, vertex, copy_counts = self._part_rows
         positions = rotate_vectors(frame.rotations[part], frame.part_vertices) + frame.translations[part]
         sums = [np.bincount(vertex, column, minlength=len(copy_counts)) for column in positions.T]
         return np.stack(sums, axis=1) / copy_counts[:, None]
 
     def _relative_motions(self, rotations: Float, translations: Float) -> tuple[Float, Float]:
-        """Return the motions ``x -> R x + t`` of the parts from the reference frame."""
+        """Return the motions ``x -> R x + t`` of the parts from the reference frame to given poses."""
         reference_rotations, reference_centres = self._reference_poses
         relative_rotations = rotations @ np.swapaxes(reference_rotations, 1, 2)
         return relative_rotations, translations - rotate_vectors(relative_rotations, reference_centres)
@@ -276,7 +276,7 @@ class EdgewiseMetrics:
         return lengths, angles, target_lengths, target_angles
 
     def lengths_and_angles(self, points: Float) -> tuple[Float, Float]:
-        """Implement `JointMetrics.lengths_and_angles`; edges without length on the source keep their length."""
+        """Implement `JointMetrics.lengths_and_angles`; edges of zero length on the source keep their rest length."""
         lengths, angles, target_lengths, target_angles = self._rest
         current_lengths = edge_lengths(points, self._edges)
         ratios = np.divide(current_lengths, lengths, out=np.ones_like(current_lengths), where=lengths > 0)
@@ -286,7 +286,7 @@ class EdgewiseMetrics:
 
 @dataclass(frozen=True, eq=False)
 class GradientMetrics:
-    """Lengths and angles by mean deformation gradients, for meshes of different connectivity."""
+    """Edge lengths and angles from mean deformation gradients, for meshes of different connectivity."""
 
     gradients: GradientTransfer  # the two meshes at rest, and their correspondence
     joints: SolvedJoints  # joints of the target
@@ -312,7 +312,7 @@ class GradientMetrics:
 
     @cached_property
     def _edge_faces(self) -> tuple[Index, Index]:
-        """Incident pairs of joint faces and joint edges, as rows of `_faces` and of the edges."""
+        """Incident pairs of joint faces and joint edges, as row ids of `_faces` and of the edges."""
         edges = self._topology.face_edges[self._faces]
         order = np.argsort(self.joints.edge_ids, kind="stable")
         ids = self.joints.edge_ids[order]
@@ -322,7 +322,7 @@ class GradientMetrics:
 
     @cached_property
     def _hinge_faces(self) -> Index:
-        """Both faces ``(H', 2)`` of every joint hinge, as rows of `_faces`."""
+        """Both faces ``(H', 2)`` of every joint hinge, as row ids of `_faces`."""
         return np.searchsorted(self._faces, self._topology.hinge_faces[self.joints.hinge_ids])
 
     @cached_property

@@ -1,42 +1,42 @@
-r"""The articulated body of a character (rigid parts, their pivots, limbs to its contacts), and its inverse kinematics.
+r"""Articulated body of a character (rigid parts, their pivots, limbs to its contacts), and its inverse kinematics.
 
-In a frame part p has a rotation R and a centre c, and moves a rest point y to :math:`R (y - m_p) + c`, with the rest
-centre m. The parts are a tree: the parent of a part is the neighbour nearer to the root, and its *pivot* the point in
-which they meet. The *limb* of a contact is the chain of parts from the child of the root to the contact. The length of
-a leg is that of the path through the pivots of its limb.
+In every frame, part p has a rotation R and a centre c; it moves a rest point y to :math:`R (y - m_p) + c`, with its
+rest centre m. The parts are a tree. The parent of a part is its neighbour nearer to the root, and the two meet at the
+*pivot* of the part. The *limb* of a contact is the chain of parts from a child of the root to the contact. The length
+of a leg is the length of the path through the pivots of its limb.
 
 *Inverse kinematics* rotates the parts of limbs about their pivots until contacts reach their targets. The end g of a
-limb is the root's pivot plus a sum of *levers* :math:`u_{gk}`, one per part k: from its pivot to the next one, and from
-the last pivot to the end. Part k rotates by :math:`\Omega_k`, in the world's axes, with all its levers, so that the end
-moves by :math:`\sum_k (\Omega_k - 1)\, u_{gk}`. Small rotations :math:`\omega_k = w_k \sum_g u_{gk} \times \lambda_g`,
-least squares by compliances w, move ends by
+limb is its first pivot plus a sum of *levers* :math:`u_{gk}`. The lever of part k points from its pivot to the next
+pivot, or from the last pivot to the end. Part k rotates by :math:`\Omega_k` in world axes with all its levers, so that
+the end moves by :math:`\sum_k (\Omega_k - 1)\, u_{gk}`. The least-squares solution with compliances w has small
+rotations :math:`\omega_k = w_k \sum_g u_{gk} \times \lambda_g`, which move the ends by
 
 .. math:: \sum_h A_{gh} \lambda_h, \qquad A_{gh} = \sum_k w_k \big[ (u_{gk} \cdot u_{hk})\, 1 - u_{hk} u_{gk}^T \big] .
 
-A nearly straight limb can hardly change its length by rotations: its knee would pop. So only a part of the moves m is
-made,
+Rotations hardly change the length of a nearly straight limb, and its knee would pop. So only the part e of the moves m
+is made by rotations,
 
 .. math:: e = l\, f(l^{-1} A\, l^{-1})\, l^{-1} m, \qquad f(x) = 3 x^2 - 2 x^3 \le 1, \qquad
           l_g^2 = (\delta L_g + |m_g|)\, L_g ,
 
-with a smooth function f of a symmetric matrix, 1 from x = 1 on, and the lengths L of limbs. (Kovar, Schreiner and
-Gleicher 2002 let legs get longer for the same reason.) Steps of damped least squares (Wampler 1986, Nakamura and
-Hanafusa 1986) solve, with the remaining e,
+where L are the lengths of limbs, and the smooth matrix function f is 1 for x > 1. (Kovar, Schreiner and Gleicher 2002
+lengthen legs for the same reason.) Steps of damped least squares (Wampler 1986, Nakamura and Hanafusa 1986) solve for
+the remaining part of e,
 
 .. math:: \sum_h A_{gh} \lambda_h + \big( \mu L_g^2 + |e_g| L_g \big) \lambda_g = e_g .
 
-The second term of the damping bounds the second derivative of :math:`\tfrac12 |e|^2`, which Gauss-Newton omits, and
-vanishes with e. The number of steps is fixed, so that rotations depend smoothly on moves. With the chosen
-:math:`\delta`, :math:`\mu`, f and l joints of a leg have at most four times the acceleration of its end.
+The second term of the damping bounds the second derivative of :math:`\tfrac12 |e|^2`, which Gauss-Newton omits. This
+term vanishes with e. The number of steps is fixed, so that rotations depend smoothly on moves. With the chosen
+:math:`\delta`, :math:`\mu`, f and l, joints of a leg have at most four times the acceleration of its end.
 
-The residual moves, again :math:`e_g`, lengthen the limbs: the joint above part k opens by :math:`\tau_k`, the smallest
-with :math:`\sum_{k \in g} \tau_k = e_g`, which distributes the stretch of one limb evenly. With pivots q, a child k of
-part j moves from c to
+Residual moves, again called :math:`e_g`, stretch the limbs. The joint above part k opens by :math:`\tau_k`. These gaps
+are the smallest with :math:`\sum_{k \in g} \tau_k = e_g`, which distributes the stretch of one limb evenly. With pivots
+q, a child k of part j moves from c to
 
 .. math:: c_k' = c_j' + \Omega_j (q_k - c_j) + \Omega_k (c_k - q_k) + \tau_k .
 
-A part in n limbs is :math:`n^2` times as stiff, so that legs move rather than the body. The part on the ground keeps
-its rotation, and with it the sole, where the limb has two other parts.
+A part in n limbs is :math:`n^2` times as stiff, so that legs move rather than the body. In limbs of at least three
+parts the part on the ground, and thus the sole, keeps its rotation.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ class Contact:
     """A named group of vertices that touch the ground together."""
 
     name: str  # name in messages and reports
-    points: Float  # (k, 3) the vertices at rest
-    parts: Index  # (k,) the part of each vertex
-    # (T, k, 3) the vertices in the rest space of their parts in every frame; None for rigid parts.
+    points: Float  # (k, 3) positions of the vertices at rest
+    parts: Index  # (k,) part of each vertex
+    # (T, k, 3) rest-space positions of the vertices in every frame; None for rigid parts.
     local_points: Float | None = None
 
 
@@ -70,8 +70,8 @@ class ArticulatedBody:
 
     centres: Float  # (p, 3) rest centres of the parts
     pairs: Index  # (n, 2) pairs of adjacent parts
-    pivots: Float  # (n, 3) their pivots at rest
-    root: int  # root of the tree of parts: the trunk
+    pivots: Float  # (n, 3) pivots of the pairs at rest
+    root: int  # root of the tree of parts, such as the trunk
 
     @cached_property
     def parents(self) -> dict[int, tuple[int, int]]:
@@ -87,7 +87,7 @@ class ArticulatedBody:
         return parents
 
     def limb(self, contact: Contact) -> tuple[int, ...]:
-        """Return the chain of parts from the root's child to the lowest part common to all vertices of a contact."""
+        """Return the parts of a limb, from a child of the root to the lowest part common to all contact vertices."""
         name, parts = contact.name, np.unique(contact.parts).tolist()
         if not parts or contact.points.shape != (len(contact.parts), 3):
             raise SettingsError(
@@ -111,14 +111,14 @@ class ArticulatedBody:
         return chains[0][:common]
 
     def gaps(self, rotations: Float, centres: Float) -> Float:
-        """Return the gaps ``(n, 3)`` of pairs at their pivots: rotations, centres ``(p, 3, 3), (p, 3)``."""
+        """Return the gaps ``(n, 3)`` between paired parts at pivots: rotations ``(p, 3, 3)``; centres ``(p, 3)``."""
         first, second = (
             rotate_vectors(rotations[part], self.pivots - self.centres[part]) + centres[part] for part in self.pairs.T
         )
         return np.asarray(first - second)
 
     def pivot(self, part: int) -> Float:
-        """Return the rest point ``(3,)`` of the pivot of a part."""
+        """Return the rest position ``(3,)`` of the pivot of a part."""
         return np.asarray(self.pivots[self.parents[part][1]])
 
     def pose_points(self, points: FloatArray, parts: Sequence[int] | Index, rotations: Float, centres: Float) -> Float:
@@ -145,7 +145,7 @@ class ArticulatedBody:
 
 
 def leg_length(body: ArticulatedBody, contact: Contact) -> float:
-    """Return the rest length of a limb, from the root's pivot (or centre) to the middle of the contact."""
+    """Return the rest length of a limb, from its first pivot (or the root's centre) to the middle of the contact."""
     limb = body.limb(contact)
     joints = [body.pivot(part) for part in limb] or [body.centres[body.root]]
     path = np.stack([*joints, contact.points.mean(axis=0)])
@@ -171,8 +171,8 @@ def leg_ratio(
     return target_length / source_length
 
 
-STRAIGHT_LIMB_TOLERANCE = 0.02  # delta: equal bones bent by 23 degrees shorten by rotation alone
-DAMPING_RATIO = 0.01  # mu: damping relative to the squared length of a limb
+STRAIGHT_LIMB_TOLERANCE = 0.02  # delta: a limb of two equal bones bent by 23 degrees needs no stretch to shorten
+DAMPING_RATIO = 0.01  # mu: damping, relative to the squared length of a limb
 SOLVER_STEPS = 20  # number of damped least-squares steps
 
 
@@ -182,8 +182,8 @@ class LimbMotion:
 
     rotations: Float  # (T, p, 3, 3) rotations of all parts
     centres: Float  # (T, p, 3) centres of all parts
-    limb_rotations: Float  # (T, k, 3, 3) rotations of the limbs' parts, in the world's axes
-    residual_moves: Float  # (T, g, 3) moves left by rotations: stretches of limbs
+    limb_rotations: Float  # (T, k, 3, 3) rotations added to the limbs' parts, in world axes
+    residual_moves: Float  # (T, g, 3) moves that rotations do not reach, made by stretching the limbs
 
 
 def solve_limbs(
@@ -226,7 +226,7 @@ def _levers(
     centres: Float,
     frames: NDArray[np.int64],
 ) -> Float:
-    """Return the levers ``(N, k, 3)`` of a limb: from pivot to pivot, and to the middle of its contact."""
+    """Return the levers ``(N, k, 3)`` of a limb, from pivot to pivot and from the last pivot to the contact."""
     pivots = np.array([body.pivot(part) for part in limb]).reshape(-1, 3)
     joints = body.pose_points(pivots, limb, rotations, centres)
     contact_centre = body.contact_path(contact, rotations, centres, frames).mean(axis=1, keepdims=True)
@@ -236,7 +236,7 @@ def _levers(
 def _forward_kinematics(
     body: ArticulatedBody, rotations: Float, centres: Float, limb_motions: dict[int, tuple[Float, Float]]
 ) -> tuple[Float, Float]:
-    """Apply world rotations and stretches of the limbs' parts to a motion, parents first."""
+    """Apply the world rotations and stretches of limb parts to a motion, from parents to children."""
     result_rotations, result_centres = rotations.copy(), centres.copy()
     identity, zero = np.eye(3), np.zeros(3)
     world_rotations: dict[int, Float] = {body.root: identity}
@@ -245,7 +245,7 @@ def _forward_kinematics(
         rotation, stretch = limb_motions.get(part, (parent_rotation, zero))
         world_rotations[part] = rotation
         pivot = body.pose_points(body.pivot(part), [part], rotations, centres)[:, 0]
-        # Adding differences keeps frames without rotations exactly.
+        # Adding differences reproduces frames without rotations exactly.
         change = result_centres[:, parent] - centres[:, parent] + stretch
         change += rotate_vectors(parent_rotation - identity, pivot - centres[:, parent])
         change += rotate_vectors(rotation - identity, centres[:, part] - pivot)
@@ -255,7 +255,7 @@ def _forward_kinematics(
 
 
 def rotate_limbs(levers: Float, moves: Float, compliance: Float) -> tuple[Float, Float]:
-    """Solve for rotations ``(N, k, 3, 3)`` of limbs, and residual moves ``(N, g, 3)``.
+    """Return the rotations ``(N, k, 3, 3)`` of limb parts that make given moves, and residual moves ``(N, g, 3)``.
 
     Shapes: levers ``(N, g, k, 3)``; moves ``(N, g, 3)``; compliance ``(k,)``.
     """
@@ -279,7 +279,7 @@ def rotate_limbs(levers: Float, moves: Float, compliance: Float) -> tuple[Float,
 
 
 def _mobility(levers: Float, compliance: Float) -> Float:
-    """Return the matrices A ``(N, 3g, 3g)``."""
+    """Return the matrices A ``(N, 3g, 3g)`` of the module's formulas."""
     count, limbs, *_ = levers.shape
     dots = np.einsum("k,ngki,nhki->ngh", compliance, levers, levers)
     products = np.einsum("k,nhki,ngkj->ngihj", compliance, levers, levers)

@@ -1,15 +1,15 @@
 r"""Markers (pairs of corresponding vertices, set by hand), and dense correspondences of two meshes.
 
-Markers pair components of the meshes (`pair_components`), and give the similarity between the meshes
+Markers pair components of the meshes (`pair_components`), and determine a similarity between the meshes
 (`fit_similarity`; Umeyama 1991): the rotation R, scale s and translation t that minimise
-:math:`\sum_k \|s R x_k + t - y_k\|^2`. R is that of the best rigid motion, a proper rotation, and with points about
-their centroids
+:math:`\sum_k \|s R x_k + t - y_k\|^2`. R is the proper rotation of the best rigid motion. For points relative to their
+centroids the scale is
 
 .. math:: s = \frac{\sum_k y_k \cdot R x_k}{\sum_k \|x_k\|^2} .
 
-In a dense correspondence a target vertex v is the point :math:`\sum_k w_{vk}\, x_{c_{vk}}` of the source, with three
-corners c and barycentric weights w. Vertices without a counterpart (eyes, teeth, hats) rigidly follow another vertex of
-the target, their *leader*.
+In a dense correspondence a target vertex v has the source point :math:`\sum_k w_{vk}\, x_{c_{vk}}`, with three corners
+c and barycentric weights w. Vertices without a source point (of eyes, teeth, hats) rigidly follow another vertex of the
+target, their *leader*.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ class Markers:
     Attributes
     ----------
     source, target : (n,) int64
-        Vertices of the source and of the target, a pair per row.
+        Source vertex and target vertex of every marker.
     names : tuple of str
-        Names of all markers in messages, or none. Markers without a name, or with an empty one, are numbered from 1.
+        Names of all markers for messages, or an empty tuple. Markers without a name are numbered from 1.
     """
 
     source: Index
@@ -45,7 +45,7 @@ class Markers:
 
     @classmethod
     def from_pairs(cls, pairs: ArrayLike, names: tuple[str, ...] = ()) -> Markers:
-        """Make markers of pairs ``(n, 2)`` of whole numbers: source, target.
+        """Make markers from pairs ``(n, 2)`` of a source vertex and a target vertex.
 
         Raises
         ------
@@ -76,7 +76,7 @@ class Markers:
         return len(self.source)
 
     def name(self, marker: int) -> str:
-        """Return the name or number of a marker, with its vertices, for messages."""
+        """Return a label for messages: the name or number of a marker, with its vertices."""
         name = self.names[marker] if self.names else ""
         label = f"'{name}'" if name else f"{marker + 1}"
         return f"{label} ({self.source[marker]} -> {self.target[marker]})"
@@ -84,7 +84,7 @@ class Markers:
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """Components of source and target that are joined by markers, such as both bodies, or all shoes."""
+    """Components of source and target that are connected by markers, such as both bodies or all shoes."""
 
     source_faces: Index  # (f,) triangles of the source's components
     target_faces: Index  # (f',) triangles of the target's components
@@ -93,7 +93,7 @@ class Pairing:
 
 
 def pair_components(source: Topology, target: Topology, markers: Markers) -> tuple[Pairing, ...]:
-    """Group the components that are connected by markers; components without markers are left out."""
+    """Group the components of both meshes that are connected by markers; omit components without markers."""
     from scipy import sparse
     from scipy.sparse import csgraph
 
@@ -144,20 +144,20 @@ def fit_similarity(source: Float, target: Float) -> Similarity:
 
 @dataclass(frozen=True, eq=False)
 class Correspondence:
-    """Dense correspondence: source points of a target's vertices, and source triangles of its triangles.
+    """Dense correspondence: the source point of every target vertex, and the source triangle of every target triangle.
 
     Attributes
     ----------
     source_size, target_size : (int, int)
-        Numbers of vertices and triangles of the two meshes.
+        Number of vertices and number of triangles of each mesh.
     corners : (V', 3) int64
-        Source vertices around every target vertex; -1 for vertices that follow a leader.
+        Source vertices whose weighted mean is the source point; -1 for vertices that follow a leader.
     weights : (V', 3) float64
         Barycentric weights of the corners, which add to one.
     faces : (F',) int64
-        Source triangle of every target triangle; -1 if one of its vertices follows a leader.
+        Source triangle of every target triangle; -1 if a vertex of the target triangle follows a leader.
     leaders : (V',) int64
-        Target vertex that is followed by a vertex without source point; the vertex itself elsewhere.
+        Leader of every target vertex without a source point; every other vertex is its own leader.
     """
 
     source_size: tuple[int, int]
@@ -182,12 +182,12 @@ class Correspondence:
         return np.asarray((self.corners >= 0).all(axis=1))
 
     def interpolate(self, values: FloatArray) -> Float:
-        """Interpolate values ``(..., V, c)`` of the source at the points of the target, ``(..., V', c)``."""
+        """Interpolate source values ``(..., V, c)`` at the source points of the target's vertices, ``(..., V', c)``."""
         corners, weights = self.corners[self.leaders], self.weights[self.leaders]
         return np.asarray(np.einsum("vk,...vkc->...vc", weights, values[..., corners, :]))
 
     def check(self, source_size: tuple[int, int], target_size: tuple[int, int]) -> None:
-        """Raise if numbers of vertices or triangles differ."""
+        """Raise if the meshes have other numbers of vertices or triangles than the correspondence."""
         for side, expected, actual in (
             ("source", self.source_size, source_size),
             ("target", self.target_size, target_size),

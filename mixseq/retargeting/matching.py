@@ -1,17 +1,16 @@
 """Correspondences of a target: matched to a registered source by closest points, or completed from a given map.
 
-*Matching.* Closest points are limited in distance and in the angle of normals: where two legs touch, their inner sides
-have opposite normals, and each is matched to its own leg. Vertices without a match are filled in from the nearest
-neighbour along the surface. Components of the target without a marker follow the nearest matched vertex.
+*Matching.* Closest points are limited in distance and in the angle between normals. The inner sides of two touching
+legs have opposite normals, so each side is matched to the correct leg. Vertices without a match copy the match of the
+nearest matched vertex along the surface. Target components without a marker follow the nearest matched vertex.
 
 *Completing* a map of vertices, of triangles, or of points on triangles:
 
-- *Vertices*, where only triangles are mapped, are on the source vertex that all triangles around them share, or else at
-  the point closest to the area-weighted mean of the mapped triangles' centroids.
-- *Triangles* correspond to the source triangle of the same three vertices, or else to the closest one to the mean of
-  their mapped corners that faces the same way.
-- *Unmapped vertices* follow the nearest mapped vertex of their component, and unmapped components rigidly follow one
-  vertex.
+- *Vertices* in a map of triangles have the source vertex shared by the source triangles of all triangles around them.
+  Without such a vertex they have the source point closest to the area-weighted mean of the mapped centroids.
+- *Triangles* in a map of vertices have the source triangle with the same three vertices. Without such a triangle they
+  have the triangle of equal orientation that is closest to the mean of their mapped corners.
+- *Unmapped vertices* follow the nearest mapped vertex of their component. Unmapped components rigidly follow a vertex.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from mixseq.types import Float, FloatArray, Index, IntArray, Mask
 
 @dataclass(frozen=True)
 class MatchingSettings:
-    """Limits of closest points."""
+    """Limits of closest points in matching."""
 
     largest_angle: float = 75.0  # largest angle between the normals, in degrees
     largest_distance: float = 0.05  # largest distance, in diagonals of the target
@@ -47,9 +46,9 @@ class MatchingSettings:
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """A correspondence, and the matches that are not filled in."""
+    """A complete correspondence, and masks of its direct matches by closest points."""
 
-    correspondence: Correspondence  # correspondence, filled in
+    correspondence: Correspondence  # complete correspondence
     has_vertex_match: Mask  # (V',) target vertices with a match
     has_face_match: Mask  # (F',) target triangles with a match
     distances: Float  # (V',) distances of target vertices from their matches; infinite without a match
@@ -61,18 +60,18 @@ class CorrespondenceQuality:
 
     source_coverage: float  # share of the registered source's area with a match on the target
     target_coverage: float  # share of the target's area with a match on the source
-    mean_distance: float  # mean distance of the target's vertices from the registered source
+    mean_distance: float  # mean distance of the matched target vertices from the registered source
     p99_distance: float  # 99th percentile of these distances
     largest_distance: float  # largest of these distances
-    flipped_count: int  # target triangles that face away from their registered source triangle
-    filled_vertex_count: int  # target vertices with the match of a neighbour
-    filled_face_count: int  # target triangles with the match of a neighbour
-    follower_count: int  # components that follow a vertex, without unused vertices
+    flipped_count: int  # number of target triangles that face away from their registered source triangle
+    filled_vertex_count: int  # number of target vertices with the match of a neighbour
+    filled_face_count: int  # number of target triangles with the match of a neighbour
+    follower_count: int  # number of target components that follow a vertex; unused vertices do not count
     marker_distances: Float  # (n,) distances of registered source markers from target markers
-    markers: Markers  # the markers
+    markers: Markers  # markers of the registration
 
     def worst_markers(self, count: int = 5) -> list[tuple[str, float]]:
-        """Return names and distances of the markers with the largest distances, the worst first."""
+        """Return names and distances of the markers with the largest distances, the largest first."""
         order = np.argsort(-self.marker_distances, kind="stable")[:count]
         return [(self.markers.name(int(k)), float(self.marker_distances[k])) for k in order]
 
@@ -86,7 +85,7 @@ def match(
     """Match the vertices and triangles of a target to a registered source by closest points."""
     settings = MatchingSettings() if settings is None else settings
     vertex_count, face_count = len(target.points), len(target.faces)
-    # Queries are vertices followed by centroids of triangles, as the nodes of the surface graph.
+    # Query points are vertices, then centroids of triangles, in the order of the surface graph's nodes.
     queries = np.concatenate([target.points, target.centroids])
     normals = np.concatenate([target.vertex_normals, target.face_normals])
     faces, weights = np.full(len(queries), -1), np.zeros((len(queries), 3))
@@ -110,7 +109,7 @@ def match(
         nearest = _nearest_sources(graph, np.flatnonzero(is_kind & is_matched))
         filled_ids = np.flatnonzero(is_kind & (nearest >= 0))
         faces[filled_ids], weights[filled_ids] = faces[nearest[filled_ids]], weights[nearest[filled_ids]]
-    for search, query_ids in searches:  # components without a match nearby: any distance
+    for search, query_ids in searches:  # components without a match within the limits: search at any distance
         unmatched_ids = query_ids[faces[query_ids] < 0]
         closest = search.query(queries[unmatched_ids])
         faces[unmatched_ids], weights[unmatched_ids] = closest.faces, closest.weights
@@ -151,7 +150,7 @@ def assess(
         covered_area += float(registered.face_areas[face_ids[is_near]].sum())
     distances = matches.distances[matches.has_vertex_match] / diagonal
     if not distances.size:
-        distances = np.zeros(1)  # no match: coverages are zero
+        distances = np.zeros(1)  # no vertex has a match; coverages are zero
     is_mapped = correspondence.faces >= 0
     source_normals = registered.face_normals[correspondence.faces[is_mapped]]
     cosines = np.einsum("fc,fc->f", target.face_normals[is_mapped], source_normals)
@@ -174,13 +173,13 @@ def assess(
 
 
 def _surface_graph(mesh: TriangleMesh) -> sparse.csr_array:
-    """Return the graph of distances between the vertices and centroids of a surface."""
+    """Return the graph of edge lengths between the vertices and centroids of a surface."""
     vertex_count = len(mesh.points)
     i, j = mesh.topology.edges.T
     corner_vertices, corner_faces = mesh.faces.reshape(-1), np.repeat(np.arange(len(mesh.faces)), 3)
     centroid_distances = np.linalg.norm(mesh.points[corner_vertices] - mesh.centroids[corner_faces], axis=1)
     lengths = np.concatenate([np.sqrt(mesh.squared_lengths), centroid_distances])
-    # Positive lengths, since csgraph ignores stored zeros.
+    # Lengths are positive, since csgraph ignores stored zeros.
     lengths = np.maximum(lengths, 1e-12 * mesh.diagonal)
     node_count = vertex_count + len(mesh.faces)
     edges = np.concatenate([i, corner_vertices]), np.concatenate([j, vertex_count + corner_faces])
@@ -189,7 +188,7 @@ def _surface_graph(mesh: TriangleMesh) -> sparse.csr_array:
 
 
 def _nearest_sources(graph: sparse.csr_array, sources: Index) -> Index:
-    """Return the nearest source of every node along a graph, -1 if none is connected."""
+    """Return the nearest source of every graph node; -1 if no source is connected to the node."""
     if not len(sources):
         return np.full(graph.shape[0], -1)
     nearest = csgraph.dijkstra(graph, directed=False, indices=sources, return_predecessors=True, min_only=True)[2]
@@ -199,11 +198,11 @@ def _nearest_sources(graph: sparse.csr_array, sources: Index) -> Index:
 RestMesh = tuple[FloatArray, IntArray]
 """Points ``(V, 3)`` and triangles ``(F, 3)`` of a mesh at rest."""
 
-WEIGHT_SUM_TOLERANCE = 1e-3  # of sums of barycentric weights, which are normalised
+WEIGHT_SUM_TOLERANCE = 1e-3  # tolerated deviation of a sum of barycentric weights from one, before normalisation
 
 
 def from_vertices(vertices: ArrayLike, source: RestMesh, target: RestMesh) -> Correspondence:
-    """Complete a map of vertices ``(V',)``, -1 for none: source, target ``(V, 3)``."""
+    """Complete a map ``(V',)`` from target vertices to source vertices; -1 for unmapped vertices."""
     source_mesh, target_mesh = _triangle_mesh(source), _triangle_mesh(target)
     source_vertices = _check_map(vertices, len(target_mesh.points), len(source_mesh.points), "vertices")
     weights = np.where(source_vertices[:, None] >= 0, [1.0, 0.0, 0.0], 0.0)
@@ -212,7 +211,7 @@ def from_vertices(vertices: ArrayLike, source: RestMesh, target: RestMesh) -> Co
 
 
 def from_triangles(triangles: ArrayLike, source: RestMesh, target: RestMesh) -> Correspondence:
-    """Complete a map of triangles ``(F',)``: source, target ``(V, 3)``."""
+    """Complete a map ``(F',)`` from target triangles to source triangles."""
     source_mesh, target_mesh = _triangle_mesh(source), _triangle_mesh(target)
     source_faces = _check_map(triangles, len(target_mesh.faces), len(source_mesh.faces), "triangles")
     corners, weights = _locate_vertices(source_faces, source_mesh, target_mesh)
@@ -220,7 +219,7 @@ def from_triangles(triangles: ArrayLike, source: RestMesh, target: RestMesh) -> 
 
 
 def from_barycentric(corners: ArrayLike, weights: ArrayLike, source: RestMesh, target: RestMesh) -> Correspondence:
-    """Complete a map of target vertices to points of the source: corners, weights ``(V', 3)``."""
+    """Complete a map from target vertices to points of the source: corners, weights ``(V', 3)``."""
     source_mesh, target_mesh = _triangle_mesh(source), _triangle_mesh(target)
     flat_corners = np.asarray(corners).reshape(-1)
     entry_count, vertex_count = 3 * len(target_mesh.points), len(source_mesh.points)
@@ -249,7 +248,7 @@ def _triangle_mesh(mesh: RestMesh) -> TriangleMesh:
 
 
 def _check_map(entries: ArrayLike, target_count: int, source_count: int, element_names: str) -> Index:
-    """Return a map as ids ``(n,)``; raise if it is invalid."""
+    """Return a map as ids ``(n,)``; raise if the map is invalid."""
     ids = np.asarray(entries)
     if ids.shape != (target_count,) or not np.issubdtype(ids.dtype, np.integer):
         raise SettingsError(
@@ -269,7 +268,7 @@ def _check_map(entries: ArrayLike, target_count: int, source_count: int, element
 
 
 def _locate_vertices(triangles: Index, source: TriangleMesh, target: TriangleMesh) -> tuple[Index, Float]:
-    """Return corners and weights ``(V', 3)`` of target vertices from the source triangles around them ``(F',)``."""
+    """Return corners and weights ``(V', 3)`` of target vertices, from a map of triangles ``(F',)``."""
     vertex_count = len(target.points)
     mapped_faces = np.flatnonzero(triangles >= 0)
     vertices = target.faces[mapped_faces].reshape(-1)
@@ -298,7 +297,7 @@ def _locate_vertices(triangles: Index, source: TriangleMesh, target: TriangleMes
 def _shared_vertices(
     vertex_of_corner: Index, source_corners: Index, equal_corners: Index, corner_counts: Index
 ) -> Index:
-    """Return the source vertex ``(V',)`` that all mapped triangles at a target vertex share, or -1."""
+    """Return the source vertex ``(V',)`` shared by all mapped triangles at each target vertex, or -1."""
     shared = np.full(len(corner_counts), -1)
     for votes in (source_corners, equal_corners[:, None]):
         pairs = np.stack([np.repeat(vertex_of_corner, votes.shape[1]), votes.reshape(-1)], axis=1)
@@ -312,7 +311,7 @@ def _shared_vertices(
 def _complete_map(
     source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, faces: Index
 ) -> Correspondence:
-    """Complete a map with triangles and leaders: corners, weights ``(V', 3)``; faces ``(F',)``."""
+    """Add missing triangles and leaders to a map: corners, weights ``(V', 3)``; faces ``(F',)``."""
     is_matched = np.asarray((corners >= 0).all(axis=1))
     is_whole = np.asarray(is_matched[target.faces].all(axis=1))
     open_faces = np.flatnonzero(is_whole & (faces < 0))
@@ -329,9 +328,9 @@ def _complete_map(
 
 
 def _locate_faces(source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, face_ids: Index) -> Index:
-    """Return the source triangles ``(n,)`` of target triangles ``(n,)``, by the source points of their corners."""
+    """Return the source triangles ``(n,)`` of target triangles ``(n,)``, from the source points of their corners."""
     triangles = target.faces[face_ids]
-    # Corners of weight one are vertices, and may have equal source triangles.
+    # If all three corners are on source vertices, these may form a source triangle.
     main_vertices = np.take_along_axis(corners, np.argmax(weights, axis=1)[:, None], axis=1)[:, 0]
     source_faces = _find_equal_triangles(source.faces, main_vertices[triangles])
     source_faces[~(weights.max(axis=1) == 1)[triangles].all(axis=1)] = -1
@@ -348,7 +347,7 @@ def _locate_faces(source: TriangleMesh, target: TriangleMesh, corners: Index, we
 
 
 def _find_equal_triangles(source: Index, queries: Index) -> Index:
-    """Return the first source triangle ``(F, 3)`` of equal vertices, preferably of equal orientation, or -1."""
+    """Return the first of source triangles ``(F, 3)`` with equal vertices, or -1; prefer equal orientation."""
     triangles = np.concatenate([source, queries])
     lowest_corner = np.argmin(triangles, axis=1)
     rotated = np.take_along_axis(triangles, (lowest_corner[:, None] + np.arange(3)) % 3, axis=1)
@@ -363,7 +362,7 @@ def _find_equal_triangles(source: Index, queries: Index) -> Index:
 
 
 def _closest_facing(source: TriangleMesh, points: Float, normals: Float) -> tuple[Index, Float]:
-    """Return the closest triangles, and weights in them, that face the same way, or any if there are none."""
+    """Return the closest triangles that face the same way, or else the closest of any, and barycentric weights."""
     nearest = ClosestPointQuery.from_mesh(source.points, source.faces)
     closest = nearest.query(points, normals)
     faces, weights = closest.faces.copy(), closest.weights.copy()

@@ -1,15 +1,15 @@
-r"""Map points of a body with two similar sides to its other side, in any pose.
+r"""Mirror points of a body with two similar sides to the opposite side, in any pose.
 
-The mirror map is found by distances along the surface, which hardly depend on the pose. First the extremities: of all
-exchanges :math:`\pi` of pairs, the one that changes their distances d and heat kernel signatures h least is used. A
-bonus p per pair allows small differences, such as a bent leg, and favours the exchange of all limbs:
+The mirror map is found from distances along the surface, which hardly depend on the pose. The extremities are paired
+first, by the exchange :math:`\pi` that changes their distances d and heat kernel signatures h least. A bonus p per
+exchanged pair tolerates small differences, such as a bent leg, and favours the exchange of all limbs. The cost is
 
 .. math::
     \operatorname{mean}_{ij} |d_{ij} - d_{\pi(i)\pi(j)}| + w \operatorname{mean}_i |h_i - h_{\pi(i)}| - p\, |\pi| .
 
-Then all vertices: the partner of v is the vertex whose distances to the partners of the extremities are most similar to
-those of v to the extremities. In a few more rounds far-apart points with their current partners replace the
-extremities, weighted by their nearness. The distance of a point from its double mirror image measures the quality.
+Then vertices are paired. A vertex v has distances to the extremities; its partner has the most similar distances to the
+partners of the extremities. In further rounds sample points far apart, with their current partners, replace the
+extremities; their weights decrease with distance. Quality is the distance of a point from its double mirror image.
 """
 
 from __future__ import annotations
@@ -39,26 +39,26 @@ from mixseq.types import Float, FloatArray, Index
 
 PAIR_BONUS = 0.04  # the bonus p of an exchanged pair, in roots of the area
 MIN_EXTREMITIES = 4  # smallest number of prominent extremities of a body with two sides
-MAX_EXCHANGE_COST = 0.15  # largest cost of an exchange of similar sides; tested bodies have 0.03 to 0.09
+MAX_EXCHANGE_COST = 0.15  # largest cost, without bonus, of similar sides; tested bodies have 0.03 to 0.09
 REFINEMENT_ROUNDS = 3  # number of rounds in which far-apart points replace the extremities
 WEIGHT_RADIUS = 0.4  # radius of the weights of far-apart points, in roots of the area
-MAX_ROUND_TRIP_DISTANCE = 0.06  # of a point from its double mirror image, in roots of the area
-MIN_PARTNER_DISTANCE = 0.08  # in roots of the area; nearer points are in the middle
-NEIGHBOURHOOD_RINGS = 2  # number of rings of vertices around a point from which its mirror map is fitted
+MAX_ROUND_TRIP_DISTANCE = 0.06  # largest distance of a point from its double mirror image, in roots of the area
+MIN_PARTNER_DISTANCE = 0.08  # smallest distance of partners off the middle of the body, in roots of the area
+NEIGHBOURHOOD_RINGS = 2  # number of rings of vertices around a point to which a reflection is fitted
 MIN_NORMAL_COSINE = 0.5  # smallest cosine between the normal of a partner and the mirrored normal
 
 
 @dataclass(frozen=True, eq=False)
 class Mirror:
-    """Partners of the vertices of a body on its other side."""
+    """Mirror map of a body: the partner of every coarse vertex on the opposite side."""
 
-    mesh: TriangleMesh  # the body
-    surface: CoarseSurface  # its coarse surface
+    mesh: TriangleMesh  # mesh of the body
+    surface: CoarseSurface  # coarse surface of the body
     partners: Index  # (n,) partner of every vertex of the coarse surface
 
     @classmethod
     def from_mesh(cls, points: FloatArray, topology: Topology) -> Mirror | None:
-        """Find the partners of points ``(V, 3)``; None if no two sides are similar."""
+        """Find the mirror map of a mesh with points ``(V, 3)``; return None if it has no two similar sides."""
         with one_blas_thread():
             surface = CoarseSurface.from_mesh(points, topology)
             partners = _find_partners(surface)
@@ -66,7 +66,7 @@ class Mirror:
         return None if partners is None else cls(mesh, surface, partners)
 
     def find_partner(self, vertex: int) -> int | None:
-        """Return the vertex on the other side; None in the middle, outside the largest component, or if uncertain."""
+        """Return the mirrored vertex, or None if uncertain, in the middle, or outside the largest component."""
         surface, partners = self.surface, self.partners
         if self.mesh.topology.component_of_vertex[vertex] != self._component:
             return None
@@ -85,7 +85,7 @@ class Mirror:
         return int(candidates[np.einsum("vi,vi->v", offsets, offsets).argmin()])
 
     def _mirror_point(self, coarse_vertex: int, point: Float, normal: Float) -> tuple[Float, Float]:
-        """Mirror a point near a coarse vertex, and its normal, by the best reflection of the neighbourhood."""
+        """Mirror a point near a coarse vertex, and its normal, by a reflection fitted to the neighbourhood."""
         ring = np.array([coarse_vertex])
         for _ in range(NEIGHBOURHOOD_RINGS):
             ring = np.unique(np.concatenate([ring, self._adjacency[ring].indices]))
@@ -107,7 +107,7 @@ class Mirror:
 
 
 def _find_partners(surface: CoarseSurface) -> Index | None:
-    """Return the partner ``(n,)`` of every vertex of a coarse surface."""
+    """Return the partner ``(n,)`` of every vertex of a coarse surface, or None without two similar sides."""
     extremities = Extremities.from_surface(surface)
     exchange = _find_exchange(extremities)
     if exchange is None:
@@ -125,7 +125,7 @@ def _find_partners(surface: CoarseSurface) -> Index | None:
 
 
 def _find_exchange(extremities: Extremities) -> Index | None:
-    """Return the partner of every prominent extremity, itself in the middle; None if no two sides are similar."""
+    """Return the partner of every prominent extremity (itself in the middle), or None without two similar sides."""
     count = min(int((extremities.prominences >= MIN_LIMB_PROMINENCE).sum()), MAX_MATCHED_EXTREMITIES)
     distances, signatures = extremities.distances[:count, :count], extremities.signatures[:count]
     if count < MIN_EXTREMITIES:
@@ -144,7 +144,7 @@ def _find_exchange(extremities: Extremities) -> Index | None:
 
 
 def _pair_exchanges(numbers: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    """Yield all exchanges of numbers 0 to n in pairs, as the partner of each.
+    """Yield all permutations that exchange disjoint pairs of numbers, as tuples of partners.
 
     >>> list(_pair_exchanges(range(3)))
     [(0, 1, 2), (0, 2, 1), (1, 0, 2), (2, 1, 0)]
@@ -164,6 +164,6 @@ def _pair_exchanges(numbers: Sequence[int]) -> Iterator[tuple[int, ...]]:
 
 
 def _most_similar_rows(rows: Float, candidates: Float, weights: Float) -> Index:
-    """Return the most similar row ``(n,)`` of candidates ``(m, k)`` for every row, with weights ``(n, k)``."""
+    """Return the id ``(n,)`` of the candidate ``(m, k)`` most similar to each row ``(n, k)``: weights ``(n, k)``."""
     distances = weights @ (candidates**2).T - 2 * (weights * rows) @ candidates.T
     return np.asarray(distances.argmin(axis=1), dtype=np.int64)

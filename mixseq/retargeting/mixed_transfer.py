@@ -2,14 +2,14 @@
 
 The target is cut into the parts of the source (`transfer_parts`). A frame of the source determines
 
-- the shapes and rotations of the parts: the target is deformed by gradients (`gradient_transfer`), and each part is
-  registered to its rest shape;
-- the centres of the parts: neighbouring parts meet at pivots with the gaps of the source and the proportions of the
+- the shapes and rotations of the parts: gradients deform the target (`gradient_transfer`), and each deformed part is
+  rigidly registered to its rest shape;
+- the centres of the parts: neighbouring parts meet at pivots, with the gaps of the source and the proportions of the
   target (`parts`);
-- edge lengths and dihedral angles of the joints, as ratios and differences (`joints`), and the offsets of free
-  vertices from their skinned positions.
+- edge lengths and dihedral angles of the joints (`joints`), and the offsets of free vertices from their skinned
+  positions.
 
-The parts are posed, and the joints between them are solved (`JointSolver`).
+Then the parts are posed, and the joints between them are solved (`JointSolver`).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class MixedTransfer(PickledWithoutCaches):
     gradients: GradientTransfer  # the two meshes at rest, and their correspondence
     parts: PartCorrespondence  # parts and joints of both meshes
     settings: ShellSettings  # settings of the joint solves
-    stride_ratio: float = 1.0  # travel of the root, relative to the source's travel scaled to the target
+    stride_ratio: float = 1.0  # ratio of the root's travel to the source's travel scaled to the target
 
     @property
     def _rest(self) -> Float:
@@ -93,7 +93,7 @@ class MixedTransfer(PickledWithoutCaches):
 
     @cached_property
     def body(self) -> ArticulatedBody:
-        """Parts and pivots of the target at rest; the root is the part of largest area on both meshes."""
+        """Parts and pivots of the target at rest; the root is the part with the largest area on both meshes."""
         areas = _part_areas(self.gradients.target, self.parts.target)
         source_areas = _part_areas(self.gradients.source, self.parts.source)
         root = int((areas * source_areas[self.parts.source_parts[: len(areas)]]).argmax())
@@ -102,7 +102,7 @@ class MixedTransfer(PickledWithoutCaches):
 
     @cached_property
     def source_body(self) -> ArticulatedBody:
-        """Source parts of the target's parts, with the source points of the target's pivots."""
+        """Articulated body of the source: source parts of the target's parts, and source points of its pivots."""
         source_points = self.gradients.correspondence.interpolate(self.gradients.source.reference)
         return replace(
             self.body,
@@ -116,18 +116,18 @@ class MixedTransfer(PickledWithoutCaches):
 
     @cached_property
     def joint_metrics(self) -> JointMetrics:
-        """Transfer of edge lengths and angles: edge by edge on the same parts, otherwise by gradients."""
+        """Metrics of the joints: edgewise for meshes with the same parts, otherwise by gradients."""
         source, target, joints = self.gradients.source, self.gradients.target, self.joint_solver.joints
         if self.parts.target is self.parts.source:
             return EdgewiseMetrics(target.topology, joints, source.reference, target.reference)
         return GradientMetrics(self.gradients, joints)
 
     def deform_by_gradients(self, points: FloatArray) -> Float:
-        """Return the target ``(V', 3)`` by gradients of a frame ``(V, 3)``, in the unit of its space."""
+        """Return the target ``(V', 3)`` deformed by the gradients of a frame ``(V, 3)``, in the unit of its space."""
         return self.gradients.transfer_frame(points) / self.gradients.target.scale
 
     def transfer_poses(self, points: FloatArray, deformed_poses: PartPoses) -> PartPoses:
-        """Return poses of the target's parts for a frame ``(V, 3)``, from the poses of the target by gradients."""
+        """Return poses of the target's parts for a source frame ``(V, 3)``, with the rotations of `deformed_poses`."""
         source_points = points.astype(np.float64) / self.gradients.source.scale
         _, source_poses = self._source_rest_shapes.register(source_points)
         source_rotations, source_centres = (values[self.parts.source_parts] for values in source_poses)
@@ -140,7 +140,7 @@ class MixedTransfer(PickledWithoutCaches):
         return PartPoses(rotations, self._pivot_solver.solve_centres(rotations, gaps, root_centre))
 
     def transfer_frame(self, points: FloatArray, poses: PartPoses | None = None) -> Float:
-        """Return the target ``(V', 3)`` for a frame ``(V, 3)`` of the source, optionally with given part poses."""
+        """Return the target ``(V', 3)`` for a source frame ``(V, 3)``; `poses` replace the transferred part poses."""
         deformed = self.deform_by_gradients(points)
         part_vertices, deformed_poses = self.rest_shapes.register(deformed)
         poses = self.transfer_poses(points, deformed_poses) if poses is None else poses
@@ -178,7 +178,7 @@ def mixed_transfer(
     joint_width: int,
     settings: ShellSettings,
 ) -> MixedTransfer:
-    """Prepare a transfer by parts ``(F,)`` and joints of the source, from all of its frames ``(T, V, 3)``."""
+    """Prepare a transfer by parts and joints: all source frames ``(T, V, 3)``, part of every triangle ``(F,)``."""
     source, target = gradients.source, gradients.target
     samples = points[sample_frame_ids(len(points))]
     watched = PartShapes.from_labels(source.topology, part_of_face, source.reference[None])
@@ -199,7 +199,7 @@ def mixed_transfer(
 
 
 def _is_same_mesh(gradients: GradientTransfer) -> bool:
-    """Whether both meshes have the same triangles, and every vertex and triangle corresponds to itself."""
+    """Return whether both meshes have the same triangles, and each vertex and triangle corresponds to itself."""
     source, target = gradients.source.topology, gradients.target.topology
     correspondence = gradients.correspondence
     if not np.array_equal(source.faces, target.faces):

@@ -1,24 +1,24 @@
-r"""Parts of the target: cut like the source's, and assembled at pivots with the gaps of the source.
+r"""Parts of the target: cut them like the parts of the source, and assemble them at pivots.
 
-Neighbouring parts i and j meet at a pivot c, in the middle of their boundary on the target; :math:`\bar c` is that
-point on the source. With the rotations R' of the target's parts (by gradients) and rest centres m the centres x solve
+Neighbouring parts i and j meet at a pivot c, in the middle of their boundary on the target; :math:`\bar c` is its
+source point. Given rotations R' of the target's parts (by gradients) and rest centres m, the centres x solve
 
 .. math:: \min_x \sum_{ij} w_{ij}\, | x_i + R'_i (c - m_i) - x_j - R'_j (c - m_j) - g'_{ij} |^2 ,
    \qquad g_{ij} = M_i(\bar c) - M_j(\bar c)
 
-where M is the rigid motion of a part of the source, and g' is s G g, up to the correction below (G, s:
-`mixseq.retargeting.sources`). The result is an articulated body with the proportions of the target, which opens and
-slides where the source's does. Without loops of parts all terms vanish; otherwise weights are the squared lengths of
-boundaries. The root has the displacement of the source's root, mapped by s G. Disconnected pieces have pivots at the
-vertices they are attached to.
+where M is the rigid motion of a part of the source. The gap g' is s G g, up to the correction below (G, s:
+`mixseq.retargeting.sources`). The result is an articulated body with the proportions of the target; its joints open and
+slide like the joints of the source. The weights w are the squared lengths of boundaries; without loops of parts all
+terms vanish. The root has the displacement of the source's root, mapped by s G. Disconnected pieces have pivots at the
+vertices to which they are attached.
 
-With other proportions the gaps of the source do not fit, and at short boundaries small differences tear the joint. Gaps
-by deformation gradients (:math:`\tilde g`) are smoother, but drift over long limbs. So g' differs from them by at most
-a multiple of the radius r of the boundary,
+If proportions differ, the gaps of the source do not fit, and even small differences tear joints at short boundaries.
+Gaps by deformation gradients (:math:`\tilde g`) are smoother, but drift over long limbs. So the distance between g' and
+:math:`\tilde g` is limited to a multiple of the radius r of the boundary,
 
 .. math:: g' = \tilde g + \frac{\rho r}{\sqrt{(\rho r)^2 + |\delta|^2}}\, \delta , \qquad \delta = s G g - \tilde g ,
 
-which keeps the gaps of the source where differences are small, and changes smoothly with time.
+which retains the gaps of the source if the difference is small, and varies smoothly with time.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ from mixseq.shells.solvers import Factor, factorise
 from mixseq.spaces.pieces import register_parts
 from mixseq.types import Float, Index, IntArray
 
-MIN_REGION_AREA_RATIO = 0.1  # to the largest region of a label; smaller regions are merged
-MIN_CORE_VERTEX_RATIO = 0.1  # share of its vertices that a part keeps; lower than in `segmentation.joints`
+MIN_REGION_AREA_RATIO = 0.1  # smallest area of a region that is not merged, relative to the largest of its label
+MIN_CORE_VERTEX_RATIO = 0.1  # smallest share of a part's vertices outside joints; lower than in `segmentation.joints`
 
 
 class PartPoses(NamedTuple):
-    """Rotations ``(..., p', 3, 3)`` of the target's parts from rest, and centres ``(..., p', 3)`` in its unit."""
+    """Rotations ``(..., p', 3, 3)`` of parts from rest, and centres ``(..., p', 3)`` in the unit of their space."""
 
     rotations: Float
     centres: Float
@@ -59,19 +59,19 @@ class RestShapes:
     """Parts of a mesh at rest, in the unit of its space."""
 
     vertices: tuple[Index, ...]  # vertices of each part
-    shapes: Float  # (N, 3) their rest points, part by part, about the centre of the part
+    shapes: Float  # (N, 3) rest points of the vertices, part by part, relative to the centre of the part
     centres: Float  # (p, 3) centres of the parts
 
     @classmethod
     def from_decomposition(cls, decomposition: Decomposition, rest: Float) -> RestShapes:
-        """Centre the parts of a mesh ``(V, 3)`` at rest."""
+        """Return the centred rest shapes of the parts of a mesh ``(V, 3)``."""
         centres = np.stack([rest[part].mean(axis=0) for part in decomposition.parts])
         centred_parts = zip(decomposition.parts, centres, strict=True)
         shapes = np.concatenate([rest[part] - centre for part, centre in centred_parts])
         return cls(decomposition.parts, shapes, centres)
 
     def register(self, points: Float) -> tuple[Float, PartPoses]:
-        """Return the parts ``(N, 3)`` of a frame ``(V, 3)``, rigidly aligned to their rest shapes, and their poses."""
+        """Return the parts ``(N, 3)`` of a frame ``(V, 3)``, rigidly aligned to the rest shapes, and the part poses."""
         aligned, rotations, centres = register_parts(self.shapes, self.vertices, points)
         return aligned, PartPoses(rotations, centres)
 
@@ -86,7 +86,7 @@ class PartCorrespondence:
 
     @property
     def part_of_face(self) -> tuple[Index, Index]:
-        """Parts of source triangles ``(F,)``, and source parts of target triangles ``(F',)``."""
+        """Source part of every source triangle ``(F,)`` and of every target triangle ``(F',)``."""
         return self.source.part_of_face, self.source_parts[self.target.part_of_face]
 
 
@@ -98,7 +98,7 @@ def transfer_parts(
     rest: Float,
     joint_width: int,
 ) -> PartCorrespondence:
-    """Cut a target ``(V', 3)`` into the parts of its source, whose rotations ``(T, p, 3, 3)`` give the joint widths."""
+    """Cut a target ``(V', 3)`` into the source's parts, with joint widths from part rotations ``(T, p, 3, 3)``."""
     faces = topology.faces
     labels = transfer_labels(source.part_of_face, correspondence, faces)
     labels = merge_small_regions(topology, labels, TriangleMesh(rest, topology).face_areas)
@@ -112,7 +112,7 @@ def transfer_parts(
 
 
 def transfer_labels(labels: Index, correspondence: Correspondence, faces: IntArray) -> Index:
-    """Return labels ``(F',)`` of target triangles ``(F', 3)`` from those ``(F,)`` of the source's triangles."""
+    """Return labels ``(F',)`` of target triangles ``(F', 3)`` from labels ``(F,)`` of the source's triangles."""
     mapped = np.flatnonzero(correspondence.faces >= 0)
     target_labels = np.zeros(len(faces), dtype=np.int64)
     target_labels[mapped] = labels[correspondence.faces[mapped]]
@@ -126,7 +126,7 @@ def transfer_labels(labels: Index, correspondence: Correspondence, faces: IntArr
 
 
 def merge_small_regions(topology: Topology, labels: Index, areas: Float) -> Index:
-    """Merge small regions of labels ``(F,)`` into the neighbours with most shared edges, the smallest first."""
+    """Merge small regions of labels ``(F,)``, the smallest first, into the neighbour that shares most edges."""
     labels = labels.copy()
     while True:
         regions = split_labels(topology, labels)
@@ -148,22 +148,22 @@ def merge_small_regions(topology: Topology, labels: Index, areas: Float) -> Inde
 
 
 def assign_vertices_to_parts(decomposition: Decomposition, topology: Topology) -> Index:
-    """Return a part ``(V,)`` for every vertex: the first of its faces, or the last part without faces."""
+    """Return a part ``(V,)`` of every vertex: the lowest part of its faces; the last part if it has no faces."""
     part_of_vertex = np.full(topology.vertex_count, len(decomposition.parts) - 1, dtype=np.int64)
     for part in range(int(decomposition.part_of_face.max(initial=-1)), -1, -1):
         part_of_vertex[mark_face_vertices(topology, decomposition.part_of_face == part)] = part
     return part_of_vertex
 
 
-MIN_BOUNDARY_LENGTH_RATIO = 1e-3  # smallest length of a boundary in weights, relative to the longest
-MAX_GAP_CORRECTION_RADII = 1.2  # the factor rho, in boundary radii; chosen on three animal pairs
+MIN_BOUNDARY_LENGTH_RATIO = 1e-3  # lower bound of boundary lengths for weights, relative to the longest boundary
+MAX_GAP_CORRECTION_RADII = 1.2  # rho: largest gap correction, in boundary radii; chosen on three animal pairs
 
 
 @dataclass(frozen=True, eq=False)
 class Pivots:
-    """Pivots of a mesh: first at the boundaries between parts, then at the attachments of pieces."""
+    """Pivots of a mesh: first the boundaries between parts, then the attachments of disconnected pieces."""
 
-    pairs: Index  # (n, 2) parts that meet at each pivot; the pairs connect all parts
+    pairs: Index  # (n, 2) parts that meet at each pivot; these pairs connect all parts
     boundaries: Boundaries  # edges between parts
     attachments: Attachments  # attachments of disconnected pieces
 
@@ -180,11 +180,11 @@ class Pivots:
         return cls(np.concatenate([boundaries.parts, attached_parts]), boundaries, attachments)
 
     def points(self, points: Float) -> Float:
-        """Return pivots ``(n, 3)`` of a target ``(V', 3)``: middles of boundaries, and attached vertices."""
+        """Return the pivots ``(n, 3)`` of a target ``(V', 3)``: middles of boundaries, then attachment vertices."""
         return np.concatenate([self.boundaries.middles(points), points[self.attachments.vertices]])
 
     def boundary_sizes(self, points: Float) -> tuple[Float, Float]:
-        """Return lengths ``(n,)`` and root mean square radii ``(n,)`` of the boundaries; attachments have 0."""
+        """Return lengths ``(n,)`` and root mean square radii ``(n,)`` of the boundaries; zero for attachments."""
         pivots, pair_ids = self.points(points), self.boundaries.pair
         edge_points = points[self.boundaries.edges]
         lengths = np.linalg.norm(edge_points[:, 1] - edge_points[:, 0], axis=1)
@@ -205,7 +205,7 @@ class PivotSolver:
 
     @cached_property
     def _incidence(self) -> sparse.csr_array:
-        """Incidence matrix ``(n, p)``: 1 at the first part of every pair, -1 at its second."""
+        """Incidence matrix ``(n, p)``: 1 at the first part of every pair, -1 at the second part."""
         pair_count = len(self.body.pairs)
         entries = (np.repeat(np.arange(pair_count), 2), self.body.pairs.reshape(-1))
         values = np.tile([1.0, -1.0], pair_count)
@@ -227,14 +227,14 @@ class PivotSolver:
         return factorise(sparse.csr_array(self._weighted_incidence @ self._incidence[:, self._free_parts]))
 
     def limit_gaps(self, gaps: Float, gradient_gaps: Float) -> Float:
-        """Limit the distances of gaps ``(n, 3)`` from those by gradients ``(n, 3)``."""
+        """Limit the differences of gaps ``(n, 3)`` from gaps by deformation gradients ``(n, 3)``."""
         differences, reach = gaps - gradient_gaps, MAX_GAP_CORRECTION_RADII * self.radii
         norms = np.hypot(reach, np.linalg.norm(differences, axis=1))
         factors = np.divide(reach, norms, out=np.zeros_like(norms), where=norms > 0)
         return np.asarray(gradient_gaps + factors[:, None] * differences)
 
     def solve_centres(self, rotations: Float, gaps: Float, root_centre: Float) -> Float:
-        """Return the centres ``(p, 3)`` of parts with rotations ``(p, 3, 3)`` and gaps ``(n, 3)``; root ``(3,)``."""
+        """Solve for part centres ``(p, 3)``: rotations ``(p, 3, 3)``; gaps ``(n, 3)``; root_centre ``(3,)``."""
         centres = np.empty_like(self.body.centres)
         centres[self.body.root] = root_centre
         if not self._free_parts.size:
@@ -248,7 +248,7 @@ class PivotSolver:
 def _parts_at_vertices(
     gradients: GradientTransfer, decomposition: Decomposition, pieces: Index, vertices: Index
 ) -> Index:
-    """Return a part ``(n,)`` of each piece at a vertex, which pieces may share."""
+    """Return a part ``(n,)`` of each given piece at a given vertex; several pieces may share a vertex."""
     topology = gradients.target.topology
     parts = assign_vertices_to_parts(decomposition, topology)[vertices]
     for index, (piece, vertex) in enumerate(zip(pieces.tolist(), vertices.tolist(), strict=True)):

@@ -1,19 +1,19 @@
 r"""Measure a transfer: coverage, strain, smoothness, flipped triangles and self-intersections.
 
-With the gradients J of the source's triangles and the rotation G between the two meshes, the expected side of a target
-triangle with rest side s is :math:`s' = G J G^T s`, as in `mixseq.retargeting.gradient_transfer`. The expected stretch
-is :math:`\lambda = |s'| / |s|`, and the expected normal :math:`s'_1 \times s'_2`.
+In a frame, a side s of a target triangle at rest becomes the expected side :math:`s' = G J G^T s`. J is the gradient of
+the source triangle, and G the rotation between the meshes (`mixseq.retargeting.gradient_transfer`). The expected
+stretch is :math:`\lambda = |s'| / |s|`, and the expected normal is :math:`s'_1 \times s'_2`.
 
-- *strain* of an edge in a frame: :math:`|\,l / l_\mathrm{rest} - 1\,|`, of the target and of the source,
-- *excess* of a target edge: :math:`|\,l / l_\mathrm{rest} - \lambda\,|` with the mean of the triangles at the edge: its
-  strain beyond that of the source. The expected strain of edges without a counterpart is zero.
-- a triangle is *turned over* if it faces away from its expected normal,
-- *acceleration* of a vertex: :math:`|x_{t+1} - 2 x_t + x_{t-1}| / d`, per frame squared, with the target's diagonal d
-  at rest, and for the source d / s with the scale s between the two (`mixseq.retargeting.sources`). That of the source
-  is taken at the points of the target's vertices, independent of the density of meshes.
+- The *strain* of an edge in a frame is :math:`|\,l / l_\mathrm{rest} - 1\,|`, for the target and the source.
+- The *excess* of a target edge is :math:`|\,l / l_\mathrm{rest} - \lambda\,|`: its strain beyond the source's strain.
+  The expected stretch is averaged over the triangles at the edge; without source triangles it is 1.
+- A triangle is *turned over* if it faces away from its expected normal.
+- The *acceleration* of a vertex is :math:`|x_{t+1} - 2 x_t + x_{t-1}| / d`, with the target's diagonal d at rest. For
+  the source d / s replaces d, with the scale s between the meshes (`mixseq.retargeting.sources`). The source is
+  measured at the source points of the target's vertices, independent of the mesh densities.
 
-Self-intersections are counted in some frames, everything else in all. Frames are measured block by block, and only the
-largest thousandth of the strains is kept in memory.
+Self-intersections are counted in sampled frames; other measures use all frames. Frames are measured block by block, and
+only the largest thousandth of the strains is kept in memory.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced
 
 @dataclass(frozen=True)
 class Follower:
-    """Vertices of a component of the target that follow a vertex, without a counterpart on the source."""
+    """Vertices of a target component that have no source point and follow a leader."""
 
     name: str  # name of the component
     vertices: int  # number of following vertices
-    leader: int  # vertex that they follow; the first of several
-    leads: str  # component of that vertex
+    leader: int  # vertex that is followed; the first of several
+    leads: str  # name of the leader's component
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Coverage:
     vertices: float  # share of the target's vertices with a source point
     area: float  # share of the target's area with a source triangle
     source_area: float  # share of the source's area with a target triangle
-    followers: tuple[Follower, ...]  # followers in every component
+    followers: tuple[Follower, ...]  # following vertices, grouped by component
 
 
 def measure_coverage(transfer: Transfer) -> Coverage:
@@ -84,7 +84,7 @@ def measure_coverage(transfer: Transfer) -> Coverage:
 
 
 def name_components(header: SequenceHeader, topology: Topology) -> list[str]:
-    """Name connected components by their object in the file, or number them from 1."""
+    """Name connected components after their object in the file, or number them from 1."""
     component_of_vertex = topology.component_of_vertex
     object_sizes = [mesh_object.vertex_count for mesh_object in header.objects]
     object_of_vertex = np.repeat(np.arange(len(object_sizes)), object_sizes)
@@ -103,7 +103,7 @@ def _area_share(face_mask: NDArray[np.bool_], areas: Float) -> float:
     return float(areas[face_mask].sum() / total_area) if total_area > 0 else float(face_mask.mean())
 
 
-FLAT_TRIANGLE_RATIO = 1e-3  # largest ratio of height to longest side of flat triangles
+FLAT_TRIANGLE_RATIO = 1e-3  # largest ratio of height to longest side of a flat triangle
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ class ExpectedTriangles:
 
     @classmethod
     def from_transfer(cls, transfer: Transfer) -> ExpectedTriangles:
-        """Prepare the expected triangles of a transfer by any method."""
+        """Prepare the expected triangles of a transfer, for any transfer method."""
         topology = Topology(transfer.header.faces, transfer.header.vertex_count)
         source, target = transfer.source, transfer.target
         gradients = gradient_transfer(source.topology, source.rest, topology, target, transfer.correspondence)
@@ -144,17 +144,17 @@ class ExpectedTriangles:
 
     @cached_property
     def _rest_sides(self) -> Float:
-        """Rest sides 01, 12, 20 ``(n, 3, 3)`` of the matched triangles, in rows."""
+        """Rest sides 01, 12, 20 ``(n, 3, 3)`` of the matched triangles, one side per row."""
         return _edge_vectors(self.rest, self.topology.faces[self.matched])
 
     @cached_property
     def lengths(self) -> Float:
-        """Rest lengths ``(E',)`` of the target's edges, NaN for zero."""
+        """Rest lengths ``(E',)`` of the target's edges; NaN for edges of zero length."""
         return _mask_zero_lengths(edge_lengths(self.rest, self.topology.edges))
 
     @cached_property
     def source_lengths(self) -> Float:
-        """Rest lengths ``(E,)`` of the source's edges, NaN for zero."""
+        """Rest lengths ``(E,)`` of the source's edges; NaN for edges of zero length."""
         return _mask_zero_lengths(edge_lengths(self.source_rest, self.source.edges))
 
     def sides(self, x: Float) -> Float:
@@ -164,7 +164,7 @@ class ExpectedTriangles:
         return np.asarray(self._rest_sides @ np.swapaxes(gradients, 1, 2))
 
     def stretches(self, sides: Float) -> Float:
-        """Return the expected stretches ``(E',)`` of the target's edges; 1 without a counterpart."""
+        """Return the expected stretches ``(E',)`` of the target's edges; 1 for edges without a source triangle."""
         with np.errstate(divide="ignore", invalid="ignore"):
             stretches = np.linalg.norm(sides, axis=2) / np.linalg.norm(self._rest_sides, axis=2)
         of_side = np.ones((len(self.topology.faces), 3))
@@ -174,7 +174,7 @@ class ExpectedTriangles:
         return np.asarray(sums / np.bincount(edges, minlength=len(self.topology.edges)))
 
     def turned_over(self, y: Float, sides: Float) -> Mask:
-        """Mark matched triangles ``(n,)`` whose normals oppose the expected ones in a frame ``(V', 3)``."""
+        """Mark matched triangles ``(n,)`` that face away from their expected normals in a frame ``(V', 3)``."""
         actual_sides = _edge_vectors(y, self.topology.faces[self.matched])
         normals = np.cross(actual_sides[:, 0], actual_sides[:, 1])
         expected_normals = np.cross(sides[:, 0], sides[:, 1])
@@ -186,7 +186,7 @@ class ExpectedTriangles:
 
 
 def _edge_vectors(points: Float, faces: NDArray[Any]) -> Float:
-    """Return sides 01, 12, 20 ``(n, 3, 3)`` of triangles ``(n, 3)``, in rows."""
+    """Return sides 01, 12, 20 ``(n, 3, 3)`` of triangles ``(n, 3)``, one side per row."""
     corners = points[faces]
     return np.asarray(np.roll(corners, -1, axis=1) - corners)
 
@@ -196,7 +196,7 @@ def _mask_zero_lengths(lengths: Float) -> Float:
 
 
 class Acceleration:
-    """Statistics of second differences of frames, added in blocks."""
+    """Statistics of the second differences of frames, which are added in blocks."""
 
     def __init__(self) -> None:
         self._last_frames: Float | None = None
@@ -211,7 +211,7 @@ class Acceleration:
             squares = np.square(following - 2.0 * current + previous).sum(axis=1)
             self._square_sum += float(squares.sum())
             self._sample_count += len(squares)
-            self._frame_count += 1  # the first difference is about frame 1
+            self._frame_count += 1  # the first difference is centred at frame 1
             if squares.max() > self._max_square:
                 self._max_square, self.worst_frame = float(squares.max()), self._frame_count
         self._last_frames = frames[-2:]
@@ -229,17 +229,17 @@ class Acceleration:
 
 @dataclass(frozen=True)
 class Smoothness:
-    """Accelerations in diagonals of the target per squared frame: root mean square, and the largest of a vertex."""
+    """Root mean square and largest accelerations of vertices, in diagonals of the target per squared frame."""
 
     rms: float  # root mean square of the target
-    max: float  # largest of a vertex of the target
+    max: float  # largest acceleration of a target vertex
     source_rms: float  # root mean square of the source, scaled to the target
-    source_max: float  # largest of the source, scaled to the target
-    worst_frame: int  # frame of the target's largest
+    source_max: float  # largest acceleration of a source point, scaled to the target
+    worst_frame: int  # frame of the target's largest acceleration
 
     @property
     def ratio(self) -> float | None:
-        """Root mean square of the target relative to the source's; None if the source does not accelerate."""
+        """Ratio of root mean squares, target to source; None if the source does not accelerate."""
         return self.rms / self.source_rms if self.source_rms > 0 else None
 
 
@@ -248,20 +248,20 @@ MAX_INTERSECTION_FRAMES = 8  # largest number of frames in which self-intersecti
 
 @dataclass(frozen=True)
 class FrameCounts:
-    """Counts at rest, and in some frames."""
+    """Counts of triangles or pairs at rest, and in the measured frames."""
 
-    rest: int  # at rest
-    frames: tuple[int, ...]  # ids of the frames
-    values: tuple[int, ...]  # counts in these frames
+    rest: int  # count at rest
+    frames: tuple[int, ...]  # ids of the measured frames
+    values: tuple[int, ...]  # counts in the measured frames
 
     @property
     def mean(self) -> float:
-        """Mean over the frames."""
+        """Mean count over the measured frames."""
         return float(np.mean(self.values))
 
     @property
     def worst(self) -> int:
-        """Largest count."""
+        """Largest count of a measured frame."""
         return max(self.values)
 
     @property
@@ -277,13 +277,13 @@ class FrameCounts:
 
 @dataclass(frozen=True)
 class TransferReport:
-    """Measures of a transfer; their formulas are at the head of this module."""
+    """Measures of a transfer, with the formulas at the head of this module."""
 
     coverage: Coverage  # shares of both meshes with a counterpart
     strain: Statistics  # strain of the target's edges
     source_strain: Statistics  # strain of the source's edges
     excess: Statistics  # excess of the target's edges
-    smoothness: Smoothness | None  # if there are at least three frames
+    smoothness: Smoothness | None  # accelerations; None for fewer than three frames
     intersections: FrameCounts  # intersecting pairs of triangles of the target
     source_intersections: FrameCounts  # intersecting pairs of triangles of the source
     turned_over: FrameCounts  # turned-over triangles of the target, in all frames
@@ -311,7 +311,7 @@ def measure_transfer(
     progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> TransferReport:
-    """Measure a transfer, in blocks ``(B, V', 3)`` of its frames."""
+    """Measure a transfer; `blocks` are its result in blocks ``(B, V', 3)``, computed if not given."""
     meter = TransferMeter(transfer)
     for block in transfer.blocks(progress, workers) if blocks is None else blocks:
         meter.add(block)
@@ -319,7 +319,7 @@ def measure_transfer(
 
 
 class TransferMeter:
-    """Measures a transfer block by block."""
+    """Meter that measures a transfer block by block."""
 
     def __init__(self, transfer: Transfer) -> None:
         self._transfer = transfer
@@ -335,7 +335,7 @@ class TransferMeter:
         self._flat: list[int] = []
 
     def measure_blocks(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        """Pass on blocks of the target's points, and measure them."""
+        """Yield given blocks of the target's points, and measure each."""
         for block in blocks:
             self.add(block)
             yield block
@@ -371,7 +371,7 @@ class TransferMeter:
         self._measured_count = stop
 
     def report(self) -> TransferReport:
-        """Return the report after all frames."""
+        """Return the report; all frames must have been added."""
         if self._measured_count < self._frame_count:
             raise InvalidSequenceError(
                 f"{self._measured_count} frames were measured, the source has {self._frame_count}; give one frame for "

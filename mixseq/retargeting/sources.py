@@ -1,11 +1,11 @@
-"""The source of a transfer: its motion, its shape at rest, its parts, and its alignment with the target.
+"""The source of a transfer: its motion, rest shape and parts, and its alignment with the target.
 
-Source and target are aligned by a rotation G and a scale s: a deformation F of the source becomes :math:`G F G^T`, and
-a displacement d becomes s G d. The scale is the ratio of radii, which is inverted if source and target are exchanged,
-unlike that of least squares.
+Source and target are aligned by a rotation G and a scale s. A deformation F of the source becomes :math:`G F G^T` on
+the target, and a displacement d becomes s G d. The scale is the ratio of the root mean square radii. Exchanging source
+and target inverts this ratio, but not a least-squares scale.
 
-With other proportions the best rotation is slightly off: the neck and hump of a camel turn it by eight degrees against
-a horse in the same orientation. So the nearest quarter turn (or none) is used, unless its fit is clearly worse.
+If proportions differ, the best rotation is slightly wrong: the camel's neck and hump rotate it by eight degrees from
+a horse in the same orientation. So G is the nearest rotation by quarter turns, unless its fit is clearly worse.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence, check_fra
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index
 
-MAX_EDGE_LENGTH_DEVIATION = 0.05  # median relative difference for which rest meshes are not scaled
+MAX_EDGE_LENGTH_DEVIATION = 0.05  # largest relative deviation of edge lengths (median) at which a rest is not scaled
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +38,13 @@ class SourceMotion:
     """A motion with a rest shape."""
 
     header: SequenceHeader  # mesh and times
-    topology: Topology  # connectivity
-    points: LargeArray  # (T, V, 3) frames
-    rest: Float  # (V, 3) shape at rest, in the size of the frames
+    topology: Topology  # connectivity of the mesh
+    points: LargeArray  # (T, V, 3) points of all frames
+    rest: Float  # (V, 3) rest shape, scaled to the size of the frames
     parts: int | ArrayLike | None  # number of parts, or the part of every triangle
 
     def part_of_face(self) -> Index:
-        """Return the part ``(F,)`` of every triangle: given, or found from the motion."""
+        """Return the part ``(F,)`` of every triangle, given or found from the motion."""
         if not (self.parts is None or isinstance(self.parts, int | np.integer)):
             return segment_by_labels(self.parts, self.topology)
         samples = self.points[sample_frame_ids(len(self.points))]
@@ -98,8 +98,8 @@ def _scaled_rest_shape(rest: MeshSequence, header: SequenceHeader, topology: Top
     return np.asarray(shape if abs(ratio - 1.0) <= MAX_EDGE_LENGTH_DEVIATION else shape * ratio)
 
 
-MAX_QUARTER_TURN_RATIO = 1.5  # of root mean square distances, to those of the best rotation
-MIN_EXTENT_RATIO = 1e-12  # of radii, to the largest coordinate; smaller radii are rounding
+MAX_QUARTER_TURN_RATIO = 1.5  # largest ratio of distances (root mean square), quarter turn to best rotation
+MIN_EXTENT_RATIO = 1e-12  # smallest radius relative to the largest coordinate; smaller radii are rounding errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ class Alignment:
 
 
 def fit_alignment(source: Float, target: Float, weights: Float) -> Alignment:
-    """Fit the alignment of source to target points ``(n, 3)`` with weights ``(n,)``."""
+    """Fit the alignment from source points ``(n, 3)`` to target points ``(n, 3)``, with weights ``(n,)``."""
     if not weights.sum() > 0:
         raise InvalidSequenceError(
             "where the target corresponds to the source it has no area at rest; give a target with triangles that "
@@ -149,7 +149,7 @@ def fit_alignment(source: Float, target: Float, weights: Float) -> Alignment:
 
 
 def _quarter_turns() -> list[Float]:
-    """Return the 24 rotations of the axes onto themselves."""
+    """Return the 24 rotations that map the coordinate axes onto each other."""
     matrices = [
         np.array(signs)[:, None] * np.eye(3)[list(order)]
         for order in permutations(range(3))

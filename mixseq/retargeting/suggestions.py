@@ -1,29 +1,29 @@
 r"""Suggest markers of two meshes in the same pose by their extremities, and examine markers while they are set.
 
-*Distances* along a surface are those of a coarse copy: the decimated largest component, centred, with unit area, so
-that lengths on two meshes are comparable. Paths follow edges, and cross hinges: straight from one opposite vertex to
-the other, with both faces unfolded into a plane. With edges alone, distances would be up to an eighth longer.
+*Distances* along a surface are measured on a coarse copy: the decimated largest component, centred, with unit area, so
+that lengths on two meshes are comparable. Paths follow edges, or cross a hinge between its opposite vertices on a
+straight line in the unfolded faces. With edges alone, distances would be up to an eighth longer.
 
-*Extremities* (tips of limbs, tail, nose and ears) are the maxima of the mean distance along the surface to all of it
-(Hilaga et al. 2001), which is least in the trunk, in any pose. The *prominence* of a tip, as of a summit, is the least
-descent on the way to a higher one (0-dimensional persistence; Edelsbrunner, Letscher and Zomorodian 2002). Its
-surroundings have a heat kernel signature (Sun, Ovsjanikov and Guibas 2009),
+*Extremities* (tips of limbs, tail, nose and ears) are maxima of the mean distance along the surface to all vertices
+(Hilaga et al. 2001), which is smallest in the trunk, in any pose. The *prominence* of a maximum is the least descent on
+a path to a higher maximum (0-dimensional persistence; Edelsbrunner, Letscher and Zomorodian 2002). The surroundings
+of an extremity are described by the heat kernel signature (Sun, Ovsjanikov and Guibas 2009),
 
 .. math:: h_t(v) = \sum_{i \ge 1} e^{-2 t \lambda_i} \phi_i(v)^2 .
 
-*Matching.* First the prominent extremities: limbs, tail, head. All pairs of triples of both bodies are tried. Each
-gives a proper similarity from one body to the other, and the cost of every pair,
+*Matching* starts with the prominent extremities: limbs, tail, head. All pairs of triples of both bodies are tried. Each
+pair of triples determines a proper similarity S between the bodies, and the cost of matching i with j,
 
 .. math:: c_{ij} = \|S x_i - y_j\| + \tfrac13 \sum_{k=1}^3 |d_{i\,i_k} - d_{j\,j_k}| ,
 
-the distance of the points, and the differences of their distances along the surface to the triples, in roots of the
-area. The cost of the best assignment (Kuhn 1955) is taken with the similarity of all its pairs and all their distances.
-A left-right exchange keeps distances, but needs a reflection, which a proper similarity excludes. The *margin* of a
-pair is the additional cost of the best matching without it. Then less prominent extremities, such as ears, are matched
-in the same way, guided by the pairs found.
+the distance of the points plus the mean difference of their surface distances to the triples, in roots of the area. The
+best assignment (Kuhn 1955) gets a new cost, from the similarity and the surface distances of all its pairs. A
+left-right exchange preserves distances but needs a reflection, which a proper similarity excludes. The *margin* of a
+pair is the additional cost of the best matching without this pair. Then less prominent extremities, such as ears, are
+matched with similar costs, guided by the matched pairs.
 
-*Examination* of markers: their consistency, and a correspondence that is found in a second, by `correspond` between
-decimated meshes with a stiff registration. It cannot reach inconsistent markers, whose distances are their residuals.
+*Examination* checks the consistency of markers, and finds a correspondence of decimated meshes within a second. Its
+registration is stiff and does not reach inconsistent markers; the distances that remain are the residuals.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ COARSE_VERTEX_COUNT = 2500  # number of vertices of coarse surfaces; the ears of
 class CoarseSurface:
     """The decimated largest component of a mesh, with unit area."""
 
-    vertices: Index  # (n,) their vertices in the mesh
-    mesh: TriangleMesh  # the surface, centred, with unit area
-    centre: Float  # (3,) its origin in the mesh
-    size: float  # its unit in units of the mesh
+    vertices: Index  # (n,) ids of the surface's vertices in the mesh
+    mesh: TriangleMesh  # surface, centred, with unit area
+    centre: Float  # (3,) origin of the surface, in coordinates of the mesh
+    size: float  # unit of the surface, in units of the mesh
 
     @classmethod
     def from_mesh(cls, points: FloatArray, topology: Topology, count: int = COARSE_VERTEX_COUNT) -> CoarseSurface:
-        """Decimate the component of points ``(V, 3)`` with the largest area."""
+        """Decimate the component with the largest area to `count` vertices: points ``(V, 3)`` of the mesh."""
         x = np.asarray(points, np.float64)
         areas = TriangleMesh(x, topology).face_areas
         if not areas.sum() > 0:
@@ -89,7 +89,7 @@ class CoarseSurface:
         return self.mesh.points
 
     def distances(self, vertices: Index) -> Float:
-        """Return distances ``(k, n)`` along the surface from vertices ``(k,)`` to all."""
+        """Return distances ``(k, n)`` along the surface from vertices ``(k,)`` to all vertices."""
         return np.asarray(csgraph.dijkstra(self._graph, directed=False, indices=vertices))
 
     @cached_property
@@ -99,7 +99,7 @@ class CoarseSurface:
         directions = x[b] - x[a]
         edge_lengths = np.linalg.norm(directions, axis=1)
         directions = directions / np.maximum(edge_lengths, np.finfo(float).tiny)[:, None]
-        # Coordinates of both opposite vertices in the plane of the unfolded hinge, along its edge and across.
+        # Coordinates of both opposite vertices in the unfolded hinge, along and across its edge.
         at_c, at_d = (np.einsum("hi,hi->h", x[opposite] - x[a], directions) for opposite in (c, d))
         height_c, height_d = (
             np.linalg.norm(x[opposite] - x[a] - position[:, None] * directions, axis=1)
@@ -113,28 +113,28 @@ class CoarseSurface:
         lengths = np.maximum(lengths, 1e-12)  # csgraph ignores stored zeros
         edges.sort(axis=1)
         order = np.lexsort((lengths, edges[:, 1], edges[:, 0]))
-        edges, first = np.unique(edges[order], axis=0, return_index=True)  # the shorter of two paths
+        edges, first = np.unique(edges[order], axis=0, return_index=True)  # keep the shorter of two equal edges
         return sparse.csr_array((lengths[order][first], (edges[:, 0], edges[:, 1])), shape=2 * (len(x),))
 
 
-DISTANCE_SAMPLES = 100  # number of samples of the mean distance
+DISTANCE_SAMPLES = 100  # number of sample vertices for the mean distance
 MIN_PROMINENCE = 0.004  # smallest prominence of an extremity, in roots of the area; ears have 0.006 to 0.05
-HEAT_TIMES = np.geomspace(0.002, 0.1, 6)  # of signatures, in units of the area: from ears to limbs
-EXTREMITY_FALL = 0.01  # decrease of the mean distance within an extremity, in roots of the area
-MAX_EXTREMITY_RADIUS = 0.25  # in roots of the area
-SIGNATURE_EIGENVECTORS = 80  # number of eigenvectors; others have decayed at the first time
+HEAT_TIMES = np.geomspace(0.002, 0.1, 6)  # times of signatures, in units of the area; for sizes from ears to limbs
+EXTREMITY_FALL = 0.01  # largest decrease of the mean distance within an extremity, in roots of the area
+MAX_EXTREMITY_RADIUS = 0.25  # largest radius of an extremity, in roots of the area
+SIGNATURE_EIGENVECTORS = 80  # number of eigenvectors; higher ones have decayed at the first time
 
 
 @dataclass(frozen=True, eq=False)
 class Extremities:
     """Extremities of a surface, the most prominent first; lengths are in roots of the area."""
 
-    vertices: Index  # (e,) their vertices in the mesh
-    points: Float  # (e, 3) their points on the coarse surface
-    prominences: Float  # (e,) their prominences
-    radii: Float  # (e,) radii of nearly equal mean distance: 0.02 to 0.07 for hooves, more for round heads
-    distances: Float  # (e, e) distances between them along the surface
-    signatures: Float  # (e, 6) logarithms of their heat kernel signatures
+    vertices: Index  # (e,) vertices of the mesh at the extremities
+    points: Float  # (e, 3) positions on the coarse surface
+    prominences: Float  # (e,) prominences of the extremities
+    radii: Float  # (e,) radii of regions of nearly equal mean distance: 0.02 to 0.07 for hooves, more for round heads
+    distances: Float  # (e, e) distances between extremities along the surface
+    signatures: Float  # (e, 6) logarithms of heat kernel signatures
 
     @classmethod
     def from_surface(cls, surface: CoarseSurface) -> Extremities:
@@ -167,7 +167,7 @@ def sample_far_apart(surface: CoarseSurface, count: int) -> tuple[Index, Float]:
 
 
 def mean_surface_distances(surface: CoarseSurface) -> Float:
-    """Return the mean distances ``(n,)`` of the vertices along a surface to all of it."""
+    """Return the mean distance ``(n,)`` along a surface from every vertex to all vertices."""
     distances = sample_far_apart(surface, DISTANCE_SAMPLES)[1]
     areas = np.bincount(distances.argmin(axis=0), surface.mesh.vertex_areas, len(distances))
     return np.asarray(areas @ distances / areas.sum())
@@ -176,7 +176,7 @@ def mean_surface_distances(surface: CoarseSurface) -> Float:
 def find_maxima(values: Float, surface: CoarseSurface) -> tuple[Index, Float]:
     """Find the maxima ``(m,)`` of values ``(n,)`` on a surface, with their prominences ``(m,)``."""
     adjacency = surface.mesh.topology.vertex_adjacency.tocsr()
-    peak_of_vertex = np.full(len(values), -1)  # highest vertex of its component, while the level falls
+    peak_of_vertex = np.full(len(values), -1)  # highest vertex of the component above the current level
     members_of_peak: dict[int, list[int]] = {}
     maxima: list[tuple[int, float]] = []
     for vertex in np.argsort(-values, kind="stable").tolist():
@@ -196,30 +196,30 @@ def find_maxima(values: Float, surface: CoarseSurface) -> tuple[Index, Float]:
     return np.array([vertex for vertex, _ in maxima]), np.array([prominence for _, prominence in maxima])
 
 
-MIN_LIMB_PROMINENCE = 0.1  # of limbs, tail and head; tested bodies have 0.15 and more, ears up to 0.06
+MIN_LIMB_PROMINENCE = 0.1  # smallest prominence of limbs, tail and head; tests have at least 0.15, and ears up to 0.06
 MAX_MATCHED_EXTREMITIES = 8  # largest number of prominent extremities; all of their triples are tried
 UNMATCHED_COST = 0.5  # cost of an unmatched extremity
 MAX_TRIPLE_DISTANCE_DIFFERENCE = 0.5  # largest difference of distances between two matched triples
 MIN_SURE_MARGIN = 0.1  # smallest margin of a suggested pair
 MAX_MEAN_PAIR_COST = 0.4  # largest mean cost of the pairs of two similar bodies; horse and camel have 0.26
 MAX_MINOR_PAIR_COST = 0.18  # largest cost of a less prominent pair
-MIN_NEXT_COST_RATIO = 1.25  # of the next best partner of a less prominent pair
-MAX_SHARP_RADIUS = 0.08  # largest radius of a suggested extremity; the tip of others is not well defined
+MIN_NEXT_COST_RATIO = 1.25  # smallest ratio of the next best cost to the cost of a less prominent pair
+MAX_SHARP_RADIUS = 0.08  # largest radius of a suggested extremity; blunter ones have no well-defined tip
 GUIDANCE_RADIUS = 0.3  # distance over which prominent extremities guide less prominent ones
 SIGNATURE_WEIGHT = 0.2  # weight of signature differences in costs
 
 
 Matching = tuple[tuple[int, int], ...]
-"""Matched pairs of extremities of two bodies."""
+"""Matched extremities of two bodies, as ids of each body."""
 
 
 @dataclass(frozen=True)
 class ExtremityPair:
     """A matched pair of extremities."""
 
-    first: int  # extremity of the first body
-    second: int  # extremity of the second body
-    margin: float  # additional cost of the best matching without the pair
+    first: int  # id of an extremity of the first body
+    second: int  # id of an extremity of the second body
+    margin: float  # additional cost of the best matching without this pair
 
 
 def match_extremities(first: Extremities, second: Extremities) -> list[ExtremityPair]:
@@ -232,7 +232,7 @@ def match_extremities(first: Extremities, second: Extremities) -> list[Extremity
 
 
 def _match_prominent(first: Extremities, second: Extremities) -> list[ExtremityPair]:
-    """Match prominent extremities, the pairs of largest margin first."""
+    """Match prominent extremities, and return the pairs by decreasing margin."""
     first_ids, second_ids = (
         np.flatnonzero(body.prominences >= MIN_LIMB_PROMINENCE)[:MAX_MATCHED_EXTREMITIES] for body in (first, second)
     )
@@ -261,7 +261,7 @@ def _match_prominent(first: Extremities, second: Extremities) -> list[ExtremityP
 def _match_from_triples(
     first: Extremities, second: Extremities, ids: tuple[Index, Index], triples: tuple[Index, Index]
 ) -> Matching | None:
-    """Return the matching of extremities that is guided by two triples; None if these are not similar."""
+    """Return the matching of extremities guided by a triple of each body, or None if the triples are not similar."""
     from scipy.optimize import linear_sum_assignment
 
     (first_ids, second_ids), (a, b) = ids, triples
@@ -270,7 +270,7 @@ def _match_from_triples(
         return None
     try:
         mapped = fit_similarity(first.points[a], second.points[b])(first.points[first_ids])
-    except SettingsError:  # opposite orientations
+    except SettingsError:  # the triples have opposite orientations
         return None
     point_distances = np.linalg.norm(mapped[:, None] - second.points[second_ids], axis=2)
     costs = point_distances + _distance_differences(first, second, ids, triples)
@@ -281,14 +281,14 @@ def _match_from_triples(
 def _distance_differences(
     first: Extremities, second: Extremities, ids: tuple[Index, Index], references: tuple[Index, Index]
 ) -> Float:
-    """Return mean differences ``(n, m)`` of distances to matched references, of all pairs of extremities."""
+    """Return the mean difference ``(n, m)`` of distances to matched references for every pair of extremities."""
     to_references = first.distances[np.ix_(ids[0], references[0])]
     differences = to_references[:, None] - second.distances[np.ix_(ids[1], references[1])]
     return np.asarray(np.abs(differences).mean(axis=2))
 
 
 def _matching_cost(first: Extremities, second: Extremities, pairs: Matching) -> float:
-    """Return the total cost of matched pairs; infinite if their orientations are opposite."""
+    """Return the total cost of matched pairs; infinite if the pairs need a reflection."""
     a, b = np.array(pairs).T
     try:
         mapped = fit_similarity(first.points[a], second.points[b])(first.points[a])
@@ -299,7 +299,7 @@ def _matching_cost(first: Extremities, second: Extremities, pairs: Matching) -> 
 
 
 def _match_minor(first: Extremities, second: Extremities, pairs: list[ExtremityPair]) -> list[ExtremityPair]:
-    """Match less prominent extremities that are clearly each other's best partners."""
+    """Match the remaining extremities that are each other's best partners by a clear margin."""
     a, b = np.array([(pair.first, pair.second) for pair in pairs]).T
     first_rest = np.setdiff1d(np.arange(len(first.points)), a)
     second_rest = np.setdiff1d(np.arange(len(second.points)), b)
@@ -325,14 +325,14 @@ def _match_minor(first: Extremities, second: Extremities, pairs: list[ExtremityP
 
 
 def _guided_positions(first: Extremities, similarity: Similarity, paired_ids: Index, goals: Float) -> Float:
-    """Map all extremities ``(e, 3)`` by a similarity, and correct them by its residuals at nearby pairs."""
+    """Map all extremities ``(e, 3)`` by a similarity, and add its weighted mean residual at nearby pairs."""
     mapped = similarity(first.points)
     weights = np.exp(-((first.distances[:, paired_ids] / GUIDANCE_RADIUS) ** 2)) + 1e-6
     return np.asarray(mapped + weights @ (goals - mapped[paired_ids]) / weights.sum(axis=1, keepdims=True))
 
 
 MIN_EXAMINED_MARKERS = 10  # smallest number of markers for a registration with meaningful residuals
-TRIAL_VERTEX_COUNT = 1200  # number of vertices of the decimated meshes of an examination
+TRIAL_VERTEX_COUNT = 1200  # number of vertices of the decimated meshes in an examination
 STIFF_SETTINGS = CorrespondenceSettings(RegistrationSettings(softest=1e-2, steps=5))
 
 
@@ -340,19 +340,19 @@ STIFF_SETTINGS = CorrespondenceSettings(RegistrationSettings(softest=1e-2, steps
 class Examination:
     """Results of `examine_markers`."""
 
-    suspicions: tuple[Suspicion, ...] = ()  # markers inconsistent with the others
+    suspicions: tuple[Suspicion, ...] = ()  # markers inconsistent with the remaining markers
     residuals: Float | None = None  # (n,) distances of a stiff registration from the markers, in diagonals
     coverage: float = 0.0  # share of the target's area that is covered by the registration
-    refusal: str = ""  # error of the registration; empty otherwise
+    refusal: str = ""  # error message of the registration; empty without an error
 
     @property
     def suspects(self) -> frozenset[int]:
-        """Ids of the suspicious markers."""
+        """Ids of all suspicious markers."""
         return frozenset(int(marker) for suspicion in self.suspicions for marker in suspicion.marker_ids)
 
 
 def examine_markers(source: MeshSequence, target: MeshSequence, markers: Markers) -> Examination:
-    """Examine the markers of two meshes in their first frames, and return problems instead of raising them."""
+    """Examine the markers of two meshes in their first frames; problems are returned, not raised as errors."""
     x, y = (np.asarray(sequence.points[0], np.float64) for sequence in (source, target))
     diagonal = float(np.linalg.norm(np.ptp(y, axis=0)))
     suspicions = tuple(find_suspicious_markers(markers, x[markers.source], y[markers.target], diagonal))
@@ -371,7 +371,7 @@ def examine_markers(source: MeshSequence, target: MeshSequence, markers: Markers
 
 
 def _decimate_mesh(points: Float, faces: IntArray, keep: Index) -> tuple[Index, MeshSequence]:
-    """Return the remaining vertices ``(n,)`` of a decimated mesh, and the mesh."""
+    """Decimate a mesh without removing the vertices `keep`; return the remaining vertices ``(n,)`` and the mesh."""
     vertex_ids, coarse_faces = decimate(points, faces.astype(np.int64), TRIAL_VERTEX_COUNT, keep)
     return vertex_ids, MeshSequence.from_arrays(points[None, vertex_ids], coarse_faces)
 
@@ -385,17 +385,17 @@ def suggest_markers(source: MeshSequence, target: MeshSequence, rest: int = 0) -
     Parameters
     ----------
     source : MeshSequence
-        The mesh that moves.
+        Mesh whose motion is transferred.
     target : MeshSequence
-        The mesh to be moved; its first frame is used.
+        Mesh that receives the motion; its first frame is used.
     rest : int
-        Frame of the source in a pose like the target's.
+        Frame of the source with a pose like the target's.
 
     Returns
     -------
     Markers
-        Pairs of vertices: first limbs, tail and head, then others, both by decreasing certainty. There are none for
-        bodies without limbs, and for very different bodies.
+        Pairs of vertices: first limbs, tail and head, then smaller extremities, each by decreasing certainty. The
+        result is empty for bodies without limbs, and for very different bodies.
 
     Raises
     ------

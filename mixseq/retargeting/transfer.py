@@ -30,7 +30,7 @@ from mixseq.types import Float, FloatArray
 
 
 class TransferMethod(Protocol):
-    """A method of transfer, prepared for two meshes at rest."""
+    """Transfer method that is prepared for two meshes at rest."""
 
     @property
     def parts(self) -> PartCorrespondence | None:
@@ -42,7 +42,7 @@ class TransferMethod(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class TransferSettings:
-    """Settings of `transfer`, which documents them; `rest` and `parts` are those of a source to be prepared."""
+    """Settings documented in `transfer`; `rest` and `parts` only apply to sources that are not yet prepared."""
 
     markers: Markers | ArrayLike | None = None
     mapping: Correspondence | Callable[[RestMesh, RestMesh], Correspondence] | None = None
@@ -68,21 +68,21 @@ class TransferSettings:
 class Transfer:
     """A prepared transfer, from `plan_transfer`."""
 
-    header: SequenceHeader  # header of the result: the target's mesh, at the source's times
+    header: SequenceHeader  # header of the result, with the target's mesh and the source's times
     source: SourceMotion  # frames and rest shape of the source
-    target: Float  # (V', 3) the target at rest
-    correspondence: Correspondence  # source point of every target vertex
-    method: TransferMethod  # method that makes the frames
+    target: Float  # (V', 3) points of the target at rest
+    correspondence: Correspondence  # correspondence of source and target
+    method: TransferMethod  # method that transfers frames
     quality: CorrespondenceQuality | None = None  # quality of a correspondence from markers
-    planted: PlantedTransfer | None = None  # poses without sliding contacts, if there are contacts
+    planted: PlantedTransfer | None = None  # transfer with footskate cleanup, if there are contacts
 
     @property
     def contacts(self) -> ContactReport:
-        """Report on the contacts."""
+        """Report on the contacts; empty without contacts."""
         return ContactReport() if self.planted is None else self.planted.report
 
     def blocks(self, progress: Progress = no_progress, workers: Executor | None = None) -> Iterator[Float]:
-        """Yield the target's points in blocks ``(B, V', 3)``, from the first frame to the last."""
+        """Yield the target's points in blocks ``(B, V', 3)`` of successive frames."""
         done_count, frame_count, run = 0, len(self.source.points), workers or thread_executor()
         size = block_size(max(self.source.header.vertex_count, self.header.vertex_count))
         slices = [slice(start, start + size) for start in range(0, frame_count, size)]
@@ -119,7 +119,7 @@ def plan_transfer(
     progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> Transfer:
-    """Prepare a transfer to a target without making frames; raises what `transfer` raises."""
+    """Prepare a transfer to a target without computing its frames; raises the same errors as `transfer`."""
     settings = settings or TransferSettings()
     check_frames(target)
     with one_blas_thread():
@@ -145,7 +145,7 @@ def plan_transfer(
 def _find_correspondence(
     source: SourceMotion, rest: Float, header: SequenceHeader, settings: TransferSettings, progress: Progress
 ) -> tuple[Correspondence, CorrespondenceQuality | None]:
-    """Return the correspondence of a target ``(V', 3)`` by map, markers or connectivity, and the quality by markers."""
+    """Find a target's correspondence by map, markers or connectivity: rest ``(V', 3)``; quality only for markers."""
     sizes = tuple((mesh.vertex_count, len(mesh.faces)) for mesh in (source.header, header))
     mapping, markers = settings.mapping, settings.markers
     if mapping is not None:
@@ -185,37 +185,37 @@ def transfer(
     progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> MeshSequence:
-    """Move a mesh as another one moves.
+    """Transfer the motion of a source mesh to a target mesh.
 
-    A path does for the source, the target, markers, the map, the rest, contacts and labels of parts.
+    File paths are accepted for the source, the target, markers, the map, the rest, contacts and labels of parts.
 
     Parameters
     ----------
     source : MeshSequence, SequenceReader or Model
-        The motion. Of a model, its frames; and its parts, if its space is the mixed one.
+        The motion. A model provides its frames, and also its parts if its shape space is mixed.
     target : MeshSequence
-        The mesh to move, in its first frame, in a pose like the source's at rest. With the triangles of the source,
-        nothing else is needed.
+        Mesh that receives the motion. Its first frame has a pose like the source at rest. Markers or a map are needed
+        unless it has the triangles of the source.
     markers : Markers or (n, 2) int, optional
-        Pairs of corresponding vertices, one of the source and one of the target; see `mixseq.correspond`.
+        Pairs of a source vertex and the corresponding target vertex; see `mixseq.correspond`.
     mapping : Correspondence or callable, optional
-        A dense correspondence, or a function that makes one of both meshes at rest (points and triangles), instead of
-        markers.
+        Dense correspondence to use instead of markers, or a function that returns it for source and target at rest
+        (each as points and triangles).
     method : {"mixed", "gradients"}
         Parts, joints and poses (S_m, the default), or deformation gradients (S_f; Sumner and Popović 2004).
     rest : int or MeshSequence
-        The frame in which the source is at rest, or the source's mesh at rest (its first frame), in any size.
+        Frame in which the source is at rest, or the source's mesh at rest (in its first frame), in any size.
     contacts : mapping of str to (k,) int, optional
-        S_m: vertices of the target that touch the ground together, by the name of each contact. They do not slide
-        while the corresponding points of the source rest, and the travel of the body scales with its legs.
+        S_m: for the name of each contact, target vertices that touch the ground together. Contacts do not slide while
+        the corresponding source points rest on the ground; the travel of the body scales with the target's legs.
     parts : int or (F,) int, optional
-        S_m: number of parts, or the part of every triangle of the source; found from the motion if not given.
+        S_m: number of parts, or the part of every source triangle. By default parts are found from the motion.
     joint_width : int
         S_m: largest width of joints, in strips of triangles on each side of a boundary.
     shell : ShellSettings, optional
         S_m: settings of the joint solves.
     progress : callable, optional
-        Called for every stage.
+        Called with the progress of every stage.
     workers : Executor, optional
         Executor for blocks of frames, see `mixseq.runtime.parallel`; by default one thread per core.
 
@@ -227,9 +227,9 @@ def transfer(
     Raises
     ------
     SettingsError
-        If a setting is out of range, or the correspondence is missing, given twice, or of other meshes.
+        If a setting is out of range, or the correspondence is missing, given twice, or for other meshes.
     InvalidSequenceError
-        If a sequence is none, or the rest has another mesh; or a mesh has no size or no area where they correspond.
+        If an argument is not a sequence, the rest has another mesh, or corresponding regions have no size or no area.
     SegmentationError
         If given parts do not fit the source.
 

@@ -1,5 +1,5 @@
 """Skins and morph targets fitted to sequences, for game engines.
 
-`rigs` has the rigs, `bones` skinning weights, `bone_tree` joints and motions, `decomposition` whole skins, `fitting`
-the functions `fit_skin` and `fit_morph`, `low_rank` parts of few basis vectors.
+Modules: `rigs` (data types of rigs), `bones` (skinning weights), `bone_tree` (joints and motions), `decomposition`
+(fits of whole skins), `fitting` (`fit_skin` and `fit_morph`), `low_rank` (parts as sums of few basis vectors).
 """

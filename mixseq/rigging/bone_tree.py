@@ -5,34 +5,34 @@ r"""Trees of bones with joints, and the motions of bones in a tree.
 .. math:: \sum_t |M_{ta} \tilde p - M_{tb} \tilde p|^2 + \mu T\, |p - p_0|^2 = \tilde p^T S_{ab}\, \tilde p + \dots,
           \quad S_{ab} = \sum_t (M_{ta} - M_{tb})^T (M_{ta} - M_{tb}),
 
-with :math:`\mu = 0.01`: a joint that never turns is at :math:`p_0`, the middle of the contact, and a hinge next to it
-on its axis. The minimum, :math:`g_{ab}`, is the separation of the joint (root mean square).
+with :math:`\mu = 0.01`. A joint that never rotates is at :math:`p_0`, the middle of the contact; a hinge is on its axis
+near :math:`p_0`. The minimum, :math:`g_{ab}`, is the separation of the joint (root mean square).
 
-*The tree* is the minimum spanning tree of separations; pairs without contact only connect components of the mesh. Its
-root is the bone of least mean depth, weighted by vertices: the trunk of an animal.
+*The tree* is the minimum spanning tree of separations; pairs without contact only connect components of the mesh. The
+root, such as an animal's trunk, minimises the mean depth of bones, weighted by their skinning weights.
 
-*Motions.* Given weights, they minimise :math:`\sum_v |x_t(v) - \sum_b w_{vb} M_{tb} \tilde r_v|^2` in every frame. The
-joint of bone b with its parent a is the point :math:`p_b` of the rest shape, and both take it to the same place:
-:math:`c_{tb} = M_{ta} \tilde p_b` and :math:`M_{tb} \tilde r = R_{tb} (r - p_b) + c_{tb}`. Roots have translations of
-their own, and so have *sliding* joints; free bones (Le and Deng 2012) are roots. With rows :math:`\rho_v` of all
-:math:`w_{vb} \tilde r_v` and the motions transposed and stacked to :math:`M_t`, the residual of a vertex is
-:math:`x_t(v) - M_t^T \rho_v`. It is minimised by coordinate descent, with closed solutions for
+*Motions* minimise :math:`\sum_v |x_t(v) - \sum_b w_{vb} M_{tb} \tilde r_v|^2` in every frame, for given weights. The
+joint of bone b with its parent a is the rest point :math:`p_b`, which both bones move to the same position:
+:math:`c_{tb} = M_{ta} \tilde p_b` and :math:`M_{tb} \tilde r = R_{tb} (r - p_b) + c_{tb}`. Roots and *sliding* joints
+have independent translations; free bones (Le and Deng 2012) are roots. With rows :math:`\rho_v` of all
+:math:`w_{vb} \tilde r_v`, and with the transposed motions stacked to :math:`M_t`, the residual of a vertex is
+:math:`x_t(v) - M_t^T \rho_v`. It is minimised by coordinate descent, with closed-form steps for the following unknowns.
 
-*Rotations.* Points follow :math:`R_{tb} u_v` with :math:`u_v = U_b \rho_v`: those of the bone, :math:`w_{vb}(r_v -
-p_b)`, and for each child c the joint, :math:`p_c - p_b`, times the weights of the subtree of c. The length of
-:math:`u_v` is constant, so the best rotation is the nearest to
+*Rotations* move a vertex by :math:`R_{tb} u_v` with the lever :math:`u_v = U_b \rho_v`. The lever is the sum of
+:math:`w_{vb}(r_v - p_b)` and, for each child c, of :math:`p_c - p_b` times the weights of the subtree of c. Its length
+is constant, so the best rotation is the nearest to
 :math:`\sum_v (x_t - M_t^T \rho_v + R_{tb} u_v)\, u_v^T`.
 
 *Translations* of roots and sliding joints move the subtree: :math:`\delta_t = \sum_v h_v (x_t - M_t^T \rho_v) / \sum_v
-h_v^2` with :math:`h_v = H_b \rho_v`, the sum of the weights of the subtree of b. Such bones turn about the point where
+h_v^2` with :math:`h_v = H_b \rho_v`, the sum of the weights of the subtree of b. Such bones rotate about the point with
 :math:`\sum_v h_v u_v = 0`, so that rotation and translation are independent.
 
-*Joints* may be fitted too: :math:`p_b + d` moves the subtree by :math:`(R_{ta} - R_{tb})\, d`, a linear least-squares
-problem in three unknowns.
+*Joints* may be fitted too. A shift of :math:`p_b` by d moves the subtree by :math:`(R_{ta} - R_{tb})\, d`, which is a
+linear least-squares problem in three unknowns.
 
 With the sums :math:`K_{bc} = \sum_v w_{vb} w_{vc} \tilde r_v \tilde r_v^T` and
 :math:`L_{tb} = \sum_v w_{vb} \tilde r_v x_t(v)^T` the cost of a sweep over the bones does not depend on the number of
-vertices. It updates :math:`E = L - K M`. The constants were chosen empirically.
+vertices. A sweep updates the residual :math:`E = L - K M`. The constants were chosen empirically.
 """
 
 from __future__ import annotations
@@ -48,22 +48,22 @@ from mixseq.rigging.bones import Binding
 from mixseq.types import Float, Index, Mask
 
 SWEEPS_PER_ROUND = 10  # number of sweeps over the bones in a fit of motions
-_ROTATION_STIFFNESS = 1e-9  # of the previous rotation, relative to its moment, for collinear points
-_PARENT_STIFFNESS = 1e-6  # of the parent's rotation, for given bones that hardly move
-_JOINT_STIFFNESS = 1e-2  # of the previous position, relative to turns by one radian in all frames
+_ROTATION_STIFFNESS = 1e-9  # weight of the previous rotation, relative to its moment, for collinear points
+_PARENT_STIFFNESS = 1e-6  # weight of the parent's rotation, for bones of a given skeleton that hardly move vertices
+_JOINT_STIFFNESS = 1e-2  # weight of the previous position, relative to rotations by one radian in all frames
 
 
 @dataclass(frozen=True, eq=False)
 class Joints:
     """Joints of bones with their parents."""
 
-    parents: Index  # (B,) parent of every bone, before its children; -1 for roots
+    parents: Index  # (B,) parent of every bone; parents precede their children, and roots have -1
     pivots: Float  # (B, 3) joints with the parents, or pivots of roots, in the rest shape
-    sliding: Mask  # (B,) whether the bone has translations of its own, as roots have
+    sliding: Mask  # (B,) bones with independent translations; includes all roots
 
     @classmethod
     def free(cls, count: int) -> Joints:
-        """Return roots that turn about the origin."""
+        """Return joints of roots without children, which rotate about the origin."""
         return cls(np.full(count, -1), np.zeros((count, 3)), np.ones(count, dtype=bool))
 
     def descendants(self) -> Mask:
@@ -81,7 +81,7 @@ class Joints:
 
 
 def attach_joints(motions: Float, joints: Joints) -> Float:
-    """Translate transposed motions ``(B, 4, 3T)`` to connect the joints that do not slide."""
+    """Translate bones to close all joints except sliding joints: transposed motions ``(B, 4, 3T)``."""
     attached = motions.copy()
     for bone, parent in enumerate(joints.parents.tolist()):
         if not joints.sliding[bone]:
@@ -110,7 +110,7 @@ def fit_motions(
 
 
 def _follow_parents(motions: Float, joints: Joints, idle: Index) -> Float:
-    """Replace the motions of idle bones by those of their parents."""
+    """Replace the motions of idle bones by the motions of their parents."""
     following = motions.copy()
     for bone in idle.tolist():
         following[bone] = following[joints.parents[bone]]
@@ -132,7 +132,7 @@ class _MotionFit:
         self.parent_stiffness = parent_stiffness
 
     def fit_rotations(self, bone: int) -> None:
-        """Fit the rotations of a bone, which move its subtree."""
+        """Fit the rotations of a bone, which move the bone and its subtree."""
         bone_count = len(self.motions)
         arms = np.zeros((3, bone_count, 4))
         arms[:, bone, :3], arms[:, bone, 3] = np.eye(3), -self.pivots[bone]
@@ -155,18 +155,18 @@ class _MotionFit:
         self._apply(lever, products, fitted - current)
 
     def fit_translations(self, bone: int) -> None:
-        """Fit the translations of a bone, which move its subtree."""
+        """Fit the translations of a bone, which move the bone and its subtree."""
         residual, weight = self.subtree_residual(bone)
         if weight > _ROTATION_STIFFNESS:
             lever = self._subtree_lever(bone)
             self._apply(lever[None], (self.products @ lever)[:, None], residual[None] / weight)
 
     def fit_joint(self, bone: int) -> None:
-        """Fit the position of a joint, which moves the subtree of its bone."""
+        """Fit the position of a joint; a shift of the joint moves the subtree of its bone."""
         residual, weight = self.subtree_residual(bone)
         if weight <= _ROTATION_STIFFNESS:
             return
-        # Transposed differences of the rotations of parent and bone.
+        # Transposed differences between the rotations of parent and bone.
         d = (self.motions[self.parents[bone], :3] - self.motions[bone, :3]).reshape(3, -1, 3)
         normal = weight * (np.einsum("ati,bti->ab", d, d) + _JOINT_STIFFNESS * d.shape[1] * np.eye(3))
         step = np.linalg.solve(normal, np.einsum("ati,ti->a", d, residual.reshape(-1, 3)))
@@ -175,12 +175,12 @@ class _MotionFit:
         self._apply(lever[None], (self.products @ lever)[:, None], (step @ d.reshape(3, -1))[None])
 
     def subtree_residual(self, bone: int) -> tuple[Float, float]:
-        """Return the summed residual ``(3T,)`` of the subtree of a bone, and its weight."""
+        """Return the residual ``(3T,)`` summed over the subtree of a bone, and the sum of h_v^2."""
         lever = self._subtree_lever(bone)
         return lever @ self.residual, float(lever @ self.products @ lever)
 
     def _rotation_centre(self, bone: int, lever: Float) -> Float:
-        """Return sum h_v u_v / sum h_v^2 ``(3,)``, for the lever U of the rotations of a bone."""
+        """Return sum h_v u_v / sum h_v^2 ``(3,)`` for the lever U of a bone's rotations."""
         products = self.products @ self._subtree_lever(bone)
         return lever @ products / max(float(self._subtree_lever(bone) @ products), _ROTATION_STIFFNESS)
 
@@ -195,12 +195,12 @@ class _MotionFit:
 
 
 _PIVOT_DAMPING = 1e-2
-_MIN_CONTACT_RATIO = 0.02  # smallest shared weight of bones in contact, relative to the lighter bone
-_NO_CONTACT_SEPARATION = 1.0  # separation that is added without contact, in diagonals
+_MIN_CONTACT_RATIO = 0.02  # smallest shared weight of two bones in contact, relative to the smaller weight of both
+_NO_CONTACT_SEPARATION = 1.0  # penalty added to the separation of bones without contact, in diagonals
 
 
 def build_bone_tree(faces: Index, binding: Binding, motions: Float) -> tuple[Index, Joints]:
-    """Find the tree of bones with motions ``(B, 4, 3T)``; return their order ``(B,)``, parents first, and joints."""
+    """Build a tree of bones with motions ``(B, 4, 3T)``; return the bones ``(B,)``, parents first, and the joints."""
     bone_count, frame_count = len(motions), motions.shape[2] // 3
     weights = _weight_matrix(binding, bone_count)
     masses = np.asarray(weights.sum(axis=0), dtype=np.float64).reshape(-1)
@@ -232,10 +232,10 @@ def _weight_matrix(binding: Binding, bone_count: int) -> sparse.csr_array:
 
 
 def _contacts(faces: Index, weights: sparse.csr_array, rest: Float, masses: Float) -> tuple[Mask, Float]:
-    """Return contacts ``(B, B)`` of bones, and their middles ``(B, B, 3)``, or centres of the lighter bones."""
+    """Return contacts ``(B, B)`` of bones, and contact middles ``(B, B, 3)`` (else the lighter bone's centre)."""
     corners = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     edges = sparse.csr_array((np.ones(len(corners)), corners.T), (len(rest), len(rest)))
-    ring_weights = weights + (edges + edges.T).minimum(1) @ weights  # with those of neighbours
+    ring_weights = weights + (edges + edges.T).minimum(1) @ weights  # weights of a vertex and its neighbours
     shared = np.asarray((weights.T @ ring_weights).todense())
     moments = [weights.T @ (ring_weights * rest[:, [axis]]) for axis in range(3)]
     middles = np.stack([np.asarray(moment.todense()) for moment in moments], axis=2)
@@ -249,7 +249,7 @@ def _contacts(faces: Index, weights: sparse.csr_array, rest: Float, masses: Floa
 
 
 def _order_from_root(links: sparse.csr_array, masses: Float) -> tuple[Index, Index]:
-    """Return the bones ``(B,)`` of a tree, parents first, and the positions of their parents in that order."""
+    """Return the bones ``(B,)`` of a tree, parents first, and the position of each bone's parent in this order."""
     bone_count = len(masses)
 
     def order_from(root: int) -> tuple[Index, Index]:

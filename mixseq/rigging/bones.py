@@ -1,4 +1,4 @@
-r"""Skinning weights of vertices, rigid motions of bones, and the centred sequences to which they are fitted.
+r"""Skinning weights of vertices, rigid motions of bones, and the centred sequences to which both are fitted.
 
 With homogeneous rest positions :math:`\tilde r_v = (r_v, 1)`, motions :math:`M_{tb} = (R_{tb}, T_{tb})` ``(3, 4)`` and
 :math:`h_{bc} = \sum_t (M_{tb} \tilde r_v - x_t) \cdot (M_{tc} \tilde r_v - x_t)`, the squared error of vertex v is
@@ -6,18 +6,18 @@ With homogeneous rest positions :math:`\tilde r_v = (r_v, 1)`, motions :math:`M_
 .. math:: \sum_t \Bigl| \sum_b w_b M_{tb} \tilde r_v - x_t \Bigr|^2 = w^T h\, w
           \quad \text{where} \quad \sum_b w_b = 1.
 
-It is minimised under :math:`w \ge 0` by an active set (Lawson and Hanson 1974). While there are more than four bones,
-the one of least loss is removed, and the others are fitted again; Le and Deng (2012) keep the four of largest weight.
-Candidates are the twelve bones with the smallest errors alone, and the current bones of the vertex. h needs only sums
-over the frames
+This error is minimised under :math:`w \ge 0` by an active set (Lawson and Hanson 1974). While a vertex has more than
+four bones, the bone whose removal increases the error least is removed, and the weights are fitted again. Le and Deng
+(2012) keep the four bones of largest weight instead. Candidates are the current bones of the vertex, and the twelve
+bones with the smallest errors as single bones. The form h needs only the sums over the frames
 
 .. math:: Q_{bc} = \sum_t M_{tb}^T M_{tc}, \quad g_b = \sum_t M_{tb}^T x_t, \quad s = \sum_t |x_t|^2, \qquad
           h_{bc} = \tilde r^T Q_{bc} \tilde r - (g_b + g_c) \cdot \tilde r + s .
 
-Given weights, the rest position that minimises the same error solves three equations with the same sums.
+For given weights, the best rest position solves three linear equations with the same sums.
 
-Motions are stored transposed, ``(4, 3)``, next to those of all frames: ``(B, 4, 3T)``. Sequences are centred in every
-frame, and in diagonals.
+The motions ``(4, 3)`` of all frames are stored transposed and side by side: ``(B, 4, 3T)``. Sequences are centred in
+every frame, in units of the diagonal.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, bounding_diagonal, load_frames
 from mixseq.types import Float, Index
 
-MAX_ACTIVE_SET_ROUNDS = 60  # each adds a bone
+MAX_ACTIVE_SET_ROUNDS = 60  # largest number of rounds, each of which adds a bone
 MIN_RELATIVE_GAIN = 1e-12  # smallest decrease of the error by a bone, relative to the squared positions
-NEAREST_CANDIDATES = 12  # bones that are tried besides the current ones
-RELATIVE_DAMPING = 1e-14  # of the diagonal: bones of the same motion share a weight
+NEAREST_CANDIDATES = 12  # number of bones that are tried besides the current bones
+RELATIVE_DAMPING = 1e-14  # relative damping of the diagonal, so that bones of equal motion share the weight
 REST_STIFFNESS = 1e-6  # weight of the previous rest position, relative to one frame
 
 
 @compiled
 def cholesky_solve(a: Float, b: Float, n: int) -> None:
-    """Solve a symmetric positive definite system by its Cholesky factor, in place; b becomes the solution."""
+    """Solve the symmetric positive definite n x n system a x = b in place by a Cholesky factor; b becomes x."""
     for j in range(n):
         for i in range(j, n):
             s = a[i, j]
@@ -70,10 +70,10 @@ def cholesky_solve(a: Float, b: Float, n: int) -> None:
 
 @compiled
 def _minimise_affine(h: Float, bones: Index, n: int, scale: float, a: Float, z: Float) -> None:
-    """Minimise z^T h z over given bones with sum one and any signs: h z is constant."""
+    """Minimise z^T h z for weights z of given bones with sum one and any signs; h z is constant at the minimum."""
     for i in range(n):
         for j in range(n):
-            # With sum one, a constant added to h does not change the minimum; it keeps h regular.
+            # A constant added to h keeps h regular; it does not change the minimum, since z has sum one.
             a[i, j] = h[bones[i], bones[j]] + scale
         a[i, i] += RELATIVE_DAMPING * scale
         z[i] = 1.0
@@ -87,7 +87,7 @@ def _minimise_affine(h: Float, bones: Index, n: int, scale: float, a: Float, z: 
 
 @compiled
 def _minimise_convex(h: Float, bones: Index, n: int, w: Float, scale: float, a: Float, z: Float) -> int:
-    """Minimise over given bones with sum one and w >= 0, from feasible w; return the number of remaining bones."""
+    """Minimise w^T h w for w >= 0 with sum one, from feasible w; return the number of bones with w > 0."""
     while True:
         _minimise_affine(h, bones, n, scale, a, z)
         step, removed = 1.0, -1
@@ -122,7 +122,7 @@ def _squared_error(h: Float, bones: Index, n: int, w: Float) -> float:
 def _active_set(
     h: Float, scale: float, candidates: Index, bones: Index, w: Float, n: int, limit: int, a: Float, z: Float
 ) -> int:
-    """Minimise by Lawson and Hanson's active set on the simplex, from feasible w, with at most `limit` bones."""
+    """Minimise by Lawson and Hanson's active set, from feasible w; return the number of bones, at most `limit`."""
     for _ in range(MAX_ACTIVE_SET_ROUNDS):
         if n == limit:
             break
@@ -147,7 +147,7 @@ def _active_set(
 
 @compiled
 def _remove_least_bones(h: Float, scale: float, bones: Index, w: Float, limit: int, n: int, a: Float, z: Float) -> int:
-    """Remove bones of least loss until at most `limit` remain."""
+    """Remove the bones whose removal increases the error least, until `limit` remain; return their number."""
     rest, trial, best_weights = np.empty_like(bones), np.empty_like(w), np.empty_like(w)
     best_bones = np.empty_like(bones)
     while n > limit:
@@ -189,7 +189,7 @@ def _homogeneous_form(p: Float, x: float, y: float, z: float) -> float:
 
 @compiled
 def _choose_candidates(errors: Float, influences: Index, weights: Float, candidates: Index) -> int:
-    """Choose the bones of smallest errors, the best first, and the current ones; return their number."""
+    """Choose the bones of smallest errors, the best first, then the current bones; return the number of candidates."""
     n = 0
     for _ in range(min(NEAREST_CANDIDATES, len(errors))):
         best = -1
@@ -223,10 +223,10 @@ def fit_vertices(
     weights: Float,
     errors: Float,
 ) -> None:
-    """Fit skinning weights, and rest positions ``(V, 3)`` if `free_rest`, in place.
+    """Fit skinning weights in place, and also rest positions ``(V, 3)`` if `free_rest`.
 
     Sums over the T `frames`: `squares` ``(V,)`` of |x_t|^2, `products` ``(B, B, 4, 4)`` of M_tb^T M_tc, `projections`
-    ``(V, B, 4)`` of M_tb^T x_t. Initial and final `influences`, `weights` ``(V, 4)``; squared `errors` ``(V,)``.
+    ``(V, B, 4)`` of M_tb^T x_t. Updated in place: `influences`, `weights` ``(V, 4)``, squared `errors` ``(V,)``.
     """
     bone_count, max_count = products.shape[0], influences.shape[1]
     h, a, z = np.empty((bone_count, bone_count)), np.empty((bone_count, bone_count)), np.empty(bone_count)
@@ -251,7 +251,7 @@ def fit_vertices(
         selected[0], w[0] = candidates[0], 1.0
         count = _active_set(h, scale, candidates[:n_candidates], selected, w, 1, bone_count, a, z)
         count = _remove_least_bones(h, scale, selected, w, max_count, count, a, z)
-        # A second start from the previous weights: errors never increase.
+        # A second start from the previous weights ensures that errors never increase.
         m = 0
         for i in range(max_count):
             if weights[v, i] > 0.0:
@@ -269,7 +269,7 @@ def fit_vertices(
             weights[v, i] = w[i] if i < count else 0.0
         errors[v] = max(_squared_error(h, selected, count, w), 0.0)
         if free_rest:
-            # Normal equations of sum_t |A_t r + b_t - x_t|^2, A_t and b_t the weighted means of the motions.
+            # Normal equations of sum_t |A_t r + b_t - x_t|^2; A_t and b_t are weighted means of the motions.
             for i in range(3):
                 for j in range(3):
                     a3 = 0.0
@@ -290,7 +290,7 @@ def fit_vertices(
                 rest[v, i] = right_side[i]
 
 
-MAX_CHUNK_ENTRIES = 1 << 21  # of projections in memory
+MAX_CHUNK_ENTRIES = 1 << 21  # largest number of entries of projections in memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,10 +298,10 @@ class Binding:
     """Rest positions and skinning weights."""
 
     rest: Float  # (V, 3) rest positions
-    influences: Index  # (V, 4) bones
-    weights: Float  # (V, 4) weights of the bones
-    errors: Float  # (V,) squared errors, summed over the frames, with the costs of weights
-    costs: Float | None = None  # (V, B) costs of weights of one; None for no costs
+    influences: Index  # (V, 4) bones of each vertex
+    weights: Float  # (V, 4) skinning weights of these bones
+    errors: Float  # (V,) squared errors, summed over the frames, plus the costs of weights
+    costs: Float | None = None  # (V, B) cost of a weight of one for each bone; None without costs
 
     def matrix(self, bone_count: int) -> sparse.csr_array:
         r"""Return the rows :math:`w_{vb} \tilde r_v` of all vertices as a matrix ``(V, 4 B)``."""
@@ -314,7 +314,7 @@ class Binding:
 
 
 def bind(tracks: Float, motions: Float, start: Binding, free_rest: bool = True) -> Binding:
-    """Fit skinning weights, and rest positions if they are free: tracks ``(V, 3T)``; motions ``(B, 4, 3T)``."""
+    """Fit skinning weights, and rest positions if `free_rest`: tracks ``(V, 3T)``; motions ``(B, 4, 3T)``."""
     bones, frames = len(motions), motions.shape[2] // 3
     flat = motions.reshape(4 * bones, -1)
     products = (flat @ flat.T).reshape(bones, 4, bones, 4).swapaxes(1, 2).copy()
@@ -329,7 +329,7 @@ def bind(tracks: Float, motions: Float, start: Binding, free_rest: bool = True) 
     for first in range(0, len(tracks), chunk_size):
         chunk = slice(first, first + chunk_size)
         projections = (tracks[chunk] @ flat.T).reshape(-1, bones, 4)
-        if start.costs is not None:  # adds c_b / 2 + c_c / 2 to h, and so w^T c to w^T h w
+        if start.costs is not None:  # add c_b / 2 + c_c / 2 to h, and thereby w^T c to w^T h w
             projections[..., 3] -= start.costs[chunk] / 2
         fit_vertices(
             binding.rest[chunk],
@@ -347,12 +347,12 @@ def bind(tracks: Float, motions: Float, start: Binding, free_rest: bool = True) 
 
 @dataclass(frozen=True, eq=False)
 class Centred:
-    """A sequence in memory, with the centres of its frames."""
+    """Sequence in memory, with the centres of its frames."""
 
     header: SequenceHeader  # mesh and times
     points: Float  # (T, V, 3) points in the file's units
     centres: Float  # (T, 3) mean point of every frame
-    diagonal: float  # diagonal of the first frame, or one
+    diagonal: float  # diagonal of the first frame, or one if the diagonal is zero
 
     @classmethod
     def from_sequence(cls, sequence: Frames) -> Centred:
@@ -372,7 +372,7 @@ class Centred:
         return np.ascontiguousarray(self.frames.swapaxes(0, 1).reshape(self.header.vertex_count, -1))
 
     def to_skin(self, binding: Binding, motions: Float, skeleton: Skeleton, origin: Float) -> Skin:
-        """Return a skin in the file's units: motions ``(B, 4, 3T)``; origin ``(3,)``."""
+        """Return a skin in the file's units: motions ``(B, 4, 3T)``; origin ``(3,)`` of the rest shape."""
         order = np.argsort(-binding.weights, axis=1, kind="stable")
         weights = np.take_along_axis(binding.weights, order, axis=1)
         influences = np.take_along_axis(binding.influences, order, axis=1)
@@ -401,27 +401,27 @@ def transpose_motion(rotations: Float, translations: Float) -> Float:
 
 
 def project_to_rotations(motions: Float) -> Float:
-    """Replace the matrices of transposed motions ``(B, 4, 3T)`` by the nearest rotations."""
+    """Replace the linear parts of transposed motions ``(B, 4, 3T)`` by the nearest rotations."""
     matrices = motions.reshape(len(motions), 4, -1, 3).transpose(0, 2, 3, 1)  # (B, T, 3, 4)
     bones = zip(nearest_rotations(matrices[..., :3]), matrices[..., 3], strict=True)
     return np.stack([transpose_motion(rotations, translations) for rotations, translations in bones])
 
 
 def fit_rigid_motion(tracks: Float, rest: Float, vertices: Index) -> Float:
-    """Fit a transposed rigid motion ``(4, 3T)`` to vertices."""
+    """Fit a transposed rigid motion ``(4, 3T)`` to given vertices: tracks ``(V, 3T)``; rest ``(V, 3)``."""
     positions = tracks[vertices].reshape(len(vertices), -1, 3).swapaxes(0, 1)
     return transpose_motion(*kabsch(rest[vertices], positions))
 
 
 def label_vertices(faces: Index, labels: Index, vertex_count: int) -> Index:
-    """Return the most frequent label ``(V,)`` of the triangles at a vertex, or the lowest of several; 0 without any."""
+    """Return the most frequent (then lowest) label ``(V,)`` of the triangles at every vertex; 0 without triangles."""
     votes = np.zeros((vertex_count, int(labels.max()) + 1), dtype=np.int64)
     np.add.at(votes, (faces.reshape(-1), np.repeat(labels, 3)), 1)
     return np.asarray(votes.argmax(axis=1), dtype=np.int64)
 
 
 def merge_bones(tracks: Float, labels: Index, count: int) -> Index:
-    """Merge labels ``(V,)`` of bones down to `count`, by the least increase of the error of common rigid motions."""
+    """Merge labels ``(V,)`` to `count` bones, first those whose common rigid motion increases the error least."""
     labels = np.unique(labels, return_inverse=True)[1]
     positions = tracks.reshape(len(tracks), -1, 3)
     bone_count = int(labels.max()) + 1
@@ -449,7 +449,7 @@ def merge_bones(tracks: Float, labels: Index, count: int) -> Index:
 
 
 def seed_bones(tracks: Float, binding: Binding, count: int, neighbour_count: int) -> Float:
-    """Return motions ``(n, 4, 3T)`` of new bones, fitted to the neighbours of vertices of largest error."""
+    """Return motions ``(n, 4, 3T)`` of new bones, fitted to the vertices with tracks nearest to a worst vertex."""
     errors = binding.errors.copy()
     motions = []
     for _ in range(count):

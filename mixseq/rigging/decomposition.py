@@ -1,21 +1,21 @@
-r"""Smooth skinning decomposition: weights, rest positions and motions of bones, fitted alternately.
+r"""Smooth skinning decomposition: fit weights, rest positions and motions of bones alternately.
 
 .. math:: \min \sum_{t, v} \Bigl| \sum_b w_{vb} \bigl( R_{tb} r_v + T_{tb} \bigr) - x_t(v) \Bigr|^2
 
-Le and Deng (2012) alternate weights (`mixseq.rigging.bones`) and motions (`mixseq.rigging.bone_tree`); rest
-positions, which they take from a frame, are fitted here too. Bones start as near-rigid parts instead of clusters of
+Le and Deng (2012) fit weights (`mixseq.rigging.bones`) and motions (`mixseq.rigging.bone_tree`) alternately. They take
+rest positions from a frame, which are fitted here too. Initial bones are near-rigid parts instead of clusters of
 vertices; further bones are seeded where the error is largest. Rounds are accelerated.
 
-*Without a skeleton* bones are free at first. Then they form a tree, with the fewest sliding joints that keep the error
-within a tenth of that of free bones: those of largest separation, weighted by their bones.
+*Without a skeleton* bones are free at first. Then they are connected to a tree with few sliding joints, whose error is
+at most a tenth larger than the error of free bones. Joints with the largest weighted separation slide.
 
 *With a skeleton* joints and bound mesh keep their rest positions. A vertex starts with the nearest bone in the bind
-pose. Bones are the segments from their joints to those of their children; without children they extend the direction of
-the parent. They start with the rigid motions of their vertices, or with that of the parent; then joints are connected,
-and weights and motions are fitted alternately. Of bones with similar motions a vertex prefers the nearest: the cost
-:math:`w_{vb} (10^{-3} d_{vb})^2` of a weight :math:`w_{vb}` at the distance :math:`d_{vb}` is added to the squared
-error. At first the cost is a hundred times larger; otherwise bones could lose their vertices to others of similar
-motion for good. Bones that move no vertex keep their rest pose relative to the parent.
+pose. A bone is the union of segments from its joint to its children's joints; without children it extends the direction
+of its parent. Bones start with the rigid motion of their vertices, or with the parent's motion. Then joints are
+connected, and weights and motions are fitted alternately. Among bones of similar motion the nearest is preferred: the
+cost :math:`w_{vb} (10^{-3} d_{vb})^2` of a weight :math:`w_{vb}` at the distance :math:`d_{vb}` is added to the squared
+error. At first the cost is a hundred times larger, so that bones do not lose all vertices to bones of similar motion.
+Bones that move no vertex keep their rest pose relative to the parent.
 """
 
 from __future__ import annotations
@@ -51,19 +51,19 @@ MIN_RELATIVE_GAIN = 3e-3
 """Smallest mean decrease of the error by a round, relative to the error; constants here were chosen empirically."""
 
 MAX_TREE_ERROR_RATIO = 1.1
-"""Largest root mean square error of bones in a tree, relative to free ones."""
+"""Largest root mean square error of bones in a tree, relative to the error of free bones."""
 
-_GAIN_ROUNDS = 3  # number of rounds of the mean decrease
-_ROUNDING_ERROR = 1e-9  # root mean square error of rounding, in diagonals
-_NO_SLIDING_ERROR = 1e-6  # largest root mean square error without sliding joints, in diagonals
-_ROUNDS_BETWEEN_SEEDS = 2  # rounds before more bones are seeded
-_TRIAL_ROUND_DIVISOR = 3  # of all rounds, for a trial of sliding joints
+_GAIN_ROUNDS = 3  # number of rounds over which the decrease of the error is averaged
+_ROUNDING_ERROR = 1e-9  # root mean square error that counts as rounding, in diagonals
+_NO_SLIDING_ERROR = 1e-6  # root mean square error that is always accepted without sliding joints, in diagonals
+_ROUNDS_BETWEEN_SEEDS = 2  # number of rounds before more bones are seeded
+_TRIAL_ROUND_DIVISOR = 3  # ratio of all rounds to the rounds of a trial of sliding joints
 
 
 def decompose_tracks(
     tracks: Float, labels: Index, max_count: int, rounds: int, report: Callable[[int], None]
 ) -> tuple[Binding, Float]:
-    """Fit skinning weights, rest positions and free bones ``(B, 4, 3T)`` to tracks ``(V, 3T)`` from labels ``(V,)``."""
+    """Fit a binding and free bones ``(B, 4, 3T)`` to tracks ``(V, 3T)``, starting from labels ``(V,)``."""
     labels = merge_bones(tracks, labels, max_count)
     rest = tracks[:, :3].copy()
     vertices = [np.flatnonzero(labels == bone) for bone in range(labels.max() + 1)]
@@ -73,7 +73,7 @@ def decompose_tracks(
     rounding_error = _ROUNDING_ERROR**2 * tracks.size / 3
     binding = bind(tracks, motions, binding, free_rest=False)
     while len(motions) < max_count and binding.errors.sum() > rounding_error:
-        # The number grows by half, with seeds at the largest errors.
+        # The number of bones grows by half, with seeds at the largest errors.
         new_count = min(max_count - len(motions), 1 + len(motions) // 2)
         new_motions = seed_bones(tracks, binding, new_count, max(4, len(tracks) // (6 * max_count)))
         motions = np.concatenate([motions, new_motions])
@@ -97,10 +97,10 @@ def alternate_fits(
     report: Callable[[int], None] = lambda round_id: None,
     fixed_rest: bool = False,
 ) -> tuple[Binding, Float, Joints]:
-    """Fit weights with rest positions, and motions, alternately until the squared error is small or stops decreasing.
+    """Fit the binding and the motions alternately until the squared error is small or stops decreasing.
 
-    Rest positions and motions are extrapolated by a fraction j / (j + 3) of their last step (Nesterov 1983), with the
-    number j of rounds since the error increased; such rounds are reverted.
+    Rest positions and motions are extrapolated by a fraction j / (j + 3) of their last step (Nesterov 1983). Rounds
+    that increase the error are reverted; j is the number of rounds since the last such round.
     """
     previous_rest, previous_motions = binding.rest, motions
     errors, good_rounds = [np.inf], 0
@@ -128,7 +128,7 @@ def alternate_fits(
 
 
 def _renumber_bones(binding: Binding, order: Index, bone_count: int) -> Binding:
-    """Renumber the bones of a binding by their positions in an order ``(n,)``."""
+    """Renumber the bones of a binding by their positions in the array `order` ``(n,)``."""
     new_ids = np.zeros(bone_count, dtype=np.int64)
     new_ids[order] = np.arange(len(order))
     return replace(binding, influences=np.where(binding.weights > 0, new_ids[binding.influences], 0))
@@ -137,7 +137,7 @@ def _renumber_bones(binding: Binding, order: Index, bone_count: int) -> Binding:
 def connect_bones(
     sequence: Centred, free: FreeBones, rounds: int, report: Callable[[int], None]
 ) -> tuple[Binding, Float, Joints]:
-    """Connect free bones to a tree with the fewest sliding joints that keep the error."""
+    """Connect free bones to a tree, with the fewest sliding joints that keep the error within its bound."""
     tracks, binding, motions = sequence.tracks, free.binding, free.motions
     order, joints = build_bone_tree(sequence.header.faces.astype(np.int64), binding, motions)
     binding, motions = _renumber_bones(binding, order, len(order)), motions[order]
@@ -146,7 +146,7 @@ def connect_bones(
     min_count, max_count, trial = 0, len(by_separation), 0
     best = binding, motions, replace(joints, sliding=np.ones(len(order), dtype=bool))
     trial_rounds = rounds // _TRIAL_ROUND_DIVISOR
-    while min_count < max_count:  # binary search: `max_count` sliding joints keep the error
+    while min_count < max_count:  # binary search; `max_count` sliding joints keep the error within its bound
         report(trial := trial + 1)
         count = (min_count + max_count) // 2
         sliding = joints.sliding.copy()
@@ -161,7 +161,7 @@ def connect_bones(
 
 
 def _order_by_separation(binding: Binding, motions: Float, joints: Joints) -> Index:
-    """Return the bones with parents, by decreasing weighted separation of their joints."""
+    """Return the bones that have parents, sorted by decreasing weighted separation of their joints."""
     bones = np.flatnonzero(joints.parents >= 0)
     differences = motions[joints.parents[bones]] - motions[bones]
     separations = np.einsum("bi,bij->bj", joints.pivots[bones], differences[:, :3]) + differences[:, 3]
@@ -172,12 +172,12 @@ def _order_by_separation(binding: Binding, motions: Float, joints: Joints) -> In
 
 
 ROUGH_FIT_ROUNDS = 4
-"""Number of rounds of a rough fit, which takes a twentieth of the time of a skin."""
+"""Number of rounds of a rough fit, which takes a twentieth of the time of a full fit."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeBones:
-    """Bones without joints."""
+    """Fitted bones without joints."""
 
     binding: Binding  # skinning weights, and rest positions in diagonals
     motions: Float  # (B, 4, 3T) transposed motions
@@ -187,7 +187,7 @@ class FreeBones:
 def fit_free_bones(
     sequence: Centred, bones: int | ArrayLike | None, rounds: int, report: Callable[[int], None]
 ) -> FreeBones:
-    """Fit free bones: a largest number of them, or from labels ``(F,)`` of triangles, or from motion segmentation."""
+    """Fit free bones; `bones` is their largest number, labels ``(F,)`` of triangles, or None for segmented parts."""
     tracks = sequence.tracks
     binding, motions = decompose_tracks(tracks, *_initial_labels(sequence, bones), rounds, report)
     residuals = tracks - binding.matrix(len(motions)) @ motions.reshape(-1, motions.shape[2])
@@ -231,13 +231,13 @@ def _initial_labels(sequence: Centred, bones: int | ArrayLike | None) -> tuple[I
     return label_vertices(faces, labels, vertex_count), max_count or int(labels.max()) + 1
 
 
-_MAX_EDGE_LENGTH_RATIO = 1.5  # of a bind pose in the same unit, to the first frame (median)
-_MARGIN_RATIO = 0.5  # around the mesh, of its largest extent; fitted joints are up to 0.4 out of its box
-_MAX_OUTSIDE_SHARE = 0.25  # of joints outside of the margin; controls may be anywhere
-_MIN_SKELETON_SIZE_RATIO = 0.03  # of diagonals; smaller skeletons are in a larger unit
-_MIN_RIGID_VERTICES = 4  # of a bone with a motion of its own
-_DISTANCE_COSTS = 1e-2, 1e-3  # costs of distances relative to errors, at first and afterwards
-_INITIAL_MOTION_ROUNDS = 10  # fits of motions before the first weights
+_MAX_EDGE_LENGTH_RATIO = 1.5  # largest median ratio of edge lengths, bind pose to first frame or its inverse
+_MARGIN_RATIO = 0.5  # margin around the mesh, relative to its largest extent; fitted joints need up to 0.4
+_MAX_OUTSIDE_SHARE = 0.25  # largest share of joints outside the margin; control joints may be anywhere
+_MIN_SKELETON_SIZE_RATIO = 0.03  # smallest ratio of diagonals, skeleton to mesh; smaller skeletons have another unit
+_MIN_RIGID_VERTICES = 4  # smallest number of vertices to which a rigid motion is fitted
+_DISTANCE_COSTS = 1e-2, 1e-3  # costs of distances relative to errors, in the first and the second fit
+_INITIAL_MOTION_ROUNDS = 10  # number of fits of motions before the first fit of weights
 
 
 def fit_to_skeleton(
@@ -272,7 +272,7 @@ def fit_to_skeleton(
 
 
 def bone_distances(points: Float, pivots: Float, parents: Index) -> Float:
-    """Return the distances ``(V, B)`` of points ``(V, 3)`` from the segments of bones."""
+    """Return the distances ``(V, B)`` of points ``(V, 3)`` from bones, which are segments between joints."""
     distances = cdist(points, pivots)
     for bone, parent in enumerate(parents.tolist()):
         if parent >= 0:
@@ -290,7 +290,7 @@ def _segment_distances(points: Float, start: Float, segment: Float) -> Float:
 
 
 def _convert_bind_pose(sequence: Centred, skeleton: Skeleton, bind_pose: MeshSequence) -> tuple[Skeleton, Float]:
-    """Return a skeleton and its bind shape ``(V, 3)`` with the unit and the up axis of the sequence."""
+    """Convert a skeleton and its bind shape ``(V, 3)`` to the unit and the up axis of the sequence."""
     header = sequence.header
     if bind_pose.vertex_count != header.vertex_count:
         raise InvalidSequenceError(
@@ -307,7 +307,7 @@ def _convert_bind_pose(sequence: Centred, skeleton: Skeleton, bind_pose: MeshSeq
 
 
 def _check_size(shape: Float, sequence: Centred) -> None:
-    """Raise if edge lengths of a bind pose differ too much from those of the first frame."""
+    """Raise if edge lengths of a bind pose differ too much from edge lengths of the first frame."""
     i, j = np.roll(sequence.header.faces, 1, axis=1).reshape(-1), sequence.header.faces.reshape(-1)
     lengths = [np.linalg.norm(points[i] - points[j], axis=1) for points in (shape, sequence.points[0])]
     has_length = (lengths[0] > 0) & (lengths[1] > 0)
@@ -320,7 +320,7 @@ def _check_size(shape: Float, sequence: Centred) -> None:
 
 
 def _check_placement(skeleton: Skeleton, shape: Float, expected: str) -> None:
-    """Raise if a skeleton is outside of the bounding box of its mesh, or far smaller."""
+    """Raise if a skeleton is outside of the bounding box of its mesh, or far smaller than the mesh."""
     margin = _MARGIN_RATIO * np.ptp(shape, axis=0).max()
     lower, upper = shape.min(axis=0) - margin, shape.max(axis=0) + margin
     outside_count = int(((skeleton.pivots < lower) | (skeleton.pivots > upper)).any(axis=1).sum())

@@ -1,22 +1,22 @@
-r"""Fit a skin or morph targets to a sequence, in the units of the file: the fewest bones and targets for an error.
+r"""Fit a skin or morph targets to a sequence, with the fewest bones or targets for an error, in the file's units.
 
-*Principal shapes.* Of displacements X ``(T, 3V)``, with :math:`X X^T = U \Lambda U^T`, the targets are rows of
-:math:`U^T X` and the weights columns of U (Alexa and Mueller 2000). The first M of them approximate X best in the sum
-of squares, and all of them exactly. Targets are scaled to a largest weight of one.
+*Principal shapes.* For displacements X ``(T, 3V)``, with :math:`X X^T = U \Lambda U^T`, the targets are rows of
+:math:`U^T X` and the weights are columns of U (Alexa and Mueller 2000). The first M targets approximate X best in the
+sum of squares; all targets together reproduce X exactly. Targets are scaled to a largest weight of one.
 
-*Correctives.* The residual of a skin, :math:`e_t(v)`, is pulled back to the rest pose, before skinning, by the weighted
-mean of its bones' rotations, :math:`A_t(v) = \sum_b w_{vb} R_{tb}` (as in pose-space deformation, Lewis et al. 2000):
+*Correctives.* The residual :math:`e_t(v)` of a skin is transformed to rest space (Lewis et al. 2000, pose-space
+deformation). The weighted mean of bone rotations at a vertex is :math:`A_t(v) = \sum_b w_{vb} R_{tb}`, and
 
 .. math:: \delta_t(v) = \operatorname*{argmin}_\delta |A_t(v)\, \delta - e_t(v)|^2 + \mu |\delta|^2,
 
-with :math:`\mu = 10^{-6}`. Means of rotations that differ by nearly half a turn have no useful inverse: a vertex where
-:math:`\det A_t` falls below 0.04 in a frame (two bones at 157 degrees, half and half) follows only the bone of its
-largest weight, and the targets compensate. Both values were chosen empirically. The targets are the principal shapes
-of :math:`\delta`, and the error is measured after skinning.
+with :math:`\mu = 10^{-6}`. Means of rotations that differ by nearly half a turn are nearly singular. If
+:math:`\det A_t` falls below 0.04 in a frame (as for two bones at 157 degrees with equal weights), the vertex follows
+only its bone of largest weight, and the targets compensate. Both values were chosen empirically. The targets are the
+principal shapes of :math:`\delta`, and the error is measured after skinning.
 
-*The number of bones.* Rough fits of free bones, in a few rounds, give the error as a function of their number; full
-fits calibrate them. The predicted number is fitted, and then one a tenth smaller, which mostly fails. Free bones with a
-far too large error are not connected to a tree, which hardly reduces it.
+*The number of bones* is predicted by rough fits of free bones, whose errors are calibrated by full fits. The predicted
+number is fitted in full, and then a number smaller by a tenth, which mostly misses the error. Free bones with a far too
+large error are not connected to a tree, since a tree hardly reduces the error.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ from mixseq.types import Float
 
 _PULLBACK_DAMPING = 1e-6
 _MIN_ROTATION_DETERMINANT = 0.04
-_MIN_VARIANCE_RATIO = 1e-14  # to the largest variance; smaller ones are rounding
+_MIN_VARIANCE_RATIO = 1e-14  # smallest variance relative to the largest; smaller variances are rounding errors
 
 
 def principal_shapes(displacements: Float) -> tuple[Float, Float]:
-    """Return all targets ``(M, V, 3)`` and weights ``(T, M)`` of displacements ``(T, V, 3)``, by variance."""
+    """Return targets ``(M, V, 3)`` and weights ``(T, M)`` of displacements ``(T, V, 3)``, by decreasing variance."""
     frames = len(displacements)
     flat = displacements.reshape(frames, -1)
     variances, directions = np.linalg.eigh(flat @ flat.T)
@@ -59,7 +59,7 @@ def principal_shapes(displacements: Float) -> tuple[Float, Float]:
     weights = directions[:, components]
     if components.size == 0:
         return np.zeros((0, *displacements.shape[1:])), np.zeros((frames, 0))
-    # The largest weight is positive, whatever signs the library returns.
+    # The weight of largest magnitude is made positive, since the library may return either sign.
     largest = weights[np.abs(weights).argmax(axis=0), np.arange(components.size)]
     shapes = (weights * largest).T @ flat
     return shapes.reshape(-1, *displacements.shape[1:]), weights / largest
@@ -70,7 +70,7 @@ def fit_targets(
 ) -> tuple[Float, Float, float]:
     """Fit the fewest targets ``(M, V, 3)`` and weights ``(T, M)`` to displacements ``(T, V, 3)`` within a bound.
 
-    Distances are measured from the residuals ``(V, 3)`` of a frame. The largest one is returned, too.
+    `measure` converts the residuals ``(V, 3)`` of a frame to distances. The largest distance is also returned.
     """
     shapes, weights = principal_shapes(displacements)
     max_targets = len(shapes) if max_targets is None else min(max_targets, len(shapes))
@@ -90,7 +90,7 @@ def fit_targets(
 
 
 def fit_correctives(skin: Skin, points: Float, bound: float, max_targets: int) -> tuple[Skin, float]:
-    """Fit the fewest corrective targets for points ``(T, V, 3)`` within a bound, and return the error."""
+    """Add the fewest corrective targets that fit points ``(T, V, 3)`` within a bound; return the skin and its error."""
     rotations = rotation_matrices(skin.rotations)
     without_targets = replace(
         skin,
@@ -118,7 +118,7 @@ def fit_correctives(skin: Skin, points: Float, bound: float, max_targets: int) -
 
 
 def _prevent_collapse(skin: Skin, rotations: Float) -> Float:
-    """Return the weights, with a single bone for vertices where the mean rotation is nearly singular."""
+    """Return skinning weights with a single bone for every vertex whose mean rotation is nearly singular."""
     determinants = np.full(len(skin.rest), np.inf)
     for frame_rotations in rotations:
         np.minimum(determinants, np.linalg.det(_mean_rotations(skin, frame_rotations)), out=determinants)
@@ -127,7 +127,7 @@ def _prevent_collapse(skin: Skin, rotations: Float) -> Float:
 
 
 def _mean_rotations(skin: Skin, rotations: Float) -> Float:
-    """Return weighted means ``(V, 3, 3)`` of the rotations ``(B, 3, 3)`` of a frame."""
+    """Return the mean rotation ``(V, 3, 3)`` of every vertex by skinning weights: rotations ``(B, 3, 3)``."""
     means = np.zeros((len(skin.rest), 3, 3))
     for column in range(BONES_PER_VERTEX):
         means += skin.weights[:, column, None, None] * rotations[skin.influences[:, column]]
@@ -135,12 +135,12 @@ def _mean_rotations(skin: Skin, rotations: Float) -> Float:
 
 
 MAX_BONES = 128
-"""Largest number of bones for an error; constants here were chosen empirically."""
+"""Largest number of bones in a search for an error; constants of this module were chosen empirically."""
 
 _FIRST_BONE_COUNT = 8
-_COUNT_PRECISION_DIVISOR = 10  # of the number of bones
-_INITIAL_ERROR_RATIO = 0.8  # of full to rough fits, before the first full fit
-_MAX_PREDICTED_FITS = 4  # fits of predicted numbers of bones, before bisection
+_COUNT_PRECISION_DIVISOR = 10  # ratio of the number of bones to its tolerance
+_INITIAL_ERROR_RATIO = 0.8  # assumed error ratio, full to rough fit, before the first full fit
+_MAX_PREDICTED_FITS = 4  # number of fits of predicted numbers of bones before bisection
 _MAX_TREE_GAIN = 1.2  # ratio by which a tree may reduce the error of free bones; 1.13 was observed
 _TINY_NUMBER = 1e-300
 
@@ -152,7 +152,7 @@ def fit_fewest_bones(
     target_error: float,
     max_count: int,
 ) -> tuple[Skin, float]:
-    """Fit a skin of the fewest bones, to within a tenth, for an error; return it with its error."""
+    """Fit a skin with the fewest bones (to within a tenth) for a target error; return the skin and its error."""
     too_few, enough, error_ratio, fit_count = 0, max_count + 1, _INITIAL_ERROR_RATIO, 0
     best: tuple[Skin, float] | None = None
     fit: tuple[Skin, float] | None = None
@@ -179,7 +179,7 @@ def _count_margin(count: int) -> int:
 
 
 def _predict_count(rough_error: Callable[[int], float], too_few: int, limit: int, target: float) -> int:
-    """Return the fewest bones, to within a tenth, with a rough fit for an error; `limit` if there are none."""
+    """Return the fewest bones (to within a tenth) whose rough fit reaches an error, or `limit` if none does."""
     count = min(max(_FIRST_BONE_COUNT, too_few + 1), limit)
     while rough_error(count) > target:
         if count == limit:
@@ -224,63 +224,63 @@ def fit_skin(
 ) -> Skin:
     """Fit bones, at most four skinning weights a vertex, and corrective targets to a sequence.
 
-    Bones form a tree and turn about the joints with their parents. Joints that would increase the error by more than a
-    tenth slide as well: their translations have keys (see `mixseq.rigging.decomposition`).
+    Bones form a tree and rotate about the joints with their parents. Some joints also slide, with keys for translation,
+    so that the error increases by at most a tenth (see `mixseq.rigging.decomposition`).
 
-    With a skeleton, bones keep their names, parents and rest positions, and the mesh keeps its bind shape; weights and
-    motions are fitted. Only roots slide, so that bones keep their lengths.
+    With a skeleton, only weights and motions are fitted. Bones keep their names, parents and rest positions, and the
+    mesh keeps its bind shape. Only roots have translations, so that bones keep their lengths.
 
     Parameters
     ----------
     sequence : MeshSequence or an open sequence
-        The animation; all of it is held in memory as float64.
+        The animation; all frames are held in memory as float64.
     bones : int, or (F,) int array_like, optional
-        Largest number of bones, or the initial bone of every triangle. By default the near-rigid parts found by motion
-        segmentation, as an animator would expect; more bones are more accurate.
+        Largest number of bones, or the initial bone of every triangle. By default bones are the near-rigid parts found
+        by motion segmentation, as an animator would expect. More bones are more accurate.
     correctives : float, optional
         Largest distance of a vertex from the sequence, in diagonals, for corrective morph targets. By default there are
-        no targets. With targets, vertices between bones that fold onto each other follow one of them.
+        no targets. With targets, vertices between two bones that fold onto each other follow only one of both.
     max_targets : int
         Largest number of targets.
     rounds : int
-        Largest number of fits of weights and motions; they end earlier if they gain little.
+        Largest number of rounds, which fit weights and motions. Fitting ends earlier if the error hardly decreases.
     progress : callable
         Called with the progress.
     skeleton : Skeleton, optional
         Given bones, from `mixseq.read_skeleton`.
     bind_pose : MeshSequence, optional
-        The mesh bound to the skeleton, from `mixseq.read_bind_pose`, in one frame, with the vertices of the sequence;
-        unit and up axis are converted, and with them those of the skeleton. Without it the skeleton must match the
-        first frame in pose, position and unit.
+        The mesh bound to the skeleton in one frame, with the vertices of the sequence, from `mixseq.read_bind_pose`.
+        Mesh and skeleton are converted to the unit and up axis of the sequence. Without a bind pose the skeleton must
+        match the first frame in pose, position and unit.
     max_error : float, optional
-        Largest distance of a vertex from the sequence, in diagonals, for bones alone: the fewest bones are used, to
-        within a tenth, and at most 128. It takes the time of two or three fits.
+        Largest distance of a vertex from the sequence, in diagonals, before correctives. The fewest bones (to within a
+        tenth, and at most 128) are used. The search takes the time of two or three fits.
     kg : float, optional
-        The same for the KG error, in percent.
+        Largest KG error before correctives, in percent, instead of `max_error`.
 
     Returns
     -------
     Skin
         Without a skeleton, the rest shape is fitted too, near the first frame, and bones that move no vertices are
         removed. With a skeleton, bones that move no vertices keep their rest pose relative to their parents. Weights of
-        a vertex decrease; unused ones are zero, of bone zero.
+        a vertex are in decreasing order; unused weights are zero and have bone zero.
 
     Raises
     ------
     InvalidSequenceError
-        If it is no sequence, or the bind pose has other vertices.
+        If `sequence` is not a sequence, or the bind pose has another number of vertices.
     SettingsError
-        If `bones` is no whole number between one and the number of triangles, an error is not positive, `max_targets`
-        or `rounds` is negative, more than one of `bones`, `skeleton`, `max_error` and `kg` is given, the skeleton is
-        not in its mesh, or the bind pose has another size than the sequence.
+        If `bones` is not a whole number between one and the number of triangles, an error is not positive,
+        `max_targets` or `rounds` is negative, several of `bones`, `skeleton`, `max_error` and `kg` are given, the
+        skeleton is outside its mesh, or the bind pose has another size than the sequence.
     SegmentationError
-        If there is not one label for every triangle.
+        If the number of labels differs from the number of triangles.
 
     Warns
     -----
     MixseqWarning
-        If 128 bones do not reach `max_error` or `kg`, or `max_targets` do not reach `correctives`; the message has the
-        errors reached.
+        If 128 bones do not reach `max_error` or `kg`, or `max_targets` targets do not reach `correctives`; the message
+        has the errors reached.
     """
     check_frames(sequence)
     _check_error("correctives", correctives)
@@ -325,25 +325,25 @@ def fit_morph(
     Parameters
     ----------
     sequence : MeshSequence or an open sequence
-        The animation; all of it is held in memory as float64.
+        The animation; all frames are held in memory as float64.
     max_error : float, optional
-        Largest distance of a vertex, in diagonals; the fewest targets are made.
+        Largest distance of a vertex from the sequence, in diagonals; the fewest targets are used.
     max_targets : int, optional
-        Largest number of targets. Without either the fit is exact, with fewer targets than frames.
+        Largest number of targets. If neither limit is given the fit is exact, with fewer targets than frames.
     progress : callable
         Called with the progress.
 
     Raises
     ------
     InvalidSequenceError
-        If it is no sequence.
+        If `sequence` is not a sequence.
     SettingsError
         If `max_error` is not positive, or `max_targets` is negative.
 
     Warns
     -----
     MixseqWarning
-        If `max_targets` do not reach `max_error`; the message has the error reached.
+        If `max_targets` targets do not reach `max_error`; the message has the error reached.
     """
     check_frames(sequence)
     _check_error("max_error", max_error)
@@ -365,7 +365,7 @@ def fit_morph(
 def _fit_to_error(
     sequence: Centred, max_error: float | None, kg: float | None, rounds: int, report: Callable[[int], None]
 ) -> Skin:
-    """Fit the fewest bones for an error."""
+    """Fit a skin with the fewest bones for `max_error` or `kg`."""
     index, target_error = (0, max_error) if kg is None else (1, kg)
     assert target_error is not None, "one of them is given"
 
@@ -397,7 +397,7 @@ def _fit_to_error(
 
 
 def _check_bone_settings(settings: dict[str, object], bind_pose: MeshSequence | None) -> None:
-    """Raise for several settings of the bones, and for a bind pose without a skeleton."""
+    """Raise if several settings of the bones are given, or a bind pose without a skeleton."""
     given = [name for name, value in settings.items() if value is not None]
     if len(given) > 1:
         raise SettingsError(f"{given[0]} and {given[1]} both choose the bones; give one of them")

@@ -1,17 +1,17 @@
-r"""Sequences as sums of few basis vectors, part by part, for graphics cards to evaluate from two small textures.
+r"""Sequences as sums of few basis vectors per part, which graphics cards evaluate from two small textures.
 
-With the part :math:`p_v` of a vertex, K basis vectors with a number at every vertex, and three coordinates of each for
-every part and frame,
+Vertex v is in the part :math:`p_v`. Each of K basis vectors has a number :math:`b_k(v)` at every vertex, and three
+coefficients :math:`u_{tkp}` for every frame and part:
 
 .. math::
     x_t(v) = \sum_{k=1}^K b_k(v)\, u_{tk p_v}.
 
-A rigid part needs four of them: three affine functions of the position, and 1. Bending parts need more: clustered
-principal components (Sattler, Sarlette and Klein 2005, *Simple and efficient compression of animation sequences*).
-Parts start from motion segmentation, and are merged to fewer, the most similar motions first. Alternately, basis
-vectors are the principal components of the trajectories of a part, and a vertex joins the part whose leading components
-have the smallest residual of its trajectory. K is the smallest for a bound on all vertices, and the parts are those
-with the smallest textures. The constants were chosen empirically.
+A rigid part needs four basis vectors: three affine functions of the position, and the constant 1. Bending parts need
+more. The method is clustered principal component analysis (Sattler, Sarlette and Klein 2005, *Simple and efficient
+compression of animation sequences*). Initial parts are from motion segmentation; parts of similar motion are merged.
+Two steps alternate: the trajectories of a part determine its principal components, and each vertex joins the part whose
+leading components fit its trajectory best. K is the smallest number for an error bound on all vertices. The number of
+parts minimises the size of the textures. The constants were chosen empirically.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, check_frames
 from mixseq.types import Float, Index
 
-_PART_COUNT_RATIO = 2 / 3  # ratio of successive numbers of parts
-_RANK_SHARES = (1 / 2, 3 / 4)  # shares of a part's components used to assign vertices to parts
+_PART_COUNT_RATIO = 2 / 3  # ratio of successive numbers of parts in the search
+_RANK_SHARES = (1 / 2, 3 / 4)  # tried shares of the leading components that assign vertices to parts
 _MAX_ASSIGNMENT_ROUNDS = 12  # largest number of rounds in which vertices are assigned to parts
 _PRINCIPAL_ERROR_SHARE = 0.01  # largest error of the principal components, relative to the bound
-_MIN_GAIN_SHARE = 0.1  # smallest gain of a reassignment, relative to the bound; above rounding
+_MIN_GAIN_SHARE = 0.1  # smallest gain of a reassignment, relative to the bound; excludes rounding errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +46,8 @@ class LowRank:
 
     header: SequenceHeader  # mesh and times
     parts: Index  # (V,) part of every vertex, 0 to P - 1
-    basis: Float  # (V, K) basis vectors, with a largest number of 1 or -1 in each part; 0 where a part needs fewer
-    coefficients: Float  # (T, P, K, 3) coordinates of the basis vectors in every frame, in the file's units
+    basis: Float  # (V, K) basis vectors, scaled to a maximum magnitude of 1 in each part; unused vectors are 0
+    coefficients: Float  # (T, P, K, 3) coefficients of the basis vectors in every frame, in the file's units
 
     def __post_init__(self) -> None:
         vertices, rank = self.basis.shape
@@ -85,10 +85,10 @@ class LowRank:
 def fit_low_rank(
     sequence: Frames, max_error: float = 1e-3, parts: int | None = None, progress: Progress = no_progress
 ) -> LowRank:
-    """Fit the fewest basis vectors of parts to a sequence within `max_error`, in diagonals, from at most `parts` parts.
+    """Fit a sequence within `max_error`, in diagonals, by few basis vectors in at most `parts` parts.
 
-    All of the sequence is held in memory as float64. Raises InvalidSequenceError if it is no sequence, SettingsError if
-    `max_error` is not positive.
+    All frames are held in memory as float64. Raises InvalidSequenceError if `sequence` is not a sequence, and
+    SettingsError if `max_error` is not positive.
     """
     check_frames(sequence)
     if not max_error > 0:
@@ -134,7 +134,7 @@ class _Clusters:
 
     @property
     def size(self) -> int:
-        """Size of the textures: basis vectors in fours, and coefficients."""
+        """Total size of both textures; the number of basis vectors is rounded up to a multiple of four."""
         return -(-self.rank // 4) * (len(self.parts) + int(self.directions.shape[1]) * self.count)
 
     def vectors(self, part: int) -> Float:
@@ -153,7 +153,7 @@ def _fit_clusters(trajectories: Float, start: Index, bound: float, progress: Pro
         ]
         return _Clusters(parts, directions, part_directions)
 
-    best = clusters_of(np.zeros_like(start))  # a single part
+    best = clusters_of(np.zeros_like(start))  # start with a single part
     parts, initial_count = start, len(np.unique(start))
     part_count = initial_count
     while part_count > 1:
@@ -169,14 +169,14 @@ def _fit_clusters(trajectories: Float, start: Index, bound: float, progress: Pro
 
 
 def _principal_directions(rows: Float, max_residual: float) -> Float:
-    """Return principal directions ``(R, n)`` of rows ``(m, n)``; the others have residuals up to `max_residual`."""
+    """Return the fewest principal directions ``(R, n)`` of rows ``(m, n)`` for residuals up to `max_residual`."""
     is_wide = len(rows) < rows.shape[1]
     gram = rows @ rows.T if is_wide else rows.T @ rows
     variances, axes = linalg.eigh(gram)
     order = np.argsort(variances)[::-1]
     variances, axes = variances[order], axes[:, order]
     is_kept = variances > max(variances[0], 1e-300) * 1e-20 if len(variances) else variances > 0
-    total_residuals = np.cumsum(variances[::-1])[::-1]  # bounds of the residual of every row
+    total_residuals = np.cumsum(variances[::-1])[::-1]  # upper bounds of the squared residual of a row
     is_kept &= total_residuals > max_residual**2
     is_kept[:1] = True
     directions = axes[:, is_kept].T
@@ -187,7 +187,7 @@ def _principal_directions(rows: Float, max_residual: float) -> Float:
 
 
 def _reassign_vertices(tracks: Float, parts: Index, rank: int, bound: float) -> Index:
-    """Assign vertices to the parts with the smallest residuals at a rank, and update the parts, alternately."""
+    """Alternately assign vertices to the part of smallest residual at a given rank, and update the parts."""
     squared_norms, min_gain = np.square(tracks).sum(axis=1), _MIN_GAIN_SHARE * bound
     for _ in range(_MAX_ASSIGNMENT_ROUNDS):
         residuals = np.empty((int(parts.max(initial=0)) + 1, len(parts)))
@@ -204,7 +204,7 @@ def _reassign_vertices(tracks: Float, parts: Index, rank: int, bound: float) -> 
 
 
 def _fewest_directions(trajectories: Float, tracks: Float, directions: Float, bound: float) -> Float:
-    """Return the fewest principal directions ``(K, R)`` of a part's tracks within a bound."""
+    """Return the fewest principal directions ``(K, R)`` that fit a part's tracks within a bound."""
     own_directions = _principal_directions(tracks, 0.0)
 
     def max_distance(count: int) -> float:

@@ -1,14 +1,14 @@
 r"""Rigs for engines: a skin over a tree of moving bones, or a base mesh with morph targets.
 
-*Trees of bones.* The joint of bone b lies at the pivot :math:`p_b`, with axes :math:`A_b` (a rotation) at rest. A
-motion of the bones in the world, :math:`R_{tb}` about the pivot that is then at :math:`c_{tb}`, takes the axes to
-:math:`R_{tb} A_b`. Relative to the parent a, as in files and engines,
+*Trees of bones.* At rest, the joint of bone b is at the pivot :math:`p_b`, with axes :math:`A_b` (a rotation). The
+world motion of bone b rotates the axes to :math:`R_{tb} A_b`, and moves the pivot to :math:`c_{tb}`. Relative to the
+parent a, as in files and engines, rotations and translations are
 
 .. math:: Q_{tb} = (R_{ta} A_a)^{-1} R_{tb} A_b, \quad q_{tb} = (R_{ta} A_a)^{-1} (c_{tb} - c_{ta}),
 
-and those of roots are relative to the world. Sums along the tree lead back, parents first.
+and roots are relative to the world. Composing motions from parents to children inverts these formulas.
 
-*Linear blend skinning.* A vertex has at most four bones, and morph targets may correct the rest shape before:
+*Linear blend skinning.* A vertex has at most four bones; morph targets may correct the rest shape before skinning:
 
 .. math::
 
@@ -17,7 +17,7 @@ and those of roots are relative to the world. Sums along the tree lead back, par
 
 *Morph targets.* :math:`x_t(v) = x_0(v) + \sum_m w_{tm} d_m(v)`.
 
-Both yield blocks of frames as a `mixseq.sequence.sequence.MeshSequence` does, for `mixseq.compare` and for writers.
+Skins and morphs yield blocks of frames like `mixseq.sequence.sequence.MeshSequence`, for `mixseq.compare` and writers.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from mixseq.types import Float, FloatArray, Index
 BONES_PER_VERTEX = 4
 """Number of skinning weights of a vertex, as in engines and in the core of glTF 2.0."""
 
-_UNIT_TOLERANCE = 1e-6  # of sums of weights and lengths of quaternions
-_TIME_TOLERANCE_FRAMES = 1e-3  # of times before the first and after the last frame, in frames
+_UNIT_TOLERANCE = 1e-6  # tolerated deviation from one of sums of weights and lengths of quaternions
+_TIME_TOLERANCE_FRAMES = 1e-3  # tolerated time before the first and after the last frame, in frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,17 +51,17 @@ class Skeleton:
     names : tuple of str
         Unique names of B bones.
     parents : (B,) int64
-        Parent of every bone, before its children; -1 for roots.
+        Parent of every bone; parents precede their children, and roots have -1.
     pivots : (B, 3) float64
-        Joints at rest, in the file's units.
+        Positions of the joints at rest, in the file's units.
     axes : (B, 4) float64
-        Rotations from the axes of the joints at rest to the world: unit quaternions x, y, z, w.
+        Rotations from joint axes at rest to world axes: unit quaternions x, y, z, w.
 
     Raises
     ------
     InvalidSequenceError
-        If there is no bone, shapes do not match, a name is empty or occurs twice, a parent is not before its child, a
-        number is not finite, or a quaternion has another length than one.
+        If there is no bone, shapes do not match, a name is empty or repeated, a parent does not precede its child, a
+        number is not finite, or a quaternion is not of unit length.
     """
 
     names: tuple[str, ...]
@@ -98,7 +98,7 @@ class Skeleton:
 
     @classmethod
     def from_pivots(cls, pivots: FloatArray) -> Skeleton:
-        """Return bones ``bone_000`` ... without parents at pivots ``(B, 3)``, with the axes of the world."""
+        """Return bones ``bone_000``, ``bone_001``, ... without parents at pivots ``(B, 3)``, with world axes."""
         count = len(pivots)
         names = tuple(f"bone_{bone:03d}" for bone in range(count))
         axes = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
@@ -116,7 +116,7 @@ class Skeleton:
         return LocalMotion(rest.rotations[0], rest.translations[0])
 
     def to_local(self, rotations: Float, translations: Float) -> LocalMotion:
-        """Return a motion in the world, R ``(T, B, 4)`` and c ``(T, B, 3)``, relative to the parents."""
+        """Convert a world motion, R ``(T, B, 4)`` and c ``(T, B, 3)``, to motions relative to the parents."""
         local_rotations, local_translations = np.empty_like(rotations), np.array(translations)
         world = [Rotation.from_quat(rotations[:, bone]) * self._axes(bone) for bone in range(self.bone_count)]
         for bone, parent in enumerate(self.parents.tolist()):
@@ -129,7 +129,7 @@ class Skeleton:
         return LocalMotion(local_rotations, local_translations)
 
     def to_world(self, local: LocalMotion) -> tuple[Float, Float]:
-        """Return R ``(T, B, 4)`` and c ``(T, B, 3)`` of a motion relative to the parents."""
+        """Convert motions relative to the parents to a world motion, R ``(T, B, 4)`` and c ``(T, B, 3)``."""
         rotations, translations = np.empty_like(local.rotations), np.array(local.translations)
         world: list[Rotation] = []
         for bone, parent in enumerate(self.parents.tolist()):
@@ -147,15 +147,15 @@ class Skeleton:
 
 @dataclass(frozen=True, eq=False)
 class LocalMotion:
-    """Rotations and translations of joints relative to their parents, and of roots to the world."""
+    """Rotations and translations of joints relative to their parents; roots are relative to the world."""
 
     rotations: Float  # (..., B, 4) unit quaternions x, y, z, w, from joint axes to parent axes
-    translations: Float  # (..., B, 3) joints in the axes of their parents, relative to their joints
+    translations: Float  # (..., B, 3) offsets from the parent's joint, in the parent's axes
 
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """Mesh that is skinned to moving bones, optionally with morph targets.
+    """Mesh skinned to moving bones, optionally with morph targets.
 
     Attributes
     ----------
@@ -166,13 +166,13 @@ class Skin:
     skeleton : Skeleton
         Bones, with pivots p in the rest shape.
     rotations : (T, B, 4) float64
-        Rotations R in the world: unit quaternions x, y, z, w, without sign flips between frames.
+        World rotations R from rest: unit quaternions x, y, z, w, without sign flips between frames.
     translations : (T, B, 3) float64
-        Positions c of the pivots in the world.
+        World positions c of the pivots.
     influences : (V, 4) int64
-        Bone of every weight.
+        Bone of every skinning weight.
     weights : (V, 4) float64
-        Skinning weights w, not negative; rows add to one.
+        Non-negative skinning weights w; rows add to one.
     targets : (M, V, 3) float64
         Morph targets d: displacements of the rest shape before skinning.
     target_weights : (T, M) float64
@@ -182,7 +182,7 @@ class Skin:
     ------
     InvalidSequenceError
         If shapes do not match, a bone does not exist, a weight is negative, weights do not add to one, or a quaternion
-        has another length than one.
+        is not of unit length.
     """
 
     header: SequenceHeader
@@ -258,15 +258,15 @@ class Skin:
     def resampled(self, times: ArrayLike, fps: float | None = None) -> Skin:
         """Resample the skin at other times, interpolating keys as engines do.
 
-        Rotations relative to the parents have spherical linear interpolation (Shoemake 1985); joints and weights of
-        targets are linear.
+        Rotations relative to the parents are interpolated spherically (Shoemake 1985). Translations relative to the
+        parents and target weights are interpolated linearly.
 
         Parameters
         ----------
         times : (n,) array_like
             Increasing times between the first and the last frame, in seconds.
         fps : float, optional
-            Frame rate; that of the header if not given.
+            Frame rate; by default the frame rate of the header.
 
         Raises
         ------
@@ -373,7 +373,7 @@ def rotation_matrices(quaternions: FloatArray) -> Float:
 
 
 def remove_sign_flips(quaternions: FloatArray) -> Float:
-    """Choose signs of quaternions ``(T, ..., 4)`` for interpolation: first w >= 0, then next to the previous frame."""
+    """Choose signs of quaternions ``(T, ..., 4)``: w >= 0 in the first frame, then closest to the previous frame."""
     q = np.array(quaternions, dtype=np.float64)
     flips = np.ones(q.shape[:-1])
     flips[:1] = np.where(q[:1, ..., 3] < 0, -1.0, 1.0)
@@ -383,7 +383,7 @@ def remove_sign_flips(quaternions: FloatArray) -> Float:
 
 def _slerp(p: Float, q: Float, fraction: Float) -> Float:
     """Interpolate spherically from unit quaternions p to q, which are less than half a turn apart."""
-    # The angle follows from chords, which is accurate for small angles.
+    # The angle is computed from chord lengths, which is accurate for small angles.
     chord, sum_length = (np.linalg.norm(each, axis=-1, keepdims=True) for each in (p - q, p + q))
     angle = 2 * np.arctan2(chord, sum_length)
     sine = np.sin(angle)
@@ -396,7 +396,7 @@ def _slerp(p: Float, q: Float, fraction: Float) -> Float:
 
 
 def _bracket_times(header: SequenceHeader, times: Float) -> tuple[Index, Index, Float]:
-    """Return the frames before and after every time, and the fraction between them."""
+    """Return the frames before and after every time, and the fraction of the interval between both."""
     frame_times, tolerance = header.times, _TIME_TOLERANCE_FRAMES / header.fps
     if len(times) and (times[0] < frame_times[0] - tolerance or times[-1] > frame_times[-1] + tolerance):
         raise SettingsError(
@@ -416,7 +416,7 @@ def _interpolate(values: Float, before: Index, after: Index, fraction: Float) ->
 
 
 def _set_array(rig: object, name: str, shape: tuple[int, ...]) -> None:
-    """Replace an array of a rig by a read-only float64 array; raise for another shape."""
+    """Replace an array of a rig by a read-only float64 array; raise if its shape differs from `shape`."""
     array = np.ascontiguousarray(getattr(rig, name), dtype=np.float64)
     if array.shape != shape:
         raise InvalidSequenceError(f"{name} have shape {array.shape}; {shape} is expected")
