@@ -87,7 +87,7 @@ MIN_KNOT_SPACING_RATIO = 1e-8
 
 
 def breakpoints(curve: Curve) -> Float:
-    """Return the breakpoints ``(n,)`` between cubics of a curve: all its sites except the second and the last but one."""
+    """Return the interior breakpoints ``(n,)`` of a curve, its sites without the two outermost at each end."""
     return curve.times[2:-2]
 
 
@@ -116,7 +116,7 @@ def sites_between(start: float, end: float, knots: Float) -> Float:
 
 
 def model_sites(model: Model, start: float, end: float, knots: Float | None = None) -> Float:
-    """Return sites from `start` to `end` at a model's frames, its signals' breakpoints and additional knots ``(m,)``."""
+    """Return sites from `start` to `end` at frames of a model, breakpoints of its signals, and knots ``(m,)``."""
     if start == end:
         return np.array([start])
     times = [*(breakpoints(curve) for curve in model.curves), model.times]
@@ -170,7 +170,7 @@ def smoothstep(times: Float, start: float, end: float) -> Float:
 
 
 def shape_norm(model: Model, metric: Float | None = None) -> DeviationNorm:
-    """Return the norm of pose-space steps ``(N, k)``, the RMS in diagonals with weights ``(S,)`` of shape coordinates."""
+    """Return the norm of pose-space steps ``(N, k)``, an RMS in diagonals with shape coordinate weights ``(S,)``."""
     metric = model.space.shape_weights if metric is None else metric
     jacobian = model.pose.matrix @ (model.shapes - model.shapes[0]) * metric
     gram = jacobian @ jacobian.T / model.header.vertex_count
@@ -300,7 +300,7 @@ def map_times(model: Model, offset: float, scale: float = 1.0) -> Model:
 
 
 def join_models(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Model:
-    """Concatenate sections of models with common space, pose and shapes; a frame at a seam is from the later section."""
+    """Concatenate sections of models with common space, pose and shapes; at a seam, use the later section's frame."""
     sections = align_part_quaternions(sections)
     first = sections[0].model
     placements = [CurveSection(first.placement, sections[0].start, sections[0].end)]
@@ -318,7 +318,7 @@ def join_models(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Mode
 
 
 def align_part_quaternions(sections: Sequence[ModelSection]) -> Sequence[ModelSection]:
-    """Make part quaternions continuous from section to section, also after whole turns.
+    """Make part quaternions continuous from section to section, even after whole turns.
 
     If quaternion signs differ between sections, all models get additional key shapes with flipped signs, and pose
     coordinates for them. Both the given and the returned models share space, pose and shapes.
@@ -365,7 +365,7 @@ def _unique_rows(rows: Float) -> tuple[Float, Index]:
 
 
 def merge_frame_times(sections: Sequence[ModelSection]) -> Float:
-    """Return the frame times ``(T,)`` of joined sections, or both ends if there are no frames."""
+    """Return the frame times ``(T,)`` of joined sections, or both ends if none; seams use the later section's frame."""
     slack = 1e-6 / sections[0].model.header.fps
     start, end = sections[0].start, sections[-1].end
     times = [strictly_between(model.times, start - slack, end - slack) for model, start, end in sections]

@@ -151,7 +151,9 @@ def cardinal_weights(positions: Float) -> Callable[[Float], Float]:
 
     def weights(points: Float) -> Float:
         raw = basis(cdist(points, positions)) @ inverse
-        return np.asarray(raw + (1.0 - raw.sum(axis=1, keepdims=True)) / count)  # removes rounding errors far from all positions
+        return np.asarray(
+            raw + (1.0 - raw.sum(axis=1, keepdims=True)) / count
+        )  # against rounding errors far away
 
     return weights
 
@@ -197,7 +199,7 @@ def _distinct_frames(model: Model, positions: Float) -> Index:
 
 
 def _frame_distances(model: Model, others: Index) -> Float:
-    """Return distances ``(T,)`` in shape and placement from every frame to the frames `others`, in diagonals."""
+    """Return distances ``(T,)`` in shape and placement of frames from the frames `others` ``(T,)``, in diagonals."""
     points, placements = model.time(model.times), model.placement(model.times)
     shape_distances = shape_norm(model)(points - points[others])
     return np.maximum(shape_distances, placement_norm(model)(placements - placements[others]))
@@ -249,7 +251,8 @@ def drag(model: Model, time: Seconds, to: ArrayLike, reach: Seconds | None = Non
         Target in the coordinates of `Model.embedding`, in diagonals. If the embedding is a line, the nearest point of
         the line is used.
     reach : float, optional
-        Seconds before and after `time` in which the change fades out; by default 1/8 of the motion or two frames.
+        Seconds before and after `time` in which the change fades out; by default 1/8 of the motion, but two frames or
+        more.
     plane : Plane, optional
         The embedding that contains `to`: `Model.plane` of any model with the same pose and shape signals; by default of
         `model`. For repeated drags in one picture give the plane of the first model, as each result has its own plane.
@@ -296,7 +299,7 @@ def _drag_changes(model: Model, time: float, target: Float, plane: Plane) -> tup
 
 
 def _select_drag_points(points: Float, axes: Float, move: Float) -> Index:
-    """Return ids of points ``(N, k)`` to interpolate: the first, a point hit by its move ``(2,)``, and distant points."""
+    """Select ids of points ``(N, k)`` to interpolate: the first, one hit by its move ``(2,)``, and distant points."""
     positions = points @ axes
     positions -= positions[0]
     nearest = np.linalg.norm(positions, axis=1)  # distance to the nearest selected point

@@ -52,7 +52,7 @@ def travel_of(model: Model, even: bool = False) -> Curve:
     model : Model
         The motion.
     even : bool
-        Return travel at constant speed from start to end, as game engines expect; by default the actual motion.
+        Return travel at constant speed, as game engines move walking characters; by default return the actual motion.
 
     Returns
     -------
@@ -254,7 +254,7 @@ def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Mod
     start, end = snap_section(model, model.start, model.end)
     fade, length = check_fade(fade, (end - start) / 2), end - start
     displacement = ground_displacement(model, start, end) if travel else np.zeros(3)
-    # Join two copies of the model; the result is taken from the middle of the first to the middle of the second.
+    # Join two copies: the second half of the first copy and the first half of the second meet at the loop's seam.
     second = ModelSection(map_times(translate(model, displacement), length), start + length, end + length)
     passes = join_models([ModelSection(model, start, end), second], [Seam(fade)])
     middle = (start + end) / 2
