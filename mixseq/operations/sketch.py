@@ -151,9 +151,7 @@ def cardinal_weights(positions: Float) -> Callable[[Float], Float]:
 
     def weights(points: Float) -> Float:
         raw = basis(cdist(points, positions)) @ inverse
-        return np.asarray(
-            raw + (1.0 - raw.sum(axis=1, keepdims=True)) / count
-        )  # against rounding errors far away
+        return np.asarray(raw + (1.0 - raw.sum(axis=1, keepdims=True)) / count)  # against rounding errors far away
 
     return weights
 
