@@ -6,9 +6,9 @@ r"""Colour meshes. A colouring has a palette, and a palette entry at every verte
 - **parts**: rigid parts in cool hues, joints in red. A vertex with a face in a joint has the colour of joints. Any
   other vertex has the colour of the part that contains most of its faces.
 - **strain**: mean of :math:`|l / \bar l - 1|` over the edges of a vertex, with edge lengths :math:`\bar l` at rest.
-- **curvature** (its change): mean of :math:`|\theta - \bar\theta|` in degrees over the hinges of a vertex, with dihedral
-  angles :math:`\bar\theta` at rest and the difference wrapped to :math:`(-\pi, \pi]`. A hinge belongs to the two
-  vertices of its edge.
+- **curvature** (its change): mean of :math:`|\theta - \bar\theta|` in degrees over the hinges of a vertex, with
+  dihedral angles :math:`\bar\theta` at rest and the difference wrapped to :math:`(-\pi, \pi]`. A hinge belongs to the
+  two vertices of its edge.
 - **error**: distance from the same vertex of an original, :math:`|a_v - b_v| / d`, in diagonals.
 
 Strain, curvature and error are measured: values from 0 to `top` are mapped to the colour map viridis. Strain and

@@ -94,7 +94,7 @@ def film(
     """Make a film of meshes side by side, as .mp4 (by ffmpeg), .gif or .webp; an old file is replaced at the end.
 
     Frames are drawn on several threads; the file does not depend on their number. `against` is the original for the
-    colour "error"; if it is given, only frames of the original are shown.
+    colour "error"; if it is given, poses are shown only at the times of its frames.
     """
     settings = settings or FilmSettings()
     file_format = film_format(target)

@@ -137,7 +137,7 @@ def draw_vertex_errors(
 ) -> Any:
     """Draw errors as face colours from two opposite sides: one row for the maxima over all frames, then one per frame.
 
-    A face shows the largest error of its corners. A ring marks the largest error of each row in views where it is visible.
+    A face shows the largest error of its corners. A ring marks the vertex with the largest error of a row, if visible.
     """
     colour_map = error_map(max(errors.by_vertex.max(), MIN_DRAWN_ERROR))
     _, *single_frames = frame_of_row = drawn_frames(errors, frames)
