@@ -174,7 +174,7 @@ def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limit
     size = bounding_diagonal(world) or 1.0
     centre = world[faces].mean(axis=1)
     darkness = 0.25 + np.exp((floor - centre[:, 1]) / (0.05 * size))
-    area = np.abs(area_normals(world, faces)[:, 1]) / 4  # area of the horizontal projection, halved
+    area = np.abs(area_normals(world, faces)[:, 1]) / 4  # projected area, halved as upper and lower faces both count
     x, y, _ = ((centre * [1, 0, 1] + [0, floor, 0]) @ view.rotation.T).T
     bounds = [[bottom, top], [left, right]]
     cover = np.histogram2d(y, x, bins=shape, range=bounds, weights=area * darkness)[0]
@@ -216,8 +216,8 @@ def render_mesh(
 ) -> None:
     """Draw a mesh and its shadow on a picture ``(rows, columns, 3)`` uint8, like `draw_mesh`.
 
-    `world` ``(V, 3)`` are points, Y up; faces ``(F, 3)`` are two-sided. `limits` is the screen rectangle of the picture,
-    with the same aspect ratio. `colours` are RGB in 0..1 of the mesh ``(3,)``, faces ``(F, 3)`` or corners
+    `world` ``(V, 3)`` are points, Y up; faces ``(F, 3)`` are two-sided. `limits` is the screen rectangle of the
+    picture, with the same aspect ratio. `colours` are RGB in 0..1 of the mesh ``(3,)``, faces ``(F, 3)`` or corners
     ``(F, 3, 3)``. The ground is by default at the lowest vertex.
     """
     rows, columns = picture.shape[:2]

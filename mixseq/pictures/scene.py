@@ -116,7 +116,7 @@ def shared_limits(points: FloatArray, up_axis: str = "Y", view: View | None = No
     shadow = world * [1, 0, 1] + [0, world[:, 1].min(), 0]
     screen = np.concatenate([world, shadow]) @ (view or three_quarter_view(points, up_axis)).rotation.T
     low, high = screen[:, :2].min(axis=0), screen[:, :2].max(axis=0)
-    padding = margin * (float((high - low).max()) or 1.0)  # a single point gets a rectangle of size 1
+    padding = margin * (float((high - low).max()) or 1.0)  # 1 for a single point, which has no size
     return low[0] - padding, high[0] + padding, low[1] - padding, high[1] + padding
 
 
@@ -224,7 +224,7 @@ class SceneItem:
         return self if self.model is not None else replace(self, motion=self._frame_store(progress))
 
     def pose(self, elapsed: float) -> Single:
-        """Return the points ``(V, 3)`` float32 at a time in elapsed seconds, or those of the last pose after the end."""
+        """Return the points ``(V, 3)`` float32 at a time in elapsed seconds; hold the last pose after the end."""
         times = np.array([elapsed])
         if self.model is not None:
             return self.model(float(model_times(self.header, times)[0])).astype(np.float32)
@@ -403,7 +403,7 @@ class Arrangement:
         return np.asarray(points_in_scene, dtype=np.float32)
 
     def camera(self, aspect: float) -> tuple[Float, Float]:
-        """Return position and target ``(3,)`` of a camera that shows all meshes, for a picture's width per height."""
+        """Return position ``(3,)`` and target ``(3,)`` of a camera that shows all meshes; `aspect` is width / height."""
         centre = (self.low + self.high) / 2
         rotation = self.view.rotation
         corners = np.array(list(product(*np.stack([self.low, self.high], axis=1)))) - centre
