@@ -403,7 +403,7 @@ class Arrangement:
         return np.asarray(points_in_scene, dtype=np.float32)
 
     def camera(self, aspect: float) -> tuple[Float, Float]:
-        """Return position ``(3,)`` and target ``(3,)`` of a camera that shows all meshes; `aspect` is width / height."""
+        """Return position ``(3,)`` and target ``(3,)`` of a camera that shows all meshes; `aspect` is width/height."""
         centre = (self.low + self.high) / 2
         rotation = self.view.rotation
         corners = np.array(list(product(*np.stack([self.low, self.high], axis=1)))) - centre
