@@ -323,7 +323,7 @@ def in_markdown(report: Report) -> str:
 
 
 Settings = Mapping[str, Any]
-"""Settings of `mixseq.fit`, with `mixseq.compress` settings in ``aim`` and reader settings in ``reading``; JSON values."""
+"""JSON settings of `mixseq.fit`, with `mixseq.compress` settings in ``aim`` and reader settings in ``reading``."""
 
 Work = Callable[[Settings, Iterable[Asset]], Iterator[tuple[Asset, Callable[[], Entry]]]]
 """Function that encodes assets and yields each finished asset with a function that returns its entry."""
