@@ -127,7 +127,7 @@ def write_sequence(
     writing: Mapping[str, Any],
     sources: ArrayLike | None = None,
 ) -> None:
-    """Write frames block by block, rotated and scaled on request; raise an error if the target is the file they are from.
+    """Write frames block by block, rotated and scaled on request, but refuse to replace the file they are read from.
 
     `sources` (T,) are the frames' times in the original, in seconds, for formats that store them.
     """
