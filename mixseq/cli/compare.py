@@ -1,4 +1,4 @@
-"""``mixseq compare``."""
+"""Implement the command ``mixseq compare``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``mixseq convert``."""
+"""Implement the command ``mixseq convert``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``mixseq demo``."""
+"""Implement the command ``mixseq demo``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``mixseq edit``."""
+"""Implement the command ``mixseq edit``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``mixseq encode``."""
+"""Implement the command ``mixseq encode``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``mixseq formats``."""
+"""Implement the command ``mixseq formats``."""
 
 from __future__ import annotations
 

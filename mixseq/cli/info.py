@@ -1,4 +1,4 @@
-"""``mixseq info``."""
+"""Implement the command ``mixseq info``."""
 
 from __future__ import annotations
 

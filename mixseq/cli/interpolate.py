@@ -1,4 +1,4 @@
-"""``mixseq interpolate``."""
+"""Implement the command ``mixseq interpolate``."""
 
 from __future__ import annotations
 

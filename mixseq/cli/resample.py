@@ -1,4 +1,4 @@
-"""``mixseq resample``."""
+"""Implement the command ``mixseq resample``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``mixseq segment``."""
+"""Implement the command ``mixseq segment``."""
 
 from __future__ import annotations
 

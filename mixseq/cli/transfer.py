@@ -161,7 +161,7 @@ def _triangles(counts: FrameCounts, header: SequenceHeader) -> str:
 
 
 def _contact_rows(contacts: ContactReport) -> list[tuple[str, str]]:
-    """Return table rows with the sliding of every contact and the deformation needed to prevent sliding."""
+    """Return table rows with the sliding of every contact, and the largest shift and rotation that reduce it."""
     result = []
     for group in contacts.groups:
         stances = _number(len(group.stances), "stance")

@@ -1,4 +1,4 @@
-"""``mixseq verify``."""
+"""Implement the command ``mixseq verify``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``mixseq warm-up``."""
+"""Implement the command ``mixseq warm-up``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``mixseq web``."""
+"""Implement the command ``mixseq web``."""
 
 from __future__ import annotations
 
