@@ -134,7 +134,7 @@ class PoseInterpolator(PickledWithoutCaches):
         return cls(frames.header, shape_space, vectors)
 
     def blend(self, weights: ArrayLike) -> Float:
-        """Blend poses with weights ``(n,)`` of sum one to points ``(V, 3)``."""
+        """Return the points ``(V, 3)`` of a blend of poses with weights ``(n,)``, whose sum is one."""
         return self.blend_with_reports(weights)[0]
 
     def blend_with_reports(self, weights: ArrayLike) -> tuple[Float, list[ShellReport]]:

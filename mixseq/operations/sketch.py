@@ -249,8 +249,7 @@ def drag(model: Model, time: Seconds, to: ArrayLike, reach: Seconds | None = Non
         Target in the coordinates of `Model.embedding`, in diagonals. If the embedding is a line, the nearest point of
         the line is used.
     reach : float, optional
-        Seconds before and after `time` in which the change fades out; by default 1/8 of the motion, but two frames or
-        more.
+        Seconds before and after `time` in which the change fades out; by default 1/8 of the motion, at least 2 frames.
     plane : Plane, optional
         The embedding that contains `to`: `Model.plane` of any model with the same pose and shape signals; by default of
         `model`. For repeated drags in one picture give the plane of the first model, as each result has its own plane.
@@ -297,7 +296,7 @@ def _drag_changes(model: Model, time: float, target: Float, plane: Plane) -> tup
 
 
 def _select_drag_points(points: Float, axes: Float, move: Float) -> Index:
-    """Select ids of points ``(N, k)`` to interpolate: the first, one hit by its move ``(2,)``, and distant points."""
+    """Select ids of points ``(N, k)`` to interpolate: the first, a point hit by `move` ``(2,)``, and distant points."""
     positions = points @ axes
     positions -= positions[0]
     nearest = np.linalg.norm(positions, axis=1)  # distance to the nearest selected point

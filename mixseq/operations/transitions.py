@@ -74,9 +74,9 @@ def into(model: Model, space: ShapeSpace) -> Model:
 def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
     """Bring two models of one mesh into one space, with the same pose and shape signals.
 
-    The common space is the space of the first model. A basis space is extended to the shapes of both models, or
-    replaced by the space of the second model if its kind differs. If key shapes differ, both models get the key shapes
-    of both, and the pose space consists of their weights.
+    The common space is the space of the first model. A basis space is extended to all shapes, or replaced by the second
+    model's space if the kinds differ. If key shapes differ, both models get all key shapes, and pose space consists of
+    key shape weights.
     """
     _check_meshes(first, second)
     space, *maps = first.space.merge(second.space)
