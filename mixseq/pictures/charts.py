@@ -244,7 +244,7 @@ def draw_coefficients(ax: Axes, model: Model) -> None:
 
 
 def draw_singular_values(ax: Axes, model: Model) -> None:
-    """Draw each singular value and the norm of all smaller ones; the right axis is in percent of the total norm."""
+    """Draw each singular value and the norm of all later values; the right axis is in percent of the total norm."""
     ax.set(title="Singular values", xlabel="mode", ylabel="size (diagonals)")
     sizes = singular_values(model)
     if not sizes.size:

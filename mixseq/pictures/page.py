@@ -41,7 +41,7 @@ class Sheet:
     def from_grid(
         cls, rows: int, columns: int, aspect: float, title: str, left: float = 0.1, right: float = 0.1
     ) -> Sheet:
-        """Lay out panels of an aspect ratio, clamped to 0.3..2.5; `left` and `right` are margins in inches."""
+        """Lay out panels with an aspect ratio clamped to 0.3..2.5; `left` and `right` are margins in inches."""
         top = 0.65 if title else 0.3
         width = (PAGE_WIDTH - left - right) / columns
         height = width * float(np.clip(aspect, 0.3, 2.5))
