@@ -501,9 +501,8 @@ def command(
 ) -> None:
     """Turn many sequences into models, with one report.
 
-    CACHES are sequences in any format, or folders of sequences. Each sequence becomes a model in the output folder; the
-    model is decoded and compared. report.json and report.md there are updated after every sequence. If one sequence
-    fails, the batch continues.
+    CACHES are sequences in any format, or folders of sequences. Each becomes a model in the output folder, is decoded
+    and compared; report.json and report.md there are updated. If a sequence fails, the batch continues.
 
     After an interruption, run the same command again: it encodes only what is missing, failed or has changed. Files
     that no batch has made are replaced only with --overwrite, or if you agree on a terminal.

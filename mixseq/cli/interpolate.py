@@ -88,8 +88,7 @@ def command(
     IN is a sequence in any format, whose frames are the poses. OUT is one frame, the blend of the poses. The parts of
     the mesh are found from all frames of IN, including frames without a weight.
 
-    With --steps, OUT is a sequence of even steps from the first --pose to the second. If IN has two frames, --pose is
-    not needed.
+    With --steps, OUT is a sequence of even steps from the first --pose to the second. Two frames need no --pose.
     """
     _check(poses, steps)
     claim(target)
