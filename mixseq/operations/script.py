@@ -70,7 +70,7 @@ class Key(NamedTuple):
 
 
 def script_keys(function: Callable[..., Model]) -> dict[str, Key]:
-    """Return the keys of an operation, one for each parameter except the model, which a script cannot set."""
+    """Return the keys of an operation, one for each parameter after the model that a script can set."""
     hints, annotated = get_type_hints(function), get_type_hints(function, include_extras=True)
     _, *parameters = signature(function).parameters.values()
     keys = {}

@@ -75,8 +75,7 @@ def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
     """Bring two models of one mesh into one space, with the same pose and shape signals.
 
     The common space is the space of the first model. A basis space is extended to all shapes, or replaced by the second
-    model's space if the kinds differ. If key shapes differ, both models get all key shapes, and pose space consists of
-    key shape weights.
+    model's space if the kinds differ. If key shapes differ, both models get all key shapes, with weights as pose space.
     """
     _check_meshes(first, second)
     space, *maps = first.space.merge(second.space)
@@ -173,7 +172,7 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
     at : float
         Time in `a` at which `b` starts, in seconds. Until then the result is `a`.
     duration : float
-        Duration of the blend in seconds, after which the result is `b`. Both models must cover it.
+        Duration of the blend in seconds, after which the result is `b`. Both models must cover the blend.
     travel : bool
         Continue `b` from the ground position that `a` reaches, with unchanged heading and height. The ground speed is
         blended (`mixseq.operations.timeline`). By default `b` keeps its position.
