@@ -222,8 +222,8 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     Raises
     ------
     SettingsError
-        If the parts of the model have no poses of their own, the part does not exist or has no parent, or the gain is
-        not finite.
+        If the parts of the model have no separate poses, the part does not exist or has no parent, or the gain is out
+        of range.
     """
     limb = find_limb(model, part)
     check_gain(gain)
@@ -257,7 +257,7 @@ def hold(
     Raises
     ------
     SettingsError
-        If the parts of the model have no poses of their own, the part does not exist or has no parent, or a time is out
+        If the parts of the model have no separate poses, the part does not exist or has no parent, or a time is out
         of range.
     """
     limb = find_limb(model, part)
