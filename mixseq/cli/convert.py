@@ -39,8 +39,8 @@ def command(
     The formats of SOURCE and TARGET follow from their extensions, see "mixseq formats". Frames are converted in
     blocks, so sequences may be larger than memory. A warning lists data that TARGET's format cannot hold.
 
-    If SOURCE and TARGET are both USD, Alembic or glTF, materials, cameras and everything else are kept. A USD file is a
-    layer over SOURCE, which must not be moved; Alembic and glTF files are copies of SOURCE with new points.
+    If both files are USD, both Alembic or both glTF, materials, cameras and everything else are kept. USD becomes a
+    layer over SOURCE, which must not be moved; Alembic and glTF become copies of SOURCE with new points.
     --flatten writes only the meshes, independent of SOURCE.
     """
     claim(target)
