@@ -1,6 +1,6 @@
-"""The command line: one file per subcommand, imported when it is needed.
+"""Command line interface: one module per subcommand, imported when the subcommand runs.
 
-No module here imports numerical packages before a subcommand runs, so that ``mixseq --help`` answers at once.
+Modules here import numerical packages only when a subcommand runs, so that ``mixseq --help`` answers at once.
 """
 
 from __future__ import annotations

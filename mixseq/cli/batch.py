@@ -1,6 +1,6 @@
-"""``mixseq batch``: find sequences, encode them here or on a cluster, and keep a report of every asset up to date.
+"""``mixseq batch``: find sequences, encode them locally or on a cluster, and update a report after every asset.
 
-The report is in JSON, for resuming the batch, and in Markdown.
+The report is written as JSON, for resuming the batch, and as Markdown.
 """
 
 from __future__ import annotations
@@ -45,18 +45,18 @@ _LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
 class Asset:
     """A sequence to encode."""
 
-    # Its file, or the pattern of its numbered files; absolute, as another process may have another folder.
+    # File, or pattern of numbered files; absolute, as other processes may have a different working directory.
     source: Path
-    target: Path  # the model to write, absolute
-    size: int  # bytes of the source, all of its files together
-    signature: str  # hash of the names, sizes and modification times of its files
+    target: Path  # absolute path of the model to write
+    size: int  # total bytes of the source files
+    signature: str  # hash of the names, sizes and modification times of the source files
 
 
 def find_sources(paths: Iterable[Path]) -> list[Path]:
-    """Return the absolute paths of sequences, each once: files and patterns as they are, folders searched.
+    """Return the distinct absolute paths of sequences: the given files and patterns, and the sequences in folders.
 
-    In a folder, without its subfolders, these are files of formats for sequences, and numbered files. Models and the
-    meshes of point caches are left out, and other single meshes with a warning.
+    Sequences in a folder are files in sequence formats and numbered files; subfolders are not searched. Models and the
+    meshes of point caches are skipped; other single meshes are skipped with a warning.
     """
     sources: dict[Path, None] = {}
     for path in paths:
@@ -71,14 +71,14 @@ def find_sources(paths: Iterable[Path]) -> list[Path]:
 
 
 def files_of(source: Path) -> list[Path]:
-    """Return the file of a sequence, or its numbered files; empty if they do not exist."""
+    """Return the file or numbered files of a sequence; return an empty list if no file exists."""
     from mixseq_io.numbered.files import find_numbered_files
 
     return [source] if source.exists() else [file for _, file in find_numbered_files(source)]
 
 
 def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str]) -> tuple[Asset, ...]:
-    """Choose the paths of models: ``walk.h5`` for ``walk.usdc``, or ``walk.usdc.h5`` if there is another walk."""
+    """Choose model paths: ``walk.h5`` for ``walk.usdc``, or ``walk.usdc.h5`` if several sources are named walk."""
     taken = {name.casefold() for name in names.values()}
     stems = Counter(stem_of(source).casefold() for source in sources if str(source) not in names)
     owners: dict[str, Path | str] = {
@@ -102,13 +102,13 @@ def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str]) -> tuple[
 
 
 def _size_and_hash(files: Iterable[Path]) -> tuple[int, str]:
-    """Return the total size of files, and a hash that changes with any of them."""
+    """Return the total size of files, and a hash of their names, sizes and modification times."""
     states = sorted((file.name, (state := file.stat()).st_size, state.st_mtime_ns) for file in files)
     return sum(size for _, size, _ in states), sha256(repr(states).encode()).hexdigest()
 
 
 def stem_of(source: Path) -> str:
-    """Return the name of a sequence: numbered files without their number, or their folder's name if nothing is left.
+    """Return the name of a sequence without frame numbers, or the name of its folder if only a number is there.
 
     >>> [stem_of(Path("shots") / name) for name in ("walk.usdc", "run_####.obj", "%04d.ply")]
     ['walk', 'run', 'shots']
@@ -158,7 +158,7 @@ def _sequences_in(folder: Path) -> Iterator[Path]:
 
 
 def _is_model(file: Path) -> bool:
-    """Return whether a file is a model; an unreadable one is an asset that will fail."""
+    """Return whether a file is a model; an unreadable file counts as a sequence, whose encoding fails."""
     with suppress(FormatError):
         return is_model(file)
     return False
@@ -169,31 +169,31 @@ TABLE_HEADINGS = ("asset", "frames", "vertices", "time", "max error", "KG error"
 
 @dataclass(frozen=True)
 class Entry:
-    """The result of an asset."""
+    """The result of encoding an asset."""
 
     source: str  # absolute path of the sequence, or pattern of its numbered files
     target: str  # absolute path of the model
-    source_bytes: int  # size of the source, all of its files together
-    source_signature: str  # hash of the names, sizes and modification times of its files
+    source_bytes: int  # total size of the source files
+    source_signature: str  # hash of the names, sizes and modification times of the source files
     settings: Mapping[str, Any]  # settings of the encoding
     state: Literal["done", "failed", "left"] = "left"  # left: not started
     frames: int | None = None  # number of frames
     vertices: int | None = None  # number of vertices
-    seconds: float | None = None  # time of encoding, without the check
-    max_error: float | None = None  # largest error of a vertex in diagonals, decoded
+    seconds: float | None = None  # duration of the encoding, without the comparison
+    max_error: float | None = None  # largest vertex error of the decoded model, in diagonals
     kg_percent: float | None = None  # Karni-Gotsman error
     bytes: int | None = None  # size of the model
-    bits: float | None = None  # the same in bits per vertex and frame
-    message: str = ""  # why it failed
+    bits: float | None = None  # size of the model in bits per vertex and frame
+    message: str = ""  # reason of a failure
     warnings: tuple[str, ...] = field(default=())  # warnings while reading
 
     @classmethod
     def of(cls, asset: Asset, settings: Mapping[str, Any], **result: Any) -> Entry:
-        """Make the entry of an asset."""
+        """Make the entry of an asset, by default not started."""
         return cls(str(asset.source), str(asset.target), asset.size, asset.signature, settings, **result)
 
     def holds_for(self, asset: Asset, settings: Mapping[str, Any]) -> bool:
-        """Return whether the asset is done: same source and settings, and the model still exists."""
+        """Return whether the entry is a valid result: equal source and settings, and the model still exists."""
         same = Entry.of(asset, settings)
         inputs = ("source", "target", "source_bytes", "source_signature", "settings")
         return (
@@ -206,25 +206,25 @@ class Entry:
 
 @dataclass(frozen=True)
 class Report:
-    """Entries by their sources, and whether the batch is complete."""
+    """Entries by source path, and whether the batch is complete."""
 
     entries: Mapping[str, Entry]
     finished: bool = False
 
     def with_entry(self, entry: Entry) -> Report:
-        """Return the report with an entry replaced or added."""
+        """Return the report with the given entry replaced or added."""
         return replace(self, entries={**self.entries, entry.source: entry})
 
     def of(self, assets: Iterable[Asset]) -> Report:
-        """Return the report of these assets only, in their order."""
+        """Return the report of the given assets only, in the given order."""
         return replace(self, entries={key: self.entries[key] for key in (str(a.source) for a in assets)})
 
     def without_lost(self) -> Report:
-        """Return the report without entries whose source is gone; their models are kept."""
+        """Return the report without entries whose source files no longer exist; their models are not deleted."""
         return replace(self, entries={key: entry for key, entry in self.entries.items() if files_of(Path(key))})
 
     def of_others(self, assets: Iterable[Asset], folder: Path) -> list[Path]:
-        """Return files in a folder that the batch would replace, but did not make, or that changed since."""
+        """Return files that the batch would replace in a folder, but did not write itself or were modified since."""
         replaced = [folder / asset.target.name for asset in assets if asset.target.exists() and not self._made(asset)]
         table = folder / "report.md"
         return replaced + [table] * (table.exists() and not (folder / "report.json").exists())
@@ -248,7 +248,7 @@ class Report:
 
 
 def read_report(folder: Path) -> Report:
-    """Read the report in a folder; empty if there is none."""
+    """Read the report in a folder; return an empty report if there is no file."""
     path = folder / "report.json"
     if not path.exists():
         return Report({})
@@ -282,7 +282,7 @@ def write_report(folder: Path, report: Report) -> None:
 
 
 def rows(entries: Iterable[Entry]) -> list[tuple[str, ...]]:
-    """Return the rows of the table under `HEADING`."""
+    """Return the table rows of entries, with the columns of `HEADING`."""
 
     def shown(value: float | None, form: str) -> str:
         return "" if value is None else form.format(value)
@@ -323,17 +323,17 @@ def in_markdown(report: Report) -> str:
 
 
 Settings = Mapping[str, Any]
-"""Settings of `mixseq.fit`, those of `mixseq.compress` under ``aim``, of readers under ``reading``; JSON values."""
+"""JSON settings of `mixseq.fit`, with `mixseq.compress` settings in ``aim`` and reader settings in ``reading``."""
 
 Work = Callable[[Settings, Iterable[Asset]], Iterator[tuple[Asset, Callable[[], Entry]]]]
-"""Yield finished assets, with a function that returns the entry of each."""
+"""Function that encodes assets and yields each finished asset with a function that returns its entry."""
 
 UNFINISHED_FOLDER = ".unfinished"
-"""Folder of unfinished models."""
+"""Name of the folder for unfinished models."""
 
 
 def run(assets: Iterable[Asset], settings: Settings, earlier: Report, out: Path, work: Work, force: bool) -> Report:
-    """Encode the assets that are not done yet; the report is written before the work, and after every asset."""
+    """Encode the assets without valid results, and return the report; write it at the start and after every asset."""
     with _alone(out):
         pending = []
         entries: dict[str, Entry] = {}
@@ -358,7 +358,7 @@ def run(assets: Iterable[Asset], settings: Settings, earlier: Report, out: Path,
 
 @contextmanager
 def _alone(out: Path) -> Iterator[None]:
-    """Lock the folder while a batch writes there; the system frees the lock if the process dies."""
+    """Lock a folder while a batch writes there; the system releases the lock if the process dies."""
     try:
         import fcntl
     except ImportError:  # Windows has no such locks
@@ -387,7 +387,7 @@ def _entry(asset: Asset, settings: Settings, result: Callable[[], Entry]) -> Ent
 
 
 def in_turn(workers: Executor, progress: Progress) -> Work:
-    """Return a function that encodes assets here, one after the other, the frames of each spread over `workers`."""
+    """Return a function that encodes assets locally, one after the other, with frames distributed over `workers`."""
 
     def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
         pending = list(assets)
@@ -400,7 +400,7 @@ def in_turn(workers: Executor, progress: Progress) -> Work:
 
 
 def on_cluster(cluster: ClusterExecutor, progress: Progress) -> Work:
-    """Return a function that encodes assets on a cluster, each by one worker."""
+    """Return a function that encodes assets on a cluster, with one worker per asset."""
 
     def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
         pending = list(assets)
@@ -419,7 +419,7 @@ def _naming(place: str, progress: Progress) -> Progress:
 def encode_asset(
     settings: Settings, asset: Asset, workers: Executor | None = None, progress: Progress = no_progress
 ) -> Entry:
-    """Encode an asset, decode and compare it, then move the model into place; errors are recorded in the entry."""
+    """Encode an asset, compare the decoded model with it, and move the model to its path; store errors in the entry."""
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", MixseqWarning)
@@ -433,7 +433,7 @@ def encode_asset(
     except MemoryError:
         message = "there is not enough memory"
     except Exception as error:
-        # A bug; the other assets go on.
+        # A bug in mixseq; the batch continues with the next asset.
         message = f"a bug in mixseq, {type(error).__name__}: {error}; `mixseq encode` prints more, please report it"
     return Entry.of(asset, settings, state="failed", message=" ".join(message.split()))
 
@@ -501,13 +501,13 @@ def command(
 ) -> None:
     """Turn many sequences into models, with one report.
 
-    CACHES are sequences in any format, or folders of them. Each becomes a model in the folder, is decoded and compared.
-    The report, report.json and report.md there, is up to date after every asset. A failure does not stop the others.
+    CACHES are sequences in any format, or folders of sequences. Each becomes a model in the output folder, is decoded
+    and compared; report.json and report.md there are updated. If a sequence fails, the batch continues.
 
-    The same command goes on where it was interrupted, and does again only what failed or has changed. Files in the
-    folder that no batch has made are not replaced unless --overwrite says so, or you on a terminal.
+    After an interruption, run the same command again: it encodes only what is missing, failed or has changed. Files
+    that no batch has made are replaced only with --overwrite, or if you agree on a terminal.
 
-    With --max-error, --kg or --size every model is compressed to it, see "mixseq encode".
+    With --max-error, --kg or --size every model is compressed, see "mixseq encode".
     """
     if len(options.given_options("exact", "tolerance", "rank")) > 1:
         raise SettingsError("--exact, --tolerance and --rank exclude each other; give one of them")

@@ -1,4 +1,4 @@
-"""``mixseq blender``."""
+"""Implement the command ``mixseq blender``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``mixseq compare``."""
+"""Implement the command ``mixseq compare``."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
     """Measure how far a sequence is from a reference.
 
-    Both are sequences or models of one mesh. If OTHER has more frames, those at the times of REFERENCE are
-    compared. Distances are fractions of the diagonal of the reference's bounding box.
+    Both files are sequences or models of one mesh. If OTHER has more frames, only its frames at the times of REFERENCE
+    are compared. Distances are fractions of the diagonal of the reference's bounding box.
     """
     from mixseq.sequence.sequence import LazyFrames
 
@@ -63,7 +63,7 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
 
 
 def at_times_of(a: Frames, b: Frames) -> Frames:
-    """Return b at the times of a, if b has more frames and those among them; else b itself."""
+    """Return the frames of b at the times of a if b has them and further frames; otherwise return b."""
     from mixseq.metrics import match_frames
     from mixseq.sequence.sequence import LazyFrames
 
@@ -77,7 +77,7 @@ def at_times_of(a: Frames, b: Frames) -> Frames:
 
 
 def _warn_of_axes(reference: Path, a: SequenceHeader, other: Path, b: SequenceHeader) -> None:
-    """Warn of different up axes and units: points are compared as they are."""
+    """Warn if up axes or units differ, as points are compared without conversion."""
     if a.up_axis != b.up_axis or not math.isclose(a.metres_per_unit, b.metres_per_unit, rel_tol=1e-6):
         first, second = (f"{each.up_axis} up and units of {each.metres_per_unit:g} m" for each in (a, b))
         warnings.warn(

@@ -1,4 +1,4 @@
-"""Options and reports of compressed models, shared by commands: size or error, and the result."""
+"""Options for the size or error of compressed models, and reports of the result, shared by commands."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ _OF_FITTING = (
     *("exact", "tolerance", "rank", "space", "parts", "segmentation", "joint_width", "placement"),
     *("projection", "volume", "labels", "label_source", "knots", "pose"),
 )
-"""Options of ``mixseq encode`` for models that are not compressed."""
+"""Options of ``mixseq encode`` that apply only to uncompressed models."""
 
 _ORDER_MESSAGES = {
     "vertices": "faces have other numbers than the original's",
     "free": "vertices and faces have other numbers than the original's",
 }
-"""Messages about orders in which not all numbers are kept."""
+"""Messages about values of ``order`` that renumber vertices or faces."""
 
 
 def _aim(uvs: bool = True, **parameters: Any) -> dict[str, Any]:
-    """Return the parameters of `mixseq.compress`: a target and more, or nothing; options beside them raise an error."""
+    """Return the parameters of `mixseq.compress`, empty without a target; raise an error for contradicting options."""
     targets = options.given_options("max_error", "kg", "size")
     if len(targets) > 1:
         raise SettingsError(f"give one of {' and '.join(targets)}, not {len(targets)}: each follows from the other")
@@ -80,13 +80,13 @@ aiming = options.group(
     options.setting("--uvs/--no-uvs", default=True, help="Compressed: keep texture coordinates."),
     make=_aim,
 )
-"""Targets of compression, as ``aim``, the parameters of `mixseq.compress`."""
+"""Options for targets of compression; the argument ``aim`` gets the parameters of `mixseq.compress`."""
 
 
 def compressed(
     frames: Frames, aim: Mapping[str, Any], progress: Progress, still: StillName | None = None
 ) -> CompressedSequence:
-    """Compress a sequence to an aim; a size is that of the file, a .glb if a `still` is given."""
+    """Compress a sequence to a target; a target size is the size of the file, a .glb if `still` is given."""
     from mixseq_io.coded.packing import room_for_signals
 
     aim = in_diagonals(aim, frames, "max_error")
@@ -101,7 +101,7 @@ def compressed(
 
 
 def coding_facts(path: Path, coded: CompressedSequence) -> dict[str, Any]:
-    """Return bytes, rates and errors of a compressed model in a file."""
+    """Return the size in bytes, bit rates and errors of a compressed model in a file."""
     from dataclasses import asdict
 
     from mixseq_io.verification import compressed_sizes
@@ -121,12 +121,12 @@ def coding_facts(path: Path, coded: CompressedSequence) -> dict[str, Any]:
 
 
 def bits(size: int, header: SequenceHeader) -> float:
-    """Return bits per vertex and frame."""
+    """Convert a size in bytes to bits per vertex and frame."""
     return 8 * size / (header.vertex_count * header.frame_count)
 
 
 def coding_rows(facts: dict[str, Any], metres_per_unit: float) -> Rows:
-    """Return table rows of the result of `coding_facts`."""
+    """Return table rows for the result of `coding_facts`."""
     sizes, coding = facts["bytes"], facts["coding"]
     stated = "at most " if coding["promised"] else ""
     components = [

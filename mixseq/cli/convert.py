@@ -1,4 +1,4 @@
-"""``mixseq convert``."""
+"""Implement the command ``mixseq convert``."""
 
 from __future__ import annotations
 
@@ -36,13 +36,12 @@ def command(
 ) -> None:
     """Write a sequence in another format.
 
-    The formats of SOURCE and TARGET follow from their extensions, see "mixseq formats". Frames pass through one
-    block at a time, so sequences may be larger than memory. What TARGET's format cannot hold is named in a
-    warning.
+    The formats of SOURCE and TARGET follow from their extensions, see "mixseq formats". Frames are converted in
+    blocks, so sequences may be larger than memory. A warning lists data that TARGET's format cannot hold.
 
-    A USD, Alembic or glTF file that comes from one of its kind builds on it: USD as a layer over SOURCE, which must
-    stay where it is, the others as a copy with new points, so that materials, cameras and everything else stay.
-    --flatten writes meshes that stand alone.
+    If both files are USD, both Alembic or both glTF, materials, cameras and everything else are kept. USD becomes a
+    layer over SOURCE, which must not be moved; Alembic and glTF become copies of SOURCE with new points.
+    --flatten writes only the meshes, independent of SOURCE.
     """
     claim(target)
     with progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:

@@ -1,4 +1,4 @@
-"""``mixseq decode``: into sequences, skins and morphs that are measured as written, and vertex animation textures."""
+"""``mixseq decode``: write models as sequences, vertex animation textures, or skins and morphs with measured errors."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _UNSUPPORTED_BY_RIGS = {"velocities": "velocities", "onto": "other files to buil
 
 
 def _check_rig(kind: str | None) -> None:
-    """Raise an error for options that exclude each other; without a kind, a sequence is written."""
+    """Raise an error for options that exclude each other; `kind` is None if a sequence is written."""
     options.refuse("texture", why="is for vertex animation textures; leave it out, or end the target in .vat")
     for name, kinds in _KINDS_BY_OPTION.items():
         if kind is None or kind not in kinds:
@@ -55,7 +55,7 @@ def _check_rig(kind: str | None) -> None:
 def _fit_rig(
     kind: str, sequence: MeshSequence, progress: Progress, skeleton: Path | None = None, **settings: Any
 ) -> Skin | Morph:
-    """Fit a skin or a morph to a sequence; a mesh on the skeleton with the same vertices is the bind pose."""
+    """Fit a skin or a morph to a sequence; the bind pose is the skeleton's mesh if it has the same vertices."""
     if kind == "morph":
         return mixseq.fit_morph(sequence, progress=progress, **settings)
     if skeleton is not None:
@@ -65,10 +65,10 @@ def _fit_rig(
 
 
 def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
-    """Return the mesh on the skeleton of a file, None if there is none, or if it differs from that of a sequence."""
+    """Return the mesh bound to a file's skeleton; None if there is no mesh, or it differs from the sequence's mesh."""
     try:
         bind_pose = mixseq.read_bind_pose(path)
-    except NoMeshError:  # a skeleton alone
+    except NoMeshError:  # the file contains only a skeleton
         return None
     if bind_pose.vertex_count == sequence.vertex_count:
         return bind_pose
@@ -84,7 +84,7 @@ def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
 
 
 def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[str, str]]:
-    """Return table rows of a written file's contents and its distance from the sequence."""
+    """Return table rows about the contents of a written rig file and its distance from the sequence."""
     from mixseq.rigging.rigs import Skin
     from mixseq_io.rig_files import GLTF_EXTENSIONS
     from mixseq_io.rig_measuring import measure_rig_file, size_with_frame_targets
@@ -108,7 +108,7 @@ def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[st
 
 
 def texture_rows(report: VatReport, diagonal: float) -> list[tuple[str, str]]:
-    """Return table rows of the textures' sizes and errors; the diagonal is in metres."""
+    """Return table rows about sizes and errors of textures; `diagonal` is in metres."""
     kind = report.kind if not report.rank else f"{report.kind}, {report.rank} basis vectors"
     return [
         (
@@ -205,13 +205,13 @@ def command(
 ) -> None:
     """Turn a model back into a sequence, at any frame rate.
 
-    TARGET's format follows from its extension, see "mixseq formats". It is written while frames are decoded.
+    TARGET's format follows from its extension, see "mixseq formats". Frames are written while later frames are decoded.
 
-    Where TARGET is a folder .vat, frames become textures that graphics cards look up: a texel for every vertex and
-    frame, or with --max-error low-rank textures, which are much smaller.
+    If TARGET is a folder .vat, frames become textures for graphics cards: one texel for every vertex and frame, or with
+    --max-error low-rank textures, which are much smaller.
 
-    With --as, TARGET is a .glb or .gltf that engines play, or USD with a skeleton; it is fitted to all frames, read
-    back, and compared with them. MODEL may then be a sequence, too.
+    With --as, TARGET is a .glb or .gltf for game engines, or USD with a skeleton. It is fitted to all frames, read back
+    and compared with the frames. MODEL may then also be a sequence.
     """
     textures = target.suffix.lower() == files.VAT_EXTENSION
     if textures:
@@ -254,7 +254,7 @@ def command(
 def _frames_to_fit(
     source: Path, frame_options: Mapping[str, Any], progress: Progress, workers: Executor
 ) -> MeshSequence:
-    """Decode the chosen frames of a model into memory, or read a sequence."""
+    """Decode the chosen frames of a model into memory, or read the sequence if the source is not a model."""
     from mixseq.sequence.sequence import join_blocks
 
     named_as_model = source.suffix.lower() in files.MODEL_EXTENSIONS and not source.is_file()
@@ -293,7 +293,7 @@ def _header_of_frames(
 
 
 def _range(model: Model, fps: float | None, start: float | None, end: float | None) -> SequenceHeader:
-    """Choose frames from `start` to `end`: at the rate `fps` from the start on, else the original ones."""
+    """Return the header of frames from `start` to `end`: at the rate `fps`, or the original frames if it is None."""
     import numpy as np
 
     from mixseq.sequence.header import frame_times

@@ -1,4 +1,4 @@
-"""``mixseq demo``."""
+"""Implement the command ``mixseq demo``."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from mixseq.cli.lengths import length_text
 def command(out: Path, frames: int, claim: Claim, quiet: bool) -> None:
     """Encode and decode a walking fox, and compare.
 
-    Leaves in the folder: creature.usdc, the walk cycle; model.h5, the same in the mixed shape space;
-    decoded.usdc, at twice the frame rate; and contact_sheet.png, with the original, parts and joints, the
-    reconstruction and its error.
+    The folder then contains creature.usdc, the walk cycle; model.h5, the model in the mixed shape space;
+    decoded.usdc, the model at twice the frame rate; and contact_sheet.png, a picture of the original, parts and joints,
+    the reconstruction and its error.
     """
     from mixseq.creature import walk_cycle
     from mixseq_io.files import atomic_file
@@ -73,7 +73,7 @@ def command(out: Path, frames: int, claim: Claim, quiet: bool) -> None:
             ]
         )
     announce(creature, stored, decoded)
-    # Last, as it is the only step that needs an extra package.
+    # The last step, as it needs an extra package.
     from mixseq.pictures.sheets import contact_sheet
 
     parts = model.decomposition

@@ -1,4 +1,4 @@
-"""``mixseq edit``."""
+"""Implement the command ``mixseq edit``."""
 
 from __future__ import annotations
 
@@ -78,10 +78,10 @@ def command(
 
     OUT is a model if it ends in .h5 or .hdf5, and a sequence in any other format, see "mixseq formats".
 
-    Edits are applied in the order of the script, a TOML file. Operations are cut, repeat, loop, shift, speed,
+    The script is a TOML file; its edits are applied in order. Operations are cut, repeat, loop, shift, speed,
     reverse, retime, concatenate, transition, blend, in_place, exaggerate, exaggerate_part, hold, smooth, sculpt, drag,
     sketch and swap_key; their settings are the parameters of these functions in mixseq.operations. Paths in a script
-    are relative to it, and lead to its folder or those below.
+    are relative to the script's folder, and must be in this folder or its subfolders.
     """
     from mixseq.operations.script import RETIMING_OPERATIONS, Readers, read_script
 
@@ -132,7 +132,7 @@ def command(
 
 
 def _write_travel(path: Path, model: Model, edit: Edit) -> None:
-    """Write the distance that a body has travelled at every frame, before an edit removes it."""
+    """Write the displacement of the body at every frame of a model, which an edit will remove."""
     from mixseq.operations import travel_of
     from mixseq_io.files import atomic_file
 

@@ -1,4 +1,4 @@
-"""``mixseq encode``."""
+"""Implement the command ``mixseq encode``."""
 
 from __future__ import annotations
 
@@ -82,13 +82,12 @@ def command(
 ) -> None:
     """Turn a sequence into a model.
 
-    SOURCE is a sequence in any format, and may be larger than memory. The model in TARGET, an HDF5 file (compressed
-    also a .glb), reproduces its frames within the tolerance and can be decoded at any time in between.
+    SOURCE is a sequence in any format, and may be larger than memory. TARGET is an HDF5 file, or a .glb if the model is
+    compressed. The model reproduces the frames within the tolerance and can be decoded at any time in between.
 
-    With --max-error, --kg or --size the model is compressed: as few bytes as that error takes, or as small an error as
-    fits into that many bytes. The error of --max-error is guaranteed, the others are measured; see
-    "mixseq verify". As a .glb it plays on the web (see "mixseq web"); a compressed model that SOURCE is already becomes
-    one as it is.
+    With --max-error or --kg the model is compressed to the smallest size with this error; with --size, to the smallest
+    error with this size. --max-error is guaranteed; other errors are measured, see "mixseq verify". A .glb plays on the
+    web (see "mixseq web"). If SOURCE is already a compressed model, its data is copied to the .glb unchanged.
     """
     web = target.suffix.lower() == files.GLB_EXTENSION
     _check_name(target, compressed=bool(aim) or (web and files.is_model(source)))
@@ -131,7 +130,7 @@ def command(
 
 
 def _check_name(path: Path, compressed: bool) -> None:
-    """Raise an error for a path without a model's extension."""
+    """Raise an error if a path does not have the extension of a model."""
     suffix = path.suffix.lower()
     if suffix == files.GLB_EXTENSION and not compressed:
         raise OutputError(f"{path}: a .glb holds compressed models; give --max-error, --kg or --size, too")

@@ -1,7 +1,7 @@
-"""Read and write files, and protect them from being overwritten: no input is an output.
+"""Read and write files, and protect existing files and inputs from being overwritten.
 
-On a terminal, replacing a named target needs an answer, before the work. Without a terminal it is replaced, as other
-tools in scripts do, so that a script may run twice. ``--overwrite`` and ``--no-overwrite`` answer in advance.
+On a terminal, the user must confirm the replacement of a file before the work starts. Without a terminal, the file is
+replaced, so that a script may run twice. ``--overwrite`` and ``--no-overwrite`` decide in advance.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 MODEL_EXTENSIONS, GLB_EXTENSION = (".h5", ".hdf5"), ".glb"
 VAT_EXTENSION = ".vat"
-"""Extension of folders with vertex animation textures, the only folders that are written as targets."""
+"""Extension of folders with vertex animation textures, the only targets that are folders."""
 
 
 def is_model(path: Path) -> bool:
@@ -51,7 +51,7 @@ def is_model(path: Path) -> bool:
 
 
 def read_sequence(path: Path, reading: Mapping[str, Any], progress: Progress) -> MeshSequence:
-    """Read a sequence into memory, reporting progress."""
+    """Read a sequence into memory and report progress."""
     from mixseq.sequence.sequence import join_blocks
 
     with mixseq.open_sequence(path, **reading) as reader:
@@ -61,7 +61,7 @@ def read_sequence(path: Path, reading: Mapping[str, Any], progress: Progress) ->
 
 
 def counted(blocks: Iterable[FloatArray], frames: int, what: str, progress: Progress) -> Iterator[FloatArray]:
-    """Pass on blocks of frames, reporting their number as progress."""
+    """Yield the given blocks of frames, and report the number of frames as progress."""
     done = 0
     for block in blocks:
         yield block
@@ -70,7 +70,7 @@ def counted(blocks: Iterable[FloatArray], frames: int, what: str, progress: Prog
 
 
 def select_frames(blocks: Iterable[FloatArray], indices: Iterable[int]) -> Iterator[FloatArray]:
-    """Yield the chosen frames of a sequence's blocks, in order; later ones are not read."""
+    """Yield the frames with the given indices from blocks of a sequence, in order; stop after the last of them."""
     remaining, first = sorted(indices), 0
     for block in blocks:
         rows = [index - first for index in remaining if index < first + len(block)]
@@ -89,7 +89,7 @@ def decoded(model: Model, progress: Progress, workers: Executor) -> LazyFrames:
 
 
 def time_rows(header: SequenceHeader) -> list[tuple[str, str]]:
-    """Return table rows about the written frames."""
+    """Return table rows about the frame times of a written sequence."""
     first, last = (float(time) for time in header.times[[0, -1]])
     numbers = (time_to_number(time, header.fps) for time in (first, last))
     return [
@@ -108,7 +108,7 @@ def write_frames(
     workers: Executor,
     sources: ArrayLike | None = None,
 ) -> None:
-    """Decode the frames of a header and write them block by block, with velocities or without."""
+    """Decode the frames of a header and write them block by block, optionally with velocities."""
     from mixseq_io.reader import unzip_blocks
 
     if velocities:
@@ -127,9 +127,9 @@ def write_sequence(
     writing: Mapping[str, Any],
     sources: ArrayLike | None = None,
 ) -> None:
-    """Write frames block by block, rotated and scaled on request, but never over the file of their origin.
+    """Write frames block by block, rotated and scaled on request, but refuse to replace the file they are read from.
 
-    Formats with `sources` get the times (T,) of the original for the frames, in seconds.
+    `sources` (T,) are the frames' times in the original, in seconds, for formats that store them.
     """
     from mixseq.sequence.sequence import UnitConversion
     from mixseq_io.registry import FORMATS
@@ -151,7 +151,7 @@ def write_sequence(
 
 
 def check_origin(path: Path, header: SequenceHeader) -> None:
-    """Raise an error if a path is the file from which a sequence was read."""
+    """Raise an error if a path is the file from which the sequence was read."""
     origin = header.surface.origin
     if origin is not None and _replaces(path, Path(origin.path)):
         endangered = origin.path if path.is_dir() else path
@@ -161,7 +161,7 @@ def check_origin(path: Path, header: SequenceHeader) -> None:
 
 
 def check_target(path: Path, source: Path) -> None:
-    """Raise an error, before the work, for a file that cannot be written or would replace the source."""
+    """Raise an error before the work if a target cannot be written or would replace the source."""
     if _replaces(path, source) or _share_files(path, source):
         endangered = source if path.is_dir() else path
         raise OutputError(f"{endangered} is the source itself and would be lost; give another name")
@@ -169,7 +169,7 @@ def check_target(path: Path, source: Path) -> None:
 
 
 def check_place(path: Path) -> None:
-    """Raise an error, before the work, for a file that cannot be written at its path."""
+    """Raise an error before the work if a file cannot be written at the given path."""
     folder = path.parent
     if path.is_dir() and path.suffix.lower() != VAT_EXTENSION:
         raise OutputError(f"{path} is a folder; give the name of a file")
@@ -180,7 +180,7 @@ def check_place(path: Path) -> None:
 
 
 def _replaces(target: Path, source: Path) -> bool:
-    """Return whether a target is an existing source, or a folder of textures that contains the source."""
+    """Return whether writing the target would replace an existing source, as a file or in a texture folder."""
     if not (target.exists() and source.exists()):
         return False
     if not (target.is_dir() and target.suffix.lower() == VAT_EXTENSION):
@@ -188,12 +188,12 @@ def _replaces(target: Path, source: Path) -> bool:
     from mixseq_io.vat.writer import VAT_FILE_NAMES
 
     folder = target.resolve()
-    names = (source.parent.resolve() / source.name, source.resolve())  # of a link, and of what it leads to
+    names = (source.parent.resolve() / source.name, source.resolve())  # of a link, and of its target
     return any(name.parent == folder and name.name in VAT_FILE_NAMES for name in names)
 
 
 def _share_files(target: Path, source: Path) -> bool:
-    """Return whether files of a numbered target are files of a numbered source."""
+    """Return whether a numbered target and a numbered source have files in common."""
     from mixseq_io.numbered.files import find_numbered_files
 
     if target.suffix.lower() != source.suffix.lower() and not source.is_dir():
@@ -204,7 +204,7 @@ def _share_files(target: Path, source: Path) -> bool:
 
 
 def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that the file's format supports: several files may differ in format."""
+    """Return the reading options that the format of a file supports."""
     from mixseq_io.registry import FORMATS
 
     extension = path.suffix.lower()
@@ -214,7 +214,7 @@ def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_options(files: Iterable[Path], reading: Mapping[str, Any], none: str = "none of the files is") -> None:
-    """Raise an error for options that no format of the files supports."""
+    """Raise an error for reading options that none of the files' formats supports."""
     supported = set().union(*(options_of(file, reading) for file in files))
     for name in reading:
         if name not in supported:
@@ -228,7 +228,7 @@ def scene_items(
     reading: Mapping[str, Any],
     stack: ExitStack,
 ) -> tuple[list[SceneItem], SequenceReader | None]:
-    """Open models, sequences (frames are read later) and the original for errors; the stack closes them."""
+    """Open models, sequences (frames are read later) and the original for errors; `stack` closes the files."""
     from mixseq.pictures.scene import SceneItem
 
     check_options([*files, *([against] if against else [])], reading)
@@ -245,26 +245,26 @@ def scene_items(
 
 _CACHE_EXTENSIONS = (".pc2", ".mdd")
 _FOLDER_PARAMETERS = ("folders", "pack_from")
-"""Parameters with folders that may be read, as opposed to files."""
+"""Command parameters whose values are folders to read from, not files."""
 
 
 @dataclass(frozen=True)
 class Claim:
-    """Claim files for writing."""
+    """Checks that files may be written, to be called before the work."""
 
-    overwrite: bool | None  # the option; None if not given
-    given: tuple[Path, ...] = ()  # all files given to the command, to read or to write
+    overwrite: bool | None  # value of the option ``--overwrite``; None if not given
+    given: tuple[Path, ...] = ()  # all files on the command line, to read or to write
     clips: bool = False  # whether USD is written with value clips
 
     def __call__(self, *targets: Path | None, read: Iterable[Path | None] = ()) -> None:
-        """Claim targets, ignoring `None`; `read` are more files that they must not be."""
+        """Check that targets may be written, ignoring `None`; `read` are further input files to protect."""
         written = [target for target in targets if target is not None]
         sources = [*self.given, *(path for path in read if path is not None)]
         for number, target in enumerate(written):
             if target.resolve() in (other.resolve() for other in written[:number]):
                 raise OutputError(f"{target} is to be written twice; give another name")
             if target in sources:
-                sources.remove(target)  # once: a file given twice is read, too
+                sources.remove(target)  # only once, as a file given twice is also an input
         for path in (file for target in written for file in (target, *_beside(target))):
             check_place(path)
             for source in sources:
@@ -272,7 +272,7 @@ class Claim:
         self.permit([file for target in written for file in files_in_the_way(target, self.clips)])
 
     def permit(self, files: Sequence[Path], unasked: bool = True) -> None:
-        """Check that files may be replaced; `unasked` is the answer without an option and without a terminal."""
+        """Check that files may be replaced; `unasked` is the answer if there is neither an option nor a terminal."""
         if not files or self.overwrite:
             return
         can_ask = self.overwrite is None and on_terminal()
@@ -299,16 +299,16 @@ overwriting = options.group(
     ),
     make=_claim,
 )
-"""Option ``--overwrite``, as ``claim``, to be called before the work."""
+"""Option ``--overwrite``; the argument ``claim`` gets a `Claim`, to be called before the work."""
 
 
 def on_terminal() -> bool:
-    """Return whether a user can answer."""
+    """Return whether a user at a terminal can answer questions."""
     return sys.stdin.isatty() and sys.stderr.isatty()
 
 
 def files_in_the_way(target: Path, clips: bool = False) -> list[Path]:
-    """Return the existing files that writing to a target replaces, with numbered files, and those beside it."""
+    """Return the existing files that writing to a target replaces, including numbered files and additional files."""
     from mixseq_io.numbered.files import find_numbered_files
     from mixseq_io.registry import FORMATS
 
@@ -319,7 +319,7 @@ def files_in_the_way(target: Path, clips: bool = False) -> list[Path]:
 
 
 def _beside(target: Path) -> list[Path]:
-    """Return the files written beside a target: the mesh of a point cache."""
+    """Return the additional files written with a target: the mesh of a point cache."""
     return [target.with_suffix(".obj")] if target.suffix.lower() in _CACHE_EXTENSIONS else []
 
 
@@ -332,7 +332,7 @@ def _paths(values: Iterable[Any]) -> Iterator[Path]:
 
 
 def _list_files(files: Sequence[Path]) -> str:
-    """Format files for a message: all of a few, the first and last of many."""
+    """Format file names for a message; of many files, show only the first and the last."""
     names = [click.format_filename(file) for file in files]
     if len(names) > 4:
         return f"{names[0]} ... {names[-1]} ({len(names)} files)"
@@ -341,18 +341,18 @@ def _list_files(files: Sequence[Path]) -> str:
 
 @dataclass(frozen=True)
 class LabelChoice:
-    """Labels of the faces made elsewhere, by the options."""
+    """Options that choose face labels from other programs."""
 
-    labels: Path | None = None  # a file; None for the labels of the sequence itself
-    label_source: str | None = None  # which labels there
+    labels: Path | None = None  # file with labels; None for labels of the sequence itself
+    label_source: str | None = None  # name of the labels in the file
 
     @property
     def is_given(self) -> bool:
-        """Whether there are any."""
+        """Whether any of the options is given."""
         return self != LabelChoice()
 
     def read(self, reader: SequenceReader, reading: Mapping[str, Any]) -> Labels:
-        """Read the labels of an open sequence."""
+        """Read the chosen labels for an open sequence."""
         from mixseq_io.text.label_files import extract_labels, read_labels
 
         if self.labels is None:
@@ -362,7 +362,7 @@ class LabelChoice:
     def parts(
         self, reader: SequenceReader, count: int | None, reading: Mapping[str, Any]
     ) -> int | NDArray[np.int64] | None:
-        """Return the part of every triangle ``(F,)`` from labels; without labels, the number of parts."""
+        """Return the part of every triangle ``(F,)`` according to labels; without labels, return `count`."""
         if not self.is_given:
             return count
         if count is not None:
@@ -384,15 +384,15 @@ labelling = options.group(
     ),
     make=LabelChoice,
 )
-"""Options of labels made elsewhere, as ``labels``."""
+"""Options for labels from other programs; the argument ``labels`` gets a `LabelChoice`."""
 
 
 GLTF_EXTENSIONS = (".glb", ".gltf")
-"""Extensions of formats that have a pose beside their animations."""
+"""Extensions of formats that store a pose in addition to animations."""
 
 
 def first_frame(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
-    """Read the first frame of a file; of glTF, whose animations rarely begin at rest, the pose without animation."""
+    """Read the first frame of a file; from glTF, whose animations rarely begin at rest, read the unanimated pose."""
     from mixseq.sequence.sequence import MeshSequence
 
     still = {"animation": "none"} if path.suffix.lower() in GLTF_EXTENSIONS else {}
@@ -402,7 +402,7 @@ def first_frame(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
 
 
 def picture_path(target: Path, what: str, picture: Path | None = None, no_picture: bool = False) -> Path | None:
-    """Return the path of the picture, by default beside the target; that of numbered files has no number."""
+    """Return the path of the picture, by default next to the target and without the frame number of numbered files."""
     if picture is None:
         stem = re.sub(r"[-_. ]*(#+|\*+|%\d*d)", "", target.stem)
         return None if no_picture else target.with_name("-".join(filter(None, (stem, f"{what}.png"))))
@@ -412,7 +412,7 @@ def picture_path(target: Path, what: str, picture: Path | None = None, no_pictur
 
 
 def check_picture(picture: Path) -> None:
-    """Raise an error, before the work, for other extensions, or if the drawing library is missing."""
+    """Raise an error before the work if a picture has an unsupported extension or the drawing library is missing."""
     from mixseq.pictures.page import import_matplotlib
 
     if picture.suffix.lower() != ".png":

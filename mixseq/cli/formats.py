@@ -1,4 +1,4 @@
-"""``mixseq formats``."""
+"""Implement the command ``mixseq formats``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Table = Sequence[Sequence[str]]
 @options.command("formats", "mixseq formats", "mixseq formats --set markdown=yes")
 @options.setting("--markdown", is_flag=True, help="Print the tables in Markdown.")
 def command(markdown: bool) -> None:
-    """List the file formats: what each can hold, which motion is read from it, and its options."""
+    """List the file formats, with the data that each can hold, the motion that is read from it, and its options."""
     from mixseq_io.registry import capability_table, motion_table
 
     for number, (titles, *rows) in enumerate((capability_table(), motion_table())):
@@ -28,7 +28,7 @@ def command(markdown: bool) -> None:
 
 
 def as_markdown(table: Table) -> str:
-    """Return a table, whose first row has the titles, in Markdown."""
+    """Format a table as Markdown; the first row has the column titles."""
     titles, *rows = table
     lines = [titles, ["---"] * len(titles), *rows]
     return "\n".join("|" + "|".join(row) + "|" if row[0] == "---" else "| " + " | ".join(row) + " |" for row in lines)

@@ -1,20 +1,20 @@
-"""A command group that imports commands on demand, and reports errors in one line, without a traceback.
+"""Command group that imports commands on demand and reports errors in one line, without a traceback.
 
 Exit codes:
 
 ====  ======================================================================
 0     success
-1     the reader of a pipe went away; an asset of a batch failed; or a bound does not hold
+1     a pipe was closed by its reader, an asset of a batch failed, or a bound does not hold
 2     an error that the user can fix
 130   interrupted by Ctrl-C
 129   its terminal was closed
 143   terminated by a signal
 ====  ======================================================================
 
-Anything else is a bug in mixseq, and those do come with a traceback.
+Any other error is a bug in mixseq and is reported with a traceback.
 
-Commands print tables and finished files on stdout, progress on stderr. Names in files are untrusted: they must not move
-the cursor, colour or rename the terminal, or reverse the rest of a line, so all output goes through `printable`.
+Commands print tables and the names of written files on stdout, and progress on stderr. Names in files are untrusted and
+may contain control characters for the terminal, so all output is escaped by `printable`.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from mixseq.runtime.progress import Progress, forward_warnings, no_progress
 
 _CONTROL_CHARACTERS = re.compile(
     "[\x00-\x1f\x7f-\x9f"  # C0, DEL and C1
-    "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"  # of bidirectional text
-    "\u2028\u2029\ud800-\udfff]"  # ends of lines and paragraphs; halves of characters
+    "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"  # controls of bidirectional text
+    "\u2028\u2029\ud800-\udfff]"  # line and paragraph separators; surrogates
 )
 
 
@@ -50,12 +50,12 @@ def printable(text: str) -> str:
 
 
 def say(text: str, err: bool = False) -> None:
-    """Print a line, on stdout or stderr."""
+    """Print an escaped line on stdout, or on stderr if `err` is set."""
     click.echo(printable(text), err=err)
 
 
 def print_table(rows: Iterable[Sequence[str]], heading: Sequence[str] | None = None) -> None:
-    """Print rows of text in columns: coloured on a terminal, aligned plain text elsewhere."""
+    """Print rows of text in columns, with colours on a terminal and as aligned plain text elsewhere."""
     lines = [[printable(cell) for cell in row] for row in rows]
     if sys.stdout.isatty():
         _print_rich(lines, heading)
@@ -78,7 +78,7 @@ def _print_rich(rows: list[list[str]], heading: Sequence[str] | None) -> None:
         table.add_column(name, style="cyan" if number == 0 else None, overflow="fold")
     for row in rows:
         table.add_row(*row)
-    # Names in files are data: brackets and colons in them are not markup.
+    # Brackets and colons in names from files must not be interpreted as markup.
     Console(markup=False, emoji=False, highlight=False).print(table)
 
 
@@ -88,14 +88,14 @@ def print_json(data: dict[str, Any]) -> None:
 
 
 def announce(*paths: Path | None) -> None:
-    """Print which files are written, and which others they need."""
+    """Print which files were written, and which other files they depend on."""
     for path in filter(None, paths):
         size = f" ({format_bytes(path.stat().st_size)})" if path.is_file() else ""
         say(f"wrote {click.format_filename(path)}{size}{needed(path)}")
 
 
 def needed(path: Path) -> str:
-    """Return the files that a USD file depends on, "" if there are none."""
+    """Describe the files that a USD file depends on; return "" if there are none."""
     if path.suffix.lower() not in (".usd", ".usda", ".usdc"):
         return ""
     from mixseq_io.usd.stage import find_clips, find_sublayer
@@ -122,7 +122,7 @@ def format_bytes(count: float) -> str:
 
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Progress]:
-    """Show the progress of work, if stderr is a terminal."""
+    """Show a progress bar if stderr is a terminal and `quiet` is not set."""
     if quiet or not sys.stderr.isatty():
         yield no_progress
         return
@@ -145,12 +145,12 @@ def progress_bar(quiet: bool) -> Iterator[Progress]:
         yield update
 
 
-# Without address space, as after ``ulimit -v``, C libraries crash, abort or hang, none of which Python can catch: they
-# take it by the hundred megabytes, with the stacks and arenas of their threads. So under a limit they start no threads,
-# and are not loaded below a minimum.
+# If address space is limited, as by ``ulimit -v``, C libraries may crash, abort or hang, which Python cannot catch.
+# Stacks and arenas of their threads take hundreds of megabytes. So under a limit libraries use one thread, and below a
+# minimum they are not loaded.
 
 MIN_ADDRESS_SPACE = 2000 << 20
-"""Smallest address space in bytes: small files take up to 1.8 GB on one thread (measured), libraries a sixth of it."""
+"""Smallest address space in bytes; small files need up to 1.8 GB on one thread (measured), 1/6 of it for libraries."""
 
 _THREAD_VARIABLES = ("MIXSEQ_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS")
 
@@ -164,7 +164,7 @@ _OUT_OF_MEMORY_SIGNS = (
 
 
 def limit_threads() -> None:
-    """Set libraries that are not loaded yet to one thread, if the address space is limited."""
+    """Limit libraries that are not loaded yet to one thread if the address space is limited."""
     limit = _address_space()
     if limit is None:
         return
@@ -178,7 +178,7 @@ def limit_threads() -> None:
 
 
 def is_short_of_memory(error: Exception) -> bool:
-    """Return whether an error of another kind is due to limited memory."""
+    """Return whether an error that is not a MemoryError is caused by limited memory."""
     return _address_space() is not None and any(sign in str(error) for sign in _OUT_OF_MEMORY_SIGNS)
 
 
@@ -196,7 +196,7 @@ _SIZE_PATTERN = re.compile(r"(\d+\.?\d*|\.\d+)\s*([kmg]?i?b|)", re.IGNORECASE)
 
 
 def as_bytes(text: str) -> int:
-    """Parse a size such as 2MB, 500kB or 1.5MiB; without a unit, bytes."""
+    """Parse a size such as 2MB, 500kB or 1.5MiB to bytes; a number without a unit is in bytes."""
     match = _SIZE_PATTERN.fullmatch(text.strip())
     unit = match and _BYTE_UNITS.get(match[2].lower())
     if not match or not unit or float(match[1]) * unit < 1:
@@ -208,13 +208,13 @@ def _limit_memory(context: click.Context, option: click.Parameter, size: int | N
     if size is not None:
         from mixseq_io.files import MEMORY_LIMIT_VARIABLE
 
-        # Inherited by threads and processes started here.
+        # Threads and processes started here inherit the variable.
         context.with_resource(environment(**{MEMORY_LIMIT_VARIABLE: str(size / (1 << 30))}))
 
 
 @contextmanager
 def environment(**variables: str) -> Iterator[None]:
-    """Set environment variables meanwhile."""
+    """Set environment variables inside the ``with`` block."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
@@ -238,7 +238,7 @@ max_memory = click.Option(
 
 
 class LazyGroup(click.Group):
-    """Commands in modules of a package, each in its own ``command``."""
+    """Command group whose commands are the functions ``command`` in the modules of a package."""
 
     def __init__(
         self,
@@ -253,11 +253,11 @@ class LazyGroup(click.Group):
         self._sections = sections
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the commands' names."""
+        """Return the names of the commands."""
         return [name for names in self._sections.values() for name in names]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command."""
+        """Import and return a command."""
         if cmd_name not in self.list_commands(ctx):
             return None
         command: click.Command = import_module(f"{self._package}.{cmd_name.replace('-', '_')}").command
@@ -267,7 +267,7 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find a command, or suggest the one of most similar spelling."""
+        """Find a command; for an unknown name, suggest the command with the most similar name."""
         name, commands = args[0], self.list_commands(ctx)
         if name not in commands and not ctx.resilient_parsing:
             from difflib import get_close_matches
@@ -277,7 +277,7 @@ class LazyGroup(click.Group):
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the commands, grouped by purpose."""
+        """Write the list of commands, grouped by purpose."""
         width = formatter.width - 6 - max(map(len, self.list_commands(ctx)))
         for title, names in self._sections.items():
             commands = ((name, self.get_command(ctx, name)) for name in names)
@@ -285,13 +285,13 @@ class LazyGroup(click.Group):
                 formatter.write_dl([(name, each.get_short_help_str(width)) for name, each in commands if each])
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; help needs no memory."""
+        """Run a command after a check of available memory, which help does not need."""
         if not set(ctx.help_option_names) & set(ctx.args):
             limit_threads()
         return super().invoke(ctx)
 
     def main(self, *args: Any, standalone_mode: bool = True, **settings: Any) -> Any:
-        """Run the command line as `click.Group.main` does, with mixseq's messages."""
+        """Run the command line like `click.Group.main`, with error messages of mixseq."""
         run = partial(super().main, *args, standalone_mode=False, **settings)
         if not standalone_mode:
             return run()
@@ -330,7 +330,7 @@ def _hint(error: click.ClickException) -> str:
 
 
 def _say(message: str) -> None:
-    """Print a message on one line of stderr; the lines of a list become an enumeration."""
+    """Print a message on one line of stderr; join the lines of a list to an enumeration."""
     head, *rest = (line.strip() for line in message.splitlines())
     say(f"mixseq: {head} {', '.join(rest)}".rstrip(), err=True)
 

@@ -1,4 +1,4 @@
-"""``mixseq info``."""
+"""Implement the command ``mixseq info``."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ Rows = list[tuple[str, str]]
 @options.reading
 @options.quiet
 def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
-    """Tell what is in a sequence or a model.
+    """Show the contents of a sequence or a model.
 
-    Of a sequence only the first frame is read.
+    For a sequence, only the first frame is read.
     """
     from mixseq_io.verification import is_compressed, read_compressed
 
@@ -107,17 +107,17 @@ def _surface(header: SequenceHeader) -> dict[str, Any]:
 
 
 def bytes_of_frames(header: SequenceHeader) -> int:
-    """Return the bytes of the frames in single precision."""
+    """Return the size in bytes of all frames in single precision."""
     return 12 * header.frame_count * header.vertex_count
 
 
 def size_row(total: int, frames: int) -> tuple[str, str]:
-    """Return the table row of the bytes of a model, beside those of its frames."""
+    """Return the table row that compares the bytes of a model with the bytes of its frames."""
     return "size", f"{format_bytes(total)}, {total / frames:.2f} times the frames in single precision"
 
 
 def _dimensions(model: Model) -> dict[str, Any]:
-    """Count the signals; in the mixed space also parts and joints, and lengths and angles of all edges and a pose."""
+    """Return the dimensions of a model's signals and, in the mixed space, of its parts, joints and edges."""
     signals = {
         "space": model.space.name,
         "dim": model.space.dim,

@@ -1,4 +1,4 @@
-"""``mixseq interpolate``."""
+"""Implement the command ``mixseq interpolate``."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Pose(NamedTuple):
-    """A frame, and its weight if it has one."""
+    """A frame and its optional weight."""
 
     frame: int
     weight: float | None
@@ -85,10 +85,10 @@ def command(
 ) -> None:
     """Blend poses of a mesh in a shape space.
 
-    IN is a sequence in any format, whose frames are the poses. OUT is one frame: their blend. The parts of the mesh are
-    found in all frames of IN, also those without a weight.
+    IN is a sequence in any format, whose frames are the poses. OUT is one frame, the blend of the poses. The parts of
+    the mesh are found from all frames of IN, including frames without a weight.
 
-    With --steps OUT is a sequence from the first --pose to the second, evenly; IN with two frames needs no --pose.
+    With --steps, OUT is a sequence of even steps from the first --pose to the second. Two frames need no --pose.
     """
     _check(poses, steps)
     claim(target)
@@ -117,7 +117,7 @@ def command(
 
 
 def _check(poses: Sequence[Pose], steps: int | None) -> None:
-    """Raise an error for unusable poses, before the sequence is read."""
+    """Raise an error for invalid poses before the sequence is read."""
     frames = [pose.frame for pose in poses]
     for pose in poses:
         if frames.count(pose.frame) > 1:
@@ -133,7 +133,7 @@ def _check(poses: Sequence[Pose], steps: int | None) -> None:
 
 
 def _weights(poses: Sequence[Pose], steps: int | None, count: int) -> NDArray[np.float64]:
-    """Return weights ``(m, n)`` of all frames of a sequence, for every frame of the result."""
+    """Return weights ``(m, n)`` of the n frames of a sequence for each of the m frames of the result."""
     import numpy as np
 
     from mixseq.operations.interpolation import normalise_weights

@@ -1,7 +1,7 @@
-"""Lengths on the command line: fractions of the bounding-box diagonal, or lengths in units.
+"""Parse and format lengths: fractions of the bounding-box diagonal, or lengths with a unit.
 
-Errors and tolerances are fractions of the diagonal of the bounding box in the first frame. ``--max-error 0.001`` is
-such a fraction; ``--max-error 0.5mm`` is converted by the units of the sequence. Reports print both.
+Errors and tolerances are fractions of the diagonal of the bounding box in the first frame, such as ``--max-error
+0.001``. A length such as ``--max-error 0.5mm`` is converted to a fraction by the sequence's unit. Reports print both.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 _LENGTH_PATTERN = re.compile(rf"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?)\s*({'|'.join(UNITS)}|)", re.IGNORECASE)
 
 _REPORTED_UNITS = ("km", "m", "cm", "mm")
-"""Units of reported lengths, from large to small."""
+"""Units of reported lengths, in descending order."""
 
 
 def parse_length(text: str) -> float | str:
-    """Parse the value of an option: ``0.001``, a fraction of the diagonal; ``0.5mm`` stays text.
+    """Parse an option value: return a fraction of the diagonal as a number, a length with a unit as text.
 
     >>> parse_length("1e-3"), parse_length("0.5 mm")
     (0.001, '0.5mm')
@@ -57,7 +57,7 @@ def in_diagonals(settings: Mapping[str, Any], frames: Frames, *names: str) -> di
 
 
 def length_text(fraction: float, diagonal: float, digits: int = 4) -> str:
-    """Return a fraction of a diagonal, which is in metres, also in units.
+    """Format a fraction of a diagonal, with the corresponding length in brackets; `diagonal` is in metres.
 
     >>> length_text(0.0005, 1.8)
     '0.0005 diagonals (0.9 mm)'

@@ -1,6 +1,6 @@
-"""Arguments and options of the commands, each defined once, in groups that a command gets as one argument.
+"""Define the arguments and options of all commands; a command gets a group of options as one argument.
 
-Rare options are settings: ``--joint-width 2`` is also ``--set joint_width=2``, and help lists them after the options.
+Rare options are settings: ``--joint-width 2`` can be written ``--set joint_width=2``. Help lists settings last.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ NO_WORDS = ("no", "false", "off", "0")
 
 
 class Setting(click.Option):
-    """An option listed among the settings."""
+    """An option that help lists as a setting."""
 
     @property
     def key(self) -> str:
@@ -43,11 +43,11 @@ class Setting(click.Option):
         return self.opts[-1].removeprefix("--").replace("-", "_")
 
     def usage(self, ctx: click.Context) -> str:
-        """Return the usage of the setting in help."""
+        """Return the usage text of the setting for help."""
         return f"{self.key}={'yes' if self.is_flag else self.make_metavar(ctx)}"
 
     def arguments(self, value: str) -> list[str]:
-        """Return the arguments of a value."""
+        """Return the command-line arguments that give the setting a value."""
         if not self.is_flag:
             return [self.opts[-1], value]
         if value.lower() in YES_WORDS:
@@ -58,7 +58,7 @@ class Setting(click.Option):
 
 
 class CommandWithSettings(click.Command):
-    """A command with settings listed after its options; if it has any, it gets the option ``--set``."""
+    """A command whose help lists settings after options; a command with settings also has the option ``--set``."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -70,11 +70,11 @@ class CommandWithSettings(click.Command):
 
     @property
     def settings(self) -> dict[str, Setting]:
-        """Its settings by name."""
+        """Settings of the command by name."""
         return {each.key: each for each in self.params if isinstance(each, Setting)}
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse arguments, with settings expanded to options."""
+        """Parse arguments after expanding ``--set`` to options."""
         return super().parse_args(ctx, list(self._expanded(ctx, args)) if self.settings else args)
 
     def _expanded(self, ctx: click.Context, args: list[str]) -> Iterator[str]:
@@ -98,7 +98,7 @@ class CommandWithSettings(click.Command):
             yield from matches.arguments(value)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options, and after them the settings."""
+        """Write the options, then the settings."""
         options, settings = [], []
         for param in self.get_params(ctx):
             record = param.get_help_record(ctx)
@@ -113,19 +113,19 @@ class CommandWithSettings(click.Command):
 
 
 def examples(*lines: str) -> str:
-    """Return the end of a help text, marked so that click does not reflow it."""
+    """Return the examples at the end of a help text, marked so that click does not reflow them."""
     return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
 
 
 def command(name: str, *lines: str, before: str = "") -> Callable[[Command], click.Command]:
-    """Return a decorator that makes a command, with lines of examples at the end of its help."""
+    """Return a decorator that makes a command; `lines` are the examples at the end of its help."""
     return click.command(name, cls=CommandWithSettings, epilog=before + examples(*lines))
 
 
 def group(name: str, *options: Decorator, make: Callable[..., Any] = dict) -> Decorator:
-    """Return a decorator that adds options; the command gets those with a value as one argument.
+    """Return a decorator that adds a group of options, which the command gets as one argument.
 
-    The argument `name` is what `make` returns for the options by keyword.
+    `make` is called with the given options as keywords; its result is the argument `name`.
     """
 
     def add(function: Command) -> Command:
@@ -145,7 +145,7 @@ def group(name: str, *options: Decorator, make: Callable[..., Any] = dict) -> De
 
 
 def given_options(*names: str) -> list[str]:
-    """Return which of some options are on the command line, as they are spelled; a switch must change its default."""
+    """Return the spellings of those options that are on the command line, without switches set to their default."""
     context = click.get_current_context()
     params = {str(param.name): param for param in context.command.params}
     given = []
@@ -158,7 +158,7 @@ def given_options(*names: str) -> list[str]:
 
 
 def refuse(*names: str, why: str) -> None:
-    """Raise an error that begins with the first of some options that is on the command line."""
+    """Raise an error if one of the options is on the command line; the message names the first such option."""
     for option in given_options(*names):
         raise SettingsError(f"{option} {why}")
 
@@ -177,13 +177,13 @@ _FRAME_RANGE = re.compile(r"\s*(-?\d+)(?:-(-?\d+))?\s*")
 
 @dataclass(frozen=True)
 class FrameChoice:
-    """Frames by their numbers in the time line: ``1005-1010``, ``1001,1005-1010``."""
+    """A choice of frames by their numbers on the time line, such as ``1005-1010`` or ``1001,1005-1010``."""
 
     ranges: tuple[tuple[int, int], ...]  # first and last number of every range; equal for a single frame
 
     @classmethod
     def from_text(cls, text: str) -> FrameChoice:
-        """Parse the value of an option."""
+        """Parse the text of an option."""
         matches = [_FRAME_RANGE.fullmatch(part) for part in text.split(",")]
         ranges = [(int(each[1]), int(each[2] or each[1])) for each in matches if each]
         if len(ranges) < len(matches) or any(first > last for first, last in ranges):
@@ -205,7 +205,7 @@ class FrameChoice:
         return [int(index) for index in np.flatnonzero(chosen)]
 
     def span(self, header: SequenceHeader) -> tuple[float, float]:
-        """Return the times of the first and last chosen frame, in seconds."""
+        """Return the times in seconds of the first and the last chosen frame."""
         if len(self.ranges) > 1:
             raise SettingsError("--frames is one range here, such as 1005-1010")
         ((first, last),) = self.ranges
@@ -238,7 +238,7 @@ def _unit(text: str) -> float:
 
 @contextmanager
 def thread_limit(count: int | None) -> Iterator[Executor]:
-    """Set the number of threads meanwhile, also for code without the executor."""
+    """Limit the number of threads inside the ``with`` block, including code that does not use the executor."""
     from mixseq.runtime.parallel import thread_executor
 
     with environment(**({} if count is None else {"MIXSEQ_THREADS": str(count)})):
@@ -256,15 +256,15 @@ def _workers(threads: int | None = None, cluster: str | None = None) -> Abstract
 
 
 # Options --------------------------------------------------------------------------------------------------
-# Partial ones are for commands to complete: ``@options.fps(help=...)``.
+# Commands complete options defined by ``partial``: ``@options.fps(help=...)``.
 
 argument = partial(click.argument, type=FILE_PATH)
 
 
 def option(spec: str, *names: str, **settings: Any) -> Decorator:
-    """Return a decorator that adds an option, spelled as in help, ``--name METAVAR``; its default is shown.
+    """Return a decorator that adds an option, spelled ``--name METAVAR`` as in help, with its default shown.
 
-    With a metavar of `PATHS` its value is a path.
+    If the metavar is in `PATHS`, the value is a path.
     """
     name, _, metavar = spec.partition(" ")
     settings.setdefault("metavar", metavar or None)
@@ -275,10 +275,10 @@ def option(spec: str, *names: str, **settings: Any) -> Decorator:
 
 
 setting = partial(option, cls=Setting)
-"""Decorator like `option`, for a setting."""
+"""Make a decorator like `option`, for a setting."""
 
 flag = partial(option, is_flag=True, default=None)
-"""Decorator like `option`, for a switch of a group, which has no value if it is not given."""
+"""Make a decorator like `option`, for a switch in a group; without the switch on the command line there is no value."""
 
 quiet = option("-q", "--quiet", is_flag=True, help="Print neither progress nor tables.")
 as_json = option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
@@ -305,7 +305,7 @@ joint_width = setting(
     help="Largest width of joints, in strips of triangles on each side of a boundary.",
 )
 length = partial(option, type=parse_length)
-"""Decorator like `option`, for a fraction of the bounding-box diagonal, or a length such as 0.5mm."""
+"""Make a decorator like `option`, for a fraction of the bounding-box diagonal or a length such as 0.5mm."""
 
 camera = setting(
     "--camera ANGLE,HEIGHT",
@@ -344,7 +344,7 @@ SPACE_OPTIONS = (
 # Groups ---------------------------------------------------------------------------------------------------
 
 making = group("making", *SPACE_OPTIONS)
-"""Options of shape spaces, as ``making``."""
+"""Options of shape spaces, in the argument ``making``."""
 
 fitting = group(
     "fitting",
@@ -357,7 +357,7 @@ fitting = group(
     option("--rank N", type=NON_NEGATIVE_INTEGER, help="Number of shape modes; parts stay in place exactly."),
     *SPACE_OPTIONS,
 )
-"""Options of fitting, and those of shape spaces, as ``fitting``."""
+"""Options of fitting and of shape spaces, in the argument ``fitting``."""
 
 reading = group(
     "reading",
@@ -391,7 +391,7 @@ reading = group(
         help="Metres per unit, where the file does not say; nothing is scaled.",
     ),
 )
-"""Options of the formats' readers, as ``reading``."""
+"""Options of file readers, in the argument ``reading``."""
 
 writing = group(
     "writing",
@@ -422,7 +422,7 @@ writing = group(
         help="Scale the sequence to mm, cm, m, km, in, ft, yd, or a unit in metres.  [default: as it is]",
     ),
 )
-"""Options of writing sequences, as ``writing``."""
+"""Options of sequence writers, in the argument ``writing``."""
 
 workers = group(
     "workers",
@@ -430,11 +430,11 @@ workers = group(
     option("--cluster ADDRESS", help="Work on a dask cluster: tcp://host:8786, or local:N for N processes here."),
     make=_workers,
 )
-"""Options of parallel work, as ``workers``, a context that yields an `Executor`."""
+"""Options of parallel work; the argument ``workers`` is a context that yields an `Executor`."""
 
 
 def picture(beside: str) -> Decorator:
-    """Return the options of a picture that is drawn beside a result, as ``picture``."""
+    """Return the options of a picture drawn in addition to a result, in the argument ``picture``."""
     return group(
         "picture",
         option("--picture PNG", help=f"Name of the picture.  [default: beside {beside}]"),

@@ -1,4 +1,4 @@
-"""``mixseq plot``: pictures of models, and films."""
+"""``mixseq plot``: draw pictures of models, or make films."""
 
 from __future__ import annotations
 
@@ -103,13 +103,13 @@ def command(
     claim: Claim,
     quiet: bool,
 ) -> None:
-    """Draw a model: its signals, its parts, and how far it is from the original. Or make a film.
+    """Draw a model: its signals, its parts, and its errors against the original. Or make a film.
 
-    TARGET is a PNG or an SVG file. Without --kind it is a page with the time signal in its MDS embedding, its
+    TARGET is a PNG or an SVG file. Without --kind, the picture is a page with the time signal in its MDS embedding, its
     coefficients, the singular values, parts and joints, and with --against the errors per frame and per vertex.
 
-    With --video, FILES are models or sequences in any format, which are shown side by side. It is drawn without a
-    graphics card, and the same on every number of threads.
+    With --video, FILES are models or sequences in any format, which the film shows side by side. Drawing needs no
+    graphics card, and the result does not depend on the number of threads.
     """
     if video is not None:
         options.refuse(*_PICTURE_OPTIONS, why="is about pictures; leave it out, or --video")
@@ -170,7 +170,7 @@ def _make_film(
     claim: Claim,
     quiet: bool,
 ) -> None:
-    """Make the film of `files`; their captions are by default their names, if there are several."""
+    """Make a film of `files`; captions are by default the file names if there are several files."""
     from mixseq.pictures.film import FilmSettings, film
     from mixseq.pictures.film_encoding import check_film, film_format
     from mixseq_io.files import atomic_file

@@ -1,4 +1,4 @@
-"""``mixseq resample``."""
+"""Implement the command ``mixseq resample``."""
 
 from __future__ import annotations
 
@@ -84,10 +84,10 @@ def command(
     """Change the frame rate, speed or direction of a sequence.
 
     SOURCE is a model, or a sequence in any format, which is turned into a model first. TARGET's format follows from
-    its extension, see "mixseq formats"; it is written while frames are decoded.
+    its extension, see "mixseq formats"; frames are written while later frames are decoded.
 
-    Frames of TARGET are at whole multiples of 1/fps: all of those from the start of the output to its end. The
-    table lists the time left over before the first and after the last, if any.
+    TARGET has a frame at every whole multiple of 1/fps from the start of the output to its end. If time is left over
+    before the first frame or after the last, the table lists it.
     """
     if exact and tolerance is not None:
         raise SettingsError("--exact keeps everything and --tolerance does not; leave out one of them")
@@ -131,7 +131,7 @@ def _model(
     progress: Progress,
     workers: Executor,
 ) -> Model:
-    """Load a model, or fit one to a sequence while reading."""
+    """Load a model, or fit a model to a sequence while reading it."""
     if not is_model(source):
         with mixseq.open_sequence(source, **reading) as reader:
             detail = {"exact": True} if tolerance is None else {"tolerance": tolerance}
@@ -150,7 +150,7 @@ def _rows(planned: Resampling) -> list[tuple[str, str]]:
     begin, end, low, high = sources[0], sources[-1], sources.min(), sources.max()
     beyond = f", between {low:g} and {high:g} s" if low < min(begin, end) or high > max(begin, end) else ""
     rows = [*time_rows(header), ("source", f"{format_span(begin, end, planned.model.header.fps)}{beyond}")]
-    negligible = 1e-3 / header.fps  # smaller ones are rounding errors
+    negligible = 1e-3 / header.fps  # shorter times are rounding errors
     why = f"; frames are at whole multiples of 1/{header.fps:g} s"
     if first - retiming.start > negligible:
         rows.append(("left over", f"{first - retiming.start:.3g} s before the first frame, at {first:g} s{why}"))

@@ -1,4 +1,4 @@
-"""``mixseq segment``."""
+"""Implement the command ``mixseq segment``."""
 
 from __future__ import annotations
 
@@ -81,8 +81,8 @@ def command(
 ) -> None:
     """Cut a sequence into near-rigid parts.
 
-    TARGET is an npz file with the part of every triangle, or the animation with its parts: as GeomSubsets in USD, as
-    groups in OBJ, Alembic and HDF5. A picture of the parts is drawn beside it.
+    TARGET is an npz file with the part of every triangle, or the animation with its parts: GeomSubsets in USD, groups
+    in OBJ, Alembic and HDF5. A picture of the parts is drawn next to TARGET.
     """
     from mixseq_io.text.label_files import check_label_target, write_labels
 
@@ -124,7 +124,7 @@ def command(
 
 
 def _rows(measures: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return table rows of `_measured`, the whole mesh last."""
+    """Return table rows for the result of `_measure_parts`, with the whole mesh in the last row."""
     parts, count = measures["parts"], len(measures["parts"])
     total = {
         "name": f"{count} part{'s' * (count != 1)}",
@@ -139,7 +139,7 @@ def _rows(measures: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def _method(method: str | None, parts: int | None, labels: LabelChoice) -> str:
-    """Return the method chosen by the options."""
+    """Return the segmentation method chosen by the options."""
     method_name = method or ("labels" if labels.is_given else "motion")
     if labels.is_given and method_name not in _LABEL_METHODS:
         raise SettingsError(f"--labels and --source are no settings of the method {method_name}; leave out --method")
@@ -151,7 +151,7 @@ def _method(method: str | None, parts: int | None, labels: LabelChoice) -> str:
 
 
 def split_into_connected(header: SequenceHeader, labels: Labels) -> Labels:
-    """Split labels into connected parts; the second part of a label "arm" is "arm_1", unless that is a label."""
+    """Split labels into connected parts; a second part with the label "arm" is named "arm_1" if this name is unused."""
     import numpy as np
 
     from mixseq.mesh.topology import Topology
@@ -165,7 +165,7 @@ def split_into_connected(header: SequenceHeader, labels: Labels) -> Labels:
 
 
 def numbered(names: Sequence[str]) -> tuple[str, ...]:
-    """Append numbers to repeated names, skipping existing ones: arm, arm, arm_1 become arm, arm_2, arm_1."""
+    """Append numbers to repeated names, skipping names in use: arm, arm, arm_1 become arm, arm_2, arm_1."""
     used, result = set(names), []
     counts: dict[str, count[int]] = {}
     for name in names:
@@ -212,7 +212,7 @@ def _areas(points: FloatArray, header: SequenceHeader) -> NDArray[np.float64]:
 
 
 def _measure_parts(header: SequenceHeader, points: FloatArray, labels: Labels) -> dict[str, Any]:
-    """Return the triangles, the share of the area and the error in percent of every part, plain values for JSON."""
+    """Return the triangle count, the area fraction and the error in percent of every part, as plain values for JSON."""
     import numpy as np
 
     from mixseq.segmentation.methods import near_rigid_errors
@@ -230,7 +230,7 @@ def _measure_parts(header: SequenceHeader, points: FloatArray, labels: Labels) -
 
 
 def _compare_labels(reader: SequenceReader, points: FloatArray, labels: Labels, source: str) -> dict[str, Any]:
-    """Return the adjusted Rand indices against other labels: by triangles, and weighted by area."""
+    """Return adjusted Rand indices of labels against the labels in `source`, by triangle count and weighted by area."""
     from mixseq.segmentation.methods import adjusted_rand_index
     from mixseq_io.text.label_files import extract_labels
 

@@ -1,4 +1,4 @@
-"""``mixseq transfer``, and its report: a table, JSON, and a picture."""
+"""``mixseq transfer``, with its report as a table, as JSON and as a picture."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ if TYPE_CHECKING:
     from mixseq_io.reader import SequenceReader
 
 
-_SHARED_READ_OPTIONS = ("up_axis", "metres_per_unit")  # reader options that hold for every file
+_SHARED_READ_OPTIONS = ("up_axis", "metres_per_unit")  # reader options that apply to all files
 
 MAX_LISTED_NAMES = 4
 """Largest number of followers and markers named in the table."""
 
 MAX_PICTURE_COLUMNS = 5
-"""Number of frames in the picture, beside the rest."""
+"""Largest number of frames in the picture, in addition to the rest pose."""
 
 
 def facts(transferred: Transfer, method: str, report: TransferReport) -> dict[str, Any]:
-    """Return plain values for JSON."""
+    """Return the report of a transfer as plain values for JSON."""
     quality = transferred.quality
     reported = {
         "method": method,
@@ -61,7 +61,7 @@ def facts(transferred: Transfer, method: str, report: TransferReport) -> dict[st
 
 
 def rows(transferred: Transfer, method: str, report: TransferReport) -> list[tuple[str, str]]:
-    """Return the table rows."""
+    """Return the report of a transfer as table rows."""
     header, parts = transferred.header, _part_counts(transferred)
     by = ", ".join(_number(count, what[:-1]) for what, count in parts.items()) or "deformation gradients"
     frames = _number(header.frame_count, "frame")
@@ -81,7 +81,7 @@ def rows(transferred: Transfer, method: str, report: TransferReport) -> list[tup
 
 
 def _part_counts(transferred: Transfer) -> dict[str, int]:
-    """Return the numbers of parts and joints of the target, if there are any."""
+    """Return the numbers of parts and joints of the target, or an empty dictionary if there are none."""
     parts = transferred.method.parts
     return {} if parts is None else {"parts": len(parts.target.parts), "joints": len(parts.target.joints)}
 
@@ -96,7 +96,7 @@ def _coverage_rows(covered: Coverage) -> list[tuple[str, str]]:
 
 
 def _quality_facts(quality: CorrespondenceQuality) -> dict[str, Any]:
-    """Return the numeric attributes, and all markers by name."""
+    """Return the numeric attributes of a correspondence quality, and the values of all markers by name."""
     names = [quality.markers.name(number) for number in range(len(quality.markers))]
     missed = zip(names, quality.marker_distances.tolist(), strict=True)
     return {
@@ -161,7 +161,7 @@ def _triangles(counts: FrameCounts, header: SequenceHeader) -> str:
 
 
 def _contact_rows(contacts: ContactReport) -> list[tuple[str, str]]:
-    """Return table rows of the sliding of every contact, and the cost of keeping it."""
+    """Return table rows with the sliding of every contact, and the largest shift and rotation that reduce it."""
     result = []
     for group in contacts.groups:
         stances = _number(len(group.stances), "stance")
@@ -191,7 +191,7 @@ def _percent(share: float) -> str:
 
 
 def _frames_to_draw(transferred: Transfer, frame: int, rest_file: Path | None) -> list[int]:
-    """Choose frames for the picture, without the rest, which is always drawn."""
+    """Choose frames for the picture, without the rest frame, which is always drawn."""
     from mixseq.types import evenly_spaced
 
     count = transferred.header.frame_count
@@ -202,7 +202,7 @@ def _frames_to_draw(transferred: Transfer, frame: int, rest_file: Path | None) -
 def _record_frames(
     blocks: Iterable[FloatArray], frames: Sequence[int], points: list[FloatArray]
 ) -> Iterator[FloatArray]:
-    """Pass on blocks, and append the points ``(V', 3)`` of some frames to a list."""
+    """Yield the given blocks, and append the points ``(V', 3)`` of the chosen frames to a list."""
     first = 0
     for block in blocks:
         points += [block[each - first].copy() for each in frames if 0 <= each - first < len(block)]
@@ -281,21 +281,21 @@ def command(
 ) -> None:
     """Move a mesh as another one moves.
 
-    SOURCE is a sequence in any format, or a model. TARGET is the mesh in its first frame, in a pose like that of SOURCE
-    at --rest; of glTF files both are the pose without animation, mostly that in which they were bound. OUT's format
-    follows from its extension, see "mixseq formats"; it is written while frames are made.
+    SOURCE is a sequence in any format, or a model. The first frame of TARGET is the mesh to move; its pose should be
+    like the pose of SOURCE at --rest. From glTF files, both are read without animation, mostly in the bind pose. OUT's
+    format follows from its extension, see "mixseq formats"; frames are written while later frames are computed.
 
-    Meshes with the same triangles need nothing else. For others, --markers names pairs of vertices, a file with a pair
-    a line, counted from 0; what corresponds in between is found by bending SOURCE onto TARGET, which takes a while:
-    --save-map keeps it for the next time. Components of TARGET without markers follow what is next to them.
+    Meshes with the same triangles need nothing else. For different meshes, --markers is a file with one pair of
+    vertices per line, counted from 0. The other correspondences are found by bending SOURCE onto TARGET, which takes a
+    while; --save-map saves them for the next time. Components of TARGET without markers follow adjacent components.
 
-    The table shows what corresponds, how much OUT is strained in comparison with SOURCE, whether it moves as smoothly,
-    and where it goes through itself. A picture of both is drawn beside OUT.
+    The table shows which regions correspond, how much OUT is strained in comparison with SOURCE, whether it moves as
+    smoothly, and where it goes through itself. A picture of both is drawn next to OUT.
 
-    With --as-model only the key poses of SOURCE are transferred, and OUT moves by SOURCE's time and pose signals: what
-    is edited in one can be played on the other (mixseq.operations.with_shapes).
+    With --as-model only the key poses of SOURCE are transferred, and OUT moves by SOURCE's time and pose signals. Edits
+    of one model can then be played on the other (mixseq.operations.with_shapes).
 
-    --up-axis and --units are for all files, the other options for reading for SOURCE.
+    --up-axis and --units apply to all files, other reading options only to SOURCE.
     """
     if map_file is not None:
         options.refuse("markers", why="and --map are two ways to say the same; give one of them")
@@ -384,7 +384,7 @@ def command(
 
 
 def _rest_frame_or_file(text: str | None, source: Path) -> tuple[int, Path | None]:
-    """Return the rest frame, by its number or from the end, or a file."""
+    """Parse the rest pose: return a frame index, negative from the end, and the file if it is given as a file."""
     if text is None:
         return 0, source if source.suffix.lower() in files.GLTF_EXTENSIONS else None
     return (int(text), None) if re.fullmatch(r"-?\d+", text) else (0, Path(text))
@@ -393,7 +393,7 @@ def _rest_frame_or_file(text: str | None, source: Path) -> tuple[int, Path | Non
 def _mesh_at_rest(
     path: Path, reading: Mapping[str, Any], source_motion: SequenceReader | Model, is_default: bool
 ) -> MeshSequence | int:
-    """Read the source's mesh at rest; frame 0 instead, if a file that was not asked for has other meshes."""
+    """Read the source's mesh at rest from a file; return frame 0 if a default file has a different mesh."""
     target_mesh = files.first_frame(
         path, {name: reading[name] for name in (*_SHARED_READ_OPTIONS, "prim") if name in reading}
     )
@@ -413,7 +413,7 @@ def _mesh_at_rest(
 
 
 def _check_formats(out: Path, save_map: Path | None) -> None:
-    """Raise an error for unsupported extensions, before the work."""
+    """Raise an error before the work if an extension is not supported."""
     from mixseq_io.registry import FORMATS
 
     extensions = [extension for each in FORMATS for extension in each.extensions]
@@ -436,7 +436,7 @@ def _open_source(source: Path, reading: Mapping[str, Any]) -> AbstractContextMan
 def _parts_of_source(
     motion: SequenceReader | Model, parts: int | None, labels: files.LabelChoice, reading: Mapping[str, Any]
 ) -> Any:
-    """Return a number of parts, labels of triangles, or None."""
+    """Return the number of parts or the part labels of triangles, or None if neither is given."""
     from mixseq.signals.model import Model
 
     if not isinstance(motion, Model):

@@ -1,4 +1,4 @@
-"""``mixseq verify``."""
+"""Implement the command ``mixseq verify``."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 @options.reading
 @options.quiet
 def command(path: Path, original: Path | None, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
-    """Check a compressed model: that it is not damaged, and that its bound holds.
+    """Check that a compressed model is not damaged, and that its error bound holds.
 
-    FILE is what "mixseq encode --max-error", --kg or --size wrote. All checksums are checked and all frames decoded.
-    With ORIGINAL every vertex of every frame is compared with the bound. The exit code is 0 if it holds, 1 if not,
-    2 if FILE is damaged.
+    FILE was written by "mixseq encode" with --max-error, --kg or --size. All checksums are checked and all frames are
+    decoded. With ORIGINAL, the error of every vertex in every frame is compared with the bound. The exit code is 0 if
+    the bound holds, 1 if it does not, 2 if FILE is damaged.
     """
     from mixseq_io.verification import read_compressed
 

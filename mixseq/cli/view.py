@@ -1,4 +1,4 @@
-"""``mixseq view``: the viewer in a browser, with which markers are set, too, and pages that play on their own."""
+"""``mixseq view``: show and edit models in a browser, set markers, or export pages that play without the viewer."""
 
 from __future__ import annotations
 
@@ -122,14 +122,14 @@ def command(
 ) -> None:
     """Look at models and sequences in a browser, and edit models in place.
 
-    FILES are models or sequences in any format, shown side by side or in one place. They play and can be scrubbed;
-    colours show parts and joints, the error against the original, strain, or the change of curvature. Of a model there
-    are the time curve, which can be dragged or drawn anew, its coefficients, and keys to retime it; buttons repeat,
-    cut, hold and exaggerate. All of it can be undone, and saved as a model or a sequence in the folder where this was
+    FILES are models or sequences in any format, shown side by side or overlaid. They play and can be scrubbed; colours
+    show parts and joints, the error against the original, strain, or the change of curvature. A model also has its time
+    curve, which can be dragged or redrawn, its coefficients, and keys to retime it; buttons repeat, cut, hold and
+    exaggerate. All edits can be undone. Results are saved as a model or a sequence in the folder where the command was
     started.
 
-    With --markers, the two FILES are shown at rest, each in its first frame (of glTF, in the pose without animation),
-    and points that are the same are clicked in pairs. Some are proposed; how well they fit is shown meanwhile.
+    With --markers, the two FILES are shown at rest, each in its first frame (from glTF, in the pose without animation).
+    Click corresponding points in pairs. Some pairs are proposed, and the viewer shows how well the pairs fit.
 
     The viewer runs until Ctrl-C. On another machine, forward its port: ssh -L 8080:127.0.0.1:8080 machine.
     """
@@ -171,7 +171,7 @@ def _opened(
     reading: Mapping[str, Any],
     progress: Progress,
 ) -> SceneColours:
-    """Open models, and read sequences."""
+    """Open models and read sequences, as a scene with colourings."""
     from mixseq.pictures.colours import SceneColours, check_original
     from mixseq.pictures.scene import Scene
     from mixseq.sequence.sequence import load_frames
@@ -186,7 +186,7 @@ def _opened(
 
 
 def _names(files: Sequence[Path]) -> list[str]:
-    """Return the names of files, with enough folders to be unique, or else a number."""
+    """Return unique names of files, made with folder names or, if necessary, numbers."""
     for parts in range(1, max(len(file.parts) for file in files) + 1):
         names = ["/".join(file.parts[-parts:]) for file in files]
         if len(set(names)) == len(files):
@@ -212,7 +212,7 @@ def _run(colours: SceneColours, files: Sequence[Path], viewing: Mapping[str, Any
 
 
 def _wait(address: str, browser: bool | None) -> None:
-    """Print the address, open it if there is a screen, and wait for Ctrl-C."""
+    """Print the address of the viewer, open it in a browser if there is a screen, and wait for Ctrl-C."""
     say(f"mixseq view: {address} (Ctrl-C ends it)")
     if browser or (browser is None and _has_screen()):
         webbrowser.open(address)
@@ -223,20 +223,20 @@ def _wait(address: str, browser: bool | None) -> None:
 
 
 def _free_name(path: Path) -> Path:
-    """Return the path, with a number appended if the file exists."""
+    """Return a path for a new file; if the given file exists, append a number."""
     tries = (path, *(path.with_stem(f"{path.stem}-{number}") for number in range(2, 10_000)))
     return next(each for each in tries if not each.exists())
 
 
 def _has_screen() -> bool:
-    """Return whether a browser would be visible: not in a remote session, and not in a console."""
+    """Return whether a browser would be visible, which is false in a remote session or on a console."""
     if "SSH_CONNECTION" in os.environ:
         return False
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> str:
-    """Write an edited model, as a model or as a sequence; return a message with its name and the files it needs."""
+    """Write an edited model as a model or a sequence; return a message with the file name and the files it needs."""
     from mixseq.runtime.parallel import thread_executor
     from mixseq_io.numbered.files import find_numbered_files
 
@@ -264,7 +264,7 @@ def _set_markers(
     viewing: Mapping[str, Any],
     browser: bool | None,
 ) -> None:
-    """Run a viewer for setting markers until it is interrupted; unsaved ones are then written beside the file."""
+    """Run a viewer for setting markers until it is interrupted, then write unsaved markers to a new file."""
     from mixseq.viewer.live.marking import run_marking_viewer
     from mixseq.viewer.live.viewer import ViewSettings
     from mixseq_io.text.markers import write_markers
@@ -289,7 +289,7 @@ def _set_markers(
 
 
 def _open_marked_meshes(files: Sequence[Path], path: Path, reading: Mapping[str, Any]) -> MarkedMeshes:
-    """Read both meshes, and the markers if there are any."""
+    """Read both meshes, and the markers if their file exists."""
     import numpy as np
 
     from mixseq.mesh.topology import Topology
@@ -317,7 +317,7 @@ def _open_marked_meshes(files: Sequence[Path], path: Path, reading: Mapping[str,
 
 
 def _still(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
-    """Read a mesh at rest, as in a transfer."""
+    """Read a mesh at rest in the same way as a transfer."""
     if not is_model(path):
         return first_frame(path, reading)
     model = mixseq.load(path)
@@ -325,7 +325,7 @@ def _still(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
     return mixseq.MeshSequence.from_header(model.header.with_times(model.header.times[:1]), first)
 
 
-# Pages that play on their own -----------------------------------------------------------------------------
+# Pages that play without the viewer -----------------------------------------------------------------------------
 
 
 def _first_frame(item: SceneItem) -> LazyFrames:
@@ -343,13 +343,13 @@ def _export(
     progress: Progress,
     workers: Executor,
 ) -> None:
-    """Write a page with all meshes."""
+    """Write a web page that shows all meshes."""
     from mixseq.viewer.export import ExportSettings, export_page
     from mixseq.viewer.export_data import page_items
     from mixseq_io.files import atomic_file
     from mixseq_io.verification import is_compressed, read_compressed
 
-    # A length is a different fraction of every mesh; the smallest holds for all.
+    # A length is a different fraction of the diagonal of every mesh; use the smallest fraction for all meshes.
     bounds = [in_diagonals(settings, _first_frame(item), "max_error") for item in colours.scene.items]
     bound = min(bounds, key=lambda converted: converted.get("max_error", 0.0))
     items = page_items(

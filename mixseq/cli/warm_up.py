@@ -1,4 +1,4 @@
-"""``mixseq warm-up``."""
+"""Implement the command ``mixseq warm-up``."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ FRAME_COUNT = 6
 @options.command("warm-up", "mixseq warm-up")
 @options.quiet
 def command(quiet: bool) -> None:
-    """Compile what later runs need, so that they start at once.
+    """Compile inner loops in advance, so that later runs start at once.
 
-    Inner loops are compiled when they are first used, and kept. Here a small walk is compressed, fitted and
-    decoded, in single and in double precision, and forgotten.
+    Inner loops are compiled at their first use and then kept on disk. This command compresses, fits and decodes a small
+    walk in single and double precision, and discards the result.
     """
     start = perf_counter()
     with progress_bar(quiet) as progress, _work() as steps:
@@ -39,7 +39,7 @@ def command(quiet: bool) -> None:
 
 @contextmanager
 def _work() -> Iterator[list[tuple[str, Callable[[], object]]]]:
-    """Yield named tasks."""
+    """Yield the list of tasks, each with its name."""
     from dataclasses import replace
 
     import numpy as np

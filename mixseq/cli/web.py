@@ -1,4 +1,4 @@
-"""``mixseq web``."""
+"""Implement the command ``mixseq web``."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from mixseq.cli.group import announce
 @overwriting
 @options.quiet
 def command(out: Path, claim: Claim, quiet: bool) -> None:
-    """Write what plays compressed models in browsers.
+    """Write a JavaScript package that plays compressed models in browsers.
 
-    Leaves in the folder, which npm takes as a package: mixseq.js, the decoder; mesh_sequence.js, a plugin for three.js;
-    types of both; example.html and player.html, pages with and without three.js; the schema of the glTF extension; and
-    a README. "mixseq encode shot.usdz shot.glb --max-error 0.001" makes files for it.
+    The folder is an npm package with mixseq.js, the decoder; mesh_sequence.js, a plugin for three.js; types of both;
+    example.html and player.html, pages with and without three.js; the schema of the glTF extension; and a README.
+    "mixseq encode shot.usdz shot.glb --max-error 0.001" makes a file for the player.
     """
     from mixseq.web import package_files
     from mixseq_io.files import atomic_file

@@ -1,7 +1,7 @@
-"""New sequences and models from models; operations are pure functions from models to a model, which compose.
+"""Make new models and sequences from models. Operations are pure functions that return a model, so they compose.
 
-`timeline`, `retiming` and `resampling` change times, `transitions` joins motions, `filters`, `limbs`, `sculpt` and
-`sketch` change poses, `shape_exchange` bodies; `interpolation` blends poses. `script` reads edits from files.
+`timeline`, `retiming` and `resampling` change times; `transitions` joins motions. `filters`, `limbs`, `sculpt` and
+`sketch` change poses; `shape_exchange` changes bodies. `interpolation` blends poses. `script` reads edits from files.
 """
 
 from mixseq.operations.filters import exaggerate, smooth

@@ -4,20 +4,20 @@ A smoothing spline f through values y minimises
 
 .. math:: \int (y - f)^2\, dt + \lambda \int f''^2\, dt
 
-and has the gain :math:`1 / (1 + \lambda \omega^4)` for a sine of angular frequency :math:`\omega`. Its power is halved
-at the period P for
+and has the gain :math:`1 / (1 + \lambda \omega^4)` for a sine of angular frequency :math:`\omega`. A sine of period P
+loses half its power for
 
 .. math:: \lambda = (\sqrt 2 - 1)\, (P / 2 \pi)^4 .
 
-Lines stay unchanged. Their counterpart for rotations is a steady rotation, :math:`\exp(\omega t)\, R`, with the mean
-:math:`\omega` of angular velocities: quaternions are smoothed relative to it.
+Straight lines stay unchanged. Quaternions are smoothed relative to a steady rotation :math:`\exp(\omega t)\, R`, with
+the mean angular velocity :math:`\omega`, so steady rotations stay unchanged, too.
 
-Relative poses and shapes of parts are exaggerated about their mean,
+Exaggeration scales the time signal c about its mean :math:`\bar c` over the frames,
 
 .. math:: c(t) \to \bar c + \text{gain}\, (c(t) - \bar c)
 
-with the time signal c and its mean over the frames. In the mixed shape space a point of pose space is a pose of the
-whole character, independent of its place. The correction is scaled in the same way.
+and the correction in the same way. This changes relative poses and shapes of parts. In the mixed shape space, a point
+of pose space is a pose of the whole character, independent of its position.
 """
 
 from __future__ import annotations
@@ -54,23 +54,23 @@ MAX_GAIN = 1000.0
 def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) -> Model:
     """Exaggerate or damp the motion of a model.
 
-    The time signal is scaled about its mean over the frames. The path of the body stays; relative poses and shapes of
-    its parts change. The residual layer is kept.
+    The time signal is scaled about its mean over the frames. Relative poses and shapes of parts change; the path of the
+    body does not. The residual layer is kept.
 
     Parameters
     ----------
     model : Model
         The motion.
     gain : float
-        1 keeps the motion, 0 freezes it at the mean, more than 1 exaggerates, less damps.
+        Factor: 1 keeps the motion, 0 freezes it at the mean, larger values exaggerate, values in between damp.
     modes : sequence of int, optional
-        Scale only these coordinates of pose space, from 0 on, and no correction. In a fitted model they are the modes,
-        largest first.
+        Coordinates of pose space to scale, counted from 0; by default all, and the correction. In a fitted model the
+        coordinates are the modes, largest first.
 
     Raises
     ------
     SettingsError
-        If the gain is not finite, or there is no such mode.
+        If the gain is out of range, or a mode does not exist.
     """
     check_gain(gain)
     count = model.time.dim
@@ -95,31 +95,31 @@ def _scale_about_mean(model: Model, curve: Curve, gains: Float) -> Curve:
 
 
 def check_gain(gain: float) -> None:
-    """Raise SettingsError for gains above `MAX_GAIN` in magnitude, or NaN."""
+    """Raise SettingsError if a gain is NaN or exceeds `MAX_GAIN` in magnitude."""
     if not abs(gain) <= MAX_GAIN:
         raise SettingsError(f"gain is {gain}; a number from -{MAX_GAIN:g} to {MAX_GAIN:g} is expected")
 
 
 MIN_SMOOTHED_VALUES = 5
-"""Smallest number of values of a smoothing spline."""
+"""Smallest number of values that a smoothing spline can be fitted to."""
 
 MAX_PERIOD_STEPS = 1e9
-"""Period, in mean steps of time, beyond which the result is a line."""
+"""Upper limit of the period / 2 pi, in mean time steps; the result is a straight line there."""
 
 
 @public
 def smooth(model: Model, seconds: Seconds) -> Model:
     """Remove changes of time signal, placement and correction that are faster than a period.
 
-    A sine of this period loses half its power. At half the period 0.13 of the amplitude are left, at twice the period
-    0.97. Within about a period of the ends smoothing is weaker. The residual layer is left out.
+    A sine of this period loses half its power. The gain is 0.13 at half the period and 0.97 at twice the period.
+    Smoothing is weaker within about one period of the ends. The residual layer is dropped.
 
     Parameters
     ----------
     model : Model
         The motion.
     seconds : float
-        The period.
+        The period in seconds.
 
     Raises
     ------
@@ -144,21 +144,21 @@ class SteadyRotation:
 
     @classmethod
     def fit(cls, space: ShapeSpace, placement: Curve) -> SteadyRotation:
-        """Fit the mean angular velocity to a placement, from knot to knot."""
+        """Compute the mean angular velocity of a placement from the rotations between knots."""
         rotations = normalise_quat(space.unpack_placements(placement.values).rotations)
         turns = matrix_to_rotvec(quat_to_matrix(quat_multiply(rotations[1:], quat_conjugate(rotations[:-1]))))
         duration = placement.end - placement.start
         return cls(space, turns.sum(axis=0) / (duration if duration > 0 else 1.0))
 
     def apply(self, times: Float, placements: Float, sign: float) -> Float:
-        """Add the steady rotation to placements ``(N, P)`` at times ``(N,)``, or remove it with the sign -1."""
+        """Add (sign 1) or remove (sign -1) the steady rotation in placements ``(N, P)`` at times ``(N,)``."""
         rotations, centres = self.space.unpack_placements(placements)
         steady = rotvec_to_quat(sign * times[:, None, None] * self.rates)
         return self.space.pack_placements(Poses(quat_multiply(steady, rotations), centres))
 
 
 def smooth_curve(curve: Curve, frames: Float, seconds: float, steady: SteadyRotation | None = None) -> Curve:
-    """Smooth a curve by its values at knots and frames ``(T,)``; a placement relative to a steady rotation."""
+    """Smooth the values of a curve at its knots and frames ``(T,)``, relative to a steady rotation if given."""
     ends = np.array([curve.start, curve.end])
     times = np.union1d(ends, strictly_between(np.concatenate([curve.times, frames]), *ends))
     min_step = 1e-6 * (ends[1] - ends[0]) / len(times)
@@ -168,8 +168,8 @@ def smooth_curve(curve: Curve, frames: Float, seconds: float, steady: SteadyRota
     if not curve.dim:
         return curve
     steps = np.diff(times)
-    durations = (np.append(steps, 0.0) + np.append(0.0, steps)) / 2  # seconds of each value in the integral
-    unit = float(steps.mean())  # of time, to keep digits
+    durations = (np.append(steps, 0.0) + np.append(0.0, steps)) / 2  # integration weight of each value, in seconds
+    unit = float(steps.mean())  # unit of time, to keep digits
     strength = (np.sqrt(2.0) - 1.0) * min(seconds / unit / (2.0 * np.pi), MAX_PERIOD_STEPS) ** 4
     values = curve(times) if steady is None else steady.apply(times, curve(times), -1.0)
     line = _fit_line(times, values, durations)
@@ -180,7 +180,7 @@ def smooth_curve(curve: Curve, frames: Float, seconds: float, steady: SteadyRota
 
 
 def _fit_line(times: Float, values: Float, weights: Float) -> Curve:
-    """Fit a line to values ``(N, k)``: it is invariant to smoothing, and strong smoothing would lose its digits."""
+    """Fit a line to values ``(N, k)``, the limit of strong smoothing, where solving for a spline would lose digits."""
     middle = np.average(times, weights=weights)
     mean = np.average(values, axis=0, weights=weights)
     moments = weights * (times - middle)

@@ -1,10 +1,10 @@
-r"""Segmentation of a sequence, and blends of poses: the operator A of the paper, then the projection to meshes.
+r"""Segment sequences, and blend poses by the operator A of the paper and the projection P to meshes.
 
 .. math:: x(w) = P\Bigl(\sum_i w_i\, s_i\Bigr), \qquad \sum_i w_i = 1
 
 In the mixed space (paper, Section 2.2) rigid parts are first registered to each other over all poses (Williams and
-Bennamoun). Their vertices, and lengths and angles of joints, then blend linearly; rotations blend as quaternions. In
-the other spaces of `mixseq.spaces` rigid-motion invariant coordinates blend linearly, poses as quaternions and centres.
+Bennamoun). Part vertices, and lengths and angles in joints, blend linearly; rotations blend as quaternions. In other
+spaces of `mixseq.spaces`, rigid-motion invariant coordinates and centres blend linearly, rotations as quaternions.
 
 Whole turns of angles and rotations are unwrapped along the poses of nonzero weight, as in a sequence.
 """
@@ -50,32 +50,32 @@ def segment(
     parts: int | None = None,
     settings: MethodSettings | None = None,
 ) -> NDArray[np.int64]:
-    """Find the near-rigid parts of a sequence, as labels that `mixseq.fit` takes as its `parts`.
+    """Find the near-rigid parts of a sequence, as labels for the argument `parts` of `mixseq.fit`.
 
     Parameters
     ----------
     sequence : MeshSequence
         The animation, or poses of one mesh.
     method : {"motion", "silhouettes", "spanning-tree"}
-        By rigid motion (the default), by augmented silhouettes (Marras et al. 2012), or by cutting a spanning tree
-        (Wuhrer and Brunton 2010).
+        Segmentation by rigid motion (the default), by augmented silhouettes (Marras et al. 2012), or by cutting a
+        spanning tree (Wuhrer and Brunton 2010).
     parts : int, optional
-        Number of parts, by default automatic. Every connected component has at least one. Where little moves, the
-        motion method may find fewer.
+        Number of parts, by default automatic. Every connected component has at least one part. The motion method may
+        find fewer parts if little moves.
     settings : MotionSettings, SilhouetteSettings or SpanningTreeSettings, optional
-        Details of the method.
+        Settings of the method.
 
     Returns
     -------
     (F,) int64
-        Part of every triangle, numbered from 0 by decreasing area. Parts are connected across edges.
+        Part number of every triangle. Parts are numbered from 0 by decreasing area, and connected across edges.
 
     Raises
     ------
     InvalidSequenceError
-        If the argument is no sequence.
+        If the argument is not a sequence.
     SettingsError
-        If there is no such method, the settings are another method's, or `parts` is out of range.
+        If the method does not exist, the settings belong to another method, or `parts` is out of range.
     """
     check_frames(sequence)
     topology = Topology(sequence.faces, sequence.vertex_count)
@@ -83,16 +83,16 @@ def segment(
 
 
 WEIGHT_SUM_TOLERANCE = 1e-6
-"""Largest deviation of the sum of weights from one, for weights in single precision."""
+"""Largest accepted deviation of the sum of weights from one, sufficient for single precision."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseInterpolator(PickledWithoutCaches):
-    """Poses of a mesh as vectors of a shape space, for blends with any weights; make it with `from_poses`."""
+    """Poses of a mesh as vectors of a shape space, to be blended with any weights. Create it with `from_poses`."""
 
     header: SequenceHeader
-    space: ShapeSpace  # made from the poses
-    vectors: Float  # (n, D) the poses
+    space: ShapeSpace  # shape space made from the poses
+    vectors: Float  # (n, D) encoded poses
 
     @classmethod
     def from_poses(
@@ -108,7 +108,7 @@ class PoseInterpolator(PickledWithoutCaches):
         workers: Executor | None = None,
         **settings: Unpack[SpaceOptions],
     ) -> PoseInterpolator:
-        """Make a space of all poses, and encode those of `pose_ids`, by default all; see `interpolate`."""
+        """Make a shape space from all poses, and encode the poses `pose_ids` (default: all); see `interpolate`."""
         making = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
         check_frames(poses)
         count = poses.header.frame_count
@@ -134,11 +134,11 @@ class PoseInterpolator(PickledWithoutCaches):
         return cls(frames.header, shape_space, vectors)
 
     def blend(self, weights: ArrayLike) -> Float:
-        """Blend poses with weights ``(n,)`` of sum one to points ``(V, 3)``."""
+        """Return the points ``(V, 3)`` of a blend of poses with weights ``(n,)``, whose sum is one."""
         return self.blend_with_reports(weights)[0]
 
     def blend_with_reports(self, weights: ArrayLike) -> tuple[Float, list[ShellReport]]:
-        """Blend poses, and return the reports of the fits to lengths and angles, in spaces that fit."""
+        """Blend poses, and also return the reports of fits to lengths and angles, empty in spaces without such fits."""
         with one_blas_thread():
             vector = (normalise_weights(weights, len(self.vectors)) @ self.vectors)[None]
         points, (reports,) = self.space.decode_with_reports(vector)
@@ -147,7 +147,7 @@ class PoseInterpolator(PickledWithoutCaches):
     def iterate_blends(
         self, weights: ArrayLike, progress: Progress = no_progress, workers: Executor | None = None
     ) -> Iterator[Float]:
-        """Yield the points ``(V, 3)`` of blends with weights ``(m, n)``, each row of sum one."""
+        """Yield the points ``(V, 3)`` of one blend per row of the weights ``(m, n)``; each row has the sum one."""
         try:
             table = np.asarray(weights, dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -175,32 +175,32 @@ def interpolate(
 ) -> Float:
     """Blend any number of poses of a mesh in a shape space.
 
-    For several blends of the same poses make a `PoseInterpolator` once.
+    For several blends of the same poses, create one `PoseInterpolator`.
 
     Parameters
     ----------
     poses : MeshSequence or SequenceReader
-        The poses, as frames of a sequence; times are ignored. Parts are found from all poses. Those of nonzero weight
-        are registered to each other, and angles are unwrapped from each of them to the next.
+        The poses, as frames of a sequence; times are ignored. Parts are found from all poses. Poses of nonzero weight
+        are registered to each other, and angles are unwrapped from each such pose to the next.
     weights : (n,) array_like
-        Weights, which add up to one. Weights below zero or above one exaggerate.
+        Weights of the poses, with the sum one. Weights below zero or above one exaggerate.
     space : {"mixed", "vertex", "gradient", "lri", "edge"}
-        The shape space, as of `mixseq.fit`.
+        The shape space, as in `mixseq.fit`.
     placement : {"anchored", "free"}
-        Mixed space: how parts are placed. Free is the paper's, found from lengths and angles.
+        Mixed space: placement of parts. Free placement, as in the paper, follows from lengths and angles.
     parts : int or (F,) int, optional
-        Mixed space: number of parts, or the part of every triangle; found from the poses by default.
+        Mixed space: number of parts, or part of every triangle; by default found from the poses.
     joint_width : int
         Mixed space: largest width of joints, in strips of triangles on each side of a boundary.
     progress : callable, optional
-        Called at every stage.
+        Function called at every stage.
     workers : Executor, optional
-        Executor for work on the poses; by default one thread per core.
+        Executor that processes the poses; by default one thread per core.
 
     Other Parameters
     ----------------
     segmentation, projection, volume, shell : optional
-        As of `mixseq.fit`.
+        As in `mixseq.fit`.
 
     Returns
     -------
@@ -210,12 +210,12 @@ def interpolate(
     Raises
     ------
     SettingsError
-        If the weights are not one finite number for every pose or do not add up to one, or a setting is out of range or
+        If there is not one finite weight per pose, the sum of weights is not one, or a setting is out of range or
         unused by the space.
     SegmentationError
         If given parts do not fit the mesh.
     ReconstructionError
-        If no mesh is found.
+        If no mesh can be reconstructed from the blend.
 
     Examples
     --------
@@ -226,7 +226,7 @@ def interpolate(
     True
     """
     check_frames(poses)
-    weights = normalise_weights(weights, poses.header.frame_count)  # errors first
+    weights = normalise_weights(weights, poses.header.frame_count)  # raises errors before any work
     used = np.flatnonzero(weights)
     interpolator = PoseInterpolator.from_poses(
         poses,
@@ -243,7 +243,7 @@ def interpolate(
 
 
 def normalise_weights(weights: ArrayLike, count: int) -> Float:
-    """Return the weights ``(n,)`` of `count` poses divided by their sum."""
+    """Validate the weights ``(n,)`` of `count` poses and return them divided by their sum."""
     try:
         numbers = np.asarray(weights, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -1,26 +1,26 @@
-r"""Edits of one limb, a part with all parts below it: exaggerate or damp its motion in its joint, or hold it.
+r"""Exaggerate, damp or hold the motion of one limb, a part with all parts below it in the tree of parts.
 
 The parts of a component form a tree by their boundaries: the root is the largest part, and the *parent* of every other
 part is its neighbour next to the root. The *joint pose* of a limb is the pose of its part i relative to the parent j:
-a turn :math:`\tau` since the reference frame, and a gap g at the pivot, the middle of their boundary there, at p from
-the centre of either part,
+a rotation vector :math:`\tau` since the reference frame, and a gap g at the pivot. The pivot is the middle of their
+boundary in the reference frame, at the offsets :math:`p_i` and :math:`p_j` from the centres of the parts,
 
 .. math:: R_i^T R_j = \exp(\tau), \qquad R_j p_j + t_j = R_i (p_i + g) + t_i ,
 
-for poses relative to the body, rotations since the reference frame. It is six numbers over time, with turns as rotation
-vectors, unwrapped along the knots of a model, so whole turns count. Edits change it,
+for poses relative to the body and rotations since the reference frame. The joint pose has six coordinates. Rotation
+vectors are unwrapped along the knots of a model, so whole turns count. Edits change joint poses by one of
 
 .. math::
 
     \tau' = \bar\tau + \text{gain}\, (\tau - \bar\tau), \qquad
     \tau' = \tau + w(t)\, (\tau(t_0) - \tau).
 
-A changed joint pose moves the part from :math:`(R, t)` to :math:`(R', t')`, and the whole limb with it as one rigid
-body, :math:`x \to R' R^T (x - t) + t'`. Quaternions change by :math:`\exp(\tau') \exp(\tau)^{-1}`, whose signs are
-continuous for any distance of times. Poses are changed by the model's correction.
+A changed joint pose moves the part from :math:`(R, t)` to :math:`(R', t')`, and the whole limb as one rigid body,
+:math:`x \to R' R^T (x - t) + t'`. Quaternions change by the factor :math:`\exp(\tau') \exp(\tau)^{-1}`, whose sign is
+continuous in time at any sampling distance. The change of poses is stored in the model's correction.
 
-Between limb and body the skin follows the poses of both; the remaining shape change in the joint follows the same
-formula. As the results are no cubic splines, signals are adaptively sampled.
+Between limb and body, the skin follows the poses of both. The remaining shape change in the joint is edited by the same
+formulas. The edited signals are approximated by cubic splines with adaptive sites.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Limb:
 
     @cached_property
     def _pivots(self) -> tuple[Float, Float]:
-        """Middle of the boundary ``(3,)``, from the centre of the parent and of the part."""
+        """Middle of the boundary, relative to the centre of the parent ``(3,)`` and of the part ``(3,)``."""
         articulation = self.space.articulation
         from_parent, from_part = (
             articulation.pivots[np.flatnonzero((articulation.pairs == pair).all(axis=1))[0]]
@@ -90,7 +90,7 @@ class Limb:
         return from_parent, from_part
 
     def joint_pose(self, model: Model, times: Float) -> Float:
-        """Return turns and gaps ``(N, 6)`` at times ``(N,)``; turns are unwrapped from the shortest at first."""
+        """Return rotation vectors and gaps ``(N, 6)`` at times ``(N,)``, unwrapped from the shortest first rotation."""
         knots = np.concatenate([model.time.times, model.correction.times])
         all_times, ids = np.unique(np.concatenate([knots, times]), return_inverse=True)
         poses = part_poses(model, all_times)
@@ -103,9 +103,9 @@ class Limb:
         return np.concatenate([turns, gaps], axis=1)[ids[len(knots) :]]
 
     def corrections(self, model: Model, times: Float, joint_pose: Float) -> Float:
-        """Return the corrections ``(N, C)`` at times ``(N,)`` for another joint pose ``(N, 6)``.
+        """Return the corrections ``(N, C)`` at times ``(N,)`` that give the limb new joint poses ``(N, 6)``.
 
-        Turns continue those of the model's correction at the first time, by less than half a turn from time to time.
+        Rotations are unwrapped in steps under half a turn, starting from the model's correction at the first time.
         """
         old_joint_pose, poses = self.joint_pose(model, times), part_poses(model, times)
         from_parent, from_part = self._pivots
@@ -131,8 +131,8 @@ class Limb:
     def joint_weights(self) -> Float:
         """Return weights ``(S,)`` of key shape coordinates in the joints between limb and body.
 
-        They are 1 near the boundary of the limb, 0 near other boundaries, and blended in joints of several boundaries;
-        0 for vertices that follow one part alone, or are outside the limb.
+        Weights are 1 near the boundary of the limb and 0 near other boundaries, blended in joints of several
+        boundaries. Vertices that follow a single part, or lie outside the limb, have the weight 0.
         """
         space, topology = self.space, self.space.topology
         sides = space.decomposition.part_of_face[topology.hinge_faces]
@@ -149,12 +149,12 @@ class Limb:
         return np.concatenate([edges[space.edge_ids], hinges, vertices, np.zeros(space.pose_dim)])
 
     def part_weights(self) -> Float:
-        """Return 1 for the coordinates ``(S,)`` of key shapes that follow the part alone, 0 elsewhere."""
+        """Return weights ``(S,)`` of key shape coordinates: 1 for vertices that follow only this part, else 0."""
         of_vertices = np.repeat(self.space.rigid_part_of_vertex == self.part, 3).astype(np.float64)
         return np.pad(of_vertices, (sum(self.space.block_sizes[:2]), self.space.pose_dim))
 
     def _edge_distances(self, hinge_mask: Mask) -> Float:
-        """Return the distances ``(V,)`` of vertices from hinges, in edges."""
+        """Return the distances ``(V,)`` of vertices from the masked hinges, in edges along the mesh."""
         topology = self.space.topology
         sources = np.unique(topology.edges[topology.hinge_edges[hinge_mask]])
         if not len(sources):
@@ -169,7 +169,7 @@ def part_poses(model: Model, times: Float) -> Poses:
 
 
 def find_limb(model: Model, part: int) -> Limb:
-    """Return the limb of a part; raise SettingsError for missing parts and roots."""
+    """Return the limb of a part; raise SettingsError if the part does not exist or is a root."""
     space, count = as_mixed(model.space), len(model.decomposition.parts)
     if space.placement == "free":
         raise SettingsError("the free placement ignores poses of parts; fit with placement='anchored'")
@@ -189,41 +189,41 @@ def find_limb(model: Model, part: int) -> Limb:
 
 
 JointPoseEdit = Callable[[Float, Float], Float]
-"""Map from times ``(N,)`` and joint poses ``(N, 6)`` to edited joint poses ``(N, 6)``."""
+"""Function from times ``(N,)`` and joint poses ``(N, 6)`` to edited joint poses ``(N, 6)``."""
 
 SIGNAL_TOLERANCE = 1e-5
 """Largest error of signals between sites, in diagonals."""
 
 MIN_MODE_SIZE_RATIO = 1e-3
-"""Smallest size of a kept mode of a held part and its joints, as a fraction of the largest."""
+"""Smallest size of the shape modes kept for a held part and its joints, as a fraction of the largest mode."""
 
 MAX_TURN_STEP_RADIANS = 1.0
-"""Largest turn added to a part between sites, so that whole turns are resolved."""
+"""Largest rotation added to a part between two sites, small enough to resolve whole turns."""
 
 DEFAULT_FADE_SECONDS = 0.2
-"""Default duration over which a part comes to rest."""
+"""Default duration over which a part comes to rest, and moves off again."""
 
 
 @public
 def exaggerate_part(model: Model, part: int, gain: float) -> Model:
-    """Exaggerate or damp the motion of a part in its joint, about its mean.
+    """Exaggerate or damp the motion of a part relative to its parent, about the mean joint pose.
 
     The residual layer is kept.
 
     Parameters
     ----------
     model : Model
-        A model in the mixed space, parts anchored.
+        A model in the mixed space with anchored parts.
     part : int
-        Number of the part. Its limb moves with it as one body.
+        Number of the part. The parts below it move along, as one rigid body.
     gain : float
-        1 changes nothing, 2 doubles the motion, 0 stops it, a negative number reverses it.
+        Factor: 1 changes nothing, 2 doubles the motion, 0 stops it, a negative gain reverses it.
 
     Raises
     ------
     SettingsError
-        If the parts of the model have no poses of their own, the part does not exist or has no parent, or the gain is
-        not finite.
+        If the parts of the model have no separate poses, the part does not exist or has no parent, or the gain is out
+        of range.
     """
     limb = find_limb(model, part)
     check_gain(gain)
@@ -237,27 +237,27 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
 def hold(
     model: Model, part: int, time: Seconds, start: Seconds, end: Seconds, fade: Seconds = DEFAULT_FADE_SECONDS
 ) -> Model:
-    """Hold a part at rest against its parent, as it is at a time.
+    """Hold a part at rest relative to its parent, in its joint pose at a given time.
 
     The residual layer is kept.
 
     Parameters
     ----------
     model : Model
-        A model in the mixed space, parts anchored.
+        A model in the mixed space with anchored parts.
     part : int
-        Number of the part. Its limb moves with it as one body.
+        Number of the part. The parts below it move along, as one rigid body.
     time : float
         Time of the held pose, in seconds.
     start, end : float
-        First and last time of rest, in seconds.
+        Interval in which the part is at rest, in seconds.
     fade : float
-        Seconds before the start over which the part comes to rest, and after the end over which it moves off again.
+        Seconds before `start` in which the part comes to rest, and after `end` in which it moves off again.
 
     Raises
     ------
     SettingsError
-        If the parts of the model have no poses of their own, the part does not exist or has no parent, or a time is out
+        If the parts of the model have no separate poses, the part does not exist or has no parent, or a time is out
         of range.
     """
     limb = find_limb(model, part)
@@ -293,7 +293,7 @@ def hold(
 
 
 def _edit_joint(model: Model, limb: Limb, sites: Float, edit: JointPoseEdit) -> Curve:
-    """Return the correction of all parts with an edited joint pose of a limb, from the first to the last site."""
+    """Return the correction curve of a model for an edited joint pose of a limb, from the first to the last site."""
 
     def correction(times: Float) -> Float:
         return limb.corrections(model, times, edit(times, limb.joint_pose(model, times)))
@@ -306,9 +306,9 @@ def _edit_joint(model: Model, limb: Limb, sites: Float, edit: JointPoseEdit) -> 
 
 
 def _splice(model: Model, curve: Curve, inside: Curve) -> Curve:
-    """Replace the section of a signal that another curve covers.
+    """Replace the section of a signal `curve` that the curve `inside` covers.
 
-    Interpolation errors at the ends are absorbed by the first and last interval of `inside`.
+    The first and last interval of `inside` absorb the jumps at its ends, which are interpolation errors.
     """
     first, last = inside.start, inside.end
     if first == last:
@@ -324,7 +324,7 @@ def _splice(model: Model, curve: Curve, inside: Curve) -> Curve:
 
 
 def _scale_joint_shapes(model: Model, limb: Limb, gain: float) -> Float:
-    """Return the key shapes ``(K, S)`` with the joint coordinates of the limb scaled about their mean."""
+    """Return the key shapes ``(K, S)`` of a model with joint coordinates of the limb scaled about their mean."""
     weights = limb.joint_weights()
     columns = np.flatnonzero(weights)
     shapes = model.shapes.copy()
@@ -334,7 +334,7 @@ def _scale_joint_shapes(model: Model, limb: Limb, gain: float) -> Float:
 
 
 def _add_limb_modes(model: Model, limb: Limb) -> tuple[Model, Callable[[Float], Float]]:
-    """Add pose coordinates that move a part and its joints alone; also return their map from time-signal steps."""
+    """Add pose coordinates for the part and its joints only; also return a map from time-signal steps to them."""
     weights, metric = limb.joint_weights() + limb.part_weights(), model.space.shape_weights
     columns = np.flatnonzero(weights * metric)
     dim, keys = model.pose.matrix.shape

@@ -1,8 +1,8 @@
-"""Resampling: a model at other times, at another rate, speed or direction.
+"""Resample a model: decode it at another frame rate, speed or direction.
 
-Frames of the output are at all multiples of ``1 / fps`` from its start to its end. With the retiming :math:`r`
-(`mixseq.operations.retiming`) the frame at the time :math:`o` is the model at :math:`r(o)`, and its velocities, per
-second of the output, are those of the model times :math:`r'(o)`.
+The output has a frame at every multiple of ``1 / fps`` from its start to its end. With the retiming :math:`r`
+(`mixseq.operations.retiming`), the frame at the output time :math:`o` shows the model at the time :math:`r(o)`. Its
+velocities, per second of the output, are the velocities of the model times :math:`r'(o)`.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from mixseq.types import Float
 
 @dataclass(frozen=True, eq=False)
 class Resampling:
-    """The frames of a resampling before decoding; make it with `plan`."""
+    """The planned frames of a resampling, not yet decoded. Create it with `plan`."""
 
     model: Model  # the source
-    header: SequenceHeader  # of the output, with the times of its frames
+    header: SequenceHeader  # header of the output, with the times of its frames
     retiming: Retiming  # map from output time to source time, over the duration of the output
-    sources: Float  # (N,) time of the source at every frame, in seconds
-    slopes: Float  # (N,) seconds of the source per second of the output at every frame; negative backwards
+    sources: Float  # (N,) source time of every frame, in seconds
+    slopes: Float  # (N,) source seconds per output second at every frame; negative if the source runs backwards
 
     def blocks(
         self, size: int = FRAMES_PER_BLOCK, progress: Progress = no_progress, workers: Executor | None = None
     ) -> Iterator[Float]:
-        """Decode the frames in blocks of points ``(B, V, 3)`` with ``B <= size``, see `Model.blocks`."""
+        """Yield the decoded frames in blocks of points ``(B, V, 3)`` with ``B <= size``, see `Model.blocks`."""
         return self.model.blocks(self.sources, size, progress, workers)
 
     def moving_blocks(
         self, size: int = FRAMES_PER_BLOCK, progress: Progress = no_progress, workers: Executor | None = None
     ) -> Iterator[tuple[Float, Float]]:
-        """Decode the frames with velocities: yield points and units per second of the output, ``(B, V, 3)`` each."""
+        """Yield blocks of points ``(B, V, 3)`` and of velocities ``(B, V, 3)`` in units per second of the output."""
         done = 0
         for points, velocities in self.model.moving_blocks(self.sources, size, progress, workers):
             slopes = self.slopes[done : done + len(points)]
@@ -63,7 +63,7 @@ def plan(
     reverse: bool = False,
     retiming: Retiming | None = None,
 ) -> Resampling:
-    """Choose the frames of a resampling; parameters and errors are those of `resample`."""
+    """Compute the frames of a resampling, with parameters and errors as in `resample`."""
     if retiming is None:
         first, last = model.times[[0, -1]]
         first, last = model.clip_times([first if start is None else start, last if end is None else end])
@@ -83,7 +83,7 @@ def plan(
 
 
 def _frame_times(start: float, end: float, fps: float, slack: float) -> Float:
-    """Return the multiples ``(N,)`` of ``1 / fps`` from `start` to `end`, extended by `slack` seconds on both sides."""
+    """Return the multiples ``(N,)`` of ``1 / fps`` from `start` to `end`, up to `slack` seconds outside included."""
     if not (np.isfinite(fps) and fps > 0):
         raise SettingsError(f"fps is {fps}; a positive number is expected")
     slack = min(slack, TIME_TOLERANCE_FRAMES / fps)
@@ -120,30 +120,30 @@ def resample(
     source : Model, MeshSequence or SequenceReader
         The motion. A sequence is fitted exactly.
     fps : float, optional
-        Frames per second of the output; by default those of the source.
+        Frames per second of the output, by default of the source.
     start, end : float, optional
-        Section of the source, in seconds; by default from its first to its last frame. The output begins at `start`
-        too.
+        Section of the source, in seconds; by default from its first to its last frame. The output also begins at the
+        time `start`.
     speed : float
-        Speed of the source: 0.5 is slow motion of twice the duration.
+        Playback speed of the source: 0.5 is slow motion of twice the duration.
     reverse : bool
-        Show the section backwards.
+        Play the section backwards.
     retiming : Retiming, optional
-        Map of time that replaces `start`, `end`, `speed` and `reverse`.
+        Map from output time to source time that replaces `start`, `end`, `speed` and `reverse`.
     velocities : bool
         Also compute velocities, in units per second of the output.
     progress : callable, optional
-        Called after every block of frames.
+        Function called after every block of frames.
 
     Returns
     -------
     MeshSequence
-        float64 points in the units of the model, frames at multiples of ``1 / fps``.
+        Frames at multiples of ``1 / fps``, with float64 points in the units of the model.
 
     Raises
     ------
     InvalidSequenceError
-        If a source to be fitted is no mesh sequence.
+        If the source is neither a model nor a mesh sequence.
     SettingsError
         If a time is outside the model, a setting is out of range, settings contradict each other, or the range has no
         frame.

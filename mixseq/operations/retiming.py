@@ -1,15 +1,15 @@
-r"""Retiming: maps from output time to source time, and models composed with such maps.
+r"""Retime models: compose their signals with a map from output time to source time.
 
 .. math:: s = r(o), \qquad y_\text{out}(o) = y(r(o)), \qquad \dot y_\text{out}(o) = r'(o)\, \dot y(r(o))
 
-for frames, and for all signals y of a model. Both times are in seconds. Where the map :math:`r` falls, the source runs
-backwards; where it is constant, the source stands still. Its slope :math:`r'` is the speed of the source.
+for all signals y of a model, and its frames. Both times are in seconds. The slope :math:`r'` is the speed of the
+source: the source runs backwards where r decreases, and stands still where r is constant.
 
 Where r is linear, a retimed signal is a cubic spline whose knots are the output times at which r passes knots of y.
-Elsewhere it is approximated by a spline with sites at the keys, where r passes knots, and between these. Sites are
-dense next to a kink of r: their distances to it double from one to the next.
+Elsewhere the signal is approximated by a spline with sites at the keys of r, where r passes knots, and between these.
+Sites are dense near a kink of r; their distances from the kink double from site to site.
 
-Files of retimings are pairs of output and source times, as CSV or TOML.
+A retiming file contains pairs of output and source times, as CSV or TOML.
 """
 
 from __future__ import annotations
@@ -44,24 +44,24 @@ from mixseq.signals.model import Model
 from mixseq.types import Float
 
 SIGNAL_TOLERANCE = 2e-6
-"""Largest error of the splines between sites, in diagonals; errors of vertices in joints may be many times larger."""
+"""Largest error of signals between sites, in diagonals; vertices in joints may have many times larger errors."""
 
 KINK_SITE_COUNT = 10
-"""Sites on each side of a kink, at distances that double up to half the distance to the next key."""
+"""Number of sites on each side of a kink; their distances double up to half the distance to the next key."""
 
 
 @dataclass(frozen=True, eq=False)
 class Retiming:
     """A map from times of the output to times of the source.
 
-    Make it with `through`, `section` or `hold`, or read it from a file with `read_retiming`.
+    Create it with `through`, `section` or `hold`, or read it from a file with `read_retiming`.
 
     Attributes
     ----------
     start, end : float
         First and last time of the output, in seconds.
     curve : scipy.interpolate.PPoly
-        Times of the source, a piecewise polynomial of the time of the output.
+        Time of the source as a piecewise polynomial of the time of the output.
 
     Examples
     --------
@@ -76,7 +76,7 @@ class Retiming:
 
     @classmethod
     def through(cls, outputs: ArrayLike, sources: ArrayLike, smooth: bool = True) -> Retiming:
-        """Make the map through points.
+        """Make the map that interpolates pairs of output and source times.
 
         Parameters
         ----------
@@ -85,12 +85,12 @@ class Retiming:
         sources : (n,) array_like
             Times of the source in seconds.
         smooth : bool
-            Interpolate by Fritsch and Carlson's monotone cubic, with a continuous slope; else linearly.
+            Interpolate by Fritsch and Carlson's monotone cubic, with a continuous slope; if false, linearly.
 
         Raises
         ------
         SettingsError
-            If there are fewer than two points, times are not finite, too close or too large, or outputs do not
+            If there are fewer than two points, times are not finite, too close or too large, or output times do not
             increase.
         """
         x, y = np.asarray(outputs, dtype=np.float64), np.asarray(sources, dtype=np.float64)
@@ -113,8 +113,8 @@ class Retiming:
     def section(cls, start: float, end: float, speed: float = 1.0, reverse: bool = False) -> Retiming:
         """Make the map of a section of the source at constant speed, forwards or backwards.
 
-        The output also begins at `start`. Raises `SettingsError` if the end is before the start, or the speed is not
-        positive.
+        The output also begins at the time `start`. Raises `SettingsError` if the end is before the start, or the speed
+        is not positive.
         """
         if not (np.isfinite(start) and np.isfinite(end) and start <= end):
             raise SettingsError(f"there is no time between the start, {start:g} s, and the end, {end:g} s")
@@ -125,7 +125,7 @@ class Retiming:
 
     @classmethod
     def hold(cls, source: float, start: float, end: float) -> Retiming:
-        """Make the map that holds one time of the source from `start` to `end` of the output.
+        """Make the map that freezes the source at the time `source` from `start` to `end` of the output.
 
         Raises `SettingsError` if the end is before the start, or a time is not finite.
         """
@@ -134,11 +134,11 @@ class Retiming:
         return cls(start, end, _linear_map(source, 0.0))
 
     def __call__(self, times: ArrayLike) -> Float:
-        """Map output times ``(N,)`` to source times ``(N,)``; raise SettingsError outside the retiming."""
+        """Map output times ``(N,)`` to source times ``(N,)``; raise SettingsError for times outside the retiming."""
         return np.asarray(self.curve(self._inside(times)), dtype=np.float64)
 
     def slope(self, times: ArrayLike) -> Float:
-        """Return seconds of the source per second of the output ``(N,)``; at a kink, the slope after it."""
+        """Return slopes ``(N,)`` in source seconds per output second; at a kink, return the slope after it."""
         return np.asarray(self.curve(self._inside(times), nu=1), dtype=np.float64)
 
     def _inside(self, times: ArrayLike) -> Float:
@@ -158,29 +158,29 @@ def _linear_map(origin: float, slope: float) -> PPoly:
 
 @public
 def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
-    """Retime a model by a map of time: faster, slower, backwards or standing still.
+    """Retime a model by a map of time: play it faster, slower or backwards, or freeze it.
 
-    As `mixseq.operations.resample` with a `Retiming`, but the result is a model. The residual layer is retimed with the
-    signals.
+    `mixseq.operations.resample` with a `Retiming` does the same, but returns a sequence. The residual layer is retimed
+    with the signals.
 
     Parameters
     ----------
     model : Model
         The source.
     keys : (n, 2) array_like
-        Two or more points of the map: output times, increasing, and their source times, in seconds.
+        Two or more pairs of an output time and its source time, in seconds. Output times increase.
     smooth : bool
-        Interpolate with a continuous slope, else linearly, see `Retiming.through`.
+        Interpolate with a continuous slope. If false, interpolate linearly, see `Retiming.through`.
 
     Returns
     -------
     Model
-        From the first to the last output time, with frames from the first on at the rate of the model.
+        Model from the first to the last output time. Its frames start there and have the frame rate of the source.
 
     Raises
     ------
     SettingsError
-        If the keys are no retiming, contain times outside the model, or make too many frames.
+        If the keys are not a valid retiming, contain times outside the model, or result in too many frames.
     """
     points = np.asarray(keys, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2:
@@ -205,9 +205,9 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
 
 
 def _compose(model: Model, curve: Curve, retiming: Retiming, kink_sites: Float, norm: DeviationNorm) -> Curve:
-    """Compose a signal of the model with the map; `kink_sites` are additional sites ``(m,)``."""
+    """Compose a signal of the model with a retiming; `kink_sites` ``(m,)`` are additional sites."""
     passes = [retiming.curve.solve(knot, extrapolate=False) for knot in breakpoints(curve)]
-    knots = np.concatenate([kink_sites, *passes])  # with NaN where the source stands still
+    knots = np.concatenate([kink_sites, *passes])  # contains NaN where the source stands still
     sites = merge_sites(retiming.curve.x, strictly_between(knots, retiming.start, retiming.end))
 
     def values(times: Float) -> Float:
@@ -217,7 +217,7 @@ def _compose(model: Model, curve: Curve, retiming: Retiming, kink_sites: Float, 
 
 
 def _sites_near_kinks(outputs: Float, sources: Float) -> Float:
-    """Return times on both sides of the keys where the slope of a piecewise linear map jumps."""
+    """Return sites on both sides of the keys at which the slope of a piecewise linear map jumps."""
     slopes = np.diff(sources) / np.diff(outputs)
     kinks = 1 + np.flatnonzero(np.abs(np.diff(slopes)) > 1e-9 * np.abs(slopes).max())
     fractions = 0.5 ** np.arange(1, KINK_SITE_COUNT + 1)
@@ -238,7 +238,7 @@ class RetimedLayer(PickledWithoutCaches):
         return self.source.at(self.retiming(times))
 
     def rates(self, times: Float) -> Float:
-        """Return the derivatives ``(N, V, 3)`` of the displacements by time, per second."""
+        """Return the time derivatives ``(N, V, 3)`` of the displacements, per second."""
         slopes = self.retiming.slope(times)
         return np.asarray(slopes[:, None, None] * self.source.rates(self.retiming(times)))
 
@@ -248,12 +248,12 @@ _MAX_NESTING_DEPTH = 20
 
 
 def parse_toml(file: Path, text: str) -> dict[str, Any]:
-    """Parse the text of a TOML file; FormatError for invalid, too deep or too large values."""
+    """Parse the text of a TOML file; raise FormatError for invalid, too deeply nested or too large values."""
     try:
         parsed = tomllib.loads(text)
     except RecursionError:
         raise FormatError(f"{file} is not a TOML file: its tables or lists are nested too deeply") from None
-    except ValueError as error:  # integers of thousands of digits are one, too
+    except ValueError as error:  # also raised for integers of thousands of digits
         raise FormatError(f"{file} is not a TOML file: {error}") from None
     level: list[Any] = [parsed]
     for _ in range(_MAX_NESTING_DEPTH):
@@ -268,19 +268,19 @@ def parse_toml(file: Path, text: str) -> dict[str, Any]:
 
 
 CsvLines = list[tuple[int, list[str]]]
-"""Lines of a file: line numbers and comma-separated fields."""
+"""Lines of a CSV file, each with its line number and fields."""
 
 Unit = Literal["seconds", "frames"]
 
 
 class RetimingKeys(NamedTuple):
-    """Points of a retiming as in a file."""
+    """Points of a retiming as stored in a file."""
 
     points: Float  # (n, 2) output and source times
-    unit: Unit | None  # unit of the times; None if the file has none
+    unit: Unit | None  # unit of the times; None if the file does not specify a unit
 
     def in_seconds(self, output_fps: float, source_fps: float, unit: Unit = "seconds") -> Float:
-        """Return the points in seconds."""
+        """Return the points ``(n, 2)`` in seconds."""
         return self.points / [output_fps, source_fps] if (self.unit or unit) == "frames" else self.points
 
 
@@ -304,21 +304,20 @@ def read_retiming(
     Parameters
     ----------
     path : path-like
-        CSV: one line ``output,source`` per point, in seconds; a header of these names may change their order; empty
-        lines and text after ``#`` are skipped. Or TOML, if the name ends in ``.toml``: tables ``[[key]]`` with
-        ``output`` and ``source``, or two arrays of these names. With a first line ``unit = "frames"`` times are frame
-        numbers.
+        A CSV file has one line ``output,source`` per point, in seconds. A header may swap the columns; empty lines and
+        text after ``#`` are skipped. A TOML file, named ``*.toml``, has tables ``[[key]]`` with ``output`` and
+        ``source``, or two arrays of these names. After a first line ``unit = "frames"``, times are frame numbers.
     smooth : bool
         As in `Retiming.through`.
     output_fps, source_fps : float, optional
-        Frames per second of the output, by default those of the source, and of the source, for files in frames.
+        Frame rates of output and source, for files in frames. The output has by default the rate of the source.
 
     Raises
     ------
     FormatError
-        If the file cannot be read, or its points are no retiming; the message names the file and the line.
+        If the file cannot be read, or its points are not a valid retiming. The message names the file and the line.
     SettingsError
-        If the file is in frames, and `source_fps` is missing.
+        If the file is in frames and `source_fps` is missing.
     """
     keys = read_retiming_keys(path)
     if source_fps is None and keys.unit == "frames":
@@ -329,7 +328,7 @@ def read_retiming(
 
 
 def read_retiming_keys(path: str | os.PathLike[str]) -> RetimingKeys:
-    """Read the points of a retiming; file and errors as in `read_retiming`."""
+    """Read the points of a retiming, with files and errors as in `read_retiming`."""
     file = Path(path)
     try:
         text = file.read_text(encoding="utf-8-sig")
@@ -360,14 +359,14 @@ def read_retiming_keys(path: str | os.PathLike[str]) -> RetimingKeys:
 
 
 def check_unit(unit: object, where: str) -> Unit | None:
-    """Validate the unit of a file, None if it has none."""
+    """Validate the unit of a file and return it; None means that the file has no unit."""
     if unit not in (None, "seconds", "frames"):
         raise SettingsError(f"{where}: the unit is {unit!r}; 'seconds' or 'frames' is expected")
     return unit
 
 
 def _csv_lines(file: Path, text: str) -> tuple[Unit | None, CsvLines]:
-    """Return the unit in the first line, and the other non-empty lines: numbers and fields."""
+    """Return the unit from the first line, if any, and all other non-empty lines of a CSV file."""
     lines = [
         (number, [field.strip() for field in line.partition("#")[0].split(",")])
         for number, line in enumerate(text.splitlines(), start=1)

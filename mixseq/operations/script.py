@@ -1,4 +1,4 @@
-"""Edit scripts: operations on a model as tables in a TOML file, applied in order.
+"""Read edit scripts: TOML files with one table per operation, applied to a model in order.
 
 ::
 
@@ -14,9 +14,9 @@
     at = 2.0
     duration = 0.25
 
-Operations are functions ``model -> model`` of this package, and the keys of a table are the names of their
-parameters; the type of a value follows from the parameter's annotation. A script that begins with ``unit = "frames"``
-gives times and durations in frames of the edited model (`mixseq.sequence.frame_rates`).
+Operations are functions ``model -> model`` of this package. The keys of a table are parameter names of the function;
+parameter annotations determine the types of values. In a script that begins with ``unit = "frames"``, times and
+durations are in frames of the edited model (`mixseq.sequence.frame_rates`).
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ from mixseq.types import Float
 
 
 class Readers(NamedTuple):
-    """Readers of files, injected because the core has no file formats."""
+    """File readers, passed in because the core package reads no mesh file formats."""
 
     model: Callable[[Path], Model]
     mesh: Callable[[Path], MeshSequence]
-    folders: tuple[Path, ...] = ()  # allowed besides the script's folder, with their subfolders
+    folders: tuple[Path, ...] = ()  # folders, with subfolders, whose files a script may read besides its own folder
 
 
 ReadValue = Callable[[Any, Path, Readers], Any]
@@ -54,23 +54,23 @@ ToSeconds = Callable[[Any, float, Unit], Any]
 
 
 class WrongTypeError(Exception):
-    """A value has the wrong type for its key."""
+    """Raised if a value has the wrong type for its key."""
 
 
 class Key(NamedTuple):
-    """A key of a table."""
+    """A key of an edit table."""
 
-    parameter: str  # parameter of the operation
+    parameter: str  # name of the operation's parameter
     is_required: bool
-    expected: str  # description of its values, for messages
-    # Makes the argument from the value, the folder of relative paths, and readers; raises WrongTypeError.
+    expected: str  # description of valid values, for messages
+    # Converts a value to the argument, given the folder of relative paths and the readers; raises WrongTypeError.
     read: ReadValue
-    # For times: converts the argument to seconds by the model's frames per second and the script's unit.
+    # For times: converts the argument to seconds, given the model's frames per second and the script's unit.
     to_seconds: ToSeconds | None = None
 
 
 def script_keys(function: Callable[..., Model]) -> dict[str, Key]:
-    """Return the keys of an operation: its parameters that a script can set, without the model."""
+    """Return the keys of an operation, one for each parameter after the model that a script can set."""
     hints, annotated = get_type_hints(function), get_type_hints(function, include_extras=True)
     _, *parameters = signature(function).parameters.values()
     keys = {}
@@ -95,7 +95,7 @@ _TYPE_NAMES = {bool: "true or false", int: "a whole number", float: "a number", 
 
 
 def _describe(hint: Any) -> str:
-    """Describe the values of an annotation; empty if TOML has none."""
+    """Describe the values that an annotation allows; return "" if TOML has no such values."""
     origin, choices = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         return " or ".join(filter(None, map(_describe, choices)))
@@ -120,11 +120,11 @@ def _matches(value: Any, hint: Any) -> bool:
 
 
 def _find_file(value: Any, folder: Path, readers: Readers) -> Path:
-    """Return the path of a file in an allowed folder: the script's, `readers.folders`, or below."""
+    """Return the path of a file; it must be in the script's folder, in `readers.folders`, or in a subfolder."""
     if not isinstance(value, str) or "\0" in value:
         raise WrongTypeError
     path = folder / value
-    target = path.resolve()  # links are allowed by their targets
+    target = path.resolve()  # a link is allowed if its target is
     if not any(target.is_relative_to(allowed.resolve()) for allowed in (folder, *readers.folders)):
         raise FormatError(
             f"{value!r} is not in the script's folder, {folder.resolve()}, or below; if you trust the script, name "
@@ -148,7 +148,7 @@ def _read_mesh(value: Any, folder: Path, readers: Readers) -> MeshSequence:
 
 
 def _read_pairs(value: Any, folder: Path, readers: Readers) -> Float:
-    """Return pairs of numbers ``(N, 2)``, from a list of them or a CSV file."""
+    """Return pairs of numbers ``(N, 2)`` from a list of pairs or a CSV file."""
     if isinstance(value, list):
         pairs = _as_pairs(value)
         if pairs is None:
@@ -219,7 +219,7 @@ PARSED_PARAMETERS: Mapping[str, tuple[str, str, ReadValue, ToSeconds | None]] = 
     "keys": ("keys", _KEYS_TEXT, _read_keys, lambda value, fps, unit: value.in_seconds(fps, fps, unit)),
     "weight": ("weight", _WEIGHT_TEXT, _read_weight, _weight_in_seconds),
 }
-"""Parameters without plain values, in all operations: key in a script, and the last three fields of `Key`."""
+"""Parameters of operations that plain values cannot set: key in a script, and the last three fields of `Key`."""
 
 
 OPERATIONS: Mapping[str, str] = {
@@ -243,7 +243,7 @@ OPERATIONS: Mapping[str, str] = {
     "sketch": "sketch:sketch",
     "swap_key": "sculpt:swap_key",
 }
-"""Module and function of every operation by its name; imported on first use."""
+"""Module and function of every operation by name. Modules are imported on first use."""
 
 RETIMING_OPERATIONS = frozenset({"repeat", "loop", "shift", "speed", "reverse", "retime", "concatenate", "transition"})
 """Operations that change the mapping between frames and model time."""
@@ -251,15 +251,15 @@ RETIMING_OPERATIONS = frozenset({"repeat", "loop", "shift", "speed", "reverse", 
 
 @dataclass(frozen=True)
 class Edit:
-    """An operation and its arguments; call it with a model."""
+    """An operation with its arguments, callable with a model."""
 
-    number: int  # number of its table in the script, from 1 on
+    number: int  # number of the table in the script, counted from 1
     operation: str
-    arguments: Mapping[str, Any]  # values of the parameters, files read
+    arguments: Mapping[str, Any]  # arguments by parameter, with the contents of files
     unit: Unit = "seconds"  # unit of the times
 
     def __call__(self, model: Model) -> Model:
-        """Return the edited model; errors name the edit."""
+        """Return the edited model; error messages name the edit."""
         function, arguments = load_operation(self.operation), dict(self.arguments)
         for key in script_keys(function).values():
             name = key.parameter

@@ -1,20 +1,20 @@
-r"""Edits of a frame by hand: applied over time, or to a key shape.
+r"""Apply a manual edit of one frame over time, or to a key shape.
 
-The difference :math:`\Delta` of the mesh at a time and the edited mesh in the shape space
-(`ShapeSpace.shape_difference`) is independent of the placement of parts, so it can be added to any frame:
+The shape space gives the difference :math:`\Delta` between the mesh at a time and the edited mesh
+(`ShapeSpace.shape_difference`). It is independent of the placement of parts, so it can be added to any frame:
 
 .. math:: s(t) = \sum_j \varphi_j(c(t))\, P_j + w(t)\, \Delta
 
-The model gets a key shape, :math:`P_0 + \Delta`, and pose space a coordinate, w. It is 1 at the edited time, and
-elsewhere
+The model gets an additional key shape, :math:`P_0 + \Delta`, and pose space an additional coordinate, the weight w. It
+is 1 at the edited time. At other times it is, by the parameter `where`:
 
 everywhere
     1;
 window
-    zero outside of a window, with a C2 rise and fall;
+    0 outside a window, with a C2 rise and fall inside;
 similar
     :math:`\exp(-(d / r)^2 / 2)`, with the distance d in the shape space between the shapes at t and at the edited time.
-    The radius r is given as a fraction of the largest distance of the model.
+    The radius r is given as a fraction of the largest distance d in the model.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ from mixseq.signals.pose import PoseMap
 from mixseq.types import Float
 
 MIN_DISPLACEMENT = 1e-3
-"""Displacement of vertices that count as moved, in diagonals."""
+"""Displacement above which a vertex counts as moved, in diagonals."""
 
 MAX_MOVED_RATIO = 0.9
-"""Largest fraction of moved vertices in an edit without a warning."""
+"""Fraction of moved vertices above which an edit causes a warning."""
 
 
 def encode_edit(model: Model, time: float, points: ArrayLike | MeshSequence) -> tuple[Model, Float]:
-    """Return the model in a space that can represent the edit ``(V, 3)``, and its key shape difference ``(S,)``."""
+    """Return the model in a space that represents edited points ``(V, 3)``, and the key shape difference ``(S,)``."""
     edited, original = check_edited_points(points, model.header), model(time)
     space, map_shapes = model.space.extend(edited - original)
     model = replace(model, space=space, shapes=map_shapes(model.shapes))
@@ -66,24 +66,24 @@ def encode_edit(model: Model, time: float, points: ArrayLike | MeshSequence) -> 
 def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
     """Replace a key shape by an edited mesh.
 
-    For models whose key shapes are frames, ``mixseq.fit(sequence, pose="keys")``: the whole sequence follows the edit,
-    in proportion to the weight of the key in every frame. The residual layer is kept.
+    Key shapes of the model must be frames, as after ``mixseq.fit(sequence, pose="keys")``. Every frame follows the
+    edit in proportion to its weight of the key shape. The residual layer is kept.
 
     Parameters
     ----------
     model : Model
         The motion.
     key : int
-        Number of the key shape, from 0 on, see `Model.key_frames`.
+        Number of the key shape, counted from 0, see `Model.key_frames`.
     points : (V, 3) array_like or MeshSequence of one frame
-        That frame with vertices moved, in the units of the sequence.
+        The key shape's frame with edited vertices, in the units of the sequence.
 
     Raises
     ------
     SettingsError
-        If there is no such key shape, or it is no frame of the model.
+        If the key shape does not exist, or is not a frame of the model.
     InvalidSequenceError
-        If the points are not those of the mesh, or not finite.
+        If the points do not belong to the mesh, or are not finite.
     """
     if not 0 <= key < len(model.shapes):
         raise SettingsError(f"key is {key}; the model has key shapes 0 to {len(model.shapes) - 1}")
@@ -127,7 +127,7 @@ def check_edited_points(points: ArrayLike | MeshSequence, header: SequenceHeader
 
 
 def _warn_of_large_edit(original: Float, edited: Float, time: float) -> None:
-    """Warn if most vertices were moved."""
+    """Warn if more than `MAX_MOVED_RATIO` of the vertices were moved."""
     distances = np.linalg.norm(edited - original, axis=1) / (bounding_diagonal(original) or 1.0)
     moved_count = int(np.count_nonzero(distances > MIN_DISPLACEMENT))
     if moved_count > MAX_MOVED_RATIO * len(edited):
@@ -140,7 +140,7 @@ def _warn_of_large_edit(original: Float, edited: Float, time: float) -> None:
 
 
 def _edges(polygons: Polygons) -> set[tuple[int, int]]:
-    """Return the edges of polygons, smaller vertex first."""
+    """Return the edges of polygons as vertex pairs, smaller index first."""
     ends = np.cumsum(polygons.counts)
     next_corners = np.arange(1, len(polygons.indices) + 1)
     next_corners[ends - 1] = ends - polygons.counts
@@ -151,7 +151,7 @@ def _edges(polygons: Polygons) -> set[tuple[int, int]]:
 Where = Literal["everywhere", "window", "similar"]
 
 DEFAULT_RADIUS = 0.25
-"""Default radius of similarity, as a fraction of the distance to the least similar shape."""
+"""Default radius of similarity, as a fraction of the shape-space distance to the least similar shape."""
 
 WEIGHT_TOLERANCE = 1e-3
 """Largest error of the sampled weight between sites."""
@@ -167,7 +167,7 @@ def sculpt(
     end: Seconds | None = None,
     radius: float | None = None,
 ) -> Model:
-    """Apply an edit of one frame by hand over time.
+    """Apply a manual edit of one frame to other times.
 
     The residual layer is kept.
 
@@ -176,21 +176,21 @@ def sculpt(
     model : Model
         The motion.
     time : float
-        Time of the frame in seconds; also between frames.
+        Time of the edited mesh in seconds; it may be between frames.
     points : (V, 3) array_like or MeshSequence of one frame
-        The edited mesh, in the file's units: ``model(time)`` with vertices moved, in the same order.
+        The edited mesh in the file's units: ``model(time)`` with moved vertices, in the same order.
     where : {"everywhere", "window", "similar"}
-        Weight of the change over time, see the module.
+        Weight of the edit over time, see the module docstring.
     start, end : float, optional
-        The window, in seconds; by default open to the start, or to the end of the model.
+        For "window": the window in seconds; by default open to the start or the end of the model.
     radius : float, optional
-        Similarity: the fraction of the distance to the least similar shape at which the weight is 0.61; by default
-        0.25.
+        For "similar": distance at which the weight is 0.61, as a fraction of the distance to the least similar shape;
+        by default 0.25.
 
     Raises
     ------
     InvalidSequenceError
-        If the points are not those of the mesh, or not finite.
+        If the points do not belong to the mesh, or are not finite.
     SettingsError
         If a time is outside the model or the window, or settings contradict each other.
     """
@@ -220,7 +220,7 @@ def _check_settings(where: Where, start: float | None, end: float | None, radius
 
 
 def _add_key_shape(model: Model, difference: Float, weight: Curve) -> Model:
-    """Add a key shape with a difference ``(S,)`` and a weight, whose sites include those of the time signal."""
+    """Add a key shape with a difference ``(S,)`` and a weight curve; its sites include those of the time signal."""
     row = np.zeros((1, len(model.shapes) + 1))
     row[0, 0], row[0, -1] = -1.0, 1.0
     sites = weight.times
@@ -253,7 +253,7 @@ def _window_weight(model: Model, time: float, start: float | None, end: float | 
 
 
 def _similarity_weight(model: Model, time: float, radius: float) -> Curve:
-    """Return the weight of similar shapes; `radius` is relative to the largest distance from the shape at a time."""
+    """Return the similarity weight; `radius` is relative to the largest distance from the shape at the edited time."""
     norm = shape_norm(model, model.space.embedding_weights)
     edited_point = model.time([time])
     sites = _weight_sites(model, np.concatenate([breakpoints(model.time), model.times, [time]]))
@@ -269,7 +269,7 @@ def _similarity_weight(model: Model, time: float, radius: float) -> Curve:
 
 
 def _weight_sites(model: Model, knots: Float) -> Float:
-    """Return the sites of the time signal with knots inserted; those outside it are ignored."""
+    """Return sites over the duration of the time signal with the given knots inside it."""
     if model.time.start == model.time.end:
         return model.time.times
     return sites_between(model.time.start, model.time.end, knots)

@@ -1,20 +1,20 @@
 r"""Splines over time and exact concatenation of motion sections, shared by the operations.
 
-A rotation is interpolated from :math:`R_a` to :math:`R_b` along the turn between them,
+Rotations are interpolated from :math:`R_a` to :math:`R_b` along the rotation vector :math:`\tau` between them,
 
 .. math:: R_a \exp(w\, \tau), \qquad \exp(\tau) = R_a^T R_b,
 
 unwrapped over time, as one motion may make more whole turns than the other. Centres are interpolated linearly.
 
-Splines interpolate *sites*: the times between their cubics, and one more in the first and the last interval.
+Splines interpolate values at *sites*: their breakpoints, and one additional time in the first and the last interval.
 
-A section of a cubic spline is a cubic spline. At a *seam* value, slope and curvature jump by :math:`d_0, d_1, d_2`. The
-jump is distributed to both sides by C2 offsets, each a cubic spline of three cubics on a window next to the seam:
+A section of a cubic spline is a cubic spline. At a *seam*, value, slope and curvature jump by :math:`d_0, d_1, d_2`.
+The jump is distributed before and after the seam by C2 offsets of three cubics each, on a window next to the seam:
 
 .. math:: p(u) = \sum_{j=1}^3 a_j\, (r_j - u)_+^3, \qquad u = |t - t_\text{seam}|, \qquad r_j = j / 3 \cdot \text{fade}
 
-They end smoothly for any coefficients :math:`a_j`, which follow from the three jumps. So the result is a cubic spline,
-equal to the sections outside the windows. Its knots are those of the sections, seams and windows.
+The offsets end smoothly for any coefficients :math:`a_j`; the three jumps determine these. The result is a cubic spline
+that equals the sections outside the windows. Its knots are the knots of the sections, the seams and the window knots.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ from mixseq.types import Float, Index
 
 
 def centre_columns(space: ShapeSpace) -> Index:
-    """Return the columns ``(g, 3)`` of body centres in a placement."""
+    """Return the column indices ``(g, 3)`` of body centres in a placement."""
     return np.arange(4 * space.rotation_count, space.placement_dim).reshape(-1, 3)
 
 
 def align_quaternion_signs(space: ShapeSpace, placement: Curve, time: float, reference: Float) -> Curve:
-    """Flip quaternion signs of a placement so that it continues a reference ``(P,)`` at a time."""
+    """Flip quaternion signs of a placement curve to match a reference placement ``(P,)`` at a time."""
     before = space.unpack_placements(reference[None]).rotations[0]
     after = space.unpack_placements(placement([time])).rotations[0]
     signs = np.where(np.einsum("gi,gi->g", after, before) < 0, -1.0, 1.0)
@@ -73,7 +73,7 @@ def blend_placements(space: ShapeSpace, a: Float, b: Float, weight: Float) -> Fl
     norm_a, norm_b = (np.linalg.norm(poses.rotations, axis=2, keepdims=True) for poses in (first, second))
     rotation_a, rotation_b = (normalise_quat(poses.rotations) for poses in (first, second))
     weight = weight[:, :, None]
-    # the shortest turn at the first time, continued from there
+    # the shortest rotation at the first time, unwrapped from there
     turns = continuous_rotvec(quat_to_matrix(quat_multiply(quat_conjugate(rotation_a), rotation_b)))
     rotations = quat_multiply(rotation_a, rotvec_to_quat(weight * turns)) * lerp(norm_a, norm_b, weight)
     return space.pack_placements(Poses(rotations, lerp(first.centres, second.centres, weight)))
@@ -83,11 +83,11 @@ MAX_BISECTIONS = 6
 """Largest number of bisections of an interval between two sites."""
 
 MIN_KNOT_SPACING_RATIO = 1e-8
-"""Distance below which knots are merged, as a fraction of their mean distance."""
+"""Distance below which two knots are merged, as a fraction of the mean knot distance."""
 
 
 def breakpoints(curve: Curve) -> Float:
-    """Return the times ``(n,)`` between cubics of the curve: all but the two outermost knots at each end."""
+    """Return the interior breakpoints ``(n,)`` of a curve, its sites without the two outermost at each end."""
     return curve.times[2:-2]
 
 
@@ -97,7 +97,7 @@ def strictly_between(times: Float, start: float, end: float) -> Float:
 
 
 def merge_sites(edges: Float, knots: Float) -> Float:
-    """Return the sites of a spline with breakpoints `edges` ``(n,)``, all kept, and `knots` ``(m,)`` between them."""
+    """Return the sites of a spline that breaks at `edges` ``(n,)`` and, unless too close, at `knots` ``(m,)``."""
     knots = np.unique(knots)
     min_distance = MIN_KNOT_SPACING_RATIO * (edges[-1] - edges[0]) / (len(edges) + len(knots))
     after = np.clip(np.searchsorted(edges, knots), 1, len(edges) - 1)
@@ -111,12 +111,12 @@ def merge_sites(edges: Float, knots: Float) -> Float:
 
 
 def sites_between(start: float, end: float, knots: Float) -> Float:
-    """Return the sites from `start` to `end` with the knots ``(m,)`` between them."""
+    """Return the sites of a spline from `start` to `end` that breaks at the knots ``(m,)`` in between."""
     return merge_sites(np.array([start, end]), strictly_between(knots, start, end))
 
 
 def model_sites(model: Model, start: float, end: float, knots: Float | None = None) -> Float:
-    """Return sites from `start` to `end` at frames of the model, breakpoints of its signals, and knots ``(m,)``."""
+    """Return sites from `start` to `end` at frames of a model, breakpoints of its signals, and knots ``(m,)``."""
     if start == end:
         return np.array([start])
     times = [*(breakpoints(curve) for curve in model.curves), model.times]
@@ -124,14 +124,14 @@ def model_sites(model: Model, start: float, end: float, knots: Float | None = No
 
 
 def subdivide(times: Float, count: int) -> Float:
-    """Divide every interval between times ``(N,)`` into `count` equal ones."""
+    """Divide every interval between times ``(N,)`` into `count` equal intervals."""
     fractions = np.arange(count) / count
     subdivided = times[:-1, None] + fractions * np.diff(times)[:, None]
     return np.append(subdivided.reshape(-1), times[-1])
 
 
 def map_curve_times(curve: Curve, offset: float, scale: float = 1.0) -> Curve:
-    """Map times t of a curve to ``scale * t + offset``; a negative scale reverses it."""
+    """Map times t of a curve to ``scale * t + offset``; a negative scale reverses the curve."""
     times, values = scale * curve.times + offset, curve.values
     return Curve(times, values) if scale > 0 else Curve(times[::-1], values[::-1])
 
@@ -139,7 +139,7 @@ def map_curve_times(curve: Curve, offset: float, scale: float = 1.0) -> Curve:
 def interpolate_adaptively(
     function: Callable[[Float], Float], sites: Float, tolerance: float, norm: DeviationNorm
 ) -> Curve:
-    """Interpolate a function of time by a spline; bisect intervals of sites ``(m,)`` that miss the tolerance."""
+    """Interpolate a function of time by a spline, bisecting intervals of the sites ``(m,)`` to reach the tolerance."""
     for _ in range(MAX_BISECTIONS):
         times = np.empty(2 * len(sites) - 1)
         times[::2], times[1::2] = sites, (sites[:-1] + sites[1:]) / 2
@@ -153,7 +153,7 @@ def interpolate_adaptively(
 
 
 def fade_window(times: Float, rise: tuple[float, float] | None, fall: tuple[float, float] | None) -> Float:
-    """Return the weight ``(N,)`` of a window with a C2 rise and fall over time intervals; None leaves a side open."""
+    """Return weights ``(N,)`` with a C2 rise and fall over given time intervals; None omits the rise or the fall."""
     weight = np.ones(len(times))
     if rise is not None:
         weight *= smoothstep(times, *rise)
@@ -163,14 +163,14 @@ def fade_window(times: Float, rise: tuple[float, float] | None, fall: tuple[floa
 
 
 def smoothstep(times: Float, start: float, end: float) -> Float:
-    """Return the C2 step ``(N,)`` from 0 at `start` to 1 at `end`, of three cubics of equal length."""
+    """Return a C2 step ``(N,)`` from 0 at `start` to 1 at `end`, made of three cubics of equal length."""
     x = np.clip((times - start) / (end - start), 0.0, 1.0) * 3.0
     cubics = x**3 - 3.0 * np.maximum(x - 1.0, 0.0) ** 3 + 3.0 * np.maximum(x - 2.0, 0.0) ** 3
     return np.asarray(cubics / 6.0)
 
 
 def shape_norm(model: Model, metric: Float | None = None) -> DeviationNorm:
-    """Return the norm of pose-space steps ``(N, k)``: RMS over vertices in diagonals, by shape weights ``(S,)``."""
+    """Return the norm of pose-space steps ``(N, k)``, an RMS in diagonals with shape coordinate weights ``(S,)``."""
     metric = model.space.shape_weights if metric is None else metric
     jacobian = model.pose.matrix @ (model.shapes - model.shapes[0]) * metric
     gram = jacobian @ jacobian.T / model.header.vertex_count
@@ -178,17 +178,17 @@ def shape_norm(model: Model, metric: Float | None = None) -> DeviationNorm:
 
 
 def placement_norm(model: Model) -> DeviationNorm:
-    """Return the norm of placement changes ``(N, P)``: the largest component, in diagonals."""
+    """Return the norm of placement changes ``(N, P)``, the largest component in diagonals."""
     return max_norm(model.space.weights[model.space.shape_dim :][: model.space.placement_dim])
 
 
 def correction_norm(model: Model) -> DeviationNorm:
-    """Return the norm of correction changes ``(N, C)``: the largest component, in diagonals."""
+    """Return the norm of correction changes ``(N, C)``, the largest component in diagonals."""
     return max_norm(model.space.weights[model.space.shape_dim + model.space.placement_dim :])
 
 
 def signal_norms(model: Model) -> tuple[DeviationNorm, DeviationNorm, DeviationNorm]:
-    """Return the norms of `Model.curves`: time signal, placement and correction."""
+    """Return a norm for each of `Model.curves`: time signal, placement and correction."""
     return shape_norm(model), placement_norm(model), correction_norm(model)
 
 
@@ -196,13 +196,13 @@ OFFSET_KNOT_RATIOS = np.array([1.0, 2.0, 3.0]) / 3.0
 """Ends of the three cubics of an offset, as fractions of the fade."""
 
 KNOT_SNAP_RATIO = 0.02
-"""Distance, as a fraction of the fade, within which ends of offsets snap to a knot, as close knots lose digits."""
+"""Distance, as a fraction of the fade, within which window knots snap to a curve's knot, as close knots lose digits."""
 
 TIME_TOLERANCE_FRAMES = 1e-3
-"""Tolerance of times against frames and knots, in frames, for times typed and printed with a few digits."""
+"""Distance, in frames, within which times snap to frames and knots, as typed times have few digits."""
 
 MIN_FADE_RATIO = 1e-6
-"""Shortest fade, as a fraction of the longest, with distinct knots in float64."""
+"""Shortest allowed fade, as a fraction of the longest, so that knots are distinct in float64."""
 
 
 class CurveSection(NamedTuple):
@@ -214,10 +214,10 @@ class CurveSection(NamedTuple):
 
 
 class Seam(NamedTuple):
-    """The distribution of the jump between two sections."""
+    """Distribution of the jump between two sections over windows before and after it."""
 
-    fade: float  # length of the windows before and after the seam, in seconds; at most that of the sections
-    fraction_before: float = 0.5  # part of the jump that is distributed before the seam; 1 keeps what follows
+    fade: float  # length of the window on each side of the seam, in seconds; at most the length of the section
+    fraction_before: float = 0.5  # fraction of the jump distributed before the seam; 1 keeps the later section exact
 
 
 class ModelSection(NamedTuple):
@@ -229,7 +229,7 @@ class ModelSection(NamedTuple):
 
 
 def join_curves(sections: Sequence[CurveSection], seams: Sequence[Seam]) -> Curve:
-    """Concatenate consecutive sections of curves."""
+    """Concatenate consecutive sections of curves, with jumps at the seams distributed."""
     edges = np.array([sections[0].start, *(section.end for section in sections)])
     offsets: list[list[_SeamOffset]] = [[] for _ in sections]
     for index, (before, after, seam) in enumerate(zip(sections, sections[1:], seams, strict=False)):
@@ -254,12 +254,12 @@ def join_curves(sections: Sequence[CurveSection], seams: Sequence[Seam]) -> Curv
 
 
 def _jet(curve: Curve, time: float) -> Float:
-    """Return value, slope and curvature ``(3, k)`` at a time."""
+    """Return value, slope and curvature ``(3, k)`` of a curve at a time."""
     return np.concatenate([curve([time]), curve.derivative([time]), curve.derivative([time], 2)])
 
 
 class _SeamOffset(NamedTuple):
-    """A spline of three truncated cubics on one side of a seam."""
+    """An offset of three truncated cubics on one side of a seam."""
 
     seam: float
     side: int  # -1 before the seam, 1 after it
@@ -268,7 +268,7 @@ class _SeamOffset(NamedTuple):
 
     @classmethod
     def from_jet(cls, jet: Float, section: CurveSection, seam: float, side: int, fade: float) -> _SeamOffset:
-        """Solve for value, slope and curvature ``(3, k)`` at the seam."""
+        """Solve for the offset with value, slope and curvature ``(3, k)`` at the seam."""
         knots = strictly_between(breakpoints(section.curve), section.start, section.end)
         reaches = fade * OFFSET_KNOT_RATIOS
         distances = side * (np.concatenate([knots, [section.start, section.end]]) - seam)
@@ -283,7 +283,7 @@ class _SeamOffset(NamedTuple):
 
     @property
     def knots(self) -> Float:
-        """Times ``(3,)`` of the ends of the cubics."""
+        """Times ``(3,)`` at which the cubics end."""
         return self.seam + self.side * self.reaches
 
     def __call__(self, times: Float) -> Float:
@@ -292,7 +292,7 @@ class _SeamOffset(NamedTuple):
 
 
 def map_times(model: Model, offset: float, scale: float = 1.0) -> Model:
-    """Map times t of a model to ``scale * t + offset``; a negative scale reverses it."""
+    """Map times t of a model to ``scale * t + offset``; a negative scale reverses the model."""
     times = scale * model.times + offset
     time, placement, correction = (map_curve_times(curve, offset, scale) for curve in model.curves)
     header = model.header.with_times(times if scale > 0 else times[::-1])
@@ -300,7 +300,7 @@ def map_times(model: Model, offset: float, scale: float = 1.0) -> Model:
 
 
 def join_models(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Model:
-    """Concatenate sections of models that share space, pose and shapes; a seam has the frame of the later section."""
+    """Concatenate sections of models with common space, pose and shapes; at a seam, use the later section's frame."""
     sections = align_part_quaternions(sections)
     first = sections[0].model
     placements = [CurveSection(first.placement, sections[0].start, sections[0].end)]
@@ -318,10 +318,10 @@ def join_models(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Mode
 
 
 def align_part_quaternions(sections: Sequence[ModelSection]) -> Sequence[ModelSection]:
-    """Make quaternions of parts continuous from section to section, also after whole turns.
+    """Make part quaternions continuous from section to section, even after whole turns.
 
-    Where the signs of quaternions change, all models get additional key shapes of the other signs, and pose coordinates
-    for them. The models share space, pose and shapes, before and afterwards.
+    If quaternion signs differ between sections, all models get additional key shapes with flipped signs, and pose
+    coordinates for them. Both the given and the returned models share space, pose and shapes.
     """
     first = sections[0].model
     pose_dim, width = first.space.pose_dim, 1 + first.time.dim
@@ -352,20 +352,20 @@ def align_part_quaternions(sections: Sequence[ModelSection]) -> Sequence[ModelSe
 
 
 def blend_key_poses(model: Model, times: ArrayLike) -> Float:
-    """Blend the part poses of key shapes at times ``(N,)``: ``(N, pose_dim)``."""
+    """Return blended part poses ``(N, pose_dim)`` of the key shapes at times ``(N,)``."""
     columns = model.shapes[:, model.space.shape_dim - model.space.pose_dim :]
     return np.asarray(model.pose.weights(model.time(times)) @ columns)
 
 
 def _unique_rows(rows: Float) -> tuple[Float, Index]:
-    """Return the distinct rows ``(m, S)`` in order of appearance, and the index of each row ``(n, S)`` among them."""
+    """Return the distinct rows ``(m, S)`` of an array ``(n, S)``, in order of appearance, and their index ``(n,)``."""
     ids_of_rows: dict[bytes, int] = {}
     ids = np.array([ids_of_rows.setdefault(row.tobytes(), len(ids_of_rows)) for row in rows], dtype=np.int64)
     return rows[np.unique(ids, return_index=True)[1]], ids
 
 
 def merge_frame_times(sections: Sequence[ModelSection]) -> Float:
-    """Return the frame times ``(T,)`` of sections, or both ends if there are none; a seam has the later frame."""
+    """Return the frame times ``(T,)`` of joined sections, or both ends if none; seams use the later section's frame."""
     slack = 1e-6 / sections[0].model.header.fps
     start, end = sections[0].start, sections[-1].end
     times = [strictly_between(model.times, start - slack, end - slack) for model, start, end in sections]
@@ -375,7 +375,7 @@ def merge_frame_times(sections: Sequence[ModelSection]) -> Float:
 
 
 def snap_time(model: Model, time: float, name: str = "time") -> float:
-    """Snap a time to the nearest end, frame or knot of a model within rounding."""
+    """Snap a time to the nearest end, frame or knot of a model within `TIME_TOLERANCE_FRAMES`."""
     slack = TIME_TOLERANCE_FRAMES / model.header.fps
     if not model.start - slack <= time <= model.end + slack:
         fps = model.header.fps
@@ -390,7 +390,7 @@ def snap_time(model: Model, time: float, name: str = "time") -> float:
 
 
 def snap_section(model: Model, start: float, end: float) -> tuple[float, float]:
-    """Snap the ends of a section, as `snap_time`."""
+    """Snap the start and end of a section by `snap_time`."""
     first, last = snap_time(model, start, "start"), snap_time(model, end, "end")
     if not first < last:
         raise SettingsError(f"there is no time between the start, {start:g} s, and the end, {end:g} s")
@@ -398,7 +398,7 @@ def snap_section(model: Model, start: float, end: float) -> tuple[float, float]:
 
 
 def check_fade(fade: float | None, max_fade: float) -> float:
-    """Validate the length of the windows next to a seam, in seconds; by default a quarter of the longest possible."""
+    """Validate a fade in seconds and return it; the default is a quarter of `max_fade`."""
     if fade is None:
         return max_fade / 4
     min_fade = MIN_FADE_RATIO * max_fade

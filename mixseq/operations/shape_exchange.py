@@ -1,14 +1,14 @@
-r"""The motion of one body on another: its time and pose signals, with key shapes of another mesh.
+r"""Apply the motion of one body to another: combine its time and pose signals with key shapes of another mesh.
 
 .. math:: s(t) = \sum_j \varphi_j(c(t))\, P_j
 
-The weights :math:`\varphi_j(c(t))` are independent of the mesh. With key shapes :math:`P_j` of another body, encoded in
-its own shape space, the same signals move that body. The poses of its key shapes are those of `key_poses`, made by
-transfer or by hand. The body follows the path of the first one, scaled to its own size:
+The weights :math:`\varphi_j(c(t))` are independent of the mesh. With key shapes :math:`P_j` of a second body, encoded
+in its own shape space, the same signals move the second body. Its key shapes are the poses of `key_poses`, transferred
+or modelled by hand. The second body follows the path of the first, scaled to its size:
 
 .. math:: Q'(t) = Q(t)\, A, \qquad C'(t) = C(t) + \bar d,
 
-in diagonals of each, with the mean rotation A and the mean shift :math:`\bar d` between the key poses of both.
+each in diagonals of its mesh, with the mean rotation A and the mean shift :math:`\bar d` between their key poses.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ from mixseq.types import Float
 
 @public
 def key_poses(model: Model) -> MeshSequence:
-    """Return the key shapes of a model as meshes, one frame each.
+    """Return the key shapes of a model as a sequence of meshes, one frame each.
 
-    A key shape that is a frame (``mixseq.fit(sequence, pose="keys")``) has the placement of that frame, others that of
-    the first frame. Transferred to another body they are the input of `with_shapes`.
+    A key shape that is a frame (``mixseq.fit(sequence, pose="keys")``) has the placement of that frame; any other has
+    the placement of the first frame. Transferred to another body, the key poses are the input of `with_shapes`.
 
     Parameters
     ----------
@@ -64,29 +64,29 @@ def key_poses(model: Model) -> MeshSequence:
 
 @public
 def with_shapes(model: Model, keys: Frames | Model) -> Model:
-    """Apply the motion of a model to another body: same time and pose signals, other shapes.
+    """Apply the motion of a model to another body, with the same time and pose signals and other key shapes.
 
-    The residual layer is left out, and so is the correction, as both belong to the first body.
+    The residual layer and the correction are dropped, as both belong to the first body.
 
     Parameters
     ----------
     model : Model
         A model in the mixed shape space.
     keys : MeshSequence, SequenceReader or Model
-        The key poses of the model (`key_poses`, in their order) on the other body: any mesh, one frame per key shape.
-        Or a model of that body that `with_shapes` made with the same pose signal.
+        The poses of `key_poses` on the other body, in the same order: a sequence of any mesh, one frame per key shape.
+        Alternatively, a model of the other body that `with_shapes` made with the same pose signal.
 
     Returns
     -------
     Model
-        In a space of the other mesh, with the times of the model.
+        Model in a shape space of the other mesh, with the times of `model`.
 
     Raises
     ------
     SettingsError
-        If there is not one frame per key shape, the other model has another pose signal, or a space has no parts.
+        If there is not one frame per key shape, the other model has a different pose signal, or a space has no parts.
     InvalidSequenceError
-        If the keys are no sequence.
+        If the keys are not a sequence.
 
     Examples
     --------
@@ -141,13 +141,13 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
 
 
 def _key_times(model: Model) -> Float:
-    """Return the times ``(K,)`` of key shapes that are frames, the first time for others."""
+    """Return the times ``(K,)`` of key shapes; a key shape that is not a frame gets the time of the first frame."""
     frames = model.key_frames
     return np.where(frames >= 0, model.times[frames], model.times[0])
 
 
 def _mean_motion(before: Poses, after: Poses) -> tuple[Float, Float]:
-    """Return the mean rotations ``(B, 4)`` and shifts ``(B, 3)`` between poses of bodies ``(K, B)``."""
+    """Return the mean rotations ``(B, 4)`` and shifts ``(B, 3)`` between two sets of body poses ``(K, B)``."""
     a, b = (normalise_quat(poses.rotations) for poses in (before, after))
     turns = quat_to_matrix(quat_multiply(quat_conjugate(a), b))
     return matrix_to_quat(nearest_rotations(turns.sum(axis=0))), (after.centres - before.centres).mean(axis=0)

@@ -1,7 +1,7 @@
-r"""Edits in the embedding of a model: sketch a curve that becomes a new sequence, or drag a point of the time curve.
+r"""Edit a model in its embedding: sketch a curve to make a new sequence, or drag a point of the time curve.
 
-Every frame j of the model has a position :math:`y_j` in the plane (`Model.embedding`). Points :math:`c_j` of pose
-space, and placements, are interpolated from there to any other position:
+Every frame j of the model has a position :math:`y_j` in the plane (`Model.embedding`). Its point :math:`c_j` of pose
+space, and its placement, are interpolated to other positions y:
 
 .. math:: c(y) = \sum_j w_j(y)\, c_j, \qquad w_j(y_i) = \delta_{ij}, \qquad \sum_j w_j(y) = 1
 
@@ -9,15 +9,15 @@ The weights are the cardinal functions of interpolation by a constant and radial
 
 .. math:: a + \sum_j b_j \sqrt{|y - y_j|^2 + (\varepsilon d_j)^2}, \qquad \sum_j b_j = 0,
 
-with the distance :math:`d_j` from frame j to its nearest neighbour: multiquadrics, cones with slightly rounded tips.
+with the distance :math:`d_j` from frame j to its nearest neighbour. These multiquadrics are cones with rounded tips.
 Cones (:math:`\varepsilon = 0`) have almost no negative weights, but a kink at every frame. Rounder functions, such as
-thin plates, are slightly more accurate where the embedding determines the motion, and overshoot badly elsewhere: where
-paths cross, or frames nearly meet. As :math:`\sum b_j = 0`, weights stay bounded for distant y.
+thin plates, are slightly more accurate where the embedding determines the motion. They overshoot badly where paths
+cross or frames nearly meet. As :math:`\sum b_j = 0`, weights stay bounded for distant y.
 
-A drag pulls a point of the time curve, and the motion around it follows. Pose and correction at a position are
-interpolated by the same weights, :math:`c^*(y)`, from the pulled point and from frames spread over the plane, so a
-point that is pulled to one of these frames becomes that frame. Of two frames that are close in the plane and far apart
-in pose space, which would make :math:`c^*` steep, one is left out.
+A drag moves a point of the time curve, and the motion around it follows. Pose and correction at a position,
+:math:`c^*(y)`, are interpolated by the same weights from the dragged point and from frames spread over the plane. A
+point that is dragged to one of these frames becomes this frame. Two frames that are close in the plane and far apart in
+pose space would make :math:`c^*` steep, so one of the two is omitted.
 
 The embedding of a model (`Model.embedding`) is affine in pose space, :math:`y(t) = A^T (c(t) - \bar c)`. Where the
 interpolated pose misses the position by :math:`\Delta y`, the step of least shape change is along the two principal
@@ -25,12 +25,12 @@ directions P of the plane (`mixseq.signals.pose`),
 
 .. math:: \delta = c^*(y) - c^*(y(t_0)) + P\, (A^T P)^+ \Delta y .
 
-The change fades out on both sides,
+The change fades out before and after the time :math:`t_0`,
 
 .. math:: c(t) \to c(t) + w(t)\, \delta, \qquad w(t_0) = 1, \qquad w(t) = 0 \text{ for } |t - t_0| \ge \text{reach},
 
-with a C2 weight of three cubics on each side, so the result is an exact cubic spline with seven more knots. The
-correction changes by the same weight.
+with a C2 weight of three cubics before and three after, so the result is an exact cubic spline with seven more knots.
+The change of the correction has the same weight.
 """
 
 from __future__ import annotations
@@ -67,10 +67,10 @@ TIP_RADIUS_RATIO = 0.25
 """Radius of the rounded tip of a cone, as a fraction of the distance to the nearest frame."""
 
 MIN_SPACING_RATIO = 1e-6
-"""Distance at which two frames share a position, as a fraction of the embedding's size."""
+"""Distance up to which two frames count as one position, as a fraction of the embedding's size."""
 
 MAX_DISTANCE_RATIO = 0.5
-"""Largest distance of a curve from all frames without a warning, as a fraction of the embedding's size."""
+"""Distance of a curve from the nearest frame above which a warning is given, as a fraction of the embedding's size."""
 
 SIGNAL_TOLERANCE = 1e-4
 """Largest error of signals between sites, in diagonals."""
@@ -81,30 +81,30 @@ def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | Non
     """Make a motion from a curve in the embedding of a model.
 
     The motion starts at 0 s and runs along the curve at constant speed. Where the curve passes through the position of
-    a frame, it shows this frame. The residual layer is left out.
+    a frame, the motion shows this frame. The residual layer is dropped.
 
     Parameters
     ----------
     model : Model
-        The motion whose shapes are interpolated. The more of it the embedding represents, the more can be drawn.
+        The motion whose shapes are interpolated.
     curve : (N, 2) array_like
-        Points in the coordinates of `Model.embedding`, in diagonals, joined by a spline. One point is a held pose.
+        Points in the coordinates of `Model.embedding`, in diagonals, joined by a spline. A single point holds a pose.
     duration : float
-        Duration in seconds, at the frame rate of the model.
+        Duration in seconds. The frame rate is the rate of the model.
     plane : Plane, optional
-        The embedding of the curve: the `Model.plane` of a model with the same pose and shape signals; by default that
-        of `model`.
+        The embedding that contains the curve: `Model.plane` of any model with the same pose and shape signals; by
+        default of `model`.
 
     Returns
     -------
     Model
-        In the same space, with the same pose and shape signals. The first of several frames of one position represents
-        them.
+        Model in the same space, with the same pose and shape signals. If several frames share a position, the first
+        frame is used.
 
     Raises
     ------
     SettingsError
-        If the curve is invalid, the duration is not positive, or the plane is of other key shapes.
+        If the curve is invalid, the duration is not positive, or the plane belongs to other key shapes.
 
     Warns
     -----
@@ -138,7 +138,7 @@ def cardinal_weights(positions: Float) -> Callable[[Float], Float]:
         return lambda points: np.ones((len(points), 1))
     distances = cdist(positions, positions)
     nearest = (distances + np.diag(np.full(count, np.inf))).min(axis=1)
-    unit = float(nearest.mean())  # for the system to be well scaled
+    unit = float(nearest.mean())  # unit of length, so that the system is well scaled
 
     def basis(distances: Float) -> Float:
         radial = np.hypot(distances, TIP_RADIUS_RATIO * nearest) / unit
@@ -151,13 +151,13 @@ def cardinal_weights(positions: Float) -> Callable[[Float], Float]:
 
     def weights(points: Float) -> Float:
         raw = basis(cdist(points, positions)) @ inverse
-        return np.asarray(raw + (1.0 - raw.sum(axis=1, keepdims=True)) / count)  # rounding, far away
+        return np.asarray(raw + (1.0 - raw.sum(axis=1, keepdims=True)) / count)  # against rounding errors far away
 
     return weights
 
 
 def _curve_through(curve: ArrayLike, duration: float) -> Curve:
-    """Interpolate the points of a curve by a spline, parametrised by chord length."""
+    """Return a spline through the points of a curve, parametrised by chord length."""
     points = np.asarray(curve, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or not len(points):
         raise SettingsError(f"the drawn curve has shape {points.shape}; (N, 2) is expected, with N > 0")
@@ -175,7 +175,7 @@ def _curve_through(curve: ArrayLike, duration: float) -> Curve:
 
 
 def _distinct_frames(model: Model, positions: Float) -> Index:
-    """Return the frames with distinct positions ``(T, 2)``: the first of those that share one."""
+    """Return the frames with distinct positions ``(T, 2)``: the first frame at each position."""
     size = float(np.linalg.norm(np.ptp(positions, axis=0)))
     is_close = cdist(positions, positions) <= MIN_SPACING_RATIO * size
     distinct: list[int] = []
@@ -197,14 +197,14 @@ def _distinct_frames(model: Model, positions: Float) -> Index:
 
 
 def _frame_distances(model: Model, others: Index) -> Float:
-    """Return distances ``(T,)`` of frames to other frames in shape and placement, in diagonals."""
+    """Return distances ``(T,)`` in shape and placement of frames from the frames `others` ``(T,)``, in diagonals."""
     points, placements = model.time(model.times), model.placement(model.times)
     shape_distances = shape_norm(model)(points - points[others])
     return np.maximum(shape_distances, placement_norm(model)(placements - placements[others]))
 
 
 def _warn_if_far(path: Curve, positions: Float) -> None:
-    """Warn if a curve runs far from all frames at positions ``(M, 2)``."""
+    """Warn if a curve passes points far from all frame positions ``(M, 2)``."""
     size = float(np.linalg.norm(np.ptp(positions, axis=0)))
     distances = cdist(path.values, positions).min(axis=1)
     if len(positions) > 1 and distances.max() > MAX_DISTANCE_RATIO * size:
@@ -224,46 +224,46 @@ MIN_REACH_FRAMES = 2
 """Shortest default reach, in frames."""
 
 MAX_DRAG_FRAMES = 64
-"""Largest number of frames from which a dragged pose is interpolated."""
+"""Largest number of frames used to interpolate a dragged pose."""
 
 MAX_SLOPE_RATIO = 2.0
-"""Largest distance in pose space per distance in the plane of two of these frames, as a multiple of the mean."""
+"""Largest ratio of pose-space distance to plane distance between two of these frames, as a multiple of the mean."""
 
 DROP_DISTANCE_RATIO = 1e-3
-"""Distance within which a point is dropped on a frame, as a fraction of the largest distance in the plane."""
+"""Distance within which a dragged point snaps to a frame, as a fraction of the largest distance in the plane."""
 
 
 @public
 def drag(model: Model, time: Seconds, to: ArrayLike, reach: Seconds | None = None, plane: Plane | None = None) -> Model:
     """Drag a point of the time curve in the embedding of a model.
 
-    The pose is interpolated from frames near the target. The placement of bodies stays. The residual layer is kept.
+    The pose is interpolated from other frames. The placement of bodies does not change. The residual layer is kept.
 
     Parameters
     ----------
     model : Model
         The motion.
     time : float
-        Time of the pulled point, in seconds.
+        Time of the dragged point, in seconds.
     to : (2,) array_like
-        Target in the coordinates of `Model.embedding`, in diagonals; if the embedding is a line, the nearest point of
-        it.
+        Target in the coordinates of `Model.embedding`, in diagonals. If the embedding is a line, the nearest point of
+        the line is used.
     reach : float, optional
-        Seconds over which the change fades on both sides; by default an eighth of the motion, at least two frames.
+        Seconds before and after `time` in which the change fades out; by default 1/8 of the motion, at least 2 frames.
     plane : Plane, optional
-        The embedding of `to`: the `Model.plane` of a model with the same pose and shape signals; by default that of
-        `model`. The result has another plane: for repeated drags in one picture give the plane of the first model.
+        The embedding that contains `to`: `Model.plane` of any model with the same pose and shape signals; by default of
+        `model`. For repeated drags in one picture give the plane of the first model, as each result has its own plane.
 
     Returns
     -------
     Model
-        ``result.embedding([time], plane)`` is `to`.
+        Edited model; its point ``result.embedding([time], plane)`` is `to`.
 
     Raises
     ------
     SettingsError
-        If the time is outside the model, `to` is not a point of the plane, the reach is too short, the plane is of
-        another model, or the embedding is one point.
+        If the time is outside the model, `to` is not a point of the plane, the reach is too short, the plane belongs to
+        another model, or the embedding is a single point.
     """
     target = _check_target(to)
     time = snap_time(model, time)
@@ -282,7 +282,7 @@ def drag(model: Model, time: Seconds, to: ArrayLike, reach: Seconds | None = Non
 
 
 def _drag_changes(model: Model, time: float, target: Float, plane: Plane) -> tuple[Float, Float]:
-    """Return changes of time signal ``(k,)`` and correction ``(C,)`` that move the point at a time to a target."""
+    """Return changes of time signal ``(k,)`` and correction ``(C,)`` that move the point at a time to the target."""
     move = target - model.embedding([time], plane)[0]
     axes = model.pose.matrix @ plane.axes
     times = np.append(time, model.times)
@@ -296,7 +296,7 @@ def _drag_changes(model: Model, time: float, target: Float, plane: Plane) -> tup
 
 
 def _select_drag_points(points: Float, axes: Float, move: Float) -> Index:
-    """Return ids of points ``(N, k)`` to interpolate: the first, one hit by a move ``(2,)``, and others far apart."""
+    """Select ids of points ``(N, k)`` to interpolate: the first, a point hit by `move` ``(2,)``, and distant points."""
     positions = points @ axes
     positions -= positions[0]
     nearest = np.linalg.norm(positions, axis=1)  # distance to the nearest selected point
@@ -324,7 +324,7 @@ def _add_fading_change(curve: Curve, time: float, reach: float, change: Float) -
         return curve
     knots = np.concatenate([breakpoints(curve), time + reach * np.linspace(-1.0, 1.0, 7)])
     sites = sites_between(curve.start, curve.end, knots)
-    sites[np.abs(sites - time).argmin()] = time  # in case it was merged with a knot
+    sites[np.abs(sites - time).argmin()] = time  # restores the exact time if it was merged with a knot
     weight = fade_window(sites, (time - reach, time), (time, time + reach))
     values, changed_mask = curve(sites), weight > 0
     values[changed_mask] += weight[changed_mask, None] * change

@@ -1,15 +1,15 @@
-r"""Edits of the time line: cut, repeat, loop, shift, change speed, reverse; and travel along the ground.
+r"""Edit the time line: cut, repeat, loop, shift, change speed or reverse; compute and remove travel along the ground.
 
-Travel is the root motion of game engines. The position of a body is the mean of the centres :math:`c_i` of its parts,
-:math:`m(t) = \sum_i r_i^2\, c_i(t) / \sum_i r_i^2`, weighted by their squared radii of gyration :math:`r_i` in place of
-areas. The component along the up axis is left out.
+Travel is called root motion in game engines. The position of a body is the mean of the centres :math:`c_i` of its
+parts, :math:`m(t) = \sum_i r_i^2\, c_i(t) / \sum_i r_i^2`, weighted by their squared radii of gyration :math:`r_i`. The
+component along the up axis is omitted.
 
-In a transition with the weight w, rising from 0 to 1, the velocity of the body is blended,
+In a transition, with a weight w that rises from 0 to 1, the velocities of both motions are blended,
 
 .. math:: m' = (1 - w)\, m_a' + w\, m_b' .
 
-This is the derivative of :math:`(1 - w)\, m_a + w\, m_b + \int w' (m_a - m_b)\, dt`. Moving the second motion by the
-integral over the whole transition makes the last term vanish at the end.
+This is the derivative of :math:`(1 - w)\, m_a + w\, m_b + \int w' (m_a - m_b)\, dt`. The second motion is translated by
+the integral over the whole transition, so that the last term vanishes at the end.
 """
 
 from __future__ import annotations
@@ -40,25 +40,25 @@ from mixseq.signals.model import Model
 from mixseq.types import Float
 
 SITES_PER_KNOT = 8
-"""Sites per knot of the splines that are integrated."""
+"""Number of sites per knot of the splines that are integrated."""
 
 
 @public
 def travel_of(model: Model, even: bool = False) -> Curve:
-    """Return the displacement of the body along the ground since the start of a model.
+    """Return the displacement of a model's body along the ground since the start.
 
     Parameters
     ----------
     model : Model
         The motion.
     even : bool
-        Travel at constant speed from start to end, as engines move walking characters; by default the actual motion.
+        Return travel at constant speed, as game engines move walking characters; by default return the actual motion.
 
     Returns
     -------
     Curve
-        Displacement (three coordinates) in the units of the points, as `in_place` removes it; zero at the start, and
-        along the up axis.
+        Displacement that `in_place` removes: three coordinates in the units of the points. It is zero at the start, and
+        always zero along the up axis.
 
     Raises
     ------
@@ -88,16 +88,16 @@ def travel_of(model: Model, even: bool = False) -> Curve:
 
 @public
 def in_place(model: Model, even: bool = False) -> Model:
-    """Remove the travel of a model along the ground: the body stays where it starts.
+    """Remove the travel of a model along the ground, so that the body stays at its start.
 
-    Turns and vertical motion stay. `travel_of` returns the removed displacement. The residual layer is kept.
+    Rotations and vertical motion are kept. `travel_of` returns the removed displacement. The residual layer is kept.
 
     Parameters
     ----------
     model : Model
-        The motion, such as a character that walks.
+        The motion, such as a walking character.
     even : bool
-        Remove a constant speed, so that a cycle keeps its sway; by default the position of the body is fixed.
+        Remove only the mean velocity, so that a cycle keeps its sway. By default the position of the body is fixed.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def in_place(model: Model, even: bool = False) -> Model:
 
 
 def ground_position(model: Model) -> Curve:
-    """Return the position of the body along the ground, three coordinates in the space's unit; see `travel_of`."""
+    """Return the curve of the body's position on the ground, three coordinates in the space's unit."""
     space = model.space
     columns = centre_columns(space)
     if not len(columns):
@@ -125,13 +125,13 @@ def ground_position(model: Model) -> Curve:
 
 
 def ground_displacement(model: Model, start: float, end: float) -> Float:
-    """Return the displacement ``(3,)`` of the body along the ground between two times, in the space's unit."""
+    """Return the body's displacement ``(3,)`` along the ground between two times, in the space's unit."""
     first, last = ground_position(model)([start, end])
     return np.asarray(last - first)
 
 
 def translate(model: Model, offset: Float) -> Model:
-    """Translate a model by an offset ``(3,)`` or, per placement knot, ``(m, 3)``, in the space's unit."""
+    """Translate a model by a constant offset ``(3,)`` or offsets of placement knots ``(m, 3)``, in the space's unit."""
     placement = model.placement
     values = placement.values.copy()
     values[:, centre_columns(model.space)] += offset if offset.ndim == 1 else offset[:, None]
@@ -156,23 +156,23 @@ MAX_REPETITIONS = 10_000
 
 @public
 def cut(model: Model, start: Seconds, end: Seconds, at: Seconds | None = None) -> Model:
-    """Cut out a section of a model.
+    """Extract a section of a model.
 
-    The residual layer is left out.
+    The residual layer is dropped.
 
     Parameters
     ----------
     model : Model
         The motion.
     start, end : float
-        Section in seconds. The result has its ends and the frames within it.
+        Section in seconds. The result starts and ends there, and keeps the frames of the section.
     at : float, optional
-        Start time of the result, in seconds; by default times are kept.
+        Start time of the result, in seconds; by default `start`.
 
     Raises
     ------
     SettingsError
-        If the section is outside the model, has no duration, or has no frame.
+        If the section is outside the model, has no duration, or contains no frame.
     """
     first, last = snap_section(model, start, end)
     section = join_models([ModelSection(model, first, last)], [])
@@ -190,8 +190,8 @@ def repeat(
 ) -> Model:
     """Repeat a section of a model.
 
-    The motion before and after the section is only moved in time. At seams of the section with itself value, slope and
-    curvature of all signals are made continuous by changes within it. The residual layer is left out.
+    The motion before and after the section is only shifted in time. Between repetitions, value, slope and curvature of
+    all signals are made continuous by changes within the section. The residual layer is dropped.
 
     Parameters
     ----------
@@ -202,11 +202,11 @@ def repeat(
     times : int
         Number of repetitions.
     fade : float, optional
-        Seconds before and after every seam over which jumps are distributed, at most the section; by default a quarter
-        of it.
+        Seconds before and after every seam over which jumps are distributed; at most the duration of the section, by
+        default a quarter of the maximum.
     travel : bool
-        Move every repetition along the ground by the travel of the section (`travel_of`), a whole cycle; heading and
-        height stay.
+        Move every repetition along the ground by the travel of the section (`travel_of`), which should be a whole
+        cycle. Heading and height do not change.
 
     Raises
     ------
@@ -231,17 +231,17 @@ def repeat(
 
 @public
 def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Model:
-    """Close a model to a loop: value, slope and curvature of all signals at the end meet those at the start.
+    """Close a model to a loop: make value, slope and curvature of all signals equal at the start and the end.
 
-    The last frame equals the first. Parts that make whole turns go on turning. The residual layer is left out.
+    The last frame equals the first. Parts that make whole turns keep turning. The residual layer is dropped.
 
     Parameters
     ----------
     model : Model
-        The motion, such as one cycle of a walk; `cut` makes one of a longer sequence.
+        The motion, such as one cycle of a walk; `cut` extracts a cycle from a longer sequence.
     fade : float, optional
-        Seconds at the start and at the end over which jumps are distributed, at most half the model; by default a
-        quarter of that.
+        Seconds at the start and at the end over which jumps are distributed; at most half the duration of the model, by
+        default a quarter of the maximum.
     travel : bool
         Keep the travel along the ground (`travel_of`): the last frame equals the first except for its position. By
         default the body returns to its start.
@@ -254,7 +254,7 @@ def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Mod
     start, end = snap_section(model, model.start, model.end)
     fade, length = check_fade(fade, (end - start) / 2), end - start
     displacement = ground_displacement(model, start, end) if travel else np.zeros(3)
-    # Two passes: the second half of the first and the first half of the second meet at the seam of the loop.
+    # Join two copies: the second half of the first copy and the first half of the second meet at the loop's seam.
     second = ModelSection(map_times(translate(model, displacement), length), start + length, end + length)
     passes = join_models([ModelSection(model, start, end), second], [Seam(fade)])
     middle = (start + end) / 2
@@ -265,9 +265,9 @@ def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Mod
 
 @public
 def shift(model: Model, seconds: Seconds) -> Model:
-    """Shift a model in time by a number of seconds, earlier if it is negative.
+    """Shift a model in time by a number of seconds; negative numbers shift to earlier times.
 
-    The residual layer is left out.
+    The residual layer is dropped.
 
     Raises
     ------
@@ -281,10 +281,10 @@ def shift(model: Model, seconds: Seconds) -> Model:
 
 @public
 def speed(model: Model, factor: float) -> Model:
-    """Speed up a model by a factor, from its start on.
+    """Speed up a model by a factor, with the same start time.
 
-    The frames stay the same; `Model.sample` and `mixseq.operations.resampling` make new ones. The residual layer is
-    left out.
+    The number of frames does not change; `Model.sample` and `mixseq.operations.resampling` make new frames. The
+    residual layer is dropped.
 
     Raises
     ------
@@ -298,8 +298,8 @@ def speed(model: Model, factor: float) -> Model:
 
 @public
 def reverse(model: Model) -> Model:
-    """Reverse a model, from the same start to the same end.
+    """Reverse a model in time, with the same start and end times.
 
-    The residual layer is left out.
+    The residual layer is dropped.
     """
     return map_times(model, model.start + model.end, -1.0)

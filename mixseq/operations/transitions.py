@@ -1,11 +1,11 @@
-r"""From one motion into another: concatenation, transitions, blends.
+r"""Join or blend two motions: concatenation, transitions and weighted blends.
 
 .. math:: s(t) = (1 - w(t))\, s_a(t) + w(t)\, s_b(t)
 
-for all signals except rotations of bodies, which are interpolated along the rotation between both
-(`mixseq.operations.sections`). The weight of a transition is the C2 step :math:`w = 6x^5 - 15x^4 + 10x^3`. The
-product of weight and signal is approximated by a cubic spline through dense knots; the rest is exact. Before, both
-models are put in one space, with the same key shapes, so that their signals can be added.
+for all signals except body rotations, which are interpolated along the rotation between both motions
+(`mixseq.operations.sections`). The weight of a transition is the C2 step :math:`w = 6x^5 - 15x^4 + 10x^3`. Products of
+weights and signals are approximated by cubic splines with dense knots; other sections are exact. Both models are first
+converted to one space with the same key shapes, so that their signals can be added.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ from mixseq.types import Float
 def into(model: Model, space: ShapeSpace) -> Model:
     """Convert a model into another shape space of its mesh.
 
-    Its frames are decoded and encoded again, and interpolated by cubic splines in the new space. They stay equal where
-    the new space represents the shapes exactly. A model of that space is returned unchanged. The residual layer is
-    encoded with the frames, so the result has none.
+    The frames are decoded, encoded in the new space, and interpolated by cubic splines there. They do not change if the
+    new space represents their shapes exactly. A model already in this space is returned unchanged. The residual layer
+    is encoded with the frames, so the result has no residual layer.
 
     Parameters
     ----------
@@ -74,9 +74,8 @@ def into(model: Model, space: ShapeSpace) -> Model:
 def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
     """Bring two models of one mesh into one space, with the same pose and shape signals.
 
-    The space is that of the first model. A basis space is extended to the shapes of both, or replaced by the second
-    space if that is of another kind. Where key shapes differ, both models get all of them, with their weights as pose
-    space.
+    The common space is the space of the first model. A basis space is extended to all shapes, or replaced by the second
+    model's space if the kinds differ. If key shapes differ, both models get all key shapes, with weights as pose space.
     """
     _check_meshes(first, second)
     space, *maps = first.space.merge(second.space)
@@ -96,7 +95,7 @@ def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
 
 
 def _key_weight_signal(model: Model, start: int, count: int) -> Curve:
-    """Return the time signal of weights of all but the first of `count` key shapes; the model's begin at `start`."""
+    """Return the weights of key shapes 1 to `count` - 1 as a time signal; the model's key shapes begin at `start`."""
     weights = np.zeros((len(model.time.times), count))
     weights[:, start : start + len(model.shapes)] = model.pose.weights(model.time.values)
     return Curve(model.time.times, weights[:, 1:])
@@ -121,25 +120,26 @@ def _check_meshes(first: Model, second: Model) -> None:
 
 
 SITES_PER_BLENDED_KNOT = 8
-"""Sites of an approximating spline per knot of the curve that it replaces."""
+"""Number of sites of an approximating spline per knot of the curve that the spline replaces."""
 
 
 @public
 def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = False) -> Model:
     """Concatenate two models.
 
-    The second one starts at the end time of the first. Jumps of value, slope and curvature of the signals are
-    distributed to both sides. The residual layer is left out.
+    The second model starts at the end time of the first. Jumps in value, slope and curvature of the signals are
+    distributed before and after the seam. The residual layer is dropped.
 
     Parameters
     ----------
     a, b : Model
         Models of one mesh. The result is in the space of `a`.
     fade : float, optional
-        Seconds before and after the seam, at most the shorter model; by default a quarter of that.
+        Seconds before and after the seam over which jumps are distributed; at most the duration of the shorter model,
+        by default a quarter of the maximum.
     travel : bool
-        Start the second model where the first ends along the ground (`travel_of`); heading and height stay. By default
-        the second model keeps its position, and the body slides there.
+        Start the second model at the ground position where the first ends (`travel_of`), with unchanged heading and
+        height. By default the second model keeps its position, and the body slides there.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = 
 def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool = False) -> Model:
     """Blend from one model into another.
 
-    The residual layer is left out.
+    The residual layer is dropped.
 
     Parameters
     ----------
@@ -170,12 +170,12 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
         Models of one mesh. The result is in the space of `a`; its frames are those of `a` until the weight of `b` is 1,
         then those of `b`.
     at : float
-        When the second model starts, in seconds of the first. Until then the result is `a`.
+        Time in `a` at which `b` starts, in seconds. Until then the result is `a`.
     duration : float
-        Seconds until the result is `b`; both models cover them.
+        Duration of the blend in seconds, after which the result is `b`. Both models must cover the blend.
     travel : bool
-        Continue the second model from the position that the first reaches along the ground; heading and height stay,
-        and the ground speed is blended (`mixseq.operations.timeline`). By default the second model keeps its position.
+        Continue `b` from the ground position that `a` reaches, with unchanged heading and height. The ground speed is
+        blended (`mixseq.operations.timeline`). By default `b` keeps its position.
 
     Raises
     ------
@@ -205,7 +205,7 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
         drift = ground_drift(a, b, at, end, weight_rate)
         middle = translate(middle, drift(middle.placement.times))
     sections = [ModelSection(a, a.start, at), ModelSection(middle, at, end), ModelSection(b, end, b.end)]
-    # Remaining jumps are distributed at the ends of the middle alone, so that the rest of both models stays exact.
+    # Remaining jumps are distributed only within the blended section, so that both models stay exact outside it.
     site_spacing = (end - at) / (len(middle.time.times) - 1)
     seams = [Seam(3 * site_spacing, fraction_before=0.0), Seam(3 * site_spacing, fraction_before=1.0)]
     if sections[2].end - end <= 0:
@@ -217,16 +217,16 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
 
 @public
 def blend(a: Model, b: Model, weight: float | Curve) -> Model:
-    """Blend two models over their common time.
+    """Blend two models over the time interval that both cover.
 
-    The residual layer is left out.
+    The residual layer is dropped.
 
     Parameters
     ----------
     a, b : Model
-        Models of one mesh. The result is in the space of `a` and has its frames.
+        Models of one mesh. The result has the space and the frame times of `a`.
     weight : float or Curve
-        Weight of `b`: 0 gives `a`, 1 gives `b`; a curve of one coordinate is the weight over time.
+        Weight of `b`: 0 gives `a`, 1 gives `b`. A curve of one coordinate gives the weight over time.
 
     Raises
     ------
@@ -262,7 +262,7 @@ def blend(a: Model, b: Model, weight: float | Curve) -> Model:
 
 
 def _smooth_step(times: Float, start: float, end: float) -> Float:
-    """Return the polynomial step ``(N, 1)`` from 0 to 1, with zero first and second derivatives at both ends."""
+    """Return a polynomial step ``(N, 1)`` from 0 to 1, with zero first and second derivatives at both ends."""
     x = (times[:, None] - start) / (end - start)
     return np.asarray(x**3 * (10.0 + x * (6.0 * x - 15.0)))
 
@@ -282,10 +282,10 @@ def _blend_interval(
     knots: Float | None = None,
     count: int = 1,
 ) -> Model:
-    """Blend two models of shared shapes over an interval, with the frames of the first.
+    """Blend two models with common key shapes over an interval, with the frames of the first model.
 
-    `weight` maps times ``(N,)`` to ``(N, 1)``; `knots` ``(n,)`` are its breakpoints; `count` subdivides knot intervals
-    (1 is exact for a constant weight).
+    The function `weight` maps times ``(N,)`` to weights ``(N, 1)`` and has breakpoints `knots` ``(n,)``. Every knot
+    interval is divided into `count` intervals; 1 is exact for a constant weight.
     """
     aligned = align_quaternion_signs(a.space, b.placement, start, a.placement([start])[0])
 

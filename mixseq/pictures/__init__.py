@@ -1,7 +1,7 @@
-"""Pictures and films of mesh sequences, drawn in software with matplotlib (the extra ``plot``).
+"""Draw pictures and films of mesh sequences in software; pictures need matplotlib (the extra ``plot``).
 
-`scene` defines meshes, frame times and cameras, `colours` their colours. `page`, `sheets`, `charts` and `models` draw
-with matplotlib; `raster` draws the frames of a `film`, and `film_encoding` writes them.
+`scene` defines meshes, frame times and cameras; `colours` defines colourings. `page`, `sheets`, `charts` and `models`
+draw with matplotlib. `raster` draws the frames of a `film`, and `film_encoding` writes the film.
 """
 
 from __future__ import annotations

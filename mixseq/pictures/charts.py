@@ -1,8 +1,8 @@
-"""Charts of a model's signals: the embedding, coordinates over time, singular values; and the style of all charts.
+"""Draw charts of a model's signals: embedding, coordinates over time, singular values. Define the style of all charts.
 
-Values are in diagonals, as distances in the shape space, without the placement of parts. With :math:`C` the centred
-frames ``(T, k)`` in pose space, and :math:`G = L L^T` the Gram matrix of unit steps along the coordinates of pose space
-(the identity for principal components), the *singular values* of a model are those of :math:`C L`.
+Values are distances in the shape space in diagonals, without the placement of parts. Let :math:`C` be the centred
+frames ``(T, k)`` in pose space, and :math:`G = L L^T` the Gram matrix of unit steps along its coordinates (the identity
+for principal components). The *singular values* of a model are the singular values of :math:`C L`.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ LABEL_DISTANCE_POINTS = 12.0
 """Distance from a dot to the centre of its label."""
 
 SUFFICIENT_CLEARANCE_POINTS = 5.0
-"""Clearance of a label above which outward positions are preferred."""
+"""Clearance of a label above which only the outward direction decides its position."""
 
 _HALF_CHARACTER_POINTS = np.array([2.6, 5.0])
-"""Half the width of a character and half the height of a line."""
+"""Half the width of a character and half the height of a text line."""
 
 
 def label_offsets(
     dots: Float, texts: Sequence[str], curve: Float, limits: Limits, inch: float
 ) -> list[tuple[float, float]]:
-    """Return offsets in points of labels from dots ``(n, 2)``, clear of a curve ``(N, 2)`` and of each other."""
+    """Return offsets in points of labels from dots ``(n, 2)``, to keep labels off a curve ``(N, 2)`` and each other."""
     scale = POINTS_PER_INCH / inch
     low, high = np.reshape(limits, (2, 2)).T * scale
     curve_centre = curve.mean(axis=0) * scale
@@ -69,7 +69,7 @@ def label_offsets(
 
 
 def _box_distances(centres: Float, half_size: Float, points: Float) -> Float:
-    """Return distances ``(n, N)`` of points ``(N, 2)`` from boxes around centres ``(n, 2)``; negative inside."""
+    """Return distances ``(n, N)`` of points ``(N, 2)`` from boxes around centres ``(n, 2)``, negative inside a box."""
     distances = np.abs(points[None] - centres[:, None]) - half_size
     return np.asarray(distances.max(axis=2))
 
@@ -78,7 +78,7 @@ Format = Literal["png", "svg"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 
 LINE_COLOURS = ("#31688e", "#d08c2c", "#4a9d6e", "#8d5fa8", "#8a8a8a")
-"""Colours of lines; none is the red of joints."""
+"""Colours of lines, all different from the red of joints."""
 
 FAINT_COLOUR = "#b9b6b0"
 
@@ -99,7 +99,7 @@ _CHART_STYLE = {
     "legend.fontsize": 8,
     "legend.frameon": False,
     "legend.labelcolor": INK_COLOUR,
-    "svg.hashsalt": "mixseq",  # fixes the names of clip paths, which are random otherwise
+    "svg.hashsalt": "mixseq",  # makes the names of clip paths reproducible
     "text.color": INK_COLOUR,
     "xtick.color": INK_COLOUR,
     "xtick.labelsize": 8,
@@ -110,14 +110,14 @@ _CHART_STYLE = {
 
 @contextmanager
 def chart_style() -> Iterator[None]:
-    """Use the style of charts inside the block, independent of the user's matplotlib settings."""
+    """Use the style of charts inside the ``with`` block, independent of the user's matplotlib settings."""
     with import_matplotlib("style").context(["default", _CHART_STYLE]), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)  # names in any script
         yield
 
 
 def new_page(width: float, height: float, title: str) -> Figure:
-    """Return an empty page of a size in inches, with constrained layout."""
+    """Return an empty page of the given size in inches, with constrained layout."""
     engine = import_matplotlib("layout_engine").ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.1)
     page: Figure = import_matplotlib("figure").Figure(figsize=(width, height), layout=engine)
     page.suptitle(title, x=0.1 / width, ha="left", parse_math=False)
@@ -125,7 +125,7 @@ def new_page(width: float, height: float, title: str) -> Figure:
 
 
 def picture_format(target: Target, chosen: Format | None = None) -> Format:
-    """Return the chosen format of a picture, by default that of the file's extension; PNG for files without a name."""
+    """Return the chosen picture format, by default that of the file extension, or PNG for files without a name."""
     if chosen is None and not isinstance(target, str | PathLike):
         return "png"
     extension = chosen or Path(str(target)).suffix.lower().removeprefix(".")
@@ -137,13 +137,13 @@ def picture_format(target: Target, chosen: Format | None = None) -> Format:
 
 
 def save_page(page: Figure, target: Target, file_format: Format) -> None:
-    """Write a page without metadata, so that equal pictures are equal files."""
+    """Write a page without metadata, so that equal pictures give identical files."""
     no_metadata: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
     page.savefig(target, format=file_format, dpi=DOTS_PER_INCH, metadata=no_metadata[file_format])
 
 
 def log_axis(ax: Axes, values: Float, min_decades: int = 2) -> None:
-    """Make the y axis logarithmic, in whole decades around positive values, so that its ticks have labels."""
+    """Make the y axis logarithmic over whole decades around positive values, so that ticks have labels."""
     low, high = np.floor(np.log10(values.min())), np.ceil(np.log10(values.max()))
     low = min(low, high - min_decades)
     ax.set_yscale("log")
@@ -151,14 +151,14 @@ def log_axis(ax: Axes, values: Float, min_decades: int = 2) -> None:
 
 
 def time_axis(ax: Axes, start: float, end: float, fps: float | None = None) -> None:
-    """Label the x axis with time, and with frame numbers if a rate is given; leave a margin for dots."""
+    """Label the x axis with times, and with frame numbers if `fps` is given; leave a margin for dots."""
     ax.set_xlabel("time (s)" if fps is None else f"time (s), {format_frame_range(start, end, fps)}")
     if end > start:
         ax.set_xlim(start - 0.01 * (end - start), end + 0.01 * (end - start))
 
 
 def round_frames(count: int, max_count: int, first: int = 0) -> list[int]:
-    """Return up to `max_count` of `count` frames: first, last, and those with round numbers counted from `first`."""
+    """Return up to `max_count` of `count` frames: first, last, and frames with round numbers counted from `first`."""
     tens = 10 ** np.arange(len(str(count)))
     step = next(step for step in np.outer(tens, [1, 2, 5, 10]).ravel().tolist() if count <= step * max_count)
     last = count - 1
@@ -170,13 +170,13 @@ MAX_LABELLED_FRAMES = 10
 """Number of frames labelled in the embedding by default."""
 
 MAX_COORDINATES = 5
-"""Number of coordinates drawn over time, those of largest movement."""
+"""Largest number of coordinates drawn over time; the coordinates with the largest movement are drawn."""
 
 _CHART_INCHES = 4.5
-"""Approximate length of the embedding's longer side."""
+"""Approximate length of the longer side of the embedding chart."""
 
 RANK_TOLERANCE = 1e-13
-"""Singular values below this fraction of the largest count as rounding errors."""
+"""Fraction of the largest singular value below which singular values count as rounding errors."""
 
 
 def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> None:
@@ -212,7 +212,7 @@ def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) 
 
 
 def embedding_limits(model: Model) -> Limits:
-    """Return the rectangle of `draw_embedding`: the curve with space for labels, not too narrow."""
+    """Return the axis limits of `draw_embedding`, a rectangle around the curve with space for labels."""
     points = np.concatenate([model.embedding(dense_times(model)), model.embedding(model.times)])
     low, high = points.min(axis=0), points.max(axis=0)
     half_size = (high - low) / 2
@@ -222,7 +222,7 @@ def embedding_limits(model: Model) -> Limits:
 
 
 def draw_coefficients(ax: Axes, model: Model) -> None:
-    """Draw the coordinates of the time signal with the largest movement over time, with knots as dots."""
+    """Draw the time-signal coordinates with the largest movement over time, with knots as dots."""
     ax.set(title="Time signal: coefficients, knots as dots", ylabel="coordinate (diagonals)")
     if not model.time.dim:
         _write_note(ax, "the model has no shape modes")
@@ -244,7 +244,7 @@ def draw_coefficients(ax: Axes, model: Model) -> None:
 
 
 def draw_singular_values(ax: Axes, model: Model) -> None:
-    """Draw the singular values and the norm of all later ones; the right axis is in percent of the norm of all."""
+    """Draw each singular value and the norm of all later values; the right axis is in percent of the total norm."""
     ax.set(title="Singular values", xlabel="mode", ylabel="size (diagonals)")
     sizes = singular_values(model)
     if not sizes.size:
@@ -267,7 +267,7 @@ def draw_singular_values(ax: Axes, model: Model) -> None:
 
 
 def largest_coordinates(model: Model) -> tuple[IntArray, Float]:
-    """Return the coordinates ``(n,)`` of the time signal with the largest movement, and their units ``(n,)``."""
+    """Return the time-signal coordinates ``(n,)`` with the largest movement, and their units ``(n,)`` in diagonals."""
     units = np.sqrt(np.diagonal(_step_gram(model)))
     sizes = units * np.linalg.norm(_centred(model), axis=0)
     coordinate_ids = np.sort(np.argsort(-sizes, kind="stable")[:MAX_COORDINATES])
@@ -285,7 +285,7 @@ def singular_values(model: Model) -> Float:
 
 
 def check_frames(frames: Sequence[int], count: int) -> list[int]:
-    """Return distinct frames in order; raise SettingsError for frames outside the model."""
+    """Return the distinct frames, sorted; raise SettingsError for frames outside the model."""
     for frame in frames:
         if not 0 <= frame < count:
             raise SettingsError(f"there is no frame {frame}; choose frames from 0 to {count - 1}")
@@ -293,7 +293,7 @@ def check_frames(frames: Sequence[int], count: int) -> list[int]:
 
 
 def dense_times(model: Model) -> Float:
-    """Return times ``(N,)`` from start to end that are dense enough for smooth lines."""
+    """Return times ``(N,)`` from the start to the end of a model, dense enough for smooth lines."""
     knots = max(len(model.times), len(model.time.times))
     return np.linspace(model.start, model.end, min(max(400, 20 * knots), 20_000))
 

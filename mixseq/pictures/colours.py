@@ -1,24 +1,24 @@
-r"""Colourings of meshes: a palette, and a palette entry at every vertex, constant or changing over time.
+r"""Colour meshes. A colouring has a palette, and a palette entry at every vertex that is constant or changes over time.
 
-- **clay**: uniform.
-- **own**: the vertex colours of the mesh, as viewers of glTF show them on a plain white material: linear, converted to
-  opaque sRGB, clipped to 0..1, with 8 bits per channel.
-- **parts**: rigid parts in cool hues, joints in red. A vertex belongs to a joint if any of its faces does, else to the
-  part of most of its faces.
-- **strain**: mean over the edges of a vertex of :math:`|l / \bar l - 1|`, with :math:`\bar l` their lengths at rest.
-- **curvature** (its change): mean over the hinges of a vertex of :math:`|\theta - \bar\theta|` in degrees, with
-  :math:`\bar\theta` their dihedral angles at rest and the difference wrapped to :math:`(-\pi, \pi]`. A hinge belongs to
-  the two vertices of its edge.
+- **clay**: one uniform colour.
+- **own**: the vertex colours of the mesh, as glTF viewers show them on a plain white material: linear colours, clipped
+  to 0..1 and converted to opaque sRGB with 8 bits per channel.
+- **parts**: rigid parts in cool hues, joints in red. A vertex with a face in a joint has the colour of joints. Any
+  other vertex has the colour of the part that contains most of its faces.
+- **strain**: mean of :math:`|l / \bar l - 1|` over the edges of a vertex, with edge lengths :math:`\bar l` at rest.
+- **curvature** (its change): mean of :math:`|\theta - \bar\theta|` in degrees over the hinges of a vertex, with
+  dihedral angles :math:`\bar\theta` at rest and the difference wrapped to :math:`(-\pi, \pi]`. A hinge belongs to the
+  two vertices of its edge.
 - **error**: distance from the same vertex of an original, :math:`|a_v - b_v| / d`, in diagonals.
 
-The last three are measured: numbers from 0 to `top` on the colour map viridis. Strain and curvature are invariant to
-rigid motions; uniform scaling by s has the strain :math:`|s - 1|` everywhere. Curvatures are comparable on one mesh
-only, as a bend spreads over more hinges of a finer mesh. Edges of length zero and hinges of degenerate faces count as
-unchanged; vertices without edges or hinges have 0.
+Strain, curvature and error are measured: values from 0 to `top` are mapped to the colour map viridis. Strain and
+curvature are invariant to rigid motions; uniform scaling by s gives the strain :math:`|s - 1|` everywhere. Curvatures
+of different meshes are not comparable, as a bend spreads over more hinges of a finer mesh. Edges of length zero and
+hinges of degenerate faces count as unchanged; vertices without edges or hinges have the value 0.
 
-More than 256 own colours are quantized (as Wu 1991, without a search for the best cuts). Starting from one box of all
-colours, the box with the largest sum of squared distances from its mean is cut at the mean, along the axis with the
-largest share of that sum, until there are 256. Each box is shown in its mean colour.
+More than 256 own colours are quantized (as in Wu 1991, without a search for the best cuts). The first box contains all
+colours. The box with the largest sum of squared distances from its mean is cut at the mean, along the axis with the
+largest share of the sum, until there are 256 boxes. Each box is shown in its mean colour.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ JOINT_RED = (0.85, 0.20, 0.13)
 INK_COLOUR = "#3a3a3a"
 
 FIRST_HUE, LAST_HUE = 90.0, 330.0
-"""Range of part hues in degrees of OKLCH, from straw to mauve, equally far from the red of the joints at 30."""
+"""Range of part hues in degrees of OKLCH, from straw to mauve; both ends are 60 degrees from the red of joints."""
 
 FIRST_HUE_FRACTION = 0.3
-"""Position of the first part's hue in that range."""
+"""Hue of the first part, as a fraction of the range of hues."""
 
 GOLDEN_RATIO_STEP = 0.61803
-"""Step from hue to hue, as a fraction of the range; the golden ratio separates the first n hues for any n."""
+"""Step between hues, as a fraction of the range; golden-ratio steps keep the first n hues apart for any n."""
 
 OKLAB_TO_LMS = np.array(
     [
@@ -83,14 +83,14 @@ VIRIDIS_SAMPLES = bytes.fromhex(
 
 
 def viridis() -> Float:
-    """Return the colour map viridis ``(256, 3)`` without matplotlib, with an error of at most 1.4 / 255."""
+    """Return the colour map viridis ``(256, 3)``, interpolated with an error of at most 1.4 / 255."""
     samples = np.frombuffer(VIRIDIS_SAMPLES, dtype=np.uint8).reshape(-1, 3) / 255
     sample_ids = np.arange(0, 256, 5)
     return np.stack([np.interp(np.arange(256), sample_ids, channel) for channel in samples.T], axis=1)
 
 
 def part_colours(count: int) -> Float:
-    """Return muted, distinguishable, cool colours ``(count, 3)``: hues by the golden ratio, varied lightness."""
+    """Return muted, distinguishable, cool colours ``(count, 3)`` with golden-ratio hues and varied lightness."""
     fraction = (FIRST_HUE_FRACTION + GOLDEN_RATIO_STEP * np.arange(count, dtype=np.float64)) % 1.0
     hue = FIRST_HUE + (LAST_HUE - FIRST_HUE) * fraction
     lightness = np.resize([0.78, 0.68, 0.85], count)
@@ -98,7 +98,7 @@ def part_colours(count: int) -> Float:
 
 
 def segmentation_colours(part_of_face: IntArray, joint_of_face: IntArray) -> Float:
-    """Return the colours ``(F, 3)`` of part_of_face ``(F,)``, `JOINT_RED` where joint_of_face ``(F,)`` is a joint."""
+    """Return face colours ``(F, 3)``: `JOINT_RED` in the joints of joint_of_face ``(F,)``, else part colours."""
     palette = part_colours(int(np.max(part_of_face)) + 1)
     return np.where(np.asarray(joint_of_face)[:, None] >= 0, JOINT_RED, palette[part_of_face])
 
@@ -116,15 +116,15 @@ def srgb(linear: FloatArray) -> Float:
 
 
 DEGENERATE_HEIGHT_RATIO = 1e-6
-"""Height of a face relative to its longest side below which its normal is undefined; as in `mixseq.metrics`."""
+"""Ratio of height to longest side of a face below which its normal is undefined, as in `mixseq.metrics`."""
 
 SCALE_QUANTILE = 0.99
-"""Quantile of measured values at which colour scales end, so that a single sliver does not darken all others."""
+"""Quantile of measured values at which colour scales end, so that outliers do not darken all other faces."""
 
 
 @dataclass(frozen=True, eq=False)
 class Strain:
-    """Measure of strain against a rest pose."""
+    """Measure of the strain of poses relative to a rest pose."""
 
     edges: IntArray  # (E, 2) edges of the mesh
     lengths: Float  # (E,) edge lengths at rest
@@ -136,7 +136,7 @@ class Strain:
         return cls(edges, edge_lengths(np.asarray(points, dtype=np.float64), edges))
 
     def __call__(self, points: FloatArray) -> Float:
-        """Return strains ``(V,)`` of points ``(V, 3)``."""
+        """Return mean edge strains ``(V,)`` for points ``(V, 3)``."""
         lengths = edge_lengths(np.asarray(points, dtype=np.float64), self.edges)
         has_length = self.lengths > 0
         strain = np.abs(np.divide(lengths, self.lengths, out=np.ones_like(lengths), where=has_length) - 1)
@@ -145,7 +145,7 @@ class Strain:
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
-    """Measure of the change of dihedral angles against a rest pose."""
+    """Measure of the change of dihedral angles of poses relative to a rest pose."""
 
     faces: IntArray  # (F, 3) triangles of the mesh
     hinges: IntArray  # (H, 2) vertices of the edge of each hinge
@@ -159,7 +159,7 @@ class Curvature:
         """Measure against a rest pose ``(V, 3)`` of triangles ``(F, 3)``."""
         topology = Topology(faces, len(points))
         hinges, hinge_faces = topology.hinges[:, :2], topology.hinge_faces
-        # the first face has the edge from a to b; the second from b to a, if both have the same orientation
+        # the first face contains the edge (a, b); the second contains (b, a) if both have the same orientation
         second = faces[hinge_faces[:, 1]]
         same_direction = (second == hinges[:, :1]) & (np.roll(second, -1, axis=1) == hinges[:, 1:])
         signs = np.where(same_direction.any(axis=1), -1.0, 1.0)
@@ -167,14 +167,14 @@ class Curvature:
         return cls(faces, hinges, hinge_faces, signs, angles, is_defined)
 
     def __call__(self, points: FloatArray) -> Float:
-        """Return changes ``(V,)`` in degrees, 0 to 180, of points ``(V, 3)``."""
+        """Return mean changes ``(V,)`` of dihedral angles in degrees, 0 to 180, for points ``(V, 3)``."""
         angles, is_defined = _hinge_angles(points, self.faces, self.hinges, self.hinge_faces, self.signs)
         change = np.where(is_defined & self.is_defined, np.abs(wrap_angles(angles - self.angles)), 0.0)
         return np.degrees(_vertex_means(change, self.hinges, len(points)))
 
 
 MEASURES: dict[str, type[Strain | Curvature]] = {"strain": Strain, "curvature": Curvature}
-"""Measures by the name of their colouring."""
+"""Measures by the name of the colouring that displays them."""
 
 
 def vertex_distances(points: FloatArray, original: FloatArray, diagonal: float) -> Float:
@@ -188,7 +188,7 @@ def format_two_digits(number: float) -> str:
 
 
 def _vertex_means(values: Float, edges: IntArray, count: int) -> Float:
-    """Return the means ``(V,)`` over the edges ``(n, 2)`` of each vertex of edge values ``(n,)``."""
+    """Average edge values ``(n,)`` at vertices: return the mean ``(V,)`` over the edges ``(n, 2)`` of each vertex."""
     vertices = edges.ravel()
     sums = np.bincount(vertices, np.repeat(values, 2), count)
     return np.asarray(sums / np.maximum(np.bincount(vertices, minlength=count), 1))
@@ -197,12 +197,12 @@ def _vertex_means(values: Float, edges: IntArray, count: int) -> Float:
 def _hinge_angles(
     points: FloatArray, faces: IntArray, hinges: IntArray, hinge_faces: IntArray, signs: Float
 ) -> tuple[Float, NDArray[np.bool_]]:
-    r"""Return the dihedral angles ``(H,)`` of hinges, and a mask of those between faces with an area.
+    r"""Return the dihedral angles ``(H,)`` of hinges, and a mask ``(H,)`` of hinges whose faces both have an area.
 
-    As in `mixseq.mesh.measures`, but with normals :math:`n_f = (b - a) \times (c - a)` computed once per face. The
-    angle of faces f and g is between :math:`n_f` and :math:`n_g`, or :math:`-n_g` if their orientations differ.
+    `mixseq.mesh.measures` does the same, but here normals :math:`n_f = (b - a) \times (c - a)` are computed once per
+    face. The angle is between :math:`n_f` and :math:`n_g`, or :math:`-n_g` if the orientations of faces f and g differ.
     """
-    x = np.ascontiguousarray(points.T, dtype=np.float64)  # columns: several times faster than rows of three
+    x = np.ascontiguousarray(points.T, dtype=np.float64)  # rows of one axis are several times faster
     normals, is_degenerate = _face_normals(x, faces)
     first, second = (np.take(normals, side, axis=1) for side in hinge_faces.T)
     second *= signs
@@ -213,7 +213,7 @@ def _hinge_angles(
 
 
 def _face_normals(x: Float, faces: IntArray) -> tuple[Float, NDArray[np.bool_]]:
-    """Return normals ``(3, F)`` with twice the areas as lengths, and a mask of degenerate faces: x ``(3, V)``."""
+    """Return normals ``(3, F)`` of length twice the area, and a mask of degenerate faces, for points ``(3, V)``."""
     a, b, c = (np.take(x, corner, axis=1) for corner in faces.T)
     u, v, w = b - a, c - a, c - b
     normals = np.cross(u, v, axis=0)
@@ -222,7 +222,7 @@ def _face_normals(x: Float, faces: IntArray) -> tuple[Float, NDArray[np.bool_]]:
 
 
 def _dot(u: Float, v: Float) -> Float:
-    """Return dot products ``(n,)`` of columns ``(3, n)``."""
+    """Return the dot products ``(n,)`` of corresponding columns of two arrays ``(3, n)``."""
     return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
 
 
@@ -230,7 +230,7 @@ MAX_PALETTE_COLOURS = 256
 
 
 def own_colours(header: SequenceHeader) -> tuple[ByteArray, Index]:
-    """Return a palette ``(n, 3)`` and entries ``(V,)`` of the mesh's own colours, each vertex by its first corner."""
+    """Return a palette ``(n, 3)`` and entries ``(V,)`` of the mesh's own colours; vertices use their first corner."""
     assert header.surface.colours is not None
     linear = header.surface.colours.at_vertices(header.polygons.indices, header.vertex_count, DEFAULT_COLOUR)[:, :3]
     vertex_colours = np.rint(255 * srgb(np.clip(np.nan_to_num(linear), 0, 1))).astype(np.uint8)
@@ -242,7 +242,7 @@ def own_colours(header: SequenceHeader) -> tuple[ByteArray, Index]:
 
 
 def _quantize(colours: Float, counts: Index) -> tuple[Float, Index]:
-    """Return the mean colours ``(256, 3)`` of boxes of distinct colours ``(n, 3)``, and the box ``(n,)`` of each."""
+    """Divide distinct colours ``(n, 3)`` into boxes; return the mean colours ``(256, 3)`` and box indices ``(n,)``."""
     heap = [_box(colours, counts, np.arange(len(colours)))]
     while len(heap) < MAX_PALETTE_COLOURS:
         _, _, colour_ids, mean, axis = heappop(heap)
@@ -271,13 +271,13 @@ ReferencePose = Callable[[float], FloatArray]
 
 
 JOINT_ENTRY = 255
-"""Palette entry of joints; parts cycle through the entries below it."""
+"""Palette entry of joints; parts use the smaller entries in a cycle."""
 
 UNITS = {"error": "diagonals", "strain": "%", "curvature": "degrees"}
 """Units of the measured values."""
 
 MIN_SCALE_ENDS = {"error": 1e-12, "strain": 0.01, "curvature": 0.01}
-"""Smallest ends of the scales, in these units, above the rounding of rigid motions in single precision."""
+"""Smallest ends of the scales, in `UNITS`, above rounding errors of rigid motions in single precision."""
 
 SCALE_QUANTILES = {"error": 1.0, "strain": SCALE_QUANTILE, "curvature": SCALE_QUANTILE}
 """Quantiles of the measured values at which the scales end."""
@@ -289,11 +289,11 @@ class Colouring:
 
     name: str  # one of `mixseq.choices.COLOURS`
     palette: ByteArray  # (n, 3) sRGB, at most 256 colours; exactly 256 if measured
-    constant_entries: ByteArray | None = None  # (V,) palette entries of all poses; None if measured
-    measure: Measure | None = None  # measure of the displayed values, in `unit`; None if constant
-    top: float = 1.0  # value of the last colour; 0 has the first
-    unit: str = ""  # unit of the values
-    face_colours: ArrayLike = CLAY_COLOUR  # (3,) or (F, 3) RGB in 0..1 of mesh or faces, if constant
+    constant_entries: ByteArray | None = None  # (V,) palette entries for every pose; None if measured
+    measure: Measure | None = None  # function that computes the displayed values, in `unit`; None if constant
+    top: float = 1.0  # value shown in the last colour; the value 0 is shown in the first colour
+    unit: str = ""  # unit of the displayed values
+    face_colours: ArrayLike = CLAY_COLOUR  # RGB in 0..1 of the mesh (3,) or its faces (F, 3), if constant
 
     def __post_init__(self) -> None:
         if (self.constant_entries is None) == (self.measure is None):
@@ -307,21 +307,21 @@ class Colouring:
         return self.measure is None
 
     def entries(self, points: FloatArray, elapsed: float) -> ByteArray:
-        """Return palette entries ``(V,)`` of points ``(V, 3)`` at elapsed seconds."""
+        """Return palette entries ``(V,)`` of points ``(V, 3)`` at a time, in elapsed seconds."""
         if self.measure is None:
-            assert self.constant_entries is not None  # by `__post_init__`
+            assert self.constant_entries is not None  # ensured by `__post_init__`
             return self.constant_entries
         fractions = np.clip(self.measure(points, elapsed) / self.top, 0.0, 1.0)
         return np.rint(255 * fractions).astype(np.uint8)
 
     def scale_end(self, points: FloatArray, elapsed: float) -> float:
-        """Return the end of a scale for points ``(V, 3)`` at elapsed seconds; 0 if constant."""
+        """Return the scale end that suits points ``(V, 3)`` at a time, in elapsed seconds; 0 if constant."""
         if self.measure is None:
             return 0.0
         return float(np.quantile(self.measure(points, elapsed), SCALE_QUANTILES[self.name]))
 
     def with_top(self, top: float) -> Colouring:
-        """Return the colouring with another end of its scale."""
+        """Return the colouring with a scale that ends at `top`."""
         if self.is_constant:
             raise SettingsError(f"the colour {self.name} has no scale; choose another one, such as strain")
         return replace(self, top=float(top))
@@ -339,7 +339,7 @@ def available_colourings(
     original: ReferencePose | None = None,
     poses: Iterable[tuple[float, FloatArray]] = (),
 ) -> dict[str, Colouring]:
-    """Return the available colourings of a mesh by name; the scales cover `poses`: rest ``(V, 3)``."""
+    """Return the available colourings of a mesh with rest points ``(V, 3)`` by name, with scales that cover `poses`."""
     is_available: dict[Colour, bool] = {
         "own": header.surface.colours is not None,
         "parts": decomposition is not None,
@@ -364,7 +364,7 @@ def make_colouring(
     decomposition: Decomposition | None = None,
     original: ReferencePose | None = None,
 ) -> Colouring:
-    """Return one of `available_colourings`, with the smallest scale if it is measured."""
+    """Make the colouring of the given name; measured colourings have the smallest scale."""
     faces, count = header.faces, header.vertex_count
     _check_vertex_count("the rest pose", rest, count)
     if name == "clay":
@@ -384,7 +384,7 @@ def make_colouring(
 
 
 def _make_measure(name: Colour, rest: FloatArray, faces: IntArray, original: ReferencePose | None) -> Measure:
-    """Return the measure of a colouring, in its unit: rest ``(V, 3)``."""
+    """Return the measure of a colouring, in the unit of its values, relative to rest points ``(V, 3)``."""
     if name in MEASURES:
         measure, factor = MEASURES[name].from_rest(rest, faces), 100 if name == "strain" else 1
         return lambda points, elapsed: factor * measure(points)
@@ -403,7 +403,7 @@ def _check_vertex_count(subject: str, points: FloatArray, count: int) -> None:
 
 
 def _part_entries(faces: IntArray, count: int, decomposition: Decomposition) -> Index:
-    """Return the palette entries ``(V,)`` of parts; 0 for vertices without faces."""
+    """Return the palette entries ``(V,)`` of parts and joints; vertices without faces have 0."""
     part_of_face = decomposition.part_of_face
     if len(part_of_face) != len(faces):
         raise SettingsError(
@@ -412,7 +412,7 @@ def _part_entries(faces: IntArray, count: int, decomposition: Decomposition) -> 
     parts = int(part_of_face.max()) + 1
     pairs, votes = np.unique(faces.ravel() * np.int64(parts) + np.repeat(part_of_face, 3), return_counts=True)
     vertex, part = np.divmod(pairs, parts)
-    # sorted by vertex, then most votes, then lowest part
+    # sort by vertex, then by descending votes, then by part
     order = np.lexsort((part, -votes, vertex))
     winner_ids = order[np.unique(vertex[order], return_index=True)[1]]
     entries = np.zeros(count, dtype=np.int64)
@@ -439,8 +439,8 @@ SCALE_SAMPLES = 12
 class SceneColours:
     """The colourings of all meshes of a scene."""
 
-    scene: Scene  # the scene before edits, whose first frames are the rest poses
-    original: FrameStore | None = None  # reference of errors
+    scene: Scene  # the unedited scene; its first frames are the rest poses
+    original: FrameStore | None = None  # original from which errors are measured
     _colourings: dict[int, dict[str, Colouring]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -469,22 +469,22 @@ class SceneColours:
         return self._colourings[index]
 
     def on_one_scale(self, name: str) -> list[Colouring]:
-        """Return a colouring of all meshes, with a common scale; clay for meshes that lack it."""
-        if name == "clay":  # shown first, without the time that all others take
+        """Return one colouring per mesh with the given name and a common scale; use clay for meshes without it."""
+        if name == "clay":  # is shown first; avoids the cost of the other colourings
             return self._clay
         colourings = [self.of_mesh(index).get(name, plain) for index, plain in enumerate(self._clay)]
         top = max((colouring.top for colouring in colourings if not colouring.is_constant), default=0.0)
         return [colouring if colouring.is_constant else colouring.with_top(top) for colouring in colourings]
 
     def _original_of(self, item: SceneItem) -> ReferencePose | None:
-        """Return the original's pose at elapsed times, None if it is another mesh."""
+        """Return a function that gives the original's pose, or None if the original is a different mesh."""
         if self.original is None or not is_same_mesh(self.original.header, item.header):
             return None
         return SceneItem("the original", self.original).pose
 
 
 def check_original(scene: Scene, original: FrameStore) -> None:
-    """Raise SettingsError for an original that is the same mesh as none of the scene."""
+    """Raise SettingsError if no mesh of the scene has the vertices and triangles of the original."""
     header = original.header
     items = [item for item in scene.items if is_same_mesh(item.header, header)]
     if not items:

@@ -1,6 +1,6 @@
-"""Draw films of meshes side by side, with a camera that may turn, or follow a body.
+"""Draw films of meshes side by side, with a camera that can rotate around the meshes or follow a body.
 
-A frame has a panel for each mesh, on a static backdrop with names and the colour bar.
+A frame has one panel per mesh, on a static backdrop with names and the colour bar.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 
 _SCALE_UNITS = {"error": ("diagonals", 1.0), "strain": ("strain", 100.0), "curvature": ("degrees", 1.0)}
-"""Units of colour scales in films, and their size in the unit of the `Colouring`."""
+"""Units of colour scales in film settings, each with its factor to the unit of the `Colouring`."""
 
 MIN_COLOUR_SCALE = 1e-12
 """Smallest end of the colour scale, above rounding errors."""
@@ -57,14 +57,14 @@ class FilmSettings:
     """Settings of a film."""
 
     size: tuple[int, int] = (1280, 720)  # width and height in pixels
-    fps: float | None = None  # frames per second, by default of the first mesh
-    seconds: float | None = None  # duration, by default of the longest sequence; 4 s for single poses
+    fps: float | None = None  # frames per second; by default the rate of the first mesh
+    seconds: float | None = None  # duration; by default that of the longest sequence, or 4 s for single poses
     turn: float = 0.0  # rotation of the camera about the meshes during the film, in degrees
-    # Degrees from the front to the body's left, and above the horizon; by default `three_quarter_view`.
+    # Azimuth from the front to the body's left and elevation, in degrees; by default `three_quarter_view`.
     camera: tuple[float, float] | None = None
     follow: bool = False  # whether the camera follows bodies that travel
     colour: Colour = "clay"  # colouring of the meshes
-    # End of the colour scale: error (diagonals), strain, or degrees; by default the largest value of the film.
+    # End of the colour scale in `_SCALE_UNITS`; by default the largest value in the film.
     scale: float | None = None
 
     def __post_init__(self) -> None:
@@ -91,10 +91,10 @@ def film(
     progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> None:
-    """Make a film of meshes side by side, as .mp4 (by ffmpeg), .gif or .webp; the file is replaced when complete.
+    """Make a film of meshes side by side, as .mp4 (by ffmpeg), .gif or .webp; an old file is replaced at the end.
 
-    Frames are drawn on several threads; the file is the same for any number. `against` is the original for the colour
-    "error"; then only frames of the original are shown.
+    Frames are drawn on several threads; the file does not depend on their number. `against` is the original for the
+    colour "error"; if it is given, poses are shown only at the times of its frames.
     """
     settings = settings or FilmSettings()
     file_format = film_format(target)
@@ -125,7 +125,7 @@ def film(
 
 
 def check_shown(shown: Sequence[SceneItem], settings: FilmSettings, against: object) -> None:
-    """Raise SettingsError for items that cannot be shown with the settings."""
+    """Raise SettingsError if the items cannot be shown with the settings."""
     if not shown:
         raise SettingsError("there is no mesh to show; give a sequence or a model")
     if settings.colour == "error" and against is None:
@@ -137,7 +137,7 @@ def check_shown(shown: Sequence[SceneItem], settings: FilmSettings, against: obj
 
 
 def _parts(shown: Sequence[SceneItem]) -> list[Decomposition]:
-    """Return the parts of each item: its own, or those of another item with the same triangles."""
+    """Return the parts of each item; an item without parts uses parts of an item with the same triangles."""
     known = [(item.header.faces, item.decomposition) for item in shown]
     result = []
     for item in shown:
@@ -152,7 +152,7 @@ def _parts(shown: Sequence[SceneItem]) -> list[Decomposition]:
 def _colourings(
     items: Sequence[SceneItem], decoded: Sequence[DecodedItem], colour: Colour, original: SceneItem | None
 ) -> list[Colouring]:
-    """Return the colouring of each item, relative to its first frame or to the original."""
+    """Return the colouring of each item; values are relative to its first frame or to the original."""
     parts = _parts(items) if colour == "parts" else [None] * len(items)
     for item in items:
         if colour == "own" and item.header.surface.colours is None:
@@ -178,7 +178,7 @@ def _check_mesh(item: SceneItem, original: SequenceHeader) -> None:
 def _with_common_scale(
     colourings: list[Colouring], items: Sequence[DecodedItem], times: Float, settings: FilmSettings
 ) -> list[Colouring]:
-    """Return the colourings with the given end of their scales, by default the largest value of the film."""
+    """Return the colourings with one scale, which ends at `settings.scale` or at the largest value in the film."""
     if settings.colour not in _SCALE_UNITS:
         return colourings
     _, unit = _SCALE_UNITS[settings.colour]
@@ -216,11 +216,11 @@ def _make_layout(
 
 
 FOLLOW_SMOOTHING_SECONDS = 0.25
-"""Standard deviation of the filter that smooths the path of a following camera."""
+"""Standard deviation of the Gaussian filter that smooths the path of a following camera."""
 
 
 def make_cameras(items: Sequence[DecodedItem], settings: FilmSettings, fps: float) -> list[Camera]:
-    """Return the camera of each item; items with the faces of the first one share a camera."""
+    """Return the camera of each item; items with the same faces as the first item share a camera."""
     groups: dict[int, list[DecodedItem]] = {}
     group_of = []
     for number, item in enumerate(items):
@@ -257,7 +257,7 @@ def _make_camera(items: Sequence[DecodedItem], settings: FilmSettings, fps: floa
 
 
 def travel_path(item: DecodedItem, fps: float) -> Float:
-    """Return the smoothed path ``(N, 3)`` of a mesh over the ground, Y up, relative to its first position."""
+    """Return the smoothed ground path ``(N, 3)`` of a mesh, Y up, relative to its first position."""
     centroids = np.stack(
         [to_y_up(item.pose(frame), item.header.up_axis).mean(axis=0) for frame in range(len(item.pose_of_frame))]
     )
@@ -267,22 +267,22 @@ def travel_path(item: DecodedItem, fps: float) -> Float:
 
 
 Rectangle = tuple[slice, slice]
-"""Rows and columns of a part of a picture."""
+"""Row slice and column slice of a rectangle in a picture."""
 
 FONT_SIZE_RATIO = 1 / 32
 """Font size, as a fraction of the picture's height."""
 
 MIN_PANEL_PIXELS = 24
-"""Smallest side of a panel."""
+"""Smallest width and height of a panel."""
 
 LINE_HEIGHT_RATIO = 2.0
-"""Height of a line of text with its margins, in font sizes."""
+"""Height of a text line with margins, as a multiple of the font size."""
 
 
 def divide_picture(
     count: int, width: int, height: int, aspect: float, has_names: bool, has_colour_bar: bool
 ) -> list[Rectangle]:
-    """Divide a picture into equal panels, with the number of columns that draws meshes of an aspect largest."""
+    """Divide a picture into equal panels; choose the number of columns that maximizes the size of the meshes."""
     line = line_height(height)
     panels_height = height - line * has_colour_bar
 
@@ -303,7 +303,7 @@ def divide_picture(
 
 
 def line_height(height: int) -> int:
-    """Return the height of a line of text in pixels, for the height of a picture."""
+    """Return the height of a text line in pixels in a picture of the given height."""
     return round(LINE_HEIGHT_RATIO * _font_size(height))
 
 
@@ -320,7 +320,7 @@ def draw_backdrop(
     top: float = 0.0,
     unit: str = "",
 ) -> Picture:
-    """Draw names above the panels, and a colour bar of a palette ``(n, 3)`` from 0 to `top` below them."""
+    """Draw names above the panels, and below the panels a colour bar of a palette ``(n, 3)`` from 0 to `top`."""
     image = import_pillow("Image").fromarray(blank_picture(width, height))
     draw = import_pillow("ImageDraw").Draw(image)
     font, line = _font(_font_size(height)), line_height(height)
@@ -349,7 +349,7 @@ def _draw_colour_bar(image: Any, draw: ImageDraw, font: FreeTypeFont, palette: F
 
 
 def _font(size: int) -> FreeTypeFont:
-    """Return matplotlib's font, with the same layout on all machines."""
+    """Return matplotlib's default font, with the same text layout on all machines."""
     folder = Path(import_matplotlib("_api").__file__).parents[1] / "mpl-data" / "fonts" / "ttf"
     fonts = import_pillow("ImageFont")
     font: FreeTypeFont = fonts.truetype(folder / "DejaVuSans.ttf", size, layout_engine=fonts.Layout.BASIC)
@@ -357,7 +357,7 @@ def _font(size: int) -> FreeTypeFont:
 
 
 def _shorten(text: str, font: FreeTypeFont, max_width: float) -> str:
-    """Replace the middle of a text by an ellipsis if it is wider than a number of pixels."""
+    """Replace the middle of a text by an ellipsis if the text is wider than `max_width` pixels."""
     length = len(text)
     shortened = text
     while length > 2 and font.getlength(shortened) > max_width:
@@ -367,7 +367,7 @@ def _shorten(text: str, font: FreeTypeFont, max_width: float) -> str:
 
 
 HEAT_CONTRAST = 0.25
-"""Strength of the shading of measured colours, weak enough to read them."""
+"""Strength of the shading of measured colours, weak enough to keep the colours readable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -375,28 +375,28 @@ class Panel:
     """One panel of a film."""
 
     header: SequenceHeader  # header of the mesh
-    colours: ArrayLike  # (3,) or (F, 3) RGB in 0..1 of mesh or faces, if constant
-    camera: Camera  # camera with the aspect of the panel
+    colours: ArrayLike  # RGB in 0..1 of the mesh (3,) or its faces (F, 3), if constant
+    camera: Camera  # camera with the aspect ratio of the panel
     rectangle: Rectangle  # position in the picture
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Static data of all frames of a film."""
+    """Data that all frames of a film share."""
 
-    panels: Sequence[Panel]  # by rows, from left to right
-    backdrop: Picture  # (H, W, 3) names and colour bar
-    palette: Float | None = None  # (256, 3) RGB in 0..1 of measured colours
+    panels: Sequence[Panel]  # panels row by row, from left to right
+    backdrop: Picture  # (H, W, 3) picture of names and colour bar
+    palette: Float | None = None  # (256, 3) RGB in 0..1 of the palette of measured colours
 
 
 Moment = tuple[int, list[tuple[Float, ByteArray | None]]]
-"""Frame number, and points ``(V, 3)`` and palette entries ``(V,)``, if measured, of each mesh."""
+"""Frame number, and for each mesh points ``(V, 3)`` and, if colours are measured, palette entries ``(V,)``."""
 
 
 def moments(
     items: Sequence[DecodedItem], colourings: Sequence[Colouring], times: Float, frames: Iterable[int]
 ) -> Iterator[Moment]:
-    """Yield the data of frames of a film with frame times ``(N,)``."""
+    """Yield the data of the given frames of a film with frame times ``(N,)``."""
     for frame in frames:
         meshes: list[tuple[Float, ByteArray | None]] = []
         for item, colouring in zip(items, colourings, strict=True):
@@ -407,7 +407,7 @@ def moments(
 
 
 def draw_moment(layout: Layout, moment: Moment) -> Picture:
-    """Draw a frame of a film ``(H, W, 3)``."""
+    """Draw a frame of a film as a picture ``(H, W, 3)``."""
     frame, meshes = moment
     picture = layout.backdrop.copy()
     for panel, (points, entries) in zip(layout.panels, meshes, strict=True):

@@ -1,7 +1,7 @@
-"""Encode films: WebP and GIF by Pillow, H.264 in MP4 by the program ffmpeg, with raw frames through a pipe.
+"""Encode films: WebP and GIF with Pillow, H.264 in MP4 with the program ffmpeg, which gets raw frames through a pipe.
 
-Frames are drawn while they are encoded. In memory, Pillow holds the encoded WebP, or all GIF frames with one byte per
-pixel. Encoders run on one thread and write no metadata, so that equal films are equal files on any machine.
+Frames are drawn while the film is encoded. Pillow keeps the encoded WebP, or all GIF frames with one byte per pixel, in
+memory. Encoders run on one thread and write no metadata, so that equal films give identical files on any machine.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ FilmFormat = Literal["mp4", "gif", "webp"]
 FILM_FORMATS: tuple[FilmFormat, ...] = get_args(FilmFormat)
 
 Draw = Callable[[Iterable[int]], Iterator[Picture]]
-"""Function from frame numbers to pictures ``(H, W, 3)`` in the same order."""
+"""Function from frame numbers to pictures ``(H, W, 3)``, in the order of the numbers."""
 
 MIN_SIDE, MAX_SIDE = 64, 8192
 """Limits of the width and height of a film, in pixels."""
 
 MAX_GIF_FPS = 50.0
-"""Largest frame rate of GIF: delays are in hundredths of a second, and players slow down delays below two."""
+"""Largest frame rate of GIF, whose delays are in 1/100 s; players slow down films with delays below 2/100 s."""
 
 MAX_GIF_SECONDS = 655.0
-"""Longest delay of a GIF frame, which covers the whole film if nothing moves."""
+"""Longest delay of a GIF frame; a film without movement is a single frame with its duration as delay."""
 
 
 def film_format(target: str | PathLike[str]) -> FilmFormat:
@@ -48,7 +48,7 @@ def film_format(target: str | PathLike[str]) -> FilmFormat:
 
 
 def check_film(file_format: FilmFormat, size: tuple[int, int], fps: float | None = None) -> None:
-    """Raise errors for a size or rate that a format forbids, and for missing encoders."""
+    """Raise an error if the format does not allow the size or frame rate, or if the encoder is missing."""
     for side in size:
         if not MIN_SIDE <= side <= MAX_SIDE:
             raise SettingsError(
@@ -71,8 +71,8 @@ def check_film(file_format: FilmFormat, size: tuple[int, int], fps: float | None
 
 
 def encode_film(target: Path, file_format: FilmFormat, draw: Draw, count: int, fps: float) -> None:
-    """Draw and write all frames of a film; the file is replaced when it is complete."""
-    target = target.resolve()  # a symbolic link is followed, not replaced
+    """Draw and write all frames of a film; an old file is replaced when the new one is complete."""
+    target = target.resolve()  # follows a symbolic link instead of replacing it
     with TemporaryDirectory(prefix=target.name, dir=target.parent) as folder:
         temporary = Path(folder, target.name)
         if file_format == "mp4":
@@ -87,16 +87,16 @@ def encode_film(target: Path, file_format: FilmFormat, draw: Draw, count: int, f
 
 
 CONSTANT_RATE_FACTOR = 18
-"""Quality of H.264, from 0 (lossless) to 51; 18 looks like the original."""
+"""H.264 quality setting, from 0 (lossless) to 51 (worst); 18 is visually lossless."""
 
 KEYFRAME_SECONDS = 2.0
-"""Largest distance of keyframes, to which players can seek."""
+"""Largest time between keyframes, the frames to which players can seek."""
 
 _FFMPEG_CURE = "install it with libx264 (apt, brew or winget install ffmpeg), or write .webp or .gif instead"
 
 
 def find_ffmpeg() -> str:
-    """Return the path of an ffmpeg that encodes H.264."""
+    """Return the path of an ffmpeg program that can encode H.264."""
     program = shutil.which("ffmpeg")
     if program is None:
         raise MissingExtraError(f"MP4 needs ffmpeg, which is not on the PATH; {_FFMPEG_CURE}")
@@ -110,7 +110,7 @@ def find_ffmpeg() -> str:
 
 
 def write_mp4(target: Path, pictures: Iterator[Picture], fps: float) -> None:
-    """Write frames as an MP4 that players can start before it is loaded."""
+    """Write frames as an MP4 file that players can start before the whole file is loaded."""
     program = find_ffmpeg()
     first = next(pictures)
     height, width = first.shape[:2]
@@ -138,7 +138,7 @@ def write_mp4(target: Path, pictures: Iterator[Picture], fps: float) -> None:
                 encoder.stdin.close()
             except BaseException as error:
                 encoder.kill()
-                if not isinstance(error, BrokenPipeError):  # a broken pipe has its reason in the log
+                if not isinstance(error, BrokenPipeError):  # the log contains the cause of a broken pipe
                     raise
             finally:
                 with suppress(BrokenPipeError):
@@ -150,7 +150,7 @@ def write_mp4(target: Path, pictures: Iterator[Picture], fps: float) -> None:
 
 
 def frame_rate(fps: float) -> Fraction:
-    """Return frames per second as a fraction, such as 24000/1001."""
+    """Return a frame rate as a fraction, such as 24000/1001 for 23.976."""
     return Fraction(fps).limit_denominator(1001) or Fraction(1, max(1, round(1 / fps)))
 
 
@@ -158,13 +158,13 @@ WEBP_QUALITY = 80
 """Quality of WebP, from 0 to 100."""
 
 WEBP_EFFORT = 3
-"""Effort of WebP, from 0 (fast) to 6 (small)."""
+"""Encoding effort of WebP, from 0 (fast) to 6 (small files)."""
 
 WEBP_KEYFRAME_DISTANCES = 24, 48
 """Smallest and largest number of frames between keyframes."""
 
 GIF_PALETTE_FRAMES = 6
-"""Number of evenly spaced frames from whose colours the palette of a GIF is chosen."""
+"""Number of evenly spaced frames used to choose the palette of a GIF."""
 
 
 def _write_webp(file: IO[bytes], pictures: Iterator[Picture], count: int, fps: float) -> None:
@@ -185,7 +185,7 @@ def _write_webp(file: IO[bytes], pictures: Iterator[Picture], count: int, fps: f
 
 
 class _LazyFrames:
-    """A multi-frame image for Pillow that draws each frame when it is sought, to save memory."""
+    """A multi-frame image for Pillow that draws a frame only when Pillow seeks it, to save memory."""
 
     def __init__(self, frames: Iterator[Any], count: int) -> None:
         self.n_frames = count
@@ -200,7 +200,7 @@ class _LazyFrames:
 
 
 def _write_gif(file: IO[bytes], draw: Draw, count: int, fps: float) -> None:
-    """Write frames as a looping GIF with one palette, without dithering, which flickers."""
+    """Write frames as a looping GIF with one palette; dithering is off, as it flickers."""
     if count > MAX_GIF_SECONDS * fps:
         raise SettingsError(
             f"the film takes {count / fps:g} s, a GIF at most {MAX_GIF_SECONDS:g} s; write .mp4 or .webp"
@@ -209,7 +209,7 @@ def _write_gif(file: IO[bytes], draw: Draw, count: int, fps: float) -> None:
     sample_frames = sorted({number * count // GIF_PALETTE_FRAMES for number in range(GIF_PALETTE_FRAMES)})
     pixels = np.concatenate([picture.reshape(-1, 3) for picture in draw(sample_frames)])
     counts, colours = zip(*image.fromarray(pixels[None]).getcolors(len(pixels)), strict=True)
-    # weighted by the roots of their counts, so that small parts and soft shadows keep their colours
+    # weight colours by the square roots of their counts, so that small parts and soft shadows keep their colours
     weighted = np.repeat(np.array(colours, np.uint8), np.ceil(np.sqrt(counts)).astype(np.int64), axis=0)
     palette_colours = image.fromarray(weighted[None]).quantize(255).getpalette()
     palette = image.new("P", (1, 1))
@@ -217,7 +217,7 @@ def _write_gif(file: IO[bytes], draw: Draw, count: int, fps: float) -> None:
 
     def quantize(picture: Picture) -> Any:
         frame = image.fromarray(picture).quantize(palette=palette, dither=image.Dither.NONE)
-        # Pillow's nearest colours are approximate; the background stays white
+        # Pillow's search for nearest colours is approximate, so set the white background explicitly
         frame.paste(len(palette_colours) // 3, mask=image.fromarray((picture == BACKGROUND_GREY).all(axis=2)))
         return frame
 
@@ -228,7 +228,7 @@ def _write_gif(file: IO[bytes], draw: Draw, count: int, fps: float) -> None:
 
 
 def import_pillow(name: str) -> Any:
-    """Import a module of Pillow on first use."""
+    """Import a module of Pillow when it is first needed."""
     try:
         return import_module(f"PIL.{name}")
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Draw a model: charts of its signals, parts and joints, errors per frame and per vertex, alone or on one page.
+"""Draw charts of a model's signals, its parts and joints, and errors per frame and vertex, separately or on one page.
 
 The error of a vertex is its distance from the original in diagonals, :math:`|A_{tv} - B_{tv}| / d`.
 """
@@ -52,9 +52,9 @@ if TYPE_CHECKING:
 
 
 MIN_DRAWN_ERROR = 1e-17
-"""Smallest error on logarithmic axes, in diagonals; smaller errors are clamped to it."""
+"""Lower limit of errors on logarithmic axes, in diagonals; smaller errors are clamped to this value."""
 
-_BLOCK_FRAMES = 8  # decoded at once
+_BLOCK_FRAMES = 8  # number of frames decoded at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,13 +65,13 @@ class VertexErrors:
     rms: Float  # (T,) root mean square over the vertices of each frame
     by_vertex: Float  # (V,) largest error of each vertex over all frames
     worst: int  # frame of the largest error
-    by_frame: dict[int, Float]  # errors (V,) in the requested frames and the worst one
+    by_frame: dict[int, Float]  # vertex errors (V,) in the requested frames and the worst frame
 
 
 def vertex_errors(
     model: Model, original: MeshSequence, frames: Sequence[int] = (), progress: Progress = no_progress
 ) -> VertexErrors:
-    """Compare a model with its original at the original's times."""
+    """Compute the vertex errors of a model at the frame times of its original."""
     if not np.array_equal(model.header.faces, original.faces):
         raise SettingsError(
             f"the model has {len(model.header.faces)} triangles of {model.header.vertex_count} vertices, the sequence "
@@ -102,7 +102,7 @@ def draw_frame_errors(
     tolerance: float | None = None,
     fps: float | None = None,
 ) -> None:
-    """Draw the largest and the root mean square error of each frame over time: times ``(T,)``."""
+    """Draw the largest and the root mean square error of each frame over the times ``(T,)``."""
     largest, rms = (np.maximum(values, MIN_DRAWN_ERROR) for values in (errors.largest, errors.rms))
     ax.plot(times, largest, "o-", color=LINE_COLOURS[0], markersize=3.5, linewidth=1.2, label="largest")
     ax.plot(times, rms, "o-", color=LINE_COLOURS[1], markersize=3.5, linewidth=1.2, label="root mean square")
@@ -135,9 +135,9 @@ def draw_vertex_errors(
     frames: Sequence[int] | None = None,
     view: View | None = None,
 ) -> Any:
-    """Draw errors as face colours from two opposite sides: the maxima over all frames, then single frames.
+    """Draw errors as face colours from two opposite sides: one row for the maxima over all frames, then one per frame.
 
-    A face has the largest error of its corners. A ring marks the largest error of each row where it is visible.
+    A face shows the largest error of its corners. A ring marks the vertex with the largest error of a row, if visible.
     """
     colour_map = error_map(max(errors.by_vertex.max(), MIN_DRAWN_ERROR))
     _, *single_frames = frame_of_row = drawn_frames(errors, frames)
@@ -158,7 +158,7 @@ def draw_vertex_errors(
 
 
 def drawn_frames(errors: VertexErrors, frames: Sequence[int] | None) -> list[int]:
-    """Return the frames whose poses `draw_vertex_errors` draws, one per row."""
+    """Return the frame whose pose `draw_vertex_errors` draws in each row."""
     return [0, *([errors.worst] if frames is None else frames)]
 
 
@@ -173,10 +173,10 @@ def _draw_ring(ax: Axes, point: Float) -> None:
 
 
 def _is_hidden(vertex: int, screen: Float, faces: IntArray) -> bool:
-    """Whether a triangle that does not contain the vertex is between it and the camera."""
+    """Return whether a triangle, not incident to the vertex, lies between the vertex and the camera."""
     others = screen[faces[(faces != vertex).all(axis=1)]] - screen[vertex]
     (x, y, _), (u, v, _) = (np.moveaxis(np.roll(others, -step, axis=1), 2, 0) for step in (1, 2))
-    # barycentric weights, times twice the area, of the point where the line of sight meets the plane
+    # barycentric weights, times twice the area, of the point where the line of sight meets the triangle's plane
     weights = x * v - y * u
     area = weights.sum(axis=1)
     is_crossed = ((weights * area[:, None] >= 0).all(axis=1)) & (area != 0)
@@ -185,7 +185,7 @@ def _is_hidden(vertex: int, screen: Float, faces: IntArray) -> bool:
 
 
 def add_error_bar(page: FigureBase, panels: Sequence[Axes], colour_map: Any) -> None:
-    """Add the colour bar of `draw_vertex_errors` to the right of panels."""
+    """Add the colour bar of `draw_vertex_errors` to the right of the panels."""
     label = "vertex error (diagonals)"
     bar = page.colorbar(colour_map, ax=panels, shrink=0.6, aspect=30, pad=0.02, label=label)
     bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.1e}" if value else "0")
@@ -196,14 +196,14 @@ MAX_LEGEND_PARTS = 60
 """Largest number of parts listed in a legend."""
 
 _VISIBILITY_PIXELS = 300
-"""Width of the image in which visible parts are found."""
+"""Width of the image that is rendered to find visible parts."""
 
 _NUMBER_CLEARANCE_PIXELS = 4.0
-"""Distance of a part number from the outline of its part."""
+"""Smallest distance of a part number from the outline of its visible region."""
 
 
 def draw_parts(panels: Sequence[Axes], model: Model, points: FloatArray, view: View | None = None) -> None:
-    """Draw a pose ``(V, 3)`` from two opposite sides, coloured and numbered by part, with joints in red."""
+    """Draw a pose ``(V, 3)`` from two opposite sides, with coloured and numbered parts and red joints."""
     parts, header = model.decomposition, model.header
     colours = segmentation_colours(parts.part_of_face, parts.joint_of_face)
     path_effects = import_matplotlib("patheffects")
@@ -220,7 +220,7 @@ def draw_parts(panels: Sequence[Axes], model: Model, points: FloatArray, view: V
 
 
 def draw_parts_legend(ax: Axes, parts: Decomposition, columns: int) -> None:
-    """Draw a legend of parts with their colours and vertex counts, and of all joints."""
+    """Draw a legend with the colour and vertex count of each part, and one entry for all joints."""
     patch = import_matplotlib("patches").Patch
     part_count = _part_count(parts)
     handles = [
@@ -248,7 +248,7 @@ def legend_rows(parts: Decomposition, columns: int) -> int:
 
 
 def _part_count(parts: Decomposition) -> int:
-    """Return the number of parts with faces; vertices without faces are in one part after them."""
+    """Return the number of parts with faces; vertices without faces form one additional last part."""
     return int(parts.part_of_face.max()) + 1
 
 
@@ -259,7 +259,7 @@ def _counted(number: int, one: str, many: str = "") -> str:
 def _number_positions(
     screen: Float, faces: IntArray, part_of_face: IntArray, limits: Limits
 ) -> dict[int, tuple[float, float]]:
-    """Return the centre of the widest visible region of each part: screen ``(V, 3)``; faces ``(F, 3)``."""
+    """Return the centre of each part's widest visible region, for faces ``(F, 3)`` and screen points ``(V, 3)``."""
     left, right, bottom, top = limits
     visible = _visible_parts(screen, faces, part_of_face, limits)
     rows, columns = visible.shape
@@ -274,7 +274,7 @@ def _number_positions(
 
 
 def _visible_parts(screen: Float, faces: IntArray, part_of_face: IntArray, limits: Limits) -> Index:
-    """Return an image of part numbers drawn from back to front, lowest row first, -1 for the background."""
+    """Return an image of the visible part numbers, lowest row first, with -1 in the background."""
     size = _VISIBILITY_PIXELS, max(1, round(_VISIBILITY_PIXELS * aspect_ratio(limits)))
     figure = import_matplotlib("figure").Figure(figsize=size, dpi=1, facecolor="black")
     canvas = import_matplotlib("backends.backend_agg").FigureCanvasAgg(figure)
@@ -293,9 +293,9 @@ def _visible_parts(screen: Float, faces: IntArray, part_of_face: IntArray, limit
 
 
 MAX_ERROR_FRAMES = 12
-"""Largest number of frames drawn with their errors on a page."""
+"""Largest number of frames drawn with vertex errors on a page."""
 
-_HEADING_HEIGHT = 0.4  # inches, as are all lengths here
+_HEADING_HEIGHT = 0.4  # in inches, like all page lengths
 _LEGEND_COLUMN_WIDTH = 1.75
 
 
@@ -316,31 +316,31 @@ def plot_model(
     Parameters
     ----------
     target : path or binary file
-        Where the picture goes.
+        File to write.
     model : Model
         Model to draw.
     kind : str, optional
-        One of `PICTURES`; by default all available ones, on one page.
+        Kind of picture, one of `PICTURES`; by default all available kinds on one page.
     against : MeshSequence, optional
-        Original, for errors.
+        Original of the model, required for errors.
     frames : sequence of int, optional
-        Frames labelled in the embedding (by default round numbers), or drawn with their vertex errors (by default the
-        worst frame).
+        Frames to label in the embedding (by default round numbers), or to draw with vertex errors (by default the worst
+        frame).
     tolerance : float, optional
-        Line in the chart of errors, in diagonals.
+        Tolerance in diagonals, drawn as a line in the chart of errors.
     camera : (float, float), optional
-        View in degrees, from the front to the body's left and above the horizon; by default of the front and a side.
-        Meshes are drawn in this view and the opposite one.
+        Azimuth from the front to the body's left, and elevation, in degrees; by default a view of the front and a side.
+        Meshes are drawn in this view and the opposite view.
     file_format : {"png", "svg"}, optional
-        By default that of the target's extension; PNG for files without a name.
+        File format; by default the format of the target's extension, or PNG for files without a name.
     progress : callable, optional
-        Called after every decoded frame.
+        Function called after every decoded frame.
 
     Raises
     ------
     SettingsError
-        If the model has no parts to draw, the original is missing or another mesh, a frame does not exist, or a setting
-        does not belong to the kind of picture.
+        If the model has no parts to draw, the original is missing or a different mesh, a frame does not exist, or a
+        setting does not belong to the kind of picture.
     OutputError
         If the target is neither PNG nor SVG.
     MissingExtraError
@@ -374,7 +374,7 @@ def check_settings(
     tolerance: float | None,
     camera: tuple[float, float] | None = None,
 ) -> None:
-    """Raise SettingsError for contradicting settings of `plot_model`."""
+    """Raise SettingsError if settings of `plot_model` contradict each other."""
     if kind is not None and kind not in PICTURES:
         raise SettingsError(f"kind is {kind!r}; one of {', '.join(PICTURES)} is expected")
     if not against and (kind in ("error-frames", "error-vertices") or tolerance is not None):
@@ -486,7 +486,7 @@ def _vertex_errors(
 
 
 def _picture_height(poses: FloatArray, up_axis: str, view: View, width: float) -> float:
-    """Return the height of mesh pictures of a width; tall meshes are drawn smaller."""
+    """Return the height of mesh pictures for a given width; tall meshes are drawn smaller."""
     return width * float(np.clip(views_aspect(opposite_views(poses, up_axis, view)), 0.3, 0.9))
 
 
@@ -500,7 +500,7 @@ class Section:
 
 
 def stack_sections(*sections: Section, side_by_side: bool = False) -> Section:
-    """Stack sections from top to bottom with the largest width, or side by side with the largest height."""
+    """Combine sections from top to bottom, with the largest width, or side by side, with the largest height."""
     widths, heights = zip(*((section.width, section.height) for section in sections), strict=True)
     count = len(sections)
 

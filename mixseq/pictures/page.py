@@ -1,4 +1,4 @@
-"""Draw shaded meshes with matplotlib, sorted from back to front, on pages of equal panels."""
+"""Draw shaded meshes with matplotlib on pages of equal panels; faces are sorted from back to front."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Target = str | PathLike[str] | IO[bytes]
 
 DOTS_PER_INCH = 150
-PAGE_WIDTH = 12.0  # inches, as are all lengths here
+PAGE_WIDTH = 12.0  # in inches, like all page lengths
 ROW_GAP = 0.15
 BOTTOM_MARGIN = 0.1
 
@@ -35,13 +35,13 @@ class Sheet:
     """A page with rows of equal panels."""
 
     figure: Figure  # the page
-    panels: list[list[Axes]]  # panels without frames, row by row
+    panels: list[list[Axes]]  # panels row by row, without axis frames
 
     @classmethod
     def from_grid(
         cls, rows: int, columns: int, aspect: float, title: str, left: float = 0.1, right: float = 0.1
     ) -> Sheet:
-        """Lay out panels of an aspect, clamped to 0.3..2.5; margins left and right in inches."""
+        """Lay out panels with an aspect ratio clamped to 0.3..2.5; `left` and `right` are margins in inches."""
         top = 0.65 if title else 0.3
         width = (PAGE_WIDTH - left - right) / columns
         height = width * float(np.clip(aspect, 0.3, 2.5))
@@ -60,7 +60,7 @@ class Sheet:
         return cls(figure, [[panel(row, column) for column in range(columns)] for row in range(rows)])
 
     def label_row(self, row: int, text: str) -> None:
-        """Label a row on the left."""
+        """Write a label to the left of a row."""
         self.panels[row][0].annotate(
             text,
             (0, 0.5),
@@ -86,12 +86,12 @@ class Sheet:
         bar.set_label(label, fontsize=7, color=INK_COLOUR)
 
     def save(self, target: Target) -> None:
-        """Write the page as a PNG without metadata, so that equal pictures are equal files."""
+        """Write the page as a PNG without metadata, so that equal pictures give identical files."""
         self.figure.savefig(target, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})
 
 
 def import_matplotlib(name: str) -> Any:
-    """Import a module of matplotlib on first use."""
+    """Import a module of matplotlib when it is first needed."""
     try:
         return import_module(f"matplotlib.{name}")
     except ImportError as error:
@@ -99,7 +99,7 @@ def import_matplotlib(name: str) -> Any:
 
 
 def error_map(top: float) -> Any:
-    """Return matplotlib's colour map of errors from 0 to `top`, a ScalarMappable."""
+    """Return a matplotlib ScalarMappable that maps errors from 0 to `top` to colours."""
     return import_matplotlib("cm").ScalarMappable(import_matplotlib("colors").Normalize(0, top), "viridis")
 
 
@@ -119,11 +119,11 @@ def draw_mesh(
     Parameters
     ----------
     ax : matplotlib Axes
-        Where to draw; its aspect becomes equal and its frame disappears.
+        Axes to draw on. The aspect is set to equal and the frame is removed.
     points : (V, 3) float
         Vertex positions.
     faces : (F, 3) int
-        Triangles. Closed meshes are drawn without back faces, open ones from both sides.
+        Triangles. Back faces are drawn for open meshes only.
     colours : (3,) or (F, 3) float
         RGB in 0..1 of the mesh or of each face.
     up_axis : {"X", "Y", "Z"}
@@ -131,9 +131,9 @@ def draw_mesh(
     view : View, optional
         The camera, by default `three_quarter_view`.
     limits : (4,) float, optional
-        Screen rectangle from `shared_limits`, by default that of this pose.
+        Screen rectangle from `shared_limits`, by default the rectangle around this pose.
     ground : float, optional
-        Height of the ground that takes the shadow, by default the lowest vertex.
+        Height of the ground, on which the shadow falls; by default the height of the lowest vertex.
     contrast : float
         Strength of the shading, from 0 (flat colours) to 1.
     """
@@ -159,11 +159,11 @@ def draw_mesh(
 
 
 def _back_to_front(screen: Float, faces: IntArray, normals: Float) -> Index:
-    """Return the faces to draw, sorted from back to front, without the back faces of closed meshes."""
+    """Return the indices of faces to draw, sorted from back to front; back faces of closed meshes are omitted."""
     corners = screen[faces]
     is_inside_out = np.sum((corners[:, 0] - screen.mean(axis=0)) * normals) < 0
     is_back_face = (normals[:, 2] >= 0) if is_inside_out else (normals[:, 2] <= 0)
-    # back faces are moved back a little, behind the front faces next to them at the outline of an open mesh
+    # shift back faces slightly backwards, behind adjacent front faces at the outline of an open mesh
     depth = corners[..., 2].mean(axis=1) - 0.03 * np.ptp(screen[:, 2]) * is_back_face
     order = np.argsort(depth, kind="stable")
     topology = Topology(faces, len(screen))

@@ -1,10 +1,10 @@
-"""Software rasterization of a mesh with a key light, a soft fill light and a shadow on the ground.
+"""Rasterize a mesh in software, with a key light, a soft fill light and a shadow on the ground.
 
-Triangles are drawn with a depth buffer [1]_. Corners are rounded to 1/256 of a sample and coverage is decided in
-integers [2]_: adjacent triangles leave no gaps, and all machines draw the same samples. A pixel is the mean of 2 x 2
-samples. Compiled loops release the interpreter's lock and draw faces in order, so that frames have the same pixels on
-any number of threads. Graphics cards draw different pixels on each machine; matplotlib takes 2.6 times as long (0.13 s
-instead of 0.05 s for a fox of 5,600 vertices in 1280 x 720) and sorts faces instead of pixels.
+Triangles are drawn with a depth buffer [1]_. Corners are rounded to 1/256 of a sample and coverage is computed in
+integers [2]_, so adjacent triangles leave no gaps and all machines draw the same samples. A pixel is the mean of 2 x 2
+samples. Compiled loops release the interpreter's lock and draw faces in order, so pixels do not depend on the number of
+threads. Graphics cards would draw different pixels on each machine. Matplotlib takes 2.6 times as long (0.13 s instead
+of 0.05 s for a fox of 5,600 vertices in 1280 x 720) and sorts faces instead of pixels.
 
 References
 ----------
@@ -36,8 +36,8 @@ def fill_triangles(
 ) -> None:
     """Draw triangles into samples with a depth buffer.
 
-    `positions` (V, 2) are columns and rows in `SUBPIXEL_STEPS`, `heights` (V,) increase towards the camera, `colours`
-    (F, 3, 3) are those of the corners in 0..255. `depth` (H, W) and `samples` (H, W, 3) are modified.
+    `positions` (V, 2) are columns and rows in `SUBPIXEL_STEPS`; `heights` (V,) increase towards the camera; `colours`
+    (F, 3, 3) are corner colours in 0..255. `depth` (H, W) and `samples` (H, W, 3) are modified in place.
     """
     height, width = depth.shape
     half = SUBPIXEL_STEPS // 2
@@ -54,7 +54,7 @@ def fill_triangles(
         top, bottom = max(min(ay, by, cy), 0), min(max(ay, by, cy), height * SUBPIXEL_STEPS - 1)
         left, right = (first + half - 1) // SUBPIXEL_STEPS, (last - half) // SUBPIXEL_STEPS
         upper, lower = (top + half - 1) // SUBPIXEL_STEPS, (bottom - half) // SUBPIXEL_STEPS
-        # Barycentric weights times the area are integers: adjacent triangles leave no gaps.
+        # Barycentric weights times the area are integers, so adjacent triangles leave no gaps.
         step_a, step_b, step_c = sign * (by - cy), sign * (cy - ay), sign * (ay - by)
         scale = 1.0 / (sign * area)
         for j in range(upper, lower + 1):
@@ -78,7 +78,7 @@ def fill_triangles(
 
 @compiled
 def downsample(depth: Single, samples: ByteArray, side: int, picture: ByteArray) -> None:
-    """Write the means of `side` x `side` samples to a picture (H, W, 3), blended over its contents."""
+    """Average blocks of `side` x `side` samples and blend the means over a picture (H, W, 3)."""
     height, width = picture.shape[:2]
     count = side * side
     for j in range(height):
@@ -100,7 +100,7 @@ def downsample(depth: Single, samples: ByteArray, side: int, picture: ByteArray)
 
 @compiled
 def blend_shadow(alpha: Float, colour: Float, picture: ByteArray) -> None:
-    """Blend a shadow (h, w), lowest row first, bilinearly over a picture (H, W, 3)."""
+    """Enlarge a shadow (h, w), lowest row first, bilinearly and blend it over a picture (H, W, 3)."""
     height, width = picture.shape[:2]
     rows, columns = alpha.shape
     for j in range(height):
@@ -122,28 +122,28 @@ def blend_shadow(alpha: Float, colour: Float, picture: ByteArray) -> None:
 
 KEY_LIGHT = np.array([-0.45, 0.62, 0.64])
 SHADE_TINT = np.array([1.0, 0.6, 0.0])
-"""Loss of red, green and blue in the shade, as under an open sky."""
+"""Relative loss of red, green and blue in the shade, as under an open sky."""
 
 
 def area_normals(points: Float, faces: IntArray) -> Float:
-    """Return normals ``(F, 3)`` whose lengths are twice the faces' areas."""
+    """Return face normals ``(F, 3)`` whose lengths are twice the face areas."""
     a, b, c = np.moveaxis(points[faces], 1, 0)
     return np.cross(b - a, c - a)
 
 
 def smooth_normals(normals: Float, faces: IntArray, vertex_count: int) -> Float:
-    """Return unit face normals ``(F, 3)``, the means of the vertex normals, for smooth shading."""
+    """Return unit face normals ``(F, 3)``, the normalized means of vertex normals, for smooth shading."""
     return _normalize(vertex_normals(normals, faces, vertex_count)[faces].mean(axis=1))
 
 
 def vertex_normals(normals: Float, faces: IntArray, vertex_count: int) -> Float:
-    """Return unit vertex normals ``(V, 3)``, the area-weighted means of the face normals ``(F, 3)``."""
+    """Return unit vertex normals ``(V, 3)``, the normalized area-weighted means of face normals ``(F, 3)``."""
     sums = [np.bincount(faces.ravel(), np.repeat(column, 3), vertex_count) for column in normals.T]
     return _normalize(np.stack(sums, axis=1, dtype=np.float64))
 
 
 def shade(rgb: Float, normals: Float, contrast: float) -> Float:
-    """Light colours ``(F, 3)`` by a key light from the upper left and a soft fill from above."""
+    """Shade face colours ``(F, 3)`` with a key light from the upper left and a soft fill light from above."""
     light = 0.50 + 0.14 * normals[:, 1] + 0.52 * np.maximum(normals @ KEY_LIGHT, 0) + 0.06 * normals[:, 2]
     light = 1 + contrast * (light[:, None] - 1)
     tint = 1 - 0.10 * contrast * np.clip(1 - light, 0, 1) * SHADE_TINT
@@ -151,12 +151,12 @@ def shade(rgb: Float, normals: Float, contrast: float) -> Float:
 
 
 def _normalize(vectors: Float) -> Float:
-    """Scale vectors ``(N, 3)`` to unit length; zero stays zero."""
+    """Scale vectors ``(N, 3)`` to unit length; zero vectors stay zero."""
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
 
 
 SHADOW_PIXELS = 240
-"""Resolution of shadows along the longer side of the picture."""
+"""Number of shadow pixels along the longer side of the picture."""
 
 FEATHER_PIXELS = 10
 """Width over which shadows fade out at the edge of the picture."""
@@ -174,12 +174,12 @@ def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limit
     size = bounding_diagonal(world) or 1.0
     centre = world[faces].mean(axis=1)
     darkness = 0.25 + np.exp((floor - centre[:, 1]) / (0.05 * size))
-    area = np.abs(area_normals(world, faces)[:, 1]) / 4  # horizontal projection of the lower half
+    area = np.abs(area_normals(world, faces)[:, 1]) / 4  # projected area, halved as upper and lower faces both count
     x, y, _ = ((centre * [1, 0, 1] + [0, floor, 0]) @ view.rotation.T).T
     bounds = [[bottom, top], [left, right]]
     cover = np.histogram2d(y, x, bins=shape, range=bounds, weights=area * darkness)[0]
 
-    foreshortening = max(np.sin(np.radians(view.elevation)), 0.05)  # of the ground on the screen
+    foreshortening = max(np.sin(np.radians(view.elevation)), 0.05)  # foreshortening of the ground on the screen
     blur = 0.019 * size / pixel * [foreshortening, 1]
     cover = gaussian_filter(cover / (pixel.prod() * foreshortening), np.maximum(blur, 1))
     alpha = 0.42 * (1 - np.exp(-0.9 * cover)) * np.outer(*map(_feather, shape))
@@ -193,7 +193,7 @@ def _feather(count: int) -> Float:
 
 
 SAMPLES_PER_SIDE = 2
-"""Samples per pixel in each direction."""
+"""Number of samples per pixel in each direction."""
 
 BACKGROUND_GREY = 255
 """Grey value of an empty picture."""
@@ -216,9 +216,9 @@ def render_mesh(
 ) -> None:
     """Draw a mesh and its shadow on a picture ``(rows, columns, 3)`` uint8, like `draw_mesh`.
 
-    `world` ``(V, 3)`` are points, Y up; faces ``(F, 3)`` are two-sided. `limits` is the picture's screen rectangle, of
-    the same aspect; `colours` ``(3,)``, ``(F, 3)`` or ``(F, 3, 3)`` are RGB in 0..1 of mesh, faces or corners. The
-    ground is by default at the lowest vertex.
+    `world` ``(V, 3)`` are points, Y up; faces ``(F, 3)`` are two-sided. `limits` is the screen rectangle of the
+    picture, with the same aspect ratio. `colours` are RGB in 0..1 of the mesh ``(3,)``, faces ``(F, 3)`` or corners
+    ``(F, 3, 3)``. The ground is by default at the lowest vertex.
     """
     rows, columns = picture.shape[:2]
     floor = float(world[:, 1].min()) if ground is None else ground
@@ -226,7 +226,7 @@ def render_mesh(
     blend_shadow(np.ascontiguousarray(shadow[..., 3]), 255 * shadow[0, 0, :3], picture)
 
     x, y, z = world.T
-    # summed in a fixed order, for the same result on every machine
+    # sum in a fixed order to get the same result on every machine
     screen = np.stack([x * row[0] + y * row[1] + z * row[2] for row in view.rotation], axis=1)
     left, right, bottom, top = limits
     scale = SAMPLES_PER_SIDE * SUBPIXEL_STEPS * np.array([columns / (right - left), -rows / (top - bottom)])
@@ -243,7 +243,7 @@ def render_mesh(
 def _corner_colours(
     screen: Float, faces: NDArray[np.int64], colours: ArrayLike, contrast: float
 ) -> NDArray[np.float32]:
-    """Return lit corner colours ``(F, 3, 3)`` in 0..255: screen ``(V, 3)``; faces ``(F, 3)``."""
+    """Return shaded corner colours ``(F, 3, 3)`` in 0..255 for screen points ``(V, 3)`` and faces ``(F, 3)``."""
     flat = area_normals(screen, faces)
     to_camera = np.where(flat[:, 2:] < 0, -1.0, 1.0)
     normals = vertex_normals(flat, faces, len(screen))[faces] * to_camera[:, None]

@@ -1,8 +1,8 @@
-"""Scenes: moving meshes with a common start and frame rate, their arrangement, and the camera in front of them.
+"""Define scenes: moving meshes with a common start and frame rate, their arrangement, and the camera.
 
-Frame k is shown at :math:`k / f`, with f frames per second. The *period* of a scene is that of its longest mesh: the
-time from its first frame to its last, and one frame. Shorter ones hold their last pose until the period ends and all
-start again.
+Frame k is shown at the time :math:`k / f`, with f frames per second. The *period* of a scene is the period of its
+longest mesh: the time from the first to the last frame, plus one frame. Shorter meshes hold their last pose until the
+period ends, when all meshes start again.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Limits = tuple[float, float, float, float]
 """Screen rectangle: left, right, bottom and top, in units of the points."""
 
 MIN_TRAVEL_DIAGONALS = 0.5
-"""Displacement from the first to the last pose above which a body counts as travelling, in its diagonals."""
+"""Displacement from the first to the last pose above which a body counts as travelling, in diagonals of the body."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class View:
 
     @property
     def rotation(self) -> Float:
-        """Rotation ``(3, 3)`` from a Y-up world to the screen: right, up, towards the camera."""
-        # full turns are removed first, as they are not exact in radians
+        """Rotation ``(3, 3)`` from Y-up world axes to screen axes: right, up, towards the camera."""
+        # remove full turns in degrees, as they are not exact in radians
         a, e = np.radians([remainder(self.azimuth, 360), self.elevation])
         azimuth_rotation = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
         elevation_rotation = np.array([[1, 0, 0], [0, np.cos(e), -np.sin(e)], [0, np.sin(e), np.cos(e)]])
@@ -56,42 +56,42 @@ class Camera:
     """The view of a mesh during a film of N frames."""
 
     view: View  # view of the first frame
-    turn: float  # rotation during all N frames, in degrees
-    centres: Float  # (N, 3) target and pivot in each frame, Y up
+    turn: float  # total rotation of the camera during the N frames, in degrees
+    centres: Float  # (N, 3) point in each frame that the camera looks at and rotates around, Y up
     ground: float  # height of the ground
     limits: Limits  # (4,) screen rectangle around all frames
 
     def view_at(self, frame: int) -> View:
-        """Return the view in a frame."""
+        """Return the view in the given frame."""
         return View(self.view.azimuth + frame / len(self.centres) * self.turn, self.view.elevation)
 
     @property
     def aspect(self) -> float:
-        """Height per width of the view."""
+        """Height divided by width of the screen rectangle."""
         return aspect_ratio(self.limits)
 
     def with_aspect(self, aspect: float) -> Camera:
-        """Return the camera with its rectangle widened to a height per width."""
+        """Return the camera with its screen rectangle widened to a ratio of height to width."""
         return replace(self, limits=widen_to_aspect(self.limits, aspect))
 
 
 def front_azimuth(poses: FloatArray, up_axis: str = "Y") -> float:
-    """Return the azimuth in degrees of the front view of a body in poses ``(n, V, 3)``.
+    """Return the azimuth in degrees from which a body in poses ``(n, V, 3)`` is seen from the front.
 
-    Bodies that travel face their direction of travel. Others face the front of the convention for their up axis: +z
-    with Y up (glTF 2.0, section 3.4), -y with Z up (Blender); +x is to the body's left in both.
+    A travelling body faces its direction of travel. Any other body faces the conventional front for its up axis: +z
+    with Y up (glTF 2.0, section 3.4), -y with Z up (Blender). In both conventions +x is to the body's left.
     """
     ends = to_y_up(poses[[0, -1]], up_axis)
     x, _, z = ends[1].mean(axis=0) - ends[0].mean(axis=0)
     if np.hypot(x, z) < MIN_TRAVEL_DIAGONALS * np.linalg.norm(np.ptp(ends[0], axis=0)) or x == z == 0:
         return -90.0 if up_axis == "Z" else 0.0
-    return float(np.round(np.degrees(np.arctan2(x, z))))  # rounded, so that all machines give the same view
+    return float(np.round(np.degrees(np.arctan2(x, z))))  # rounding gives the same view on all machines
 
 
 def three_quarter_view(poses: FloatArray, up_axis: str = "Y", turn: float = 30.0, elevation: float = 14.0) -> View:
     """Return a view of the front and a side of poses ``(V, 3)`` or ``(n, V, 3)``.
 
-    The camera is `turn` degrees away from a full view of the longer of the two, on the side nearer to an azimuth of 45.
+    The camera is `turn` degrees away from a full view of the longer of front and side, at the azimuth nearer to 45.
     """
     poses = poses.reshape(-1, *poses.shape[-2:])
     front = front_azimuth(poses, up_axis)
@@ -104,7 +104,7 @@ def three_quarter_view(poses: FloatArray, up_axis: str = "Y", turn: float = 30.0
 
 
 def resolve_view(ends: FloatArray, up_axis: str, camera: tuple[float, float] | None) -> View:
-    """Return the view at angles in degrees (from the front to the left, above the horizon) of poses ``(2, V, 3)``."""
+    """Return the view of poses ``(2, V, 3)`` at an azimuth from the front to the left and an elevation, in degrees."""
     if camera is None:
         return three_quarter_view(ends, up_axis)
     return View(front_azimuth(ends, up_axis) + camera[0], camera[1])
@@ -116,18 +116,18 @@ def shared_limits(points: FloatArray, up_axis: str = "Y", view: View | None = No
     shadow = world * [1, 0, 1] + [0, world[:, 1].min(), 0]
     screen = np.concatenate([world, shadow]) @ (view or three_quarter_view(points, up_axis)).rotation.T
     low, high = screen[:, :2].min(axis=0), screen[:, :2].max(axis=0)
-    padding = margin * (float((high - low).max()) or 1.0)  # a single point gets a rectangle, too
+    padding = margin * (float((high - low).max()) or 1.0)  # 1 for a single point, which has no size
     return low[0] - padding, high[0] + padding, low[1] - padding, high[1] + padding
 
 
 def aspect_ratio(limits: Limits) -> float:
-    """Return the height per width of a screen rectangle."""
+    """Return the ratio of height to width of a screen rectangle."""
     left, right, bottom, top = limits
     return (top - bottom) / (right - left)
 
 
 def widen_to_aspect(limits: Limits, aspect: float) -> Limits:
-    """Widen a screen rectangle about its centre to a height per width."""
+    """Widen a screen rectangle about its centre to a ratio of height to width."""
     left, right, bottom, top = limits
     width, height = max(right - left, (top - bottom) / aspect), max(top - bottom, (right - left) * aspect)
     x, y = (left + right) / 2, (bottom + top) / 2
@@ -135,7 +135,7 @@ def widen_to_aspect(limits: Limits, aspect: float) -> Limits:
 
 
 def to_y_up(points: FloatArray, up_axis: str) -> Float:
-    """Permute the axes of points ``(..., 3)`` so that Y is up; a cyclic permutation keeps their orientation."""
+    """Permute the axes of points ``(..., 3)`` cyclically so that Y is up; this keeps handedness."""
     up = UP_AXES.index(up_axis)
     return np.asarray(points[..., [(up - 1) % 3, up, (up + 1) % 3]], dtype=np.float64)
 
@@ -144,13 +144,13 @@ STILL_FILM_SECONDS = 4.0
 """Duration of a film of a single pose."""
 
 MAX_FRAMES = 100_000
-"""Limit that catches wrong frame rates and durations."""
+"""Largest number of frames of a film, to catch wrong frame rates and durations."""
 
 
 def film_times(
     headers: Sequence[SequenceHeader], fps: float | None = None, seconds: float | None = None
 ) -> tuple[Float, float]:
-    """Return the frame times ``(N,)`` of a film, in seconds since the first frame of the meshes, and its frame rate."""
+    """Return the frame times ``(N,)`` of a film, in seconds since the first frame of the meshes, and the frame rate."""
     rate = headers[0].fps if fps is None else snap_to_ntsc(fps, headers[0].fps)
     period = max(_period(header) for header in headers)
     duration = seconds or period or STILL_FILM_SECONDS
@@ -164,7 +164,7 @@ def film_times(
     if not period:
         return np.zeros_like(elapsed), rate
     rounds = np.floor(elapsed / period + 1e-9)
-    # rounded to nanoseconds, so that every round has exactly the same times
+    # round to nanoseconds, so that every period has exactly the same times
     return np.maximum(np.round(elapsed - rounds * period, 9), 0.0), rate
 
 
@@ -175,25 +175,25 @@ def _period(header: SequenceHeader) -> float:
 
 
 def nearest_frames(header: SequenceHeader, elapsed: Float) -> Index:
-    """Return the frames nearest to elapsed times ``(N,)``, the earlier one of two."""
+    """Return the frames nearest to elapsed times ``(N,)``; of two equally near frames, return the earlier."""
     middles = (header.times[1:] + header.times[:-1]) / 2 - header.times[0]
     return np.searchsorted(middles, elapsed - 1e-6 / header.fps).astype(np.int64)
 
 
 def model_times(header: SequenceHeader, elapsed: Float) -> Float:
-    """Return the times of a model at elapsed times ``(N,)``, clamped to its end."""
+    """Convert elapsed times ``(N,)`` to times of a model, clamped to its end."""
     clamped = np.minimum(header.times[0] + elapsed, header.times[-1])
-    # snapped to frames, where curves have exactly the values of their knots
+    # snap to frames, where curves have exactly the values of their knots
     nearest = header.times[nearest_frames(header, elapsed)]
     return np.where(np.abs(clamped - nearest) < 1e-6 / header.fps, nearest, clamped)
 
 
 @dataclass(frozen=True)
 class SceneItem:
-    """A mesh of a scene; equal to another with the same name and the same motion object."""
+    """A mesh of a scene; two items are equal if they have the same name and the same motion object."""
 
     name: str  # may be empty
-    # A model, decoded at any time, or a sequence, of which the nearest frame is shown.
+    # A model, which is decoded at any time, or a sequence, whose nearest frame is shown.
     motion: Model | Frames | FrameStore
 
     def __str__(self) -> str:
@@ -206,25 +206,25 @@ class SceneItem:
 
     @property
     def elapsed(self) -> Float:
-        """Times ``(T,)`` of the frames, in seconds since the first one."""
+        """Times ``(T,)`` of the frames, in seconds since the first frame."""
         return np.asarray(self.header.times - self.header.times[0])
 
     @property
     def model(self) -> Model | None:
-        """The motion if it is a model, else None."""
+        """Model of the item; None if the motion is a sequence."""
         return self.motion if isinstance(self.motion, Model) else None
 
     @property
     def decomposition(self) -> Decomposition | None:
-        """Parts and joints of a model that has them, else None."""
+        """Parts and joints of the model; None without a model or without parts."""
         return self.model.space.segmentation if self.model is not None else None
 
     def with_random_access(self, progress: Progress = no_progress) -> SceneItem:
-        """Return the item, with a streamed sequence copied to a frame store."""
+        """Return the item with a streamed sequence copied to a frame store."""
         return self if self.model is not None else replace(self, motion=self._frame_store(progress))
 
     def pose(self, elapsed: float) -> Single:
-        """Return the points ``(V, 3)`` float32 at elapsed seconds; the last pose after the end."""
+        """Return the points ``(V, 3)`` float32 at a time in elapsed seconds; hold the last pose after the end."""
         times = np.array([elapsed])
         if self.model is not None:
             return self.model(float(model_times(self.header, times)[0])).astype(np.float32)
@@ -232,7 +232,7 @@ class SceneItem:
         return np.asarray(self._frame_store().points[frame : frame + 1][0], dtype=np.float32)
 
     def exact_pose(self, elapsed: float) -> FloatArray:
-        """Return the points ``(V, 3)`` at elapsed seconds, in full precision."""
+        """Return the points ``(V, 3)`` at a time in elapsed seconds, in full precision."""
         return np.asarray(next(self.poses(np.array([elapsed])))[0])
 
     def poses(self, elapsed: Float, workers: Executor | None = None) -> Iterator[FloatArray]:
@@ -245,7 +245,7 @@ class SceneItem:
             yield self._frame_store().points[frames[start : start + size]]
 
     def decode(self, elapsed: Float, progress: Progress = no_progress, workers: Executor | None = None) -> DecodedItem:
-        """Decode the poses of a film with frames at elapsed times ``(N,)``, each distinct one once."""
+        """Decode the poses of a film with frames at elapsed times ``(N,)``; decode each distinct pose once."""
         if self.model is None:
             store = self._frame_store(progress)
             return DecodedItem(store.header, store.points, nearest_frames(store.header, elapsed))
@@ -277,7 +277,7 @@ class DecodedItem:
 
     @property
     def frames_of_new_poses(self) -> Index:
-        """Frames of the film ``(n,)`` at which each pose appears first, in order."""
+        """Frames ``(n,)`` of the film in which a pose appears for the first time, in order of the poses."""
         return np.sort(np.unique(self.pose_of_frame, return_index=True)[1]).astype(np.int64)
 
 
@@ -286,8 +286,8 @@ class Scene:
     """Meshes that are shown together, and their frame times."""
 
     items: tuple[SceneItem, ...]  # the meshes
-    rate: float | None = None  # requested frames per second; by default those of the first item
-    seconds: float | None = None  # requested duration; by default that of the longest item
+    rate: float | None = None  # requested frames per second; by default the rate of the first item
+    seconds: float | None = None  # requested duration; by default the period of the longest item
 
     @cached_property
     def _timeline(self) -> tuple[Float, float]:
@@ -314,11 +314,11 @@ class Scene:
         return self
 
     def elapsed(self, frame: int) -> float:
-        """Return the time of a frame, in seconds since the first one."""
+        """Return the time of a frame, in seconds since the first frame."""
         return float(self.times[frame])
 
     def frame_at(self, elapsed: float) -> int:
-        """Return the frame nearest to an elapsed time in seconds."""
+        """Return the frame of the scene nearest to an elapsed time in seconds."""
         return round(min(max(elapsed * self.fps, 0), self.count - 1))
 
     def with_item(self, index: int, motion: Model) -> Scene:
@@ -328,17 +328,17 @@ class Scene:
         return replace(self, items=tuple(items))
 
     def sample_frames(self, max_count: int) -> Sequence[int]:
-        """Return evenly spaced frames, at most `max_count`, including the first."""
+        """Return at most `max_count` evenly spaced frames, including the first frame."""
         return [int(frame) for frame in evenly_spaced(self.count, max_count)]
 
 
 def is_same_mesh(one: SequenceHeader, other: SequenceHeader) -> bool:
-    """Whether two headers have the same vertices and triangles, in the same order."""
+    """Return whether two headers have the same number of vertices, and the same triangles in the same order."""
     return one.vertex_count == other.vertex_count and np.array_equal(one.faces, other.faces)
 
 
 def check_start_times(items: Sequence[SceneItem], original: SequenceHeader) -> None:
-    """Raise SettingsError if a mesh starts at another time than the original that it is compared with."""
+    """Raise SettingsError if a mesh and the original it is compared with start at different times."""
     for item in items:
         if abs(item.header.times[0] - original.times[0]) > 1e-3 / original.fps:
             raise SettingsError(
@@ -351,19 +351,19 @@ BOUNDS_SAMPLES = 8
 """Number of frames from which the bounding box of a mesh over time is estimated."""
 
 MESH_GAP_RATIO = 0.15
-"""Distance between meshes, as a fraction of the widest one."""
+"""Distance between adjacent meshes, as a fraction of the widest mesh."""
 
 SCENE_SIZE = 2.0
-"""Longest side of the arrangement, in scene units."""
+"""Longest side of the bounding box of all meshes, in scene units."""
 
 FIELD_OF_VIEW_DEGREES = 35.0
 """Vertical field of view of the camera."""
 
 CLOSE_UP_DISTANCE_RATIO = 0.7
-"""Camera distance, relative to that at which all meshes are visible, below which the camera looks at a single one."""
+"""Ratio of camera distance to the distance that shows all meshes, below which the camera shows a single mesh."""
 
 FRAMING_RATIO = 1.15
-"""Size of the picture, relative to that of the projected meshes."""
+"""Size of the picture relative to the size of the projected meshes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -403,7 +403,7 @@ class Arrangement:
         return np.asarray(points_in_scene, dtype=np.float32)
 
     def camera(self, aspect: float) -> tuple[Float, Float]:
-        """Return position and target ``(3,)`` of a camera that shows all meshes, for a picture's width per height."""
+        """Return position ``(3,)`` and target ``(3,)`` of a camera that shows all meshes; `aspect` is width/height."""
         centre = (self.low + self.high) / 2
         rotation = self.view.rotation
         corners = np.array(list(product(*np.stack([self.low, self.high], axis=1)))) - centre
@@ -414,9 +414,9 @@ class Arrangement:
         return centre + distance * rotation[2], centre
 
     def with_azimuth(self, azimuth: float, target: Float, distance: float) -> Arrangement:
-        """Return the meshes in a row across another view, so that none hides another.
+        """Return the arrangement with meshes in a row across the view from an azimuth, so that no mesh hides another.
 
-        The mesh nearest to the camera's target ``(3,)`` stays in place if the camera is close, else the row's centre.
+        If the camera is close, the mesh nearest to its target ``(3,)`` stays fixed, else the centre of the row.
         """
         offsets = _row_offsets(self.boxes, azimuth)
         shifts = (self.offsets - offsets) * [1, 0, 1]
@@ -429,7 +429,7 @@ class Arrangement:
 
 
 def arrange_meshes(scene: Scene, side_by_side: bool, camera: tuple[float, float] | None = None) -> Arrangement:
-    """Arrange the meshes of a scene side by side, or overlaid; `camera` as in `resolve_view`."""
+    """Arrange the meshes of a scene side by side or overlaid, with `camera` angles as in `resolve_view`."""
     up_axes = tuple(item.header.up_axis for item in scene.items)
     boxes = []
     for item, up_axis in zip(scene.items, up_axes, strict=True):

@@ -1,4 +1,4 @@
-"""Contact sheets: segmentations, sources and targets of transfers, originals and reconstructions."""
+"""Draw contact sheets of segmentations, transfers (source and target) and reconstructions (with the original)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def draw_segmentation(
     up_axis: str = "Y",
     title: str | None = None,
 ) -> None:
-    """Draw parts and joints ``(F,)`` of a pose ``(V, 3)`` from two opposite sides, as a PNG."""
+    """Write a PNG of a pose ``(V, 3)`` from two opposite sides, coloured by parts ``(F,)`` and joints ``(F,)``."""
     colours = segmentation_colours(part_of_face, joint_of_face)
     views = opposite_views(points[None], up_axis)
     sheet = Sheet.from_grid(1, 2, views_aspect(views), title or "")
@@ -49,7 +49,7 @@ def draw_segmentation(
 
 
 def opposite_views(poses: FloatArray, up_axis: str = "Y", view: View | None = None) -> list[list[tuple[View, Limits]]]:
-    """Return two opposite views of each pose ``(n, V, 3)``, with screen rectangles of one size."""
+    """Return two opposite views of each pose ``(n, V, 3)``, with screen rectangles of equal size."""
     view = view or three_quarter_view(poses[0], up_axis)
     views = view, View(view.azimuth + 180, view.elevation)
     boxes = [[shared_limits(pose, up_axis, side) for side in views] for pose in poses]
@@ -62,7 +62,7 @@ def opposite_views(poses: FloatArray, up_axis: str = "Y", view: View | None = No
 
 
 def views_aspect(views: list[list[tuple[View, Limits]]]) -> float:
-    """Return the height per width of the rectangles of `opposite_views`."""
+    """Return the ratio of height to width of the screen rectangles of `opposite_views`."""
     return aspect_ratio(views[0][0][1])
 
 
@@ -73,9 +73,9 @@ def transfer_sheet(
     points: FloatArray,
     title: str | None = None,
 ) -> None:
-    """Draw frames of the source above those of the target ``(n, V', 3)``, as a PNG, with rest poses on the left.
+    """Write a PNG with frames of the source above frames of the target ``(n, V', 3)``, and rest poses on the left.
 
-    Both are drawn from the same side, each at its own scale, with common part colours.
+    Source and target are drawn from the same side with the same part colours, at different scales.
     """
     headers = source_header, target_header = transfer.source.header, transfer.header
     if points.shape != (expected := (len(frames), target_header.vertex_count, 3)):
@@ -107,9 +107,9 @@ def transfer_sheet(
 
 
 def common_parts(transfer: Transfer) -> tuple[Index, Index]:
-    """Return parts of source triangles ``(F,)``, and corresponding parts of target triangles ``(F',)``.
+    """Return the part of every source triangle ``(F,)`` and of every target triangle ``(F',)``, with common numbers.
 
-    For transfers by gradients, the source is segmented by its motion and the parts are mapped to the target.
+    After a transfer by gradients, the source is segmented by its motion and the parts are mapped to the target.
     """
     from mixseq.retargeting.parts import transfer_labels
 
@@ -121,7 +121,7 @@ def common_parts(transfer: Transfer) -> tuple[Index, Index]:
 
 
 def heading_degrees(transfer: Transfer) -> float:
-    """Return the best-fit rotation from source to target at rest about the up axis, in degrees; 0 if undefined."""
+    """Return the best-fit rotation about the up axis from source to target at rest, in degrees; 0 if undefined."""
     matched = transfer.correspondence.matched
     source = to_y_up(transfer.correspondence.interpolate(transfer.source.rest)[matched], transfer.source.header.up_axis)
     target = to_y_up(transfer.target[matched], transfer.header.up_axis)
@@ -139,19 +139,19 @@ def contact_sheet(
     frames: int = 6,
     title: str | None = None,
 ) -> None:
-    """Draw original, parts, reconstruction and error one below the other, as a PNG.
+    """Write a PNG with rows for the original, its parts, the reconstruction and its error.
 
-    Columns are frames of both sequences. Another row shows frames of `decoded` half-way between those of the original,
-    if there are any.
+    Columns are frames that both sequences have. An additional row shows frames of `decoded` half-way between frames of
+    the original, if any.
 
     Parameters
     ----------
     target : path or binary file
         File to write.
     original, decoded : MeshSequence
-        Sequences of the same mesh; times may differ.
+        Sequences of the same mesh; frame times may differ.
     part_of_face, joint_of_face : (F,) int
-        As for `segmentation_colours`.
+        As in `segmentation_colours`.
     frames : int
         Number of columns.
     title : str, optional
@@ -187,9 +187,9 @@ class _Row:
     """A row of a contact sheet."""
 
     label: str  # text on the left
-    sequence: MeshSequence  # sequence that is drawn
-    frames: dict[int, int]  # frame by column, for columns that have one
-    colours: Sequence[ArrayLike]  # RGB of mesh or faces by column
+    sequence: MeshSequence  # sequence to draw
+    frames: dict[int, int]  # frame number by column; empty columns are missing
+    colours: Sequence[ArrayLike]  # RGB of the mesh or its faces, by column
     contrast: float = 1.0  # strength of the shading
     show_times: bool = False  # whether panels are titled with their times
 
@@ -205,7 +205,7 @@ def _error_colours(
 
 
 def _draw_rows(rows: list[_Row], title: str) -> Sheet:
-    """Draw all rows with the same view, limits and ground."""
+    """Draw all rows with a common view, screen rectangle and ground height."""
     first = rows[0].sequence
     poses = np.concatenate([row.sequence.points[list(row.frames.values())] for row in rows])
     view = three_quarter_view(first.points[[0, -1]], first.up_axis)
@@ -236,12 +236,12 @@ def common_frames(original: SequenceHeader, decoded: SequenceHeader, count: int)
             "original and decoded have no frame at the same time; decode the model at the original's times"
         )
     count = min(count, len(common))
-    chosen = common[np.arange(count) * len(common) // count]  # without the last one, as of a loop
+    chosen = common[np.arange(count) * len(common) // count]  # excludes the end, as in a loop
     return chosen.tolist(), nearest[chosen].tolist()
 
 
 def frames_halfway(original: SequenceHeader, decoded: SequenceHeader, frames: list[int]) -> dict[int, int]:
-    """Return the decoded frames about half-way between original frames and the next ones, by position in `frames`."""
+    """Return decoded frames about half-way between each original frame and its next frame, by index in `frames`."""
     result = {}
     for position, frame in enumerate(frames):
         start, *later = original.times[frame : frame + 2]
