@@ -343,7 +343,7 @@ class Session(JobQueue[_Job]):
         self._enqueue_change(name, change, preview)
 
     def retime(self, keys: Float, preview: bool = False) -> None:
-        """Retime the model by keys ``(n, 2)`` of output and source seconds, replacing a retiming that is the last step."""
+        """Retime the model by keys ``(n, 2)`` of output and source seconds; replace the last step if it retimes."""
 
         def change(history: EditHistory) -> EditHistory:
             before = history.undo() if history.current.keys else history
