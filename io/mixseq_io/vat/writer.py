@@ -238,7 +238,7 @@ def _make_metadata(
     images = {}
     for name, image in textures.images.items():
         height, width = image.pixels.shape[:2]
-        is_uniform = name == "coefficients" or textures.rank > 0  # whether offset and scale are the same in all channels
+        is_uniform = name == "coefficients" or textures.rank > 0  # equal in all channels
         images[name] = {
             "file": _image_name(name, texture),
             "width": width,
