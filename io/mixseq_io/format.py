@@ -49,8 +49,8 @@ class Format:
     """File format: name in messages, lower-case extensions, capabilities, options, reader and writer.
 
     `reader` and `writer` are ``"module:function"``, imported at first use: ``(path, **options) -> SequenceReader`` and
-    ``(path, header, blocks, velocities, **options) -> None``. `signatures` are possible first bytes of files. `numbered`
-    formats store one frame per file. `isolated` formats are read in a worker process, see `mixseq_io.isolation`.
+    ``(path, header, blocks, velocities, **options) -> None``. `signatures` are possible first bytes of files.
+    `numbered` formats store one frame per file. `isolated` formats are read in a worker process, see `mixseq_io.isolation`.
     """
 
     name: str

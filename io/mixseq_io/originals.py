@@ -32,7 +32,7 @@ def open_original_file(
     format_name: str,
     load: Callable[[Path], Loaded],
 ) -> Loaded | None:
-    """Load the file to copy, or return None without one or with `flatten`; warn if the recorded origin is unreadable."""
+    """Load the file to copy, or return None without one or with `flatten`; warn if a recorded origin is unreadable."""
     if flatten and onto is not None:
         raise SettingsError("flatten writes a stand-alone file, onto a copy of another; give one of them")
     origin = header.surface.origin

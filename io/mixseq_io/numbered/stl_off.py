@@ -172,9 +172,7 @@ def parse_stl(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
 
 def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
     """Weld equal corners ``(3 F, 3)`` in order of appearance; return vertices ``(3 F,)`` and first corners ``(V,)``."""
-    return renumber_by_appearance(
-        np.unique(corners + 0.0, axis=0, return_inverse=True)[1]
-    )  # + 0.0 turns -0 into 0
+    return renumber_by_appearance(np.unique(corners + 0.0, axis=0, return_inverse=True)[1])  # + 0.0 turns -0 into 0
 
 
 def _read_corners(file: Path, data: bytes) -> FloatArray:
