@@ -1,19 +1,17 @@
 """Limit the memory of readers, and write output files atomically.
 
 A small file can declare or unpack to any size, so sizes are compared with a limit before memory is allocated. C++
-parsers are also limited by the operating system, see `mixseq_io.isolation`. The limit is `max_memory` of the call that
-opens a file (``--max-memory``), else ``MIXSEQ_READER_MEMORY`` in GiB. The default is the smaller of 8 GB and half of
-the machine's memory.
+parsers are also limited by the system, see `mixseq_io.isolation`. The limit is the argument `max_memory`
+(``--max-memory``), else ``MIXSEQ_READER_MEMORY`` in GiB, else the smaller of 8 GB and half of the machine's memory.
 
 Output is written to a temporary file beside the target and flushed to disk, then renamed to the target, which is atomic
-(https://pubs.opengroup.org/onlinepubs/9799919799/functions/rename.html). Readers find either the complete old file or
-the complete new file. After an error, a full disk, Ctrl-C or a power cut, the old file is unchanged. Signals are
-deferred while files are renamed.
+(https://pubs.opengroup.org/onlinepubs/9799919799/functions/rename.html). Readers find the old file or the new
+file. After an error, a full disk, Ctrl-C or a power cut, the old file is unchanged. Renaming defers signals.
 
 Temporary names start with a prefix ``.mixseq.HOST.RANDOM``. The writer holds a lock on the file ``PREFIX.lock``, which
 the operating system releases when the process ends. The next writer in the folder deletes unlocked temporary files.
-Locks may be unsupported, and locks of other hosts may be invisible on a shared disk. In both cases, only temporary
-files older than a day are deleted. Backups of targets that were not replaced are restored.
+Locks may be unsupported, or invisible for other hosts on a shared disk. In both cases, only files older than a day are
+deleted. Backups of targets that were not replaced are restored.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ class Format:
 
     `reader` and `writer` are ``"module:function"``, imported at first use: ``(path, **options) -> SequenceReader`` and
     ``(path, header, blocks, velocities, **options) -> None``. `signatures` are possible first bytes of files.
-    `numbered` formats store one frame per file. `isolated` formats are read in a worker process, see `mixseq_io.isolation`.
+    `numbered` formats store one frame per file. `isolated` formats are read in a worker, see `mixseq_io.isolation`.
     """
 
     name: str

@@ -1,13 +1,12 @@
 """Run readers in a worker process, for formats that are parsed by C++ libraries.
 
 A damaged file can make these libraries crash, hang, or allocate all memory, which cannot be caught in the same process.
-Therefore readers run in a worker (`mixseq_io.worker`), a second Python process with limits on memory
-(`mixseq_io.files`) and on time per request. If the worker dies, the file is reported as damaged.
-``MIXSEQ_READER_SECONDS`` limits the processor time, by default to 120 s. Wall-clock time may be four times longer.
+Readers run in a worker (`mixseq_io.worker`), a second Python process with limits on memory (`mixseq_io.files`) and on
+time per request. If the worker dies, the file is reported as damaged. ``MIXSEQ_READER_SECONDS`` limits the processor
+time, by default to 120 s. Wall-clock time may be four times longer.
 
 Workers are started on demand, serve one open file at a time, and are reused. If more than `MAX_WORKERS` files are open,
-the least recently used file releases its worker. The next request opens this file again; iterations continue at the
-same block.
+the least recently used file releases its worker. Its next request opens the file again and continues at the same block.
 """
 
 from __future__ import annotations

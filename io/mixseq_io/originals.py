@@ -90,10 +90,9 @@ def is_retimed(header: SequenceHeader, sources: ArrayLike | None) -> bool:
 def warn_of_unretimed_motion(
     path: Path, header: SequenceHeader, spans: Mapping[str, tuple[float, float]], sources: ArrayLike | None
 ) -> None:
-    """Warn of other animated objects in a file that keep their times; `spans` are first and last times in seconds.
+    """Warn of objects whose animation does not follow the sequence; `spans` are their first and last times in seconds.
 
-    If `sources` ``(T,)`` retime the sequence, all objects are reported. Otherwise only objects are reported that start
-    more than a frame later or end more than a frame earlier than the sequence.
+    If `sources` ``(T,)`` retime it, this means all objects, else those starting or ending a frame inside its range.
     """
     first, last = (float(time) for time in header.times[[0, -1]])
     frame, retimed = 1 / header.fps, is_retimed(header, sources)

@@ -310,7 +310,7 @@ def _restrict_values(joined: CornerValues | None, corners: slice, default: Seque
 
 
 def _is_smooth(polygons: Polygons, hard_edges: IntArray) -> bool:
-    """Whether corners share a normal exactly if they share a vertex."""
+    """Whether corners share a normal if and only if they share a vertex."""
     pairs = np.unique(np.column_stack([polygons.indices, hard_edges]), axis=0)
     return all(len(np.unique(column)) == len(pairs) for column in pairs.T)
 

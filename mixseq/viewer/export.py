@@ -4,8 +4,7 @@ Meshes are compressed by `mixseq.compress` and decoded by `mixseq.web`. Each pos
 first frame of its mesh. Playback repeats after the period, as in films (`mixseq.pictures.scene`).
 
 A page is a small document that unpacks its own data, a list of streams. The first, deflated stream holds style, body,
-decoder, scripts and description, separated by NUL. The other streams hold the meshes. `export_data` encodes all
-streams as text.
+decoder, scripts and description, separated by NUL. Other streams hold meshes. `export_data` encodes them as text.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ SOURCE, TARGET = 0, 1
 """Indices of the source and target mesh."""
 
 COINCIDENCE_DISTANCE = 0.03
-"""Distance in diagonals below which a proposal duplicates a pair, if it holds on at least one mesh."""
+"""Distance in diagonals on either mesh below which a proposal duplicates a pair."""
 
 
 @dataclass(frozen=True)

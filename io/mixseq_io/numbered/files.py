@@ -181,8 +181,7 @@ class FrameFormat:
         """Write one file per frame, named by a pattern such as ``walk_####.obj`` or ``walk_%04d.obj``.
 
         Numbers begin at `start`, by default the first frame's number, or 1 if this number is negative or fractional.
-        Velocities are not written. Raise `OutputError` for several frames without a pattern and for failed writes,
-        and `SettingsError` if `start` is negative.
+        Velocities are lost. Raise `OutputError` if a write fails or several frames have no pattern.
         """
         if start is not None and start < 0:
             raise SettingsError(f"start is {start}; files are numbered from 0 or more")

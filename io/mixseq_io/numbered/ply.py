@@ -8,9 +8,8 @@ precision ``float`` or ``double``; integer points become float64.
 Files are written as little-endian binary, in the precision of the points. Values that are unique at every vertex are
 written per vertex: texture coordinates as ``s t``, colours as ``uchar`` if exact, else ``float``. Other values are
 written per corner, in MeshLab's lists ``texcoord`` and ``color``. PLY cannot store the name, times, frame rate, units,
-the up axis, velocities, hard edges, face sets, objects or subdivision. trimesh is not used, because it rejects binary
-files with triangles and quads, and triangulates polygons of text files. Counts are checked against the file's size
-before reading.
+the up axis, velocities, hard edges, face sets, objects or subdivision. trimesh is not used: it rejects binary files
+with triangles and quads, and triangulates text files. Counts are checked against the file's size before reading.
 
 Specification: https://paulbourke.net/dataformats/ply/
 """

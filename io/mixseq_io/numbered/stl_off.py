@@ -7,9 +7,8 @@ without this comment are read as float64. Specification: http://www.geomview.org
 STL stores the three positions of every triangle. Equal positions in the first frame become one vertex; vertices are
 numbered in order of appearance. A sequence is rejected if corners of a vertex separate in a later frame, for example
 where two parts touch only in the first frame. Binary files are float32; text is read as float64, with all solids as one
-mesh. The writer makes binary files with normals. mixseq has a parser for text files, because trimesh 5.2 skips invalid
-lines and data after an unclosed solid. Of 732 damaged files, trimesh read 100 that this parser rejects. trimesh also
-rejects a solid with "vertex" in its name.
+mesh. Files are written as binary with normals. Text has its own parser: trimesh 5.2 skips invalid lines and data after
+an unclosed solid (100 of 732 damaged files were read), and rejects a solid with "vertex" in its name.
 Specification: https://www.loc.gov/preservation/digital/formats/fdd/fdd000504.shtml
 
 Neither format can store polygons, the name, times, frame rate, units, the up axis, velocities or the surface, except

@@ -15,9 +15,8 @@ In lists, a marker is a pair of numbers ``[750, 3386]``, a text ``"750:3386"`` i
 ``.cons`` and ``.corr`` have lines, YAML files have lists of ``"750:3386"``. YAML defines ``12:34`` as a time of day
 (754 seconds), but here it is read as a pair.
 
-Contacts are named groups of target vertices that rest on the ground, such as feet. Their JSON file holds an object
-``{"left foot": [12, 13, 20], "right foot": [40, 41]}``, optionally inside ``{"contacts": ...}``. All vertices are
-numbered from 0.
+Contacts are named groups of target vertices that rest on the ground, such as feet. Their JSON file is ``{"left foot":
+[12, 13, 20], "right foot": [40, 41]}``, optionally inside ``{"contacts": ...}``. Vertices are numbered from 0.
 """
 
 from __future__ import annotations

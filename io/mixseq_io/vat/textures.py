@@ -14,8 +14,7 @@ pixels above, whichever has the smallest sum of magnitudes, as in libpng.
 
 A texel represents a vertex with one normal; glTF vertices that differ only by texture coordinates or materials share a
 texel. A *layer* holds one value of every texel, for a frame or for four basis vectors, in several rows of the texture.
-Layers are stacked. The second set of texture coordinates locates a vertex in the first layer; shaders add an offset in
-rows to find the vertex in layer `n`.
+The second texture coordinates locate a vertex in the first layer; shaders add an offset in rows for layer `n`.
 
 Specifications: https://www.w3.org/TR/png-3/, https://openexr.com/en/latest/OpenEXRFileLayout.html
 """
