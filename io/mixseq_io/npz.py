@@ -87,7 +87,7 @@ class Archive:
         self.names = dict.fromkeys(name.removesuffix(".npy") for name in file.namelist()).keys()
 
     def read(self, name: str) -> NDArray[Any]:
-        """Read an array; all arrays read so far must together fit the memory limit."""
+        """Read an array; this array and the previously read arrays must together fit the memory limit."""
         with self.open(name) as (stream, _):
             self._sizes[name] = self._file.getinfo(f"{name}.npy").file_size
             check_memory(self._path, sum(self._sizes.values()), f"its arrays, with {name!r},")

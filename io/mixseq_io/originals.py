@@ -92,7 +92,7 @@ def warn_of_unretimed_motion(
 ) -> None:
     """Warn of objects whose animation does not follow the sequence; `spans` are their first and last times in seconds.
 
-    If `sources` ``(T,)`` retime it, this means all objects, else those starting or ending a frame inside its range.
+    If `sources` ``(T,)`` retime the sequence, all objects count; else objects it outlasts by more than a frame.
     """
     first, last = (float(time) for time in header.times[[0, -1]])
     frame, retimed = 1 / header.fps, is_retimed(header, sources)

@@ -178,10 +178,10 @@ class FrameFormat:
         velocities: Iterable[FloatArray] | None = None,
         start: int | None = None,
     ) -> None:
-        """Write one file per frame, named by a pattern such as ``walk_####.obj`` or ``walk_%04d.obj``.
+        """Write one file per frame, without velocities, named by a pattern such as ``walk_####.obj``.
 
         Numbers begin at `start`, by default the first frame's number, or 1 if this number is negative or fractional.
-        Velocities are lost. Raise `OutputError` if a write fails or several frames have no pattern.
+        Raise `OutputError` for failed writes or several frames without a pattern, `SettingsError` for negative `start`.
         """
         if start is not None and start < 0:
             raise SettingsError(f"start is {start}; files are numbered from 0 or more")
