@@ -234,7 +234,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 def atomic_files(pattern: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary folder; its files move to the folder of `pattern` if the block ends without an exception.
 
-    All files are written and flushed before the first file is renamed. Only SIGKILL can leave some behind.
+    All files are written and flushed before the first is renamed; only SIGKILL can leave an incomplete set of files.
     """
     target = Path(os.path.realpath(pattern))
     folder = target.parent

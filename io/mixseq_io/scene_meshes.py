@@ -109,7 +109,7 @@ MAX_INSERTED_FRAMES = 100_000
 """Largest number of frames added between keys; an hour has 86 400 at 24 frames per second."""
 
 _MIN_ROUNDING_TIME = 2.0
-"""Time in seconds below which the rounding error of this time is assumed, since exporters subtract later times."""
+"""Time in seconds; earlier times have the same rounding error, since exporters compute them from later times."""
 
 
 def merge_times(channels: Iterable[Float], tolerance: float = TIME_TOLERANCE) -> Float:

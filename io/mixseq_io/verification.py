@@ -1,7 +1,7 @@
 r"""Verify a compressed model by comparison with its original, and verify its stated error bound.
 
-A are the original points, B the decoded points. d is the diagonal of the bounding box of the original's first frame, or
-1 if that frame is a single point. The bound is :math:`|A_{tv} - B_{tv}| \le \epsilon\, d`. `mixseq.metrics` defines the
+:math:`A, B` are points of original and decoded frames. d is the bounding box diagonal of the first original frame, or
+1 if this frame is a single point. The bound is :math:`|A_{tv} - B_{tv}| \le \epsilon\, d`. `mixseq.metrics` defines the
 KG error. Frames are decoded in small blocks; `mixseq.mesh.measures` avoids overflow at any scale.
 """
 

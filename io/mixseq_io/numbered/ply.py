@@ -5,7 +5,7 @@ Texture coordinates are ``s t`` or ``u v`` of vertices, or the list ``texcoord``
 ``green``, ``blue`` and optionally ``alpha`` of vertices or faces, or the list ``color`` of faces. Points keep the
 precision ``float`` or ``double``; integer points become float64.
 
-Files are written as little-endian binary, in the precision of the points. Values that are unique at every vertex are
+Files are written as little-endian binary, in the points' precision. Values equal at all corners of each vertex are
 written per vertex: texture coordinates as ``s t``, colours as ``uchar`` if exact, else ``float``. Other values are
 written per corner, in MeshLab's lists ``texcoord`` and ``color``. PLY cannot store the name, times, frame rate, units,
 the up axis, velocities, hard edges, face sets, objects or subdivision. trimesh is not used: it rejects binary files
