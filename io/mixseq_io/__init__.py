@@ -1,6 +1,6 @@
-"""File formats of mesh sequences: read into and written from `mixseq.sequence.sequence.MeshSequence`, frame by frame.
+"""Read and write files of mesh sequences, as a `mixseq.sequence.sequence.MeshSequence` or frame by frame.
 
-The file's extension selects the format from the table `FORMATS`. pxr and h5py are imported when a file needs them.
+A file's extension selects its format in the table `FORMATS`. pxr and h5py are imported only when a file needs them.
 
 Examples
 --------

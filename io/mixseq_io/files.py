@@ -1,17 +1,17 @@
-"""Memory limit of readers, and atomic output of writers.
+"""Limit the memory of readers, and write output files atomically.
 
-A small file can declare, or unpack to, any size, so sizes are compared with a limit before memory is allocated. C++
-parsers are also limited by the system, see `mixseq_io.isolation`. The limit is `max_memory` of the call that opens a
-file (``--max-memory``), else ``MIXSEQ_READER_MEMORY`` in GiB, else 8 GB or half of the machine's memory if less.
+A small file can declare or unpack to any size, so sizes are compared with a limit before memory is allocated. C++
+parsers are also limited by the system, see `mixseq_io.isolation`. The limit is the argument `max_memory`
+(``--max-memory``), else ``MIXSEQ_READER_MEMORY`` in GiB, else the smaller of 8 GB and half of the machine's memory.
 
 Output is written to a temporary file beside the target and flushed to disk, then renamed to the target, which is atomic
-(https://pubs.opengroup.org/onlinepubs/9799919799/functions/rename.html). Readers see the old file or the new one; after
-an error, a full disk, Ctrl-C or a power cut the old one is unchanged. Signals are deferred while files are renamed.
+(https://pubs.opengroup.org/onlinepubs/9799919799/functions/rename.html). Readers find the old file or the new
+file. After an error, a full disk, Ctrl-C or a power cut, the old file is unchanged. Renaming defers signals.
 
-Temporary names start with ``.mixseq.HOST.RANDOM``. The writer holds a lock on the file of that name with ``.lock``; the
-system releases it when the process ends. The next writer in the folder deletes unlocked temporary files. Where locks
-are unsupported, and for other hosts, whose locks may be invisible on a shared disk, it deletes those older than a day.
-Backups of targets that were not replaced are restored.
+Temporary names start with a prefix ``.mixseq.HOST.RANDOM``. The writer holds a lock on the file ``PREFIX.lock``, which
+the operating system releases when the process ends. The next writer in the folder deletes unlocked temporary files.
+Locks may be unsupported, or invisible for other hosts on a shared disk. In both cases, only files older than a day are
+deleted. Backups of targets that were not replaced are restored.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.runtime.interrupts import deferred_signals, raise_pending_signal
 
 MEMORY_LIMIT_VARIABLE = "MIXSEQ_READER_MEMORY"
-"""Environment variable of the limit, in GiB."""
+"""Environment variable that sets the memory limit in GiB."""
 
 _DEFAULT_LIMIT_BYTES = 8_000_000_000
 _limit_of_call: ContextVar[int | None] = ContextVar("max_memory", default=None)
@@ -55,7 +55,7 @@ def max_memory() -> int:
 
 @contextmanager
 def memory_limit(size: float | None) -> Iterator[None]:
-    """Set the memory limit, in bytes, of files read in this thread; None leaves it unchanged."""
+    """Set the memory limit in bytes for files that this thread reads in the context; None changes nothing."""
     if size is None:
         yield
         return
@@ -67,7 +67,7 @@ def memory_limit(size: float | None) -> Iterator[None]:
 
 
 def check_memory(file: object, needed: float, part: str = "its contents") -> None:
-    """Raise an error if a part of a file needs more memory, in bytes, than the limit."""
+    """Raise an error if the bytes `needed` for a part of a file exceed the memory limit."""
     limit = max_memory()
     if needed > limit:
         raise FormatError(
@@ -78,7 +78,7 @@ def check_memory(file: object, needed: float, part: str = "its contents") -> Non
 
 
 def out_of_memory_error(file: object) -> FormatError:
-    """Return the error for a file whose reading exhausted the memory."""
+    """Return the error to raise if reading a file has exhausted the memory."""
     return FormatError(
         f"{file}: reading needs more than {format_gigabytes(max_memory())} of memory, the limit, or than is free; the "
         "file is damaged, or more must be allowed: --max-memory (max_memory=... in Python)"
@@ -111,10 +111,10 @@ _TEMPORARY_PREFIX = re.compile(r"\.mixseq\.([\w-]+)\.[^.]{8}(?=\.|$)")
 
 @contextmanager
 def temporary_prefix(folder: Path) -> Iterator[Path]:
-    """Yield a unique path prefix in a folder; paths with it are deleted at the end."""
+    """Yield a unique path prefix in a folder; paths with this prefix are deleted at the end of the context."""
     claimed: list[tuple[Path, int]] = []
     try:
-        with deferred_signals():  # a signal right after the claim would skip the cleanup
+        with deferred_signals():  # a signal directly after the claim would prevent the cleanup
             delete_leftovers(folder)
             claimed.append(_claim_prefix(folder))
         yield claimed[0][0]
@@ -127,17 +127,17 @@ def temporary_prefix(folder: Path) -> Iterator[Path]:
 
 
 def _claim_prefix(folder: Path) -> tuple[Path, int]:
-    """Return a new path prefix and the descriptor of its lock."""
+    """Return a new path prefix and the descriptor of its locked lock file."""
     while True:
         prefix = folder / f".mixseq.{_HOST_NAME}.{secrets.token_hex(4)}"
         descriptor = os.open(f"{prefix}.lock", os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         if _try_lock(descriptor) is not False and Path(f"{prefix}.lock").exists():
             return prefix, descriptor
-        os.close(descriptor)  # another process deleted the lock file as a leftover
+        os.close(descriptor)  # another process has deleted the lock file as a leftover
 
 
 def backup_path(prefix: Path, target: Path) -> Path:
-    """Return the path to which a target is moved while it is replaced."""
+    """Return the path to which the old target is moved while the target is replaced."""
     return Path(f"{prefix}{_BACKUP_INFIX}{target.name}")
 
 
@@ -155,7 +155,7 @@ def delete_leftovers(folder: Path) -> None:
 
 @contextmanager
 def _open_and_lock(file: Path) -> Iterator[bool | None]:
-    """Yield whether a writer's lock could be acquired; None if that is unknown."""
+    """Yield whether the lock of a writer could be acquired, or None if this cannot be determined."""
     try:
         descriptor = os.open(file, os.O_RDWR)
     except OSError:
@@ -168,7 +168,7 @@ def _open_and_lock(file: Path) -> Iterator[bool | None]:
 
 
 def _try_lock(descriptor: int) -> bool | None:
-    """Lock a file without waiting; return whether it succeeded, None if locks are unsupported."""
+    """Lock a file without waiting; return whether locking succeeded, or None if locks are unsupported."""
     try:
         import fcntl
     except ImportError:  # Windows
@@ -177,13 +177,13 @@ def _try_lock(descriptor: int) -> bool | None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # some file systems have no locks
+    except OSError:  # some file systems do not support locks
         return None
     return True
 
 
 def _is_stale(folder: Path, names: list[str]) -> bool:
-    """Whether files and folders, with everything in them, were last modified more than a day ago."""
+    """Whether files and folders, including all contents, were last modified more than a day ago."""
     paths = [folder / name for name in names]
     paths += [inner for path in paths if path.is_dir() for inner in path.rglob("*")]
     with suppress(OSError):
@@ -194,12 +194,12 @@ def _is_stale(folder: Path, names: list[str]) -> bool:
 def _temporary_names(folder: Path) -> list[str]:
     try:
         return [path.name for path in folder.glob(".mixseq.*")]
-    except OSError:  # reported when the file is written
+    except OSError:  # the writer reports the error
         return []
 
 
 def _delete(folder: Path, names: list[str]) -> None:
-    """Delete files and folders, and restore backups; the lock goes last, so that the next writer can finish the job."""
+    """Restore backups and delete files, the lock file last, so that the next writer can complete the cleanup."""
     for name in sorted(names, key=lambda name: name.endswith(".lock")):
         with suppress(OSError):
             path = folder / name
@@ -234,7 +234,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 def atomic_files(pattern: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary folder; its files move to the folder of `pattern` if the block ends without an exception.
 
-    All are written and flushed before the first is renamed; only a killed process (SIGKILL) can leave some behind.
+    All files are written and flushed before the first is renamed; only SIGKILL can leave an incomplete set of files.
     """
     target = Path(os.path.realpath(pattern))
     folder = target.parent
@@ -258,8 +258,8 @@ def atomic_files(pattern: str | os.PathLike[str]) -> Iterator[Path]:
 def atomic_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator[Path]:
     """Yield a temporary folder; its files move into the folder `path` if the block ends without an exception.
 
-    Of an existing folder, files with the writer's `own` names are replaced or deleted; all others are kept. If one file
-    cannot be moved, all are moved back.
+    In an existing folder, files with the writer's `own` names are replaced or deleted; all other files are kept. If one
+    file cannot be moved, all files are moved back.
     """
     target = Path(os.path.realpath(path))
     with _translate_write_errors(target):
@@ -282,7 +282,7 @@ def atomic_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator
 
 
 def _exchange(source: Path, target: Path, own: Container[str], old: Path) -> None:
-    """Move all files of a folder into another, or none; replaced files and other `own` ones go to `old`."""
+    """Move all files of a folder to `target`, or none; move replaced files and files with `own` names to `old`."""
     old.mkdir()
     written = sorted(file.name for file in source.iterdir())
     stale = [file.name for file in target.iterdir() if file.name in own and file.name not in written]
@@ -295,7 +295,7 @@ def _exchange(source: Path, target: Path, own: Container[str], old: Path) -> Non
                     moved.append((start, end))
     except OSError:
         for start, end in reversed(moved):
-            with suppress(OSError):  # move back the remaining ones
+            with suppress(OSError):  # continue with the remaining files
                 end.rename(start)
         raise
 
@@ -317,13 +317,13 @@ def _flush(file: Path, mode: int = os.O_RDWR) -> None:
 
 
 def _flush_folder(folder: Path) -> None:
-    # Some systems cannot flush folders. The file itself is flushed; a power cut could at worst undo the rename.
+    # Some systems cannot flush folders. Files are flushed, so that a power cut can at worst undo the rename.
     with suppress(OSError):
         _flush(folder, os.O_RDONLY)
 
 
 _FULL_DISK_BYTES = 1 << 20
-"""Free space below which a library's failure is attributed to a full disk."""
+"""Free space in bytes below which a library's failure is attributed to a full disk."""
 
 _CURES = {
     errno.ENOSPC: "free some space or choose another disk",
@@ -337,7 +337,7 @@ _CURES = {
 
 
 def raise_system_error(message: str, folder: Path) -> None:
-    """Raise the `OSError` that a library's message quotes or a full disk implies, if any; for use in `atomic_file`."""
+    """Raise an `OSError` if a library's message quotes one or the disk is full; for use in `atomic_file`."""
     codes = [code for code in _CURES if os.strerror(code) in message]
     if not codes and shutil.disk_usage(folder).free < _FULL_DISK_BYTES:
         codes = [errno.ENOSPC]
@@ -347,7 +347,7 @@ def raise_system_error(message: str, folder: Path) -> None:
 
 @contextmanager
 def _translate_write_errors(target: Path) -> Iterator[None]:
-    """Translate errors of the system into `OutputError` with a cure."""
+    """Translate operating system errors into `OutputError` with a cure in the message."""
     try:
         yield
     except OSError as error:

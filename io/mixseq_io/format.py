@@ -1,4 +1,4 @@
-"""Description of a file format: its capabilities, and the functions that read and write it."""
+"""Describe file formats by their capabilities and by the functions that read and write them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mixseq_io.reader import SequenceReader
 from mixseq_io.surfaces import RoundingMonitor
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-"""First bytes of HDF5 files."""
+"""First bytes of every HDF5 file."""
 
 SINGLE_PRECISION = "float32"
 PER_VERTEX, OPAQUE_PER_VERTEX = "of vertices", "of vertices, opaque"
@@ -24,10 +24,10 @@ PER_VERTEX, OPAQUE_PER_VERTEX = "of vertices", "of vertices, opaque"
 
 @dataclass(frozen=True, kw_only=True)
 class Capabilities:
-    """Parts of a sequence that a format can store, as cells of the table of formats.
+    """Parts of a sequence that a format can store, which are shown as cells of the table of formats.
 
-    `colours` is a text if they are stored per vertex instead of per corner; `materials` is "names" if only their names
-    are stored. Writers warn of everything that their format cannot store.
+    `colours` is a text if colours are stored per vertex instead of per corner. `materials` is "names" if only the names
+    of materials are stored. Writers warn of parts that their format cannot store.
     """
 
     animation: str
@@ -46,11 +46,11 @@ class Capabilities:
 
 @dataclass(frozen=True)
 class Format:
-    """File format: name in messages, lower-case extensions, capabilities, options with their help, reader and writer.
+    """File format: name in messages, lower-case extensions, capabilities, options, reader and writer.
 
     `reader` and `writer` are ``"module:function"``, imported at first use: ``(path, **options) -> SequenceReader`` and
-    ``(path, header, blocks, velocities, **options) -> None``. `signatures` are possible first bytes. `numbered` formats
-    store one frame per file. `isolated` formats are parsed in a worker process, see `mixseq_io.isolation`.
+    ``(path, header, blocks, velocities, **options) -> None``. `signatures` are possible first bytes of files.
+    `numbered` formats store one frame per file. `isolated` formats are read in a worker, see `mixseq_io.isolation`.
     """
 
     name: str

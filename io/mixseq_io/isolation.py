@@ -1,12 +1,12 @@
-"""Readers in a worker process, for formats that are parsed by C++ libraries.
+"""Run readers in a worker process, for formats that are parsed by C++ libraries.
 
 A damaged file can make these libraries crash, hang, or allocate all memory, which cannot be caught in the same process.
-Readers run in a worker (`mixseq_io.worker`), a second Python with limits on memory (`mixseq_io.files`) and on time per
-request. If it dies, the file is reported as damaged. ``MIXSEQ_READER_SECONDS`` sets the time limit: by default 120 s of
-processor time, and four times that of wall-clock time.
+Readers run in a worker (`mixseq_io.worker`), a second Python process with limits on memory (`mixseq_io.files`) and on
+time per request. If the worker dies, the file is reported as damaged. ``MIXSEQ_READER_SECONDS`` limits the processor
+time, by default to 120 s. Wall-clock time may be four times longer.
 
-Workers are started on demand, serve one open file at a time, and are reused. Above `MAX_WORKERS` open files, the least
-recently used one releases its worker. Its next request opens it again, and iterations continue at the same block.
+Workers are started on demand, serve one open file at a time, and are reused. If more than `MAX_WORKERS` files are open,
+the least recently used file releases its worker. Its next request opens the file again and continues at the same block.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from mixseq_io.reader import SequenceReader, warn
 from mixseq_io.text.labels import Markings
 
 MAX_WORKERS = 8
-"""Largest number of files that keep a worker; exceeded only if more threads read at the same time."""
+"""Largest number of open files with a worker; exceeded only if more threads read at the same time."""
 
 _MAX_IDLE_WORKERS = 2
 _EXIT_SECONDS = 5.0
@@ -65,7 +65,7 @@ class OpenFile:
             return self._require_worker().request(self.path, *request)
 
     def iterate(self, quantity: str, size: int) -> Iterator[Any]:
-        """Yield blocks of points or velocities."""
+        """Yield blocks of the given quantity, points or velocities, of at most `size` frames."""
         iteration, block_count, open_count = next(self._iteration_ids), 0, 0
         while True:
             with self.lock:
@@ -88,7 +88,7 @@ class OpenFile:
             release_worker(worker)
 
     def close_if_unused(self) -> bool:
-        """Release the worker unless a request is waiting for it; return whether one was released."""
+        """Release the worker unless a request is running; return whether a worker was released."""
         if not self.lock.acquire(blocking=False):
             return False
         try:
@@ -121,7 +121,7 @@ class OpenFile:
 
 
 class WorkerProcess:
-    """Process that serves one request at a time."""
+    """Worker process that serves one request at a time."""
 
     def __init__(self) -> None:
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -129,12 +129,12 @@ class WorkerProcess:
             [sys.executable, "-P", "-m", "mixseq_io.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,  # C++ libraries print to it; errors and warnings arrive with the answers
+            stderr=subprocess.DEVNULL,  # C++ libraries print to stderr; errors and warnings arrive with answers
             env=environment,
         )
         self._stdin: Any = self._process.stdin
         self._stdout: Any = self._process.stdout
-        # End the process of a reader that is dropped without closing; without locks, which this thread may hold.
+        # End the process if its reader is dropped unclosed. No locks are used, since this thread may hold them.
         finalize(self, _kill, self._process).atexit = False
         self._lock = threading.Lock()
 
@@ -145,9 +145,9 @@ class WorkerProcess:
         repeated: bool = False,
         meanwhile: Callable[[], object] | None = None,
     ) -> Any:
-        """Send a request about a file; return its value, or raise its error.
+        """Send a request about a file; return the value of the answer, or raise its error.
 
-        Warnings are passed on unless the request is `repeated`. `meanwhile` is called before waiting for the answer.
+        Warnings of the worker are issued unless the request is `repeated`. `meanwhile` is called before waiting.
         """
         try:
             with self._lock:
@@ -159,7 +159,7 @@ class WorkerProcess:
         except (EOFError, OSError, pickle.UnpicklingError):
             raise FormatError(self._explain_death(path)) from None
         except BaseException:
-            # After Ctrl-C the next request would receive the pending answer.
+            # After Ctrl-C, the next request would otherwise receive the pending answer.
             self._process.kill()
             raise
         for message in () if repeated else warnings:
@@ -189,7 +189,7 @@ class WorkerProcess:
         return self._process.poll() is None
 
     def _wait(self) -> int:
-        """Wait for the end of the process, kill it if it is late, and return its exit code."""
+        """Wait for the end of the process, kill the process after a timeout, and return its exit code."""
         try:
             return self._process.wait(timeout=_EXIT_SECONDS)
         except subprocess.TimeoutExpired:
@@ -227,7 +227,7 @@ _lock = threading.Lock()
 
 
 def acquire_worker() -> WorkerProcess:
-    """Return an idle worker, or start one."""
+    """Return an idle worker, or start a worker if none is idle."""
     with _lock:
         while idle_workers:
             worker = idle_workers.pop()
@@ -238,7 +238,7 @@ def acquire_worker() -> WorkerProcess:
 
 
 def release_worker(worker: WorkerProcess) -> None:
-    """Keep a worker for the next file if it is alive and few are idle; else end it."""
+    """Keep a worker for the next file if it is alive and few workers are idle; otherwise end the worker."""
     with suppress(FormatError):
         if worker.is_alive:
             worker.request(Path(), "close")
@@ -250,7 +250,7 @@ def release_worker(worker: WorkerProcess) -> None:
 
 
 def _release_surplus_workers() -> None:
-    """Release workers of the least recently used files until one more may be acquired."""
+    """Release the workers of the least recently used files until another worker may be acquired."""
     files = [file for file in list(_open_files) if file.worker is not None]
     surplus = len(files) - MAX_WORKERS + 1
     for file in sorted(files, key=lambda file: file.last_request):
@@ -259,7 +259,7 @@ def _release_surplus_workers() -> None:
 
 
 def _file_identity(path: Path) -> tuple[int, int, int] | None:
-    """Return a file's inode, size and modification time in ns; None if it does not exist."""
+    """Return a file's inode, size and modification time in ns, or None if the file does not exist."""
     try:
         state = path.stat()
     except OSError:
@@ -268,9 +268,9 @@ def _file_identity(path: Path) -> tuple[int, int, int] | None:
 
 
 def _detach_workers() -> None:
-    """Drop inherited workers in a forked process, since two processes cannot share a pipe."""
+    """Drop the inherited workers in a forked process, since two processes cannot share a pipe."""
     global _lock
-    _lock = threading.Lock()  # the inherited one may be held by a thread that the fork did not copy
+    _lock = threading.Lock()  # a thread that was not forked may hold the inherited lock
     _workers_of_parent.extend(idle_workers)
     idle_workers.clear()
     for file in list(_open_files):
@@ -304,7 +304,7 @@ def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceR
 
 
 def call_isolated(function: str, path: Path, *arguments: Any, meanwhile: Callable[[], object] | None = None) -> Any:
-    """Call a function ``"module:function"`` of a file in a worker; call `meanwhile` while it runs."""
+    """Call ``"module:function"`` with a path in a worker, and return the result; call `meanwhile` while it runs."""
     if not can_isolate():
         return import_function(function)(path, *arguments)
     worker = acquire_worker()
@@ -316,11 +316,11 @@ def call_isolated(function: str, path: Path, *arguments: Any, meanwhile: Callabl
 
 
 time_limiters: list[Callable[[float], None]] = []
-"""Functions that restart the time limit of this process if it is a worker, else empty."""
+"""Functions that restart the time limit of this process; the list is empty outside of workers."""
 
 
 def limit_time(fraction: float) -> None:
-    """Restart the time limit of a request with a fraction of the full one; do nothing outside of a worker."""
+    """Restart the time limit of a request as a fraction of the full limit; do nothing outside of a worker."""
     for restart in time_limiters:
         restart(fraction)
 
@@ -333,7 +333,7 @@ def import_function(reference: str) -> Callable[..., Any]:
 
 
 def can_isolate() -> bool:
-    """Whether a second Python can be started; applications that embed Python have no executable of it."""
+    """Whether a second Python process can be started; applications that embed Python have no Python executable."""
     return "python" in Path(sys.executable or "").name.lower()
 
 
@@ -349,7 +349,7 @@ class _IsolatedReader(SequenceReader):
         return markings
 
     def _check_process(self) -> None:
-        """Do nothing: a forked process opens the file again, in a new worker."""
+        """Do nothing, since a forked process opens the file again in a new worker."""
 
     def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
         return self._file.iterate(quantity, size)

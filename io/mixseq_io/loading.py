@@ -1,4 +1,4 @@
-"""Load models, and open files that may hold a model: HDF5 and glTF; decoders are imported while a file is read."""
+"""Load models, and open HDF5 and glTF files, which hold a sequence or a model; import decoders during reading."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GLB_EXTENSION, HDF5_EXTENSIONS = ".glb", (".h5", ".hdf5")
 
 
 def is_model(path: Path) -> bool:
-    """Whether a file holds a model, as opposed to a sequence."""
+    """Whether a file holds a model instead of a sequence."""
     extension = path.suffix.lower()
     if extension not in (GLB_EXTENSION, *HDF5_EXTENSIONS) or not path.is_file():
         return False
@@ -41,7 +41,7 @@ def load(path: PathLike, *, max_memory: float | None = None) -> Model:
     Parameters
     ----------
     path : path-like
-        File written by `save`; its signals may have been edited.
+        File written by `save`; signals in the file may have been edited.
     max_memory : float, optional
         Memory limit in bytes, as in `mixseq_io.open_sequence`.
 
@@ -52,8 +52,8 @@ def load(path: PathLike, *, max_memory: float | None = None) -> Model:
     Raises
     ------
     FormatError
-        If the file is missing, damaged, not a model, of another version of mixseq, or needs more than `max_memory`, or
-        if its signals contradict each other.
+        If the file is missing, damaged, not a model, or written by another version of mixseq, if it needs more than
+        `max_memory`, or if its signals contradict each other.
     """
     with memory_limit(max_memory):
         source = Path(path)
@@ -72,7 +72,7 @@ def _load_h5(source: Path) -> Model:
         if signature not in (HDF5_SIGNATURE, b""):
             raise FormatError(f"{source} is not a model, which is an HDF5 or GLB file; make one with mixseq encode")
         check_memory(source, source.stat().st_size, "the file itself")
-    # Importing the decoder takes about as long as the worker needs to read the file.
+    # The decoder is imported meanwhile, which takes about the time that the worker needs to read the file.
     import_decoder = partial(import_module, "mixseq_io.coded.streams")
     file = read_contents(source, MODEL_FORMAT, meanwhile=import_decoder)
     if file.kind != MODEL_FORMAT:

@@ -1,25 +1,25 @@
-"""NumPy archives: a zip file of arrays, read and written in blocks of frames; pickles are not read.
+"""Read and write NumPy archives (zip files of arrays) in blocks of frames; pickled arrays are rejected.
 
 ==================  ====================  =====================================================
 array               shape                 meaning
 ==================  ====================  =====================================================
 ``points``          (T, V, 3) float       vertex positions, kept as float32 or float64
 ``velocities``      (T, V, 3) float       optional, units per second
-``faces``           (F, K) int            triangles (K = 3) or other equal polygons; or instead
+``faces``           (F, K) int            polygons with K corners each; or instead the next two arrays
 ``face_counts``     (P,) int              number of corners of each polygon
 ``face_indices``    (sum of counts,) int  vertex of each corner
-``fps``             float                 optional, 24
+``fps``             float                 optional, default 24
 ``times``           (T,) float            optional, seconds
 ``up_axis``         str                   optional, "X", "Y" or "Z"
-``metres_per_unit`` float                 optional, 1
-``name``            str                   optional, the file's name
+``metres_per_unit`` float                 optional, default 1
+``name``            str                   optional, default is the file's name
 ==================  ====================  =====================================================
 
-And those of `mixseq_io.surfaces`: texture coordinates, hard edges, face sets, objects.
+Archives may also have the arrays of `mixseq_io.surfaces`: texture coordinates, hard edges, face sets, objects.
 
 A small zip file can unpack to any size, and its headers can be wrong. The stored size of an array must match its shape,
-and all arrays read at once must fit the memory limit. Compression methods that NumPy does not write are refused, since
-their unpacking is unbounded.
+and all arrays that are read at once must fit the memory limit. Compression methods that NumPy does not write are
+rejected, since the memory for unpacking them is not limited.
 
 Specification: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html
 """
@@ -64,13 +64,13 @@ _DAMAGE_ERRORS = (
     OverflowError,
     struct.error,
 )
-"""Exceptions of zipfile, zlib and numpy for damaged input."""
+"""Exceptions that zipfile, zlib and NumPy raise for damaged files."""
 
 _COMPRESSION_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 class ArrayHeader(NamedTuple):
-    """Header of an array."""
+    """Header of an array in an archive."""
 
     shape: tuple[int, ...]
     is_fortran: bool
@@ -87,7 +87,7 @@ class Archive:
         self.names = dict.fromkeys(name.removesuffix(".npy") for name in file.namelist()).keys()
 
     def read(self, name: str) -> NDArray[Any]:
-        """Read an array; together with those read before, it must fit the memory limit."""
+        """Read an array; this array and the previously read arrays must together fit the memory limit."""
         with self.open(name) as (stream, _):
             self._sizes[name] = self._file.getinfo(f"{name}.npy").file_size
             check_memory(self._path, sum(self._sizes.values()), f"its arrays, with {name!r},")
@@ -133,7 +133,7 @@ def open_archive(path: Path) -> Iterator[Archive]:
 
 
 def translate_archive_errors(path: Path) -> AbstractContextManager[None]:
-    """Translate errors of zipfile and NumPy on damaged files into `FormatError`."""
+    """Translate errors of zipfile and NumPy about damaged files into `FormatError`."""
     return translate_read_errors(path, "an npz file", *_DAMAGE_ERRORS)
 
 
@@ -200,7 +200,7 @@ def _sequence_header(
             raise FormatError(f"{path}: faces have shape {faces.shape}; (faces, 3) is expected")
         polygons = Polygons(np.full(len(faces), faces.shape[1]), faces.reshape(-1))
     rate = float(arrays["fps"].item()) if "fps" in arrays else fps if fps is not None else DEFAULT_FPS
-    # Invalid rates are reported by the header; they must not be divided by.
+    # The header reports invalid rates, which must not be used as divisors here.
     rate = rate if "times" in arrays else snap_to_ntsc(rate)
     times = arrays["times"] if "times" in arrays else np.arange(shape[0]) / (rate if rate > 0 else 1.0)
     if np.size(times) != shape[0]:
@@ -218,14 +218,14 @@ def _sequence_header(
 
 
 def _check_number_type(path: Path, name: str, header: ArrayHeader) -> tuple[int, ...]:
-    """Return the shape of an array of numbers; refuse other types."""
+    """Return the shape of an array of numbers; raise an error for other types."""
     if not (np.issubdtype(header.dtype, np.floating) or np.issubdtype(header.dtype, np.integer)):
         raise FormatError(f"{path}: {name} have type {header.dtype}; numbers are expected")
     return header.shape
 
 
 def _has_velocities(path: Path, archive: Archive, shape: tuple[int, ...]) -> bool:
-    """Whether there is a velocity for every point; archives of other programs may lack some."""
+    """Whether there is a velocity for every point; archives of other programs may lack velocities."""
     with archive.open("velocities") as (_, header):
         velocities_shape = _check_number_type(path, "velocities", header)
     if velocities_shape != shape:
@@ -244,7 +244,7 @@ def _read_into(stream: IO[bytes], block: NDArray[Any]) -> None:
 
 
 def _as_floats(points: NDArray[Any]) -> FloatArray:
-    """Return native float32 unchanged, other types as float64."""
+    """Return points of native float32 unchanged, and other types as float64."""
     is_single = points.dtype.kind == "f" and points.dtype.itemsize <= 4
     return points.astype(np.float32 if is_single else np.float64, copy=False)
 
@@ -256,7 +256,7 @@ def write_npz(
     velocities: Iterable[FloatArray] | None = None,
     compress: bool = False,
 ) -> None:
-    """Write an npz file, one block at a time."""
+    """Write an npz file block by block."""
     arrays: dict[str, Any] = {
         "times": header.times,
         "fps": np.float64(header.fps),
@@ -281,7 +281,7 @@ def write_npz(
             "fortran_order": False,
             "shape": (header.frame_count, header.vertex_count, 3),
         }
-        # Arrays are written one after the other: velocities, which come with their points, are spooled.
+        # Arrays are written successively, so velocities, which arrive with their points, are stored temporarily.
         with SpooledTemporaryFile(_MAX_SPOOLED_BYTES, dir=str(path.parent)) as spooled:
             with _open_array(archive, "points", array_header) as stream:
                 for _, points, block_velocities in frame_blocks:
@@ -296,7 +296,7 @@ def write_npz(
 
 @contextmanager
 def _open_array(archive: zipfile.ZipFile, name: str, header: dict[str, Any]) -> Iterator[IO[bytes]]:
-    """Yield the stream for the data of a large array."""
+    """Yield the stream to which the data of a large array is written."""
     # Without force_zip64 a member of unknown size may not grow beyond 2 GiB.
     with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
         npy.write_array_header_1_0(stream, header)

@@ -1,6 +1,6 @@
-"""Matching of a sequence with its original file, whose copy gets the new points.
+"""Match a sequence with its original file, of which a copy with new points is written.
 
-Meshes are matched by path, otherwise by faces if exactly one mesh has the same.
+Meshes are matched by path, or by faces if exactly one mesh of the file has the same faces.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def open_original_file(
     format_name: str,
     load: Callable[[Path], Loaded],
 ) -> Loaded | None:
-    """Load the file to copy, None without one or with `flatten`; errors of the recorded origin become warnings."""
+    """Load the file to copy, or return None without one or with `flatten`; warn if a recorded origin is unreadable."""
     if flatten and onto is not None:
         raise SettingsError("flatten writes a stand-alone file, onto a copy of another; give one of them")
     origin = header.surface.origin
@@ -60,7 +60,7 @@ def match_meshes(
     match: Callable[[SceneMesh, Mesh], Match | None],
     describe_difference: Callable[[SceneMesh, Mesh], str],
 ) -> list[Match]:
-    """Match every mesh of a sequence with one of the file's meshes, given by path."""
+    """Match every mesh of a sequence with one of the file's `meshes`, whose keys are paths."""
     unmatched, matches = dict(meshes), []
     for scene_mesh in split_meshes(header):
         own_path = scene_mesh.path
@@ -83,16 +83,16 @@ def match_meshes(
 
 
 def is_retimed(header: SequenceHeader, sources: ArrayLike | None) -> bool:
-    """Whether the times of the original in seconds, if given, differ from those of the frames."""
+    """Whether `sources`, times of the original in seconds, are given and differ from the times of the frames."""
     return sources is not None and not np.allclose(sources, header.times, rtol=0, atol=FRAME_TOLERANCE / header.fps)
 
 
 def warn_of_unretimed_motion(
     path: Path, header: SequenceHeader, spans: Mapping[str, tuple[float, float]], sources: ArrayLike | None
 ) -> None:
-    """Warn of other animated objects, given their first and last times in s by name, that are out of step.
+    """Warn of objects whose animation does not follow the sequence; `spans` are their first and last times in seconds.
 
-    These are all of them if `sources` ``(T,)`` retime the sequence, else those that it outlasts by more than a frame.
+    If `sources` ``(T,)`` retime the sequence, all objects count; else objects it outlasts by more than a frame.
     """
     first, last = (float(time) for time in header.times[[0, -1]])
     frame, retimed = 1 / header.fps, is_retimed(header, sources)

@@ -1,4 +1,4 @@
-"""Readers of files that are passed as arguments of public functions, by the argument's name and type."""
+"""Read files that are passed as arguments of public functions; an argument's name and types select the reader."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from mixseq_io.isolation import import_function
 from mixseq_io.registry import read
 
 Arguments = Mapping[str, Any]
-"""Arguments of a function by name; the first one is the sequence or model."""
+"""Arguments of a function by name; the first argument is the sequence or model."""
 
 ArgumentReader = Callable[[str, Arguments], Any]
-"""Function from a path and the arguments before it to the value of the argument."""
+"""Function from a path and the preceding arguments to the value that replaces the path."""
 
 
 def argument_reader(name: str, types: Collection[str]) -> ArgumentReader | None:
-    """Return the reader of an argument by its name and type names; None if it cannot be a file."""
+    """Return the reader for an argument's name and type names, or None if the argument cannot be a file."""
     if name in _READERS_BY_NAME and set(types) - {"int", "NoneType"}:  # counts are not read from files
         return _READERS_BY_NAME[name]
     if "Model" in types:
@@ -29,7 +29,7 @@ def argument_reader(name: str, types: Collection[str]) -> ArgumentReader | None:
 
 
 def _reader(reference: str) -> ArgumentReader:
-    """Return a reader that ignores other arguments, from a function of a path named ``"module:function"``."""
+    """Return a reader that calls ``"module:function"`` with the path and ignores other arguments."""
     return lambda path, _: import_function(reference)(path)
 
 
@@ -51,7 +51,7 @@ def _read_mesh(path: str, _: Arguments) -> Any:
 
 
 def _read_map(path: str, _: Arguments) -> Any:
-    """Read a map; it becomes a correspondence when both meshes are known."""
+    """Read a map, which is converted into a correspondence as soon as both meshes are known."""
     from mixseq_io.text.maps import read_map, to_correspondence
 
     return partial(to_correspondence, read_map(path))

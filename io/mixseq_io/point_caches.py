@@ -1,8 +1,8 @@
-r"""Point caches PC2 and MDD: positions of all frames in one binary file, with the faces in a mesh file beside it.
+r"""Read and write PC2 and MDD caches, binary files with the points of all frames, and a mesh file with the faces.
 
-A cache ``walk.pc2`` belongs to ``walk.obj``, or another mesh file of that name, or the one of the option `mesh`. That
-file has the faces, the surface, the name, the units and the up axis (an OBJ has neither of the latter, so Y is up). Its
-transforms are not applied to the points. The writer makes the cache and ``<name>.obj`` with the first frame.
+A cache ``walk.pc2`` belongs to ``walk.obj``, to another mesh file with this name, or to the file of the option `mesh`.
+The mesh file has the faces, the surface, the name, the units and the up axis; for an OBJ file, Y is up. Transforms in
+the mesh file are not applied to the points. The writer makes the cache and ``<name>.obj`` with the first frame.
 
 PC2 (3ds Max, Blender, Maya), little-endian:
 
@@ -16,8 +16,8 @@ number of samples        int32
 points                   float32, x, y, z of all points, sample after sample
 =======================  ===========================================================
 
-Times are evenly spaced frame numbers; `fps`, missing in the file, converts them to seconds. PC2 has no place for
-uneven times, units, the up axis and velocities.
+Times are evenly spaced frame numbers. The option `fps` converts frame numbers to seconds, since the file has no frame
+rate. PC2 cannot store uneven times, units, the up axis or velocities.
 
 Specification: http://www.footools.com/plugins/docs/PointCache2_README.html
 
@@ -30,8 +30,8 @@ times              float32, seconds, one per frame
 points             float32, x, y, z of all points, frame after frame
 =================  ===========================================================
 
-The frame rate is that of the median step. Times that are whole frames within float32 rounding are snapped to them in
-float64. MDD has no place for units, the up axis and velocities.
+The frame rate is estimated from the median time step. Times within float32 rounding of whole frames are snapped to
+these frames in float64. MDD cannot store units, the up axis or velocities.
 
 Specification: http://rodolphe-vaillant.fr/?e=134
 """
@@ -64,22 +64,22 @@ MeshPath = str | os.PathLike[str] | None
 
 _USD_EXTENSIONS = (".usdc", ".usda", ".usd", ".usdz")
 _MESH_EXTENSIONS = (".obj", ".ply", *_USD_EXTENSIONS, ".abc", ".glb", ".gltf", ".npz", ".h5", ".hdf5")
-"""Extensions of mesh files, most preferred first; STL has no order of vertices."""
+"""Extensions of mesh files in order of preference, without STL, which has no order of vertices."""
 
 
 @dataclass(frozen=True, eq=False)
 class CacheHeader:
     """Header of a cache file."""
 
-    size: int  # bytes
+    size: int  # size of the header in bytes
     byte_order: str  # "<" or ">"
     point_count: int
-    times: NDArray[np.float64]  # (T,) in seconds
+    times: NDArray[np.float64]  # (T,) times in seconds
     fps: float | None
 
 
 def _check_size(file: IO[bytes], header_size: int, frame_count: int, point_count: int) -> None:
-    """Check the counts against the file's size before anything is allocated."""
+    """Check that the counts match the file's size, before memory is allocated."""
     if frame_count < 1 or point_count < 1:
         raise ValueError(f"its header has {frame_count} frames of {point_count} points")
     size, expected = os.fstat(file.fileno()).st_size, header_size + 12 * frame_count * point_count
@@ -127,7 +127,7 @@ def open_cache(
 
 
 def _find_mesh(path: Path, format_name: str) -> Path:
-    """Return the first mesh file with the cache's name."""
+    """Return the mesh file with the cache's name and the most preferred extension."""
     for cache_path in dict.fromkeys([path, Path(os.path.realpath(path))]):
         same_name = [file for file in cache_path.parent.iterdir() if file.stem == cache_path.stem]
         meshes = {file.suffix.lower(): file for file in same_name if file.is_file()}
@@ -141,7 +141,7 @@ def _find_mesh(path: Path, format_name: str) -> Path:
 
 
 def _read_mesh_header(path: Path) -> SequenceHeader:
-    from mixseq_io.registry import open_sequence  # which imports the formats, this one too
+    from mixseq_io.registry import open_sequence  # imported here, since the registry imports all formats
 
     with open_sequence(path) as reader:
         return reader.header
@@ -157,10 +157,10 @@ def write_cache(
     byte_order: str,
     losses: Iterable[str],
 ) -> None:
-    """Write a point cache, and ``<name>.obj`` with the first frame beside it; both or none.
+    """Write a point cache, and beside it ``<name>.obj`` with the first frame; after an error neither file is written.
 
-    An existing OBJ is replaced only if it has the same faces. `byte_order` is "<" or ">"; `losses` are those of the
-    times, velocities are always lost.
+    An existing OBJ file is replaced only if it has the same faces. `byte_order` is "<" or ">". `losses` describe lost
+    times; velocities are always lost.
     """
     target = Path(os.path.realpath(path))
     mesh = target.with_suffix(".obj")
@@ -223,7 +223,7 @@ def write_pc2(
     blocks: Iterable[FloatArray],
     velocities: Iterable[FloatArray] | None = None,
 ) -> None:
-    """Write a PC2 file, and its mesh beside it; parameters and errors are those of `write_cache`."""
+    """Write a PC2 file and its mesh file; parameters and errors are those of `write_cache`."""
     frame_numbers = header.times * header.fps
     first, step = np.float32(frame_numbers[0]), np.float32(1)
     losses = []
@@ -244,9 +244,9 @@ def _even_times(first: float, step: float, count: int, fps: float) -> NDArray[np
 
 _MDD_STRUCT = struct.Struct(">ii")
 _MAX_STEP_ERROR_RATIO = 1e-2
-"""Largest relative error of a single step between rounded times."""
+"""Largest relative error of a single time step due to rounding of times."""
 _MAX_RATE_ERROR_RATIO = 2e-4
-"""Largest relative error of a rate from rounded times; less than the gap between 24 and 23.976."""
+"""Largest relative error of a rate computed from rounded times, less than the gap between 24 and 23.976."""
 
 
 def open_mdd(path: Path, mesh: MeshPath = None) -> SequenceReader:
@@ -267,14 +267,14 @@ def _read_mdd_header(file: IO[bytes]) -> CacheHeader:
 
 
 def _estimate_fps(times: NDArray[np.float64]) -> float | None:
-    """Estimate the frame rate of float32 times ``(T,)``: the nearest whole or NTSC rate if close; None if unknown."""
+    """Estimate the frame rate of float32 times ``(T,)``, snapped to a close whole or NTSC rate; None if unknown."""
     step = float(np.quantile(np.diff(times), 0.5, method="lower")) if times.size > 1 else 0.0
     if not (np.isfinite(step) and step > 0):
         return None
     span = float(times[-1] - times[0])
     if not (np.isfinite(span) and span > 0):
         return None  # non-increasing times are reported where they are used
-    overall = max(1, round(span / step)) / span  # more exact than a rounded step if steps are even
+    overall = max(1, round(span / step)) / span  # more exact than one rounded step if all steps are equal
     rate = overall if abs(overall * step - 1) < _MAX_STEP_ERROR_RATIO else 1 / step
     for candidate in (round(rate), round(rate * 1.001) / 1.001):
         if abs(candidate - rate) <= _MAX_RATE_ERROR_RATIO * rate:
@@ -288,7 +288,7 @@ def write_mdd(
     blocks: Iterable[FloatArray],
     velocities: Iterable[FloatArray] | None = None,
 ) -> None:
-    """Write an MDD file, and its mesh beside it; parameters and errors are those of `write_cache`."""
+    """Write an MDD file and its mesh file; parameters and errors are those of `write_cache`."""
     times = header.times.astype(np.float32)
     is_equal = np.diff(times) <= 0
     if is_equal.any():

@@ -1,4 +1,4 @@
-"""Base class of all readers, checks of blocks that are read or written, and translation of errors."""
+"""Define the base class of all readers, check blocks of frames, and translate errors."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from mixseq_io.files import check_memory, max_memory, memory_limit, out_of_memor
 from mixseq_io.text.labels import Markings, group_face_sets
 
 FrameBlock = tuple[int, FloatArray, FloatArray | None]
-"""Index of a block's first frame, its points ``(B, V, 3)``, and its velocities or None."""
+"""First frame index, points ``(B, V, 3)``, and velocities or None, of a block of frames."""
 
 
 def validate_blocks(
     header: SequenceHeader, blocks: Iterable[FloatArray], velocities: Iterable[FloatArray] | None = None
 ) -> tuple[np.dtype[np.floating], Iterator[FrameBlock]]:
-    """Return the dtype of the first block of points, and an iterator that checks every block when it is fetched."""
+    """Return the dtype of the first block of points, and an iterator that checks and yields each block."""
     block_iterator = iter(blocks)
     first_block = next(block_iterator, None)
     if first_block is None:
@@ -71,7 +71,7 @@ def _validated(
 def _validate_velocities(
     header: SequenceHeader, points: FloatArray, block: FloatArray | None, frame: int
 ) -> FloatArray:
-    """Return a block of velocities in the dtype of its block of points."""
+    """Check a block of velocities, and return it in the dtype of its block of points."""
     if block is None:
         raise InvalidSequenceError(f"velocities end before {header.frame_name(frame)}; give one velocity per point")
     velocities = _as_floats(block)
@@ -87,7 +87,7 @@ def _validate_velocities(
 
 
 def check_velocities(header: SequenceHeader, velocities: FloatArray, first_frame: int) -> None:
-    """Check that all velocities ``(B, V, 3)`` of a block are finite."""
+    """Raise an error unless all velocities ``(B, V, 3)`` of a block are finite."""
     finite = np.isfinite(velocities)
     if not finite.all():
         frame, vertex = (int(i) for i in np.argwhere(~finite)[0, :2])
@@ -119,7 +119,7 @@ def as_float32(
     element: str = "vertex",
     header: SequenceHeader | None = None,
 ) -> FloatArray:
-    """Round points or velocities ``(B, V, 3)`` to float32; raise an error where they overflow."""
+    """Round points or velocities ``(B, V, 3)`` to float32; raise an error if a value overflows."""
     with np.errstate(over="ignore", under="ignore"):
         rounded = values.astype(np.float32)
     finite = np.isfinite(rounded)
@@ -135,7 +135,7 @@ def as_float32(
 
 
 def warn(message: str) -> None:
-    """Warn at the line of the first caller outside mixseq."""
+    """Issue a warning that refers to the line of the first caller outside mixseq."""
     level, frame = 1, sys._getframe()
     own_packages = ("mixseq", "mixseq_io")
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own_packages:
@@ -144,7 +144,7 @@ def warn(message: str) -> None:
 
 
 class SequenceReader(ABC):
-    """Open file of a mesh sequence, a context manager.
+    """Open file of a mesh sequence, usable as a context manager.
 
     Subclasses open the file, read its header, and implement `_read`.
     """
@@ -169,20 +169,20 @@ class SequenceReader(ABC):
         return self._checked("points", self._read("points", self._block_size(size)), check_block)
 
     def velocity_blocks(self, size: int = 16) -> Iterator[FloatArray] | None:
-        """Iterate over all velocities, in units per second, in the same blocks as `blocks`; None without any."""
+        """Iterate over all velocities, in units per second, in the same blocks as `blocks`; None if there are none."""
         block_size = self._block_size(size)
         if not self.has_velocities:
             return None
         return self._checked("velocities", self._read("velocities", block_size), check_velocities)
 
     def check_total_memory(self) -> None:
-        """Raise an error if all frames together, in single precision, exceed the memory limit."""
+        """Raise an error if all frames together would exceed the memory limit in single precision."""
         coordinate_count = 3 * self.header.vertex_count * self.header.frame_count * (1 + self.has_velocities)
         with memory_limit(self._memory_limit):
             check_memory(self.path, 4 * coordinate_count, f"all its {self.header.frame_count} frames")
 
     def markings(self) -> Markings:
-        """Return the named face sets, and the skinning weights if the format has any."""
+        """Return the named face sets of the mesh, and its skinning weights if the format has any."""
         return Markings(sets=group_face_sets(self.header))
 
     def close(self) -> None:
@@ -199,7 +199,7 @@ class SequenceReader(ABC):
         self.close()
 
     def _block_size(self, size: int) -> int:
-        """Return the largest number of frames up to `size` that fits the memory limit in double precision."""
+        """Return the largest number of frames, at most `size`, that fits the memory limit in double precision."""
         if size < 1:
             raise SettingsError(f"block size is {size}; a positive number of frames is expected")
         bytes_per_frame = 3 * 8 * self.header.vertex_count
@@ -209,7 +209,7 @@ class SequenceReader(ABC):
 
     @abstractmethod
     def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
-        """Yield "points", or "velocities" if the file has any, in blocks of at most `size` frames."""
+        """Yield the quantity "points" or "velocities" in blocks of at most `size` frames."""
 
     def _check_open(self) -> None:
         if self._closed:
@@ -217,7 +217,7 @@ class SequenceReader(ABC):
         self._check_process()
 
     def _check_process(self) -> None:
-        if self._process_id != os.getpid():  # both processes would share the position in the file
+        if self._process_id != os.getpid():  # both processes would share one position in the file
             raise FormatError(f"{self.path} was opened before this process was forked; open it again here")
 
     def _checked(
@@ -244,7 +244,7 @@ class SequenceReader(ABC):
 
 @contextmanager
 def prefix_errors(path: Path | str) -> Iterator[None]:
-    """Prefix messages of `InvalidSequenceError` with the file's path."""
+    """Prefix the messages of `InvalidSequenceError` with a file's path."""
     try:
         yield
     except InvalidSequenceError as error:
@@ -253,7 +253,7 @@ def prefix_errors(path: Path | str) -> Iterator[None]:
 
 @contextmanager
 def translate_read_errors(path: Path | str, kind: str, *errors: type[Exception]) -> Iterator[None]:
-    """Translate errors of the system, and a library's `errors` about damaged files, into `FormatError`."""
+    """Translate operating system errors, and a library's `errors` about damaged files, into `FormatError`."""
     check_regular_file(path, kind)
     damage: tuple[type[Exception], ...] = (OSError, *errors)
     try:
@@ -275,11 +275,11 @@ def translate_read_errors(path: Path | str, kind: str, *errors: type[Exception])
 
 
 _PARSED_BYTES_PER_BYTE = 6
-"""Memory for the words and numbers that Python makes of a byte of text."""
+"""Bytes of memory that Python needs for words and numbers, per byte of parsed text."""
 
 
 def read_bytes(path: Path, text: bool = False) -> bytes:
-    """Return a file's bytes; raise an error if they, or for `text` its parsed words, exceed the memory limit."""
+    """Return a file's bytes; raise an error if the bytes, or the parsed words of `text`, exceed the memory limit."""
     size = path.stat().st_size
     if text:
         check_memory(path, size * _PARSED_BYTES_PER_BYTE, "the file and its parsed numbers")
@@ -289,10 +289,10 @@ def read_bytes(path: Path, text: bool = False) -> bytes:
 
 
 def check_regular_file(path: Path | str, kind: str) -> None:
-    """Raise an error for a pipe, a socket or a device, since reading it may never end."""
+    """Raise an error if a path is a pipe, a socket or a device, which may be endless."""
     try:
         mode = Path(path).stat().st_mode
-    except (OSError, ValueError):  # missing, or an invalid name: reported by the reader
+    except (OSError, ValueError):  # the reader reports missing files and invalid names
         return
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise FormatError(f"{path} is a pipe, a socket or a device, not {kind}; give the name of a file")

@@ -1,4 +1,4 @@
-"""Table of formats, and reading and writing by file extension."""
+"""Define the table of formats, and read and write files by extension."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _TRIANGLE_MESH = _BARE_MESH | {"polygons": "triangles", "uvs": False}
 
 
 def _numbered_format(name: str, module: str, *signatures: bytes, **capabilities: Any) -> Format:
-    """Return the format of numbered files that is implemented by an object of this name in `mixseq_io.numbered`."""
+    """Return the format of numbered files that the object ``<name>_FORMAT`` in `mixseq_io.numbered` implements."""
     return Format(
         name=name,
         extensions=(f".{name.lower()}",),
@@ -166,7 +166,7 @@ def capability_table() -> list[tuple[str, ...]]:
 
 
 def motion_table() -> list[tuple[str, ...]]:
-    """Return the kinds of animation that are read, and the options, in rows as of `capability_table`."""
+    """Return a table like `capability_table` with the kinds of animation that formats read, and their options."""
     titles = ("format", "motion that is read", "options for reading", "options for writing")
     rows = [
         (each.name, each.capabilities.animation, ", ".join(each.read_options), ", ".join(each.write_options))
@@ -176,7 +176,7 @@ def motion_table() -> list[tuple[str, ...]]:
 
 
 _FOREIGN_SIGNATURES = {b"Kaydara FBX": "FBX", b"BLENDER": "Blender"}
-"""First bytes of formats that mixseq does not read, to name them in messages."""
+"""First bytes of formats that mixseq cannot read, which messages mention by name."""
 
 _SIGNATURE_BYTES = 16
 
@@ -196,14 +196,14 @@ def open_sequence(
     Parameters
     ----------
     path : path-like
-        The file; numbered files (OBJ, PLY, STL, OFF) by folder or by pattern: ``walk_####.obj``,
+        The file. Numbered files (OBJ, PLY, STL, OFF) are given by a folder or a pattern: ``walk_####.obj``,
         ``walk_%04d.obj``, ``walk_*.obj``.
     up_axis : {"X", "Y", "Z"}, optional
-        Axis that points up, if the file has none or a wrong one. Points are unchanged.
+        Axis that points up, if the file has no up axis or a wrong up axis. Points are unchanged.
     metres_per_unit : float, optional
-        Length of a unit in metres, if the file has none or a wrong one. Points are unchanged.
+        Length of a unit in metres, if the file has no unit or a wrong unit. Points are unchanged.
     start_frame : float, optional
-        Number of the first frame; times are shifted to match, see `mixseq.sequence.frame_rates`.
+        Number of the first frame; all times are shifted accordingly, see `mixseq.sequence.frame_rates`.
     max_memory : float, optional
         Memory limit of one read in bytes; by default 8 GB or half of the machine's memory, whichever is less
         (`mixseq_io.files`).
@@ -218,7 +218,7 @@ def open_sequence(
     Raises
     ------
     FormatError
-        If the file is missing, damaged, of another type or of a newer version, or needs more than `max_memory`.
+        If the file is missing or damaged, has another type or a newer version, or needs more than `max_memory`.
     AmbiguousError
         If the file holds several sequences; the message explains how to choose one.
     InvalidSequenceError
@@ -265,7 +265,7 @@ def write(path: PathLike, sequence: MeshSequence | Model, **options: Any) -> Non
     Parameters
     ----------
     path : path-like
-        The file; a pattern such as ``walk_####.obj`` for several frames of OBJ, PLY, STL or OFF.
+        The file, or a pattern such as ``walk_####.obj`` for several frames of OBJ, PLY, STL or OFF.
     sequence : MeshSequence or Model
         The sequence, written with its velocities if it has any, or a model, sampled at its frames.
     **options
@@ -287,19 +287,19 @@ def write_blocks(
 ) -> None:
     """Write a sequence block by block.
 
-    The file appears under its name when it is complete. After an error an existing file is unchanged.
+    The file gets its final name when it is complete. After an error, an existing file is unchanged.
 
     Parameters
     ----------
     path : path-like
-        The file.
+        The file, or a pattern as in `write`.
     header : SequenceHeader
         Faces, times, units and surface of the sequence.
     blocks : iterable of (B, V, 3) float
         Points, in blocks of any number of frames and of one dtype.
     velocities : iterable of (B, V, 3) float, optional
         Velocities of the vertices in units per second, in blocks of the same sizes, stored in the points' precision.
-        Each block is fetched after its block of points (`mixseq_io.unzip_blocks` splits pairs of both).
+        Each block of velocities is fetched after its block of points; `mixseq_io.unzip_blocks` splits pairs of blocks.
     **options
         The format's ``write_options``, see `FORMATS`.
 
@@ -308,7 +308,7 @@ def write_blocks(
     OutputError
         If the file cannot be written: missing folder, no permission, disk full, unknown format.
     InvalidSequenceError
-        If the blocks do not fit the header or the velocities, or the format cannot hold their values.
+        If the blocks do not fit the header or the velocities, or the format cannot store their values.
     SettingsError
         If the format has no such option.
 
@@ -366,7 +366,7 @@ def _extensions() -> str:
 
 
 def _check_signature(path: Path, file_format: Format) -> None:
-    """Raise an error if a file's first bytes belong to another format than its extension."""
+    """Raise an error if a file's first bytes and its extension belong to different formats."""
     if _read_signature(path).startswith(file_format.signatures):
         return
     if name := _detect_format_name(path):
@@ -374,7 +374,7 @@ def _check_signature(path: Path, file_format: Format) -> None:
 
 
 def _detect_format_name(path: Path) -> str | None:
-    """Return the name of the format that a file's first bytes belong to."""
+    """Return the name of the format to which a file's first bytes belong."""
     signature = _read_signature(path)
     for file_format in FORMATS:
         if signature.startswith(file_format.signatures):

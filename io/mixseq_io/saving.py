@@ -1,4 +1,4 @@
-"""Save models and compressed sequences."""
+"""Save models and compressed sequences in files."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ MODEL_EXTENSIONS = (".h5", ".hdf5", ".glb")
 
 @public
 def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName = "draco") -> None:
-    """Store a model, or a compressed sequence, in an HDF5 file; a compressed sequence also in a GLB file.
+    """Store a model or a compressed sequence in an HDF5 file, or a compressed sequence in a GLB file.
 
     Parameters
     ----------
     path : path-like
-        The file; an existing one is replaced when the new one is complete.
+        The output file; an existing file is replaced when the new file is complete.
     model : Model or CompressedSequence
-        Model or compressed sequence to store. Models are stored without a residual layer, with a `MixseqWarning`.
+        Model or compressed sequence to store. The residual layer of a model is omitted with a `MixseqWarning`.
     still : {"draco", "plain", "none"}
-        First frame in a .glb, for viewers that do not support mesh sequences: compressed by Draco (extra ``draco``),
-        as float32 (5 to 10 times the bytes), or omitted.
+        Form of the first frame in a .glb, for viewers that do not support mesh sequences: compressed by Draco (extra
+        ``draco``), stored as float32 (5 to 10 times the bytes), or omitted.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
     MissingExtraError
         If `still` needs Draco and it is not installed.
     SettingsError
-        If `still` is not one of these.
+        If `still` is not one of these names.
     """
     target = Path(path)
     if still not in STILLS:

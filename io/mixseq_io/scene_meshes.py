@@ -1,8 +1,8 @@
-"""Selection of meshes in a scene, and their conversion to and from one mesh sequence.
+"""Select meshes in a scene, and convert them to and from one mesh sequence.
 
-Readers make a `SceneObject` of every mesh and its ancestors, select those below `prim` or those that move, and join
-their `SceneMesh`. Writers split a header into its meshes again. Mesh ``i`` owns the vertices ``meshes[i].vertices`` of
-every frame. Key times of several channels are merged where they differ only by rounding.
+Readers make a `SceneObject` of every mesh and its ancestors, select meshes below `prim` or moving meshes, and join the
+selected meshes as `SceneMesh` objects. Writers split a header into its meshes again. Mesh ``i`` has the vertices
+``meshes[i].vertices`` of every frame. Key times of several channels are merged if they differ only by rounding.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _MAX_LISTED_NAMES = 20
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
-    """Object of a scene, with or without a mesh; empty names count as none."""
+    """Object of a scene, with or without a mesh; empty names are ignored."""
 
     path: str
     names: tuple[str, ...]
@@ -35,12 +35,12 @@ class SceneObject:
 
     @property
     def name(self) -> str:
-        """First name, "" without any."""
+        """First non-empty name, or "" if there is none."""
         return next(filter(None, self.names), "")
 
     @property
     def lineage(self) -> list[SceneObject]:
-        """The object and its ancestors, the root last."""
+        """The object and its ancestors, in order from the object to the root."""
         chain = [self]
         while (parent := chain[-1].parent) is not None:
             chain.append(parent)
@@ -50,7 +50,7 @@ class SceneObject:
 def select_meshes(
     file: Path, meshes: Sequence[SceneObject], prim: str, among: Sequence[SceneObject] | None = None
 ) -> list[int]:
-    """Return the indices of the meshes, or objects `among` a scene, at or below an object given by path or name."""
+    """Return the indices of meshes (or of objects in `among`) at or below the object with a path or name `prim`."""
     among = meshes if among is None else among
     if not prim.strip("/"):
         return list(range(len(among)))
@@ -59,12 +59,12 @@ def select_meshes(
 
 
 def _find_path(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
-    """Return the path of an object given by exact path, by name, or by path without outer slashes."""
+    """Return the path of the object with a given path, name, or path without outer slashes."""
     paths = {own.path.strip("/"): own.path for mesh in meshes for own in mesh.lineage}
     path = paths.get(prim.strip("/"))
     if path == prim:
         return path
-    # The outermost of nested objects with the name.
+    # For nested objects with the same name, use the outermost object.
     named = {own.path for mesh in meshes for own in [own for own in mesh.lineage if prim in own.names][-1:]}
     if len(named) > 1:
         raise AmbiguousError(f"{file}: {prim!r} is in several places, {format_names(sorted(named))}; give its path")
@@ -77,7 +77,7 @@ def _find_path(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
 
 
 def select_moving_meshes(file: Path, meshes: Sequence[SceneObject], is_moving: Sequence[bool]) -> list[int]:
-    """Return the indices of the moving meshes, with a warning of static ones; all if none moves."""
+    """Return the indices of moving meshes, and warn of omitted static meshes; return all indices if no mesh moves."""
     if not any(is_moving):
         return list(range(len(meshes)))
     static = [mesh.path for mesh, moves in zip(meshes, is_moving, strict=True) if not moves]
@@ -90,30 +90,30 @@ def select_moving_meshes(file: Path, meshes: Sequence[SceneObject], is_moving: S
 
 
 def common_name(meshes: Sequence[SceneObject]) -> str:
-    """Return the name of the only mesh, or of the deepest named common ancestor; "" if there is none."""
+    """Return the name of the only mesh, or of the deepest common ancestor with a name; "" if there is none."""
     shared = set.intersection(*({own.path for own in mesh.lineage} for mesh in meshes))
     return next((own.name for own in meshes[0].lineage if own.path in shared and own.name), "")
 
 
 def format_names(names: Sequence[str], format_name: Callable[[str], str] = repr) -> str:
-    """Format the first 20 names, quoted by default, for a message."""
+    """Format at most 20 names for a message; by default names are quoted."""
     omitted = len(names) - _MAX_LISTED_NAMES
     listing = ", ".join(map(format_name, names[:_MAX_LISTED_NAMES]))
     return f"{listing} and {omitted} more" if omitted > 0 else listing
 
 
 TIME_TOLERANCE = 1e-6
-"""Largest distance in seconds of keys of two channels that are merged into one frame."""
+"""Largest distance in seconds at which keys of two channels are merged into one frame."""
 
 MAX_INSERTED_FRAMES = 100_000
 """Largest number of frames added between keys; an hour has 86 400 at 24 frames per second."""
 
 _MIN_ROUNDING_TIME = 2.0
-"""Time in seconds whose rounding earlier times have as well, since exporters compute them from later ones."""
+"""Time in seconds; earlier times have the same rounding error, since exporters compute them from later times."""
 
 
 def merge_times(channels: Iterable[Float], tolerance: float = TIME_TOLERANCE) -> Float:
-    """Merge the increasing times of channels into ``(n,)``; equal times are merged across channels, not within one."""
+    """Merge the increasing times of channels into ``(n,)``, without times within `tolerance` in different channels."""
     times = np.empty(0)
     for channel in channels:
         times = insert_times(times, channel, tolerance)
@@ -121,7 +121,7 @@ def merge_times(channels: Iterable[Float], tolerance: float = TIME_TOLERANCE) ->
 
 
 def insert_times(times: Float, more: Float, tolerance: float | Float) -> Float:
-    """Insert times into increasing `times`, without those within `tolerance` of an old one."""
+    """Insert the times `more` into increasing `times`, except those within `tolerance` of a time in `times`."""
     padded = np.concatenate([[-np.inf], times, [np.inf]])
     after = np.searchsorted(times, more)
     is_close = np.minimum(more - padded[after], padded[after + 1] - more) <= tolerance
@@ -129,9 +129,9 @@ def insert_times(times: Float, more: Float, tolerance: float | Float) -> Float:
 
 
 def snap_to_frames(times: Float, fps: float) -> Float:
-    """Snap times ``(T,)`` to ``k / fps`` within two float32 steps, of 2 s for earlier times.
+    """Snap times ``(T,)`` to ``k / fps`` if at most two float32 steps away; times below 2 s use the step at 2 s.
 
-    Other times stay unchanged, and all do if two would become equal.
+    Other times are unchanged. If two times would become equal, all times are unchanged.
 
     Examples
     --------
@@ -139,7 +139,7 @@ def snap_to_frames(times: Float, fps: float) -> Float:
     >>> snap_to_frames(rounded, 48).tolist() == [0, 1 / 24, 49 / 48, rounded[3]]
     True
     """
-    with np.errstate(all="ignore"):  # non-finite times are reported where they are used
+    with np.errstate(all="ignore"):  # the user of the times reports non-finite values
         nearest = np.rint(times * fps) / fps
         late = np.maximum(np.abs(times), _MIN_ROUNDING_TIME).astype(np.float32)
         rounding = 2 * np.spacing(late).astype(np.float64)
@@ -149,9 +149,9 @@ def snap_to_frames(times: Float, fps: float) -> Float:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneMesh:
-    """Mesh of a scene, with polygons by its own vertices; fields as in `Surface` and `MeshObject`.
+    """Mesh of a scene, whose polygons index the mesh's vertices; fields are those of `Surface` and `MeshObject`.
 
-    `vertices` select its V vertices among those of the sequence. A face set of all polygons is the mesh's material.
+    `vertices` select the mesh's V vertices in the sequence. A face set of all polygons is the mesh's material.
     """
 
     name: str
@@ -173,11 +173,11 @@ class SceneMesh:
 
     @property
     def normal_groups(self) -> IntArray:
-        """Index of the shared normal at every corner: by hard edges, or by vertex without any."""
+        """Normal's index at every corner: from `hard_edges`, or the vertex index without hard edges."""
         return self.polygons.indices if self.hard_edges is None else self.hard_edges
 
     def with_vertex_order_of(self, original: Polygons) -> SceneMesh | None:
-        """Undo the renumbering of vertices by compressed models; None for another mesh."""
+        """Undo the renumbering of vertices by compressed models; return None if `original` is another mesh."""
         numbering = find_numbering(self.polygons, original, [self.vertex_count])
         if numbering is None or numbering.order != "free":
             return None if numbering is None else self
@@ -188,9 +188,9 @@ class SceneMesh:
         )
 
     def match(self, stored: Polygons, order: Index | None = None) -> tuple[SceneMesh, PolygonMatch] | None:
-        """Return the mesh in a file's vertex order, and the match of the stored polygons; None for another mesh.
+        """Return the mesh in a file's vertex order and the match of its polygons, or None if the file has another mesh.
 
-        `order` ``(C,)`` is the reversal of corners by the reader, its own inverse.
+        `order` ``(C,)`` is the permutation by which the reader reversed corners; it is its own inverse.
         """
         read = stored if order is None else Polygons(stored.counts, stored.indices[order])
         renumbered = self.with_vertex_order_of(read)
@@ -201,7 +201,7 @@ class SceneMesh:
 
 
 def join_meshes(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:
-    """Join meshes into one, their vertices concatenated."""
+    """Join meshes into one mesh by concatenating their vertices and polygons."""
     vertex_starts = np.cumsum([0, *(mesh.vertex_count for mesh in meshes)])
     indices = [mesh.polygons.indices + start for mesh, start in zip(meshes, vertex_starts, strict=False)]
     counts = [mesh.polygons.counts for mesh in meshes]
@@ -236,7 +236,7 @@ def join_meshes(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Pol
 def _join_values(
     meshes: Sequence[SceneMesh], of_meshes: Sequence[CornerValues | None], default: Sequence[float]
 ) -> CornerValues | None:
-    """Concatenate welded values of all meshes, with a default for meshes without; None if none has any."""
+    """Concatenate the corner values of all meshes, with a default for meshes without values; None if none has any."""
     if all(own is None for own in of_meshes):
         return None
     values, indices, count = [], [], 0
@@ -251,7 +251,7 @@ def _join_values(
 
 
 def _join_hard_edges(meshes: Sequence[SceneMesh]) -> IntArray | None:
-    """Concatenate normal indices ``(C,)``, one normal per vertex of meshes without hard edges; None if none has any."""
+    """Concatenate normal indices ``(C,)``; meshes without hard edges get one per vertex. None if none has any."""
     if all(mesh.hard_edges is None for mesh in meshes):
         return None
     joined, count = [], 0
@@ -262,14 +262,14 @@ def _join_hard_edges(meshes: Sequence[SceneMesh]) -> IntArray | None:
 
 
 def base_face_set(material: str, polygon_count: int, bound: Iterable[FaceSet]) -> tuple[FaceSet, ...]:
-    """Return the face set, if any, of the polygons with the mesh's own material, given face sets with another one."""
+    """Return the face set, if any, of polygons with the mesh's `material`, which are in no `bound` face set."""
     other = [face_set.polygons for face_set in bound]
     polygons = np.setdiff1d(np.arange(polygon_count), np.concatenate(other) if other else ())
     return (FaceSet(material.rpartition("/")[2], polygons, material),) if polygons.size else ()
 
 
 def split_meshes(header: SequenceHeader) -> list[SceneMesh]:
-    """Split a sequence into the meshes that it joins, without defaults added by `join_meshes`."""
+    """Split a sequence into its joined meshes, and remove defaults that `join_meshes` added."""
     surface, polygons = header.surface, header.polygons
     corner_starts = np.concatenate([[0], np.cumsum(polygons.counts)])
     is_joined = len(header.objects) > 1
@@ -301,7 +301,7 @@ def split_meshes(header: SequenceHeader) -> list[SceneMesh]:
 
 
 def _restrict_values(joined: CornerValues | None, corners: slice, default: Sequence[float]) -> CornerValues | None:
-    """Return the used values of a range of corners; None if all are the default."""
+    """Return the values of a range of corners, without unused values; None if all values are the default."""
     if joined is None:
         return None
     value_ids, indices = np.unique(joined.indices[corners], return_inverse=True)
@@ -316,7 +316,7 @@ def _is_smooth(polygons: Polygons, hard_edges: IntArray) -> bool:
 
 
 def _restrict_face_sets(face_sets: Sequence[FaceSet], first: int, end: int) -> list[FaceSet]:
-    """Return face sets with polygons from `first` to before `end`, renumbered from 0."""
+    """Restrict face sets to the polygons ``first .. end - 1``, renumbered from 0."""
     restricted = []
     for each in face_sets:
         polygons = each.polygons[(each.polygons >= first) & (each.polygons < end)] - first

@@ -1,30 +1,30 @@
-"""Surfaces in files: descriptions of losses, float32 rounding, colours, and conversion to and from named arrays.
+"""Describe lost surface data, measure float32 rounding, convert colours, and convert surfaces to and from arrays.
 
-A float32 has 24 binary digits: rounding displaces a vertex c diagonals from the origin by up to about 1e-7 c diagonals,
-which is visible on meshes far away or hardly larger than zero. Colours become RGBA, linear and sRGB values unconverted.
-Formats of named arrays (npz, HDF5) store:
+A float32 has 24 binary digits, so rounding displaces a vertex at c diagonals from the origin by up to about 1e-7 c
+diagonals. This is visible on meshes that are far from the origin or extremely small. Colours become RGBA; values are
+not converted between linear and sRGB. The formats npz and HDF5 store these named arrays:
 
 ========================  ====================  =====================================================
 array                     shape                 meaning
 ========================  ====================  =====================================================
 ``uv_values``             (n, 2) float32        texture coordinates, v upwards
 ``uv_indices``            (corners,) int32      row of ``uv_values`` for every corner of the polygons
-``colour_values``         (n, 4) float32        red, green, blue, alpha, from 0 to 1; or uint8, of which 255 is 1
+``colour_values``         (n, 4) float32        red, green, blue, alpha, from 0 to 1; or uint8, where 255 means 1
 ``colour_indices``        (corners,) int32      row of ``colour_values`` for every corner
 ``creases``               (corners,) int32      corners with the same number share a normal
 ``face_set_names``        (S,) str              names of the face sets
-``face_set_materials``    (S,) str              their materials, "" for none
-``face_set_sizes``        (S,) int32            number of their polygons
-``face_set_polygons``     (sum of sizes,) int32 the polygons
-``object_names``          (M,) str              the meshes that the sequence joins
-``object_paths``          (M,) str              their paths in the original file
-``object_sizes``          (M, 2) int32          numbers of their vertices and polygons
+``face_set_materials``    (S,) str              materials of the face sets, "" for none
+``face_set_sizes``        (S,) int32            number of polygons of each face set
+``face_set_polygons``     (sum of sizes,) int32 polygons of all face sets
+``object_names``          (M,) str              names of the meshes that the sequence joins
+``object_paths``          (M,) str              paths of these meshes in the original file
+``object_sizes``          (M, 2) int32          numbers of vertices and polygons of each mesh
 ``object_subdivisions``   (M,) str              subdivision scheme of each mesh, absent if all have the same
 ``subdivision``           (1,) str              subdivision scheme of most meshes, absent for "none"
 ``origin``                (2,) str              format and path of the original file
 ========================  ====================  =====================================================
 
-All are optional; those that begin with the same word are stored together.
+All arrays are optional; arrays whose names begin with the same word are stored together.
 """
 
 from __future__ import annotations
@@ -45,21 +45,21 @@ from mixseq.types import Float, FloatArray, Index, IntArray, Single
 from mixseq_io.reader import warn
 
 VISIBLE_ERROR_DIAGONALS = 1e-4
-"""Smallest reported displacement in diagonals: a fifth of the visually lossless one."""
+"""Smallest reported displacement in diagonals, a fifth of the visually lossless displacement."""
 
 _FRAMES_PER_MEASUREMENT = 8
 _RELATIVE_ROUNDING, _SMALLEST_ROUNDING = 2.0**-24, 2.0**-150
-"""Largest rounding error, relative to a coordinate, and of coordinates near zero."""
+"""Largest rounding error of float32: relative to the coordinate, and absolute for coordinates near zero."""
 
 
 class RoundingMonitor:
-    """Largest displacement of points in a float32 file, in diagonals, and its frame index."""
+    """Measurement of the largest displacement of points in a float32 file, in diagonals, and of its frame index."""
 
     def __init__(self) -> None:
         self.error, self.frame = 0.0, 0
 
     def measure(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        """Yield blocks ``(B, V, 3)``, each measured once the writer has checked it."""
+        """Yield blocks ``(B, V, 3)``, and measure each block after the writer has checked it."""
         diagonal, first = None, 0
         for block in blocks:
             yield block
@@ -83,7 +83,7 @@ class RoundingMonitor:
             self.error, self.frame = float(errors.max()), first + int(errors.argmax())
 
     def warn(self, path: Path, format_name: str, header: SequenceHeader) -> None:
-        """Warn of visible rounding, given the name of the format ("USD")."""
+        """Warn of visible rounding, if any; `format_name` is a name such as "USD"."""
         if self.error > VISIBLE_ERROR_DIAGONALS:
             warn(
                 f"{path}: {format_name} holds points in single precision, and vertices are off by up to "
@@ -93,31 +93,31 @@ class RoundingMonitor:
 
 
 LARGEST_BYTE = 255
-"""Byte value of 1.0."""
+"""Byte that represents the colour value 1.0."""
 
 _MAX_LINEAR_COLOUR = 16
-"""Largest number of colours with 1 as white, lit ones included; unless nearly black, colours of 0 to 255 exceed it."""
+"""Largest value of colours with 1 as white, including bright lights; larger values mean a range of 0 to 255."""
 
 
 def ensure_alpha(colours: FloatArray) -> FloatArray:
-    """Return colours as RGBA ``(n, 4)``, opaque for RGB ``(n, 3)``."""
+    """Return colours as RGBA ``(n, 4)``; RGB colours ``(n, 3)`` become opaque."""
     alpha = np.ones_like(colours[:, :1]) if colours.shape[1] == 3 else colours[:, 3:]
     return np.hstack([colours[:, :3], alpha])
 
 
 def scale_text_colours(numbers: FloatArray) -> FloatArray:
-    """Scale colours of text files to 0 to 1: divided by 255 if the largest number is above 16, else unchanged."""
+    """Scale colours of text files to the range 0 to 1: divide by 255 if the largest number is above 16."""
     largest = numbers[np.isfinite(numbers)].max(initial=0)
     return numbers / (LARGEST_BYTE if largest > _MAX_LINEAR_COLOUR else 1)
 
 
 def bytes_to_colours(values: NDArray[np.uint8]) -> Single:
-    """Return bytes as float32 from 0 to 1."""
+    """Convert bytes to float32 colours from 0 to 1."""
     return (values / np.float32(LARGEST_BYTE)).astype(np.float32)
 
 
 def colours_to_bytes(values: FloatArray) -> NDArray[np.uint8]:
-    """Round colours, clipped to 0 to 1, to bytes."""
+    """Clip colours to the range 0 to 1, and round them to bytes."""
     return np.rint(LARGEST_BYTE * clip_to_unit(values)).astype(np.uint8)
 
 
@@ -128,12 +128,12 @@ def colours_to_exact_bytes(values: FloatArray) -> NDArray[np.uint8] | None:
 
 
 def clip_to_unit(values: FloatArray) -> FloatArray:
-    """Clip numbers to 0 to 1; NaN becomes 0."""
+    """Clip numbers to the range 0 to 1; NaN becomes 0."""
     return np.clip(np.nan_to_num(values), 0, 1)
 
 
 def format_vertex_colours(header: SequenceHeader, channels: int) -> list[str]:
-    """Format the colours of vertices as text after coordinates, such as " 0.2 0 1"; empty without colours."""
+    """Format each vertex colour as text that follows coordinates, such as " 0.2 0 1"; no texts without colours."""
     colours, vertices = header.surface.colours, header.polygons.indices
     if colours is None:
         return []
@@ -145,7 +145,7 @@ _CONVERTIBLE_SUFFIXES = (" up", " metres per unit")
 
 
 def lost_scale(header: SequenceHeader, has_velocities: bool) -> list[str]:
-    """Describe the losses of formats without up axis, units and velocities."""
+    """Describe the losses in formats without up axis, units and velocities."""
     lost = []
     if header.up_axis != "Y":
         lost.append(f"{header.up_axis} up")
@@ -157,7 +157,7 @@ def lost_scale(header: SequenceHeader, has_velocities: bool) -> list[str]:
 
 
 def lost_times(header: SequenceHeader, first_number: float) -> list[str]:
-    """Describe the losses of formats that number frames from `first_number` on and imply 24 frames per second."""
+    """Describe the losses in formats that number frames from `first_number` on and imply 24 frames per second."""
     if header.frame_count == 1:
         return []
     lost = []
@@ -169,7 +169,7 @@ def lost_times(header: SequenceHeader, first_number: float) -> list[str]:
 
 
 def lost_surface(header: SequenceHeader, held: Collection[str] = ()) -> list[str]:
-    """Describe the fields of a sequence's `Surface` that are lost, all but those in `held`."""
+    """Describe the lost fields of a sequence's `Surface`, which are all fields except those in `held`."""
     surface = header.surface
     descriptions = {
         "uvs": surface.uvs is not None and "texture coordinates",
@@ -183,12 +183,12 @@ def lost_surface(header: SequenceHeader, held: Collection[str] = ()) -> list[str
 
 
 def lost_polygons(header: SequenceHeader) -> list[str]:
-    """Describe the losses of formats with triangles only."""
+    """Describe the losses in formats that store only triangles."""
     return [] if header.polygons.only_triangles else ["polygons (they are cut into triangles)"]
 
 
 def lost_colours(header: SequenceHeader, *, corners: bool = True, alpha: bool = True) -> list[str]:
-    """Describe the losses of formats with colours from 0 to 1, optionally without corner values or alpha."""
+    """Describe the losses in formats with colours from 0 to 1; `corners` and `alpha` state what the format stores."""
     colours = header.surface.colours
     if colours is None:
         return []
@@ -210,13 +210,13 @@ def lost_colours(header: SequenceHeader, *, corners: bool = True, alpha: bool = 
 
 
 def lost_subdivision(surface: Surface) -> str:
-    """Describe lost subdivision schemes, "" without any."""
+    """Describe lost subdivision schemes, or return "" if the surface has none."""
     schemes = [scheme for scheme in dict.fromkeys(surface.subdivisions) if scheme != "none"]
     return f"{' and '.join(schemes)} subdivision" if schemes else ""
 
 
 def warn_of_losses(path: Path, file_kind: str, lost: Sequence[str]) -> None:
-    """Warn once of all losses, if any, of a kind of files ("OBJ files")."""
+    """Issue one warning of all losses, if any; `file_kind` is a text such as "OBJ files"."""
     if lost:
         convert = "; convert_units (--convert-axes Y, --convert-units m) turns and scales the sequence"
         hint = convert if any(each.endswith(_CONVERTIBLE_SUFFIXES) for each in lost) else ""
@@ -229,7 +229,7 @@ def are_valid_indices(indices: NDArray[np.integer], count: int) -> bool:
 
 
 def renumber_by_appearance(labels: IntArray) -> tuple[IntArray, IntArray]:
-    """Renumber labels ``(n,)`` by first appearance; return them, and the index of the first of each label ``(k,)``."""
+    """Renumber labels ``(n,)`` by first appearance; also return the first index of each new label ``(k,)``."""
     _, first, label_ids = np.unique(labels, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty_like(order)
@@ -250,11 +250,11 @@ _ARRAY_GROUPS = (
     ("origin",),
 )
 SURFACE_ARRAY_NAMES = tuple(name for group in _ARRAY_GROUPS for name in group)
-"""Names of the arrays of a surface; those of a group are stored together or not at all."""
+"""Names of the arrays of a surface, in groups; arrays of a group are all stored or all omitted."""
 
 
 def surface_to_arrays(surface: Surface) -> Arrays:
-    """Return a surface as named arrays, strings as NumPy's Unicode."""
+    """Convert a surface to named arrays, with strings as NumPy's Unicode."""
     arrays: Arrays = {}
     if surface.uvs is not None:
         arrays |= {"uv_values": surface.uvs.values, "uv_indices": surface.uvs.indices}
@@ -290,7 +290,7 @@ def surface_to_arrays(surface: Surface) -> Arrays:
 
 
 def surface_from_arrays(arrays: Mapping[str, NDArray[Any]], folder: Path | None = None) -> Surface:
-    """Restore a surface from named arrays; `folder` is that of the file which holds them."""
+    """Restore a surface from named arrays; `folder` is the folder of the file that stores the arrays."""
     for group in _ARRAY_GROUPS:
         missing = [name for name in group if name not in arrays]
         if missing and len(missing) < len(group):
@@ -319,7 +319,7 @@ def surface_from_arrays(arrays: Mapping[str, NDArray[Any]], folder: Path | None 
 
 
 def _find_moved_origin(origin: Origin, folder: Path | None) -> Origin:
-    """Return an origin in `folder` if it exists there only, having moved together with the file that names it."""
+    """Return the origin with a path in `folder` if its file exists only there, for example after both files moved."""
     if folder is None or Path(origin.path).exists():
         return origin
     moved = folder.absolute() / Path(origin.path).name

@@ -1,8 +1,8 @@
-r"""Check a compressed model against its original, and against its stated error bound.
+r"""Verify a compressed model by comparison with its original, and verify its stated error bound.
 
-With :math:`A, B` the points of the original and of the decoded frames, and d the diagonal of the bounding box of the
-original's first frame, or 1 if that is a single point, the bound is :math:`|A_{tv} - B_{tv}| \le \epsilon\, d`. The
-KG error is that of `mixseq.metrics`. Frames are decoded a few at a time, at any scale: see `mixseq.mesh.measures`.
+:math:`A, B` are points of original and decoded frames. d is the bounding box diagonal of the first original frame, or
+1 if this frame is a single point. The bound is :math:`|A_{tv} - B_{tv}| \le \epsilon\, d`. `mixseq.metrics` defines the
+KG error. Frames are decoded in small blocks; `mixseq.mesh.measures` avoids overflow at any scale.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ def is_compressed(path: Path) -> bool:
 
 
 def read_container(path: Path) -> Container:
-    """Read the text and the streams of a compressed model, undecoded."""
+    """Read the text and the streams of a compressed model without decoding them."""
     if mesh_sequence.is_glb(path):
         return mesh_sequence.read_container(path)
     return coded_files.parse_container(read_contents(path, MODEL_FORMAT))
 
 
 def read_compressed(path: Path) -> CompressedSequence:
-    """Read a compressed sequence and verify its checksums."""
+    """Read a compressed sequence, and verify its checksums."""
     return read_sequence(path, read_container(path))
 
 
 def compressed_sizes(path: Path) -> dict[str, int]:
-    """Return the sizes in bytes of a compressed model's parts."""
+    """Return the size in bytes of each part of a compressed model."""
     container = read_container(path)
     index = read_index(path, container)
     still = mesh_sequence.overhead_size(path) if mesh_sequence.is_glb(path) else 0
@@ -72,12 +72,12 @@ def compressed_sizes(path: Path) -> dict[str, int]:
 
 
 _MEASURED_BOUND_TOLERANCE = 1e-9
-"""Relative tolerance of a bound that was measured after compression instead of requested."""
+"""Relative tolerance for a bound that was measured after compression instead of requested."""
 
 
 @dataclass(frozen=True)
 class Verification:
-    """Result of `verify`. Errors are None without an original.
+    """Result of `verify`; errors are None without an original.
 
     Attributes
     ----------
@@ -86,15 +86,15 @@ class Verification:
     bound : float
         Bound stated by the file: largest distance of a vertex from the original, in diagonals.
     promised : bool
-        Whether the bound was requested; else it was measured after compression.
+        Whether the bound was requested before compression instead of measured after compression.
     max_error : float or None
-        Largest distance of a vertex, in diagonals.
+        Largest distance of a vertex from the original, in diagonals.
     kg_percent : float or None
-        Karni-Gotsman error.
+        Karni-Gotsman error in percent.
     worst_frame, worst_vertex : int or None
-        Where the largest distance is, as numbered in the original.
+        Frame and vertex of the largest distance, numbered as in the original.
     uv_bound : float or None
-        Requested bound of texture coordinates; None without coordinates, or if they are stored exactly.
+        Requested bound of texture coordinates; None if there are none or if they are stored exactly.
     uv_error : float or None
         Largest difference of u or v at any corner; None if the original has no coordinates.
     """
@@ -119,30 +119,30 @@ class Verification:
         return self.max_error is None or self.max_error <= self.bound * tolerance
 
     def as_dict(self) -> dict[str, Any]:
-        """Return values for JSON, with None for infinity."""
+        """Return the result as values for JSON, with None in place of infinity."""
         values = {**asdict(self), "holds": self.holds}
         return {name: None if value == float("inf") else value for name, value in values.items()}
 
 
 @public
 def verify(path: PathLike, original: Frames | None = None, progress: Progress = no_progress) -> Verification:
-    """Check the checksums of a compressed model, that its frames decode to finite points, and its error bound.
+    """Verify checksums and error bound of a compressed model, and that its frames decode to finite points.
 
     Parameters
     ----------
     path : path-like
-        An HDF5 or GLB file with a result of `mixseq.compress`.
+        HDF5 or GLB file with a result of `mixseq.compress`.
     original : MeshSequence or SequenceReader, optional
-        The sequence before compression; every vertex of every frame is compared, also if vertices were renumbered.
+        The sequence before compression; all vertices of all frames are compared, even if vertices were renumbered.
     progress : callable, optional
-        Called after every frame.
+        Function that is called after every frame.
 
     Raises
     ------
     FormatError
-        If the file is damaged or not a compressed model, or a frame is not finite.
+        If the file is damaged or is not a compressed model, or if a decoded frame is not finite.
     InvalidSequenceError
-        If the original is not a sequence, or has another mesh or other frames.
+        If the original is not a sequence, or if its mesh or frames differ from those of the model.
     """
     source = Path(path)
     if original is not None:
@@ -168,7 +168,7 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
 
 
 def _finite_blocks(path: Path, model: Model, size: int, progress: Progress) -> Iterator[FloatArray]:
-    """Decode all frames of a model in blocks ``(B, V, 3)``; raise `FormatError` if one is not finite."""
+    """Decode all frames of a model in blocks ``(B, V, 3)``; raise `FormatError` if a frame is not finite."""
     first_frame = 0
     for block in model.blocks(model.times, size, progress=progress):
         finite = np.isfinite(block).all(axis=(1, 2))
@@ -180,14 +180,14 @@ def _finite_blocks(path: Path, model: Model, size: int, progress: Progress) -> I
 
 
 def _measure_errors(original: Frames, frames: Frames, renumbering: Renumbering) -> dict[str, Any]:
-    """Compare every vertex of every frame; return the errors, and where the largest is, as numbered in the original."""
+    """Compare all vertices of all frames; return the errors, and frame and vertex of the largest error."""
     squared_sum = variation = worst = 0.0
     first_frame, worst_frame, worst_vertex = 0, 0, 0
     unit = Diagonal(0.0, 0)
     for x, y in paired_blocks(original, frames, FRAMES_PER_BLOCK):
         if first_frame == 0:
             unit = Diagonal.from_points(x[0])
-        with np.errstate(over="ignore"):  # overflow counts as an infinite distance
+        with np.errstate(over="ignore"):  # an overflow gives an infinite distance
             squared = np.square(unit.rescale(x - y)).sum(axis=2)
             squared_sum += float(squared.sum())
             variation += float(np.square(unit.rescale(x - x.mean(axis=1, keepdims=True))).sum())
@@ -205,7 +205,7 @@ def _measure_errors(original: Frames, frames: Frames, renumbering: Renumbering) 
 
 
 def _uv_error(original: SequenceHeader, header: SequenceHeader) -> float | None:
-    """Return the largest difference of texture coordinates at corners, None if they cannot be compared."""
+    """Return the largest difference of texture coordinates at corners, or None if a comparison is impossible."""
     original_uvs, uvs = original.surface.uvs, header.surface.uvs
     match = match_polygons(original.polygons, header.polygons)
     if original_uvs is None or uvs is None or match is None:

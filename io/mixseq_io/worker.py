@@ -1,16 +1,16 @@
-"""Worker process of `mixseq_io.isolation`: opens one file at a time and answers requests about it.
+"""Run the worker process of `mixseq_io.isolation`, which opens one file at a time and answers requests about it.
 
-Requests and answers are pickles on stdin and stdout:
+Requests and answers are pickles on stdin and stdout. Requests and the values of their answers are:
 
-- ``("open", reader, path, options, folder, limit)``: the header, and whether there are velocities
-- ``("markings",)``: face sets and skinning weights
-- ``("iterate", iteration, quantity, size, start)``: starts an iteration over points or velocities at block `start`
-- ``("next", iteration)``: its next block or None
-- ``("close",)``: closes the file
-- ``("call", function, path, arguments, folder, limit)``: the result of a function of a file
+- ``("open", reader, path, options, folder, limit)``: header of the opened file, and whether it has velocities
+- ``("markings",)``: face sets and skinning weights of the mesh
+- ``("iterate", iteration, quantity, size, start)``: None; iterate over points or velocities from a block on
+- ``("next", iteration)``: next block of an iteration, or None at its end
+- ``("close",)``: None; the file is closed
+- ``("call", function, path, arguments, folder, limit)``: result of a function that is called with a path
 
-The limit is the memory limit in bytes. An answer is a value, the exception raised or None, and the warnings. The
-process ends when stdin ends.
+`limit` is the memory limit in bytes. An answer is a tuple of value, raised exception or None, and warnings. The process
+ends when stdin ends.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from mixseq_io.reader import SequenceReader
 
 _TIME_LIMIT_SECONDS = float(os.environ.get("MIXSEQ_READER_SECONDS", "120"))
 _WALL_TIME_RATIO = 4
-"""Ratio of the wall-clock limit to the processor-time limit, for busy machines."""
+"""Ratio of the wall-clock limit to the processor-time limit; a high ratio allows for busy machines."""
 
 
 class RequestHandler:
-    """Open file and its iterations."""
+    """State of the worker: the open file and its iterations."""
 
     def __init__(self) -> None:
         self._reader: SequenceReader | None = None
@@ -46,20 +46,20 @@ class RequestHandler:
         self._path = ""
 
     def handle(self, request: tuple[Any, ...]) -> tuple[Any, Exception | None, list[str]]:
-        """Return the value of a request, the exception raised or None, and the warnings."""
+        """Return the value of the answer to a request, the raised exception or None, and the warnings."""
         value: Any = None
         error: Exception | None = None
         kind, *arguments = request
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             try:
-                with np.errstate(all="ignore"):  # non-finite points are reported with frame and vertex
+                with np.errstate(all="ignore"):  # readers report non-finite points with frame and vertex
                     value = getattr(self, f"_{kind}")(*arguments)
             except MixseqError as raised:
                 error = raised
             except MemoryError:
                 error = out_of_memory_error(self._path)
-            except Exception:  # a bug: pass on its traceback
+            except Exception:  # a bug, whose traceback is sent
                 error = RuntimeError(f"in the reader's process:\n{traceback.format_exc()}")
         return value, error, [str(warning.message) for warning in caught]
 
@@ -88,7 +88,7 @@ class RequestHandler:
         self._iterations[iteration] = blocks = iter(self._reader._read(quantity, size))
         for _ in range(start):
             next(blocks, None)
-            limit_time(1)  # restarted for every block, as when it was first read
+            limit_time(1)  # restarted for every skipped block, as in the first iteration
 
     def _next(self, iteration: int) -> Any:
         block = next(self._iterations[iteration], None)
@@ -104,7 +104,7 @@ class RequestHandler:
 
 
 def limit_memory(limit: int) -> None:
-    """Limit the bytes that allocations may add to the process; memory-mapped files do not count."""
+    """Limit the bytes that the process may additionally allocate; memory-mapped files do not count."""
     os.environ[MEMORY_LIMIT_VARIABLE] = str(limit / (1 << 30))  # read by `mixseq_io.files.max_memory`
     try:
         import resource
@@ -116,7 +116,7 @@ def limit_memory(limit: int) -> None:
 
 
 def _data_segment_bytes() -> int:
-    """Return the memory that counts for the limit, 0 if the system does not report it."""
+    """Return the bytes of memory that count for the limit, or 0 if the system does not report them."""
     try:
         pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[5]
     except OSError:  # not Linux
@@ -125,18 +125,18 @@ def _data_segment_bytes() -> int:
 
 
 def limit_time(fraction: float) -> None:
-    """End the process after a fraction of the time limits; 0 removes them."""
+    """Set the process to end after a fraction of the time limits; 0 removes the limits."""
     if hasattr(signal, "setitimer"):
-        # No handlers for these signals: a Python handler runs only after the library has returned.
+        # These signals have no handlers, since a Python handler runs only after the library has returned.
         signal.setitimer(signal.ITIMER_PROF, fraction * _TIME_LIMIT_SECONDS)
         signal.setitimer(signal.ITIMER_REAL, _WALL_TIME_RATIO * fraction * _TIME_LIMIT_SECONDS)
 
 
 def main() -> None:
     """Answer requests until stdin ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent, which closes stdin
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles Ctrl-C and closes stdin
     requests = sys.stdin.buffer
-    # C++ libraries print to stdout, too: answers get a descriptor of their own, and stdout goes to stderr.
+    # C++ libraries print to stdout. Therefore answers use a separate descriptor, and stdout is redirected to stderr.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     time_limiters.append(limit_time)
@@ -154,7 +154,7 @@ def main() -> None:
             answers.flush()
         except BrokenPipeError:
             break
-    os._exit(0)  # skips the destructors of C++ libraries, whose state a damaged file may have corrupted
+    os._exit(0)  # avoids destructors of C++ libraries, whose state a damaged file may have corrupted
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""Models in Blender: the add-on, and the extension that installs it.
+"""Use models in Blender by an add-on, which the extension installs.
 
-Only the folder `addon` imports ``bpy`` and has to run in Blender. `motion` converts vertices and polygons to Blender's
-axes and units; `extension` builds the archive.
+Only the modules in `addon` import ``bpy`` and have to run in Blender. `motion` converts vertices and polygons to
+Blender's axes and units; `extension` builds the archive of the extension.
 """

@@ -2,8 +2,8 @@
 
 https://docs.blender.org/manual/en/latest/advanced/extensions/getting_started.html
 
-The wheels are the installed mixseq and the libraries that decode models. NumPy is left out: Blender ships its own, and
-two versions cannot be loaded together.
+The wheels contain the installed mixseq and the libraries that decode models. NumPy is omitted because Blender includes
+NumPy, and two versions cannot be loaded together.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mixseq.errors import OutputError, SettingsError
 from mixseq_io.files import atomic_file
 
 LIBRARIES = ("h5py", "numba", "scipy", "threadpoolctl")
-"""Libraries that read and decode models, besides NumPy; those of other file formats, such as usd-core, are left out."""
+"""Libraries besides NumPy that read and decode models, without libraries of other file formats, such as usd-core."""
 
 _WHEEL_METADATA = "Wheel-Version: 1.0\nGenerator: mixseq\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
 _ZIP_TIMESTAMP = (1980, 1, 1, 0, 0, 0)
@@ -35,7 +35,7 @@ _ZIP_TIMESTAMP = (1980, 1, 1, 0, 0, 0)
 
 
 def build_wheel(folder: Path) -> Path:
-    """Build a wheel of the installed mixseq in a folder, and return its path."""
+    """Build a wheel of the installed mixseq in a folder, and return the path of the wheel."""
     name = f"mixseq-{mixseq.__version__}"
     path = folder / f"{name}-py3-none-any.whl"
     records = []
@@ -55,7 +55,7 @@ def add_member(archive: ZipFile, name: str, content: bytes, compression: int = Z
 
 
 def _package_files() -> Iterator[tuple[str, bytes]]:
-    """Yield names and contents of the files of both packages."""
+    """Yield names and contents of the files of the packages mixseq and mixseq_io."""
     import mixseq_io
 
     for package in (mixseq, mixseq_io):
@@ -84,13 +84,13 @@ def _distribution() -> metadata.Distribution:
 
 
 def requirements() -> list[str]:
-    """Return mixseq's requirements of `LIBRARIES`, in pip's format."""
+    """Return mixseq's version requirements for `LIBRARIES`, in pip's format."""
     lines = {re.split(r"[^\w.-]", line)[0]: line for line in _distribution().requires or () if "extra ==" not in line}
     return [lines[name] for name in LIBRARIES]
 
 
 def download_wheels(folder: Path, release: Release, platform: str) -> list[Path]:
-    """Download the wheels of `LIBRARIES` for a release and platform of Blender with pip, and return their paths."""
+    """Download with pip the wheels of `LIBRARIES` for a release and platform of Blender; return their paths."""
     options = ["--quiet", "--only-binary=:all:", "--dest", str(folder), "--python-version", release.python]
     options += [option for tag in PLATFORMS[platform] for option in ("--platform", tag)]
     command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "download", *options]
@@ -117,7 +117,7 @@ PLATFORMS = {
     "macos-arm64": ("macosx_14_0_arm64",),
     "windows-x64": ("win_amd64",),
 }
-"""Blender's names of the platforms for which all libraries have wheels, and the platform tags of those wheels."""
+"""Platforms for which all libraries have wheels: Blender's name of the platform, and platform tags of the wheels."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def write_extension(path: Path, platform: str, release: Release) -> None:
             add_member(archive, "LICENSE", licence)
             for module in sorted(ADDON_FOLDER.glob("*.py")):
                 add_member(archive, module.name, module.read_bytes())
-            for wheel in wheels:  # already compressed
+            for wheel in wheels:  # wheels are already compressed
                 add_member(archive, f"wheels/{wheel.name}", wheel.read_bytes(), ZIP_STORED)
 
 

@@ -1,7 +1,7 @@
-"""A model in Blender's axes and units: vertices at any time, polygons with their attributes, and caches.
+"""Convert models to Blender's axes and units: vertices at any time, polygons and their attributes.
 
-Caches of models and of decoded frames make scrubbing fast. They are locked, because Blender draws the viewport and
-renders on different threads.
+Caches of models and of decoded frames make scrubbing fast. The caches use locks, because Blender draws the viewport
+and renders on different threads.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ DEFAULT_CACHE_BYTES = 512 << 20
 
 
 class FrameCache:
-    """A cache of arrays with a memory limit; the least recently used arrays are dropped."""
+    """Cache of arrays with a memory limit, which drops the least recently used arrays."""
 
     def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES) -> None:
         self.max_bytes = max_bytes
@@ -36,16 +36,16 @@ class FrameCache:
 
     @property
     def size(self) -> int:
-        """Bytes in use."""
+        """Bytes of all cached arrays."""
         return self._size
 
     def get(self, key: Hashable, compute: Callable[[], Single]) -> Single:
-        """Return the cached array of a key, or compute and cache it."""
+        """Return the cached array of a key; compute and cache the array if it is missing."""
         with self._lock:
             if key in self._arrays:
                 self._arrays.move_to_end(key)
                 return self._arrays[key]
-        array = compute()  # without the lock, so that cached frames stay available
+        array = compute()  # computed without the lock, so that cached arrays stay available
         array.setflags(write=False)
         with self._lock:
             if key not in self._arrays:
@@ -63,7 +63,7 @@ class FrameCache:
 
 
 class ModelCache:
-    """A cache of models by file path; files that change are loaded again."""
+    """Cache of models by file path; a model is loaded again if its file has changed."""
 
     def __init__(self, load: Callable[[Path], Model]) -> None:
         self._load = load
@@ -71,7 +71,7 @@ class ModelCache:
         self._lock = Lock()
 
     def get(self, path: Path) -> Model:
-        """Return the model in a file, the same object until the file changes."""
+        """Return the model in a file; this is the same object until the file changes."""
         try:
             status = path.stat()
         except OSError as error:
@@ -107,7 +107,7 @@ class Placement:
 
     @classmethod
     def from_header(cls, header: SequenceHeader) -> Placement:
-        """Return the placement that a model's header declares, in metres."""
+        """Return the up axis of a header and the scale from its units to metres."""
         return cls(header.up_axis, header.metres_per_unit)
 
     def conversion(self, header: SequenceHeader) -> UnitConversion:
@@ -118,7 +118,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class Motion:
-    """A placed model; equal to another if model and placement are equal."""
+    """Model with a placement in Blender; two motions are equal if their models and placements are equal."""
 
     model: Model
     placement: Placement
@@ -128,7 +128,7 @@ class Motion:
         return self.placement.conversion(self.model.header)
 
     def clamp_time(self, time: float) -> float:
-        """Return a time in seconds, clamped to the range of the model."""
+        """Clamp a time in seconds to the time range of the model."""
         return float(np.clip(time, self.model.start, self.model.end))
 
     def points(self, time: float) -> Single:
@@ -138,7 +138,7 @@ class Motion:
 
 
 def part_slices(header: SequenceHeader, name: str) -> tuple[slice, slice]:
-    """Return the slices of vertices and of polygons of one mesh of a model, of all meshes for ""."""
+    """Return the slices of vertices and of polygons of a model's mesh; the name "" selects all meshes."""
     if not name:
         return slice(0, header.vertex_count), slice(0, len(header.polygons.counts))
     vertex = polygon = 0
@@ -151,12 +151,12 @@ def part_slices(header: SequenceHeader, name: str) -> tuple[slice, slice]:
 
 
 def part_names(header: SequenceHeader) -> list[str]:
-    """Return the names of a model's meshes, [""] if it has only one."""
+    """Return the names of a model's meshes, or [""] if the model has only one mesh."""
     return [part.path or part.name for part in header.objects] if len(header.objects) > 1 else [""]
 
 
 def find_placement(model: Model, points: Float, frame_count: int = 9) -> tuple[str, Placement]:
-    """Find the part of a model, and its placement, that match a mesh ``(V, 3)`` best in one of some frames."""
+    """Find the part and placement of a model that fit a mesh ``(V, 3)`` best in any of `frame_count` sampled frames."""
     header = model.header
     names = ["", *part_names(header)]
     vertices = {name: part_slices(header, name)[0] for name in names}
@@ -184,9 +184,9 @@ def find_placement(model: Model, points: Float, frame_count: int = 9) -> tuple[s
 class MeshParts:
     """One of the meshes of a model.
 
-    Of P polygons: `counts` (P,) int32 of corners; `corners` (C,) int32, vertices numbered from the mesh's first. Per
-    corner, or None: `uvs` (C, 2) and linear `colours` (C, 4) RGBA float32; `normal_ids` (C,) int32, equal for corners
-    of a vertex with one normal. Names of `materials`, and `material_of_polygon` (P,) int32.
+    Polygons: `counts` (P,) int32, the numbers of corners; `corners` (C,) int32, vertices counted from the mesh's first.
+    Corners, or None: `uvs` (C, 2) and linear RGBA `colours` (C, 4), float32; `normal_ids` (C,) int32, equal at corners
+    of a vertex that share a normal. `materials` are names; `material_of_polygon` (P,) int32 are their indices.
     """
 
     counts: IntArray
@@ -199,7 +199,7 @@ class MeshParts:
 
     @classmethod
     def from_header(cls, header: SequenceHeader, name: str) -> MeshParts:
-        """Return the mesh of a name, with the errors of `part_slices`."""
+        """Return the mesh with a name; errors are those of `part_slices`."""
         vertices, polygons = part_slices(header, name)
         ends = np.concatenate([[0], np.cumsum(header.polygons.counts)])
         corners = slice(ends[polygons.start], ends[polygons.stop])
@@ -222,16 +222,16 @@ class MeshParts:
         return np.cumsum(self.counts) - self.counts
 
     def sharp_edges(self, edge_of_corner: IntArray) -> Mask:
-        """Return the mask ``(E,)`` of sharp edges, whose polygons have separate normals at an end.
+        """Return the mask ``(E,)`` of sharp edges, at which adjacent polygons have different normals at an end.
 
-        `edge_of_corner` ``(C,)`` is the edge from each corner to the next one of its polygon.
+        `edge_of_corner` ``(C,)`` is the edge from each corner to the next corner of the polygon.
         """
         is_sharp = np.zeros(int(edge_of_corner.max(initial=-1)) + 1, dtype=bool)
         if self.normal_ids is None:
             return is_sharp
         next_corner = np.arange(1, len(edge_of_corner) + 1)
         next_corner[self.starts + self.counts - 1] = self.starts
-        # Rows of edge, vertex and normal, for both corners of each polygon at each of its edges.
+        # Each row has an edge, an end vertex and a normal, for both ends of every edge of every polygon.
         ends = np.concatenate([np.arange(len(edge_of_corner)), next_corner])
         rows = np.column_stack([np.tile(edge_of_corner, 2), self.corners[ends], self.normal_ids[ends]])
         rows = rows[np.lexsort(rows.T[::-1])]
@@ -241,7 +241,7 @@ class MeshParts:
 
 
 def _materials(header: SequenceHeader) -> tuple[list[str], IntArray]:
-    """Return the names of materials, and the material ``(P,)`` of every polygon, "" outside all face sets."""
+    """Return the names of materials, and the material index ``(P,)`` of every polygon; "" is outside all face sets."""
     names = [""]
     material_of_polygon = np.zeros(len(header.polygons.counts), dtype=np.int32)
     for face_set in header.surface.face_sets:

@@ -1,4 +1,4 @@
-"""Views of models and sequences: live and editable in a browser (`live`), or as a page that plays alone (`export`).
+"""View models and sequences in a browser: in an editable live viewer (`live`), or on a self-contained page (`export`).
 
-`playback`, `session` and `marking` hold what is played and edited; `export_data` has the data of pages.
+`playback` plays scenes; `session` edits models; `marking` sets markers. `export_data` encodes the data of pages.
 """

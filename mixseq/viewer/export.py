@@ -1,10 +1,10 @@
 """Export meshes as a single self-contained page that plays without network or server.
 
-Meshes are compressed as by `mixseq.compress`, and decoded by `mixseq.web`. Poses are shown at their times since the
-first frame of each mesh, and start again after the period, as in films (`mixseq.pictures.scene`).
+Meshes are compressed by `mixseq.compress` and decoded by `mixseq.web`. Each pose is shown at its elapsed time since the
+first frame of its mesh. Playback repeats after the period, as in films (`mixseq.pictures.scene`).
 
-A page is a small document that unpacks itself. Its first stream, deflated, holds style, body, decoder, scripts and
-description, separated by NUL; the others belong to the meshes. `mixseq.viewer.export_data` encodes them as text.
+A page is a small document that unpacks its own data, a list of streams. The first, deflated stream holds style, body,
+decoder, scripts and description, separated by NUL. Other streams hold meshes. `export_data` encodes them as text.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ CHART_SCRIPTS = (
     "chart_coefficients.js",
     "charts.js",
 )
-"""Scripts of charts, in loading order; the first is needed by the player, too."""
+"""Scripts of charts, in loading order; the player also needs the first script."""
 
 PLAYER_SCRIPTS = (
     "clock.js",
@@ -64,15 +64,15 @@ PLAYER_SCRIPTS = (
     "pose_source.js",
     "player.js",
 )
-"""Scripts of the player of meshes."""
+"""Scripts of the mesh player."""
 
 POSE_SCRIPTS = ("normals.js", "topology.js", "measures.js", "poses.js")
-"""Scripts that decode streams to poses, besides the decoder."""
+"""Scripts that are loaded with the decoder to convert streams to poses."""
 
 
 @cache
 def read_script(name: str) -> str:
-    """Return a file of the folder ``page`` as text, such as ``"charts.js"``."""
+    """Return the text of a file in the folder ``page``, such as ``"charts.js"``."""
     return files("mixseq.viewer").joinpath("page", name).read_text(encoding="utf-8")
 
 
@@ -121,7 +121,7 @@ _DATA_PLACEHOLDER = "<!-- data -->"
 
 
 def _minify(text: str) -> str:
-    """Return HTML or CSS without indentation and comments, except for the placeholder of the data."""
+    """Remove indentation and comments from HTML or CSS, but keep the comment that marks the place of the data."""
     return re.sub(r"\n\s*", "\n", re.sub(r"<!--(?! data).*?-->|/\*.*?\*/", "", text))
 
 
@@ -131,25 +131,25 @@ def _data_element(data: bytes) -> bytes:
 
 
 def script_json(value: Any) -> str:
-    """Return JSON without ``<``, which could end its script element."""
+    """Return a value as JSON for a script element, with ``<`` escaped because it could end the element."""
     return json.dumps(value, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
 
 
 MAX_PAGE_FRAMES = 20_000
-"""Limit that catches wrong frame rates."""
+"""Largest number of frames of a mesh; a larger number indicates a wrong frame rate."""
 
 
 @dataclass(frozen=True)
 class ExportSettings:
     """Settings of a page."""
 
-    fps: float | None = None  # poses per second, by default those of the meshes
+    fps: float | None = None  # poses per second, by default the frame rate of each mesh
     every: int = 1  # step between stored poses; the page interpolates linearly
-    max_error: float = 1e-3  # bound of vertex errors, in diagonals; compressed meshes keep their own
+    max_error: float = 1e-3  # bound of vertex errors, in diagonals; compressed meshes keep their own bounds
     overlaid: bool = False  # whether meshes are initially overlaid, instead of side by side
     title: str | None = None  # title of the page, by default the names of the meshes
     camera: tuple[float, float] | None = None  # initial view, see `mixseq.pictures.scene.resolve_view`
-    following: bool = False  # whether the camera initially follows bodies that travel
+    following: bool = False  # whether the camera initially follows moving bodies
 
     def __post_init__(self) -> None:
         for name, value in (("fps", self.fps), ("max_error", self.max_error)):
@@ -176,7 +176,7 @@ def export_page(
     progress: Progress = no_progress,
     workers: Executor | None = None,
 ) -> ExportReport:
-    """Write a page that plays meshes; equal input gives equal bytes."""
+    """Write a page that plays meshes; equal input gives a page of equal bytes."""
     settings = settings or ExportSettings()
     if not items:
         raise SettingsError("there is no mesh to show; give a sequence or a model")
@@ -214,7 +214,7 @@ def _times(item: PageItem, settings: ExportSettings) -> Float:
         raise SettingsError(f"{item.mesh.name} has no colouring; give it one, such as clay")
     if settings.fps is not None:
         rate = snap_to_ntsc(settings.fps)
-        # the tolerance keeps the last frame despite rounding
+        # The tolerance prevents rounding from removing the last frame.
         count = np.floor(elapsed[-1] * rate + 1e-6) + 1
         _check_count(item, count)
         elapsed = np.minimum(np.arange(int(count)) / rate, elapsed[-1])
@@ -232,7 +232,7 @@ def _check_count(item: PageItem, count: float) -> None:
 
 
 def _period(items: Sequence[PageItem], times: Sequence[Float]) -> float:
-    """Return the period in seconds, that of the longest mesh and one frame; 0 if nothing moves."""
+    """Return the period in seconds: the duration of the longest mesh plus one frame, or 0 if all meshes are still."""
     return max(
         float(item.mesh.elapsed[-1]) + 1 / item.mesh.header.fps if len(elapsed) > 1 else 0.0
         for item, elapsed in zip(items, times, strict=True)
@@ -240,7 +240,7 @@ def _period(items: Sequence[PageItem], times: Sequence[Float]) -> float:
 
 
 def _tops(items: Sequence[PageItem]) -> dict[str, float]:
-    """Return the common end of the scale of each colouring."""
+    """Return, for each colouring, the upper end of the colour scale that all meshes share."""
     tops: dict[str, float] = {}
     for item in items:
         for name, colouring in item.colourings.items():

@@ -1,14 +1,14 @@
 """Encode the meshes of a page: poses and extents, compressed streams, stored colours, and binary data as text.
 
-A page is UTF-16 with a byte order mark, which overrides a server's encoding. Two bytes, the lower one first, are one
-code unit. Units that the text of a script element cannot hold (NUL, carriage return, ``<``, surrogates), and U+0001,
-are escaped as U+0001 followed by the unit with its highest bit flipped. This adds 3 % to typical data; base64 in UTF-8
-adds 33 %. ``page/loader.js`` decodes it.
+A page is UTF-16 with a byte order mark, which overrides a server's encoding. Every two bytes, in little-endian order,
+form one code unit. The text of a script element cannot hold NUL, carriage return, ``<`` and surrogates. These units
+and U+0001 are escaped as U+0001 followed by the unit with its highest bit flipped. Escaping adds 3 % to typical data;
+base64 in UTF-8 adds 33 %. ``page/loader.js`` decodes the text.
 
-Vertices are numbered for the smallest size; texture coordinates and other data that is not drawn are left out. The page
-computes strain and curvature, while parts and errors are stored as palette entries. Rows :math:`q_{tj}` of bytes, one
-per frame, are stored as :math:`s_{tj} = d_{tj} - d_{t,j-1}` with :math:`d_{tj} = q_{tj} - q_{t-1,j}` modulo 256, with
-zeros before the first row and column, and deflated (RFC 1950).
+Vertices are renumbered for the smallest size. Data that is not drawn, such as texture coordinates, is omitted. The page
+computes strain and curvature; colours of parts and errors are stored as palette entries. The entries form one row of
+bytes :math:`q_{tj}` per frame, stored as :math:`s_{tj} = d_{tj} - d_{t,j-1}` with :math:`d_{tj} = q_{tj} - q_{t-1,j}`
+modulo 256, with zeros before the first row and column. The result is deflated (RFC 1950).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _MIN_SURROGATE, _MAX_SURROGATE = 0xD800, 0xDFFF
 
 
 def encode_text(data: bytes) -> bytes:
-    """Encode bytes as UTF-16 text of a script element; an odd number is padded with a zero."""
+    """Encode bytes as UTF-16 text of a script element; an odd number of bytes is padded with a zero byte."""
     units = np.frombuffer(data + bytes(len(data) % 2), "<u2")
     is_surrogate = (units >= _MIN_SURROGATE) & (units <= _MAX_SURROGATE)
     is_escaped = np.isin(units, _FORBIDDEN_UNITS) | is_surrogate
@@ -58,7 +58,7 @@ def encode_text(data: bytes) -> bytes:
 
 
 def deflate_rows(rows: Iterable[NDArray[np.uint8]]) -> bytes:
-    """Predict rows ``(V,)`` of bytes from the row and column before, and deflate the differences."""
+    """Predict the bytes of rows ``(V,)`` from the previous row and column, and deflate the prediction errors."""
     deflate, chunks = zlib.compressobj(9), []
     previous = np.zeros(1, np.uint8)
     for row in rows:
@@ -69,17 +69,17 @@ def deflate_rows(rows: Iterable[NDArray[np.uint8]]) -> bytes:
 
 
 MAX_COMMON_SIZE_RATIO = 2.0
-"""Size of both meshes relative to the smaller one up to which they share a scale, so that none is only a dot."""
+"""Largest common extent of two meshes with the same scale, relative to the smaller mesh, which must stay visible."""
 
 
 @dataclass(frozen=True, eq=False)
 class PageItem:
-    """A mesh of a page, with the poses of its own frames."""
+    """A mesh of a page, with one pose per frame of this mesh."""
 
     mesh: SceneItem  # the moving mesh
     colourings: Mapping[str, Colouring]  # available colourings, the initial one first
-    signals: Mapping[str, Any] | None = None  # of a model: chart data (mixseq.viewer.session.chart_data)
-    compressed: CompressedSequence | None = None  # the mesh as it was opened, if it was compressed
+    signals: Mapping[str, Any] | None = None  # chart data of a model (mixseq.viewer.session.chart_data)
+    compressed: CompressedSequence | None = None  # the opened file of the mesh, if compressed
 
 
 def page_items(colours: SceneColours, compressed: Sequence[CompressedSequence | None] | None = None) -> list[PageItem]:
@@ -93,12 +93,12 @@ def page_items(colours: SceneColours, compressed: Sequence[CompressedSequence | 
 
 @dataclass(frozen=True, eq=False)
 class Extent:
-    """Bounds of a mesh over all poses, Y up."""
+    """Bounds of a mesh over all poses, with Y as the up axis."""
 
-    low: Float  # (3,) minimum corner of its bounding box
-    high: Float  # (3,) maximum corner of its bounding box
-    # (views, 5) left, right, bottom and top on the screen of each view, with the origin of space in its centre, and the
-    # bottom of the mesh's projection to height zero.
+    low: Float  # (3,) minimum corner of the bounding box
+    high: Float  # (3,) maximum corner of the bounding box
+    # (views, 5) left, right, bottom and top on the screen of each view; the origin of space is at the screen's centre.
+    # The last value is the screen bottom of the mesh after projection to height zero.
     screen: Float
 
     @property
@@ -112,7 +112,7 @@ class Extent:
         return float((self.high - self.low).max())
 
     def union(self, other: Extent | None) -> Extent:
-        """Return the bounds of both extents."""
+        """Return the smallest extent that contains both extents."""
         if other is None:
             return self
         low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
@@ -131,10 +131,10 @@ class PagePoses:
     """Poses of a mesh of a page."""
 
     poses: LargeArray  # (n, V, 3) points, in the precision of the item
-    still: Extent  # extent in space, in both views
-    following: Extent  # extent relative to the mean of the vertices along the ground, in both views
-    views: tuple[View, View]  # the mesh's own view, and that of the first mesh of the page
-    like_first: bool  # whether it has the triangles and about the size and position of the first mesh
+    still: Extent  # extent of the mesh at its positions in space, in both views
+    following: Extent  # extent without the horizontal motion of the mean vertex, in both views
+    views: tuple[View, View]  # view of this mesh, and view of the first mesh of the page
+    like_first: bool  # whether triangles are those of the first mesh, and size and position similar
 
 
 def collect_poses(
@@ -145,7 +145,7 @@ def collect_poses(
     workers: Executor | None = None,
     camera: tuple[float, float] | None = None,
 ) -> PagePoses:
-    """Read the poses at elapsed times ``(n,)``; `first` is the first mesh of the page, None for itself."""
+    """Read the poses at elapsed times ``(n,)``; `first` is the page's first mesh, or None if `item` is the first."""
     header = item.header
     has_same_faces = first is None or np.array_equal(header.faces, first[0].faces)
     views: tuple[View, View] | None = None
@@ -179,11 +179,11 @@ def collect_poses(
 
 
 def measure_extent(world: FloatArray, views: Sequence[View]) -> Extent:
-    """Return the extent of poses ``(B, V, 3)``, Y up, in given views."""
+    """Return the extent of poses ``(B, V, 3)``, with Y as the up axis, in the given views."""
     rows = []
     for view in views:
         right, up, _ = view.rotation
-        # summed in a fixed order, for the same page on every machine
+        # A fixed order of summation gives the same page on every machine.
         x, y, z = world[..., 0], world[..., 1], world[..., 2]
         horizontal, projected = x * right[0] + z * right[2], x * up[0] + z * up[2]
         vertical = projected + y * up[1]
@@ -192,27 +192,27 @@ def measure_extent(world: FloatArray, views: Sequence[View]) -> Extent:
 
 
 def _share_scale(one: Extent, other: Extent) -> bool:
-    """Whether both meshes are large enough in a common picture."""
+    """Whether both meshes are large enough to be shown at the same scale."""
     return one.union(other).side <= MAX_COMMON_SIZE_RATIO * min(one.side, other.side)
 
 
 PALETTE_STEP = 15
-"""Step between stored colours of a measured palette; the page interpolates the others."""
+"""Step between the stored entries of a palette of measured values; the page interpolates the omitted entries."""
 
 EXTENT_DIGITS = 5
-"""Significant digits of extents, enough for the resolution of a screen."""
+"""Significant digits of extents, sufficient for the resolution of a screen."""
 
 
 @dataclass(frozen=True)
 class PageItemReport:
-    """Report on a mesh of a page."""
+    """Errors and sizes of an exported mesh."""
 
     name: str  # name above the mesh
     frames: int  # number of poses
     max_error: float  # bound of vertex errors, in diagonals of the first pose
     error: float  # the same bound in units of the mesh
-    positions: int  # bytes of mesh and motion, before encoding as text
-    colours: int  # bytes of colours, before encoding as text
+    positions: int  # bytes of mesh and motion before encoding as text
+    colours: int  # bytes of colours before encoding as text
 
 
 def encode_mesh(
@@ -225,7 +225,7 @@ def encode_mesh(
 ) -> tuple[dict[str, Any], list[bytes], PageItemReport]:
     """Compress the poses at elapsed times ``(n,)`` within `max_error` diagonals; `tops` are the ends of colour scales.
 
-    Returns the description for the page, ready for JSON, its data (streams and stored colours), and a report.
+    Return the page's description of the mesh, which JSON can hold, its streams and stored colours, and a report.
     """
     header = item.mesh.header
     if item.compressed is None:
@@ -278,7 +278,7 @@ def _compress_poses(
     times, rate = _regular_times(elapsed, header.fps)
     geometry_header = replace(header.with_times(times, rate), surface=Surface(), name="")
     numbering = cheapest_numbering(geometry_header, "free")
-    # Around the origin, as the page computes in single precision.
+    # Poses are centred at the origin, since the page computes in single precision.
     centred = LazyFrames(
         geometry_header,
         lambda size: (
@@ -291,7 +291,7 @@ def _compress_poses(
 
 
 def _regular_times(elapsed: Float, fps: float) -> tuple[Float, float]:
-    """Return exactly regular times, which take no bytes, and their rate, if times ``(n,)`` are nearly regular."""
+    """Return times ``(n,)``, made exactly regular if nearly so, and their rate; regular times take no bytes."""
     if len(elapsed) > 1:
         rate = (len(elapsed) - 1) / float(elapsed[-1])
         times = np.arange(len(elapsed)) / rate
@@ -301,7 +301,7 @@ def _regular_times(elapsed: Float, fps: float) -> tuple[Float, float]:
 
 
 def _has_frame_times(header: SequenceHeader, elapsed: Float) -> bool:
-    """Whether elapsed times ``(n,)`` are those of the frames of a compressed sequence."""
+    """Whether elapsed times ``(n,)`` equal the frame times of a compressed sequence."""
     frame_times = header.times - header.times[0]
     tolerance = 1e-6 / header.fps
     return len(frame_times) == len(elapsed) and np.allclose(frame_times, elapsed, rtol=0, atol=tolerance)

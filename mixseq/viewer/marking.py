@@ -1,6 +1,6 @@
-"""Set markers of two meshes: pairs of vertices, undo history, proposals, and background jobs.
+"""Set markers, which are pairs of corresponding vertices of two meshes, with undo history and proposals.
 
-Background jobs suggest markers, find the mirror symmetry of both bodies, and examine the current pairs.
+Background jobs suggest markers, find the mirror symmetry of each body, and examine the current pairs.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from mixseq.viewer.playback import JobQueue
 from mixseq.viewer.session import UndoHistory
 
 SOURCE, TARGET = 0, 1
-"""Indices of the two meshes."""
+"""Indices of the source and target mesh."""
 
 COINCIDENCE_DISTANCE = 0.03
-"""Distance on either mesh below which a proposal duplicates a pair, in diagonals."""
+"""Distance in diagonals on either mesh below which a proposal duplicates a pair."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """A vertex of the source and one of the target."""
+    """A vertex of the source mesh and a corresponding vertex of the target mesh."""
 
     vertices: tuple[int, int]  # source and target vertex
-    name: str = ""  # name in the file; may be empty
+    name: str = ""  # name in the marker file, or an empty text
 
 
 @dataclass(frozen=True)
 class Marking:
-    """State of marking; immutable."""
+    """Immutable state of the pairs, the selection and the rejected proposals."""
 
-    pairs: tuple[Pair, ...] = ()  # numbered in this order
-    started: tuple[int, int] | None = None  # side and vertex of an incomplete pair
-    selected: int | None = None  # pair that the next click moves, or that can be deleted
+    pairs: tuple[Pair, ...] = ()  # complete pairs in the order of their numbers
+    started: tuple[int, int] | None = None  # mesh index and vertex of an incomplete pair
+    selected: int | None = None  # index of the pair that the next click moves or `delete` removes
     skipped: frozenset[tuple[int, int]] = frozenset()  # vertices of rejected proposals
 
     @classmethod
@@ -59,7 +59,7 @@ class Marking:
         return Markers.from_pairs(vertices, names if any(names) else ())
 
     def click(self, side: int, vertex: int) -> Marking:
-        """Return the state after a click, which moves the selected pair, or else starts or completes a pair."""
+        """Return the state after a click, which moves the selected pair, if any, or else starts or completes a pair."""
         if self.selected is not None:
             pair = self.pairs[self.selected]
             vertices = (vertex, pair.vertices[1]) if side == SOURCE else (pair.vertices[0], vertex)
@@ -72,27 +72,27 @@ class Marking:
         return replace(self.with_pair(Pair((vertex, first) if side == SOURCE else (first, vertex))), started=None)
 
     def with_pair(self, pair: Pair) -> Marking:
-        """Return the state with another pair."""
+        """Return the state with one pair appended."""
         return replace(self, pairs=(*self.pairs, pair))
 
     def toggle(self, number: int) -> Marking:
-        """Return the state with a pair selected, or deselected if it was selected."""
+        """Return the state with a pair selected, or without a selection if this pair was selected."""
         return replace(self, selected=None if number == self.selected else number)
 
     def delete(self) -> Marking:
-        """Return the state without the selected pair, or without the incomplete one if none is selected."""
+        """Return the state without the selected pair or, if no pair is selected, without the incomplete pair."""
         if self.selected is None:
             return replace(self, started=None)
         pairs = (*self.pairs[: self.selected], *self.pairs[self.selected + 1 :])
         return replace(self, pairs=pairs, selected=None)
 
     def skip(self, pair: Pair) -> Marking:
-        """Return the state with a rejected proposal."""
+        """Return the state with a proposal added to the rejected proposals."""
         return replace(self, skipped=self.skipped | {pair.vertices})
 
 
 def push_marking(history: UndoHistory[Marking], marking: Marking) -> UndoHistory[Marking]:
-    """Return the history with a new state; a change of only the selection is not a step."""
+    """Return the history with a new state; a change of the selection alone adds no step."""
     if replace(marking, selected=None) == replace(history.current, selected=None):
         return history.replace(marking)
     return history.push(marking)
@@ -104,9 +104,9 @@ def normalize(points: Float) -> Float:
 
 
 def filter_proposals(meshes: tuple[Float, Float], marking: Marking, candidates: Iterable[Pair]) -> tuple[Pair, ...]:
-    """Return the candidates, in order, without duplicates, set pairs and skipped ones.
+    """Return the candidates in order, without duplicates of each other, of set pairs and of rejected proposals.
 
-    `meshes` are normalized points of source ``(V, 3)`` and target ``(V', 3)``.
+    `meshes` are the normalized points of the source ``(V, 3)`` and of the target ``(V', 3)``.
     """
 
     def coincide(one: Pair, other: Pair) -> bool:
@@ -124,10 +124,10 @@ def filter_proposals(meshes: tuple[Float, Float], marking: Marking, candidates: 
 
 
 class MarkingListener(Protocol):
-    """Callbacks of a marking session, called on any thread."""
+    """Callbacks of a marking session, which may be called on any thread."""
 
     def on_change(self) -> None:
-        """Handle a change of pairs, proposals, examination or background work."""
+        """Handle a change of the pairs, the proposals, the examination or the background job."""
 
     def on_failure(self, action: str, error: Exception) -> None:
         """Handle an error."""
@@ -161,7 +161,7 @@ class MarkingSession(JobQueue[Callable[[], None]]):
 
     @property
     def proposals(self) -> tuple[Pair, ...]:
-        """Pairs to confirm: the mirrored pairs of the newest pairs first, then suggestions."""
+        """Pairs that the user may accept: mirrored pairs, newest first, then suggestions."""
         marking = self.marking
         mirrored = (self._mirrored_pairs.get(pair.vertices) for pair in reversed(marking.pairs))
         candidates = [*filter(None, mirrored), *self._suggestions]
@@ -169,28 +169,28 @@ class MarkingSession(JobQueue[Callable[[], None]]):
 
     @property
     def examination(self) -> Examination | None:
-        """Examination of the current pairs; None until it is computed."""
+        """Examination of the current pairs, or None until it is computed."""
         result = self._examination
         return result[1] if result is not None and result[0] == self.marking.pairs else None
 
     @property
     def has_changes(self) -> bool:
-        """Whether the pairs differ from the saved ones."""
+        """Whether the current pairs differ from the saved pairs."""
         return self.marking.pairs != self._saved_pairs
 
     def mark_saved(self, pairs: tuple[Pair, ...]) -> None:
-        """Remember pairs as saved."""
+        """Set the pairs that count as saved."""
         self._saved_pairs = pairs
         self._listener.on_change()
 
     # User actions ---------------------------------------------------------------------------------------
 
     def click(self, side: int, vertex: int) -> None:
-        """Click a vertex: start or complete a pair, or move the selected one."""
+        """Click a vertex, which starts or completes a pair, or moves the selected pair."""
         self._apply(lambda marking: marking.click(side, vertex))
 
     def click_ball(self, side: int, row: int) -> None:
-        """Select the pair, or accept the proposal, of a ball: first pairs, then the incomplete one, then proposals."""
+        """Select the pair or accept the proposal of ball `row`, in the order: pairs, incomplete pair, proposals."""
         marking, proposals = self.marking, self.proposals
         count = len(marking.pairs)
         proposal = row - count - (marking.started is not None and marking.started[0] == side)
@@ -212,7 +212,7 @@ class MarkingSession(JobQueue[Callable[[], None]]):
         self._apply(lambda marking: marking.skip(self.proposals[0]) if self.proposals else marking)
 
     def delete(self) -> None:
-        """Delete the selected pair, or the incomplete one."""
+        """Delete the selected pair or, if no pair is selected, the incomplete pair."""
         self._apply(Marking.delete)
 
     def undo(self) -> None:
@@ -224,7 +224,7 @@ class MarkingSession(JobQueue[Callable[[], None]]):
         self._update_history(UndoHistory.redo)
 
     def suggest(self) -> None:
-        """Suggest markers again, including skipped ones."""
+        """Suggest markers again, including rejected suggestions."""
         self._apply(lambda marking: replace(marking, skipped=frozenset()))
         self._enqueue_once(self._suggest)
 
@@ -266,7 +266,7 @@ class MarkingSession(JobQueue[Callable[[], None]]):
             self._mirror_pairs()
 
     def _mirror_pairs(self) -> None:
-        """Compute the mirrored pairs of all set pairs."""
+        """Compute the mirrored pair of every set pair."""
         if self._mirrors is None:
             return
         for pair in self.marking.pairs:

@@ -1,8 +1,8 @@
 """Play a scene: a clock, a cache of frames decoded in the background, and a thread that sends them to a stage.
 
-A frame is sent after the stage has drawn the one before, and frames that are not decoded in time are dropped, so that
-playback keeps its speed on any machine and network. The last requested frame is decoded first; idle threads decode the
-frames after it.
+A frame is sent only after the stage has drawn the previous frame. Frames that are decoded too late are dropped, which
+keeps the playback speed constant on slow machines and networks. The last requested frame is decoded first; idle threads
+decode the subsequent frames.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from mixseq.types import Single
 
 @dataclass(frozen=True)
 class Clock:
-    """Maps wall-clock time, in seconds, to the current frame; immutable."""
+    """Immutable map from wall-clock time in seconds to the current frame."""
 
     count: int  # number of frames of the period
     fps: float  # frames per second at speed 1
     speed: float = 1.0  # playback speed
-    frame: float = 0.0  # frame or sub-frame at the last start or stop
-    started_at: float | None = None  # time of the last start; None if stopped
+    frame: float = 0.0  # frame, possibly fractional, at the last start or stop
+    started_at: float | None = None  # wall-clock time of the last start, or None if stopped
 
     @property
     def is_running(self) -> bool:
@@ -46,25 +46,25 @@ class Clock:
         return (int(position) + 1 - position) / (self.fps * self.speed)
 
     def start(self, now: float) -> Clock:
-        """Return the clock running from its current frame."""
+        """Return a clock that runs from the current frame."""
         return replace(self, frame=self._position(now) % self.count, started_at=now)
 
     def stop(self, now: float) -> Clock:
-        """Return the clock stopped at its current frame."""
+        """Return a clock that is stopped at the current frame."""
         return replace(self, frame=float(self.frame_at(now)), started_at=None)
 
     def seek(self, frame: float, now: float) -> Clock:
-        """Return the clock at another frame, running if it was running."""
+        """Return a clock at another frame, which runs if this clock runs."""
         clamped = float(min(max(frame, 0), self.count - 1))
         return replace(self, frame=clamped, started_at=None if self.started_at is None else now)
 
     def with_speed(self, speed: float, now: float) -> Clock:
-        """Return the clock at another speed and the same frame."""
+        """Return a clock with another speed and the same current frame."""
         started_at = None if self.started_at is None else now
         return replace(self, frame=self._position(now) % self.count, started_at=started_at, speed=speed)
 
     def with_period(self, count: int, fps: float, now: float) -> Clock:
-        """Return the clock for another period and frame rate, at the same time if the period has it."""
+        """Return a clock with another period and frame rate, at the same elapsed time if the new period contains it."""
         elapsed = (self._position(now) % self.count) / self.fps
         frame = elapsed * fps if self.is_running else round(min(elapsed * fps, count - 1))
         return replace(self, count=count, fps=fps).seek(frame, now)
@@ -78,7 +78,7 @@ Job = TypeVar("Job")
 
 
 class BackgroundWorker:
-    """Runs a function on background threads until it is closed, at the latest at the end of a ``with`` block."""
+    """Worker that runs a function on background threads until `close` or the end of a ``with`` block."""
 
     def __init__(self, work: Callable[[], None], threads: int = 1) -> None:
         self._closed = False
@@ -94,7 +94,7 @@ class BackgroundWorker:
         self.close()
 
     def close(self) -> None:
-        """End the threads after their current work."""
+        """End each thread after its current call of the function."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -103,7 +103,7 @@ class BackgroundWorker:
 
 
 class JobQueue(BackgroundWorker, Generic[Job]):
-    """Runs jobs in order on a background thread."""
+    """Queue of jobs that run in order on a background thread."""
 
     def __init__(self, on_failure: Callable[[str, Exception], None], jobs: Iterable[Job] = ()) -> None:
         self._on_failure = on_failure
@@ -111,11 +111,11 @@ class JobQueue(BackgroundWorker, Generic[Job]):
         super().__init__(self._run_jobs)
 
     def _run_job(self, job: Job) -> None:
-        """Run a job, and report its failure."""
+        """Run a job, and report its error if it fails."""
         raise NotImplementedError
 
     def _enqueue(self, job: Job, is_obsolete: Callable[[Job], bool]) -> None:
-        """Add a job to the queue, and drop waiting jobs that it makes obsolete."""
+        """Add a job to the queue, and drop the waiting jobs that are obsolete."""
         with self._changed:
             self._jobs = deque(waiting for waiting in self._jobs if not is_obsolete(waiting))
             self._jobs.append(job)
@@ -131,7 +131,7 @@ class JobQueue(BackgroundWorker, Generic[Job]):
             self._run_job(job)
 
     def _report_failure(self, action: str, error: Exception) -> None:
-        if not isinstance(error, MixseqError | MixseqWarning):  # a bug; later jobs still run
+        if not isinstance(error, MixseqError | MixseqWarning):  # a bug, which does not stop later jobs
             print_exception(error)
         try:
             self._on_failure(action, error)
@@ -153,11 +153,11 @@ class FrameCache(BackgroundWorker):
         self._poses: OrderedDict[Key, Single | MixseqError] = OrderedDict()
         self._size = 0
         self._decoding: set[Key] = set()
-        self._request: tuple[Scene, int, bool] | None = None  # frame, and whether to decode those after it
+        self._request: tuple[Scene, int, bool] | None = None  # scene, frame, and whether to decode ahead
         super().__init__(self._decode, threads)
 
     def request(self, scene: Scene, frame: int, ahead: bool = True) -> tuple[Single, ...] | None:
-        """Return the poses ``(V, 3)`` of a frame, or request them and return None if they are not decoded yet."""
+        """Return the poses ``(V, 3)`` of a frame if they are decoded; otherwise request them and return None."""
         elapsed = scene.elapsed(frame)
         with self._changed:
             self._request = scene, frame, ahead
@@ -169,7 +169,7 @@ class FrameCache(BackgroundWorker):
                 if pose is None:
                     return None
                 if isinstance(pose, MixseqError):
-                    del self._poses[key]  # so that it can be requested again
+                    del self._poses[key]  # so that the pose can be requested again
                     raise pose
                 self._poses.move_to_end(key)
                 poses.append(pose)
@@ -190,7 +190,7 @@ class FrameCache(BackgroundWorker):
                     result = item.pose(elapsed)
             except MixseqError as error:
                 result = error
-            except Exception as error:  # a bug or lack of memory, which other frames may not have
+            except Exception as error:  # a bug or lack of memory, which may not affect other frames
                 print_exception(error)
                 result = ReconstructionError(f"{type(error).__name__}: {error}")
             with self._changed:
@@ -199,7 +199,7 @@ class FrameCache(BackgroundWorker):
             self._on_decoded()
 
     def _next_key(self) -> Key | None:
-        """Return the next pose to decode, of the requested frame or else of the first missing frame after it."""
+        """Return the next pose to decode: from the requested frame, else from the first missing frame after it."""
         if self._request is None:
             return None
         scene, first, ahead = self._request
@@ -235,7 +235,7 @@ POLL_SECONDS = 0.5
 
 
 class Stage(Protocol):
-    """Draws moments of a scene."""
+    """Display that draws moments of a scene."""
 
     @property
     def is_busy(self) -> bool:
@@ -247,15 +247,15 @@ class Stage(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """A frame of a scene."""
+    """A frame of a scene with its decoded poses."""
 
-    scene: Scene  # scene that is shown
-    frame: int  # frame of the scene
+    scene: Scene  # displayed scene
+    frame: int  # index of the frame
     poses: tuple[Single, ...]  # points (V, 3) of each item
 
 
 class Playback(BackgroundWorker):
-    """Plays a scene on a stage."""
+    """Player that shows a scene on a stage."""
 
     def __init__(
         self,
@@ -277,7 +277,7 @@ class Playback(BackgroundWorker):
         super().__init__(self._run)
 
     def close(self) -> None:
-        """End the threads."""
+        """End the playback and decoding threads."""
         super().close()
         self._frames.close()
 
@@ -297,7 +297,7 @@ class Playback(BackgroundWorker):
         return self._clock.frame_at(monotonic())
 
     def play(self) -> None:
-        """Play, from the start if stopped at the end."""
+        """Start playback, from the first frame if it was stopped at the last frame."""
 
         def start(clock: Clock, now: float) -> Clock:
             is_at_end = not clock.is_running and clock.frame_at(now) == clock.count - 1
@@ -306,7 +306,7 @@ class Playback(BackgroundWorker):
         self._update_clock(start)
 
     def pause(self) -> None:
-        """Stop at the last frame that was shown."""
+        """Stop playback at the last shown frame."""
         with self._changed:
             if not self._clock.is_running:
                 return
@@ -335,27 +335,27 @@ class Playback(BackgroundWorker):
             self.set_scene(replace(self._scene, rate=fps))
 
     def set_scene(self, scene: Scene, decode_ahead: bool = True) -> None:
-        """Show another scene at the same time; previews are not decoded ahead."""
+        """Show another scene at the same elapsed time; `decode_ahead` is false for previews."""
         with self._changed:
             self._clock = self._clock.with_period(scene.count, scene.fps, monotonic())
             self._scene, self._decode_ahead = scene, decode_ahead
             self._changed.notify_all()
 
     def refresh(self) -> None:
-        """Send the current frame again, after a change of colours."""
+        """Send the current frame again after a change of colours."""
         with self._changed:
             self._shown, self._stale = None, True
             self._changed.notify_all()
 
     def wait_until_shown(self, timeout: float) -> bool:
-        """Wait until the current scene was sent to the stage; return False after a timeout in seconds."""
+        """Wait until the current scene has been sent to the stage; return False after a timeout in seconds."""
         with self._changed:
             return self._changed.wait_for(
                 lambda: self._closed or (self._shown is not None and self._shown[0] is self._scene), timeout
             )
 
     def wake(self) -> None:
-        """Wake the thread after the stage has drawn, or a frame was decoded."""
+        """Wake the playback thread, after the stage has drawn or a frame has been decoded."""
         with self._changed:
             self._changed.notify_all()
 
@@ -400,13 +400,13 @@ class Playback(BackgroundWorker):
             try:
                 self._stage.show(Moment(scene, frame, poses))
             except Exception as error:
-                # colour scales may decode other frames, which fails; anything else is a bug
+                # colour scales decode further frames, which may fail; any other error is a bug
                 if not isinstance(error, MixseqError):
                     print_exception(error)
                 self.pause()
                 self._on_failure(error)
             with self._changed:
-                # a refresh while it was sent may have come after its colours were computed
+                # a refresh during sending may have come after the colours of this frame were computed
                 self._shown = None if self._stale else (scene, frame)
                 self._changed.notify_all()
             pending = None

@@ -1,10 +1,10 @@
-r"""Edit the models of a scene: messages of the page, picking, undo history, chart data, and a thread for edits.
+r"""Edit the models of a scene: page messages, picking, undo history, chart data, and the editing thread.
 
-Edits run in order. Previews follow the mouse; only the newest one runs, after the one before was shown.
+Edits run in order. Previews follow the mouse: only the newest preview runs, after the previous preview was shown.
 
 Picking intersects a ray from the pointer with all triangles (Möller & Trumbore 1997). A point of the ray is
-:math:`o + t\,d`, one of the triangle :math:`a + u\,(b - a) + v\,(c - a)`; they intersect if :math:`t > 0`,
-:math:`u, v \ge 0` and :math:`u + v \le 1`.
+:math:`o + t\,d`, a point of a triangle is :math:`a + u\,(b - a) + v\,(c - a)`. Ray and triangle intersect if
+:math:`t > 0`, :math:`u, v \ge 0` and :math:`u + v \le 1`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from mixseq.types import Float, IntArray, evenly_spaced
 from mixseq.viewer.playback import JobQueue, Playback
 
 MAX_MESSAGE_POINTS = 5000
-"""Largest number of points of a sketch, or keys of a retiming."""
+"""Largest number of points of a sketch, and of keys of a retiming."""
 
 
 MAX_MESSAGE_NUMBER = 1e6
@@ -44,14 +44,14 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Seek:
-    """Request to go to a time of the model, in seconds."""
+    """Request to show the model at a time in seconds."""
 
     time: float
 
 
 @dataclass(frozen=True, eq=False)
 class Drag:
-    """Drag of the time curve at a time to a point ``(2,)`` of the embedding."""
+    """Drag of the time curve's point at a given time to a point ``(2,)`` of the embedding."""
 
     time: float
     target: Float
@@ -60,7 +60,7 @@ class Drag:
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """Curve ``(N, 2)`` drawn in the embedding."""
+    """Curve ``(N, 2)`` that the user drew in the embedding."""
 
     points: Float
 
@@ -78,7 +78,7 @@ State = TypeVar("State")
 
 
 def parse_message(text: str) -> Message | None:
-    """Parse a message of the page; None if it is not valid."""
+    """Parse a message of the page; return None if it is invalid."""
     try:
         message = json.loads(text)
         match message:
@@ -115,21 +115,21 @@ class RayHit(NamedTuple):
     """First intersection of a ray with a mesh."""
 
     face: int  # index of the triangle
-    vertex: int  # its corner nearest to the intersection
+    vertex: int  # corner of this triangle nearest to the intersection
     distance: float  # ray parameter of the intersection
 
 
 def intersect_ray(
     points: NDArray[np.floating], faces: IntArray, origin: ArrayLike, direction: ArrayLike
 ) -> RayHit | None:
-    """Return the first hit of a ray ``(3,)`` on two-sided triangles ``(F, 3)`` of points ``(V, 3)``, or None."""
+    """Return the first hit of a ray on two-sided triangles ``(F, 3)`` of points ``(V, 3)``, None if there is no hit."""
     start, ray = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
     corners = np.asarray(points, dtype=np.float64)[faces]
     a, b, c = np.moveaxis(corners, 1, 0)
     first, second = b - a, c - a
     normal = np.cross(ray, second)
     volume = np.einsum("fi,fi->f", first, normal)
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # rays in the plane of a triangle
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # the ray may lie in the plane of a triangle
         offset = start - a
         u = np.einsum("fi,fi->f", offset, normal) / volume
         cross = np.cross(offset, first)
@@ -145,18 +145,18 @@ def intersect_ray(
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A state of an edited model."""
+    """State of a model after an edit."""
 
     name: str  # name of the edit, such as "repeat"; empty for the opened model
     model: Model  # model after the edit
-    keys: tuple[tuple[float, float], ...] = ()  # of a retiming: output and source times, in seconds
+    keys: tuple[tuple[float, float], ...] = ()  # keys of a retiming: output and source times in seconds
 
 
 @dataclass(frozen=True, eq=False)
 class UndoHistory(Generic[State]):
-    """States and the index of the current one; immutable."""
+    """Immutable list of states, with the index of the current state."""
 
-    states: tuple[State, ...]  # the first is the initial one
+    states: tuple[State, ...]  # all states in order, starting with the initial state
     index: int = 0
 
     @property
@@ -165,7 +165,7 @@ class UndoHistory(Generic[State]):
         return self.states[self.index]
 
     def push(self, state: State) -> UndoHistory[State]:
-        """Return the history with a new current state; undone states are dropped."""
+        """Return the history with a new current state after the old one; undone states are dropped."""
         return UndoHistory((*self.states[: self.index + 1], state), self.index + 1)
 
     def replace(self, state: State) -> UndoHistory[State]:
@@ -173,11 +173,11 @@ class UndoHistory(Generic[State]):
         return UndoHistory((*self.states[: self.index], state, *self.states[self.index + 1 :]), self.index)
 
     def undo(self) -> UndoHistory[State]:
-        """Return the history one state back, or unchanged at its start."""
+        """Return the history with the previous state as current; unchanged at the first state."""
         return UndoHistory(self.states, max(self.index - 1, 0))
 
     def redo(self) -> UndoHistory[State]:
-        """Return the history one state ahead, or unchanged at its end."""
+        """Return the history with the next state as current; unchanged at the last state."""
         return UndoHistory(self.states, min(self.index + 1, len(self.states) - 1))
 
 
@@ -185,23 +185,23 @@ EditHistory = UndoHistory[Step]
 HistoryChange = Callable[[EditHistory], EditHistory]
 
 MAX_CHART_POINTS = 800
-"""Largest number of points of a line, about two per pixel of a chart."""
+"""Largest number of points of a chart line, about two per pixel."""
 
 MAX_CHART_FRAMES = 300
 """Largest number of frames that are drawn as dots."""
 
 HANDLE_COUNT = 13
-"""Number of draggable points of the time curve, evenly spaced in time, few enough for a small chart."""
+"""Number of draggable points of the time curve, evenly spaced in time; more would crowd a small chart."""
 
 INITIAL_KEY_COUNT = 5
 """Initial number of keys of a retiming."""
 
 SIGNIFICANT_DIGITS = 5
-"""Digits of the largest number, enough for a screen of 4000 pixels."""
+"""Significant digits of the largest chart value, sufficient for a screen of 4000 pixels."""
 
 
 def chart_data(model: Model, plane: Plane | None = None) -> dict[str, Any]:
-    """Return the chart data of a model, ready for JSON."""
+    """Return the chart data of a model as values that JSON can hold."""
     start, end = model.start, model.end
     has_motion = end > start and model.time.dim > 0
     times = dense_times(model) if end > start else np.array([start])
@@ -233,7 +233,7 @@ def chart_data(model: Model, plane: Plane | None = None) -> dict[str, Any]:
 
 
 def _round(values: Float, largest: float) -> list[Any]:
-    """Return values as lists, rounded to `SIGNIFICANT_DIGITS` digits of the largest."""
+    """Round values to the decimals that give `largest` `SIGNIFICANT_DIGITS` digits, and return them as lists."""
     decimals = SIGNIFICANT_DIGITS - int(np.ceil(np.log10(largest))) if largest > 0 else SIGNIFICANT_DIGITS
     rounded: list[Any] = (np.round(values, min(max(decimals, 0), 15)) + 0.0).tolist()
     return rounded
@@ -243,10 +243,10 @@ Edit = Callable[[Model], Model]
 
 
 Save = Callable[[Path, Model, bool], str]
-"""Function that saves a model, replaces an existing file if its last argument is true, and returns a message."""
+"""Function that saves a model and returns a message; its last argument permits replacing an existing file."""
 
 PREVIEW_TIMEOUT_SECONDS = 1.0
-"""Time after which the next preview runs even if the last one was not shown."""
+"""Time in seconds after which the next preview runs even if the previous preview was not shown."""
 
 MAX_CONCURRENT_SAVES = 8
 """Largest number of files that are written at the same time."""
@@ -265,7 +265,7 @@ class SessionListener(Protocol):
         """Handle an error."""
 
     def on_save(self, message: str) -> None:
-        """Handle a saved file."""
+        """Handle the message of a saved file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +277,7 @@ class _Job:
 
 
 class Session(JobQueue[_Job]):
-    """Edits the models of a scene."""
+    """Editing session for the models of a scene."""
 
     def __init__(self, playback: Playback, listener: SessionListener, save: Save) -> None:
         self._playback = playback
@@ -294,7 +294,7 @@ class Session(JobQueue[_Job]):
         super().__init__(listener.on_failure)
 
     def close(self) -> None:
-        """End the threads after the current edit and all saves."""
+        """End the background threads after the current edit and all saves."""
         super().close()
         for thread in self._save_threads:
             thread.join()
@@ -306,7 +306,7 @@ class Session(JobQueue[_Job]):
 
     @property
     def index(self) -> int:
-        """Index of the edited item; -1 if none is a model."""
+        """Index of the edited item, or -1 if the scene has no model."""
         return self._index
 
     @property
@@ -321,7 +321,7 @@ class Session(JobQueue[_Job]):
 
     @property
     def unsaved(self) -> dict[str, Model]:
-        """Edited models that are not saved, by name."""
+        """Models with unsaved edits, by name."""
         return {
             self._playback.scene.items[index].name: history.current.model
             for index, history in self._histories.items()
@@ -329,13 +329,13 @@ class Session(JobQueue[_Job]):
         }
 
     def select(self, index: int) -> None:
-        """Edit another item."""
+        """Select another item for editing."""
         if index in self._histories:
             self._index = index
             self._listener.on_select(self)
 
     def edit(self, name: str, edit: Edit, preview: bool = False) -> None:
-        """Edit the model on the background thread; a preview is only shown, and dropped if another job follows."""
+        """Edit the model on the background thread; a preview is shown but not stored, and dropped if a job follows."""
 
         def change(history: EditHistory) -> EditHistory:
             return history.push(Step(name, edit(history.current.model)))
@@ -343,7 +343,7 @@ class Session(JobQueue[_Job]):
         self._enqueue_change(name, change, preview)
 
     def retime(self, keys: Float, preview: bool = False) -> None:
-        """Retime the model by keys ``(n, 2)`` of output and source seconds; replaces a retiming as last step."""
+        """Retime the model by keys ``(n, 2)`` of output and source seconds; replace the last step if it retimes."""
 
         def change(history: EditHistory) -> EditHistory:
             before = history.undo() if history.current.keys else history
@@ -353,7 +353,7 @@ class Session(JobQueue[_Job]):
         self._enqueue_change("retime", change, preview)
 
     def undo(self) -> None:
-        """Undo the last step, after the queued edits."""
+        """Undo the last step after the queued edits have run."""
         self._enqueue_change("undo", UndoHistory.undo)
 
     def redo(self) -> None:
@@ -366,10 +366,10 @@ class Session(JobQueue[_Job]):
             self._enqueue_change("discard preview", lambda history: history)
 
     def save(self, path: Path, replace: bool = False) -> None:
-        """Save the model on a thread of its own; `replace` an existing file. Does nothing after `close`."""
+        """Save the model on a new thread, unless the session is closed; `replace` permits overwriting a file."""
         thread = Thread(target=self._write, args=(path, self._index, self.model, replace), daemon=True)
         with self._changed:
-            if self._closed:  # a process that ends while HDF5 writes may hang
+            if self._closed:  # a process may hang if it ends while HDF5 writes
                 return
             self._save_threads = [running for running in self._save_threads if running.is_alive()]
             has_capacity = len(self._save_threads) < MAX_CONCURRENT_SAVES
@@ -400,7 +400,7 @@ class Session(JobQueue[_Job]):
         except Exception as error:
             model = self._histories[job.index].current.model
             self._playback.set_scene(self._playback.scene.with_item(job.index, model))
-            if not job.is_preview:  # the edit after the previews reports its own error
+            if not job.is_preview:  # the edit that follows the previews reports the error
                 self._report_failure(job.name, error)
         else:
             self._show(job, history, scene)

@@ -1,5 +1,5 @@
-"""Sequences and models of mixseq in HDF5.
+"""Read and write sequences and models of mixseq in HDF5.
 
-`contents`, `inspection`: reading in a worker; `datasets`: arrays and settings; `sequences`, `models`, `coded_files`:
-the kinds of files.
+`contents` and `inspection` read files in a worker; `datasets` stores arrays and settings. `sequences`, `models` and
+`coded_files` define the three kinds of files.
 """

@@ -1,13 +1,13 @@
-"""Compressed models in HDF5: a dataset with all streams, and an attribute that describes them.
+"""Store compressed models in HDF5, as a dataset with all streams and an attribute that describes them.
 
 ::
 
     /            format = "mixseq-model", version = 1, created_by,
                  coding                  JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time
-    /streams     (n,) uint8: an index, then all streams, one after the other
+    /streams     (n,) uint8: an index, then the concatenation of all streams
 
-Streams share a dataset and have checksums of their own, since a dataset costs more bytes. Strings have fixed length,
-since one of variable length costs 4 KiB. Text and streams are those of `mixseq_io.coded`.
+All streams share one dataset, since separate datasets need more bytes. Each stream has its own checksum. Strings have
+fixed length, since a string of variable length takes 4 KiB. `mixseq_io.coded` defines the text and the streams.
 """
 
 from __future__ import annotations

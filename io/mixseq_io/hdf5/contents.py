@@ -1,7 +1,7 @@
-"""Attributes and arrays of HDF5 files, read in a worker process.
+"""Read attributes and arrays of HDF5 files in a worker process.
 
-A flipped bit can make HDF5 loop forever, and a crafted file can crash it, so only the worker opens files:
-`mixseq_io.hdf5.inspection` runs there, see `mixseq_io.isolation`.
+A flipped bit can make HDF5 loop forever, and a crafted file can crash HDF5. Therefore only the worker opens files, by
+`mixseq_io.hdf5.inspection`; see `mixseq_io.isolation`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _WORKER_MODULE = "mixseq_io.hdf5.inspection"
 
 @dataclass(frozen=True)
 class Contents:
-    """Attributes of an HDF5 file by group, "" for the root, and arrays by dataset."""
+    """Attributes of an HDF5 file by name of the group, "" for the root, and arrays by name of the dataset."""
 
     path: Path
     attributes: Mapping[str, Mapping[str, Any]]
@@ -40,24 +40,24 @@ class Contents:
 
     @property
     def kind(self) -> str | None:
-        """Root attribute `format`, None if it is missing or not a text."""
+        """Root attribute `format`, or None if it is missing or not a text."""
         return self.text("format") if isinstance(self.attrs.get("format"), bytes) else None
 
     def text(self, name: str, group: str = "") -> str:
-        """Decode an attribute that `mixseq_io.hdf5.datasets.write_text` stored."""
+        """Return the text of an attribute stored by `mixseq_io.hdf5.datasets.write_text`."""
         text: str = self.attributes[group][name].decode("utf-8", "surrogateescape")
         return text
 
 
 def read_attributes(path: Path) -> Contents:
-    """Read the attributes of a file."""
+    """Read the attributes of a file, without its arrays."""
     check_regular_file(path, "HDF5")
     contents: Contents = call_isolated(f"{_WORKER_MODULE}:load_attributes", path)
     return contents
 
 
 def read_contents(path: Path, kind: str | None = None, meanwhile: Callable[[], object] | None = None) -> Contents:
-    """Read a file, only its attributes if `format` is not `kind`; call `meanwhile` while the worker reads."""
+    """Read a file, but only the attributes if `format` is not `kind`; call `meanwhile` while the worker reads."""
     check_regular_file(path, "HDF5")
     contents: Contents = call_isolated(f"{_WORKER_MODULE}:load_contents", path, kind, meanwhile=meanwhile)
     return contents
@@ -71,11 +71,11 @@ def translate_h5_errors(path: Path) -> AbstractContextManager[None]:
 
 
 MODEL_FORMAT = "mixseq-model"
-"""Root attribute `format` of models."""
+"""Value of the root attribute `format` in models."""
 
 
 def check_version(file: Contents, supported: int) -> None:
-    """Raise an error if a file has another version of its format than the supported one."""
+    """Raise an error if the version of a file's format differs from the supported version."""
     version = int(file.attrs["version"])
     if version != supported:
         raise FormatError(
@@ -85,7 +85,7 @@ def check_version(file: Contents, supported: int) -> None:
 
 
 def read_header(file: Contents, vertex_count: int, times: NDArray[np.float64]) -> SequenceHeader:
-    """Read the header stored by `mixseq_io.hdf5.datasets.write_header`."""
+    """Return the header stored by `mixseq_io.hdf5.datasets.write_header`."""
     return SequenceHeader(
         polygons=Polygons(file.arrays["polygons/counts"], file.arrays["polygons/indices"]),
         vertex_count=vertex_count,

@@ -1,6 +1,6 @@
-"""Arrays and settings in HDF5, written with checksums, and checked for type, shape and range when read.
+"""Write arrays and settings to HDF5 with checksums, and check their type, shape and range when reading them.
 
-Datasets have Fletcher-32 checksums; the structure of the file has those of the HDF5 1.10 layout.
+Datasets have Fletcher-32 checksums. The HDF5 1.10 layout has checksums of the file's structure.
 
 Specification: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html
 """
@@ -36,7 +36,7 @@ STORAGE_OPTIONS: dict[str, Any] = {
 """Storage options of all datasets that are not empty."""
 
 _CHUNK_ROWS, _CHUNK_COLUMNS = 64, 2048
-"""Few columns, so that gzip's window of 32 KiB covers similar rows."""
+"""Largest shape of chunks; few columns let gzip's window of 32 KiB cover several similar rows."""
 
 
 def write_text(group: h5py.Group, name: str, text: str) -> None:
@@ -46,9 +46,9 @@ def write_text(group: h5py.Group, name: str, text: str) -> None:
 
 
 def write_array(file: h5py.File, name: str, array: NDArray[Any]) -> None:
-    """Store an array in chunks of at most 1 MiB, and flush it, so that equal contents give equal files.
+    """Store an array in chunks of at most 1 MiB, and flush the file, so that equal contents give equal files.
 
-    HDF5 otherwise allocates the data when the last reference is dropped; debuggers and dask's profiler may hold one.
+    Otherwise HDF5 allocates the data when the last reference to the dataset is dropped, which debuggers may delay.
     """
     options = STORAGE_OPTIONS | {"chunks": _chunk_shape(array.shape)} if array.size else {}
     file.create_dataset(name, data=array, **options)
@@ -63,7 +63,7 @@ def _chunk_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def write_header(file: h5py.File, header: SequenceHeader) -> None:
-    """Store a header except for its times."""
+    """Store all fields of a header except its times."""
     write_text(file, "name", header.name)
     file.attrs["fps"] = header.fps
     write_text(file, "up_axis", header.up_axis)
@@ -72,13 +72,13 @@ def write_header(file: h5py.File, header: SequenceHeader) -> None:
     write_array(file, "polygons/indices", header.polygons.indices)
     for name, array in surface_to_arrays(header.surface).items():
         if array.dtype.kind == "U":
-            array = np.char.encode(array, "utf-8")  # fixed length, as of `write_text`
+            array = np.char.encode(array, "utf-8")  # text of fixed length, as in `write_text`
         write_array(file, f"surface/{name}", array)
 
 
 @contextmanager
 def create_h5(path: Path) -> Iterator[tuple[h5py.File, DeferredErrorFile]]:
-    """Yield a new HDF5 file that replaces `path` when complete, and its file object, to check for failures."""
+    """Yield a new HDF5 file that replaces `path` when complete, and the file object, which records write errors."""
     with atomic_file(path) as temporary, temporary.open("w+b", buffering=0) as raw:
         buffer = DeferredErrorFile(raw)
         with h5py.File(buffer, "w", libver=("v110", "v110")) as file:
@@ -89,8 +89,8 @@ def create_h5(path: Path) -> Iterator[tuple[h5py.File, DeferredErrorFile]]:
 class DeferredErrorFile:
     """File object for HDF5 that defers errors: all writes seem to succeed, and `check` raises the first error.
 
-    HDF5 crashes after a failed write, and cannot pass on exceptions of Python callbacks. After an error, writes are
-    ignored. Signals are deferred until the callback returns.
+    This is necessary because HDF5 crashes after a failed write and cannot propagate exceptions of Python callbacks.
+    Writes after an error are ignored. Signals are deferred until the callback returns.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -98,13 +98,13 @@ class DeferredErrorFile:
         self._error: BaseException | None = None
 
     def check(self) -> None:
-        """Raise the first error, if any."""
+        """Raise the first deferred error, if any."""
         if self._error is not None:
             raise self._error
 
     @uninterrupted
     def write(self, data: memoryview) -> int:
-        """Write all of the data."""
+        """Write data, and return its number of bytes even if the write fails."""
         try:
             remaining = memoryview(data)
             while remaining and self._error is None:
@@ -140,17 +140,17 @@ class DeferredErrorFile:
 
     @uninterrupted
     def flush(self) -> None:
-        """Do nothing: the file is unbuffered, and `atomic_file` flushes it to disk."""
+        """Do nothing, since the file is unbuffered and `atomic_file` flushes the file to disk."""
 
 
 MAX_LENGTH_DIAGONALS = 1e20
-"""Limit on lengths and positions; products of several are still finite."""
+"""Limit on lengths and positions, so small that products of several values are finite."""
 
 _DTYPE_KINDS = {"integers": "iu", "floats": "f"}
 
 
 def write_compact(file: h5py.File, name: str, array: NDArray[Any]) -> None:
-    """Store an array, in single precision if that is lossless."""
+    """Store an array, in single precision if the conversion is lossless."""
     if array.dtype == np.float64 and array.size:
         with np.errstate(over="ignore"):
             single = array.astype(np.float32)
@@ -159,24 +159,24 @@ def write_compact(file: h5py.File, name: str, array: NDArray[Any]) -> None:
 
 
 def write_index_lists(file: h5py.File, group: str, name: str, lists: Sequence[NDArray[Any]]) -> None:
-    """Store lists of indices as a ragged array."""
+    """Store several lists of indices as one ragged array."""
     write_ragged(file, group, name, np.array(list(map(len, lists))), np.concatenate([*lists, np.zeros(0)]))
 
 
 def write_ragged(file: h5py.File, group: str, name: str, sizes: NDArray[np.integer], items: NDArray[Any]) -> None:
-    """Store a ragged array of indices by the sizes of its rows and their concatenation."""
+    """Store a ragged array of indices, given the sizes of its rows and the concatenated rows."""
     write_compact(file, f"{group}/sizes", sizes.astype(np.int32))
     write_compact(file, f"{group}/{name}", items.astype(np.int32))
 
 
 def read_index_lists(file: Contents, group: str, name: str, limit: int) -> list[Index]:
-    """Read lists of indices below `limit`."""
+    """Read lists of indices, which must be less than `limit`."""
     sizes, items = read_ragged(file, group, name, limit)
     return np.split(items, np.cumsum(sizes))[: len(sizes)]
 
 
 def read_ragged(file: Contents, group: str, name: str, limit: int) -> tuple[Index, Index]:
-    """Read the sizes of the rows of a ragged array, which are not empty, and their concatenation."""
+    """Read the sizes of the rows of a ragged array, none of which may be empty, and the concatenated rows."""
     sizes = read_integers(file, f"{group}/sizes", (None,), 1)
     return sizes, read_integers(file, f"{group}/{name}", (int(sizes.sum()),), 0, limit)
 
@@ -184,7 +184,7 @@ def read_ragged(file: Contents, group: str, name: str, limit: int) -> tuple[Inde
 def read_integers(
     file: Contents, name: str, shape: tuple[int | None, ...], low: int, limit: int | None = None
 ) -> Index:
-    """Read integers in ``[low, limit)``; None in the shape allows any length."""
+    """Read an array of integers in ``[low, limit)``; None in `shape` allows any length."""
     array = _read_array(file, name, shape, "integers")
     if array.size and (array.min() < low or (limit is not None and array.max() >= limit)):
         upper = "" if limit is None else f" to {limit - 1}"
@@ -193,7 +193,7 @@ def read_integers(
 
 
 def read_floats(file: Contents, name: str, shape: tuple[int | None, ...], limit: float = MAX_LENGTH) -> Float:
-    """Read finite numbers of a magnitude up to `limit`; None in the shape allows any length."""
+    """Read an array of finite numbers with magnitudes up to `limit`; None in `shape` allows any length."""
     array = _read_array(file, name, shape, "floats")
     if not np.isfinite(array).all():
         raise FormatError(f"{file.path}: {name} is not finite in row {np.argwhere(~np.isfinite(array))[0, 0]}")
@@ -235,7 +235,7 @@ def _read_array(
 
 
 def read_scale(file: Contents) -> float:
-    """Read the scale of a shape space, the length of its unit."""
+    """Read the scale of a shape space, which is the length of its unit."""
     scale = float(file.attributes["space"]["scale"])
     if not MIN_LENGTH <= scale <= MAX_LENGTH:
         raise FormatError(
@@ -246,7 +246,7 @@ def read_scale(file: Contents) -> float:
 
 
 def read_settings(file: Contents, group: str, names: Collection[str]) -> dict[str, Any]:
-    """Read a group of settings, which must have exactly these names."""
+    """Read a group of settings, which must have exactly the names `names`."""
     settings: dict[str, Any] = json.loads(file.text("settings"))[group]
     if differing := sorted(set(settings) ^ set(names)):
         raise FormatError(f"{file.path}: the setting {differing[0]!r} is missing or not known; it is damaged")

@@ -1,8 +1,8 @@
-"""Reading of HDF5 files in the worker of `mixseq_io.hdf5.contents`, after an inspection that rejects unusual contents.
+"""Inspect and read HDF5 files in the worker of `mixseq_io.hdf5.contents`; files with unusual contents are rejected.
 
-HDF5 files can refer to other files, link in circles, load code for unknown filters, and declare terabytes that were
-never written. So names, types, shapes and storage, which the 1.10 layout protects by checksums, are inspected first. A
-dataset may unpack to gzip's limit of 1032 bytes per stored byte; motionless sequences of mixseq reach 1023.
+HDF5 files can refer to other files, contain cycles of links, load code for unknown filters, and declare terabytes of
+unwritten data. Therefore names, types, shapes and storage are inspected before data is read; the 1.10 layout protects
+them by checksums. A dataset may unpack to gzip's limit of 1032 bytes per stored byte; still sequences reach 1023.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from mixseq_io.isolation import limit_time
 from mixseq_io.reader import summarize_error
 
 MAX_OBJECTS_PER_FILE = 1000
-"""Limit on groups and datasets; mixseq's files have about 30."""
+"""Largest number of groups and datasets; mixseq's files have about 30."""
 
 _MAX_GROUP_DEPTH = 8
 _MAX_ATTRIBUTES_PER_OBJECT = 100
 _MAX_RANK = 4
 _MAX_ATTRIBUTE_BYTES = 1 << 20
 _MAX_COMPRESSION_RATIO = 1040
-"""Limit on bytes per stored byte: that of gzip, with a margin for rounding."""
+"""Largest number of unpacked bytes per stored byte: the limit of gzip with a margin for rounding."""
 
 _ATTRIBUTE_TIME_FRACTION = 1 / 60
-"""Fraction of the time limit for attributes, which are small; damaged ones may loop forever."""
+"""Fraction of the time limit for reading attributes, which are small; damaged attributes may loop forever."""
 
 _ALLOWED_FILTERS = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
 _NUMBER_CLASSES = (h5t.INTEGER, h5t.FLOAT)
@@ -44,7 +44,7 @@ _TYPE_NAMES = {h5t.REFERENCE: "reference", h5t.VLEN: "list of any length", h5t.C
 
 
 class _FileInspector:
-    """Check of all objects of an open file, with a count of objects and of stored bytes."""
+    """Inspector of all objects of an open file, which counts objects and stored bytes."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -52,7 +52,7 @@ class _FileInspector:
         self._object_count = 0
 
     def check_group(self, group: h5g.GroupID, name: str) -> None:
-        """Check a group and everything in it."""
+        """Check a group and all objects in the group."""
         if name.count("/") > _MAX_GROUP_DEPTH:
             raise self._rejection(name, "is nested too deeply")
         self._check_attributes(group, name)
@@ -96,7 +96,7 @@ class _FileInspector:
     def _check_dataset(self, dataset: h5d.DatasetID, name: str) -> None:
         storage = dataset.get_create_plist()
         layout = storage.get_layout()
-        # Layout and storage come first: HDF5 opens external files when it is asked for the shape of their data.
+        # Layout and storage are checked first, because reading the shape makes HDF5 open external files.
         if layout not in (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED):
             raise self._rejection(name, "is a virtual dataset, of data elsewhere")
         if storage.get_external_count():
@@ -125,7 +125,7 @@ class _FileInspector:
 
     def _check_size(self, dataset: h5d.DatasetID, name: str, shape: tuple[int, ...], chunk: tuple[int, ...]) -> None:
         stored_bytes: int = dataset.get_storage_size()
-        count = prod(shape) and max(prod(shape), prod(chunk))  # a chunk is unpacked as a whole
+        count = prod(shape) and max(prod(shape), prod(chunk))  # chunks are unpacked completely
         declared_bytes = dataset.get_type().get_size() * count
         self._remaining_bytes -= stored_bytes
         if self._remaining_bytes < 0:
@@ -141,14 +141,14 @@ class _FileInspector:
 
 
 def load_attributes(path: Path) -> Contents:
-    """Read a file's attributes, see `mixseq_io.hdf5.contents.read_attributes`."""
+    """Read a file's attributes for `mixseq_io.hdf5.contents.read_attributes`."""
     limit_time(_ATTRIBUTE_TIME_FRACTION)
     with open_inspected(path) as file:
         return Contents(path, _read_attributes(file), {})
 
 
 def load_contents(path: Path, kind: str | None) -> Contents:
-    """Read a file, see `mixseq_io.hdf5.contents.read_contents`."""
+    """Read a file for `mixseq_io.hdf5.contents.read_contents`."""
     limit_time(_ATTRIBUTE_TIME_FRACTION)
     with open_inspected(path) as file:
         contents = Contents(path, _read_attributes(file), {})
@@ -159,7 +159,7 @@ def load_contents(path: Path, kind: str | None) -> Contents:
 
 
 def load_datasets(path: Path, file: h5py.File, excluded: Collection[str] = ()) -> Contents:
-    """Read an open file except for some datasets."""
+    """Read the attributes and datasets of an open file, except for the datasets `excluded`."""
     _, datasets = _list_objects(file)
     needed = sum(_memory_bytes(dataset, name in excluded) for name, dataset in datasets.items())
     check_memory(path, needed, "its datasets")
@@ -178,13 +178,13 @@ def _read_attributes(file: h5py.File) -> dict[str, dict[str, Any]]:
 
 
 def _memory_bytes(dataset: h5py.Dataset, by_chunk: bool) -> int:
-    """Return the memory that a dataset takes, or one of its chunks; chunks are unpacked as a whole."""
+    """Return the memory in bytes of a dataset or, if `by_chunk`, of one chunk, since chunks are unpacked completely."""
     chunk = prod(dataset.chunks or (1,))
     return int(dataset.dtype.itemsize * (chunk if by_chunk else max(dataset.size, chunk)))
 
 
 def _list_objects(file: h5py.File) -> tuple[dict[str, h5py.Group], dict[str, h5py.Dataset]]:
-    """Return groups, the root as "", and datasets by name."""
+    """Return all groups by name, with "" for the root, and all datasets by name."""
     names: list[str] = []
     file.visit(names.append)
     objects = {"": file} | {name: file[name] for name in names}
@@ -194,7 +194,7 @@ def _list_objects(file: h5py.File) -> tuple[dict[str, h5py.Group], dict[str, h5p
 
 @contextmanager
 def open_inspected(path: Path) -> Iterator[h5py.File]:
-    """Open a file in this process, and reject it unless all its contents are permitted."""
+    """Open a file in this process, and raise an error unless all its contents are permitted."""
     with translate_h5_errors(path), h5py.File(path, "r") as file:
         _FileInspector(path).check_group(file.id, "")
         yield file

@@ -1,4 +1,4 @@
-"""HDF5 models: a shape space and the signals of a sequence, as datasets that users may read and edit.
+"""Read and write HDF5 models: a shape space and the signals of a sequence, in datasets that users may edit.
 
 ::
 
@@ -18,7 +18,7 @@
     /signals/placement/        times, rotations, translations
     /signals/correction/       times, rotations, translations               (mixed space)
 
-See ``docs/file-format.md``. Compressed models have another layout: `mixseq_io.hdf5.coded_files`.
+See ``docs/file-format.md``. `mixseq_io.hdf5.coded_files` describes the layout of compressed models.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def _read_steadiness(file: Contents, name: str) -> Float:
 
 
 def _mask_of(indices: Index, count: int) -> NDArray[np.bool_]:
-    """Return a mask ``(count,)`` that is true at the given indices."""
+    """Return the mask ``(count,)`` that is true at the given indices."""
     mask = np.zeros(count, dtype=bool)
     mask[indices] = True
     return mask
@@ -164,17 +164,17 @@ def _read_segmentation(file: Contents, topology: Topology) -> Decomposition:
 
 StoredSpace = MixedSpace | VertexSpace | GradientSpace | LRISpace | EdgeSpace | BasisSpace
 Blocks = dict[str, tuple[int, ...]]
-"""Shapes of datasets by name, in the order of the blocks in a vector."""
+"""Shape of each dataset by name, in the order of the corresponding blocks in a vector."""
 
 EDGE_SETTINGS = ("projection", "volume")
-"""Settings of the edge space in the group "edge"; settings of its shell fits are in the group "shell"."""
+"""Settings of the edge space that are stored in the group "edge"; the group "shell" has those of its shell fits."""
 
 SPACE_NAMES = (*SPACES, BasisSpace.name)
-"""Names of the spaces that files can store."""
+"""Names of the shape spaces that files can store."""
 
 
 def shape_blocks(space: StoredSpace) -> Blocks:
-    """Return the blocks of shape vectors: datasets in `signals/shape`."""
+    """Return the blocks of shape vectors, which are datasets in `signals/shape`."""
     match space:
         case VertexSpace():
             return {"positions": (space.vertex_count, 3)}
@@ -202,12 +202,12 @@ def shape_blocks(space: StoredSpace) -> Blocks:
 
 
 def placement_blocks(space: StoredSpace) -> Blocks:
-    """Return the blocks of placement vectors: datasets in `signals/placement`."""
+    """Return the blocks of placement vectors, which are datasets in `signals/placement`."""
     return {"rotations": (space.rotation_count, 4), "translations": (space.centre_count, 3)}
 
 
 def correction_blocks(space: StoredSpace) -> Blocks:
-    """Return the blocks of correction vectors: datasets in `signals/correction`; none without parts."""
+    """Return the blocks of correction vectors, datasets in `signals/correction`; a space without parts has none."""
     parts = space.correction_dim // 6
     return {"rotations": (parts, 3), "translations": (parts, 3)} if parts else {}
 
@@ -275,7 +275,7 @@ def _read_edge_space(file: Contents, topology: Topology, scale: float, reference
 
 
 def write_signals(file: h5py.File, model: Model, space: StoredSpace) -> None:
-    """Store the signals of a model in a space."""
+    """Store the signals of a model, whose shape vectors belong to the given space."""
     write_compact(file, "signals/time/frames", model.times)
     write_compact(file, "signals/time/times", model.time.times)
     write_compact(file, "signals/time/values", model.time.values)
@@ -290,7 +290,7 @@ def write_signals(file: h5py.File, model: Model, space: StoredSpace) -> None:
 
 
 def read_signals(file: Contents, header: SequenceHeader, space: StoredSpace) -> Model:
-    """Read the signals of a model in a space."""
+    """Read signals whose shape vectors belong to the given space, and return the model."""
     pose = _read_pose(file)
     knots = read_increasing_times(file, "signals/time/times")
     time = Curve(knots, read_floats(file, "signals/time/values", (len(knots), pose.dim)))
@@ -311,7 +311,7 @@ def read_signals(file: Contents, header: SequenceHeader, space: StoredSpace) -> 
 
 
 def _check_time_range(file: Contents, header: SequenceHeader, **curves: Curve) -> None:
-    """Raise an error if a curve, passed by the name of its signal, does not cover all frames."""
+    """Raise an error if a curve does not cover all frames; keyword names are names of signals."""
     first, last = header.times[0], header.times[-1]
     for name, curve in curves.items():
         if curve.start > first or curve.end < last:
@@ -322,7 +322,7 @@ def _check_time_range(file: Contents, header: SequenceHeader, **curves: Curve) -
 
 
 def _write_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) -> None:
-    """Store vectors ``(m, D)`` as one dataset ``(m, ...)`` per block."""
+    """Store vectors ``(m, D)`` in one dataset ``(m, ...)`` per block."""
     ends = np.cumsum([int(np.prod(shape)) for shape in blocks.values()])
     columns = np.split(values, ends[:-1], axis=1)
     for (name, shape), block in zip(blocks.items(), columns, strict=True):
@@ -330,7 +330,7 @@ def _write_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) ->
 
 
 def _read_blocks(file: Contents, group: str, blocks: Blocks, count: int) -> Float:
-    """Read vectors ``(m, D)`` that `_write_blocks` stored."""
+    """Read vectors ``(m, D)`` stored by `_write_blocks`."""
     columns = []
     for name, shape in blocks.items():
         values = read_floats(file, f"{group}/{name}", (count, *shape))
@@ -368,7 +368,7 @@ def write_model(file: h5py.File, model: Model) -> None:
 
 
 def read_model(file: Contents) -> Model:
-    """Make a model of the contents of a file."""
+    """Construct a model from the contents of a file."""
     check_version(file, MODEL_VERSION)
     try:
         frames = read_increasing_times(file, "signals/time/frames")

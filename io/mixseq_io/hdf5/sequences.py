@@ -1,17 +1,17 @@
-"""HDF5 sequences: all of a mesh sequence, deflated, with checksums.
+"""Read and write HDF5 sequences: complete mesh sequences, deflated, with checksums.
 
 ::
 
     /                    format = "mixseq-sequence", version = 1, name, fps,
                          up_axis, metres_per_unit
     /points              (T, V, 3) float32 or float64, in chunks of whole frames
-    /velocities          as points, units per second; optional
+    /velocities          units per second, in the form of points; optional
     /times               (T,) float64, seconds
     /polygons/counts     (P,) int32
     /polygons/indices    (sum of counts,) int32
-    /surface/...         texture coordinates and the like, see `mixseq_io.surfaces`; optional
+    /surface/...         surface data such as texture coordinates, see `mixseq_io.surfaces`; optional
 
-A file of `format` "mixseq-model" holds a model instead, see `mixseq_io.loading`.
+A file whose `format` is "mixseq-model" holds a model instead; see `mixseq_io.loading`.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ SEQUENCE_FORMAT = "mixseq-sequence"
 SEQUENCE_VERSION = 1
 
 _FRAME_DATASETS = ("points", "velocities")
-"""Datasets that are read block by block."""
+"""Names of the datasets that are read block by block."""
 
 _MAX_CHUNK_BYTES = 1 << 20
-"""Chunks are read as a whole; HDF5 caches 1 MiB of them by default."""
+"""Largest size of a chunk in bytes; chunks are read completely, and HDF5 caches 1 MiB of chunks by default."""
 
 
 def open_h5(path: Path) -> SequenceReader:
@@ -105,7 +105,7 @@ def write_h5(
     blocks: Iterable[FloatArray],
     velocities: Iterable[FloatArray] | None = None,
 ) -> None:
-    """Write an HDF5 sequence, one block at a time; see `mixseq_io.write_blocks`."""
+    """Write an HDF5 sequence block by block; see `mixseq_io.write_blocks`."""
     with create_h5(path) as (file, buffer):
         dtype, frame_blocks = validate_blocks(header, blocks, velocities)
         write_text(file, "format", SEQUENCE_FORMAT)
@@ -122,5 +122,5 @@ def write_h5(
             for dataset, block in zip(datasets, (points, velocity_block), strict=False):
                 dataset[first_frame : first_frame + len(points)] = block
             buffer.check()
-        for dataset in datasets:  # in this order, for reproducible files: see `write_array`
+        for dataset in datasets:  # a fixed order makes files reproducible, see `write_array`
             dataset.flush()

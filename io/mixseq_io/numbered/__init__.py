@@ -1,1 +1,1 @@
-"""Numbered files of one frame each: `files` is the driver of `obj`, `ply` and `stl_off`."""
+"""Read and write numbered files of one frame each; `files` drives the formats `obj`, `ply` and `stl_off`."""

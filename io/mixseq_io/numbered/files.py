@@ -1,8 +1,8 @@
-"""Driver of numbered files of one frame each: names, frames, and what OBJ, PLY, STL and OFF share.
+"""Read and write numbered files of one frame each: file names, frames, and functions common to all formats.
 
-Files are named by a pattern or a folder: ``walk_####.obj``, ``walk_%04d.obj``, ``walk_*.obj``. A format is a parser of
-one file and an encoder of one frame. Parsers of later files get the first frame's mesh, and reuse its faces where they
-are stored in the same bytes.
+A sequence is given by a folder or a pattern: ``walk_####.obj``, ``walk_%04d.obj``, ``walk_*.obj``. A format has a
+parser of one file and an encoder of one frame. For later files the parser also gets the first frame's mesh, and reuses
+its faces if the later file stores them in the same bytes.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ _LAST_NUMBER_PATTERN = re.compile(r"(\d+)(?=\D*$)")
 
 
 def is_pattern(path: Path) -> bool:
-    """Whether a file name has a placeholder of the frame number: ``####`` or ``%04d``."""
+    """Whether a file name has a placeholder for the frame number, ``####`` or ``%04d``."""
     return _FRAME_PATTERN.search(path.name) is not None
 
 
 def frame_file_name(pattern: Path, number: int) -> str:
-    """Insert a frame number into a pattern's name; names without a placeholder are unchanged."""
+    """Insert a frame number into the name of a pattern; a name without a placeholder is unchanged."""
     return _FRAME_PATTERN.sub(lambda match: str(number).zfill(_digit_count(match)), pattern.name, count=1)
 
 
 def find_frame_files(path: Path, allow_gaps: bool, extension: str = ".obj") -> tuple[list[Path], list[int]]:
-    """Find the files of a sequence and their numbers, in order."""
+    """Return the files of a sequence and their frame numbers, in order of the numbers."""
     if path.is_file():
         return [path], [0]
     if path.is_dir():
@@ -69,7 +69,7 @@ def find_frame_files(path: Path, allow_gaps: bool, extension: str = ".obj") -> t
 
 
 def find_numbered_files(path: Path) -> list[tuple[int, Path]]:
-    """Find the numbers and files that match a pattern, unsorted."""
+    """Return the files that match a pattern, with their frame numbers, unsorted."""
     placeholder = _FRAME_PATTERN.search(path.name)
     if placeholder is None or not path.parent.is_dir():
         return []
@@ -80,7 +80,7 @@ def find_numbered_files(path: Path) -> list[tuple[int, Path]]:
 
 
 def _number_files(path: Path, files: Iterable[Path]) -> list[tuple[int, Path]]:
-    """Return the last number in each name with its file; the rest of all names must be equal."""
+    """Return each file with the last number in its name; apart from this number all names must be equal."""
     series: dict[str, list[tuple[int, Path]]] = defaultdict(list)
     for file in sorted(files):
         if file.name.startswith("."):
@@ -95,7 +95,7 @@ def _number_files(path: Path, files: Iterable[Path]) -> list[tuple[int, Path]]:
 
 
 def _digit_count(placeholder: re.Match[str]) -> int:
-    """Return a placeholder's minimum number of digits."""
+    """Return the minimum number of digits of a placeholder."""
     text = placeholder[0]
     return len(text) if text.startswith("#") else int(placeholder[1] or 1)
 
@@ -119,37 +119,37 @@ def _check_numbers(path: Path, numbered: Sequence[tuple[int, Path]], allow_gaps:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeshFile:
-    """Contents of one file."""
+    """Parsed contents of one file."""
 
     points: FloatArray  # (V, 3)
     polygons: Polygons
-    stored_faces: Any = None  # faces as stored, to detect equal ones in other files
+    stored_faces: Any = None  # faces as stored, to detect equal faces in other files
     name: str = ""
-    surface: Surface = Surface()  # noqa: RUF009 - frozen all the way down. Of later frames: colours only
-    colour_text: bytes = b""  # colours as stored, to detect equal ones in other files
-    has_changing_colours: bool = False  # a change was reported, so that colours of later files are skipped
+    surface: Surface = Surface()  # noqa: RUF009 - deeply frozen. Later frames have only colours
+    colour_text: bytes = b""  # colours as stored, to detect equal colours in other files
+    has_changing_colours: bool = False  # after a reported change, colours of later files are skipped
 
 
 Parser = Callable[[Path, bytes, MeshFile | None], MeshFile]
-"""Parser of a file's bytes, given its name for messages, and the first frame's mesh for later files."""
+"""Function from file name (for messages), bytes and, for later files, the first frame's mesh to the file's contents."""
 
 Encoder = Callable[[FloatArray, int], Iterable[bytes]]
-"""Encoder of points ``(V, 3)`` and their frame's index into a file's contents."""
+"""Function from the points ``(V, 3)`` and the index of a frame to the bytes of its file."""
 
 
 @dataclass(frozen=True)
 class FrameFormat:
-    """Format of files with one frame."""
+    """Format whose files contain one frame each."""
 
-    name: str  # in lower case the extension
+    name: str  # name, which in lower case is the extension
     parse: Parser
-    make_encoder: Callable[[Path, SequenceHeader], Encoder]  # from the pattern, for warnings, and the header
+    make_encoder: Callable[[Path, SequenceHeader], Encoder]  # arguments: pattern, for warnings, and header
     find_losses: Callable[[SequenceHeader], list[str]]
-    is_text: bool = False  # text takes more memory to parse
-    damage_errors: tuple[type[Exception], ...] = ()  # of `parse` on damaged files, besides mixseq's
+    is_text: bool = False  # whether files are text, which takes more memory to parse
+    damage_errors: tuple[type[Exception], ...] = ()  # errors of `parse` on damaged files, besides mixseq's
 
     def open(self, path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
-        """Open numbered files."""
+        """Open the numbered files of a sequence."""
         if not (np.isfinite(fps) and fps > 0):
             raise SettingsError(f"fps is {fps}; a positive number is expected")
         files, numbers = find_frame_files(path, allow_gaps, f".{self.name.lower()}")
@@ -166,7 +166,7 @@ class FrameFormat:
         return _FilesReader(path, header, files, first, self)
 
     def read(self, file: Path, first: MeshFile | None = None) -> MeshFile:
-        """Read a file, given the first frame's mesh for later frames."""
+        """Read one file; `first` is the first frame's mesh for files of later frames."""
         with translate_read_errors(file, with_article(self.name), *self.damage_errors):
             return self.parse(file, read_bytes(file, self.is_text), first)
 
@@ -178,10 +178,10 @@ class FrameFormat:
         velocities: Iterable[FloatArray] | None = None,
         start: int | None = None,
     ) -> None:
-        """Write one file per frame, named by a pattern as ``walk_####.obj`` or ``walk_%04d.obj``; velocities are lost.
+        """Write one file per frame, without velocities, named by a pattern such as ``walk_####.obj``.
 
-        Numbers begin at `start`, by default that of the first frame, or 1 if that is no whole number from 0 on. Raises
-        `OutputError` for several frames without a pattern or failed writes, `SettingsError` if `start` is negative.
+        Numbers begin at `start`, by default the first frame's number, or 1 if this number is negative or fractional.
+        Raise `OutputError` for failed writes or several frames without a pattern, `SettingsError` for negative `start`.
         """
         if start is not None and start < 0:
             raise SettingsError(f"start is {start}; files are numbered from 0 or more")
@@ -190,7 +190,7 @@ class FrameFormat:
                 f"{path}: {with_article(self.name)} holds one frame, this sequence has {header.frame_count}; give a "
                 f"pattern such as {path.stem.rstrip('*')}_####{path.suffix}"
             )
-        own = time_to_number(header.times[0], header.fps)  # of the first frame
+        own = time_to_number(header.times[0], header.fps)  # number of the first frame
         first = start if start is not None else int(own) if own >= 0 and own.is_integer() else 1
         losses = lost_times(header, first if start is None else own)
         losses += lost_scale(header, velocities is not None) + self.find_losses(header)
@@ -248,12 +248,12 @@ def _same_colours(surface: Surface, first: Surface) -> bool:
 
 
 def with_article(format_name: str) -> str:
-    """Name a file of a format with its article: "a PLY file", "an OBJ file"."""
+    """Return the phrase for a file of a format with its article: "a PLY file", "an OBJ file"."""
     return f"{'a' if format_name.startswith('P') else 'an'} {format_name} file"
 
 
 def _warn_of_leftover_files(path: Path, written: set[str]) -> None:
-    """Warn of files left by a longer sequence, which would be read with this one."""
+    """Warn of files left by a longer previous sequence, which would be read as part of the new sequence."""
     leftover = sorted({file.name for _, file in find_numbered_files(path)} - written)
     if leftover:
         warn(
@@ -263,16 +263,16 @@ def _warn_of_leftover_files(path: Path, written: set[str]) -> None:
 
 
 PRECISION_COMMENT = b"# Written by mixseq, "
-"""Start of the comment with the precision of points, float32 or float64."""
+"""Beginning of the comment that states the precision of points, float32 or float64."""
 
 
 def quote_line(line: bytes) -> str:
-    """Quote the beginning of a line for a message."""
+    """Return the quoted beginning of a line for a message."""
     return repr(line.strip()[:40].decode("ascii", errors="replace"))
 
 
 def format_number_lines(keyword: str, rows: FloatArray, ends: Sequence[str] = ()) -> bytes:
-    """Format a line per row of numbers, with the digits that restore each number, and optional line ends."""
+    """Format each row as a line with enough digits to restore every number, followed by its optional end."""
     line = keyword + " ".join(["%.9g" if rows.dtype == np.float32 else "%.17g"] * rows.shape[1])
     lines = "".join(f"{line}{end}\n" for end in ends) if ends else f"{line}\n" * len(rows)
     text: str = lines % tuple(rows.reshape(-1).tolist())
@@ -282,7 +282,7 @@ def format_number_lines(keyword: str, rows: FloatArray, ends: Sequence[str] = ()
 def parse_colours(
     file: Path, vertices: Sequence[int], rows: Sequence[Sequence[bytes]], first: MeshFile | None
 ) -> FloatArray:
-    """Parse the colours ``(n, 3)`` or ``(n, 4)`` of vertices; unreadable ones are NaN in later frames."""
+    """Parse the colours ``(n, 3)`` or ``(n, 4)`` of vertices; unreadable colours of later frames become NaN."""
     try:
         return scale_text_colours(np.array(rows, dtype=np.float64))
     except ValueError:

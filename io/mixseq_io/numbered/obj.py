@@ -1,26 +1,26 @@
-"""Numbered Wavefront OBJ files: one text file per frame, polygons and vertex order as in the files.
+"""Read and write numbered Wavefront OBJ files, one text file per frame, with unchanged polygons and vertex order.
 
 ==================================  ==============================================================
-in the file                         here
+in the file                         in the sequence
 ==================================  ==============================================================
 ``v``, without weights              points
-``v`` with six numbers              colours of vertices, of the first frame
+``v`` with six numbers              colours of the vertices in the first frame
 ``f``                               polygons
-``vt``                              texture coordinates, of the first frame
-``vn``                              hard edges: where the first frame has several normals at a vertex
-``o``, one                          the name
-``o``, several                      objects, if each has vertices of its own that follow each other,
-                                    else face sets
+``vt``                              texture coordinates in the first frame
+``vn``                              hard edges, where a vertex of the first frame has several normals
+``o``, a single one                 name of the mesh
+``o``, several                      objects if each object has separate, consecutive vertices,
+                                    otherwise face sets
 ``usemtl``                          face sets with that material
-``g``                               face sets without a material; ``g a b`` is in both
+``g``                               face sets without a material; ``g a b`` puts faces in both sets
 ==================================  ==============================================================
 
-The parser is mixseq's own to keep the order of vertices: trimesh merges and splits vertices and triangulates polygons.
-Points are written with the digits that restore the same float32 or float64. Comments in the files state which, and
-whether the file is complete; points of other files are read as float64. Normals are written for hard edges only, for
-every frame; hard edges that are flat in the first frame are lost when read. Names of materials are the last part of
-their path. OBJ has no place for times, frame rate, units, the up axis, velocities, subdivision, alpha, several colours
-at a vertex, and two materials on one polygon; the library of materials (``mtllib``) is not kept.
+mixseq has a parser for OBJ, because trimesh merges and splits vertices and triangulates polygons. Points are written
+with enough digits to restore the same float32 or float64. A comment at the start states this precision, and a comment
+at the end marks a complete file. Points of files without these comments are read as float64. Every frame has normals if
+the mesh has hard edges. Reading loses hard edges that are flat in the first frame. A material's name is the last part
+of its path. OBJ cannot store times, frame rate, units, the up axis, velocities, subdivision, alpha, several colours at
+a vertex, or two materials on one polygon. The library of materials (``mtllib``) is not written.
 
 Specification: https://paulbourke.net/dataformats/obj/
 """
@@ -55,23 +55,23 @@ from mixseq_io.reader import warn
 from mixseq_io.surfaces import format_vertex_colours, lost_colours, lost_surface
 
 NO_NAME = "(null)"
-"""Name that ends a group or material without starting another, as exporters write it."""
+"""Name by which exporters end a group or material without starting another one."""
 
 
 @dataclass(frozen=True)
 class Statement:
-    """Line ``o``, ``g`` or ``usemtl``, which applies until the next one of its kind."""
+    """Line ``o``, ``g`` or ``usemtl``, which applies until the next line with the same keyword."""
 
     kind: str
     text: str
-    face: int  # first face after it
-    vertex: int  # first vertex after it
+    face: int  # index of the first face after the line
+    vertex: int  # index of the first vertex after the line
 
 
 def group_faces(
     statements: Sequence[Statement], polygons: Polygons, vertex_count: int
 ) -> tuple[str, tuple[FaceSet, ...], tuple[MeshObject, ...]]:
-    """Return the name of the mesh ("" if there is none or several), its face sets and its objects."""
+    """Return the mesh's name, which is "" for no name or several names, its face sets and its objects."""
     by_kind = {kind: [item for item in statements if item.kind == kind] for kind in ("o", "g", "usemtl")}
     count = len(polygons.counts)
     sets = [FaceSet(name, faces, name) for name, faces in _faces_by_name(by_kind["usemtl"], count).items()]
@@ -87,7 +87,7 @@ def group_faces(
 
 
 def _faces_by_name(statements: Sequence[Statement], count: int, split: bool = False) -> dict[str, IntArray]:
-    """Return the faces of every name; `split` texts into several names."""
+    """Return the faces of every name; if `split` is true, a text may hold several names."""
     faces: dict[str, list[IntArray]] = {}
     ends = [*(statement.face for statement in statements[1:]), count]
     for statement, end in zip(statements, ends, strict=False):
@@ -98,7 +98,7 @@ def _faces_by_name(statements: Sequence[Statement], count: int, split: bool = Fa
 
 
 def _split_objects(statements: Sequence[Statement], polygons: Polygons, vertex_count: int) -> tuple[MeshObject, ...]:
-    """Return the objects, or none if their vertices are not consecutive."""
+    """Return the objects, or an empty tuple if the vertices of an object are not consecutive."""
     if not statements or statements[0].face > 0:
         return ()
     faces = np.array([*(statement.face for statement in statements), len(polygons.counts)])
@@ -117,7 +117,7 @@ def _split_objects(statements: Sequence[Statement], polygons: Polygons, vertex_c
 
 
 def _vertex_bounds_of_faces(used: Sequence[IntArray], vertex_count: int) -> list[int]:
-    """Return bounds between the vertices of objects, for files with all vertices before the objects."""
+    """Return the bounds of the vertex ranges of objects, for files in which all vertices precede the objects."""
     bounds = [vertex_count]
     for indices in reversed(used[1:]):
         bounds.append(int(indices.min()) if indices.size else bounds[-1])
@@ -135,11 +135,11 @@ _IGNORED_KEYWORDS = frozenset(
     b"vp cstype deg bmat step p l curv curv2 surf parm trim hole scrv sp end con s mg bevel c_interp d_interp lod "
     b"mtllib shadow_obj trace_obj ctech stech usemap maplib call csh res bsp bzp cdc cdp".split()
 )
-"""Keywords of the specification, and of its older versions, that are not of polygon meshes."""
+"""Keywords of current and older specifications that do not describe polygon meshes."""
 _COLOUR_CHANNELS = 3
-"""Values after the coordinates of a vertex with a colour; a single one is a weight."""
+"""Number of values after the coordinates of a coloured vertex; a single value is a weight."""
 _MAX_INDEX = 2**31 - 1
-_MISSING_INDEX = -(2**40)  # below all relative indices of damaged files
+_MISSING_INDEX = -(2**40)  # below all relative indices that damaged files can contain
 
 
 def parse_obj(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
@@ -175,20 +175,20 @@ def parse_obj(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
 
 @dataclass
 class _Lines:
-    """Lines of a file by kind, faces unparsed."""
+    """Lines of a file, sorted by kind, with unparsed faces."""
 
     points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    colour_texts: list[bytes] = field(default_factory=list)  # after the coordinates of each vertex
+    colour_texts: list[bytes] = field(default_factory=list)  # text after the coordinates of each vertex
     uvs: list[tuple[float, ...]] = field(default_factory=list)
     normals: list[tuple[float, ...]] = field(default_factory=list)
     faces: list[bytes] = field(default_factory=list)
-    vertex_counts: list[int] = field(default_factory=list)  # vertices before each face
-    uv_and_normal_counts: list[tuple[int, int]] = field(default_factory=list)  # before each face
+    vertex_counts: list[int] = field(default_factory=list)  # number of vertices before each face
+    uv_and_normal_counts: list[tuple[int, int]] = field(default_factory=list)  # numbers before each face
     statements: list[Statement] = field(default_factory=list)
 
 
 def _read_lines(file: Path, data: bytes, first: MeshFile | None) -> _Lines:
-    """Sort the lines of a first frame by kind; of later ones only vertices and faces."""
+    """Sort the lines of a first frame by kind; for later frames, collect only vertices and faces."""
     is_first, has_colours = first is None, first is None or not first.has_changing_colours
     lines = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
     if lines and lines[0].startswith(PRECISION_COMMENT) and lines[-1] != END_COMMENT:
@@ -243,9 +243,9 @@ def _read_lines(file: Path, data: bytes, first: MeshFile | None) -> _Lines:
 
 
 def _parse_faces(file: Path, lines: _Lines) -> tuple[IntArray, IntArray]:
-    """Parse corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``; -1 is the last element before the face.
+    """Parse corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``; the index -1 refers to the last element before the face.
 
-    Return counts ``(P,)`` and indices ``(sum of counts, 3)``.
+    Return corner counts ``(P,)`` of the faces and indices ``(sum of counts, 3)`` of the corners.
     """
     counts: list[int] = []
     corners: list[tuple[int, int, int]] = []
@@ -285,7 +285,7 @@ def _parse_optional_index(word: bytes, before: int) -> int:
 
 
 def _uvs(file: Path, polygons: Polygons, values: list[tuple[float, ...]], indices: IntArray) -> CornerValues | None:
-    """Return the texture coordinates, (0, 0) at corners without."""
+    """Return the texture coordinates, which are (0, 0) at corners without an index."""
     missing_mask = indices == _MISSING_INDEX
     if not values or missing_mask.all():
         return None
@@ -297,7 +297,7 @@ def _uvs(file: Path, polygons: Polygons, values: list[tuple[float, ...]], indice
 
 
 def _colours(file: Path, polygons: Polygons, lines: _Lines, first: MeshFile | None) -> CornerValues | None:
-    """Return the colours after the coordinates of vertices, white for vertices without."""
+    """Return the colours of vertices, white for a vertex without a colour."""
     if first is not None and b"\n".join(lines.colour_texts) == first.colour_text:
         return first.surface.colours
     rows = {vertex: text.split() for vertex, text in enumerate(lines.colour_texts)}
@@ -312,7 +312,7 @@ def _colours(file: Path, polygons: Polygons, lines: _Lines, first: MeshFile | No
 def _hard_edges(
     file: Path, polygons: Polygons, values: list[tuple[float, ...]], indices: IntArray
 ) -> NDArray[np.int32] | None:
-    """Return the normal's index of every corner, None unless all corners have a normal."""
+    """Return the index of every corner's normal, or None if a corner has no normal."""
     if not values or (indices == _MISSING_INDEX).any():
         return None
     _check_indices(file, polygons, indices, len(values), "normal")
@@ -333,7 +333,7 @@ def _check_indices(file: Path, polygons: Polygons, indices: IntArray, count: int
 
 
 def obj_encoder(path: Path, header: SequenceHeader) -> Encoder:
-    """Return the encoder of points ``(V, 3)`` into an OBJ file; all but points and normals is encoded once."""
+    """Return the encoder of points ``(V, 3)`` into an OBJ file; constant contents are encoded only once."""
     objects = header.objects
     vertices = np.cumsum([0, *(part.vertex_count for part in objects)])
     polygons = np.cumsum([0, *(part.polygon_count for part in objects)])
@@ -359,7 +359,7 @@ def obj_encoder(path: Path, header: SequenceHeader) -> Encoder:
 
 
 def lost_in_obj(header: SequenceHeader) -> list[str]:
-    """Return the parts of a sequence's surface that OBJ cannot hold."""
+    """Return descriptions of the parts of a sequence's surface that OBJ cannot store."""
     losses = lost_surface(header, held=("uvs", "colours", "hard_edges", "face_sets", "objects"))
     losses += lost_colours(header, corners=False, alpha=False)
     sets = header.surface.face_sets
@@ -378,7 +378,7 @@ def lost_in_obj(header: SequenceHeader) -> list[str]:
 
 
 def _face_lines(header: SequenceHeader) -> list[str]:
-    """Return the lines of every polygon: group or material changes, and the face."""
+    """Return the text of every polygon: changes of groups and material, and the face."""
     surface = header.surface
     corners = [str(index) for index in (header.polygons.indices + 1).tolist()]
     if surface.uvs is not None:
@@ -415,7 +415,7 @@ def _polygon_labels(sets: Sequence[FaceSet], count: int) -> tuple[list[str], lis
 
 
 def _material_names(sets: Sequence[FaceSet]) -> dict[str, str]:
-    """Return the last part of every material's path, or the whole path for duplicates."""
+    """Return a name for every material: the last part of its path, or the whole path if that part is not unique."""
     materials = {face_set.material for face_set in sets if face_set.material}
     names = {material: _collapse_spaces(material.rstrip("/").rpartition("/")[2]) for material in materials}
     counts = Counter(names.values())

@@ -1,15 +1,15 @@
-"""Numbered PLY files: one file per frame, text or binary, polygons and vertex order as in the files.
+"""Read and write numbered PLY files, one text or binary file per frame, with unchanged polygons and vertex order.
 
-The reader takes ``x``, ``y``, ``z`` of the vertices, the list ``vertex_indices`` (or ``vertex_index``) of the faces,
-texture coordinates (``s t`` or ``u v`` of vertices, or the list ``texcoord`` of the faces), and colours (``red``,
-``green``, ``blue`` and optionally ``alpha`` of vertices or faces, or the list ``color`` of the faces). Points keep the
-precision ``float`` or ``double``; integers become float64.
+The reader uses ``x``, ``y``, ``z`` of the vertices and the list ``vertex_indices`` (or ``vertex_index``) of the faces.
+Texture coordinates are ``s t`` or ``u v`` of vertices, or the list ``texcoord`` of faces. Colours are ``red``,
+``green``, ``blue`` and optionally ``alpha`` of vertices or faces, or the list ``color`` of faces. Points keep the
+precision ``float`` or ``double``; integer points become float64.
 
-Files are written little-endian and binary, in the precision of the points: texture coordinates as ``s t`` if every
-vertex has a single one, else as ``texcoord``; colours likewise, as ``uchar`` if exact, else ``float``, and as ``color``
-where a vertex has several. Lists of corners are as in MeshLab. PLY has no place for the name, times, frame rate, units,
-the up axis, velocities, hard edges, face sets, objects and subdivision. trimesh is not used, as it refuses binary files
-with triangles and quads, and triangulates polygons of text files. Counts are checked against the file's size first.
+Files are written as little-endian binary, in the points' precision. Values equal at all corners of each vertex are
+written per vertex: texture coordinates as ``s t``, colours as ``uchar`` if exact, else ``float``. Other values are
+written per corner, in MeshLab's lists ``texcoord`` and ``color``. PLY cannot store the name, times, frame rate, units,
+the up axis, velocities, hard edges, face sets, objects or subdivision. trimesh is not used: it rejects binary files
+with triangles and quads, and triangulates text files. Counts are checked against the file's size before reading.
 
 Specification: https://paulbourke.net/dataformats/ply/
 """
@@ -53,16 +53,16 @@ _MAX_HEADER_BYTES = 1 << 20
 
 @dataclass(frozen=True)
 class Property:
-    """Header entry of a property."""
+    """Property of an element, declared in the header."""
 
     name: str
     type: np.dtype[Any]
-    count_type: np.dtype[Any] | None = None  # of lists
+    count_type: np.dtype[Any] | None = None  # type of the length, for lists
 
 
 @dataclass(frozen=True)
 class Element:
-    """Header entry of an element."""
+    """Element, such as vertices or faces, declared in the header."""
 
     name: str
     count: int
@@ -70,7 +70,7 @@ class Element:
 
 
 def read_header(data: bytes) -> tuple[str, Sequence[Element], int]:
-    """Return a header's byte order ("" for text), its elements, and the offset of their rows."""
+    """Return the byte order in a header ("" for text), its elements, and the byte offset of the first row."""
     end = data.find(b"end_header", 0, _MAX_HEADER_BYTES)
     start = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or start == 0:
@@ -112,11 +112,11 @@ def _parse_property(line: str, words: Sequence[str], order: str) -> Property:
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """Values of a property in all rows."""
+    """Values of a property in all rows of an element."""
 
-    values: NDArray[Any]  # of lists concatenated; integers of text files are float64
+    values: NDArray[Any]  # lists are concatenated; integers of text files are float64
     type: np.dtype[Any]
-    counts: NDArray[np.int64] | None = None  # of lists
+    counts: NDArray[np.int64] | None = None  # lengths of lists
 
 
 Columns = Mapping[str, Column]
@@ -124,17 +124,17 @@ Columns = Mapping[str, Column]
 
 @dataclass(frozen=True)
 class StoredRows:
-    """An element and its rows as stored in the file."""
+    """An element with its rows as stored in the file."""
 
     element: Element
     data: bytes
 
 
 def read_elements(data: bytes, first_faces: StoredRows | None = None) -> tuple[dict[str, Columns], StoredRows | None]:
-    """Read all elements of a file, without faces equal to those of the first frame; also return the stored faces."""
+    """Read all elements of a file except for faces equal to `first_faces`; also return the stored faces."""
     order, elements, start = read_header(data)
     if order == "":
-        # Text is converted to binary numbers of one type, so that rows are read in one way.
+        # Text is converted to binary doubles, so that text and binary rows are read by the same code.
         words = data[start:].split()
         data, start = np.fromiter(map(float, words), np.dtype("<f8"), len(words)).tobytes(), 0
     result: dict[str, Columns] = {}
@@ -163,7 +163,7 @@ def _with_double_properties(element: Element) -> Element:
 
 
 def _cast_columns(columns: Columns, element: Element) -> Columns:
-    """Cast columns to the header's types in native byte order; indices of text files stay float64."""
+    """Cast columns to the header's types in native byte order, except for indices of text files, which stay float64."""
     result: dict[str, Column] = {}
     for prop in element.properties:
         column = replace(columns[prop.name], type=prop.type.newbyteorder("="))
@@ -175,7 +175,7 @@ def _cast_columns(columns: Columns, element: Element) -> Columns:
 
 
 def _read_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
-    """Return the columns of an element whose rows begin at the byte `start`, and their end."""
+    """Return the columns of an element whose rows begin at the byte `start`, and the end of the rows."""
     if element.count and not element.properties:
         raise ValueError(f"element {element.name} has no properties")
     types = (prop.type if prop.count_type is None else prop.count_type for prop in element.properties)
@@ -191,7 +191,7 @@ def _make_columns(element: Element, values: Mapping[str, NDArray[Any]], counts: 
 
 
 def _read_uniform_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int] | None:
-    """Read rows of equal length at once; None if lengths differ."""
+    """Read all rows at once if their lengths are equal; otherwise return None."""
     fields: list[Any] = []
     lengths: dict[str, int] = {}
     offset = start
@@ -220,7 +220,7 @@ def _read_uniform_rows(data: bytes, start: int, element: Element) -> tuple[Colum
 
 
 def _read_variable_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
-    """Read rows one by one."""
+    """Read rows of different lengths one by one."""
     chunks: dict[str, list[bytes]] = {prop.name: [] for prop in element.properties}
     counts: dict[str, list[int]] = {prop.name: [] for prop in element.properties if prop.count_type is not None}
     plan = [
@@ -254,7 +254,7 @@ def _read_variable_rows(data: bytes, start: int, element: Element) -> tuple[Colu
 
 
 def _struct_code(dtype: np.dtype[Any]) -> str:
-    """Return the format code of a number for `struct`."""
+    """Return the format code of a number type for the module `struct`."""
     return ("<" if dtype.str[0] == "|" else dtype.str[0]) + dtype.char
 
 
@@ -288,7 +288,7 @@ def parse_ply(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
 
 
 def _stack_columns(columns: Columns, *names: str) -> FloatArray | None:
-    """Stack properties into columns ``(n, k)``, None unless all exist; float32 if all are."""
+    """Stack properties as columns ``(n, k)``, float32 if all are; return None if a property is missing."""
     arrays = [columns[name].values for name in names if name in columns and columns[name].counts is None]
     if len(arrays) < len(names):
         return None
@@ -297,7 +297,7 @@ def _stack_columns(columns: Columns, *names: str) -> FloatArray | None:
 
 
 def _to_indices(numbers: NDArray[np.generic]) -> IntArray:
-    """Convert indices to integers; those of text files are float64."""
+    """Convert indices to integers, since indices from text files are float64."""
     limit = np.iinfo(np.int32).max
     values = numbers.astype(np.float64)
     if not ((np.abs(values) <= limit) & (values == np.rint(values))).all():
@@ -306,7 +306,7 @@ def _to_indices(numbers: NDArray[np.generic]) -> IntArray:
 
 
 def _uvs(file: Path, elements: dict[str, Columns], polygons: Polygons) -> CornerValues | None:
-    """Return the texture coordinates of faces, else of vertices; (0, 0) for faces without."""
+    """Return the texture coordinates of faces, else of vertices; faces without coordinates get (0, 0)."""
     lists = elements["face"].get("texcoord")
     with np.errstate(over="ignore"):
         if lists is not None and lists.counts is not None and lists.counts.any():
@@ -328,7 +328,7 @@ def _uvs(file: Path, elements: dict[str, Columns], polygons: Polygons) -> Corner
 def _colours(
     file: Path, elements: dict[str, Columns], polygons: Polygons, first: MeshFile | None
 ) -> CornerValues | None:
-    """Return the colours of corners, else of vertices, else of faces."""
+    """Return the colours of corners if they exist, else of vertices, else of faces."""
     faces = elements["face"]
     lists = faces.get("color")
     if lists is not None and lists.counts is not None and lists.counts.any():
@@ -354,13 +354,13 @@ def _colours(
 
 
 def _vertex_colours(vertices: Columns, polygons: Polygons) -> CornerValues | None:
-    """Return the colours of vertices; out-of-range vertices of faces are left to the header's check."""
+    """Return the colours of vertices; the header's check reports faces with out-of-range vertices."""
     values = _stack_colours(vertices)
     return None if values is None else CornerValues(values, polygons.indices)
 
 
 def _stack_colours(columns: Columns) -> FloatArray | None:
-    """Stack the colours ``(n, 4)`` of vertices or faces, None if there are none."""
+    """Return the colours ``(n, 4)`` of vertices or faces, or None if there are no colours."""
     for names in (_COLOUR_NAMES, _COLOUR_NAMES[:3]):
         channels = [columns[name] for name in names if name in columns and columns[name].counts is None]
         if len(channels) == len(names) and len(channels[0].values):
@@ -369,7 +369,7 @@ def _stack_colours(columns: Columns) -> FloatArray | None:
 
 
 def _scale_to_unit(columns: Sequence[Column]) -> list[FloatArray]:
-    """Scale colours to 0 to 1: integers by the value of 1 in their type, floats by all of them."""
+    """Scale colours to the range 0 to 1: integers by `_unit_integer`, floats jointly by `scale_text_colours`."""
     floats = [column.values for column in columns if column.type.kind == "f"]
     scaled = iter(scale_text_colours(np.stack(floats)) if floats else ())
     return [
@@ -379,14 +379,14 @@ def _scale_to_unit(columns: Sequence[Column]) -> list[FloatArray]:
 
 
 def _unit_integer(dtype: np.dtype[Any], columns: Sequence[Column]) -> np.float64:
-    """Return the integer that means 1: the largest of its type, or of bytes, which wider types often hold."""
+    """Return the integer that represents 1: the largest of the type, or 255 if a wider type holds only bytes."""
     largest = max(column.values.max(initial=0) for column in columns if column.type == dtype)
     has_bytes = dtype.itemsize > 1 and largest <= LARGEST_BYTE
     return np.float64(LARGEST_BYTE if has_bytes else np.iinfo(dtype).max)
 
 
 def _corner_values(column: Column, polygons: Polygons, default: Sequence[float]) -> NDArray[np.float32]:
-    """Return the values ``(corners, k)`` of a face list; the default for faces with empty lists."""
+    """Return the values ``(corners, k)`` of a list property of faces; corners of empty lists get the default."""
     assert column.counts is not None
     values = np.tile(np.asarray(default, dtype=np.float32), (polygons.indices.size, 1))
     values[np.repeat(column.counts > 0, polygons.counts)] = column.values.reshape(-1, len(default))
@@ -394,10 +394,10 @@ def _corner_values(column: Column, polygons: Polygons, default: Sequence[float])
 
 
 def _ply_encoder(path: Path, header: SequenceHeader) -> Encoder:
-    """Return the encoder of points ``(V, 3)`` into a PLY file; faces are encoded once."""
+    """Return the encoder of points ``(V, 3)`` into a PLY file; faces are encoded only once."""
     polygons, surface = header.polygons, header.surface
-    columns: list[tuple[str, NDArray[Any]]] = []  # names, and values of vertices
-    lists: list[tuple[str, NDArray[np.float32]]] = []  # name, and values of corners
+    columns: list[tuple[str, NDArray[Any]]] = []  # property names, and values of vertices
+    lists: list[tuple[str, NDArray[np.float32]]] = []  # property name, and values of corners
     if surface.uvs is not None:
         if surface.uvs.one_per_vertex(polygons.indices):
             uvs = surface.uvs.at_vertices(polygons.indices, header.vertex_count, DEFAULT_UV)
@@ -446,9 +446,9 @@ def _ply_encoder(path: Path, header: SequenceHeader) -> Encoder:
 
 
 def _encode_faces(polygons: Polygons, lists: Sequence[NDArray[np.float32]]) -> bytes:
-    """Encode face rows: number of corners and corners, then number and values of each list.
+    """Encode the rows of faces: the number of corners and the corners, then the length and values of each list.
 
-    All numbers have four bytes, so that rows of any length are filled at once in an array of such words.
+    All numbers have four bytes, so that rows of different lengths can be filled together in one array of words.
     """
     counts = polygons.counts.astype(np.int64)
     tables = [

@@ -1,18 +1,18 @@
-"""Numbered OFF and STL files, which hold triangles only.
+"""Read and write numbered OFF and STL files, which store only triangles.
 
-OFF and COFF files are text, read by trimesh, which triangulates quads, with colours of vertices. Points are written
-with the digits that restore the same float32 or float64, stated by a comment; points of other files are read as
-float64. Specification: http://www.geomview.org/docs/html/OFF.html
+OFF and COFF files are text with optional vertex colours. They are read by trimesh, which triangulates quads. Points are
+written with enough digits to restore the same float32 or float64; a comment states this precision. Points of files
+without this comment are read as float64. Specification: http://www.geomview.org/docs/html/OFF.html
 
-STL holds the three positions of every triangle. Equal positions in the first frame become one vertex, numbered in order
-of appearance. Sequences are refused if a vertex's corners separate later, as parts that only touch at first do.
-Binary files are float32; text is read as float64, with all solids as one mesh. Written are binary files with normals.
-The text parser is mixseq's own: trimesh 5.2 skips data after an unclosed solid and invalid lines (of 732 damaged files
-it read 100 that are refused here), and refuses a solid with "vertex" in its name.
+STL stores the three positions of every triangle. Equal positions in the first frame become one vertex; vertices are
+numbered in order of appearance. A sequence is rejected if corners of a vertex separate in a later frame, for example
+where two parts touch only in the first frame. Binary files are float32; text is read as float64, with all solids as one
+mesh. Files are written as binary with normals. Text has its own parser: trimesh 5.2 skips invalid lines and data after
+an unclosed solid (100 of 732 damaged files were read), and rejects a solid with "vertex" in its name.
 Specification: https://www.loc.gov/preservation/digital/formats/fdd/fdd000504.shtml
 
-Neither has a place for polygons, the name, times, frame rate, units, the up axis, velocities, and the surface (but one
-colour per vertex in OFF); STL also loses the numbers of vertices.
+Neither format can store polygons, the name, times, frame rate, units, the up axis, velocities or the surface, except
+for one colour per vertex in OFF. STL also loses the order of vertices.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from mixseq_io.surfaces import (
 )
 
 _MAX_FACE_COLOUR_VALUES = 4
-"""Largest number of colour values after the corners of a face."""
+"""Largest number of colour values that may follow the corners of a face."""
 
 
 def parse_off(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
@@ -81,7 +81,7 @@ def parse_off(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
 
 
 def _colours(file: Path, texts: list[bytes], first: MeshFile | None) -> FloatArray | None:
-    """Return the colours ``(V, 4)`` of vertices, if all have three or all have four numbers."""
+    """Return the colours ``(V, 4)`` of vertices if all colours have three or all have four numbers, else None."""
     rows = [text.split() for text in texts]
     if not rows or len(rows[0]) not in (3, 4) or any(len(row) != len(rows[0]) for row in rows):
         return None
@@ -89,7 +89,7 @@ def _colours(file: Path, texts: list[bytes], first: MeshFile | None) -> FloatArr
 
 
 def _vertex_lines(file: Path, lines: list[bytes]) -> list[bytes]:
-    """Return the lines of vertices; refuse numbers of lines or corners that differ from their counts."""
+    """Return the lines of vertices; reject a file whose numbers of lines or corners differ from the stated counts."""
     counts_on_first_line = lines[0].removeprefix(b"C").removeprefix(b"OFF").split() if lines else []
     words = counts_on_first_line or (lines[1].split() if len(lines) > 1 else [])
     counts = [int(word) for word in words[:2]]
@@ -144,7 +144,7 @@ _PREAMBLE_BYTES = 80
 
 
 def parse_stl(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
-    """Parse an STL file; later frames have the vertices of the first."""
+    """Parse an STL file; corners of later frames are welded as in the first frame."""
     corners = _read_corners(file, data)
     if first is None:
         indices, first_corners = _weld(corners)
@@ -158,7 +158,7 @@ def parse_stl(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
         )
     points = corners[first.stored_faces]
     welded = points[indices]
-    is_equal = (corners == welded) | (np.isnan(corners) & np.isnan(welded))  # nan is reported later
+    is_equal = (corners == welded) | (np.isnan(corners) & np.isnan(welded))  # NaN is reported later
     apart_mask = ~is_equal.all(axis=1)
     if apart_mask.any():
         corner = int(np.argmax(apart_mask))
@@ -170,12 +170,12 @@ def parse_stl(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
 
 
 def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
-    """Weld equal corners ``(3 F, 3)`` in order of appearance: return vertices ``(3 F,)``, first corners ``(V,)``."""
-    return renumber_by_appearance(np.unique(corners + 0.0, axis=0, return_inverse=True)[1])  # -0 is 0
+    """Weld equal corners ``(3 F, 3)`` in order of appearance; return vertices ``(3 F,)`` and first corners ``(V,)``."""
+    return renumber_by_appearance(np.unique(corners + 0.0, axis=0, return_inverse=True)[1])  # + 0.0 turns -0 into 0
 
 
 def _read_corners(file: Path, data: bytes) -> FloatArray:
-    """Return the corners ``(3 F, 3)``, float32 of a binary file, float64 of text."""
+    """Return the corners ``(3 F, 3)``, as float32 for a binary file, as float64 for a text file."""
     start = _PREAMBLE_BYTES + 4
     count = int.from_bytes(data[_PREAMBLE_BYTES:start], "little")
     if len(data) >= start and len(data) == start + count * _TRIANGLE_DTYPE.itemsize:

@@ -1,4 +1,4 @@
-"""Files of text and arrays about faces and vertices.
+"""Read and write text and array files with data of faces and vertices.
 
-`labels`, `derived_labels`, `label_files`: parts; `markers`: markers and contacts; `maps`: correspondences.
+`labels`, `derived_labels` and `label_files` handle parts, `markers` markers and contacts, and `maps` correspondences.
 """

@@ -1,16 +1,16 @@
-r"""Labels of faces derived from sets, colours or skeletons in a file.
+r"""Derive labels of faces from face sets, colours or skeletons in a file.
 
-- *Sets*: the label of a polygon is its sets, mostly one, and `UNNAMED_LABEL` without any.
-- *Colours*: colours equal to 8 bits a channel are one label. A polygon takes that of most of its corners, the lowest on
-  ties. More than `MAX_LABEL_COLOURS` are not a segmentation.
-- *Skeleton*: with the weights :math:`w_{vj}` of the vertices a polygon p takes the joint
+- *Sets*: a polygon is labelled by the set or sets that contain it, or by `UNNAMED_LABEL` if it is in no set.
+- *Colours*: colours that are equal in 8 bits per channel form one label. A polygon gets the most frequent label of its
+  corners, the lowest on ties. More than `MAX_LABEL_COLOURS` colours are not a segmentation.
+- *Skeleton*: with skinning weights :math:`w_{vj}` of vertices v and joints j, a polygon p is labelled by the joint
 
   .. math:: \arg\max_j \sum_{v \in p} w_{vj},
 
-  the lowest on ties. Joints with a smaller fraction of the polygons are merged into their parents, the deepest first,
-  so that fingers become a hand. Small disconnected regions of a joint are merged into the label with most common edges.
+  the lowest on ties. Joints with too small a fraction of the polygons are merged into their parents, deepest joints
+  first, so that fingers become a hand. Small disconnected regions get the label with which they share most edges.
 
-Labels belong to polygons, as authored; triangles have those of their polygons.
+Polygons are labelled as stored in the file; each triangle has the label of its polygon.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ from mixseq_io.text.labels import (
 )
 
 UNNAMED_LABEL = "(none)"
-"""Name of the label of polygons in no set."""
+"""Name of the label for polygons in no set."""
 
 MAX_LABEL_COLOURS = 256
 
-_MAX_COLOUR_VALUE = 1e6  # renderers allow colours above 1
+_MAX_COLOUR_VALUE = 1e6  # limit well above 1, since renderers allow colours above 1
 
 
 def labels_from_sets(sets: Sequence[FaceSet], polygons: Polygons) -> Labels:
-    """Label polygons by their sets, in the order of the sets; polygons in no set come last.
+    """Label polygons by the face sets that contain them; labels have the order of the sets, `UNNAMED_LABEL` last.
 
-    The label of several sets has all their names, joined by "+".
+    Polygons in several sets have a label whose name joins the names of the sets by "+".
     """
     set_ids = {name: index for index, name in enumerate(dict.fromkeys(face_set.name for face_set in sets))}
     labels = np.zeros(len(polygons.counts), dtype=np.int64)
-    members: list[tuple[int, ...]] = [()]  # set ids of every label
+    members: list[tuple[int, ...]] = [()]  # set ids of each label
     for name, set_id in set_ids.items():
         inside = np.unique(np.concatenate([face_set.polygons for face_set in sets if face_set.name == name]))
         old_labels, ids = np.unique(labels[inside], return_inverse=True)
@@ -82,12 +82,12 @@ def labels_from_colours(colours: FloatArray, polygons: Polygons) -> Labels:
 
 
 def labels_from_skinning(skinning: Skinning, polygons: Polygons, min_ratio: float = MIN_JOINT_FACE_RATIO) -> Labels:
-    """Label polygons by the joint with the largest sum of weights."""
+    """Label each polygon by the joint with the largest sum of skinning weights at the corners."""
     count, vertex_count = len(polygons.counts), skinning.weights.shape[0]
     rows = np.repeat(np.arange(count), polygons.counts)
     corners = csr_array((np.ones(rows.size), (rows, polygons.indices)), shape=(count, vertex_count))
     sums = (corners @ skinning.weights).tocoo()
-    # Rounded, so that sums of the same weights in another order are equal.
+    # Rounding makes sums equal that add the same weights in different orders.
     order = np.lexsort((sums.col, -np.round(sums.data, 6), sums.row))
     _, first = np.unique(sums.row[order], return_index=True)
     joints = np.asarray(sums.col[order][first], dtype=np.int64)
@@ -99,7 +99,7 @@ def labels_from_skinning(skinning: Skinning, polygons: Polygons, min_ratio: floa
 
 
 def _merge_small_joints(skinning: Skinning, joints: Index, min_count: float) -> Index:
-    """Merge joints ``(P,)`` of fewer than `min_count` polygons into their parents, deepest first."""
+    """Replace joints ``(P,)`` with fewer than `min_count` polygons by their parents, deepest joints first."""
     joint_ids = {path: joint for joint, path in enumerate(skinning.joints)}
     parents = [joint_ids.get(path, -1) for path in skinning.parents]
     sizes = np.bincount(joints, minlength=len(parents)).tolist()
@@ -113,7 +113,7 @@ def _merge_small_joints(skinning: Skinning, joints: Index, min_count: float) -> 
 
 def _depth(joint: int, parents: Sequence[int]) -> int:
     depth = 0
-    while joint >= 0 and depth <= len(parents):  # damaged files can have cycles
+    while joint >= 0 and depth <= len(parents):  # the parents in damaged files can form cycles
         joint, depth = parents[joint], depth + 1
     return depth
 
@@ -124,9 +124,9 @@ def _format_colour(colour: NDArray[np.int64]) -> str:
 
 
 def merge_small_regions(labels: Index, polygons: Polygons, vertex_count: int, min_count: float) -> Index:
-    """Relabel ``(P,)`` regions of fewer than `min_count` polygons, smallest first, by the label with most common edges.
+    """Merge regions of fewer than `min_count` polygons into the adjacent label ``(P,)`` with most shared edges.
 
-    Skinning weights leave ragged borders and stray faces. Regions that are whole connected components stay.
+    The smallest regions are merged first. Regions that are complete connected components of the mesh are unchanged.
     """
     pairs = _adjacent_polygons(polygons, vertex_count)
     count = len(labels)
@@ -135,7 +135,7 @@ def merge_small_regions(labels: Index, polygons: Polygons, vertex_count: int, mi
     regions = connected_components(graph, directed=False)[1]
     region_labels = labels[np.unique(regions, return_index=True)[1]]
     sizes = dict(enumerate(np.bincount(regions).tolist()))
-    borders: dict[int, dict[int, int]] = {region: {} for region in sizes}  # shared with each neighbour
+    borders: dict[int, dict[int, int]] = {region: {} for region in sizes}  # shared edges by adjacent region
     for a, b in regions[pairs[~same_mask]].tolist():
         borders[a][b] = borders[a].get(b, 0) + 1
         borders[b][a] = borders[b].get(a, 0) + 1
@@ -154,7 +154,7 @@ def merge_small_regions(labels: Index, polygons: Polygons, vertex_count: int, mi
 
 
 def _adjacent_polygons(polygons: Polygons, vertex_count: int) -> Index:
-    """Return pairs of polygons ``(n, 2)``, one for each shared edge."""
+    """Return the pairs ``(n, 2)`` of adjacent polygons, one pair for each shared edge."""
     polygon_ids = np.repeat(np.arange(len(polygons.counts)), polygons.counts - 2)
     pairs = polygon_ids[Topology(polygons.triangles, vertex_count).hinge_faces]
     return np.asarray(pairs[pairs[:, 0] != pairs[:, 1]], dtype=np.int64)

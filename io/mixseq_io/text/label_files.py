@@ -1,4 +1,4 @@
-"""Files of labels: read from one of a file's sources, checked to fit the mesh, and written.
+"""Read labels from one of several sources in a file, check that they fit the mesh, and write labels.
 
 =============  ==========================================================================================
 source         meaning
@@ -8,14 +8,14 @@ source         meaning
 ``groups``     named sets of faces: OBJ groups, Alembic face sets, USD subsets without a family
 *a family*     USD: the subsets of any other family
 ``materials``  the faces of every material
-``colours``    colours of vertices, faces or corners, in all formats that have some
-``skeleton``   weights of skins: UsdSkel, glTF
+``colours``    colours of vertices, faces or corners, in all formats with colours
+``skeleton``   skinning weights: UsdSkel, glTF
 =============  ==========================================================================================
 
-`labels` come first, since they were made as labels. Sources with one label for all faces are used on request only.
+By default `labels` are preferred, since they were stored as labels. Other sources need at least two labels.
 
-Parts are written as arrays of triangles (npz), or of polygons, each in the part of most of its triangles: as subsets of
-the faces (USD), or as groups (OBJ, Alembic, HDF5).
+Parts are written as arrays of triangle labels and polygon labels (npz), as subsets of polygons (USD), or as groups of
+polygons (OBJ, Alembic, HDF5). A polygon gets the most frequent label of its triangles.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from mixseq_io.text.labels import (
 Sources = dict[str, Callable[[], Labels]]
 
 LABEL_ARRAY_NAMES = ("part_of_face", "labels")
-"""Names of label arrays in npz files; the first that exists is read."""
+"""Possible names of the label array in npz files; the first existing array is read."""
 
 
 def read_labels(
@@ -65,7 +65,7 @@ def read_labels(
     smallest_joint: float = MIN_JOINT_FACE_RATIO,
     **options: Any,
 ) -> Labels:
-    """Read labels of a mesh's faces from a file, unchanged.
+    """Read the labels of a mesh's faces from a file without changing them.
 
     `mixseq.segmentation.segment_by_labels` converts them into a segmentation with connected parts.
 
@@ -103,7 +103,7 @@ def _choose_labels(file: Path, sources: Sources, source: str | None) -> Labels:
     if not sources:
         available = "it has no labels, face sets, materials, vertex colours or skin; give another file"
     if source == LABEL_SUBSET_FAMILY and source not in sources:
-        source = LABELS_SOURCE  # the family that `mixseq segment` writes
+        source = LABELS_SOURCE  # `mixseq segment` writes this family
     if source is not None:
         if source not in sources:
             raise FormatError(f"{file} has no {source!r} to label faces by; {available}")
@@ -114,7 +114,7 @@ def _choose_labels(file: Path, sources: Sources, source: str | None) -> Labels:
         return next(iter(sources.values()))()
     candidates = {}
     for name, make_labels in sources.items():
-        # Sources that are not labels (a painted mesh), or have a single one, are no candidates.
+        # Skip sources that are not labels, such as painted colours, and sources with a single label.
         try:
             labels = make_labels()
         except FormatError:
@@ -131,7 +131,7 @@ def _choose_labels(file: Path, sources: Sources, source: str | None) -> Labels:
 
 
 def _read_array(file: Path, header: SequenceHeader) -> tuple[Sources, bool]:
-    """Return the label array of an npz file, if any, as a source, and whether the file has a mesh."""
+    """Return the label array of an npz file, if any, as a source; also return whether the file has a mesh."""
     if file.suffix.lower() != ".npz":
         return {}, True
     with open_archive(file) as archive:
@@ -177,7 +177,7 @@ def _labels_from_array(
 
 
 def _markings_sources(reader: SequenceReader, header: SequenceHeader, min_ratio: float) -> Sources:
-    """Return the sources of labels in a file's markings, for a mesh with the same faces in any order."""
+    """Return the sources of labels in an open file, for a mesh with the same faces in any order."""
     from mixseq_io.text.derived_labels import labels_from_sets, labels_from_skinning
 
     if not 0 <= min_ratio <= 1:
@@ -198,7 +198,7 @@ def _markings_sources(reader: SequenceReader, header: SequenceHeader, min_ratio:
 
 
 def _reorder_labels(make: Callable[[], Labels], face_ids: Index) -> Labels:
-    """Make the labels of reordered faces ``(F,)``; all triangles of a polygon have the polygon's label."""
+    """Compute labels by `make`, and reorder them by face ids ``(F,)``."""
     labels = make()
     return replace(labels, part_of_face=labels.part_of_face[face_ids])
 
@@ -213,9 +213,9 @@ def _labels_from_colours(file: Path, colours: FloatArray, polygons: Polygons) ->
 
 
 def _match_faces(file: Path, header: SequenceHeader, stored: SequenceHeader) -> Index | None:
-    """Return the file's triangle of each of the sequence's ``(F,)``, None if in the same order; refuse another mesh.
+    """Return the file's triangle for each triangle ``(F,)`` of the sequence, or None if the order is the same.
 
-    In the same order vertices may be split or welded differently; in another one they must be equal.
+    Triangles in the same order may have differently split vertices. Another order needs equal vertices.
     """
     a, b = header.faces.reshape(-1), stored.faces.reshape(-1)
     if len(a) != len(b):
@@ -231,24 +231,24 @@ def _match_faces(file: Path, header: SequenceHeader, stored: SequenceHeader) -> 
 
 
 def _is_welded(a: IntArray, b: IntArray) -> bool:
-    """Whether the corners b are a with some vertices welded: equal vertices of a are equal in b."""
+    """Whether corners b result from corners a by welding: corners with equal vertices in a have equal vertices in b."""
     pairs = np.unique(np.stack([a, b], axis=1), axis=0)
     return len(pairs) == len(np.unique(a))
 
 
 _ARRAY_FORMAT, _SUBSET_FORMAT, _FACE_SET_FORMATS = "npz", "USD", ("OBJ", "Alembic", "HDF5 sequence")
-"""Names of the formats with a place for parts: as arrays, as subsets, as face sets."""
+"""Names of the formats that store parts as arrays, as subsets, and as face sets."""
 
 
 def write_labels(
     path: PathLike, sequence: MeshSequence | SequenceReader, labels: Labels, *, flatten: bool = False
 ) -> None:
-    """Write the parts of a mesh; all but npz files include the animation.
+    """Write the parts of a mesh; in all formats except npz the file also contains the animation.
 
-    - ``.npz``: the arrays ``part_of_face`` (triangles), ``part_of_polygon`` and ``names``, nothing else.
-    - USD: a subset of the family ``mixseq`` for every part. For the file of a reader it is a layer that only adds these
-      to its points, skeletons and materials.
-    - OBJ, Alembic and HDF5 sequences: a face set for every part in place of those without material.
+    - ``.npz``: only the arrays ``part_of_face`` (triangles), ``part_of_polygon`` and ``names``.
+    - USD: a subset of the family ``mixseq`` for every part. If `sequence` is a reader of a USD file, the output is a
+      layer that adds only these subsets to the file.
+    - OBJ, Alembic and HDF5 sequences: a face set for every part; other face sets without material are removed.
     """
     file, header = Path(path), sequence.header
     format_name = check_label_target(file)
@@ -267,13 +267,13 @@ def write_labels(
     face_sets = with_material + tuple(part for part in parts if part.polygons.size)
     surface = replace(header.surface, face_sets=face_sets)
     points, velocities = _blocks(sequence)
-    # a copy of the original would have its face sets
+    # a copy of the original file would contain the old face sets
     options = {"flatten": True} if format_name == "Alembic" else {}
     write_blocks(file, replace(header, surface=surface), points, velocities, **options)
 
 
 def check_label_target(path: PathLike) -> str:
-    """Return the name of a file's format; raise an error if it cannot hold parts."""
+    """Return the name of a file's format; raise an error if the format cannot store parts."""
     extension = Path(path).suffix.lower()
     names = (_ARRAY_FORMAT, _SUBSET_FORMAT, *_FACE_SET_FORMATS)
     formats = {known: form.name for form in FORMATS if form.name in names for known in form.extensions}
@@ -312,7 +312,7 @@ def _write_subsets(
 
 
 def _remove_face_sets(header: SequenceHeader, old: Sequence[FaceSet]) -> SequenceHeader:
-    """Remove face sets, the old parts of a mesh, from its header."""
+    """Return a header without the face sets `old`, which are the previous parts of the mesh."""
     removed = {(face_set.name, face_set.polygons.tobytes()) for face_set in old}
     face_sets = header.surface.face_sets
     kept = (part for part in face_sets if (part.name, part.polygons.tobytes()) not in removed)
@@ -322,7 +322,7 @@ def _remove_face_sets(header: SequenceHeader, old: Sequence[FaceSet]) -> Sequenc
 def _blocks(
     sequence: MeshSequence | SequenceReader,
 ) -> tuple[Iterable[FloatArray], Iterable[FloatArray] | None]:
-    """Return the blocks of a sequence's points, and of its velocities or None."""
+    """Return the blocks of a sequence's points, and the blocks of its velocities or None."""
     if isinstance(sequence, SequenceReader):
         return sequence.blocks(), sequence.velocity_blocks()
     return [sequence.points], None if sequence.velocities is None else [sequence.velocities]

@@ -1,4 +1,4 @@
-"""Labels of triangles and of polygons, and what they are derived from: named sets of faces, joints of skeletons."""
+"""Define labels of triangles and polygons, and the face sets and skinning weights from which labels are derived."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def polygon_labels(of_triangle: Index, polygons: Polygons) -> Index:
 
 
 def most_frequent(groups: Index, values: Index) -> Index:
-    """Return the most frequent value of each group 0, 1, ..., the lowest on ties: groups, values ``(n,)``."""
+    """Return each group's most frequent value, the lowest on ties, from group ids ``(n,)`` and values ``(n,)``."""
     if not groups.size:
         return np.zeros(0, dtype=np.int64)
     base = int(values.max()) + 1
@@ -57,26 +57,26 @@ GROUPS_SOURCE = "groups"
 MATERIALS_SOURCE = "materials"
 COLOURS_SOURCE = "colours"
 SKELETON_SOURCE = "skeleton"
-"""Names of sources; any other family of USD subsets is a source of its own name."""
+"""Names of label sources; any other family of USD subsets is a source with the name of the family."""
 
 LABEL_SUBSET_FAMILY = "mixseq"
-"""Family of USD subsets that are parts: the source `LABELS_SOURCE`."""
+"""Family of USD subsets that mixseq writes for parts; it is read as the source `LABELS_SOURCE`."""
 
 MIN_JOINT_FACE_RATIO = 0.01
-"""Smallest fraction of the polygons of a joint that becomes a part."""
+"""Smallest fraction of the mesh's polygons that makes a joint a part."""
 
 
 @dataclass(frozen=True, eq=False)
 class Skinning:
-    """Skinning weights of vertices by joint."""
+    """Skinning weights of every vertex and joint."""
 
     weights: csr_array  # (V, J)
-    joints: tuple[str, ...]  # paths
-    parents: tuple[str, ...]  # paths, "" for roots
+    joints: tuple[str, ...]  # paths of the joints
+    parents: tuple[str, ...]  # path of each joint's parent, "" for roots
 
     @classmethod
     def rigid(cls, path: str, vertex_count: int) -> Skinning:
-        """Make the skinning of a mesh without a skin, which follows itself."""
+        """Return the skinning of a mesh without skinning weights, with the mesh's path as its only joint."""
         from scipy.sparse import csr_array
 
         return cls(csr_array(np.ones((vertex_count, 1))), (path,), ("",))
@@ -91,7 +91,7 @@ class Markings:
 
 
 def group_face_sets(header: SequenceHeader) -> dict[str, tuple[FaceSet, ...]]:
-    """Group the face sets of a surface into groups and materials."""
+    """Separate the face sets of a surface into groups and materials."""
     face_sets = header.surface.face_sets
     groups = tuple(face_set for face_set in face_sets if not face_set.material)
     names = shorten_paths(face_set.material for face_set in face_sets if face_set.material)
@@ -100,7 +100,7 @@ def group_face_sets(header: SequenceHeader) -> dict[str, tuple[FaceSet, ...]]:
 
 
 def concatenate_skinning(meshes: Sequence[Skinning]) -> Skinning:
-    """Concatenate the skinning of several meshes; shared joints are merged."""
+    """Concatenate the skinning weights of several meshes, and merge joints with the same path."""
     from scipy.sparse import csr_array, vstack
 
     parents = dict(pair for mesh in meshes for pair in zip(mesh.joints, mesh.parents, strict=True))
@@ -115,7 +115,7 @@ def concatenate_skinning(meshes: Sequence[Skinning]) -> Skinning:
 
 
 def shorten_paths(paths: Iterable[str]) -> dict[str, str]:
-    """Shorten each path to its last name, unless that is ambiguous."""
+    """Map each path to its last component, or to the whole path if several paths have the same last component."""
     names = {path: path.rstrip("/").rpartition("/")[2] or path for path in paths}
     counts = Counter(names.values())
     return {path: name if counts[name] == 1 else path for path, name in names.items()}

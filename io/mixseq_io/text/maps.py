@@ -1,26 +1,26 @@
-"""Map files: the source vertex or triangle of every target vertex or triangle.
+"""Read and write map files, which give the source vertex or triangle of every target vertex or triangle.
 
 ``.npz``, written and read by `write_map`: arrays ``version`` (1), ``corners``, ``weights``, ``faces``, ``leaders`` and
-``sizes`` of a `Correspondence`, and ``source`` and ``target``, checksums of the triangles of the two meshes, to detect
-other meshes. Other archives need one of the arrays ``vertices`` (V',), ``triangles`` (F',), or ``corners`` and
+``sizes`` of a `Correspondence`, and the checksums ``source`` and ``target`` of both meshes' triangles, which detect
+other meshes. Archives by other programs need ``vertices`` (V',), or ``triangles`` (F',), or both ``corners`` and
 ``weights`` (V', 3), as in `mixseq.retargeting.matching`.
 
-``.json``: ``{"vertices": list}``, ``{"triangles": list}`` or ``{"barycentric": list}``, or a list by itself, which is
-of vertices. Items are rows, as below, as lists of numbers.
+``.json``: ``{"vertices": list}``, ``{"triangles": list}`` or ``{"barycentric": list}``, or only a list, which maps
+vertices. Each item of a list is a row in the form below, as a list of numbers.
 
-Other files are text, a row a line, with numbers separated by spaces, commas, colons, semicolons or ``->``::
+Other files are text with one row per line. Numbers are separated by spaces, commas, colons, semicolons or ``->``::
 
     # vertices        kind of map: vertices, triangles or barycentric; the # is optional
     750, 3386         source and target (vertices or triangles)
-    750               or the source alone, -1 for none: a row for every vertex or triangle of the target
+    750               or only the source, -1 for none, with a row for every vertex or triangle of the target
     # barycentric
     17, 3386, 0.2, 0.5, 0.3   source triangle, target vertex, and weights of the triangle's corners
     17, 0.2, 0.5, 0.3         or without the target vertex
 
-Without that word, rows of one or two numbers are vertices, in files ``.tricorrs`` (Sumner and Popović's) triangles, of
-which the first source of a target is used; rows of four or five are barycentric. Comments (``#``) and empty lines are
-skipped. One line may give the number of rows before rows of several numbers. Vertices and triangles are numbered from
-0; targets without a row are left out of maps of pairs.
+If the kind of map is not stated, rows of four or five numbers are barycentric. Rows of one or two numbers are vertices,
+or triangles in ``.tricorrs`` files (Sumner and Popović). Triangle maps use the first source of each target. Comments
+(``#``) and empty lines are skipped. Rows of several numbers may follow a line with the number of rows. Vertices and
+triangles are numbered from 0. A target without a row has no source.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ from mixseq_io.text.markers import parse_json, read_text
 Kind = Literal["vertices", "triangles", "barycentric"]
 
 _ROW_WIDTHS: dict[str, tuple[int, int]] = {"vertices": (1, 2), "triangles": (1, 2), "barycentric": (4, 5)}
-"""Length of a row by kind: with the source alone, and with the target."""
+"""Lengths of a row by kind of map, without and with the target."""
 
 _SEPARATOR_PATTERN = re.compile(r"\s*(?:->|[,:;\s])\s*")
 
 _Rows = list[tuple[str, list[float]]]
-"""Rows with their location in the file."""
+"""Location in the file, for messages, and numbers of every row."""
 
 MAP_VERSION = 1
 
@@ -60,20 +60,20 @@ _STORED_ARRAYS = ("corners", "weights", "faces", "leaders", "sizes", "source", "
 
 @dataclass(frozen=True, eq=False)
 class MapFile:
-    """A map as stored in a file."""
+    """Contents of a map file, before they are applied to meshes."""
 
     path: Path
-    kind: str  # vertices, triangles, barycentric (rows), or the arrays of an npz file: corners, stored
-    rows: NDArray[np.float64]  # (n, k) as at the head of this module; empty for arrays
-    arrays: dict[str, NDArray[Any]]  # of an npz file
+    kind: str  # of rows: vertices, triangles, barycentric; of the arrays in an npz file: corners, stored
+    rows: NDArray[np.float64]  # (n, k) rows as described at the head of this module; empty for arrays
+    arrays: dict[str, NDArray[Any]]  # arrays of an npz file
 
 
 MIN_MAPPED_RATIO = 0.1
-"""Smallest mapped fraction of a mesh; smaller maps are lists of markers given by mistake."""
+"""Smallest mapped fraction of a mesh; a smaller map is probably a list of markers given by mistake."""
 
 
 def read_map(path: PathLike, kind: Kind | None = None) -> MapFile:
-    """Read a map; see the head of this module."""
+    """Read a map file in a format described at the head of this module."""
     file = Path(path)
     if file.suffix.lower() == ".npz":
         return _read_npz(file)
@@ -81,7 +81,7 @@ def read_map(path: PathLike, kind: Kind | None = None) -> MapFile:
 
 
 def to_correspondence(stored_map: MapFile, source: RestMesh, target: RestMesh) -> Correspondence:
-    """Apply a map to two meshes: source, target ``(V, 3)``."""
+    """Convert a map into the correspondence of a source and a target mesh, each with points ``(V, 3)``."""
     kind, arrays = stored_map.kind, stored_map.arrays
     try:
         if kind == "stored":
@@ -117,7 +117,7 @@ def to_correspondence(stored_map: MapFile, source: RestMesh, target: RestMesh) -
 
 
 def write_map(path: PathLike, correspondence: Correspondence, source_faces: IntArray, target_faces: IntArray) -> None:
-    """Write a correspondence of meshes with triangles ``(F, 3)``, ``(F', 3)`` as an npz file, atomically."""
+    """Write the correspondence of meshes with triangles ``(F, 3)`` and ``(F', 3)`` atomically as an npz file."""
     file = Path(path)
     if file.suffix.lower() != ".npz":
         raise OutputError(f"{file}: maps are written as npz files; give it the extension .npz")
@@ -137,7 +137,7 @@ def write_map(path: PathLike, correspondence: Correspondence, source_faces: IntA
 
 
 def mesh_checksum(vertex_count: int, faces: IntArray) -> str:
-    """Return the SHA-256 of a mesh's vertex count and triangles ``(F, 3)``, which identifies it."""
+    """Return the SHA-256 of a mesh's vertex count and triangles ``(F, 3)``, which identifies the mesh."""
     hashed = hashlib.sha256(str(vertex_count).encode())
     hashed.update(np.ascontiguousarray(faces, "<i8").tobytes())
     return hashed.hexdigest()
@@ -148,7 +148,7 @@ def _read_npz(file: Path) -> MapFile:
         arrays = {name: archive.read(name) for name in archive.names}
     empty = np.zeros((0, 0))
     if "version" in arrays and "corners" in arrays:
-        if arrays["version"].tolist() != MAP_VERSION:  # it may be of any type and shape
+        if arrays["version"].tolist() != MAP_VERSION:  # the array may have any type and shape
             raise FormatError(
                 f"{file} is a map of version {arrays['version']!s:.20}; this mixseq reads version {MAP_VERSION}"
             )
@@ -168,7 +168,7 @@ def _read_npz(file: Path) -> MapFile:
 
 
 def _stored_correspondence(arrays: dict[str, NDArray[Any]], source: RestMesh, target: RestMesh) -> Correspondence:
-    """Return the correspondence written by `write_map`; raise an error for other meshes or damage."""
+    """Return the correspondence stored by `write_map`; raise an error if it is damaged or belongs to other meshes."""
     sizes = [(len(points), len(faces)) for points, faces in (source, target)]
     for name, mesh in (("source", source), ("target", target)):
         if str(arrays[name]) != mesh_checksum(len(mesh[0]), mesh[1]):
@@ -195,7 +195,7 @@ def _stored_correspondence(arrays: dict[str, NDArray[Any]], source: RestMesh, ta
 
 
 def _read_rows(file: Path, kind: Kind | None = None) -> tuple[Kind, Float]:
-    """Read rows ``(n, k)``; also return their kind: `kind`, else as stated in the file, else by their length."""
+    """Return rows ``(n, k)`` and their kind: `kind`, else as stated in the file, else inferred from the row length."""
     text = read_text(file, "a map")
     stated, rows = _parse_json(file, text) if file.suffix.lower() == ".json" else _parse_text(file, text)
     if not rows:
@@ -272,7 +272,7 @@ def _parse_json_row(file: Path, number: int, item: Any) -> list[float]:
 def _sort_by_target(
     rows: NDArray[np.float64], target_count: int, kind: str
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return source ids ``(n,)`` and weights ``(n, 3)`` of every target, from rows with or without target ids."""
+    """Return source ids ``(n,)`` and weights ``(n, 3)`` of all targets, from rows with or without target ids."""
     source_ids = rows[:, 0].astype(np.int64)
     weights = rows[:, -3:] if kind == "barycentric" else rows[:, :0]
     if rows.shape[1] in (1, 4):

@@ -1,22 +1,22 @@
-"""Files of markers, pairs of vertices of a source and a target mesh, and of contacts.
+"""Read and write markers, which are pairs of vertices of a source and a target mesh, and read contacts.
 
 =================  =================================================================================================
 file               contents
 =================  =================================================================================================
 ``.json``          a list of markers, or ``{"markers": list}``, or ``{"source": list, "target": list, "names": list}``
-``.yml, .yaml``    the same; a comment after a marker is its name
-others             a marker per line: two numbers, separated by a space, comma, colon, semicolon or ``->``; a comment
-                   after it (``#``) is its name; empty lines and comments on lines of their own are skipped. The first
-                   line may be the number of markers, or the words ``source`` and ``target``
+``.yml, .yaml``    as in ``.json``; a comment after a marker is its name
+other files        one marker per line: two numbers, separated by a space, comma, colon, semicolon or ``->``. A comment
+                   (``#``) after a marker is its name. Empty lines and lines with only a comment are skipped. The
+                   first line may be the number of markers, or the words ``source`` and ``target``
 =================  =================================================================================================
 
-In lists, a marker is a pair of numbers ``[750, 3386]``, a text as on a line ``"750:3386"``, or an object
-``{"source": 750, "target": 3386, "name": "nose"}``. That includes published files of Sumner and Popović's meshes:
-``.cons`` and ``.corr`` (lines), and lists of ``"750:3386"`` in YAML. In YAML itself ``12:34`` is a time of day, 754
-seconds; here it is a pair.
+In lists, a marker is a pair of numbers ``[750, 3386]``, a text ``"750:3386"`` in the form of a line, or an object
+``{"source": 750, "target": 3386, "name": "nose"}``. Published files for Sumner and Popović's meshes have these forms:
+``.cons`` and ``.corr`` have lines, YAML files have lists of ``"750:3386"``. YAML defines ``12:34`` as a time of day
+(754 seconds), but here it is read as a pair.
 
-Contacts are named groups of vertices of a target that rest on the ground, such as feet: JSON, ``{"left foot": [12, 13,
-20], "right foot": [40, 41]}``, or an object with that as ``"contacts"``. All vertices are numbered from 0.
+Contacts are named groups of target vertices that rest on the ground, such as feet. Their JSON file is ``{"left foot":
+[12, 13, 20], "right foot": [40, 41]}``, optionally inside ``{"contacts": ...}``. Vertices are numbered from 0.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from mixseq_io.reader import read_bytes, summarize_error, translate_read_errors
 
 
 def read_text(file: Path, what: str) -> str:
-    """Read a UTF-8 file, with or without a byte order mark; `what` is its expected contents, for messages."""
+    """Read a UTF-8 file, with or without a byte order mark; `what` names the expected contents in messages."""
     with translate_read_errors(file, what, UnicodeDecodeError):
         return read_bytes(file, text=True).decode("utf-8-sig")
 
@@ -45,12 +45,12 @@ def parse_json(file: Path, text: str) -> Any:
     """Parse the text of a JSON file."""
     try:
         return json.loads(text)
-    except (ValueError, RecursionError) as error:  # numbers of thousands of digits are a ValueError, too
+    except (ValueError, RecursionError) as error:  # numbers of thousands of digits also raise ValueError
         raise FormatError(f"{file} cannot be read as JSON: {summarize_error(error)}") from None
 
 
 def read_contacts(path: PathLike) -> dict[str, list[int]]:
-    """Read contacts.
+    """Read contacts from a JSON file.
 
     Examples
     --------
@@ -86,34 +86,34 @@ _PAIR_TEXT = "two vertex numbers, from 0, are expected, separated by a space, co
 
 @dataclass(frozen=True)
 class _RawMarker:
-    """A marker before validation."""
+    """Unvalidated marker from a file."""
 
-    location: str  # in the file
+    location: str  # location in the file
     value: Any
     comment: str = ""
 
 
 @public
 def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
-    r"""Read markers.
+    r"""Read markers from a file.
 
     Parameters
     ----------
     path : path-like
-        The file; see the head of this module.
+        File in a form described at the head of this module.
     reverse : bool
-        Exchange source and target: the target's vertices come first in the file.
+        Exchange source and target, for files in which the target's vertices come first.
 
     Returns
     -------
     Markers
-        With names if at least one has a name. `mixseq.retargeting.checks.check_markers` checks whether they fit two
-        meshes.
+        The markers, with names if at least one marker has a name. `mixseq.retargeting.checks.check_markers` checks
+        whether markers fit two meshes.
 
     Raises
     ------
     FormatError
-        If there is no such file, or it is not a list of pairs; the message names the line or the marker.
+        If the file is missing or is not a list of pairs; the message names the line or the marker.
 
     Examples
     --------
@@ -145,7 +145,7 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
 
 
 def write_markers(path: PathLike, markers: Markers) -> None:
-    """Write markers in the form of the file's extension; see the head of this module."""
+    """Write markers in the form that the file's extension selects; see the head of this module."""
     file = Path(path)
     names = [" ".join(name.split()) for name in markers.names or [""] * len(markers)]
     rows = list(zip(markers.source.tolist(), markers.target.tolist(), names, strict=True))
@@ -184,7 +184,7 @@ def _parse_lines(file: Path, text: str) -> list[_RawMarker]:
 
 
 def _parse_yaml(file: Path, text: str) -> list[_RawMarker]:
-    """Return raw markers of YAML, with numbers as text, since ``12:34`` is a time of day, and comments of lines."""
+    """Return unvalidated markers of YAML, named by comments; numbers stay text, as YAML reads ``12:34`` as a time."""
     try:
         import yaml
     except ModuleNotFoundError as error:
@@ -193,7 +193,7 @@ def _parse_yaml(file: Path, text: str) -> list[_RawMarker]:
         ) from error
     try:
         for token in yaml.scan(text, Loader=yaml.SafeLoader):
-            # A few lines of aliases of aliases can expand beyond any memory.
+            # A few lines of nested aliases can expand beyond any memory.
             if isinstance(token, yaml.AnchorToken | yaml.AliasToken):
                 line = token.start_mark.line + 1
                 raise FormatError(f"{file}, line {line}: anchors (&) and aliases (*) are not read; write it out")
@@ -207,7 +207,7 @@ def _parse_yaml(file: Path, text: str) -> list[_RawMarker]:
     nodes = root
     if isinstance(root, yaml.MappingNode):
         nodes = next((value for key, value in root.value if key.value == "markers"), None)
-    if not isinstance(nodes, yaml.SequenceNode):  # lists of sources and of targets
+    if not isinstance(nodes, yaml.SequenceNode):  # separate lists of sources and of targets
         return [_RawMarker(f"marker {number}", value) for number, value in enumerate(values, start=1)]
     lines = text.splitlines()
     markers = []
@@ -230,7 +230,7 @@ def _to_plain(node: Any) -> Any:
 
 
 def _find_list(file: Path, tree: Any) -> list[Any]:
-    """Find the list of markers in a file's contents."""
+    """Find the list of markers in the parsed contents of a file."""
     if isinstance(tree, dict) and "markers" in tree:
         tree = tree["markers"]
     elif isinstance(tree, dict) and isinstance(tree.get("source"), list):
@@ -251,7 +251,7 @@ def _find_list(file: Path, tree: Any) -> list[Any]:
 
 
 def _parse_marker(where: str, raw: _RawMarker) -> tuple[int, int, str]:
-    """Return source, target and name of one marker."""
+    """Return the source vertex, target vertex and name of one marker."""
     value, name = raw.value, raw.comment
     if isinstance(value, str):
         match = _PAIR_PATTERN.fullmatch(value.strip())

@@ -1,1 +1,1 @@
-"""Vertex animation textures for vertex shaders: `textures` encodes frames as pictures, `writer` writes the folder."""
+"""Write vertex animation textures for shaders: `textures` encodes frames as images, `writer` writes the folder."""

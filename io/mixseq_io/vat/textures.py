@@ -1,20 +1,20 @@
-r"""Vertex animation textures of points and normals, plain or as sums of basis vectors, encoded as pictures.
+r"""Encode points and normals as vertex animation textures, plain or as sums of basis vectors.
 
 Plain
-    A texel per vertex and frame: its point between the bounds of all frames, and its normal.
+    One texel per vertex and frame holds the point, relative to the bounds of all frames; another texture the normal.
 Low rank
-    :math:`x_t(v) = \sum_k b_k(v) u_{tk p_v}` (`mixseq.rigging.low_rank`): a texel per vertex and four basis vectors,
-    after one with its part; coefficients are a separate texture of two rows per frame. Normals are sums with the same
-    coefficients, their basis vectors fitted by least squares.
+    :math:`x_t(v) = \sum_k b_k(v) u_{tk p_v}` (`mixseq.rigging.low_rank`). For every vertex, the first texel holds its
+    part, and each further texel holds four basis vectors. Coefficients are a separate texture of two rows per frame.
+    Normals are sums with the same coefficients; their basis vectors are fitted by least squares.
 
-Shaders decode values as :math:`o + s\,p` of a pixel :math:`p` between 0 and 1. PNG holds `p` in 16 bits (8 for normals
-of single frames), EXR the values themselves, with o = 0 and s = 1. PNG is written here with zlib, since Pillow has no
-16 bits in three channels. Each row is filtered by none, the pixel to the left, or the one above, with the smallest sum
-of magnitudes, as in libpng.
+Shaders decode values as :math:`o + s\,p` from a pixel :math:`p` between 0 and 1. PNG stores `p` in 16 bits, or in 8
+bits for plain normals. EXR stores the values, with o = 0 and s = 1. This module writes PNG with zlib, since Pillow
+cannot write three channels of 16 bits. Each PNG row is stored unchanged, or minus the pixels to the left, or minus the
+pixels above, whichever has the smallest sum of magnitudes, as in libpng.
 
-A texel is a vertex with one normal; glTF vertices that differ only by texture coordinates or materials share it. A
-*layer* is one value of all texels, a frame or four basis vectors, in some rows of the texture. Layers are stacked:
-shaders find a vertex in layer `n` by an offset in rows from the first layer, the second set of texture coordinates.
+A texel represents a vertex with one normal; glTF vertices that differ only by texture coordinates or materials share a
+texel. A *layer* holds one value of every texel, for a frame or for four basis vectors, in several rows of the texture.
+The second texture coordinates locate a vertex in the first layer; shaders add an offset in rows for layer `n`.
 
 Specifications: https://www.w3.org/TR/png-3/, https://openexr.com/en/latest/OpenEXRFileLayout.html
 """
@@ -47,7 +47,7 @@ _FINE_STEP = 1024.0
 
 @dataclass(frozen=True, eq=False)
 class EncodedImage:
-    """Values as pixels ``(height, width, channels)``."""
+    """Values encoded as pixels ``(height, width, channels)``."""
 
     pixels: Pixels
     offset: NDArray[np.float64]  # (channels,)
@@ -55,7 +55,7 @@ class EncodedImage:
 
     @property
     def decoded(self) -> NDArray[np.float64]:
-        """Values as a shader decodes them."""
+        """Values that a shader decodes from the pixels."""
         largest = {"f": 1, "u": 2 ** (8 * self.pixels.itemsize) - 1}[self.pixels.dtype.kind]
         return np.asarray(self.offset + self.scale * (self.pixels.astype(np.float64) / largest))
 
@@ -66,7 +66,7 @@ def encode_pixels(
     high: NDArray[np.floating] | float,
     pixel_type: PixelType,
 ) -> EncodedImage:
-    """Encode values ``(..., channels)`` between two limits of their channels."""
+    """Encode values ``(..., channels)`` relative to a lower and an upper limit of each channel."""
     channels = values.shape[-1]
     if pixel_type is np.float32:
         return EncodedImage(values.astype(np.float32), np.zeros(channels), np.ones(channels))
@@ -82,10 +82,10 @@ def encode_pixels(
 def encode_coarse_and_fine(
     values: NDArray[np.floating], largest: float, pixel_type: PixelType
 ) -> tuple[EncodedImage, NDArray[np.float64]]:
-    """Encode values ``(T, n, 3)`` up to a largest magnitude in twice as many rows ``(2 T, n, 3)``; also decode them.
+    """Encode values ``(T, n, 3)`` with magnitudes up to `largest` in rows ``(2 T, n, 3)``; also return decoded values.
 
-    Shaders decode :math:`o + s (p + p' / 65535)` with the pixel `p'`, T rows below `p`. It has 6 bits, since more are
-    incompressible noise; in EXR it is 0.
+    Shaders decode :math:`o + s (p + p' / 65535)` with the pixel `p'`, T rows below `p`. `p'` has only 6 bits, since
+    further bits are incompressible noise. In EXR `p'` is 0.
     """
     if pixel_type is np.float32:
         image = encode_pixels(np.concatenate([values, np.zeros_like(values)]), 0, 1, np.float32)
@@ -99,7 +99,7 @@ def encode_coarse_and_fine(
 
 
 MAX_TEXTURE_SIDE_PIXELS = 16384
-"""Largest side of a texture; many graphics cards take less."""
+"""Largest width and height of a texture in pixels; many graphics cards have a smaller limit."""
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _COLOUR_TYPES = {3: 2, 4: 6}
@@ -107,7 +107,7 @@ _FILTER_NONE, _FILTER_SUB, _FILTER_UP = 0, 1, 2
 
 
 def encode_png(pixels: NDArray[Any]) -> bytes:
-    """Encode pixels ``(height, width, 3 or 4)``, uint8 or uint16, from the top left as PNG."""
+    """Encode pixels ``(height, width, 3 or 4)``, uint8 or uint16, starting at the top left, as PNG."""
     height, width, channels = pixels.shape
     pixel_bytes = pixels.dtype.itemsize * channels
     rows = np.ascontiguousarray(pixels.astype(pixels.dtype.newbyteorder(">"))).view(np.uint8)
@@ -130,7 +130,7 @@ def _chunk(name: bytes, data: bytes) -> bytes:
 
 
 def write_exr(path: Path, pixels: NDArray[np.float32]) -> None:
-    """Write an EXR of pixels ``(height, width, 3 or 4)``, from the top left."""
+    """Write pixels ``(height, width, 3 or 4)``, starting at the top left, as an EXR file."""
     library = import_openexr(path)
     names = "RGBA"[: pixels.shape[2]]
     channels = {name: np.ascontiguousarray(pixels[..., i]) for i, name in enumerate(names)}
@@ -140,7 +140,7 @@ def write_exr(path: Path, pixels: NDArray[np.float32]) -> None:
 
 
 def import_openexr(path: Path) -> Any:
-    """Import the package that writes EXR."""
+    """Import the package OpenEXR, which writes EXR files."""
     try:
         import OpenEXR
     except ModuleNotFoundError as error:
@@ -156,14 +156,14 @@ _BASIS_VECTORS_PER_TEXEL = 4
 
 @dataclass(frozen=True, eq=False)
 class Texels:
-    """Texels of a sequence, in a glTF document without points."""
+    """Texels of a sequence, and a glTF document to which `add_vertices` adds points."""
 
     header: SequenceHeader
     layout: Layout
     meshes: list[MovingMesh]
     vertices: Index  # (N,)
-    normals: Index  # (N,) ids of the normals of all meshes
-    primitive_texels: list[Index]  # (n,) texels of every primitive's glTF vertices
+    normals: Index  # (N,) normal of each texel, counted over all meshes
+    primitive_texels: list[Index]  # for every primitive, the texels (n,) of its glTF vertices
 
     @staticmethod
     def from_header(header: SequenceHeader) -> Texels:
@@ -173,7 +173,7 @@ class Texels:
         for mesh in meshes:
             scene_mesh = mesh.scene_mesh
             for primitive in mesh.primitives:
-                assert primitive.normal_ids is not None  # new documents have some
+                assert primitive.normal_ids is not None  # new documents have normal ids
                 vertices = np.arange(header.vertex_count)[scene_mesh.vertices][primitive.vertex_ids]
                 pairs.append(np.column_stack([vertices, primitive.normal_ids + first]))
             hard_edges = scene_mesh.hard_edges
@@ -188,22 +188,22 @@ class Texels:
         return len(self.vertices)
 
     def normals_of(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return the normals ``(n, N, 3)`` of texels for points ``(n, V, 3)``."""
+        """Return the normals ``(n, N, 3)`` of texels in poses ``(n, V, 3)``."""
         normals = [mesh.compute_normals(points.astype(np.float32)) for mesh in self.meshes]
         return np.asarray(np.concatenate(normals, axis=1)[:, self.normals])
 
     @cached_property
     def width(self) -> int:
-        """Width of textures, just enough for a layer's rows."""
+        """Smallest width of textures at which a layer has `rows` rows."""
         return -(-self.count // self.rows)
 
     @cached_property
     def rows(self) -> int:
-        """Rows of a layer in the texture."""
+        """Number of rows of a layer in the texture."""
         return -(-self.count // _MAX_TEXELS_PER_ROW)
 
     def stack_layers(self, layers: NDArray[np.floating], content: str) -> NDArray[np.floating]:
-        """Stack layers ``(n, N, channels)`` to pixels ``(n * rows, width, channels)``, padded with zeros."""
+        """Stack layers ``(n, N, channels)`` into pixels ``(n * rows, width, channels)``, padded with zeros."""
         count, _, channels = layers.shape
         if count * self.rows > MAX_TEXTURE_SIDE_PIXELS:
             raise SettingsError(
@@ -215,7 +215,7 @@ class Texels:
         return padded.reshape(count * self.rows, self.width, channels)
 
     def add_vertices(self, points: NDArray[np.floating], layers: int) -> None:
-        """Add points ``(V, 3)``, normals and coordinates in a texture of `layers` layers to the document."""
+        """Add points ``(V, 3)``, their normals, and texture coordinates for `layers` layers to the document."""
         normals = self.normals_of(points[None])[0]
         rows, columns = np.divmod(np.arange(self.count), self.width)
         uvs = np.column_stack([(columns + 0.5) / self.width, (rows + 0.5) / (layers * self.rows)])
@@ -226,7 +226,7 @@ class Texels:
             attributes = primitive.entry["attributes"]
             attributes["POSITION"] = self.layout.add_points(positions[texels])
             attributes["NORMAL"] = self.layout.add_array(normals[texels], target=ARRAY_BUFFER)
-            if "TEXCOORD_0" not in attributes:  # glTF numbers sets of texture coordinates from 0
+            if "TEXCOORD_0" not in attributes:  # glTF needs a set of texture coordinates 0 before set 1
                 zeros = np.zeros((len(texels), 2), np.float32)
                 attributes["TEXCOORD_0"] = self.layout.add_array(zeros, target=ARRAY_BUFFER)
             attributes["TEXCOORD_1"] = self.layout.add_array(uvs[texels], target=ARRAY_BUFFER)
@@ -242,35 +242,35 @@ def pack_basis_vectors(basis: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 _SINGULAR_VALUE_CUTOFF = 1e-4
-"""Smallest used singular value of a part's coefficients, relative to the largest, in the fit of normals."""
+"""Smallest singular value that the fit of normals uses, relative to the largest value of the part's coefficients."""
 
 
 @dataclass(frozen=True, eq=False)
 class VertexFrames:
-    """Points and normals of the N texels in every frame."""
+    """Points and normals of N texels in every frame."""
 
     points: NDArray[np.float64]  # (T, N, 3)
     normals: NDArray[np.float64]  # (T, N, 3)
 
     @classmethod
     def from_points(cls, points: FloatArray, texels: Texels) -> VertexFrames:
-        """Compute the normals of points ``(T, V, 3)``."""
+        """Select the points of texels from poses ``(T, V, 3)``, and compute the normals."""
         normals = np.concatenate([texels.normals_of(frame[None]) for frame in points])
         return cls(np.asarray(points, dtype=np.float64)[:, texels.vertices], normals.astype(np.float64))
 
 
 @dataclass(frozen=True, eq=False)
 class Textures:
-    """Textures and their decoded values."""
+    """Encoded textures and the values that shaders decode from them."""
 
-    images: dict[str, EncodedImage]  # by name
-    metadata: dict[str, Any]  # further contents of vat.json
-    rank: int  # number of basis vectors, 0 of plain textures
+    images: dict[str, EncodedImage]  # textures by name
+    metadata: dict[str, Any]  # entries for vat.json that describe the textures
+    rank: int  # number of basis vectors, 0 for plain textures
     decoded: VertexFrames  # points and normals as shaders decode them
 
 
 def encode_plain(frames: VertexFrames, texels: Texels, pixel_type: PixelType) -> Textures:
-    """Make textures with a texel per vertex and frame."""
+    """Encode frames as textures with one texel per vertex and frame."""
     low, high = frames.points.min(axis=(0, 1)), frames.points.max(axis=(0, 1))
     normal_type = np.uint8 if pixel_type is np.uint16 else pixel_type
     points = encode_pixels(texels.stack_layers(frames.points, "frames"), low, high, pixel_type)
@@ -287,7 +287,7 @@ def _unstack_layers(image: EncodedImage, texels: Texels) -> NDArray[np.float64]:
 
 
 def encode_low_rank(fitted: LowRank, frames: VertexFrames, texels: Texels, pixel_type: PixelType) -> Textures:
-    """Make textures of basis vectors and of coefficients."""
+    """Encode a low-rank fit as textures of basis vectors and of coefficients."""
     basis = pack_basis_vectors(fitted.basis[texels.vertices])
     layers, columns = len(basis), 4 * len(basis)
     count, parts = fitted.coefficients.shape[:2]
@@ -303,7 +303,7 @@ def encode_low_rank(fitted: LowRank, frames: VertexFrames, texels: Texels, pixel
     part_of_texel = fitted.parts[texels.vertices]
     encoded = encode_pixels(basis, -1, 1, pixel_type)
     part_layer = np.zeros((1, texels.count, 4), encoded.pixels.dtype)
-    part_layer[..., 0] = part_of_texel  # whole numbers are exact in pixels
+    part_layer[..., 0] = part_of_texel  # integers are exactly representable in pixels
     pixels = texels.stack_layers(np.concatenate([part_layer, encoded.pixels]), "basis vectors")
     points = EncodedImage(pixels, encoded.offset, encoded.scale)
     normal_basis = pack_basis_vectors(_fit_normal_basis(frames.normals, part_of_texel, decoded))
@@ -321,7 +321,7 @@ def encode_low_rank(fitted: LowRank, frames: VertexFrames, texels: Texels, pixel
 def _sum_basis_vectors(
     basis: NDArray[np.float64], parts: NDArray[np.int64], coefficients: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the shader's sums ``(T, N, 3)`` of basis vectors ``(layers, N, 4)``."""
+    """Return the sums ``(T, N, 3)`` of basis vectors ``(layers, N, 4)`` that the shader computes."""
     flat = basis.swapaxes(0, 1).reshape(len(parts), -1)
     return np.stack([np.einsum("nk,nki->ni", flat, frame[parts]) for frame in coefficients])
 

@@ -1,7 +1,7 @@
-"""Writer of vertex animation textures: images, the mesh that refers to them, ``vat.json``, and shaders.
+"""Write vertex animation textures: images, a mesh with coordinates in these images, ``vat.json``, and shaders.
 
-`mixseq_io.vat.textures` describes the encoding. Errors are those of the decoded images, without float32 rounding in
-shaders.
+`mixseq_io.vat.textures` describes the encoding. Reported errors are measured on decoded images; they exclude float32
+rounding in shaders.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SHADER_NAMES = ("webgl2.js", "godot.gdshader", "unity.shader", "unreal.hlsl")
 
 
 def format_shader(name: str, metadata: dict[str, Any]) -> str:
-    """Fill in the text of a shader from the contents of ``vat.json``."""
+    """Return the text of a shader, completed with values from the contents of ``vat.json``."""
     text = files("mixseq_io.vat").joinpath("shaders", name).read_text(encoding="utf-8")
     keys = ("frames", "width", "height", "rows", "layers", "fps")
     values = {key.upper(): str(metadata[key]) for key in keys}
@@ -67,25 +67,25 @@ VAT_FILE_NAMES = {
     *("vat.json", "mesh.glb", *SHADER_NAMES),
     *(f"{name}.{suffix}" for name in ("points", "normals", "coefficients") for suffix in ("png", "exr")),
 }
-"""Names of the written files; those of an older run are removed."""
+"""Names of all files that the writer may write; such files from an earlier run are removed."""
 
 _MAX_ATTEMPTS = 6
 _INITIAL_BOUND_RATIO = 0.98
-"""Initial fraction of the error bound for the fit; the rest is for rounding."""
+"""Initial fraction of the error bound that is used for the fit; the remainder is for rounding."""
 
 _MAX_STEP_VARIATION = 1e-3
-"""Largest difference of frame durations without a warning, relative to their mean."""
+"""Largest difference of frame durations that causes no warning, relative to the mean duration."""
 
 
 @dataclass(frozen=True)
 class VatReport:
-    """Written files and their error."""
+    """Kind, errors and sizes of written textures."""
 
-    kind: str  # see mixseq_io.vat.textures
-    rank: int  # number of basis vectors, 0 of plain textures
+    kind: str  # kind of textures, see mixseq_io.vat.textures
+    rank: int  # number of basis vectors, 0 for plain textures
     max_error: float  # largest error of a vertex, in diagonals
     rms_error: float  # root mean square error of the vertices, in diagonals
-    normal_degrees: float  # root mean square angle of the normals
+    normal_degrees: float  # root mean square angle of the normals to the original normals
     file_bytes: int  # size of the texture files
     memory_bytes: int  # size of the textures in the memory of a graphics card
 
@@ -98,30 +98,30 @@ def write_vat(
     texture: TextureName = "png16",
     progress: Progress = no_progress,
 ) -> VatReport:
-    """Write a sequence as vertex animation textures: a folder with pictures, a mesh, ``vat.json`` and shaders.
+    """Write a sequence as vertex animation textures: a folder with images, a mesh, ``vat.json`` and shaders.
 
     Parameters
     ----------
     path : path-like
-        The folder, whose name ends in ``.vat``. If it exists, its textures are replaced when all is written; other
-        files in it stay.
+        Output folder with a name that ends in ``.vat``. Textures in an existing folder are replaced after all files
+        are written; other files in the folder are unchanged.
     sequence : MeshSequence
-        The sequence.
+        The sequence to be written.
     max_error : float, optional
-        Error bound of low-rank textures in diagonals, for all frames; by default a texel for every vertex and frame.
+        Error bound of low-rank textures in diagonals, for all frames; by default textures are plain.
     texture : {"png16", "exr"}
-        PNG with 16 bits, or EXR with 32-bit floats.
+        File format: PNG with 16 bits, or EXR with 32-bit floats.
     progress : callable
-        Receives the progress.
+        Function that receives the progress.
 
     Raises
     ------
     OutputError
         If the name does not end in .vat, or the folder cannot be written.
     SettingsError
-        If `max_error` is not positive, or below what textures can hold, or textures would be too large.
+        If `max_error` is not positive or smaller than the rounding error of textures, or textures would be too large.
     MissingExtraError
-        If OpenEXR, which EXR needs, is not installed.
+        If `texture` is "exr" and OpenEXR is not installed.
 
     Warns
     -----
@@ -159,7 +159,7 @@ def write_vat(
 
 
 def check_vat_target(path: Path) -> None:
-    """Raise an error for a path that is not a folder name of textures."""
+    """Raise an error if a path is not a valid name for a folder of textures."""
     if path.suffix.lower() != VAT_EXTENSION:
         raise OutputError(f"{path}: vertex animation textures are a folder; end its name in {VAT_EXTENSION}")
     if path.exists() and not path.is_dir():
@@ -174,7 +174,7 @@ def _fit_within_bound(
     max_error: float,
     progress: Progress,
 ) -> tuple[Textures, VatReport]:
-    """Fit low-rank textures within an error in diagonals, including rounding."""
+    """Fit low-rank textures whose error, including rounding, is at most `max_error` diagonals."""
     if not max_error > 0:
         raise SettingsError(f"max_error is {max_error:g}; a positive number of diagonals is expected")
     bound = _INITIAL_BOUND_RATIO * max_error
@@ -208,7 +208,7 @@ def _measure_errors(sequence: MeshSequence, frames: VertexFrames, textures: Text
         rms_error=float(np.sqrt(squares.mean())) / diagonal,
         normal_degrees=float(np.sqrt(np.square(angles).mean())),
         file_bytes=0,
-        # On a graphics card pixels have four channels.
+        # Pixels have four channels in the memory of a graphics card.
         memory_bytes=sum(4 * image.pixels[..., 0].nbytes for image in textures.images.values()),
     )
 
@@ -238,7 +238,7 @@ def _make_metadata(
     images = {}
     for name, image in textures.images.items():
         height, width = image.pixels.shape[:2]
-        is_uniform = name == "coefficients" or textures.rank > 0  # the same in all channels
+        is_uniform = name == "coefficients" or textures.rank > 0  # equal in all channels
         images[name] = {
             "file": _image_name(name, texture),
             "width": width,

@@ -1,7 +1,7 @@
-"""The Blender add-on: meshes deformed by mixseq models at every frame and sub-frame, retimed and baked.
+"""Blender add-on: deform meshes by mixseq models at every frame and sub-frame, retime and bake them.
 
 `settings` defines the properties of a mesh, `live` moves vertices, `making` creates meshes from models. `importing`,
-`timing` and `baking` are the operators, `panel` is the user interface.
+`timing` and `baking` define the operators; `panel` is the user interface.
 """
 
 from __future__ import annotations

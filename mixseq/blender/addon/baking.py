@@ -20,7 +20,7 @@ from .timing import BLUR_MODIFIER_NAME, make_linear
 
 
 class _Bake:
-    """Base class of the operators: bake the scene's frames, then turn off Live."""
+    """Base class of operators that bake the scene's frames and then turn off Live."""
 
     bl_options = {"REGISTER", "UNDO"}
     report: Any
@@ -34,7 +34,7 @@ class _Bake:
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        """Whether a model moves the active object, in object mode."""
+        """Whether a model moves the active object and this object is in object mode."""
         return live.is_driven(context.object) and context.object.mode == "OBJECT"
 
     def execute(self, context: Any) -> set[str]:
@@ -88,9 +88,9 @@ class BakeAlembic(_Bake, bpy.types.Operator, ExportHelper):
     filter_glob: StringProperty(default="*.abc", options={"HIDDEN"})
 
     def bake(self, context: Any) -> None:
-        """Export a temporary object of the mesh, and add a Mesh Sequence Cache modifier to the active object."""
+        """Export a temporary object with the mesh, and add a Mesh Sequence Cache modifier to the active object."""
         active, scene = context.object, context.scene
-        _evaluate_pose(scene, active.data, scene.frame_start)  # raises errors before a file is written
+        _evaluate_pose(scene, active.data, scene.frame_start)  # errors occur here, before a file is written
         with _temporary_object(context, active.data) as exported:
             bpy.ops.wm.alembic_export(
                 filepath=self.filepath,
@@ -112,7 +112,7 @@ class BakeAlembic(_Bake, bpy.types.Operator, ExportHelper):
 
 
 def _evaluate_pose(scene: bpy.types.Scene, mesh: bpy.types.Mesh, frame: float) -> Single:
-    """Return the vertices ``(V, 3)`` at a frame or sub-frame of the scene, in Blender's axes."""
+    """Return the vertices ``(V, 3)`` of a mesh at a frame or sub-frame of the scene, in Blender's axes."""
     scene.frame_set(int(frame // 1), subframe=frame % 1)
     if message := live.error_message(mesh):
         raise SettingsError(message)
@@ -133,7 +133,7 @@ def _keep_frame(scene: bpy.types.Scene) -> Iterator[None]:
 
 @contextmanager
 def _temporary_object(context: Any, mesh: bpy.types.Mesh) -> Iterator[bpy.types.Object]:
-    """Yield a temporary object of a mesh, the only selected one; restore the selection afterwards."""
+    """Yield a temporary object with a mesh as the only selected object; restore the selection afterwards."""
     selection, active = context.selected_objects, context.object
     temporary = bpy.data.objects.new(f"{active.name}_baked", mesh)
     context.scene.collection.objects.link(temporary)

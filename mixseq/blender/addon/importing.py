@@ -20,7 +20,7 @@ from .timing import drive_by_scene, enable_motion_blur
 
 
 class _ModelFile(ImportHelper):
-    """Base class of the operators that open a model, and import it by their method `import_model`."""
+    """Base class of operators that open a model and pass it to their method `import_model`."""
 
     bl_options = {"REGISTER", "UNDO"}
     filename_ext = ".h5"
@@ -47,7 +47,7 @@ class _ModelFile(ImportHelper):
         return {"FINISHED"}
 
     def set_model(self, target: bpy.types.Object, part: str, placement: Placement) -> None:
-        """Make a part of the model move the mesh of an object."""
+        """Set the model, part and placement that move the mesh of an object."""
         settings = target.data.mixseq
         settings.part, settings.up_axis, settings.scale = part, placement.up_axis, placement.scale
         settings.is_live = True
@@ -63,7 +63,7 @@ class ImportModel(bpy.types.Operator, _ModelFile):
     bl_label = "Import mixseq Model"
 
     def import_model(self, context: Any, model: Model) -> None:
-        """Create the objects, and select them."""
+        """Create one object per mesh of the model, and select these objects."""
         bpy.ops.object.select_all(action="DESELECT")
         for part in part_names(model.header):
             mesh = new_mesh(model.header, part)
@@ -87,7 +87,7 @@ class AttachModel(bpy.types.Operator, _ModelFile):
         return active is not None and active.type == "MESH" and active.mode == "OBJECT"
 
     def import_model(self, context: Any, model: Model) -> None:
-        """Find the part of the model that matches the mesh, and its placement."""
+        """Find the part and placement of the model that match the mesh, and let them move it."""
         mesh = context.object.data
         points = np.empty((len(mesh.vertices), 3), dtype=np.float32)
         mesh.attributes["position"].data.foreach_get("vector", points.reshape(-1))
@@ -113,11 +113,11 @@ class DropModel(bpy.types.FileHandler):
 
 
 def _stored_path(path: str) -> str:
-    """Return a path as Blender stores it, relative to the .blend file if the preferences say so."""
+    """Return a path in Blender's form: relative to the .blend file if the preferences request this."""
     is_relative = bpy.data.filepath and bpy.context.preferences.filepaths.use_relative_paths
     try:
         return str(bpy.path.relpath(path) if is_relative else bpy.path.abspath(path))
-    except ValueError:  # on another drive of Windows
+    except ValueError:  # the .blend file is on another drive of Windows
         return path
 
 

@@ -1,8 +1,8 @@
 """Move the vertices of meshes whenever Blender evaluates a frame or sub-frame.
 
-Blender calls `_update_meshes` with the scene and the dependency graph of the viewport, or of a render, which evaluates
+Blender calls `_update_meshes` with the scene and the dependency graph of the viewport or of a render. Renders evaluate
 sub-frames for motion blur. Animated settings are read from the evaluated mesh, since only the viewport writes them back
-to the original mesh. Then the vertices of the original mesh are set, which tags it for evaluation.
+to the original mesh. Setting the vertices of the original mesh then tags this mesh for evaluation.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ models = ModelCache(load)
 frame_cache = FrameCache()
 
 _mesh_states: dict[int, tuple[Any, ...]] = {}
-"""Motion, time and part that meshes currently show, by session UID."""
+"""Motion, time and part currently shown by each mesh, by session UID of the mesh."""
 
 _error_messages: dict[int, str] = {}
-"""Messages of errors that stop meshes, by session UID."""
+"""Messages of errors that prevent the update of meshes, by session UID of the mesh."""
 
 _relative_paths: dict[int, str] = {}
-"""Relative paths of models while a copy of the .blend file is saved, by session UID."""
+"""Original relative paths of models while a copy of the .blend file is saved, by session UID of the mesh."""
 
 _is_rendering = False
 
@@ -46,12 +46,12 @@ def is_driven(target: bpy.types.Object | None) -> bool:
 
 
 def error_message(mesh: bpy.types.Mesh) -> str:
-    """Return the message of the error that stops a mesh, "" if there is none."""
+    """Return the message of the error that prevents the update of a mesh, or "" without an error."""
     return _error_messages.get(mesh.session_uid, "")
 
 
 def format_error(error: Exception) -> str:
-    """Return the message of an error, with its type if it is a bug."""
+    """Return the message of an error, with the type of the error if it is a bug."""
     return str(error) if isinstance(error, MixseqError | RuntimeError) else f"{type(error).__name__}: {error}"
 
 
@@ -61,7 +61,7 @@ def scene_fps(scene: bpy.types.Scene) -> float:
 
 
 def update_mesh(mesh: bpy.types.Mesh, settings: MotionSettings, fps: float) -> None:
-    """Move a mesh to its model's points, by evaluated settings; keep errors for the panel."""
+    """Move the vertices of a mesh to its model's points by evaluated settings; store an error for the panel."""
     message = ""
     try:
         _move_vertices(mesh, settings, fps)
@@ -69,7 +69,7 @@ def update_mesh(mesh: bpy.types.Mesh, settings: MotionSettings, fps: float) -> N
         message = format_error(error)
         _mesh_states.pop(mesh.session_uid, None)
         if message != error_message(mesh):
-            print(f"mixseq: {mesh.name}: {message}")  # for renders without a user interface
+            print(f"mixseq: {mesh.name}: {message}")  # printed for renders without a user interface
     _error_messages[mesh.session_uid] = message
 
 
@@ -119,7 +119,7 @@ def _end_render(*_: Any) -> None:
 
 @persistent
 def _reset(*_: Any) -> None:
-    """Forget the states of all meshes, and tag driven ones for evaluation."""
+    """Clear the stored states of all meshes, and tag the driven meshes for evaluation."""
     _mesh_states.clear()
     _error_messages.clear()
     for mesh in bpy.data.meshes:
@@ -140,7 +140,7 @@ def _remap_paths(filepath: str, *_: Any) -> None:
 
 @persistent
 def _restore_paths(filepath: str, *_: Any) -> None:
-    """Restore the paths after a copy was saved."""
+    """Restore the relative paths after a copy of the .blend file was saved."""
     if filepath == bpy.data.filepath:
         return
     for mesh in bpy.data.meshes:
@@ -169,7 +169,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Remove the handlers, and free the memory."""
+    """Remove the handlers, and free the memory of the caches."""
     for event, handler in _HANDLERS.items():
         getattr(bpy.app.handlers, event).remove(handler)
     frame_cache.clear()

@@ -1,4 +1,4 @@
-"""Create meshes from models: polygons, UVs, colour attributes, materials, sharp edges."""
+"""Create meshes from models, with polygons, UVs, colour attributes, materials and sharp edges."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mixseq.sequence.header import SequenceHeader
 
 
 def new_mesh(header: SequenceHeader, part: str) -> bpy.types.Mesh:
-    """Create the mesh of one part of a model, of all for ""; `live` moves its vertices."""
+    """Create the mesh of one part of a model, or of all parts for ""; `live` moves the vertices."""
     parts = MeshParts.from_header(header, part)
     vertices, _ = part_slices(header, part)
     mesh = bpy.data.meshes.new(part.rpartition("/")[2] or header.name)
@@ -26,7 +26,7 @@ def new_mesh(header: SequenceHeader, part: str) -> bpy.types.Mesh:
     mesh.update(calc_edges=True)
     if parts.uvs is not None:
         mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", np.ravel(parts.uvs).astype(np.float32))
-    if parts.colours is not None:  # linear, as Blender's float colours
+    if parts.colours is not None:  # linear, like Blender's float colours
         attribute = mesh.color_attributes.new(name="Color", type="FLOAT_COLOR", domain="CORNER")
         attribute.data.foreach_set("color", np.ravel(parts.colours).astype(np.float32))
     _mark_sharp_edges(mesh, parts)
@@ -35,7 +35,7 @@ def new_mesh(header: SequenceHeader, part: str) -> bpy.types.Mesh:
 
 
 def _material(name: str) -> bpy.types.Material | None:
-    """Return the material of a name, created if there is none."""
+    """Return the material with a name; create the material if it is missing."""
     return (bpy.data.materials.get(name) or bpy.data.materials.new(name)) if name else None
 
 

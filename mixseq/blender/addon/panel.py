@@ -1,4 +1,4 @@
-"""The panel in the properties of a mesh."""
+"""Panel in the properties editor of a mesh."""
 
 from __future__ import annotations
 

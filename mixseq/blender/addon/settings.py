@@ -1,4 +1,4 @@
-"""Properties of a mesh moved by a model, stored in .blend files and named as those of Blender's cache files."""
+"""Properties of a mesh moved by a model, stored in .blend files, with the names of Blender's cache file properties."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PATH_OPTIONS = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5) el
 
 
 def _tag_mesh(settings: MotionSettings, context: Any) -> None:
-    settings.id_data.update_tag()  # Blender then evaluates the mesh, and calls the handlers of `live`
+    settings.id_data.update_tag()  # the tag makes Blender evaluate the mesh and call the handlers of `live`
 
 
 class MotionSettings(bpy.types.PropertyGroup):
@@ -55,7 +55,7 @@ class MotionSettings(bpy.types.PropertyGroup):
 
     @property
     def path(self) -> Path:
-        """Absolute path of the model; of linked meshes, relative to their .blend file."""
+        """Absolute path of the model; relative paths of linked meshes start at the linked .blend file."""
         return Path(bpy.path.abspath(self.filepath, library=self.id_data.library))
 
 

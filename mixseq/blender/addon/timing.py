@@ -1,6 +1,6 @@
 """Drive the displayed frame of a model by the scene's frame, or by an F-curve that retimes it.
 
-Blender's exporters write only one frame of meshes without drivers or keyframes.
+A driver or keyframes are necessary, since Blender's exporters write only one frame of other meshes.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ BLUR_MODIFIER_NAME = "mixseq motion blur"
 
 
 def drive_by_scene(mesh: bpy.types.Mesh) -> None:
-    """Drive the displayed frame by the scene's frame; existing animation is kept."""
+    """Drive the displayed frame by the scene's frame, unless the frame is already animated."""
     animation = mesh.animation_data
     if animation is None or not (animation.action or animation.drivers or animation.nla_tracks):
         mesh.mixseq.driver_add("frame").driver.expression = "frame"
 
 
 def enable_motion_blur(target: bpy.types.Object) -> None:
-    """Add a modifier without effect: renderers evaluate sub-frames only of objects with modifiers."""
+    """Add a modifier without effect, because renderers evaluate sub-frames only for objects with modifiers."""
     if BLUR_MODIFIER_NAME not in target.modifiers:
         modifier = target.modifiers.new(BLUR_MODIFIER_NAME, "SMOOTH")
         modifier.iterations = 0
@@ -39,7 +39,7 @@ def make_linear(animated: bpy.types.ID) -> None:
 
 
 def _fcurves(animated: bpy.types.ID) -> Any:
-    """Return the F-curves of a data-block, since Blender 4.4 those of its slot in the action."""
+    """Return the F-curves of a data-block; since Blender 4.4 they belong to its slot in the action."""
     animation = animated.animation_data
     slot = getattr(animation, "action_slot", None)
     if slot is None:

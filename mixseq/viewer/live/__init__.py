@@ -1,4 +1,4 @@
-"""The viewer in a browser (the extra ``viewer``): `viewer` and `marking` run a viser server behind a `guard`.
+"""Run the live viewer in a browser (extra ``viewer``): `viewer` and `marking` run a viser server behind a `guard`.
 
-`stage` is the scene of the page, `controls` the panels beside it.
+`stage` draws the 3D scene of the page; `controls` are the panels beside the scene.
 """

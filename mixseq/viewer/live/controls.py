@@ -1,4 +1,4 @@
-"""The panels beside the scene: playback, display, edits and saving on the right, charts of a model on the left."""
+"""Panels beside the scene: playback, display, editing and saving on the right, charts of a model on the left."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from mixseq.viewer.session import Drag, Edit, Message, RayHit, Retime, Seek, Ses
 
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 SLIDER_HOLD_SECONDS = 0.5
-"""Time for which a dragged slider keeps its value, because displayed frames lag behind."""
+"""Time in seconds for which a dragged slider keeps its value, because displayed frames lag behind the mouse."""
 
 FRAME_DECIMALS = 3
 """Decimals of fractional frame numbers."""
@@ -40,11 +40,11 @@ SIDE_BY_SIDE, OVERLAID = "side by side", "in one place"
 
 @dataclass(frozen=True)
 class TimeBase:
-    """Conversion of elapsed seconds to frame numbers of one mesh of a scene."""
+    """Conversion between elapsed seconds of a scene and frame numbers of one of its meshes."""
 
     start: float  # time of the mesh's first frame, in seconds
     fps: float  # frames per second of the mesh
-    last: float  # time of the scene's last frame since its first one, in seconds
+    last: float  # elapsed time of the scene's last frame, in seconds
     rate: float  # frames per second of the scene
 
     @classmethod
@@ -58,7 +58,7 @@ class TimeBase:
         return time_to_number(self.start + elapsed, self.fps)
 
     def elapsed(self, number: float) -> float:
-        """Return the elapsed seconds of a frame number."""
+        """Return the elapsed seconds at a frame number."""
         return number_to_time(number, self.fps) - self.start
 
     @property
@@ -66,11 +66,11 @@ class TimeBase:
         """Range of the frame slider: smallest and largest number, step, and number of decimals."""
         low, high, step = self.number(0.0), self.number(self.last), self.fps / self.rate
         digits = 0 if all(number == round(number) for number in (low, high, step)) else FRAME_DECIMALS
-        scale = 10.0**digits  # rounded inwards
+        scale = 10.0**digits  # for rounding inwards
         return floor(low * scale + 1e-6) / scale, ceil(high * scale - 1e-6) / scale, step, digits
 
     def text(self, elapsed: float) -> str:
-        """Format elapsed seconds as frame and time, with those of the last frame."""
+        """Format elapsed seconds as frame number and time, followed by number and time of the last frame."""
         number, end = (
             format_frame(self.start + elapsed, self.fps),
             format_frame(self.start + self.last, self.fps),
@@ -111,13 +111,13 @@ class PlayControls:
         self.refresh()
 
     def refresh(self) -> None:
-        """Show whether the scene is playing."""
+        """Update the play button to show whether the scene is playing."""
         is_playing = self._playback.is_playing
         self._button.label = "Pause" if is_playing else "Play"
         self._button.icon = self._icons[is_playing]
 
     def show(self, moment: Moment, index: int) -> None:
-        """Show the time of a moment, in the time base of a mesh."""
+        """Show the time of a moment in the time base of the mesh `index`."""
         base, elapsed = TimeBase.from_scene(moment.scene, index), moment.scene.elapsed(moment.frame)
         if base != self._base:
             self._base = base
@@ -142,7 +142,7 @@ class PlayControls:
             return
         try:
             self._playback.set_frame_rate(float(self._rate.value))
-        except SettingsError:  # also numbers that are not yet typed completely
+        except SettingsError:  # also raised for incompletely typed numbers
             self._text.content = _text_line(
                 f"{self._rate.value:g} frames/s is out of range; enter another frame rate", "mixseq-time"
             )
@@ -172,7 +172,7 @@ class DisplayControls:
         follow.on_update(lambda _: self._follow(playback, follow.value))
 
     def show_picked(self, text: str) -> None:
-        """Show the picked mesh element."""
+        """Show a text that describes the picked mesh element."""
         self._picked.content = _text_line(text, "mixseq-picked")
 
     def _follow(self, playback: Playback, on: bool) -> None:
@@ -191,7 +191,7 @@ class DisplayControls:
 
 
 def _legend(colourings: list[Colouring]) -> str:
-    """Return the colour scale as a bar with its ends, in HTML."""
+    """Return the colour scale in HTML, as a bar labelled with the values at its ends."""
     measured = next((colouring for colouring in colourings if not colouring.is_constant), None)
     if measured is None:
         return ""
@@ -226,7 +226,7 @@ def notify_all(server: Any, title: str, text: str, is_success: bool = False) -> 
 
 
 MAX_NAME_BYTES = 200
-"""Longest file name: file systems allow 255 bytes, and writers temporarily add a suffix."""
+"""Largest file name in bytes: file systems allow 255, and writers temporarily add a suffix."""
 
 
 class SaveControls:
@@ -261,7 +261,7 @@ class SaveControls:
 
 
 def _is_file_name(name: str) -> bool:
-    """Whether a text is a file name on any system, without folders."""
+    """Whether a text is a valid file name without folders on all operating systems."""
     has_no_path = name not in ("", ".", "..") and not any(separator in name for separator in "/\\:")
     return has_no_path and name.isprintable() and len(name.encode(errors="replace")) <= MAX_NAME_BYTES
 
@@ -306,7 +306,7 @@ class Charts:
         self._now.content = f'<span id="mixseq-now" data-time="{time:.6f}" data-pen="{pen}" hidden></span>'
 
     def set_pen(self, on: bool) -> None:
-        """Make the mouse draw curves, or drag them."""
+        """Set whether the mouse draws new curves (`on`) or drags existing curves."""
         self._is_drawing = on
         self._playback.refresh()
 
@@ -320,13 +320,13 @@ class Charts:
         self._seconds = seconds
 
     def handle(self, message: Message) -> None:
-        """Apply a message of the charts."""
+        """Apply a user action that the charts sent as a message."""
         session, scene = self._session, self._playback.scene
         match message:
             case Seek(time):
                 self._playback.seek(scene.frame_at(time - session.model.start))
             case Drag(time, target, is_done):
-                if not self._playback.is_playing:  # show the frame that is dragged
+                if not self._playback.is_playing:  # show the dragged frame
                     self._playback.seek(scene.frame_at(time - session.model.start))
                 edit = partial(drag, time=time, to=target.tolist(), reach=self._reach, plane=self._plane)
                 session.edit("drag", edit, preview=not is_done)
@@ -338,7 +338,7 @@ class Charts:
 
     @property
     def _plane(self) -> Plane:
-        """Plane of the drawn embedding; edits keep it if they can, so that the chart does not turn."""
+        """Plane of the drawn embedding, kept after an edit if possible, so that the chart does not rotate."""
         model, index = self._session.model, self._session.index
         if index not in self._planes or not _fits(model, self._planes[index]):
             self._planes[index] = model.plane
@@ -361,11 +361,11 @@ NO_HOLD_MESSAGE = (
 )
 
 MIN_DURATION = 1e-3
-"""Smallest duration in controls, in seconds."""
+"""Smallest duration that controls allow, in seconds."""
 
 
 class Editor:
-    """Controls of edits: charts, undo, sections, parts and saving."""
+    """Editing controls: charts, undo, sections, parts and saving."""
 
     def __init__(self, server: Any, session: Session, playback: Playback, folder: Path) -> None:
         gui, model = server.gui, session.model
@@ -399,7 +399,7 @@ class Editor:
             self._part = gui.add_dropdown("Part", (WHOLE_BODY, *_parts(model)), hint="Or click a part of the mesh")
             self._gain = gui.add_number("Gain", 1.5, min=-10.0, max=10.0, step=0.1)
             parts = gui.add_button_group("", ("Exaggerate", "Hold"))
-        self._show_steps()  # now, as a later line would move the controls below it
+        self._show_steps()  # a line that is added later would move the controls below it
         self._save_controls = SaveControls(server, folder, self._default_name, session.save)
         self._undo.on_click(lambda _: session.undo() if self._undo.value == "Undo" else session.redo())
         self._section.on_update(lambda _: self._show_section_frames())
@@ -412,7 +412,7 @@ class Editor:
         gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(lambda _: session.redo())
 
     def show_edit(self) -> None:
-        """Show the edited model, and keep settings that are still valid."""
+        """Show the model after an edit, and keep the settings that are still valid."""
         self.charts.draw()
         self._show_steps()
 
@@ -443,12 +443,12 @@ class Editor:
         self._playback.refresh()
 
     def select_part(self, index: int, hit: RayHit) -> str:
-        """Select the clicked part, and return its description, empty for meshes without parts."""
+        """Select the clicked part, and return its description, which is empty for a mesh without parts."""
         decomposition = self._playback.scene.items[index].decomposition
         if decomposition is None:
             return ""
         part, joint = int(decomposition.part_of_face[hit.face]), int(decomposition.joint_of_face[hit.face])
-        if index == self._session.index:  # the root part has no parent, and is not an option
+        if index == self._session.index:  # the root part has no parent and cannot be selected
             self._part.value = str(part) if str(part) in self._part.options else WHOLE_BODY
         return f", part {part}" if joint < 0 else f", joint {joint} of part {part}"
 
@@ -500,14 +500,14 @@ class Editor:
 
 
 def span(model: Model) -> tuple[float, float]:
-    """Return start and end of a model in seconds, at least a frame apart, rounded outwards to steps of the slider."""
+    """Return start and end of a model in seconds, rounded outwards to slider steps, at least one frame apart."""
     first = float(np.floor(model.start / MIN_DURATION + 1e-6) * MIN_DURATION)
     last = float(np.ceil(model.end / MIN_DURATION - 1e-6) * MIN_DURATION)
     return first, max(last, first + max(1 / model.header.fps, MIN_DURATION))
 
 
 def duration(model: Model) -> float:
-    """Return the duration of a model in seconds, at least a frame, rounded up to steps of the controls."""
+    """Return the duration of a model in seconds, at least one frame, rounded up to steps of the controls."""
     seconds = max(model.end - model.start, 1 / model.header.fps, MIN_DURATION)
     return float(np.ceil(seconds / MIN_DURATION - 1e-6) * MIN_DURATION)
 
@@ -518,7 +518,7 @@ def reach_of(model: Model) -> float:
 
 
 def _parts(model: Model) -> tuple[str, ...]:
-    """Return the numbers of parts with a parent, which can be edited alone."""
+    """Return the numbers of the parts that can be edited individually, which are those with a parent."""
     if not isinstance(model.space, MixedSpace) or model.space.placement == "free":
         return ()
     return tuple(str(part) for part in np.flatnonzero(model.space.articulation.parents >= 0))

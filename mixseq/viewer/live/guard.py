@@ -1,7 +1,7 @@
-"""Guard viser's server: only browsers with the viewer's token may connect, and only validated messages pass.
+"""Guard viser's server: accept only browsers with the viewer's token, and only valid messages.
 
-viser creates its server with ``websockets.asyncio.server.serve``. That function is replaced while the server starts, to
-add a request hook and a connection class.
+viser creates its server with ``websockets.asyncio.server.serve``. While the server starts,
+this function is replaced by a wrapper that adds a request hook and a connection class.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
 WILDCARD_HOSTS = ("0.0.0.0", "::", "")
-"""Hosts that stand for all addresses of a machine."""
+"""Host arguments that mean all addresses of a machine."""
 
 ACCESS_DENIED_MESSAGE = "This is a viewer of mixseq. Open the address that it printed, with its token."
 """Answer to all refused requests, which does not reveal the reason."""
 
 
 class Headers(Protocol):
-    """Headers of a request, which may be repeated."""
+    """Headers of a request; the same header may occur several times."""
 
     def get_all(self, key: str) -> list[str]:
-        """Return all values of a header."""
+        """Return the values of all headers with a name."""
 
 
 @dataclass
 class Access:
     """Access control of a viewer.
 
-    Other pages in the same browser can send requests, with cookies if they are on the same host. They lack the token,
-    its cookie is ``SameSite=Strict``, and the browser sends their ``Origin``. DNS rebinding, by pages whose name
-    resolves to this machine, is recognised by that name (``Host``).
+    Other pages in the same browser can send requests, with cookies if they are on the same host. Such pages lack the
+    token, the token's cookie is ``SameSite=Strict``, and the browser sends the page's ``Origin``. DNS rebinding gives
+    this machine an attacker's host name, which is recognised in the header ``Host``.
     """
 
     host: str
@@ -65,7 +65,7 @@ class Access:
         return f"{self._cookie_name}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def refusal(self, path: str, headers: Headers) -> str | None:
-        """Return the reason for refusing a request, None if it is allowed."""
+        """Return the reason for refusing a request, or None if the request is allowed."""
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_own_host(hosts[0].lower()):
             return "its host is not this machine"
@@ -76,7 +76,7 @@ class Access:
         return None
 
     def has_token(self, path: str) -> bool:
-        """Whether the query of a path has the token."""
+        """Whether the query of a path contains the token."""
         try:
             return any(map(self._is_token, parse_qs(urlsplit(path).query).get("token", [])))
         except ValueError:  # too many fields, or not a valid address
@@ -84,7 +84,7 @@ class Access:
 
     @property
     def _cookie_name(self) -> str:
-        """Name with the port, because all ports of a host share cookies."""
+        """Name of the cookie; it contains the port, because all ports of a host share cookies."""
         return f"mixseq-{self.port}"
 
     def _cookies(self, headers: Headers) -> list[str]:
@@ -103,7 +103,7 @@ class Access:
             return False
         if name in ("localhost", "127.0.0.1", "[::1]", _bracket_ipv6(self.host.lower())):
             return True
-        # other names can be made to resolve to this machine, IP addresses cannot
+        # an attacker can make other names resolve to this machine, but cannot do so with IP addresses
         return self.host in WILDCARD_HOSTS and (name == socket.gethostname().lower() or _is_ip_address(name))
 
 
@@ -120,7 +120,7 @@ def _is_ip_address(name: str) -> bool:
 
 
 MAX_MESSAGE_BYTES = 2**20
-"""Largest message; a sketch has up to 200,000 bytes."""
+"""Largest message in bytes; a sketch has up to 200,000 bytes."""
 
 Number = Annotated[float, msgspec.Meta(ge=-1e15, le=1e15)]
 Pixels = Annotated[float, msgspec.Meta(ge=1, le=1e6)]
@@ -131,7 +131,7 @@ Value = bool | Number | str | Annotated[list[Number], msgspec.Meta(max_length=16
 
 
 class ClientMessage(msgspec.Struct, tag_field="type", forbid_unknown_fields=True):
-    """Message of a page; viser's other kinds (uploads, tunnels, images) are rejected."""
+    """Permitted message of a page; viser's other messages (uploads, tunnels, images) are rejected."""
 
 
 class Camera(ClientMessage, tag="ViewerCameraMessage"):
@@ -167,13 +167,13 @@ class Command(ClientMessage, tag="CommandTriggerMessage"):
 
 
 class ControlValue(msgspec.Struct, forbid_unknown_fields=True):
-    """New value of a control, without its other properties."""
+    """New value of a control; messages with other properties are rejected."""
 
     value: Value
 
 
 class ControlUpdate(ClientMessage, tag="GuiUpdateMessage"):
-    """Use of a control."""
+    """Change of a control's value, or click on a button."""
 
     uuid: Text
     updates: ControlValue
@@ -184,7 +184,7 @@ _MESSAGE_ENCODER = msgspec.msgpack.Encoder()
 
 
 def validate_message(raw: bytes | str, controls: Mapping[str, Any]) -> bytes | None:
-    """Return a message encoded for viser, None if it is to be ignored; raise ValueError if it is invalid."""
+    """Encode a message for viser; return None if it must be ignored, and raise ValueError if it is invalid."""
     if isinstance(raw, str):
         raise ValueError("it is text, not bytes")
     try:
@@ -202,7 +202,7 @@ def validate_message(raw: bytes | str, controls: Mapping[str, Any]) -> bytes | N
 
 
 def _check_type(value: Any, before: Any, options: Any) -> None:
-    """Raise ValueError for a value that a control cannot have."""
+    """Raise ValueError if a control cannot have the value."""
     if isinstance(before, bool):
         is_valid = isinstance(value, bool)
     elif isinstance(before, int | float):
@@ -243,14 +243,14 @@ class RateLimit:
         self._tokens, self._updated_at = self.burst, monotonic()
 
     def delay(self) -> float:
-        """Count an event, and return the seconds by which it has to be delayed."""
+        """Count an event, and return the required delay of the event in seconds."""
         now = monotonic()
         self._tokens = min(self.burst, self._tokens + (now - self._updated_at) * self.per_second) - 1
         self._updated_at = now
         return max(0.0, -self._tokens / self.per_second)
 
     def allow(self) -> bool:
-        """Return whether another event is allowed; only then it is counted."""
+        """Return whether another event is allowed, and count it if so."""
         if self.delay() > 0:
             self._tokens += 1
             return False
@@ -258,19 +258,19 @@ class RateLimit:
 
 
 MESSAGE_RATE = 1000.0, 2000.0
-"""Messages of a page per second, and in a burst; more are delayed. At 144 Hz a page sends about 400."""
+"""Messages of a page per second, and in a burst; further messages are delayed. At 144 Hz a page sends about 400."""
 
 INVALID_MESSAGE_RATE = 1.0, 20.0
-"""Invalid messages of a page per second, and in a burst; more close the connection."""
+"""Invalid messages of a page per second, and in a burst; a further invalid message closes the connection."""
 
 MAX_CONNECTIONS = 256
 """Largest number of websockets; each page has one."""
 
 LOG_LINE_RATE = 0.5, 20.0
-"""Lines on the terminal per second, and in a burst; more are dropped."""
+"""Lines on the terminal per second, and in a burst; further lines are dropped."""
 
 CLOSE_TIMEOUT_SECONDS = 1.0
-"""Time to wait for the other side when a connection is closed."""
+"""Time in seconds to wait for the page's reply when a connection is closed."""
 
 HEADERS = {
     "Cache-Control": "no-store",
@@ -279,7 +279,7 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "SAMEORIGIN",
 }
-"""Headers of all responses: no caching, no referrer, no embedding in other sites."""
+"""Headers of all responses, which forbid caching, referrers and embedding in other sites."""
 
 
 class Guard:
@@ -302,7 +302,7 @@ class Guard:
 
     @contextmanager
     def guard_new_server(self) -> Iterator[None]:
-        """Guard the server that is started in the block."""
+        """Guard the server that is started within the context."""
         original_serve, ports = sockets.serve, []
 
         def serve(handler: Any, host: str, port: int, **settings: Any) -> Any:
@@ -326,7 +326,7 @@ class Guard:
             raise RuntimeError("this version of viser starts its server in a way that cannot be guarded")
 
     def attach(self, server: Any) -> None:
-        """Remove viser's handlers of public tunnels and uploads, and use its controls to validate messages."""
+        """Remove viser's handlers of public tunnels and uploads; validate messages against the server's controls."""
         from viser import _messages as kinds
 
         for kind in (
@@ -339,7 +339,7 @@ class Guard:
         self.controls = server.gui._gui_input_handle_from_uuid
 
     def _answer(self, answer_page: Callable[..., Any], connection: Any, request: Any) -> Any:
-        """Return the response to a request, None to accept a websocket."""
+        """Return the response to a request, or None to accept a websocket."""
         refusal = self.access.refusal(request.path, request.headers)
         if refusal is not None:
             if refusal not in self._refusals:  # pages of earlier viewers repeat their requests
@@ -356,7 +356,7 @@ class Guard:
         return response
 
     def _count_connection(self, connection: Any) -> Any:
-        """Count a websocket, or refuse it if there are too many."""
+        """Count a websocket, or refuse it if there are too many websockets."""
         if self.connection_count >= MAX_CONNECTIONS:
             self.report(f"refused a page: {MAX_CONNECTIONS} are open already")
             return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, "Too many pages are open.\n")
@@ -366,7 +366,7 @@ class Guard:
 
 
 class _Connection(sockets.ServerConnection):
-    """A connection that only passes valid messages, within the rate limits."""
+    """Connection that passes only valid messages, and delays them to keep the rate limits."""
 
     def __init__(self, guard: Guard, *args: Any, **settings: Any) -> None:
         super().__init__(*args, **settings)
@@ -376,7 +376,7 @@ class _Connection(sockets.ServerConnection):
         self.is_counted = False
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Uncount the connection."""
+        """Remove the connection from the count of open connections."""
         super().connection_lost(exc)
         if self.is_counted:
             self.is_counted = False
@@ -391,7 +391,7 @@ class _Connection(sockets.ServerConnection):
                 if closed.sent is not None and closed.sent.code == CloseCode.MESSAGE_TOO_BIG:
                     self._guard.report(f"disconnected a page: its message is larger than {MAX_MESSAGE_BYTES} bytes")
                 raise
-            await sleep(self._message_rate.delay())  # unread messages stay in the page
+            await sleep(self._message_rate.delay())  # unread messages wait in the page
             try:
                 message = validate_message(raw, self._guard.controls)
             except ValueError as error:

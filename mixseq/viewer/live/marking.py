@@ -1,7 +1,7 @@
-"""The viewer for markers: two meshes at rest, side by side, on which pairs of vertices are clicked.
+"""Viewer for markers: the user clicks pairs of vertices on two meshes at rest, shown side by side.
 
-Both vertices of a pair have a ball and its number; proposals have dark balls. A panel shows undo, proposals and the
-examination of the map.
+Each vertex of a pair is drawn as a ball with the number of the pair; balls of proposals are dark. A panel has buttons
+for undo and proposals, and shows the examination of the map.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ BALL_RADIUS_RATIO = 0.004
 """Radius of a ball, relative to the distance of the camera from its target."""
 
 MAX_BALL_DISTANCE = 2.5 * SCENE_SIZE
-"""Camera distance above which balls get smaller on the screen, in scene units."""
+"""Camera distance in scene units beyond which balls get smaller on the screen."""
 
 RADIUS_CHANGE_RATIO = 1.15
-"""Change of the radius above which balls are drawn again."""
+"""Ratio of the larger to the smaller radius above which a change of the radius redraws the balls."""
 
 SELECTED_SCALE = 1.6
-"""Relative size of the ball of a selected or incomplete pair."""
+"""Size of the ball of a selected or incomplete pair, relative to other balls."""
 
 LABEL_HEIGHT_RADII = 3.0
 """Distance of a number from the surface, in radii of the balls."""
 
 MIN_BALL_COUNT, UNUSED_BALL_DEPTH = 64, 1e4
-"""Smallest number of allocated balls, and the depth of unused ones below the ground."""
+"""Smallest number of allocated balls, and the depth of unused balls below the ground."""
 
 PROPOSAL_COLOUR = (40, 40, 40)
 
@@ -56,7 +56,7 @@ GOLDEN_RATIO_STEP = 0.618034
 
 
 def pair_colour(number: int) -> tuple[int, int, int]:
-    """Return the colour of a pair by its number, from 0."""
+    """Return the colour of a pair, given its number counted from 0."""
     red, green, blue = colorsys.hsv_to_rgb((0.02 + GOLDEN_RATIO_STEP * number) % 1.0, 0.85, 0.9)
     return round(255 * red), round(255 * green), round(255 * blue)
 
@@ -66,13 +66,13 @@ class Ball:
     """A ball on one of the meshes."""
 
     vertex: int
-    text: str  # label; may be empty
+    text: str  # label, or an empty text
     colour: tuple[int, int, int]
     scale: float  # relative radius
 
 
 def make_balls(marking: Marking, proposals: Sequence[Pair], suspects: frozenset[int], side: int) -> Iterator[Ball]:
-    """Yield the balls of a side; the numbers of suspicious pairs have a ``!``."""
+    """Yield the balls of one mesh; numbers of suspicious pairs are marked by ``!``."""
     for number, pair in enumerate(marking.pairs):
         text = f"{number + 1}{'!' if number in suspects else ''}"
         scale = SELECTED_SCALE if number == marking.selected else 1.0
@@ -115,7 +115,7 @@ class MarkingStage:
         return np.asarray(self._surfaces[side][0][vertices] + self._frames[side].position)
 
     def set_camera_distance(self, distance: float) -> bool:
-        """Adapt the radius of the balls, and return whether they must be drawn again."""
+        """Adapt the radius of the balls, and return whether the balls must be redrawn."""
         radius = BALL_RADIUS_RATIO * min(distance, MAX_BALL_DISTANCE)
         if 1 / RADIUS_CHANGE_RATIO < radius / self._radius < RADIUS_CHANGE_RATIO:
             return False
@@ -123,7 +123,7 @@ class MarkingStage:
         return True
 
     def draw(self, side: int, balls: Sequence[Ball]) -> None:
-        """Draw the balls of a side, and remove all others."""
+        """Draw the balls of one mesh, and remove its previous balls."""
         points, normals = self._surfaces[side]
         vertices = np.array([ball.vertex for ball in balls], np.int64)
         with self._server.atomic():
@@ -131,7 +131,7 @@ class MarkingStage:
             self._draw_labels(side, balls, points[vertices] + LABEL_HEIGHT_RADII * self._radius * normals[vertices])
 
     def _draw_balls(self, side: int, balls: Sequence[Ball], points: Float) -> None:
-        """Move the balls of a side to points ``(n, 3)``; unused ones wait below the ground, as new ones flicker."""
+        """Move the balls of a mesh to points ``(n, 3)``; keep unused balls below the ground, as new balls flicker."""
         count = max(MIN_BALL_COUNT, 1 << len(balls).bit_length())
         positions = np.tile(np.array([0.0, -UNUSED_BALL_DEPTH, 0.0], np.float32), (count, 1))
         scales = np.full(count, self._radius, np.float32)
@@ -193,14 +193,14 @@ VIEWS = {
     "Above": (90.0, 80.0),
     "Below": (90.0, -80.0),
 }
-"""Views of both meshes: degrees from the front of the first, to its left, and above the horizon."""
+"""Views of both meshes: azimuth from the front of the first mesh to its left, and elevation, in degrees."""
 
 MAX_LISTED_MARKERS = 5
-"""Number of listed markers, those with the largest residuals."""
+"""Number of markers in the list of the largest residuals."""
 
 
 class MarkingControls:
-    """Controls of undo, proposals, examination of the map, and saving."""
+    """Controls for undo, proposals, examination of the map, and saving."""
 
     def __init__(
         self,
@@ -248,7 +248,7 @@ class MarkingControls:
             command.on_trigger(lambda _, by=label: self._do(by))
 
     def _do(self, label: str) -> None:
-        """Call the method of the session with the name of a button or command."""
+        """Call the session's method for the label of a button or command."""
         getattr(self._session, label.lower().replace(" ", "_"))()
 
     def show(self) -> None:
@@ -317,31 +317,31 @@ def _lines(name: str, lines: list[str]) -> str:
 
 
 ROW_ROTATION_DEGREES = 2.0
-"""Rotation of the camera above which the row of meshes follows."""
+"""Rotation of the camera above which the row of meshes is rotated to face the camera."""
 
 MAX_TARGET_DISTANCE_RATIO = 0.25
-"""Distance of the camera's target from a marker, relative to that of both meshes, above which it is ignored."""
+"""Largest kept offset of the camera's target from the nearest marker, relative to the distance of the meshes."""
 
 MIN_AZIMUTH_TANGENT = 0.05
-"""Tangent of the view's angle to the vertical below which its azimuth is undefined."""
+"""Tangent of the angle between view and vertical below which the view's azimuth is undefined."""
 
 SaveMarkers = Callable[[Markers], str]
-"""Function that saves markers to the file given at start, and returns a message."""
+"""Function that saves markers to the file passed at start, and returns a message."""
 
 
 @dataclass(frozen=True, eq=False)
 class MarkedMeshes:
     """Meshes to be marked."""
 
-    source: MeshSequence  # source at rest, in its first frame
-    target: MeshSequence  # target at rest, in its first frame
+    source: MeshSequence  # source mesh, at rest in its first frame
+    target: MeshSequence  # target mesh, at rest in its first frame
     names: tuple[str, str]  # names of the meshes
     markers: Markers  # initial markers
     file: str  # name of the file in which markers are saved
 
     @property
     def scene(self) -> Scene:
-        """Both meshes at rest, scaled to one size."""
+        """Both meshes at rest, scaled to the same size."""
         items = []
         for name, mesh in zip(self.names, (self.source, self.target), strict=True):
             points = np.asarray(mesh.points[:1], np.float64)
@@ -367,7 +367,7 @@ class MarkingViewer:
         self._server = server
         self._save = save
         self._lock = Lock()
-        self._controls: MarkingControls | None = None  # the session may change before they exist
+        self._controls: MarkingControls | None = None  # the session may report changes before the controls exist
         scene = meshes.scene
         topologies = [Topology(mesh.faces, mesh.vertex_count) for mesh in (meshes.source, meshes.target)]
         self._balls = MarkingStage(server, topologies, lambda side, row: self.session.click_ball(side, row))
@@ -428,7 +428,7 @@ class MarkingViewer:
         self._update_points()
 
     def _update_points(self) -> None:
-        """Move the balls with the meshes after a new arrangement."""
+        """Move the balls with the meshes after the arrangement has changed."""
         arrangement = self._stage.arrangement
         for side, item in enumerate(self._playback.scene.items):
             points = arrangement.to_scene(side, item.pose(0.0)).astype(np.float64)
@@ -437,7 +437,7 @@ class MarkingViewer:
         self.on_change()
 
     def _on_camera(self, camera: Any) -> None:
-        """Keep meshes side by side, and the size of balls on the screen, while the camera of a page moves."""
+        """Keep meshes side by side and the screen size of balls constant, while the camera of a page moves."""
         x, y, z = offset = camera.position - camera.look_at
         azimuth, distance = float(np.degrees(np.arctan2(x, z))), float(np.linalg.norm(offset))
         rotation = abs((azimuth - self._stage.arrangement.view.azimuth + 180) % 360 - 180)
@@ -448,7 +448,7 @@ class MarkingViewer:
             self.on_change()
 
     def _show_other_mesh(self, camera: Any) -> None:
-        """Move the camera to the corresponding point of the other mesh, by the nearest marker."""
+        """Move the camera to the point of the other mesh that corresponds by the nearest marker."""
         centres = self._stage.arrangement.centres
         side_in_view = int(np.linalg.norm(centres - camera.look_at, axis=1).argmin())
         pairs = np.array([pair.vertices for pair in (*self.session.marking.pairs, *self.session.proposals)], np.int64)

@@ -1,4 +1,4 @@
-"""The 3D scene of the page: coloured meshes on a ground with a grid."""
+"""3D scene of the page: coloured meshes on a ground plane with a grid."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ GRID_COLOUR = (222, 222, 218)
 PICK_COLOUR = (20, 20, 20)
 
 GRID_CELL = SCENE_SIZE / 2
-"""Size of the cells of the ground's grid, in scene units."""
+"""Cell size of the ground's grid, in scene units."""
 
 ASPECT_TOLERANCE = 0.02
-"""Relative change of a window's aspect below which the camera stays."""
+"""Relative change of a window's aspect ratio below which the camera is unchanged."""
 
 
 class LiveStage:
     """Meshes in the scene of a viser server, a `mixseq.viewer.playback.Stage`.
 
-    `on_show` is called with every shown moment. `overlaid` and `following` (bodies stay in place, the ground moves) are
-    initial states; `camera` is as in `mixseq.pictures.scene.resolve_view`, `material` as in `ViewSettings`.
+    `on_show` is called with every shown moment. `overlaid` and `following` are initial states; `following` fixes bodies
+    and moves the ground. `mixseq.pictures.scene.resolve_view` describes `camera`, `ViewSettings` describes `material`.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class LiveStage:
         self._arrangement = arrange_meshes(colours.scene, not overlaid, camera)
         self._add_ground()
         self._meshes, self._colour_clouds, self._labels = [], [], []
-        self._picked: tuple[int, int] | None = None  # mesh and vertex
+        self._picked: tuple[int, int] | None = None  # indices of mesh and vertex
         self._pick_ball = server.scene.add_icosphere(
             "/picked",
             radius=0.012 * SCENE_SIZE,
@@ -94,7 +94,7 @@ class LiveStage:
 
     @property
     def colours(self) -> list[Colouring]:
-        """Current colourings of all meshes."""
+        """Current colouring of every mesh."""
         return self._scene_colours.on_one_scale(self._colour)
 
     def show(self, moment: Moment) -> None:
@@ -117,7 +117,7 @@ class LiveStage:
             self._on_show(moment)
 
     def _world_points(self, arrangement: Arrangement, index: int, points: Single) -> tuple[Single, Float]:
-        """Return a mesh ``(V, 3)`` in scene coordinates, and the travel ``(3,)`` that was removed to follow it."""
+        """Return a mesh ``(V, 3)`` in scene coordinates, and the displacement ``(3,)`` removed to follow the mesh."""
         placed = arrangement.to_scene(index, points)
         if not self.following:
             return placed, np.zeros(3)
@@ -125,16 +125,16 @@ class LiveStage:
         return np.asarray(placed - shift, dtype=np.float32), shift
 
     def set_colour(self, name: str) -> None:
-        """Set the colouring of the next moments."""
+        """Set the colouring of the moments shown from now on."""
         self._colour = name
 
     def set_view(self, scene: Scene, camera: tuple[float, float]) -> None:
-        """Set the view, as in `mixseq.pictures.scene.resolve_view`, with meshes side by side across it."""
+        """Set the view as in `mixseq.pictures.scene.resolve_view`, and align meshes across the view."""
         self._camera = camera
         self.arrange(scene, side_by_side=True)
 
     def rotate_row(self, azimuth: float, target: Float, distance: float) -> None:
-        """Keep meshes side by side across the current view, see `Arrangement.with_azimuth`."""
+        """Rotate the row of meshes to stay across the current view; see `Arrangement.with_azimuth`."""
         with self._lock:
             self._arrangement = self._arrangement.with_azimuth(azimuth, target, distance)
         self._update_positions()
@@ -172,7 +172,7 @@ class LiveStage:
             mesh.wireframe = on
 
     def on_click(self, callback: Callable[[int, RayHit], None], mark: bool = True) -> None:
-        """Call a function with the clicked mesh and the hit; mark the vertex with a ball unless `mark` is false."""
+        """Set the function called with a clicked mesh and the hit; if `mark` is true, mark the vertex with a ball."""
         for number, mesh in enumerate(self._meshes):
 
             @mesh.on_click  # type: ignore[untyped-decorator]
@@ -219,11 +219,11 @@ class LiveStage:
 
         @client.camera.on_update  # type: ignore[untyped-decorator]
         def _(camera: Any) -> None:
-            # the viewport of a page gets its final aspect when the panels dock, after the page has connected
+            # A page connects before its panels dock, which changes the aspect ratio of the viewport.
             if client.client_id not in self._client_views:
                 return
             position, aspect = self._client_views[client.client_id]
-            initial = self._server.initial_camera.position  # may be reported late
+            initial = self._server.initial_camera.position  # the page may report it late
             is_unmoved = any(np.allclose(camera.position, known, rtol=1e-3, atol=1e-3) for known in (position, initial))
             if is_unmoved and abs(camera.aspect / aspect - 1) > ASPECT_TOLERANCE:
                 self._update_camera(client)
@@ -240,7 +240,7 @@ class LiveStage:
         self._client_views[client.client_id] = position, aspect
         with client.atomic():
             client.camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
-            client.camera.position = position  # moves the target along
+            client.camera.position = position  # viser also moves the target
             client.camera.look_at = centre
 
     def _update_cameras(self) -> None:
@@ -253,7 +253,7 @@ class LiveStage:
 
 
 def srgb_to_linear(colours: ByteArray) -> ByteArray:
-    """Convert sRGB colours to linear ones, which three.js expects."""
+    """Convert sRGB colours to linear colours, which three.js expects."""
     srgb = colours / 255.0
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     return np.asarray(np.rint(255 * linear), dtype=np.uint8)

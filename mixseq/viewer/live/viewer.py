@@ -1,7 +1,7 @@
-"""The viewer: a guarded viser server with a scene, controls, background threads and additional scripts in its page.
+"""Run the viewer: a guarded viser server with a scene, controls, background threads and scripts added to its page.
 
-viser's ``add_html`` does not run scripts, but the document of an ``iframe`` does, and can add them to the page. They
-send messages through a hidden text input, whose callback runs in order on viser's event loop.
+viser's ``add_html`` does not run scripts, so an ``iframe`` runs a script that adds the other scripts to the page. The
+scripts send messages through a hidden text input, whose callback runs in order on viser's event loop.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mixseq.viewer.session import Drawn, Message, RayHit, Save, Session, parse_m
 
 
 def add_bridge(server: Any, on_message: Callable[[Message], None]) -> None:
-    """Add the scripts to the page of a server, and call a function with their messages."""
+    """Add the scripts to the page of a server, and set the function that is called with their messages."""
     text_input = server.gui.add_text("mixseq", "", visible=False)
 
     @text_input.on_update  # type: ignore[untyped-decorator]
@@ -59,7 +59,7 @@ def check_viser() -> None:
 
 @contextmanager
 def run_server(host: str, requested_port: int | None) -> Iterator[tuple[Any, str]]:
-    """Run a server during the context, and yield it and its address with the token."""
+    """Run a server during the context; yield the server and its address, which contains the token."""
     check_viser()
     import viser
 
@@ -83,11 +83,11 @@ def _stop(server: Any) -> None:
 
 
 FIRST_PORT, PORT_COUNT = 8080, 100
-"""Range of ports that are tried by default."""
+"""Ports that are tried if no port is requested."""
 
 
 def find_port(host: str, requested: int | None) -> int:
-    """Return the requested port, or by default the first free one; raise SettingsError if it cannot be used."""
+    """Return the requested port, by default the first free port; raise SettingsError if the port cannot be used."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for port in [requested] if requested is not None else range(FIRST_PORT, FIRST_PORT + PORT_COUNT):
         try:
@@ -106,16 +106,16 @@ def find_port(host: str, requested: int | None) -> int:
 class ViewSettings:
     """Settings of the viewer."""
 
-    host: str = "127.0.0.1"  # address to listen at; 127.0.0.1 accepts this machine only
-    port: int | None = None  # port, by default 8080 or the next free one
+    host: str = "127.0.0.1"  # address to listen on; 127.0.0.1 accepts only this machine
+    port: int | None = None  # port, by default the first free port from 8080 on
     folder: Path = Path()  # folder of saved motions
     threads: int = 2  # number of decoding threads
-    material: str = "standard"  # or "toon5", for machines without a graphics card
+    material: str = "standard"  # "standard", or "toon5" for machines without a graphics card
     overlaid: bool = False  # whether meshes are initially overlaid, instead of side by side
-    read_only: bool = False  # whether controls of editing and saving are left out
-    # Initial view: degrees from the front of the first mesh, to its left, and above the horizon.
+    read_only: bool = False  # whether controls for editing and saving are omitted
+    # Initial view: azimuth from the front of the first mesh to its left, and elevation, in degrees.
     camera: tuple[float, float] | None = None
-    following: bool = False  # whether the camera initially follows bodies that travel
+    following: bool = False  # whether the camera initially follows moving bodies
 
 
 class Viewer:
@@ -131,7 +131,7 @@ class Viewer:
         stack: ExitStack,
     ) -> None:
         self._server = server
-        self._play: PlayControls | None = None  # frames may be shown before the controls exist
+        self._play: PlayControls | None = None  # a frame may be shown before the controls exist
         self._editor: Editor | None = None
         self._stage = LiveStage(
             server,
@@ -206,7 +206,7 @@ class Viewer:
 
     def _on_disconnect(self, client: Any) -> None:
         self._stage.remove_client(client)
-        self.session.discard_preview()  # of a drag that will not end
+        self.session.discard_preview()  # the page cannot end its drag any more
 
     def _on_message(self, message: Message) -> None:
         if isinstance(message, Drawn):
