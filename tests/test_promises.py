@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ KEPT = {"fit": "kept", "compress": "kept", "exact": "kept"}
         ("scale 1e200", REFUSED, "squares of such lengths do not fit"),
         ("offset 1e300", REFUSED, "their squares do not fit"),
         ("offset 1e8", KEPT | {"exact": "refused"}, "move the sequence to the origin"),
-        ("growth 1e-6 to 1e6", REFUSED, "digits"),
+        ("growth 1e-6 to 1e6", REFUSED, "beyond the digits|double precision cannot resolve"),
         ("not a number", REFUSED, "coordinates must be finite"),
         ("collapsed part", KEPT, ""),
     ],
@@ -31,7 +32,7 @@ KEPT = {"fit": "kept", "compress": "kept", "exact": "kept"}
 def test_promises_are_kept_or_refused(name: str, expected: dict[str, str], reason: str) -> None:
     found = list(attempts(name, *SEQUENCES[name](), (1e-4,)))
     assert {each.way: each.kind for each in found} == expected
-    assert all(reason in each.words for each in found if each.kind == "refused")
+    assert all(re.search(reason, each.words) for each in found if each.kind == "refused")
 
 
 @pytest.mark.slow

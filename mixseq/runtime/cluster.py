@@ -67,9 +67,9 @@ class ClusterExecutor:
         For long tasks that may kill their worker, with a small shared object. Dask blames all tasks of a dead worker,
         so a worker gets one task per thread. Tasks that dask gave up are retried once at the end, one at a time.
         """
-        suspects, killed = [], dask_module("distributed").KilledWorker
+        suspects = []
         for item, future in self._submit_items(function, shared, items, self._thread_count):
-            if future.status == "error" and isinstance(future.exception(), killed):
+            if _was_given_up(future):
                 suspects.append(item)
             else:
                 yield item, partial(_result, future)
@@ -169,6 +169,10 @@ def _apply_alone(work: bytes) -> Any:
     function, shared, item = pickle.loads(work)
     with one_blas_thread():
         return function(shared, item)
+
+
+def _was_given_up(future: Any) -> bool:
+    return future.status == "error" and isinstance(future.exception(), dask_module("distributed").KilledWorker)
 
 
 def _result(future: Any) -> Any:

@@ -333,7 +333,7 @@ def test_a_source_is_no_target(tmp_path: Path) -> None:
         ("shots --out none/models", "cannot make the folder none/models: No such file"),
         ("shots --out models --animation Run", "none of the sequences is read with an option 'animation'"),
         ("shots --out models --threads 2 --cluster local:2", "--threads and --cluster exclude each other"),
-        ("shots --out models --cluster local:many", "'local:many' is none"),
+        ("shots --out models --cluster local:many", "'local:many' is no cluster"),
         ("shots --out damaged", "report.json is damaged; delete it"),
     ],
 )

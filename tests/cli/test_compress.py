@@ -292,7 +292,7 @@ def test_verify_finds_damage(run: Run, small: Path) -> None:
         ("verify cut_model.h5", "cut_model.h5"),
         ("verify small.h5 none.npz", "none.npz"),
         ("verify small.h5 other.npz", "the reference has 4 vertices, the other sequence 77"),
-        ("verify small.h5 --prim /", "'prim' tells how to read ORIGINAL, but there is none"),
+        ("verify small.h5 --prim /", "'prim' is for reading ORIGINAL, which is missing"),
     ],
 )
 def test_verify_refuses(run: Run, small: Path, arguments: str, message: str) -> None:

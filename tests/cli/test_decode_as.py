@@ -146,11 +146,11 @@ def test_quiet_tells_only_the_file(run: Run) -> None:
         (("out.glb", "--max-targets", "3"), "--max-targets is for --as skin or morph"),
         (
             ("out.glb", "--as", "skin", "--max-error", "0.1", "--bones", "3"),
-            "--bones and --max-error both tell which bones there are; give one of them",
+            "--bones and --max-error both choose the bones; give one of them",
         ),
         (
             ("out.glb", "--as", "skin", "--kg", "0.1", "--skeleton", "bar.glb"),
-            "--skeleton and --kg both tell which bones there are; give one of them",
+            "--skeleton and --kg both choose the bones; give one of them",
         ),
         (("out.glb", "--as", "skin", "--skeleton", "none.glb"), "none.glb does not exist"),
         (("out.glb", "--as", "morph", "--bones", "3"), "--bones is for --as skin"),

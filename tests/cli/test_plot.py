@@ -73,7 +73,7 @@ def test_reader_options_are_for_the_original(run: Run) -> None:
             "plot model.h5 new.png --frames 1 --kind parts",
             "frames is for embedding and error-vertices, not for parts",
         ),
-        ("plot model.h5 new.png --input-fps 10", "tell how to read a sequence; give --against"),
+        ("plot model.h5 new.png --input-fps 10", "are for reading a sequence; give --against"),
         ("plot model.h5 new.png --against bar.usdc --prim /none", "/none"),
         ("plot", "Missing argument 'MODEL'.*see mixseq plot --help"),
         ("plot model.h5", "Missing argument 'TARGET'"),

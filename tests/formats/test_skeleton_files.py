@@ -129,14 +129,14 @@ def test_skins_of_the_same_joints_are_one_skeleton(tmp_path: Path) -> None:
     [
         (lambda maker: maker.json.pop("skins"), r"arm\.glb has no skeleton; a file with a character"),
         (lambda maker: maker.json["skins"][0].update(joints=[]), r"skins\[0\] has no joints"),
-        (lambda maker: maker.json["skins"][0].update(joints=[9]), r"nodes\[9\] is referred to"),
+        (lambda maker: maker.json["skins"][0].update(joints=[9]), r"nodes\[9\] is referenced"),
         (
             lambda maker: maker.json["skins"][0].update(joints=[0, 1, 2]),
             r"skins\[0\] has 3 joints, but inverse",
         ),
         (
             lambda maker: maker.json["skins"][0].update(inverseBindMatrices=maker.add(np.zeros((2, 16)))),
-            r"skins\[0\] has an inverse bind matrix that cannot be inverted",
+            r"skins\[0\] has an inverse bind matrix that is not invertible",
         ),
     ],
 )
@@ -208,7 +208,9 @@ def test_what_usd_is_refused(tmp_path: Path) -> None:
         mixseq.read_skeleton(tmp_path / "man.usda")
     skeleton.GetJointsAttr().Set(["hip"])
     stage.Save()
-    with pytest.raises(FormatError, match=r"/man/bones has 1 joints and 2 bind transforms; as many"):
+    with pytest.raises(
+        FormatError, match=r"/man/bones has 1 joints and 2 bind transforms; one bind transform per joint"
+    ):
         mixseq.read_skeleton(tmp_path / "man.usda")
     skeleton.GetBindTransformsAttr().Set([Gf.Matrix4d(np.nan)])
     stage.Save()

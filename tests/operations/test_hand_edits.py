@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 def compressed(sequence: MeshSequence) -> Model:
     """A compressed model in the basis space, whichever kind of basis takes fewer bytes."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mixseq.compression.encoder.search.KINDS", ("trajectories",))
+        patch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("trajectories",))
         found = to_model(mixseq.compress(sequence, max_error=1e-2))
     assert isinstance(found.space, BasisSpace)
     return found

@@ -112,9 +112,9 @@ def test_summary_counts(vertex_model: Model) -> None:
     ("kind", "against", "frames", "tolerance", "message"),
     [
         ("pie", False, None, None, "kind is 'pie'; one of embedding, coefficients"),
-        ("error-frames", False, None, None, "error-frames is about errors; give the original sequence"),
-        ("error-vertices", False, None, None, "error-vertices is about errors"),
-        (None, False, None, 0.1, "tolerance is about errors"),
+        ("error-frames", False, None, None, "error-frames needs the original"),
+        ("error-vertices", False, None, None, "error-vertices needs the original"),
+        (None, False, None, 0.1, "tolerance needs the original"),
         ("embedding", True, None, None, "against is for error-frames and error-vertices, not for embedding"),
         (
             "coefficients",
@@ -126,8 +126,8 @@ def test_summary_counts(vertex_model: Model) -> None:
         ("error-vertices", True, None, 0.1, "tolerance is for error-frames, not for error-vertices"),
         (None, True, None, 0.0, "tolerance is 0.0; a positive number"),
         (None, True, None, np.nan, "tolerance is nan; a positive number"),
-        ("error-vertices", True, range(MAX_ERROR_FRAMES + 1), None, "errors of 1 to 12 frames fit on a page"),
-        ("error-vertices", True, [], None, "errors of 1 to 12 frames fit on a page"),
+        ("error-vertices", True, range(MAX_ERROR_FRAMES + 1), None, "do not fit; choose 1 to 12 frames"),
+        ("error-vertices", True, [], None, "do not fit; choose 1 to 12 frames"),
     ],
 )
 def test_settings_that_contradict(kind: Any, against: bool, frames: Any, tolerance: Any, message: str) -> None:
@@ -149,7 +149,7 @@ def test_parts_need_a_space_with_parts(vertex_model: Model) -> None:
 @pytest.mark.parametrize("kind", ["embedding", "error-vertices", None])
 def test_frames_must_exist(kind: PictureKind | None, vertex_model: Model, bent_bar: MeshSequence) -> None:
     against = None if kind == "embedding" else bent_bar
-    with pytest.raises(SettingsError, match="there is no frame 4; frames are 0 to 3"):
+    with pytest.raises(SettingsError, match="there is no frame 4; choose frames from 0 to 3"):
         picture(vertex_model, kind, against=against, frames=[4])
 
 

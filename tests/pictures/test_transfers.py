@@ -76,7 +76,7 @@ def test_heading(body: MeshSequence, degrees: float) -> None:
 def test_points_of_another_mesh_or_too_few_are_refused(body: MeshSequence) -> None:
     made = planned(body, body.points[0])
     for points in (body.points[:1], body.points[:2, :5]):
-        with pytest.raises(SettingsError, match="a pose of the target for every frame"):
+        with pytest.raises(SettingsError, match="give a pose of the target for each frame"):
             transfer_sheet(io.BytesIO(), made, [0, 1], points)
 
 

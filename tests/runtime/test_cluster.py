@@ -165,7 +165,7 @@ def test_what_was_given_up_with_another_is_tried_again_alone(
         suspected.append(future)
         return len(suspected) == 1
 
-    monkeypatch.setattr(mixseq.runtime.cluster, "_given_up", suspect_once)
+    monkeypatch.setattr(mixseq.runtime.cluster, "_was_given_up", suspect_once)
     found = [(item, result()) for item, result in two.as_completed(pow, 2, [1, 2, 3])]
     assert len(suspected) == 3
     assert sorted(found) == [(1, 2), (2, 4), (3, 8)]

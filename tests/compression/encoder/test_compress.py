@@ -307,21 +307,23 @@ def test_bytes_are_the_same_however_much_is_done_at_once(threads: str, monkeypat
     assert digest(sequence) == expected
 
 
-@pytest.mark.parametrize(("module", "name"), [(parts, "_lengths"), (trial, "_components_of"), (spatial_basis, "_part")])
+@pytest.mark.parametrize(
+    ("module", "name"), [(parts, "_code_lengths"), (trial, "_round_part"), (spatial_basis, "build_part_graph")]
+)
 def test_more_than_two_cores_take_no_more_memory(
     module: ModuleType, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Parts are worked on two at a time: on each thread arrays are as long as the whole mesh."""
     original, lock, under_way, most = getattr(module, name), threading.Lock(), 0, 0
 
-    def counted(shared: Any, item: Any) -> Any:
+    def counted(*arguments: Any) -> Any:
         nonlocal under_way, most
         with lock:
             under_way += 1
             most = max(most, under_way)
         time.sleep(0.005)
         try:
-            return original(shared, item)
+            return original(*arguments)
         finally:
             with lock:
                 under_way -= 1
