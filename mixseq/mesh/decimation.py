@@ -218,7 +218,7 @@ MIN_ROUNDNESS = 0.15  # least `_roundness` of a face after a collapse, unless th
 
 
 def decimate(points: Float, faces: Index, count: int, keep: Index | None = None) -> tuple[Index, Index]:
-    """Decimate mesh ``(n, 3), (m, 3)`` to `count` vertices with `keep`; return vertices ``(c,)``, faces ``(f, 3)``."""
+    """Decimate a mesh ``(n, 3), (m, 3)`` to `count` vertices, with `keep`: vertices ``(c,)`` and faces ``(f, 3)``."""
     topology = Topology(faces, len(points))
     locked, border = np.zeros((2, len(points)), dtype=bool)
     border[topology.edges[topology.boundary_edges]] = True

@@ -97,7 +97,7 @@ class ClosestPointQuery:
     def query(
         self, queries: FloatArray, normals: FloatArray | None = None, largest_angle: float = 90.0
     ) -> ClosestPoints:
-        """Find closest points to queries ``(n, 3)``, on faces within an angle (degrees) of optional normals ``(n, 3)``."""
+        """Find closest points to queries ``(n, 3)``, within an angle (degrees) of optional normals ``(n, 3)``."""
         from mixseq.mesh.box_tree import closest
 
         queries = _check_vectors(queries, "queries")
