@@ -1,8 +1,8 @@
 """Decomposition of a mesh into parts and joints between the parts.
 
 A joint of width w covers w strips of triangles on both sides of a boundary. Parts lose w - 1 strips, so that joint and
-part overlap by one strip (paper, Section 2.1 and Figure 4, with w = 3). In terms of the *depth* of a vertex, ``max_b
-(w_b - number of edges to the boundary vertex b)``:
+part overlap by one strip (paper, Section 2.1 and Figure 4, with w = 3). In terms of the *depth* of a vertex,
+``max_b (w_b - number of edges to the boundary vertex b)``:
 
 - vertices of depth <= 1 remain in their part,
 - faces with a vertex of depth >= 1 belong to a joint,

@@ -5,8 +5,8 @@ r"""Segmentation by rigid motion: faces that rotate together form a part.
    seeds the next cluster, until all exist. Dense meshes are first clustered by cells of faces.
 2. *Connect.* Clusters are split into connected patches; small patches join the neighbour with the least error.
 3. *Merge.* Neighbours with the least relative rotation are merged first, until every boundary bends enough (or the
-   given number of parts is reached). The criterion is bending, as linear combinations of a part's vertices are accurate
-   for translations and small deformations, but shrink rotating shapes.
+   given number of parts is reached). The criterion is bending, as linear combinations of vertices are accurate for
+   translations and small deformations, but shrink rotating shapes.
 
 The result is deterministic, as no random numbers are used.
 
@@ -134,7 +134,7 @@ class Clusters:
         self._costs = np.full((len(elements), capacity), np.inf, dtype=np.float32)
 
     def assign(self, rounds: int) -> Single:
-        """Assign elements to the clusters of lowest cost; return it ``(E,)``, averaged `rounds` times over neighbours."""
+        """Assign elements to clusters of lowest cost, averaged over neighbours `rounds` times; return it ``(E,)``."""
         from mixseq.segmentation.segmentation_kernels import assign_lowest
 
         stale = np.flatnonzero(self._sizes > 0 if rounds != self._rounds else self._stale)

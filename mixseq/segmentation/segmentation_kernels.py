@@ -19,8 +19,8 @@ def move_elements(
 ) -> None:
     """Move elements ``(n,)`` between clusters ``(E,)`` (-1: no cluster), and update tallies ``(K, 4, D)`` in place.
 
-    A vertex with weight w (an area in squared diagonals) and row y ``(D,)`` of `Trajectories`, which ends with ``h =
-    (rest position, 1)``, adds ``w h y^T`` to the tally. Corners ``(E, 4)`` are padded with V.
+    A vertex with weight w (an area in squared diagonals) and row y ``(D,)`` of `Trajectories`, which ends with
+    ``h = (rest position, 1)``, adds ``w h y^T`` to the tally. Corners ``(E, 4)`` are padded with V.
     """
     width = rows.shape[1]
     for e in elements:

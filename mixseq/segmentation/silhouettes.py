@@ -310,7 +310,7 @@ def significant_vertices(
 
 
 def _signed_distance(surface: Diffusion, significant: Mask, settings: SilhouetteSettings) -> Float:
-    """Return diffusion distances ``(V,)`` to the significant vertices; inside, minus the distances to the other vertices.
+    """Return diffusion distances ``(V,)`` to the significant vertices; inside, minus the distances to other vertices.
 
     Only rim vertices, with a neighbour in the other region, are searched; others are rarely closer. 0 without a rim.
     """
