@@ -201,7 +201,7 @@ def _boundary_widths(topology: Topology, part_of_face: Index, joint_width: int, 
 
 
 def _largest_width(depths: list[Index], part_mask: Mask, core: float) -> int:
-    """Return the largest width of joints that leaves a part its core."""
+    """Return the largest width of joints with which a part keeps its core."""
     count = np.count_nonzero(part_mask)
     for width in range(len(depths) - 1, 1, -1):
         kept_count = np.count_nonzero(depths[width][part_mask] <= 1)
