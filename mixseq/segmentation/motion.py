@@ -249,8 +249,8 @@ class MotionSettings:
         A boundary is kept if the relative rotation of the patches at it, between any two frames, exceeds this angle in
         degrees.
     narrow : float
-        Largest fraction by which `bend` is raised where a patch is so narrow that joints would cover it, as bending
-        skin is.
+        Largest fraction by which `bend` is raised at patches that are too narrow for their joints. Such patches are
+        bending skin.
     soft, stiff : float
         A patch softer than `soft` joins a neighbour if the union is stiffer than `stiff`. Softness is the largest root
         mean square rigid error in a frame, relative to the radius of gyration.

@@ -3,11 +3,11 @@ r"""Segmentation along regions of large deformation, by augmented silhouettes or
 *Augmented silhouettes* (Marras, Bronstein, Hormann, Scateni and Scopigno 2012; paper, Section 2.1, Figure 3):
 
 1. *Views.* N poses are viewed from K viewpoints. The augmented silhouette of a view is the set of edges between a front
-   and a back face, ignoring occlusion. Only K' of all K N silhouettes, chosen at random, are used. 2. *Marks.* On every
-   silhouette, the vertices with the largest deformation are marked. Deformation is the variation over poses of the
-   angles and lengths of edges at a vertex. Vertices with many marks are *significant*. 3. *Seeds.* The height of a
-   vertex is its diffusion distance from the nearest significant vertex. Maxima are seeds. 4. *Regions.* Regions grow
-   downwards from the seeds, until regions meet where the mesh deforms.
+   and a back face, ignoring occlusion. Only K' of all K N silhouettes, chosen at random, are used.
+2. *Marks.* On every silhouette, the vertices of largest deformation are marked: the variation over the poses of the
+   angles and lengths of edges at a vertex. Vertices with many marks are *significant*.
+3. *Seeds.* The height of a vertex is its diffusion distance from the nearest significant vertex. Maxima are seeds.
+4. *Regions.* Regions grow from the seeds downwards, until they meet where the mesh deforms.
 
 Details and values that the paper does not give are described in docs/segmentation.md.
 
