@@ -219,7 +219,7 @@ SIDE_AXIS = np.array([0.0, 0.0, 1.0])
 class Swing:
     """A rotation of a bone: ``degrees * cos(2 pi (cycles * phase - delay))`` about ``axis``.
 
-    Axis x rolls the bone, y yaws it (positive: nose to the left), z pitches it (positive: nose up).
+    Axis x rolls the bone, y yaws it (to the left if positive), z pitches it (nose up if positive).
     """
 
     bone: str

@@ -17,8 +17,8 @@ all four points are compared, instead of selecting a region (Ericson, Real-Time 
 
 *Crossings.* Two triangles cross (Möller 1997, "A fast triangle-triangle intersection test") if each has corners on both
 sides of the other's plane, and their segments on the intersection line of the planes overlap. With unit normals n, m
-the line has the direction :math:`n \times m`. Points on it are compared by the coordinate in which the direction is
-largest, which keeps their order. From a corner at distance d, alone on its side of the plane, a side to a corner at
+the line has the direction :math:`n \times m`. Points on the line are compared by the coordinate in which the direction
+is largest, which keeps their order. From a corner at distance d, alone on its side of the plane, a side to a corner at
 distance e meets the plane at the fraction :math:`d / (d - e)`.
 """
 

@@ -2,7 +2,7 @@
 
 A collapse moves a vertex v onto a neighbour u, so that the remaining vertices are a subset of the original ones. The
 cost of a collapse is the area-weighted squared distance of u from the planes of all faces that were merged into v and
-u, plus `SPACING_WEIGHT` times the area of v times its squared distance to u. The second term keeps vertices evenly
+u, plus `SPACING_WEIGHT` times the area of v times the squared distance of v to u. The second term keeps vertices evenly
 spread where the surface is flat in this frame. Collapses that change the topology (the link condition), flip a face or
 make a sliver are refused. Vertices of non-manifold edges are kept; border vertices only move along the border.
 

@@ -3,7 +3,7 @@
 An element of clustering has a few vertices, which define its motion, and neighbours for averaging costs.
 
 A watershed grows regions, given a height of every hinge. Rising water connects faces across hinges in the order of
-height, which is Kruskal's algorithm for the minimum spanning tree of the dual graph, whose nodes are faces and whose
+height. This is Kruskal's algorithm for the minimum spanning tree of the dual graph, whose nodes are faces and whose
 edges are hinges. A hinge that joins two lakes is the *pass* between them, with
 
 - an *area*: the area of the smaller lake when the lakes meet,
@@ -164,7 +164,7 @@ class Trajectories:
 
     @classmethod
     def from_frames(cls, x: Float) -> Trajectories:
-        """Make trajectories of frames ``(T, V, 3)``; the first one is the rest pose."""
+        """Make trajectories of frames ``(T, V, 3)``; the first frame is the rest pose."""
         count, vertices = x.shape[:2]
         rows = np.empty((vertices, 4 * count + 4))
         rows[:, : 3 * count].reshape(vertices, count, 3)[:] = x.transpose(1, 0, 2)

@@ -14,7 +14,7 @@ Details and values that the paper does not give are described in docs/segmentati
 *Spanning tree* (Wuhrer and Brunton 2010; paper, Section 1.3): a minimum spanning tree of the dual graph connects the
 faces across the hinges whose dihedral angle varies least, and is cut at hinges of large variation. To reduce noise,
 variations are averaged at vertices and smoothed. A hinge is cut if its depth as a pass is large: it varies more than
-the insides of both regions. Both must be large enough.
+the insides of both regions. Both regions must have enough area.
 
 *Variations* are the largest changes between any two frames. Vertices have means over incident hinges or edges, weighted
 by length in the first frame:
@@ -332,7 +332,7 @@ def _signed_distance(surface: Diffusion, significant: Mask, settings: Silhouette
 
 @dataclass(frozen=True)
 class SpanningTreeSettings:
-    """Settings of `segment_by_spanning_tree`. The values were chosen empirically; the paper gives none.
+    """Settings of `segment_by_spanning_tree`. The values were chosen empirically; the paper gives no values.
 
     Attributes
     ----------

@@ -160,7 +160,7 @@ class Frames(Protocol):
         """Header of the sequence, without points."""
 
     def blocks(self, size: int = ...) -> Iterator[FloatArray]:
-        """Iterate over the points in blocks ``(B, V, 3)`` of at most `size` frames, from the first one on."""
+        """Iterate over the points in blocks ``(B, V, 3)`` of at most `size` frames, starting at the first frame."""
 
 
 @dataclass(frozen=True, eq=False)
