@@ -17,8 +17,8 @@ positions x_t in frame t, the error of the best rigid motion is
           C_t = \sum w\, x_t h^T - \frac{1}{W} \bigl(\sum w\, x_t\bigr)\bigl(\sum w\, h\bigr)^T
 
 with centred second moments S. The maximum is the sum of the singular values of C_t, where the last value has the sign
-of det C_t (Kabsch 1976). The error of a union of disjoint sets follows
-from their added sums. In Lloyd's iteration, moving elements update the sums (`tally`), and other costs are reused.
+of det C_t (Kabsch 1976). The error of a union of disjoint sets follows from their added sums. In Lloyd's iteration,
+moving elements updates the sums (`tally`), and costs of unchanged clusters are reused.
 """
 
 from __future__ import annotations
