@@ -51,7 +51,7 @@ def _closest_on_segment(p0: float, p1: float, p2: float, q0: float, q1: float, q
 
 @compiled
 def _closest_on_triangle(corners: Float, q0: float, q1: float, q2: float) -> tuple[float, float, float]:
-    """Return the squared distance from a query to a triangle, and the closest point's weights of corners 1 and 2."""
+    """Return the squared distance from a query to a triangle abc, and the closest point's weights of b and c."""
     a0, a1, a2 = corners[0, 0] - q0, corners[0, 1] - q1, corners[0, 2] - q2
     b0, b1, b2 = corners[1, 0] - q0, corners[1, 1] - q1, corners[1, 2] - q2
     c0, c1, c2 = corners[2, 0] - q0, corners[2, 1] - q1, corners[2, 2] - q2
@@ -229,7 +229,7 @@ def crossing_pairs(
     """Count pairs of crossing triangles without a common corner position; write the first pairs ``(n, 2)`` that fit.
 
     Corners ``(F, 3, 3)``, unit normals and the corners' `position_ids` ``(F, 3)`` are in the order of the tree. Depths
-    and lengths up to the tolerance are contact. Triangles without area, whose normal is NaN, are skipped.
+    and lengths up to the tolerance are contact. Triangles without area (normal NaN) are skipped. Pairs are ascending.
     """
     leaves = len(leaf_starts) - 1
     nodes = np.empty(64, dtype=np.int64)

@@ -1,8 +1,8 @@
 """Rigid motions: nearest rotations, best motions between point sets, and mean shapes.
 
 Only two singular triplets are needed. With the singular vectors u_1, u_2 and v_1, v_2 of the two largest singular
-values, the nearest rotation is ``u_1 v_1^T + u_2 v_2^T + (u_1 x u_2) (v_1 x v_2)^T``. One-sided Jacobi rotations
-compute the singular vectors, accurately even for small singular values.
+values, the nearest rotation is ``u_1 v_1^T + u_2 v_2^T + (u_1 x u_2) (v_1 x v_2)^T``, for any third
+singular value. One-sided Jacobi rotations compute the vectors, accurately even for small singular values.
 """
 
 from __future__ import annotations

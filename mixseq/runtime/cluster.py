@@ -122,7 +122,7 @@ class ClusterExecutor:
         with _convert_errors():
             call = self._client.submit(_bind, dumps((function, shared)), key=f"{name}-call-{uuid4()}")
             workers = sorted(self._client.nthreads())
-        # Workers take turns, as dask would send all quick tasks to workers that have the shared object.
+        # Workers take turns, as dask would favour workers with the shared object; lost workers are replaced by any.
         turns = cycle([{"workers": worker, "allow_other_workers": True} for worker in workers] or [{}])
 
         def submit(item: object) -> Any:
