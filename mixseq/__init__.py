@@ -10,7 +10,7 @@
     twice = mixseq.load("walk.h5").sample(fps=48)
     mixseq.write("walk48.usdc", twice)
 
-Names are imported at first use, so that ``import mixseq`` is quick.
+Public names are imported at first use, so that ``import mixseq`` is quick.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The command line, as ``mixseq`` or ``python -m mixseq``, with Ctrl-C handled from before the imports."""
+"""The command line, ``mixseq`` or ``python -m mixseq``; Ctrl-C is handled even during imports."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NoReturn
 
 
 def _exit(number: int, frame: FrameType | None) -> NoReturn:
-    """Exit at once, as no work is under way."""
+    """Exit at once, as no work has begun."""
     if number == signal.SIGINT:
         os.write(2, b"mixseq: interrupted\n")
     os._exit(128 + number)
@@ -18,7 +18,7 @@ def _exit(number: int, frame: FrameType | None) -> NoReturn:
 def exit_on_signals() -> None:
     """Let Ctrl-C exit at once, until work begins."""
     for number in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(number) != signal.SIG_IGN:  # as in the background of a shell
+        if signal.getsignal(number) != signal.SIG_IGN:  # signals are ignored in the background of a shell
             signal.signal(number, _exit)
 
 

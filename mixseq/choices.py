@@ -1,6 +1,6 @@
-"""Names of options in Python and on the command line; quick to import.
+"""Names of options in Python and on the command line, in a module that is quick to import.
 
-Their implementations are in `mixseq.segmentation.METHODS`, `mixseq.spaces.making` and `mixseq.retargeting.transfer`.
+The options are implemented in `mixseq.segmentation.METHODS`, `mixseq.spaces.making` and `mixseq.retargeting.transfer`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ SPACES: tuple[SpaceName, ...] = get_args(SpaceName)
 
 PlacementName = Literal["anchored", "free"]
 PLACEMENTS: tuple[PlacementName, ...] = get_args(PlacementName)
-"""Placements of parts in the mixed space: by a pose for each, or by edge lengths and dihedral angles."""
+"""Placements of parts in the mixed space: by a pose of each part, or by edge lengths and dihedral angles."""
 
 SegmentationName = Literal["motion", "silhouettes", "spanning-tree"]
 SEGMENTATIONS: tuple[SegmentationName, ...] = get_args(SegmentationName)
@@ -33,15 +33,15 @@ TRANSFERS: tuple[TransferName, ...] = get_args(TransferName)
 
 OrderName = Literal["keep", "vertices", "free"]
 ORDERS: tuple[OrderName, ...] = get_args(OrderName)
-"""Elements that keep their order in a compressed file: vertices and faces, vertices only, or none."""
+"""Elements whose order a compressed file keeps: vertices and faces, only vertices, or no elements."""
 
 StillName = Literal["draco", "plain", "none"]
 STILLS: tuple[StillName, ...] = get_args(StillName)
-"""The first frame in a .glb with a compressed model: compressed by Draco, as float32, or left out."""
+"""Storage of the first frame in a .glb with a compressed model: compressed by Draco, as float32, or omitted."""
 
 PictureKind = Literal["embedding", "coefficients", "singular-values", "parts", "error-frames", "error-vertices"]
 PICTURES: tuple[PictureKind, ...] = get_args(PictureKind)
-"""Pictures of a model."""
+"""Kinds of pictures of a model."""
 
 UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "km": 1000.0, "in": 0.0254, "ft": 0.3048, "yd": 0.9144}
 """Units of length by name, in metres."""

@@ -1,17 +1,17 @@
 """A walking fox: the sample animation of mixseq, made from a table of bones.
 
-Bones move nearly rigidly and only the joints between them bend, so that the fox is also a test case with given parts
+Bones move nearly rigidly and only joints bend, so the fox is also a test case with a known segmentation
 (`part_of_vertex`).
 
 *Body.* The tapered flesh around the bones is blended into one closed surface. Surface nets (Gibson 1998) put one vertex
-into every grid cell that the surface crosses, and one quad around every grid edge that it crosses: the mesh is closed
-and oriented, and manifold if the shape is smooth at the scale of a cell. Relaxation evens the triangles out. At rest
-the fox stands on the plane ``y = 0``, faces ``+x``, and has its right side at ``+z``, in metres. A bone off the plane
-``z = 0`` is the right one of a pair, whose left one is its mirror image.
+into every grid cell, and one quad around every grid edge, that the surface crosses. The mesh is closed and oriented,
+and manifold if the shape is smooth at the scale of a cell. Relaxation makes triangles more even. At rest the fox stands
+on the plane ``y = 0``, faces ``+x``, and has its right side at ``+z``, in metres. A bone off the plane ``z = 0`` is a
+right bone; the left bone is its mirror image.
 
 *Walk.* Spine, head and tail swing by a table of harmonics (forward kinematics). Paws follow a path that is fixed to the
-ground during stance, and legs follow by inverse kinematics of two bones. The fox walks on the spot, as on a treadmill:
-a paw on the ground moves backwards at constant speed. Everything has period 1 in the phase.
+ground during stance. Legs follow the paws by inverse kinematics of two bones. The fox walks on the spot, as on a
+treadmill: a paw on the ground moves backwards at constant speed. All motion has period 1 in the phase.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ Implicit = Callable[[Float], Float]
 
 
 def polygonise(implicit: Implicit, low: Float, high: Float, cell: float, rounds: int = 6) -> tuple[Float, Index]:
-    """Mesh the zero set of a function: implicit ``(..., 3)``; low, high ``(3,)``; result ``(V, 3)``, ``(F, 3)``."""
+    """Mesh the zero set of a function of ``(..., 3)`` from low to high ``(3,)``; return ``(V, 3)`` and ``(F, 3)``."""
     shape = np.ceil((high - low) / cell).astype(int) + 1
-    origin = (low + high - (shape - 1) * cell) / 2  # centred: a symmetric shape gets a symmetric mesh
+    origin = (low + high - (shape - 1) * cell) / 2  # a centred grid gives a symmetric mesh of a symmetric shape
     lattice = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)
     points, quads = surface_nets(implicit(origin + cell * lattice))
     points = relax(origin + cell * points, quads, implicit, rounds)
@@ -44,7 +44,7 @@ def polygonise(implicit: Implicit, low: Float, high: Float, cell: float, rounds:
 
 
 def surface_nets(values: Float) -> tuple[Float, Index]:
-    """Return quads of the zero set of grid values: values ``(X, Y, Z)``; result ``(V, 3)``, ``(Q, 4)``."""
+    """Return points ``(V, 3)`` and quads ``(Q, 4)`` of the zero set of grid values ``(X, Y, Z)``."""
     crossings, quads_of_edges = [], []
     for axis in range(3):
         u, v = np.eye(3, dtype=np.int64)[[(axis + 1) % 3, (axis + 2) % 3]]
@@ -54,7 +54,7 @@ def surface_nets(values: Float) -> tuple[Float, Index]:
         is_crossed = (start < 0) != (end < 0)
         node = np.argwhere(is_crossed)
         start, end = start[is_crossed], end[is_crossed]
-        # The four cells around the edge, counter-clockwise seen from its end; outwards is from - to +.
+        # Cells around the edge, counter-clockwise seen from the edge's end; values increase outwards.
         cells = np.stack([node, node - u, node - u - v, node - v], axis=1)
         quads_of_edges.append(np.where((start < 0)[:, None, None], cells, cells[:, ::-1]))
         crossings.append(node + (start / (start - end))[:, None] * np.eye(3)[axis])
@@ -87,12 +87,12 @@ def neighbour_mean(faces: Index, vertex_count: int) -> csr_array:
 
 
 def relax(points: Float, faces: Index, implicit: Implicit, rounds: int) -> Float:
-    """Move vertices ``(V, 3)`` along the surface towards the mean of their neighbours."""
+    """Move vertices ``(V, 3)`` along the surface, each towards the mean of its neighbours."""
     mean = neighbour_mean(faces, len(points))
     for _ in range(rounds):
         value, gradient = _linearise(implicit, points)
         step = 0.6 * (mean @ points - points)
-        # The closest step that satisfies value + gradient . step = 0.
+        # Project the step so that value + gradient . step = 0.
         excess = (value + np.sum(gradient * step, axis=1)) / np.sum(gradient**2, axis=1)
         points = points + step - excess[:, None] * gradient
     return points
@@ -109,10 +109,10 @@ Vec3 = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Bone:
-    """A bone and its flesh, the hull of a ball at its head and a ball at its tail; lengths in metres.
+    """A bone and its flesh; the flesh is the hull of a ball at the head and a ball at the tail; lengths in metres.
 
-    Parents (empty for the root) precede their children. `head` and `tail` (3,) are the joint and the far end at rest.
-    `fillet` is the width of the blend with earlier bones, which thickens the body by up to a quarter of it.
+    Parents (empty for the root) precede children. `head` and `tail` are rest positions (3,) of joint and far end.
+    `fillet` is the width of the blend with earlier bones, which thickens the body by up to a quarter of the width.
     """
 
     name: str
@@ -125,7 +125,7 @@ class Bone:
 
 
 def _mirror_bones(right_bones: Iterable[Bone]) -> tuple[Bone, ...]:
-    """Mirror every bone off the plane ``z = 0``; name the pair ``name.r`` and ``name.l``."""
+    """Mirror every bone off the plane ``z = 0``; name right and left bones ``name.r`` and ``name.l``."""
     bones: list[Bone] = []
     paired: set[str] = set()
     for bone in right_bones:
@@ -199,18 +199,18 @@ def bone_distances(points: Float) -> Float:
 
 
 def body_distance(points: Float) -> Float:
-    """Return the implicit function ``(...)`` of the fox at points ``(..., 3)``: the bones' flesh, blended."""
+    """Return the implicit function ``(...)`` of the fox at points ``(..., 3)``: the blended flesh of all bones."""
     first, *others = np.moveaxis(bone_distances(points), -1, 0)
     body: Float = first
     for bone, other in zip(BONES[1:], others, strict=True):
-        # Quadratic smooth minimum (Quilez), exact where the two differ by more than the fillet.
+        # Quadratic smooth minimum (Quilez), exact where both distances differ by more than the fillet.
         overlap = np.maximum(bone.fillet - np.abs(body - other), 0)
         body = np.minimum(body, other) - overlap**2 / (4 * bone.fillet)
     return body
 
 
-STANCE_FRACTION = 0.64  # of the cycle, with a paw on the ground
-STANCE_TRAVEL_METRES = 0.30  # of the ground during stance
+STANCE_FRACTION = 0.64  # fraction of the cycle with a paw on the ground
+STANCE_TRAVEL_METRES = 0.30  # distance by which the ground moves during stance
 PAW_LIFT_METRES = 0.062
 SIDE_AXIS = np.array([0.0, 0.0, 1.0])
 
@@ -219,7 +219,7 @@ SIDE_AXIS = np.array([0.0, 0.0, 1.0])
 class Swing:
     """A rotation of a bone: ``degrees * cos(2 pi (cycles * phase - delay))`` about ``axis``.
 
-    About x a bone rolls, about y it yaws (positive turns the nose left), about z it pitches (positive raises the nose).
+    Axis x rolls the bone, y yaws it (to the left if positive), z pitches it (nose up if positive).
     """
 
     bone: str
@@ -275,7 +275,7 @@ SWINGS = (
 
 
 def pose_skeleton(phase: Float) -> tuple[Float, Float]:
-    """Pose the skeleton: phase ``(T,)``; rotations ``(T, B, 3, 3)``, heads ``(T, B, 3)``."""
+    """Return rotations ``(T, B, 3, 3)`` and head positions ``(T, B, 3)`` of all bones at phases ``(T,)``."""
     swings = np.tile(np.eye(3), (len(phase), len(BONE_NAMES), 1, 1))
     for swing in SWINGS:
         angle = np.radians(swing.degrees) * np.cos(2 * np.pi * (swing.cycles * phase - swing.delay))
@@ -293,10 +293,10 @@ def pose_skeleton(phase: Float) -> tuple[Float, Float]:
 
 
 def paw_path(phase: Float) -> tuple[Float, Float, Float]:
-    """Return the path of a paw that lands at phase 0 ``(T,)``: forward offset, height and pitch ``(T,)``."""
+    """Return forward offset, height and pitch ``(T,)``, at phases ``(T,)``, of a paw that lands at phase 0."""
     phase = phase % 1.0
     air = np.clip((phase - STANCE_FRACTION) / (1 - STANCE_FRACTION), 0, 1)
-    # In the air a cubic that leaves and lands at the speed of the ground.
+    # In the air, the path is a cubic with the speed of the ground at both ends.
     overshoot = (1 - STANCE_FRACTION) / STANCE_FRACTION
     swing = air**2 * (3 - 2 * air) * (1 + overshoot) - overshoot * air
     stance = phase / STANCE_FRACTION
@@ -307,7 +307,7 @@ def paw_path(phase: Float) -> tuple[Float, Float, Float]:
 
 
 def _body_offset(phase: Float) -> Float:
-    """Return the offset of the body ``(T, 3)``: down at each hind landing, towards the supporting leg."""
+    """Return the offset ``(T, 3)`` of the body: down when a hind paw lands, and sideways to the supporting leg."""
     once, twice = 2 * np.pi * phase, 4 * np.pi * phase
     return np.stack([0.006 * np.sin(twice), -0.012 - 0.010 * np.cos(twice - 0.6), -0.010 * np.sin(once)], axis=1)
 
@@ -345,7 +345,7 @@ def _place_leg(leg: Leg, phase: Float, rotations: Float, heads: Float) -> None:
 
 
 def _solve_knee(hip: Float, ankle: Float, rest: Float) -> tuple[Float, Float]:
-    """Return knee and sideways axis ``(T, 3)`` between hip and ankle ``(T, 3)``: rest positions ``(3, 3)``."""
+    """Return knee and sideways axis ``(T, 3)``, given hip and ankle ``(T, 3)`` and rest positions ``(3, 3)``."""
     thigh, shank = np.linalg.norm(np.diff(rest, axis=0), axis=1)
     span = np.linalg.norm(ankle - hip, axis=1, keepdims=True)
     down = (ankle - hip) / span
@@ -358,12 +358,12 @@ def _solve_knee(hip: Float, ankle: Float, rest: Float) -> tuple[Float, Float]:
 
 
 def _align_bone(posed: Float, rest: Float, side: Float) -> Float:
-    """Return rotations ``(T, 3, 3)`` that map a bone's rest direction to the posed one, and +z to ``side``."""
+    """Return rotations ``(T, 3, 3)`` that map a bone's rest direction to its posed direction, and +z to ``side``."""
     return _frame(posed, side) @ np.swapaxes(_frame(rest[None], SIDE_AXIS[None]), 1, 2)
 
 
 def _frame(along: Float, side: Float) -> Float:
-    """Return orthonormal frames ``(T, 3, 3)``, by columns: along, across, and nearly ``side``."""
+    """Return orthonormal frames ``(T, 3, 3)`` with the columns along, across, and nearly ``side``."""
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(side, along)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -371,7 +371,7 @@ def _frame(along: Float, side: Float) -> Float:
 
 
 CELL_METRES = 0.0215  # about the length of an edge
-WEIGHT_SMOOTHING_STEPS = 8  # each widens a joint by one ring of vertices
+WEIGHT_SMOOTHING_STEPS = 8  # each step widens a joint by one ring of vertices
 
 
 def walk_cycle(frames: int = 48, fps: float = 24.0) -> MeshSequence:
@@ -380,7 +380,7 @@ def walk_cycle(frames: int = 48, fps: float = 24.0) -> MeshSequence:
     Parameters
     ----------
     frames : int
-        Number of frames T of one cycle. Frame T would be frame 0 again.
+        Number of frames T of one cycle; frame T, which would equal frame 0, is omitted.
     fps : float
         Frames per second.
 
@@ -433,7 +433,7 @@ def _rest_mesh() -> tuple[Float, Index, Float]:
 
 
 def skin_weights(points: Float, faces: Index) -> Float:
-    """Return skinning weights ``(V, B)`` of points ``(V, 3)``, faces ``(F, 3)``: nearest bones, smoothed."""
+    """Return skinning weights ``(V, B)`` of points ``(V, 3)``, faces ``(F, 3)``: smoothed weights of nearest bones."""
     weights: Float = np.eye(len(BONE_NAMES))[np.argmin(bone_distances(points), axis=1)]
     mean = neighbour_mean(faces, len(points))
     for _ in range(WEIGHT_SMOOTHING_STEPS):

@@ -9,7 +9,7 @@
     ├── SettingsError          a setting outside its range, or two that exclude each other
     ├── FormatError            a file that cannot be read: wrong type, damaged, too new
     │   ├── AmbiguousError     a file with several candidates, where one must be chosen
-    │   └── NoMeshError        a file without a mesh, or with none on its skeleton
+    │   └── NoMeshError        a file without a mesh, or without one on its skeleton
     ├── OutputError            a file that cannot be written
     ├── ClusterError           workers that cannot be reached, do not fit, or were lost
     │   └── GivenUpError       a task that killed several workers
@@ -17,7 +17,7 @@
 
     MixseqWarning              data that a format cannot hold, or that were repaired
 
-Messages name the file, frame, part or face, and the cure.
+Messages name the file, frame, part or face, and a remedy.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class AmbiguousError(FormatError):
 
 
 class NoMeshError(FormatError):
-    """A sound file that has no mesh, or none on its skeleton."""
+    """A valid file that has no mesh, or no mesh on its skeleton."""
 
 
 class OutputError(MixseqError):

@@ -1,17 +1,17 @@
 r"""Distances between two mesh sequences: positions, lengths, angles, volume.
 
-With :math:`A, B` the points ``(T, V, 3)`` of the reference and of the other sequence, and d the diagonal of the
+:math:`A, B` are the points ``(T, V, 3)`` of the reference and of the other sequence, and d is the diagonal of the
 bounding box of A's first frame:
 
 - *KG error* (Karni and Gotsman 2004): :math:`100\,\|A - B\|_F / \|A - \bar A\|_F` percent, where
   :math:`\bar A` holds the centroid of every frame of A
 - *rms error* :math:`\|A - B\|_F / (d \sqrt{TV})` and *max error* :math:`\max_{tv} |A_{tv} - B_{tv}| / d`
 - *strain* of an edge: :math:`|\,l_B / l_A - 1\,|`
-- *dihedral error* of a hinge: the difference of its angles, by the shorter way around, in degrees
+- *dihedral error* of a hinge: the absolute difference of its angles, at most 180 degrees
 - *volume error* of a frame: :math:`|\mathrm{vol}_B / \mathrm{vol}_A - 1|`
 
-Frames are compared in blocks, in float64, at any scale (`mixseq.mesh.measures`). Percentiles are exact, as the largest
-thousandth of all values is stored.
+Frames are compared in blocks, in float64, at any scale (`mixseq.mesh.measures`). Percentiles are exact, because the
+largest thousandth of all values is stored.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from mixseq.sequence.sequence import Frames
 from mixseq.types import Float
 
 TIME_TOLERANCE_FRAMES = 1e-6
-"""Largest difference of equal times, in frames."""
+"""Largest difference, in frames, of times that count as equal."""
 
 DEGENERATE_HEIGHT_RATIO = 1e-6
 """Height of a face relative to its longest side up to which its normal is undefined."""
 
-_MAX_BLOCK_VERTICES = 50_000  # in all frames of a block, about 40 MB of temporaries
+_MAX_BLOCK_VERTICES = 50_000  # vertices in all frames of a block: about 40 MB of temporary arrays
 
 
 @dataclass(frozen=True)
@@ -54,15 +54,15 @@ class VolumeError:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Result of `compare`; formulas are at the head of this module.
+    """Result of `compare`; formulas are in the docstring of `mixseq.metrics`.
 
-    Errors relative to zero, such as the KG error of a mesh whose vertices coincide, are 0 if nothing differs, else
+    Errors relative to zero, such as the KG error of a mesh whose vertices coincide, are 0 if nothing differs, otherwise
     infinite.
 
     Attributes
     ----------
     frames, vertices : int
-        Size of the sequences.
+        Number of frames and vertices of each sequence.
     diagonal : float
         Unit of `rms_error`, `max_error` and `per_frame_max`, in the units of the reference.
     kg_percent : float
@@ -76,7 +76,7 @@ class Comparison:
     dihedral_degrees : Statistics
         Dihedral error; hinges where a face has no area, in either sequence, are skipped.
     volume : VolumeError or None
-        Only for closed, consistently oriented meshes with a volume.
+        Volume error; None unless the mesh is closed, consistently oriented and has a volume.
     per_frame_max : (T,) float64
         Largest distance of a vertex in every frame, in diagonals.
     """
@@ -95,7 +95,7 @@ class Comparison:
     per_frame_max: Float
 
     def as_dict(self, per_frame: bool = False) -> dict[str, Any]:
-        """Return plain numbers for JSON, with None for infinite values, and `per_frame_max` if `per_frame`."""
+        """Return plain numbers for JSON, with None for infinite values; include `per_frame_max` if `per_frame`."""
         plain = asdict(self)
         plain["per_frame_max"] = self.per_frame_max.tolist()
         if not per_frame:
@@ -108,14 +108,14 @@ class Comparison:
 def compare(a: Frames, b: Frames) -> Comparison:
     """Measure how far a sequence is from a reference.
 
-    Both may be larger than memory, see `mixseq.open_sequence`.
+    Both sequences may be larger than memory, see `mixseq.open_sequence`.
 
     Parameters
     ----------
     a : MeshSequence or SequenceReader
         The reference.
     b : MeshSequence or SequenceReader
-        The same mesh at the same times; vertices may be renumbered by a compressed file (``order="free"``).
+        The compared sequence, with the same mesh and times; a compressed file (``order="free"``) may renumber vertices.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def compare(a: Frames, b: Frames) -> Comparison:
 
 
 def match_frames(a: SequenceHeader, b: SequenceHeader) -> NDArray[np.int64] | None:
-    """Return the frame indices ``(T,)`` of b at the times of a, or None if b lacks one of them."""
+    """Return the frame indices ``(T,)`` of b at the times of a, or None if b has no frame at one of the times."""
     after = np.clip(np.searchsorted(b.times, a.times), 1, max(b.frame_count - 1, 1))
     before = after - 1
     after = np.minimum(after, b.frame_count - 1)
@@ -218,7 +218,7 @@ def match_reference(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
 
 
 def _find_renumbering(a: SequenceHeader, b: SequenceHeader) -> Renumbering | None:
-    """Return the renumbering of the vertices of `a` in `b`, None if the meshes differ."""
+    """Return the renumbering from vertices of `a` to vertices of `b`; return None if the meshes differ."""
     renumbering = find_numbering(b.polygons, a.polygons, object_vertex_counts(a))
     if renumbering is not None:
         return renumbering
@@ -229,7 +229,7 @@ def _find_renumbering(a: SequenceHeader, b: SequenceHeader) -> Renumbering | Non
 
 
 def paired_blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Float]]:
-    """Yield the points of both in blocks ``(B, V, 3)`` of `size` frames, as float64."""
+    """Yield the points of both sequences in blocks ``(B, V, 3)`` of `size` frames, as float64."""
     x, y = (chain.from_iterable(sequence.blocks(size)) for sequence in (a, b))
     while x_block := list(islice(x, size)):
         y_block = list(islice(y, size))
@@ -254,7 +254,7 @@ def _add_angles(angles: RunningStatistics, topology: Topology, x: Float, y: Floa
 
 
 def _signed_volumes(points: Float, faces: NDArray[np.int32]) -> Float:
-    """Return signed volumes ``(B,)``, summed over tetrahedra of faces and centroid."""
+    """Return signed volumes ``(B,)``, summed over tetrahedra between each face and the centroid."""
     centred = points - points.mean(axis=1, keepdims=True)
     p, q, r = (centred[:, faces[:, corner]] for corner in range(3))
     return np.asarray(np.einsum("tfi,tfi->t", p, np.cross(q, r)) / 6)
@@ -275,7 +275,7 @@ def _ratio(value: float, unit: float) -> float:
 
 
 def _finite(value: Any) -> Any:
-    """Replace infinite and nan values, which JSON lacks, by None."""
+    """Replace infinite and nan values by None, as JSON cannot hold them."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list):

@@ -17,10 +17,10 @@ Int32 = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 
 FloatArray = NDArray[np.floating[Any]]
-"""Arrays in single or double precision, as in files."""
+"""Floating-point arrays of any precision, such as points from files."""
 
 IntArray = NDArray[np.integer[Any]]
-"""Whole numbers of any width."""
+"""Integer arrays of any width."""
 
 PathLike = str | os.PathLike[str]
 """Path of a file."""

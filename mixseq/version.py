@@ -1,3 +1,3 @@
-"""The version of mixseq, in one place."""
+"""The version of mixseq, defined only here."""
 
 __version__ = "0.1.0"

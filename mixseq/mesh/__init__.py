@@ -1,5 +1,5 @@
 """One mesh in one pose: connectivity, measures, rotations, closest points, decimation, and data for files.
 
-`topology` is connectivity; `measures` are lengths, angles, areas and normals; `rigid` and `rotations` are rigid
-motions; `nearest` searches a `box_tree`; `polygons` and `surface` are the mesh as authored.
+Modules: `topology` (connectivity), `measures` (lengths, angles, areas, normals), `rigid` and `rotations` (rigid
+motions), `nearest` and `box_tree` (closest points), `polygons` and `surface` (the mesh as authored).
 """

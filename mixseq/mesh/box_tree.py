@@ -2,9 +2,9 @@ r"""A tree of bounding boxes of triangles, for searches near a point or a box.
 
 The tree is complete and binary, without pointers: node 1 is the root, node n has the children 2n and 2n + 1, and the
 last L = 2^d nodes are the leaves. Level l divides the triangles, in the order of the tree, into 2^l ranges of equal
-size: its j-th node has the positions from floor(F j / 2^l) to floor(F (j + 1) / 2^l). A node is split at the median of
-its triangles' box centres along the axis of their largest extent (Bentley 1975, "Multidimensional binary search trees
-used for associative searching").
+size. Its j-th node has the positions from floor(F j / 2^l) to floor(F (j + 1) / 2^l). A node is split at the median of
+its triangles' box centres, along the axis in which the centres extend most (Bentley 1975, "Multidimensional binary
+search trees used for associative searching").
 
 *Closest points.* With corners a, b, c relative to the query, the closest point of a triangle is the closest of four:
 
@@ -12,14 +12,14 @@ used for associative searching").
 - the foot of the perpendicular, if it is inside: with :math:`n = (b - a) \times (c - a)` it has the weights
   :math:`w_b = n \cdot (c \times a) / |n|^2` and :math:`w_c = n \cdot (a \times b) / |n|^2`.
 
-Only the foot is inaccurate for slivers, or missing for triangles without area. So all four are tried, instead of
-selecting a region (Ericson, Real-Time Collision Detection, 2005, 5.1.5).
+The foot is inaccurate for slivers and undefined for triangles without area, but the points on sides are accurate. So
+all four points are compared, instead of selecting a region (Ericson, Real-Time Collision Detection, 2005, 5.1.5).
 
 *Crossings.* Two triangles cross (Möller 1997, "A fast triangle-triangle intersection test") if each has corners on both
-sides of the other's plane, and their segments on the common line of both planes overlap. With unit normals n, m the
-line has the direction :math:`n \times m`; positions on it are measured along the axis in which that is largest, which
-keeps their order. A corner at distance d from the plane that is alone on its side has sides to corners at distances e,
-which meet the plane at the fraction :math:`d / (d - e)` of their length.
+sides of the other's plane, and their segments on the intersection line of the planes overlap. With unit normals n, m
+the line has the direction :math:`n \times m`. Points on the line are compared by the coordinate in which the direction
+is largest, which keeps their order. From a corner at distance d, alone on its side of the plane, a side to a corner at
+distance e meets the plane at the fraction :math:`d / (d - e)`.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ COSINE_TOLERANCE = 1e-14  # rounding error of bounds of cosines
 
 @compiled
 def _closest_on_segment(p0: float, p1: float, p2: float, q0: float, q1: float, q2: float) -> tuple[float, float]:
-    """Return the squared distance of the origin to the segment pq, and the weight of q."""
+    """Return the squared distance from the origin to the segment pq, and the weight of q at the closest point."""
     e0, e1, e2 = q0 - p0, q1 - p1, q2 - p2
     square = e0 * e0 + e1 * e1 + e2 * e2
     t = -(p0 * e0 + p1 * e1 + p2 * e2)
     t = 0.0 if t <= 0.0 else 1.0 if t >= square else t / square
-    if t == 1.0:  # exactly the corner, so that all triangles around it have equal distances
+    if t == 1.0:  # use the exact corner, so that all triangles around it have equal distances
         return q0 * q0 + q1 * q1 + q2 * q2, t
     r0, r1, r2 = p0 + t * e0, p1 + t * e1, p2 + t * e2
     return r0 * r0 + r1 * r1 + r2 * r2, t
@@ -51,7 +51,7 @@ def _closest_on_segment(p0: float, p1: float, p2: float, q0: float, q1: float, q
 
 @compiled
 def _closest_on_triangle(corners: Float, q0: float, q1: float, q2: float) -> tuple[float, float, float]:
-    """Return the squared distance of a query to a triangle, and the weights of its second and third corner."""
+    """Return the squared distance from a query to a triangle abc, and the closest point's weights of b and c."""
     a0, a1, a2 = corners[0, 0] - q0, corners[0, 1] - q1, corners[0, 2] - q2
     b0, b1, b2 = corners[1, 0] - q0, corners[1, 1] - q1, corners[1, 2] - q2
     c0, c1, c2 = corners[2, 0] - q0, corners[2, 1] - q1, corners[2, 2] - q2
@@ -79,7 +79,7 @@ def _closest_on_triangle(corners: Float, q0: float, q1: float, q2: float) -> tup
 
 @compiled
 def _box_distance(box: Float, q0: float, q1: float, q2: float) -> float:
-    """Return the squared distance of a query to a box."""
+    """Return the squared distance from a query to a box."""
     d0 = max(box[0] - q0, q0 - box[3], 0.0)
     d1 = max(box[1] - q1, q1 - box[4], 0.0)
     d2 = max(box[2] - q2, q2 - box[5], 0.0)
@@ -89,7 +89,7 @@ def _box_distance(box: Float, q0: float, q1: float, q2: float) -> float:
 
 @compiled
 def _is_outside_cone(bounds: Float, m0: float, m1: float, m2: float, min_cosine: float) -> bool:
-    """Return whether all normals within bounds have less than the cosine with m, or there are none."""
+    """Return whether all normals within the bounds have a cosine below `min_cosine` with m; true for empty bounds."""
     product = m0 * (bounds[3] if m0 > 0.0 else bounds[0])
     product += m1 * (bounds[4] if m1 > 0.0 else bounds[1])
     product += m2 * (bounds[5] if m2 > 0.0 else bounds[2])
@@ -113,8 +113,8 @@ def closest(
 ) -> None:
     """Write the triangle, weights and squared distance of the closest point to every query.
 
-    Corners and normals are in the order of the tree; boxes and bounds of normals are those of its nodes. Triangles
-    count if their normal has at least `min_cosine` with the query's direction, or `directions` is empty.
+    Corners and normals are in the order of the tree; boxes and bounds of normals are per node. If `directions` are
+    given, only triangles whose normal has a cosine of at least `min_cosine` with the query's direction are searched.
     """
     leaves = len(leaf_starts) - 1
     nodes = np.empty(64, dtype=np.int64)
@@ -162,7 +162,7 @@ def closest(
 
 @compiled
 def _corner_alone(distances: Float, corners: Float, normal: Float, origin: Float, tolerance: float) -> int:
-    """Write the distances of corners from a plane; return the corner alone on its side, -1 if a side is empty."""
+    """Write the distances of corners from a plane; return the only corner on one side, -1 if a side has no corner."""
     above = below = 0
     for k in range(3):
         distance = 0.0
@@ -185,7 +185,7 @@ def _corner_alone(distances: Float, corners: Float, normal: Float, origin: Float
 
 @compiled
 def _plane_interval(distances: Float, corners: Float, corner: int, axis: int, origin: float) -> tuple[float, float]:
-    """Return the interval in which a triangle meets a plane, along an axis, from the origin."""
+    """Return the interval of the coordinate, relative to `origin`, in which a triangle intersects a plane."""
     p, q, r = corner, (corner + 1) % 3, (corner + 2) % 3
     x = corners[p, axis] - origin
     first = x + (corners[q, axis] - corners[p, axis]) * (distances[p] / (distances[p] - distances[q]))
@@ -195,7 +195,7 @@ def _plane_interval(distances: Float, corners: Float, corner: int, axis: int, or
 
 @compiled
 def _cross(f: Float, g: Float, n: Float, m: Float, tolerance: float, scratch: Float) -> bool:
-    """Return whether triangles f, g with normals n, m cross by more than the tolerance; scratch ``(3, 3)``."""
+    """Return whether triangles f, g with normals n, m cross by more than the tolerance; scratch is ``(3, 3)``."""
     f_distances, g_distances, direction = scratch[0], scratch[1], scratch[2]
     g_corner = _corner_alone(g_distances, g, n, f[0], tolerance)
     if g_corner < 0:
@@ -226,10 +226,10 @@ def crossing_pairs(
     tolerance: float,
     pairs: Index,
 ) -> int:
-    """Count pairs of crossing triangles without a common position; write pairs ``(n, 2)`` while they fit, ascending.
+    """Count pairs of crossing triangles without a common corner position; write the first pairs ``(n, 2)`` that fit.
 
     Corners ``(F, 3, 3)``, unit normals and the corners' `position_ids` ``(F, 3)`` are in the order of the tree. Depths
-    and lengths up to the tolerance are contact. Triangles without area, with a NaN normal, cross nothing.
+    and lengths up to the tolerance are contact. Triangles without area (normal NaN) are skipped. Pairs are ascending.
     """
     leaves = len(leaf_starts) - 1
     nodes = np.empty(64, dtype=np.int64)
@@ -266,8 +266,8 @@ def crossing_pairs(
 
 
 MAX_LEAF_TRIANGLES = 4  # queries take the same time with 2 to 8
-BOX_MARGIN = 1e-14  # against rounding, relative to the largest coordinate
-DEGENERATE_HEIGHT_RATIO = 1e-12  # height to longest side, up to which a triangle counts as without area
+BOX_MARGIN = 1e-14  # margin against rounding, relative to the largest coordinate
+DEGENERATE_HEIGHT_RATIO = 1e-12  # ratio of height to longest side up to which a triangle has no area
 
 
 def triangle_corners(points: FloatArray, faces: IntArray) -> Float:
@@ -295,7 +295,7 @@ def triangle_corners(points: FloatArray, faces: IntArray) -> Float:
 
 
 def unit_normals(corners: Float) -> Float:
-    """Return the unit normals ``(F, 3)`` of triangles ``(F, 3, 3)``; NaN below `DEGENERATE_HEIGHT_RATIO`."""
+    """Return the unit normals ``(F, 3)`` of triangles ``(F, 3, 3)``; NaN for triangles without area."""
     sides = np.roll(corners, -1, axis=1) - corners
     longest = np.einsum("fki,fki->fk", sides, sides).max(axis=1, initial=0.0)
     normals = np.cross(sides[:, 0], sides[:, 1])
@@ -309,13 +309,13 @@ class BoxTree:
     """A tree of bounding boxes of triangles."""
 
     order: Index  # (F,) triangle at every position of the tree
-    leaf_starts: Index  # (L + 1,) first position of every leaf, and F
-    # (2 L, 6) least and largest x, y, z of every node; infinite and minus infinite where a node is empty.
+    leaf_starts: Index  # (L + 1,) first position of every leaf, followed by F
+    # (2 L, 6) least and largest x, y, z of every node; inf and -inf for empty nodes.
     boxes: Float
 
     @classmethod
     def from_triangles(cls, corners: Float) -> BoxTree:
-        """Build the tree of triangles ``(F, 3, 3)``, deterministically."""
+        """Build the tree of triangles ``(F, 3, 3)``; equal triangles give equal trees."""
         low, high = corners.min(axis=1), corners.max(axis=1)
         depth = max((len(corners) - 1) // MAX_LEAF_TRIANGLES, 0).bit_length()
         order = _tree_order(low + high, depth)
@@ -324,7 +324,7 @@ class BoxTree:
         return cls(order, leaf_starts, _node_boxes(low[order] - margin, high[order] + margin, leaf_starts))
 
     def node_bounds(self, values: Float) -> Float:
-        """Return the bounding boxes ``(2 L, 6)`` of values ``(F, 3)`` of the triangles in every node, ignoring NaN."""
+        """Return the bounds ``(2 L, 6)`` in every node of the values ``(F, 3)`` of its triangles, ignoring NaN."""
         values = values[self.order]
         low, high = (np.where(np.isnan(values), empty, values) for empty in (np.inf, -np.inf))
         return _node_boxes(low, high, self.leaf_starts)
@@ -349,7 +349,7 @@ def _tree_order(centres: Float, depth: int) -> Index:
 
 
 def _node_boxes(low: Float, high: Float, leaf_starts: Index) -> Float:
-    """Return the boxes ``(2 L, 6)`` of nodes around boxes ``(F, 3)`` in the order of the tree."""
+    """Return the boxes ``(2 L, 6)`` of nodes, given triangle boxes from `low` to `high` ``(F, 3)`` in tree order."""
     leaves = len(leaf_starts) - 1
     boxes = np.full((2 * leaves, 6), np.inf)
     boxes[:, 3:] = -np.inf

@@ -1,16 +1,16 @@
 """Decimate a mesh by half-edge collapses of least quadric error (Garland and Heckbert 1997).
 
-A collapse moves a vertex v onto a neighbour u, so that the result is a subset of the vertices. Its cost is the
-area-weighted squared distance of u from the planes of all faces that were merged into v and u, plus `SPACING_WEIGHT`
-times the area of v times its squared distance to u. That keeps vertices evenly spread where the surface is flat in this
-frame. Collapses are refused that change the topology (the link condition), flip a face or make a sliver. Vertices of
-non-manifold edges stay; the border is only simplified along itself.
+A collapse moves a vertex v onto a neighbour u, so that the remaining vertices are a subset of the original ones. The
+cost of a collapse is the area-weighted squared distance of u from the planes of all faces that were merged into v and
+u, plus `SPACING_WEIGHT` times the area of v times the squared distance of v to u. The second term keeps vertices evenly
+spread where the surface is flat in this frame. Collapses that change the topology (the link condition), flip a face or
+make a sliver are refused. Vertices of non-manifold edges are kept; border vertices only move along the border.
 
-Libraries (fast-simplification, Open3D) make new vertices of least error, which have positions in one frame only.
+Libraries (fast-simplification, Open3D) make new vertices of least error, whose positions are defined in one frame.
 
 The faces of a vertex are a linked list of corners ``3 f + k``; a collapse joins two lists. A heap holds half-edges
 ``v -> u`` with the versions of both ends, and outdated entries are skipped. Refused collapses may become valid later,
-so passes over all half-edges are repeated until one changes nothing.
+so passes over all half-edges are repeated until a pass changes nothing.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mixseq.types import Float, Index, Mask
 
 @compiled
 def _normal(x: Float, a: int, b: int, c: int) -> tuple[float, float, float]:
-    """Return twice the area of a triangle along its normal."""
+    """Return the normal of a triangle, with a length of twice its area."""
     p0, p1, p2 = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
     q0, q1, q2 = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
     return p1 * q2 - p2 * q1, p2 * q0 - p0 * q2, p0 * q1 - p1 * q0
@@ -49,7 +49,7 @@ def _roundness(x: Float, a: int, b: int, c: int) -> float:
 
 @compiled
 def _cost(x: Float, quadrics: Float, areas: Float, spacing: float, v: int, u: int) -> float:
-    """Return the area-weighted squared distances of u from the planes of v and u, plus the spacing term."""
+    """Return the cost of moving v onto u: area-weighted squared distances from planes, plus the spacing term."""
     p = np.array([x[u, 0], x[u, 1], x[u, 2], 1.0])
     total = 0.0
     for i in range(4):
@@ -63,7 +63,7 @@ def _is_valid_collapse(
     x: Float, faces: Index, removed: Mask, first: Index, following: Index, border: Mask, v: int, u: int,
     min_cosine: float, min_roundness: float,
 ) -> bool:  # fmt: skip
-    """Return whether v may collapse onto u: the topology stays, and no face flips or becomes a sliver."""
+    """Return whether v may collapse onto u: the topology is kept, and no face flips or becomes a sliver."""
     shared = 0
     v_neighbours = set()
     u_neighbours = set()
@@ -105,7 +105,7 @@ def _is_valid_collapse(
         f, k = c // 3, c % 3
         a, b = faces[f, (k + 1) % 3], faces[f, (k + 2) % 3]
         if not removed[f] and a != u and b != u:
-            if a in u_neighbours and b in u_neighbours:  # u may already have a face with both
+            if a in u_neighbours and b in u_neighbours:  # u may already have a face with a and b
                 d = first[u]
                 while d >= 0:
                     g, l = d // 3, d % 3  # noqa: E741
@@ -137,7 +137,7 @@ def collapse(
     min_cosine: float,
     min_roundness: float,
 ) -> Mask:
-    """Collapse half-edges of faces ``(m, 3)``, in place, until `count` vertices are left; mark removed faces."""
+    """Collapse half-edges of faces ``(m, 3)``, in place, until `count` vertices remain; return the removed faces."""
     n, m = len(x), len(faces)
     first, last = np.full(n, -1), np.full(n, -1)
     following = np.full(3 * m, -1)
@@ -182,7 +182,7 @@ def collapse(
                     faces[f, k] = u
                 c = following[c]
             following[last[u]] = first[v]
-            # Relink the list without the removed faces.
+            # Relink the corner list of u without the removed faces.
             c, end, start = first[u], -1, -1
             while c >= 0:
                 if not removed[c // 3]:
@@ -212,13 +212,13 @@ def collapse(
     return removed
 
 
-SPACING_WEIGHT = 0.02  # of even spacing against distance from the surface
-MIN_ROTATION_COSINE = 0.2  # of the rotation of a face's normal by a collapse
-MIN_ROUNDNESS = 0.15  # of a face after a collapse (1: equilateral), unless it was less round before
+SPACING_WEIGHT = 0.02  # weight of even spacing relative to distance from the surface
+MIN_ROTATION_COSINE = 0.2  # least cosine of the angle by which a collapse rotates a face normal
+MIN_ROUNDNESS = 0.15  # least `_roundness` of a face after a collapse, unless the face was less round before
 
 
 def decimate(points: Float, faces: Index, count: int, keep: Index | None = None) -> tuple[Index, Index]:
-    """Decimate a mesh ``(n, 3), (m, 3)`` to `count` vertices including `keep`: vertices ``(c,)``, faces ``(f, 3)``."""
+    """Decimate a mesh ``(n, 3), (m, 3)`` to `count` vertices, with `keep`: vertices ``(c,)`` and faces ``(f, 3)``."""
     topology = Topology(faces, len(points))
     locked, border = np.zeros((2, len(points)), dtype=bool)
     border[topology.edges[topology.boundary_edges]] = True
@@ -236,7 +236,7 @@ def decimate(points: Float, faces: Index, count: int, keep: Index | None = None)
 
 
 def _quadrics(x: Float, topology: Topology) -> tuple[Float, Float]:
-    """Return vertex areas ``(n,)`` and quadrics ``(n, 4, 4)`` of faces, and of upright planes at the border."""
+    """Return vertex areas ``(n,)`` and quadrics ``(n, 4, 4)`` of face planes and of planes upright at the border."""
     faces = topology.faces.astype(np.int64)
     a, b, c = (x[corner] for corner in faces.T)
     normals = np.cross(b - a, c - a)
@@ -264,5 +264,5 @@ def _quadrics(x: Float, topology: Topology) -> tuple[Float, Float]:
 
 
 def _planes(normals: Float, points: Float) -> Float:
-    """Return planes ``(m, 4)`` through points: the normal, and minus the distance from the origin."""
+    """Return planes ``(m, 4)`` through points: each normal, and the negative distance from the origin along it."""
     return np.concatenate([normals, -np.einsum("fi,fi->f", normals, points)[:, None]], axis=1)

@@ -1,8 +1,8 @@
 r"""Measures of a mesh: diagonal, edge lengths, dihedral angles, areas, volume, and normals of corners.
 
-The diagonal of a bounding box is the unit of lengths and errors, at any scale. Squares of lengths below 1e-154 or above
-1e154 do not fit into double precision, so lengths are scaled by a power of two before squaring. Other results are
-bitwise equal to those without scaling.
+Lengths and errors are measured in diagonals of a bounding box, so they do not depend on scale. Squares of lengths below
+1e-154 or above 1e154 do not fit into double precision, so lengths are scaled by a power of two before squaring. For
+other lengths, scaling leaves results bitwise equal.
 
 For a hinge with edge ``ab`` and opposite vertices ``c`` (first face) and ``d`` (second face), with
 ``e = b - a``, ``n1 = e x (c - a)`` and ``n2 = (d - a) x e``, the dihedral angle is
@@ -13,7 +13,7 @@ in radians in (-pi, pi]: 0 where flat, positive where the surface is convex unde
 face (a -> b -> c counter-clockwise seen from outside).
 
 The normal of a group of corners (`mixseq.mesh.surface.Surface.hard_edges`) is the normalised sum of the vector areas of
-their polygons, each :math:`\frac12 \sum x_i \times x_{i+1}` over its corners, planar or not.
+their polygons. A polygon, planar or not, has the vector area :math:`\frac12 \sum x_i \times x_{i+1}`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from mixseq.types import Float, FloatArray, IntArray
 
 @dataclass(frozen=True)
 class Diagonal:
-    """The diagonal of the bounding box of a frame, ``fraction * 2**exponent``."""
+    """Diagonal of the bounding box of a frame, stored as ``fraction * 2**exponent``."""
 
     fraction: float  # from 0.5 to 2, or 0 if all points coincide
     exponent: int
@@ -63,7 +63,7 @@ def vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
     first = np.repeat(starts, polygons.counts)
     step = np.arange(polygons.indices.size) - first
     following = first + (step + 1) % np.repeat(polygons.counts, polygons.counts)
-    # About the polygon's first corner, as products about a distant origin would cancel.
+    # Relative to the polygon's first corner, as products of coordinates far from the origin lose precision.
     origin = points[:, polygons.indices[first]].astype(np.float64)
     corners = points[:, polygons.indices] - origin
     next_corners = points[:, polygons.indices[following]] - origin
@@ -71,7 +71,7 @@ def vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
 
 
 def corner_normals(points: FloatArray, polygons: Polygons, groups: IntArray | None = None) -> NDArray[np.float32]:
-    """Return one normal ``(T, G, 3)`` per group ``(sum of counts,)`` of corners, or vertex: points ``(T, V, 3)``."""
+    """Return normals ``(T, G, 3)`` of corner groups ``(sum of counts,)``, or of vertices, for points ``(T, V, 3)``."""
     group_of_corner = polygons.indices if groups is None else groups
     count = points.shape[1] if groups is None else int(group_of_corner.max(initial=-1)) + 1
     areas = (_triangle_vector_areas if polygons.only_triangles else vector_areas)(points, polygons)
@@ -87,15 +87,15 @@ def corner_normals(points: FloatArray, polygons: Polygons, groups: IntArray | No
 
 
 def _triangle_vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
-    """Return `vector_areas` of triangles by one of three products, as two are zero; signs of zeros may differ."""
+    """Return `vector_areas` of triangles by a single cross product; only signs of zeros may differ."""
     a, b, c = polygons.triangles.T
     origin = points[:, a].astype(np.float64)
     return np.asarray(np.cross(points[:, b] - origin, points[:, c] - origin) / 2)
 
 
 def hard_edges_from_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np.int32] | None:
-    """Group the corners of each vertex by equal normals ``(sum of counts, 3)``; None if all edges are smooth."""
-    # Rounded to three digits, as exporters recompute normals of one vertex face by face.
+    """Group the corners of each vertex by equal normals ``(sum of counts, 3)``; return None if all edges are smooth."""
+    # Normals are rounded to three digits, as exporters recompute the normals of a vertex face by face.
     keys = np.column_stack([polygons.indices, np.rint(normals * 1e3).astype(np.int64)])
     groups = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
     if groups.max(initial=-1) + 1 == np.unique(polygons.indices).size:
@@ -116,12 +116,12 @@ def edge_lengths(points: FloatArray, edges: IntArray) -> Float:
 
 
 def length_weights(typical: Float) -> Float:
-    """Return weights ``(e,)`` of edge lengths: inverse typical lengths, 0 up to `MIN_DIRECTED_LENGTH`."""
+    """Return weights ``(e,)`` of edges: inverse typical lengths, or 0 for lengths up to `MIN_DIRECTED_LENGTH`."""
     return np.divide(1.0, typical, out=np.zeros_like(typical), where=typical > MIN_DIRECTED_LENGTH)
 
 
 def clamp_lengths(lengths: Float, weights: Float) -> Float:
-    """Clamp lengths from below by `MIN_EDGE_LENGTH_RATIO`, as overshooting curves can be zero or negative."""
+    """Clamp lengths to at least `MIN_EDGE_LENGTH_RATIO` times the typical length, as curves may overshoot zero."""
     least = np.divide(MIN_EDGE_LENGTH_RATIO, weights, out=np.zeros_like(weights), where=weights > 0)
     return np.maximum(lengths, least)
 
@@ -131,7 +131,7 @@ def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:
 
     Examples
     --------
-    A roof whose sides fall away from the ridge ab is convex:
+    A roof is convex at its ridge ab, so the angle is positive:
 
     >>> roof = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, -1], [0, -1, -1]])
     >>> np.degrees(dihedral_angles(roof, np.array([[0, 1, 2, 3]]))).round(9).tolist()
@@ -143,7 +143,7 @@ def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:
     length = np.sqrt(np.einsum("...i,...i->...", e, e))
     sine = np.einsum("...i,...i->...", np.cross(n1, n2), e)
     cosine = np.einsum("...i,...i->...", n1, n2)
-    # Both are multiplied by |e|, which avoids a division by zero.
+    # Sine and cosine are both multiplied by |e|, which avoids a division by zero.
     return np.asarray(np.arctan2(sine, cosine * length), dtype=np.float64)
 
 
@@ -157,9 +157,9 @@ def degenerate_faces(points: FloatArray, faces: IntArray, height_ratio: float) -
 
 
 def scatter_add(values: FloatArray, indices: IntArray, count: int) -> Float:
-    """Sum values ``(m, k)`` with equal indices ``(m,)``, in order: ``(count, k)``."""
+    """Return sums ``(count, k)`` of the values ``(m, k)`` with equal indices ``(m,)``, added in order."""
     sums = [np.bincount(indices, column, minlength=count) for column in values.T]
-    return np.stack(sums, axis=1).astype(np.float64)  # without values they are integers
+    return np.stack(sums, axis=1).astype(np.float64)  # bincount returns integers without values
 
 
 def triangle_areas(points: FloatArray, faces: IntArray) -> Float:
@@ -169,14 +169,14 @@ def triangle_areas(points: FloatArray, faces: IntArray) -> Float:
 
 
 def signed_volume(points: FloatArray, faces: IntArray) -> float:
-    """Return the signed volume of points ``(n, 3)`` about their mean, over faces ``(m, 3)``."""
+    """Return the signed volume inside faces ``(m, 3)`` of points ``(n, 3)``, computed relative to the mean point."""
     x = points - points.mean(axis=0)
     a, b, c = (x[corner] for corner in faces.T)
     return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0
 
 
 def volume_gradient(points: FloatArray, faces: IntArray) -> Float:
-    """Return the derivatives ``(n, 3)`` of `signed_volume`; they add up to zero."""
+    """Return the derivatives ``(n, 3)`` of `signed_volume` by the points; their sum is zero."""
     x = points - points.mean(axis=0)
     a, b, c = (x[corner] for corner in faces.T)
     corner_gradients = np.concatenate([np.cross(b, c), np.cross(c, a), np.cross(a, b)]) / 6.0
@@ -190,10 +190,10 @@ def wrap_angles(angles: FloatArray) -> Float:
 
 
 def unwrap_angles(angles: FloatArray, reference: FloatArray | None = None) -> Float:
-    """Make angles ``(T, H)`` continuous by adding whole turns, from a reference ``(H,)`` on."""
+    """Make angles ``(T, H)`` continuous in time by adding multiples of 2 pi, starting from a reference ``(H,)``."""
     result = np.array(angles, dtype=np.float64)
     previous = reference
-    for frame in result:  # one by one, so that results do not depend on blocks
+    for frame in result:  # frame by frame, so that results do not depend on blocks
         if previous is not None:
             frame -= _FULL_TURN * np.round((frame - previous) / _FULL_TURN)
         previous = frame

@@ -4,9 +4,9 @@ Closest points may be limited to triangles that face the same way as the query. 
 supports no directions, needs rtree, and takes 17 times as long (from one frame of horse_gallop to another, 8431 points,
 with building the tree; distances differ by 3e-6 diagonals at most).
 
-Every piece but the first, such as eyes, teeth and shoes, is attached at one vertex to one vertex of another piece: the
-nearest of those attached already, as in the minimum spanning tree (Prim 1957). Pieces that follow a leader are
-attached to it.
+Disconnected pieces, such as eyes, teeth and shoes, are attached to the largest piece by a minimum spanning tree (Prim
+1957). Each piece is attached at one vertex to the nearest vertex of the pieces attached before. Pieces that follow a
+leader vertex are attached to the leader.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from mixseq.mesh.box_tree import BoxTree, triangle_corners, unit_normals
 from mixseq.types import Float, FloatArray, Index, IntArray
 
 CONTACT_TOLERANCE = 1e-12
-"""Depths and lengths up to this, in diagonals of the mesh's bounding box, are contact."""
+"""Largest depth or length of an intersection that counts as contact, in diagonals of the mesh's bounding box."""
 
 
 def self_intersections(points: FloatArray, faces: IntArray) -> Index:
     """Find pairs ``(k, 2)`` of triangles ``(F, 3)`` of points ``(V, 3)`` that cross and have no common corner.
 
-    Each has corners on both sides of the other's plane, and they share a segment longer than `CONTACT_TOLERANCE`.
+    Each triangle has corners on both sides of the other's plane, and both share a segment above `CONTACT_TOLERANCE`.
     Contact, overlap in one plane, and triangles without area do not count. Vertices with equal positions, as at seams,
     are common corners.
     """
@@ -64,11 +64,11 @@ COSINE_TOLERANCE = 1e-12  # so that limits of 0 and 180 degrees include equal an
 
 @dataclass(frozen=True, eq=False)
 class ClosestPoints:
-    """Closest points of a mesh; queries without one have triangle -1, weights 0 and an infinite distance."""
+    """Closest points of a mesh; queries without a result have triangle -1, weights 0 and an infinite distance."""
 
-    faces: Index  # (n,) their triangles
-    weights: Float  # (n, 3) their barycentric coordinates, in [0, 1] and adding to one
-    distances: Float  # (n,) their distances from the queries, in the unit of the points
+    faces: Index  # (n,) triangles of the closest points
+    weights: Float  # (n, 3) barycentric coordinates of the closest points, in [0, 1] with sum 1
+    distances: Float  # (n,) distances from the queries, in the unit of the points
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +76,17 @@ class ClosestPointQuery:
     """Closest-point queries on a triangle mesh."""
 
     tree: BoxTree  # boxes around the triangles
-    # (F, 3, 3) corners of the triangles, in the order of the tree, and those of a triangle by x, y, z: triangles that
-    # share a side run along it the same way, seams or not, and compute the same bits, so that ties are ties.
+    # (F, 3, 3) corners of the triangles: triangles in the order of the tree, corners sorted by x, y, z. So triangles
+    # that share a side, even at a seam, compute bitwise equal distances from it.
     corners: Float
-    corner_order: Index  # (F, 3) corners of every triangle in that order, triangles in the order of the mesh
+    corner_order: Index  # (F, 3) sorted corners of every triangle, triangles in the order of the mesh
     normals: Float  # (F, 3) unit normals in the order of the tree, NaN where a triangle has no area
     normal_bounds: Float  # (2 L, 6) least and largest x, y, z of the normals in every node of the tree
     face_ids: Index | None  # (F,) triangles of the mesh that are searched, None for all
 
     @classmethod
     def from_mesh(cls, points: FloatArray, faces: IntArray, face_ids: Index | None = None) -> ClosestPointQuery:
-        """Prepare queries on the triangles ``(F, 3)`` of points ``(V, 3)``, or on those with `face_ids` ``(n,)``."""
+        """Prepare queries on the triangles ``(F, 3)`` of points ``(V, 3)``, or only on those in `face_ids` ``(n,)``."""
         corners = triangle_corners(points, faces if face_ids is None else faces[face_ids])
         tree = BoxTree.from_triangles(corners)
         corner_order = np.lexsort((corners[..., 2], corners[..., 1], corners[..., 0]), axis=-1)
@@ -97,7 +97,7 @@ class ClosestPointQuery:
     def query(
         self, queries: FloatArray, normals: FloatArray | None = None, largest_angle: float = 90.0
     ) -> ClosestPoints:
-        """Find closest points to queries ``(n, 3)``, optionally within an angle in degrees from normals ``(n, 3)``."""
+        """Find closest points to queries ``(n, 3)``, within an angle (degrees) of optional normals ``(n, 3)``."""
         from mixseq.mesh.box_tree import closest
 
         queries = _check_vectors(queries, "queries")
@@ -125,7 +125,7 @@ class ClosestPointQuery:
 
 def _check_vectors(vectors: FloatArray, what: str) -> Float:
     """Return a copy of vectors ``(n, 3)``; raise SettingsError for another shape or values that are not finite."""
-    # A copy, since numba compiles once more for read-only arrays.
+    # The array is copied, as numba would compile another version for read-only arrays.
     result = np.array(vectors, dtype=np.float64, order="C")
     if result.ndim != 2 or result.shape[1] != 3:
         raise SettingsError(f"{what} have the shape {result.shape}; give (n, 3)")
@@ -137,20 +137,20 @@ def _check_vectors(vectors: FloatArray, what: str) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class Attachments:
-    """A tree of pieces: each but the root is attached to another one, its holder, at a vertex."""
+    """A tree of pieces: every piece except the root is attached at a vertex to another piece, its holder."""
 
     root: int  # the piece without a holder
     pieces: Index  # (n,) attached pieces, each after its holder
-    vertices: Index  # (n,) attached vertex of each
-    holder_vertices: Index  # (n,) vertex of the holder to which it is attached
-    holders: Index  # (n,) piece of that vertex
+    vertices: Index  # (n,) attached vertex of each piece
+    holder_vertices: Index  # (n,) vertex of the holder to which each piece is attached
+    holders: Index  # (n,) holder of each piece
 
     def __len__(self) -> int:
         return len(self.pieces)
 
 
 def attach_pieces(pieces: Sequence[Index], points: Float, leaders: Index) -> Attachments:
-    """Attach every piece of a mesh ``(V, 3)`` but the largest to another one, or to its leader ``(V,)``."""
+    """Attach every piece of a mesh ``(V, 3)`` except the largest to another piece, or to its leader ``(V,)``."""
     is_led = np.array([bool((leaders[vertices] != vertices).all()) for vertices in pieces])
     diagonals = np.array([np.linalg.norm(np.ptp(points[vertices], axis=0)) for vertices in pieces])
     root = int(np.argmax(np.where(is_led, -1.0, diagonals)))
@@ -170,7 +170,7 @@ def attach_pieces(pieces: Sequence[Index], points: Float, leaders: Index) -> Att
 def _spanning_tree(
     pieces: Sequence[Index], points: Float, root: int, free: list[int]
 ) -> list[tuple[int, int, int, int]]:
-    """Return rows of piece, vertex, holder vertex and holder."""
+    """Return the minimum spanning tree as rows of piece, vertex, holder vertex and holder."""
     if not free:
         return []
     vertices = np.concatenate([pieces[piece] for piece in free])

@@ -1,4 +1,4 @@
-"""The polygons of a mesh, their triangulation, and their matching with those of a mesh with the same vertices.
+"""Polygons of a mesh, their triangulation, and their matching to polygons of a mesh with the same vertices.
 
 Programs keep the order of vertices but may reorder polygons (Blender groups faces of OBJ files by material) and rotate
 their corners. A polygon is therefore identified by the directed cycle of its vertices.
@@ -67,7 +67,7 @@ class Polygons:
     def triangles(self) -> NDArray[np.int32]:
         """Triangulation ``(F, 3)``: a fan about each polygon's first corner.
 
-        It depends on indices only, so that connectivity is the same in every frame.
+        The triangulation depends on indices only, so that connectivity is the same in every frame.
 
         Examples
         --------
@@ -89,7 +89,7 @@ class Polygons:
         return bool(np.all(self.counts == 3))
 
     def same_as(self, other: Polygons) -> bool:
-        """Whether both have the same polygons in the same order with the same first corners."""
+        """Return whether both have the same polygons, in the same order and with the same first corners."""
         return np.array_equal(self.counts, other.counts) and np.array_equal(self.indices, other.indices)
 
 
@@ -111,7 +111,7 @@ def reversed_winding(counts: IntArray, *, keep_first: bool) -> NDArray[np.intp]:
 
 
 def as_indices(values: ArrayLike, what: str) -> NDArray[np.int32]:
-    """Return whole numbers as int32; raise InvalidSequenceError about `what` for other types or ranges."""
+    """Return integers as int32; raise InvalidSequenceError, naming `what`, for other types or values beyond 32 bits."""
     array = np.asarray(values)
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise InvalidSequenceError(f"{what} have type {array.dtype}; integers are expected")
@@ -129,7 +129,7 @@ class PolygonMatch:
 
 
 def match_polygons(first: Polygons, second: Polygons) -> PolygonMatch | None:
-    """Return the polygons and corners of `second` for those of `first`, None if the meshes differ."""
+    """Match every polygon and corner of `first` to one of `second`; return None if the meshes differ."""
     if first.same_as(second):
         return PolygonMatch(np.arange(len(first.counts)), np.arange(first.indices.size))
     a, b = canonical_order(first), canonical_order(second)
@@ -146,7 +146,7 @@ def match_polygons(first: Polygons, second: Polygons) -> PolygonMatch | None:
 def canonical_order(polygons: Polygons) -> PolygonMatch:
     """Return polygons and corners in an order that depends only on the vertex cycles.
 
-    Polygons are sorted by size, then lexicographically; each starts with its lexicographically first rotation.
+    Corners of each polygon are rotated to the lexicographically first order; polygons are sorted by size, then corners.
     """
     cycles = [_cycles(polygons, size) for size in np.unique(polygons.counts).tolist()]
     empty = [np.zeros(0, dtype=np.int64)]
@@ -163,7 +163,7 @@ def _cycles(polygons: Polygons, size: int) -> tuple[Index, Index]:
     corners = starts[:, None] + np.arange(size)
     vertices = polygons.indices[corners]
     first = np.argmin(vertices, axis=1)
-    # Welded polygons may have their lowest vertex twice; then the whole rotations are compared.
+    # A welded polygon may have its lowest vertex twice; then all its rotations are compared.
     for row in np.flatnonzero((vertices == vertices.min(axis=1, keepdims=True)).sum(axis=1) > 1).tolist():
         first[row] = min(range(size), key=lambda start: np.roll(vertices[row], -start).tolist())
     corners = np.take_along_axis(corners, (first[:, None] + np.arange(size)) % size, axis=1)
@@ -172,7 +172,7 @@ def _cycles(polygons: Polygons, size: int) -> tuple[Index, Index]:
 
 
 def match_triangles(first: Polygons, second: Polygons, names: tuple[str, str]) -> Index:
-    """Return the triangles ``(F,)`` of `second` for those of `first`; InvalidSequenceError if the meshes differ."""
+    """Match each triangle of `first` to a triangle ``(F,)`` of `second`; InvalidSequenceError if the meshes differ."""
     if np.array_equal(first.triangles, second.triangles):
         return np.arange(len(first.triangles))
     match = match_polygons(first, second)
@@ -188,7 +188,7 @@ def match_triangles(first: Polygons, second: Polygons, names: tuple[str, str]) -
 
 
 def describe_difference(first: Polygons, second: Polygons, names: tuple[str, str]) -> str:
-    """Describe the first polygon that one of two meshes lacks, "" if there is none."""
+    """Describe the first polygon missing from one of two meshes; return "" if none is missing."""
     for mesh, other, (name, other_name) in ((first, second, names), (second, first, names[::-1])):
         unmatched = Counter(_cycle_keys(other))
         for polygon, key in enumerate(_cycle_keys(mesh)):
@@ -208,7 +208,7 @@ def _cycle_keys(polygons: Polygons) -> list[tuple[int, ...]]:
 
 
 def _cycle_key(vertices: list[int]) -> tuple[int, ...]:
-    """Return the lexicographically first rotation of a polygon."""
+    """Return the lexicographically first rotation of a polygon's vertices."""
     lowest = min(vertices)
     starts = (start for start, vertex in enumerate(vertices) if vertex == lowest)
     return tuple(min(vertices[start:] + vertices[:start] for start in starts))

@@ -1,8 +1,8 @@
 """Rigid motions: nearest rotations, best motions between point sets, and mean shapes.
 
-A nearest rotation needs two singular triplets only: with the singular vectors u_1, u_2 and v_1, v_2 of the two largest
-singular values, it is ``u_1 v_1^T + u_2 v_2^T + (u_1 x u_2) (v_1 x v_2)^T``, for any size and sign of the third one.
-They come from one-sided Jacobi rotations, which are accurate also for small singular values.
+Only two singular triplets are needed. With the singular vectors u_1, u_2 and v_1, v_2 of the two largest singular
+values, the nearest rotation is ``u_1 v_1^T + u_2 v_2^T + (u_1 x u_2) (v_1 x v_2)^T``, for any third
+singular value. One-sided Jacobi rotations compute the vectors, accurately even for small singular values.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ROW_PAIRS = ((0, 1), (0, 2), (1, 2))
 
 @compiled
 def _orthogonalise(a: Float, v: Float) -> None:
-    """Apply Jacobi rotations to the rows of a, and to those of v, until those of a are orthogonal."""
+    """Apply Jacobi rotations to the rows of both a and v until the rows of a are orthogonal."""
     for _ in range(MAX_JACOBI_SWEEPS):
         changed = False
         for pair in range(3):
@@ -48,7 +48,7 @@ def _orthogonalise(a: Float, v: Float) -> None:
 
 @compiled
 def nearest_rotation_kernel(matrices: Float, min_ratio: float) -> Float:
-    """Return nearest rotations ``(N, 3, 3)``, of a slightly shifted matrix below a ratio of singular values."""
+    """Return nearest rotations ``(N, 3, 3)``; matrices of nearly rank 1 or 0 are first shifted towards the identity."""
     result = np.empty_like(matrices)
     a, v = np.empty((3, 3)), np.empty((3, 3))
     sizes, u, w = np.empty(3), np.empty(3), np.empty(3)
@@ -59,7 +59,7 @@ def nearest_rotation_kernel(matrices: Float, min_ratio: float) -> Float:
                 scale += abs(matrices[n, i, j])
         bias = 0.0
         for _ in range(2):
-            for i in range(3):  # columns of a and v are the rows here
+            for i in range(3):  # a and v store matrix columns as rows
                 for j in range(3):
                     a[j, i] = matrices[n, i, j] / scale if scale > 0.0 else 0.0
                     v[j, i] = 1.0 if i == j else 0.0
@@ -89,7 +89,7 @@ def nearest_rotation_kernel(matrices: Float, min_ratio: float) -> Float:
             size = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
             if size > 0.5:
                 break
-            for i in range(3):  # a second value of zero: any direction perpendicular to the first
+            for i in range(3):  # if the second singular value is zero, use any direction perpendicular to the first
                 w[i] = 0.0
             w[0 if abs(u[0]) < 0.6 else 1] = 1.0
         for i in range(3):
@@ -104,8 +104,8 @@ def nearest_rotation_kernel(matrices: Float, min_ratio: float) -> Float:
     return result
 
 
-POINTS_PER_BLOCK = 1 << 12  # of `mean_shape`, in all frames
-FRAMES_PER_BLOCK = 256  # of `largest_rotation`, compared with all frames
+POINTS_PER_BLOCK = 1 << 12  # points per block of `mean_shape`, in all frames
+FRAMES_PER_BLOCK = 256  # frames per block of `largest_rotation`, each compared with all frames
 
 
 def nearest_rotations(matrices: FloatArray) -> Float:
@@ -114,10 +114,10 @@ def nearest_rotations(matrices: FloatArray) -> Float:
 
 
 def aligning_rotations(covariances: FloatArray) -> Float:
-    """Find the rotations ``(..., 3, 3)`` of best rigid motions from the covariances ``sum w t s^T`` of point sets.
+    """Return the rotations ``(..., 3, 3)`` of the best rigid motions, given covariances ``sum w t s^T`` of point sets.
 
-    These are the nearest rotations. Where points on a line leave a rotation undetermined, it is the one closest to the
-    identity.
+    Each is the rotation nearest to its covariance. For points on a line, where the angle about the line is
+    undetermined, return the rotation closest to the identity.
     """
     return _nearest(covariances, min_ratio=1e-10)
 
@@ -130,7 +130,7 @@ def _nearest(matrices: FloatArray, min_ratio: float) -> Float:
 
 
 def kabsch(source: FloatArray, target: FloatArray, weights: FloatArray | None = None) -> tuple[Float, Float]:
-    """Find rigid motions ``x -> R x + t`` of points ``(..., N, 3)``, weights ``(N,)``, onto others (Kabsch 1976)."""
+    """Fit rigid motions ``x -> R x + t`` of source to target points ``(..., N, 3)``, weights ``(N,)`` (Kabsch 1976)."""
     count = source.shape[-2]
     w = np.full(count, 1.0 / max(count, 1)) if weights is None else weights / weights.sum()
     source_centre = np.einsum("n,...ni->...i", w, source)
@@ -161,10 +161,10 @@ def mean_shape(points: FloatArray, sweeps: int = 50, tolerance: float = 1e-10) -
     for _, block in centred_blocks():
         products += block @ block.T
 
-    def norm(coefficients: Float) -> float:  # of a linear combination of the frames
+    def norm(coefficients: Float) -> float:  # norm of a linear combination of the frames
         return float(np.sqrt(max(np.sum(coefficients * (products @ coefficients)), 0.0)))
 
-    mean = np.eye(3 * len(points), 3)  # the first frame
+    mean = np.eye(3 * len(points), 3)  # start from the first frame
     for _ in range(sweeps):
         covariances = (mean.T @ products).reshape(3, -1, 3).swapaxes(0, 1)
         updated = np.swapaxes(aligning_rotations(covariances), 1, 2).reshape(-1, 3) / len(points)
@@ -180,10 +180,10 @@ def mean_shape(points: FloatArray, sweeps: int = 50, tolerance: float = 1e-10) -
 
 
 def largest_rotation(first: FloatArray, second: FloatArray) -> float:
-    """Return the largest rotation of two bodies ``(T, 3, 3)`` relative to each other between frames, in degrees."""
+    """Return the largest relative rotation of two bodies ``(T, 3, 3)`` between any two frames, in degrees."""
     relative = np.ascontiguousarray(np.swapaxes(first, 1, 2) @ second)
     flat = relative.reshape(-1, 9)
-    # Traces of all pairs of frames, in blocks to bound memory.
+    # Traces are computed for all pairs of frames, in blocks to bound memory.
     blocks = np.split(flat, range(FRAMES_PER_BLOCK, len(flat), FRAMES_PER_BLOCK))
     least_trace = min((block @ flat.T).min() for block in blocks)
     return float(np.degrees(np.arccos(np.clip((least_trace - 1.0) / 2.0, -1.0, 1.0))))

@@ -1,11 +1,11 @@
 r"""Rotations as unit quaternions, rotation vectors and matrices, continuous along a sequence.
 
 A *quaternion* :math:`q = (w, x, y, z)` with :math:`|q| = 1` is the rotation by the angle :math:`2 \arccos w` about
-:math:`(x, y, z)`, and so is :math:`-q`. Along a sequence the sign is the closest to the previous frame. Then normalised
-sums of quaternions are intermediate rotations, for any number of turns, without branches or singularities.
+:math:`(x, y, z)`, and so is :math:`-q`. Along a sequence, the sign closest to the previous frame is chosen. Normalised
+sums of such quaternions interpolate any number of rotations, without branches or singularities.
 
 A *rotation vector* :math:`t u` is the rotation by the angle t about the unit axis u. The logarithm has many branches,
-:math:`(t + 2 \pi k) u`; along a sequence the branch is the closest to the previous frame, so that a body that turns
+:math:`(t + 2 \pi k) u`; along a sequence, the branch closest to the previous frame is chosen. Then a body that rotates
 twice has a vector of length :math:`4 \pi`, and vectors can be combined linearly.
 """
 
@@ -43,7 +43,7 @@ def normalise_quat(quaternions: FloatArray) -> Float:
 
 
 def quat_multiply(first: FloatArray, second: FloatArray) -> Float:
-    """Return the products ``(..., 4)`` of quaternions: rotations by the second one, then the first one."""
+    """Return the products ``(..., 4)`` of quaternions: rotations by `second`, followed by rotations by `first`."""
     w, x, y, z = np.moveaxis(np.asarray(first, dtype=np.float64), -1, 0)
     a, b, c, d = np.moveaxis(np.asarray(second, dtype=np.float64), -1, 0)
     return np.stack(
@@ -63,24 +63,24 @@ def quat_conjugate(quaternions: FloatArray) -> Float:
 
 
 def quat_power(quaternions: FloatArray, exponents: FloatArray) -> Float:
-    """Return powers of unit quaternions ``(..., 4)``: angles of at most half a turn times exponents ``(...)``."""
+    """Return powers of unit quaternions ``(..., 4)``: multiply their angles, at most pi, by exponents ``(...)``."""
     q = np.asarray(quaternions, dtype=np.float64)
     q = np.where(q[..., :1] <= 0, -q, q)
     sine = np.linalg.norm(q[..., 1:], axis=-1)
     half = np.arctan2(sine, q[..., 0])
-    # sin(c h) / sin h, which is c for small angles h.
+    # The ratio sin(c h) / sin h approaches c for small angles h.
     ratio = np.where(sine > 1e-12, np.sin(exponents * half) / np.where(sine > 1e-12, sine, 1.0), exponents)
     return np.concatenate([np.cos(exponents * half)[..., None], ratio[..., None] * q[..., 1:]], axis=-1)
 
 
 def rotvec_to_quat(vectors: FloatArray) -> Float:
-    """Return the quaternions ``(..., 4)`` of rotation vectors ``(..., 3)``; another whole turn changes the sign."""
+    """Return the quaternions ``(..., 4)`` of rotation vectors ``(..., 3)``; adding 2 pi to the angle flips the sign."""
     half = np.linalg.norm(vectors, axis=-1, keepdims=True) / 2
     return np.concatenate([np.cos(half), np.sinc(half / np.pi) / 2 * vectors], axis=-1)
 
 
 def align_quat_signs(quaternions: FloatArray, reference: FloatArray | None = None) -> Float:
-    """Make the signs of quaternions ``(T, ..., 4)`` continuous, from a reference ``(..., 4)`` on."""
+    """Make the signs of quaternions ``(T, ..., 4)`` continuous in time, starting from a reference ``(..., 4)``."""
     q = np.array(quaternions, dtype=np.float64)
     start = q[:1] if reference is None else np.asarray(reference)[None]
     cosines = np.einsum("t...i,t...i->t...", q, np.concatenate([start, q[:-1]]))
@@ -118,12 +118,12 @@ def matrix_to_rotvec(rotations: FloatArray) -> Float:
 
 
 def continuous_rotvec(rotations: FloatArray, reference: FloatArray | None = None) -> Float:
-    """Return continuous rotation vectors ``(T, ..., 3)`` of matrices, from a reference ``(..., 3)`` on."""
+    """Return rotation vectors ``(T, ..., 3)`` of matrices, continuous in time from a reference ``(..., 3)``."""
     return unwrap_rotvec(matrix_to_rotvec(rotations), reference)
 
 
 def unwrap_rotvec(vectors: FloatArray, reference: FloatArray | None = None) -> Float:
-    """Make rotation vectors ``(T, ..., 3)`` of any branch continuous, from a reference ``(..., 3)`` on."""
+    """Make rotation vectors ``(T, ..., 3)`` of any branch continuous in time, from a reference ``(..., 3)``."""
     result = np.array(vectors, dtype=np.float64)
     previous = reference
     for frame in range(len(result)):
@@ -134,7 +134,7 @@ def unwrap_rotvec(vectors: FloatArray, reference: FloatArray | None = None) -> F
 
 
 def _nearest_branch(vector: Float, previous: FloatArray) -> Float:
-    """Return the closest of all ``vector + 2 pi k axis`` to `previous`."""
+    """Return the vector ``vector + 2 pi k axis``, with integer k, that is closest to `previous`."""
     angle = np.linalg.norm(vector, axis=-1, keepdims=True)
     previous_angle = np.linalg.norm(previous, axis=-1, keepdims=True)
     # The axis of the identity is undetermined: use the axis of the previous frame.

@@ -1,6 +1,6 @@
 """Mesh data besides faces: texture coordinates, colours, hard edges, face sets, and joined objects.
 
-It is not used in computations, but written with the textures and materials of a character. Formats have other names:
+These data are not used in computations, but are written to files. File formats name them differently:
 
 ====================  ========================  =====================  ==========================
 here                  USD                       Alembic                glTF
@@ -27,8 +27,8 @@ from mixseq.types import FloatArray, Index, IntArray
 
 SUBDIVISIONS = ("none", "catmullClark", "loop", "bilinear")
 
-DEFAULT_UV = (0.0, 0.0)  # of corners without texture coordinates, in meshes that have some
-DEFAULT_COLOUR = (1.0, 1.0, 1.0, 1.0)  # RGBA, of corners without a colour, in meshes that have some
+DEFAULT_UV = (0.0, 0.0)  # of corners without texture coordinates, if other corners have them
+DEFAULT_COLOUR = (1.0, 1.0, 1.0, 1.0)  # RGBA, of corners without a colour, if other corners have one
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class CornerValues:
 
     @classmethod
     def from_corners(cls, values: FloatArray) -> CornerValues:
-        """Store the values ``(sum of counts, k)`` of all corners, with one row for equal values."""
+        """Store the values ``(sum of counts, k)`` of all corners; equal values share one row."""
         rows, indices = np.unique(values, axis=0, return_inverse=True)
         return cls(rows, indices.reshape(-1))
 
@@ -58,23 +58,23 @@ class CornerValues:
         return self.values[self.indices]
 
     def select(self, corners: IntArray) -> CornerValues:
-        """Return the values of some corners, in their order."""
+        """Return the values of the given corners, in the given order."""
         return CornerValues(self.values, self.indices[corners])
 
     def at_vertices(self, vertices: IntArray, count: int, default: Sequence[float]) -> NDArray[np.float32]:
-        """Return the values ``(count, k)`` of vertices at their first corners: vertex of every corner ``(n,)``."""
+        """Return the value ``(count, k)`` at each vertex's first corner, given the vertex ``(n,)`` of every corner."""
         values = np.tile(np.asarray(default, dtype=np.float32), (count, 1))
         values[vertices[::-1]] = self.at_corners[::-1]
         return values
 
     def one_per_vertex(self, vertices: IntArray) -> bool:
-        """Return whether all corners of a vertex have equal values or nan: vertex of every corner ``(n,)``."""
+        """Return whether corners of a vertex have equal values, also nan, given the vertex ``(n,)`` of every corner."""
         default = np.zeros(self.values.shape[1])
         values = self.at_vertices(vertices, int(vertices.max(initial=-1)) + 1, default.tolist())
         return np.array_equal(values[vertices], self.at_corners, equal_nan=True)
 
     def weld(self, vertices: IntArray) -> CornerValues:
-        """Merge rows that are bitwise equal at a vertex: vertex of every corner ``(n,)``.
+        """Merge bitwise equal rows at each vertex, given the vertex ``(n,)`` of every corner.
 
         Rows shared by several vertices stay shared, so that the number of rows never grows.
         """
@@ -111,7 +111,7 @@ class FaceSet:
 
 @dataclass(frozen=True)
 class MeshObject:
-    """A mesh joined into a sequence: a range of its vertices, and the range of polygons on them."""
+    """A mesh joined into a sequence, as a range of the sequence's vertices and of its polygons."""
 
     name: str
     path: str
@@ -139,8 +139,8 @@ class Surface:
     hard_edges: IntArray | None = None
     face_sets: tuple[FaceSet, ...] = ()  # named sets of polygons, with their materials
     objects: tuple[MeshObject, ...] = ()  # joined meshes, in order; empty if unknown
-    subdivision: str = "none"  # scheme of objects without their own: none, catmullClark, loop, bilinear
-    origin: Origin | None = None  # the file it was read from
+    subdivision: str = "none"  # scheme of objects that define none: none, catmullClark, loop, bilinear
+    origin: Origin | None = None  # source file of the mesh
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "face_sets", tuple(self.face_sets))

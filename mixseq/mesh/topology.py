@@ -78,7 +78,7 @@ class Topology(PickledWithoutCaches):
 
     @cached_property
     def _hinge_sides(self) -> Index:
-        """Sides ``(H, 2)``, numbered face by face, of every hinge in its two faces."""
+        """Sides ``(H, 2)`` of the two faces at every hinge; sides are numbered face by face."""
         edge_of_side = self._sorted_edges[1]
         order = np.argsort(edge_of_side, kind="stable")
         face = order // 3
@@ -91,8 +91,8 @@ class Topology(PickledWithoutCaches):
         return self.hinges_at(slice(None))
 
     def hinges_at(self, hinge_ids: Index | slice) -> Index:
-        """Return some of the `hinges` ``(h, 4)``, to save memory on large meshes."""
-        # The direction a -> b is that of the first face, whose orientation determines the sign of the angle.
+        """Return the `hinges` ``(h, 4)`` with the given indices, to save memory on large meshes."""
+        # Edge a -> b has the direction of the first face, whose orientation determines the sign of the angle.
         first, second = self._hinge_sides[hinge_ids].T
         corners = first, _next_side(first), _next_side(_next_side(first)), _next_side(_next_side(second))
         return np.stack([self.faces.reshape(-1)[corner] for corner in corners], axis=1, dtype=np.int64)
@@ -144,12 +144,12 @@ class Topology(PickledWithoutCaches):
 
     @cached_property
     def component_of_vertex(self) -> NDArray[np.int32]:
-        """Connected component ``(V,)`` of every vertex; an unused vertex is a component of its own."""
+        """Connected component ``(V,)`` of every vertex; an unused vertex forms a component."""
         return csgraph.connected_components(self.vertex_adjacency, directed=False)[1]
 
     @cached_property
     def component_of_face(self) -> NDArray[np.int32]:
-        """Hinge-connected component ``(F,)`` of every face: faces that reach each other across edges."""
+        """Hinge-connected component ``(F,)`` of every face: faces that are connected across edges."""
         return csgraph.connected_components(self.face_adjacency, directed=False)[1]
 
     @cached_property
@@ -174,13 +174,13 @@ class Topology(PickledWithoutCaches):
 
 
 def _next_side(sides: Index) -> Index:
-    """Return the next side in the same face, whose first corner is the second one of the side."""
+    """Return the next side of the same face, which starts where the given side ends."""
     return np.where(sides % 3 == 2, sides - 2, sides + 1)
 
 
 def _symmetric(pairs: Index, count: int) -> sparse.csr_array:
-    """Return the symmetric matrix ``(count, count)`` with ones at pairs ``(n, 2)`` and their transposes."""
-    # In this order rows are sorted if the pairs are.
+    """Return the symmetric matrix ``(count, count)`` with ones at pairs ``(n, 2)`` and at reversed pairs."""
+    # With reversed pairs first, rows are sorted if the pairs are sorted.
     indices = np.concatenate([pairs[:, ::-1], pairs]).astype(np.int32).T
     return sparse.coo_array((np.ones(2 * len(pairs)), tuple(indices)), shape=(count, count)).tocsr()
 
@@ -199,7 +199,7 @@ def mark_face_vertices(topology: Topology, faces: Mask) -> Mask:
 
 
 def dilate_vertices(topology: Topology, vertices: Mask, rings: int) -> Mask:
-    """Mark the vertices ``(V,)`` at most `rings` edges from a marked one."""
+    """Mark the vertices ``(V,)`` at most `rings` edges away from a marked vertex."""
     marked = vertices.copy()
     ring = np.flatnonzero(marked)
     for _ in range(rings):
@@ -210,7 +210,7 @@ def dilate_vertices(topology: Topology, vertices: Mask, rings: int) -> Mask:
 
 
 def interior_hinges(topology: Topology, faces: Mask) -> Index:
-    """Return the indices of hinges between two of the marked faces ``(F,)``, ascending."""
+    """Return the indices of hinges between two marked faces ``(F,)``, ascending."""
     first, second = topology.hinge_faces.T
     return np.flatnonzero(faces[first] & faces[second])
 
@@ -225,7 +225,7 @@ def face_patches(topology: Topology, faces: Mask) -> NDArray[np.int64]:
 
 
 def split_labels(topology: Topology, labels: IntArray) -> NDArray[np.int64]:
-    """Number the hinge-connected patches ``(F,)`` of equal labels 0, 1, ..., label by label."""
+    """Number the hinge-connected patches ``(F,)`` of equal labels from 0, ordered by label, then by first face."""
     is_inside = labels[topology.hinge_faces[:, 0]] == labels[topology.hinge_faces[:, 1]]
     patch = connected_components(len(labels), topology.hinge_faces[is_inside])
     first = np.unique(patch, return_index=True)[1]

@@ -1,12 +1,12 @@
-r"""A triangle mesh in one pose: areas, normals, and triangles as matrices, also without area.
+r"""A triangle mesh in one pose: areas, normals, and matrices of triangles, including triangles without area.
 
-All are equivariant under rigid motions, except normals of vertices on one line, whose rotation about it is undefined.
-The matrix of a triangle is two sides and a fourth vertex along the normal (Sumner and Popović 2004),
+All results are equivariant under rigid motions, except normals of collinear vertices, which have no unique direction.
+The columns of a triangle's matrix are two sides and a fourth vertex along the normal (Sumner and Popović 2004),
 
 .. math:: D = [e_1, e_2, n / \sqrt{|n|}], \qquad n = e_1 \times e_2 .
 
-The root scales the fourth vertex with the triangle. Triangles without area also get a fourth vertex, and are replaced
-by triangles with area where an inverse is needed.
+Division by the square root makes the fourth vertex scale with the triangle. Triangles without area also get a fourth
+vertex, and are replaced by triangles with area where an inverse is needed.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from mixseq.mesh.topology import Topology
 from mixseq.types import Float, Index, Mask
 
 DEGENERATE_HEIGHT_RATIO = 1e-4
-"""Ratio of height to longest side up to which a triangle has no area: in single precision its normal is random."""
+"""Ratio of height to longest side up to which a triangle has no area, as its single-precision normal is random."""
 
 CANCELLED_NORMAL_RATIO = 1e-6
-"""Ratio of the length of the sum of face normals to the sum of their lengths up to which a vertex has no normal."""
+"""Up to this ratio of |sum of face normals| to sum of |face normals|, the normals cancel and a vertex has no normal."""
 
 
 def normalise(vectors: Float) -> Float:
@@ -40,7 +40,7 @@ def perpendicular(directions: Float) -> Float:
 
 
 def area_normals(x: Float, faces: Index) -> Float:
-    """Return normals ``(F, 3)`` of faces, twice their areas long; zero below `DEGENERATE_HEIGHT_RATIO`."""
+    """Return normals ``(F, 3)`` with lengths of twice the face areas; zero up to `DEGENERATE_HEIGHT_RATIO`."""
     corners = x[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     longest = np.square(np.roll(corners, -1, axis=1) - corners).sum(axis=2).max(axis=1)
@@ -51,7 +51,7 @@ def area_normals(x: Float, faces: Index) -> Float:
 def vertex_normals(x: Float, faces: Index, edges: Index) -> Float:
     """Return unit normals ``(n, 3)`` of vertices: area-weighted sums over faces ``(F, 3)``.
 
-    Vertices without a normal get the mean of neighbours along edges ``(E, 2)``; zero if no connected vertex has one.
+    Vertices without a normal get the mean normal of neighbours by edges ``(E, 2)``, zero if their component has none.
     """
     normals_of_corners = np.repeat(area_normals(x, faces), 3, axis=0)
     sums = scatter_add(normals_of_corners, faces.reshape(-1), len(x))
@@ -72,9 +72,9 @@ def vertex_normals(x: Float, faces: Index, edges: Index) -> Float:
 
 
 def triangle_matrices(x: Float, faces: Index, edges: Index) -> Float:
-    """Return matrices D ``(F, 3, 3)`` of faces of points ``(n, 3)``: sides 01, 02 and fourth vertices, in columns.
+    """Return matrices D ``(F, 3, 3)`` of faces of points ``(n, 3)``: columns are side 01, side 02 and fourth vertex.
 
-    The fourth vertex of a face without area is perpendicular to its longest side, by the normals of its vertices.
+    The fourth vertex of a face without area is perpendicular to its longest side, along the mean of its vertex normals.
     """
     corners = x[faces]
     normals = area_normals(x, faces)
@@ -92,9 +92,9 @@ def triangle_matrices(x: Float, faces: Index, edges: Index) -> Float:
 
 
 def replace_degenerate(triangles: Float) -> Float:
-    """Replace D ``(F, 3, 3)`` of triangles without area by equilateral ones on their longest sides.
+    """Replace matrices D ``(F, 3, 3)`` of triangles without area by equilateral triangles on their longest sides.
 
-    Directions of fourth vertices stay. Triangles that are points get the mean size of the others.
+    Directions of fourth vertices are kept. Triangles of coincident points get the mean size of the other triangles.
     """
     first, second, fourth = (triangles[:, :, column] for column in range(3))
     corners = np.stack([np.zeros_like(first), first, second], axis=1)
@@ -167,13 +167,13 @@ class TriangleMesh:
 
     @cached_property
     def vertex_areas(self) -> Float:
-        """A third ``(V,)`` of the areas of the triangles at every vertex."""
+        """Area ``(V,)`` of every vertex: a third of the areas of its triangles."""
         third = np.repeat(self.face_areas / 3, 3)
         return np.asarray(np.bincount(self.faces.reshape(-1), third, len(self.points)), dtype=np.float64)
 
     @cached_property
     def vertex_normals(self) -> Float:
-        """Unit normals ``(V, 3)``, area-weighted means of the triangles'; zero where there is none."""
+        """Unit normals ``(V, 3)``: area-weighted means of face normals; zero where the mean is zero."""
         return normalise(scatter_add(np.repeat(self.vector_areas, 3, axis=0), self.faces.reshape(-1), len(self.points)))
 
     @cached_property
@@ -184,17 +184,17 @@ class TriangleMesh:
 
     @cached_property
     def edge_areas(self) -> Float:
-        """A third ``(E,)`` of the areas of the triangles at every edge."""
+        """Area ``(E,)`` of every edge: a third of the areas of its triangles."""
         third = np.repeat(self.face_areas / 3, 3)
         edges = self.topology.face_edges.reshape(-1)
         return np.asarray(np.bincount(edges, third, len(self.topology.edges)), dtype=np.float64)
 
     def points_on(self, faces: Index, weights: Float) -> Float:
-        """Return points ``(n, 3)`` of triangles ``(n,)`` with barycentric weights ``(n, 3)``."""
+        """Return points ``(n, 3)`` on triangles ``(n,)`` at barycentric weights ``(n, 3)``."""
         return np.asarray(np.einsum("nk,nkc->nc", weights, self.points[self.faces[faces]]))
 
     def nearest_by_component(self, vertices: Index, candidates: Index) -> Index:
-        """Return the candidate ``(m,)`` for each vertex ``(n,)`` that is nearest to its connected component."""
+        """Return, for each vertex ``(n,)``, the one candidate ``(m,)`` that is nearest to its connected component."""
         from scipy.spatial import cKDTree
 
         distances, nearest = map(np.asarray, cKDTree(self.points[candidates]).query(self.points[vertices]))
@@ -207,7 +207,7 @@ class TriangleMesh:
     def leaders(self, matched: Mask) -> Index:
         """Return the leader ``(V,)`` of every vertex: matched vertices ``(V,)`` lead themselves.
 
-        Others follow the nearest matched vertex of their component; components without one follow a single vertex.
+        Others follow the nearest matched vertex of their component. A component without matches follows one vertex.
         """
         from scipy.spatial import cKDTree
 

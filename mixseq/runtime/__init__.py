@@ -1,1 +1,1 @@
-"""How code runs: compiled loops, threads and clusters, lazy imports, interrupts, progress, types of arguments."""
+"""Infrastructure: compiled loops, threads and clusters, lazy imports, interrupts, progress, checks of arguments."""

@@ -1,7 +1,7 @@
-"""An executor on the workers of a cluster, with dask.distributed (extra ``dask``): existing or local.
+"""An executor on the workers of an existing or local cluster, with dask.distributed (extra ``dask``).
 
-Results and their order are those of `serial_executor`, also if a worker dies. Every task carries its input, including
-the shared object, so that the scheduler can resend it; *scattered* data would be lost with its worker [1]_.
+Results and their order are as with `serial_executor`, even if a worker dies. Every task contains its input and the
+shared object, so that the scheduler can resend the task. *Scattered* data would be lost with a worker [1]_.
 
 References
 ----------
@@ -45,7 +45,7 @@ class ClusterExecutor:
     def __call__(
         self, function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
     ) -> Iterator[Result]:
-        """Yield ``function(shared, item)`` in the order of the items, which are consumed as workers become free."""
+        """Yield ``function(shared, item)`` in the order of the items; items are consumed when workers become free."""
         pending: deque[Any] = deque()
         submit = self._prepare(function, shared)
         max_pending = 2 * self._thread_count()
@@ -65,7 +65,7 @@ class ClusterExecutor:
         """Yield every item when it is done, in any order, and a function that returns or raises its result.
 
         For long tasks that may kill their worker, with a small shared object. Dask blames all tasks of a dead worker,
-        so a worker gets one task per thread. Tasks that dask gave up are retried once at the end, one at a time.
+        so each worker gets one task per thread. Tasks given up by dask are retried at the end, one at a time.
         """
         suspects = []
         for item, future in self._submit_items(function, shared, items, self._thread_count):
@@ -83,14 +83,14 @@ class ClusterExecutor:
         items: Iterable[Item],
         max_pending: Callable[[], int],
     ) -> Iterator[tuple[Item, Any]]:
-        """Yield items with their futures as they are done, with at most `max_pending()` at a time."""
+        """Yield items with their futures when they are done; submit at most `max_pending()` items at a time."""
         dumps, name = dask_module("distributed.protocol.pickle").dumps, _task_name(function)
         remaining = iter(items)
         pending: dict[Any, Item] = {}
         completed = dask_module("distributed").as_completed(loop=self._client.loop)
         try:
             while True:
-                free = max_pending() - len(pending)  # workers come and go
+                free = max_pending() - len(pending)  # the number of workers changes
                 for item in islice(remaining, max(0, free)):
                     with _convert_errors():
                         work = dumps((function, shared, item))
@@ -105,24 +105,24 @@ class ClusterExecutor:
             self._cancel(pending)
 
     def _thread_count(self) -> int:
-        """Return the current number of worker threads, at least 1, as lost workers may return."""
+        """Return the current number of worker threads, at least 1, as lost workers may reconnect."""
         with _convert_errors():
             threads: dict[str, int] = self._client.nthreads()
         return max(1, sum(threads.values()))
 
     def _cancel(self, futures: Iterable[Any]) -> None:
-        """Cancel futures; a lost connection is ignored, to keep the original error."""
+        """Cancel futures; ignore a lost connection, so that the original error is raised."""
         with suppress(ClusterError), _convert_errors():
             self._client.cancel(list(futures))
 
     def _prepare(self, function: Callable[..., Any], shared: object) -> Callable[[Any], Any]:
-        """Return a function that submits an item."""
-        # Pickled here, so that dask does not search the arguments for tasks.
+        """Send the function and shared object to a worker; return a function that submits an item."""
+        # Arguments are pickled here, so that dask does not search them for tasks.
         dumps, name = dask_module("distributed.protocol.pickle").dumps, _task_name(function)
         with _convert_errors():
             call = self._client.submit(_bind, dumps((function, shared)), key=f"{name}-call-{uuid4()}")
             workers = sorted(self._client.nthreads())
-        # In turn, as dask would keep quick tasks on the workers that have the shared object; any worker if one is gone.
+        # Workers take turns, as dask would favour workers with the shared object; lost workers are replaced by any.
         turns = cycle([{"workers": worker, "allow_other_workers": True} for worker in workers] or [{}])
 
         def submit(item: object) -> Any:
@@ -149,12 +149,12 @@ def _convert_errors() -> Iterator[None]:
 
 
 def _task_name(function: Callable[..., Any]) -> str:
-    """Return the common name of the tasks of a function, by which dask estimates their duration."""
+    """Return the common name of the tasks of a function; dask estimates durations by task name."""
     return f"mixseq-{getattr(function, '__name__', 'work')}"
 
 
 def _bind(pickled: bytes) -> Callable[[Any], Any]:
-    """Bind the function to the shared object on a worker; other workers copy it from there."""
+    """Bind the function to the shared object on a worker, from which other workers copy the result."""
     function, shared = pickle.loads(pickled)
     return partial(function, shared)
 
@@ -165,7 +165,7 @@ def _apply(call: Callable[[Item], Result], item: bytes) -> Result:
 
 
 def _apply_alone(work: bytes) -> Any:
-    """Apply the function to self-contained work on a worker."""
+    """Unpickle a function, shared object and item on a worker, and apply the function."""
     function, shared, item = pickle.loads(work)
     with one_blas_thread():
         return function(shared, item)
@@ -196,7 +196,7 @@ def dask_module(module: str) -> Any:
 
 
 CONNECT_TIMEOUT_SECONDS = 10.0
-"""Time in which a scheduler must answer, and have workers."""
+"""Time in which a scheduler must answer and at least one worker must connect."""
 
 _ONE_THREAD_VARIABLES = dict.fromkeys(
     ("MIXSEQ_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
@@ -207,8 +207,8 @@ _ONE_THREAD_VARIABLES = dict.fromkeys(
 def connect_to_cluster(address: str) -> Iterator[ClusterExecutor]:
     """Connect to a cluster, or start a local one, for the duration of the block."""
     process_count = _local_process_count(address)
-    distributed = dask_module("distributed")  # first, as its import sets the configuration that is changed here
-    # No warning about large tasks: items may be blocks of frames, of which few are sent at a time.
+    distributed = dask_module("distributed")  # imported first, as the import sets the configuration changed below
+    # Warnings about large tasks are off: items may be large blocks of frames, but few are sent at a time.
     unwarned = dask_module("dask.config").set({"distributed.admin.large-graph-warning-threshold": "1 TiB"})
     with unwarned, distributed.utils.silence_logging_cmgr(logging.CRITICAL):
         if process_count:
@@ -238,7 +238,7 @@ def _local_process_count(address: str) -> int:
 
 @contextmanager
 def _local(process_count: int) -> Iterator[Any]:
-    """Start workers on this machine, with temporary files removed afterwards."""
+    """Start workers on this machine; remove their temporary files at the end of the block."""
     with (
         TemporaryDirectory(prefix="mixseq-", ignore_cleanup_errors=True) as folder,
         dask_module("dask.config").set({"temporary-directory": folder}),
@@ -269,7 +269,7 @@ def _local_cluster(process_count: int, folder: str) -> Any:
 
 @contextmanager
 def _ignoring_interrupts() -> Iterator[None]:
-    """Let processes that are started ignore Ctrl-C on the terminal; the main process ends them."""
+    """Let processes started in the block ignore Ctrl-C in the terminal, as the main process ends them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -281,7 +281,7 @@ def _ignoring_interrupts() -> Iterator[None]:
 
 
 def _check_scheduler(address: str) -> None:
-    """Raise ClusterError if no scheduler answers; a client would retry forever."""
+    """Raise ClusterError if no scheduler answers; without this check, a client would retry forever."""
 
     async def identity() -> None:
         async with dask_module("distributed").rpc(address) as scheduler:
@@ -296,9 +296,9 @@ def _check_scheduler(address: str) -> None:
 
 
 def _check_workers(client: Any, address: str) -> None:
-    """Raise ClusterError if there are no workers, or one has another version of mixseq."""
+    """Raise ClusterError if there are no workers, or a worker has another version of mixseq."""
 
-    def installed() -> str:  # local, as workers without mixseq cannot load a function of this module
+    def installed() -> str:  # a local function, as workers without mixseq cannot load functions of this module
         from mixseq.version import __version__ as version
 
         return version

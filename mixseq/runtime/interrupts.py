@@ -1,11 +1,11 @@
-"""Signals that end work by an exception, with cleanup, even if a library swallows the exception.
+"""Raise exceptions for signals, so that work ends with cleanup, even if a library swallows the exception.
 
-Python raises a handler's exception at any point. Inside a C library that called Python (an import, a callback) it may
-be dropped: USD drops interrupts during ``import pxr``; HDF5 crashes on one in its file. So signals are deferred until
-imports and `uninterrupted` functions return, raised again if swallowed, and checked before a file gets its final name.
-An error raised while a deferred signal unwinds does not replace the signal.
+Python raises the exception of a signal handler at any point. Inside a C library that called Python (an import, a
+callback), the exception may be lost: USD drops interrupts during ``import pxr``; HDF5 crashes on an interrupt while it
+uses a file. So signals are deferred until imports and `uninterrupted` functions return, raised again if swallowed, and
+checked before a file gets its final name. If another error is raised meanwhile, the signal is raised instead.
 
-This is for programs such as the command line; in the library the caller handles signals.
+This module is for programs such as the command line; callers of the library handle signals themselves.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from typing import Any, NoReturn, TypeVar, cast
 HANDLED_SIGNALS = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
 
 _RETRY_SECONDS = 0.1
-_MAX_RETRIES = 50  # while an import or an uninterrupted function runs
+_MAX_RETRIES = 50  # number of retries while an import or an uninterrupted function runs
 
 _uninterrupted: set[CodeType] = set()
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 _pending: int | None = None
-"""The signal that ends the work, from its arrival until the end of the work."""
+"""The received signal that ends the work, or None."""
 
 
 @contextmanager
@@ -54,7 +54,7 @@ def signals_as_exceptions() -> Iterator[None]:
             _raise(number)
 
     def resend_swallowed(hook: Callable[..., None], kind: type[BaseException], *arguments: Any) -> None:
-        """Send the signal again if its exception was dropped where a C library called Python."""
+        """Send the signal again if its exception was dropped by a C library that called Python."""
         if issubclass(kind, SystemExit | KeyboardInterrupt):
             resend(signal.SIGINT if issubclass(kind, KeyboardInterrupt) else signal.SIGTERM)
         else:
@@ -115,7 +115,7 @@ def raise_pending_signal() -> None:
 
 
 def acknowledge_signal() -> None:
-    """Mark the signal as handled: the remaining work is intended."""
+    """Mark the signal as handled, so that the remaining work is not interrupted."""
     global _pending
     _pending = None
 

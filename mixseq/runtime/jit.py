@@ -1,13 +1,13 @@
 """Inner loops, compiled by numba on first call and cached on disk.
 
-Compiled functions release the interpreter's lock and add in source order, so results are bitwise independent of the
-number of threads. Division by zero gives infinity, as in NumPy. Leaving out the entry point for C saves a third of the
-compile time.
+Compiled functions release the interpreter's lock. They add in source order, so results are bitwise independent of the
+number of threads. Division by zero gives infinity, as in NumPy. Without an entry point for C, compilation takes a third
+less time.
 
 If the cache on disk is damaged, or cannot be written, functions are compiled again, with a warning.
 
-Signals are deferred while functions are loaded, saved and return results: numba ignores exceptions of the Python code
-it calls, llvmlite frees memory twice after an interrupt, and a partly written file would stay.
+Signals are deferred while functions are loaded, saved and return results. The reasons: numba ignores exceptions of
+Python code that it calls, llvmlite frees memory twice after an interrupt, and partly written files would remain.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _NUMBA_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 _PICKLE_ERRORS = (UnpicklingError, EOFError, AttributeError, ImportError, LookupError, TypeError, ValueError)
-"""Errors of damaged pickles."""
+"""Errors raised by loading damaged pickles."""
 
 
 def compiled(function: Function) -> Function:
@@ -45,7 +45,7 @@ def compiled(function: Function) -> Function:
     if dispatcher is function:  # NUMBA_DISABLE_JIT
         return function
     dispatcher.get_call_template = partial(_unliteral_template, dispatcher.get_call_template)
-    with suppress(RuntimeError):  # no folder for the cache: compiled in every run
+    with suppress(RuntimeError):  # without a folder for the cache, compile in every run
         dispatcher._cache = _Cache(function)  # type: ignore[no-untyped-call]
     return cast(Function, dispatcher)
 
@@ -68,7 +68,7 @@ def force_inlined(function: Function) -> Function:
 
 
 def _unliteral_template(find: Callable[..., Any], arguments: Any, keywords: Mapping[str, Any]) -> Any:
-    """Return the call template for variable numbers, as numba compiles one version for each literal."""
+    """Return the call template for non-literal numbers, as numba would compile one version for each literal."""
     variable: Callable[[Any], Any] = unliteral
     return find(tuple(map(variable, arguments)), {name: variable(value) for name, value in keywords.items()})
 
@@ -76,8 +76,8 @@ def _unliteral_template(find: Callable[..., Any], arguments: Any, keywords: Mapp
 class _CompactCacheImpl(CompileResultCacheImpl):
     """The cached form of a function, without the *environments* of numba's own functions.
 
-    They create Python objects, which is unused here, but loading them imports numba's modules and SciPy's linear
-    algebra, which takes half of the time to open a compressed file.
+    Environments create Python objects, which compiled functions here do not need. Loading environments imports numba's
+    modules and SciPy's linear algebra, which is half of the time to open a compressed file.
     """
 
     def reduce(self, overload: Any) -> tuple[Any, ...]:
@@ -94,7 +94,7 @@ class _Cache(FunctionCache):
 
     @uninterrupted
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Return a compiled function or None, without numba's `refresh`, which loads compilers for 0.25 s."""
+        """Return a cached compiled function or None; skip numba's `refresh`, which takes 0.25 s to load compilers."""
         try:
             rtsys.initialize(target)
             return self._load_overload(signature, target)  # type: ignore[no-untyped-call]

@@ -1,6 +1,6 @@
-"""Work at first use: cached results of dataclasses, and packages whose names are imported when they are needed.
+"""Work at first use: cached results of dataclasses, and packages that import their names on demand.
 
-Caches are computed before threads share an object, and left out of pickles.
+Cached results are computed before threads share an object, and are excluded from pickles.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ _connected: list[tuple[FindName, ArgumentReader]] = []
 def connect(find_name: FindName, argument_reader: ArgumentReader) -> None:
     """Set the functions of the package `mixseq` that lower modules use without importing it.
 
-    The first returns a public object by its name, or raises AttributeError. The second returns the reader for an
-    argument by its name and type names: a function of a path and the other arguments.
+    `find_name` returns a public object by its name, or raises AttributeError. `argument_reader` returns the reader for
+    an argument with a name and type names; the reader is a function of a path and the other arguments.
     """
     _connected[:] = [(find_name, argument_reader)]
 

@@ -1,14 +1,14 @@
 """Arrays that may be larger than memory, written by rows and read by rows or columns, and running statistics.
 
 Fitting reads a few coordinates of all frames (the Gram matrix), or all coordinates of a few frames. Small arrays are in
-memory, large ones in tiles on disk, so that both ways read long runs of bytes:
+memory. Large arrays are in tiles on disk, so that rows and columns are both read in long runs of bytes:
 
 >>> array = new_large_array((3, 2))
 >>> array[0:3] = np.arange(6).reshape(3, 2)
 >>> [block.sum(axis=0).tolist() for _, block in column_blocks(array)]
 [[6.0, 9.0]]
 
-`RunningStatistics` of streamed values store only the largest ones.
+`RunningStatistics` of streamed values store only the largest values.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ MAX_BYTES_IN_MEMORY = 1 << 28
 """Arrays up to this size are in memory, larger ones on disk."""
 
 _MAX_TILE_COLUMNS = 1 << 14
-_MAX_TILE_NUMBERS = 1 << 23  # limits the columns of arrays with many rows
+_MAX_TILE_NUMBERS = 1 << 23  # limits the number of columns per tile in arrays with many rows
 
 
 class DiskArray:
     """An array ``(T, ...)`` in an unnamed file that is deleted with the object or the process.
 
-    Rows are set by slices, and read by slices or indices, also by several threads at a time.
+    Rows are written by slices and read by slices or indices. Several threads may read at a time.
     """
 
     def __init__(self, shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> None:
@@ -83,7 +83,7 @@ class DiskArray:
         return flat.reshape(len(row_ids), *self.shape[1:])
 
     def columns(self) -> Iterator[tuple[slice, NDArray[Any]]]:
-        """Yield column slices of the flattened rows, and blocks ``(T, C)``."""
+        """Yield column slices of the flattened rows, and their values ``(T, C)``."""
         for columns in _tiles(len(self), self._width):
             yield columns, self._read(0, len(self), columns)
 
@@ -101,7 +101,7 @@ class DiskArray:
 
 
 def _close(file: IO[bytes]) -> None:
-    with suppress(OSError):  # of a full disk, as the data are no longer needed
+    with suppress(OSError):  # ignore a full disk, as the data are no longer needed
         file.close()
 
 
@@ -110,13 +110,13 @@ LargeArray = NDArray[Any] | DiskArray
 
 
 def new_large_array(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> LargeArray:
-    """Return an empty array ``(T, ...)``, on disk if it is large."""
+    """Return an uninitialised array ``(T, ...)``, on disk if the array is large."""
     size = np.dtype(dtype).itemsize * int(np.prod(shape, dtype=np.int64))
     return np.empty(shape, dtype) if size <= MAX_BYTES_IN_MEMORY else DiskArray(shape, dtype)
 
 
 def column_blocks(array: LargeArray) -> Iterator[tuple[slice, NDArray[Any]]]:
-    """Yield column slices and blocks ``(T, C)`` of an array ``(T, W)``, the same in memory and on disk."""
+    """Yield column slices of an array ``(T, W)`` and their values ``(T, C)``; slices match in memory and on disk."""
     if isinstance(array, DiskArray):
         yield from array.columns()
         return
@@ -155,7 +155,7 @@ class RunningStatistics:
         self._largest = np.zeros(0)
 
     def add(self, values: Float) -> None:
-        """Add non-negative values ``(n,)``; skip those that are not finite."""
+        """Add non-negative values ``(n,)``; skip values that are not finite."""
         values = values[np.isfinite(values)]
         self._count += values.size
         self._square_sum += float(np.square(values).sum())
@@ -163,12 +163,12 @@ class RunningStatistics:
             values = values[values > self._largest[0]]
         largest = np.concatenate([self._largest, values])
         if len(largest) >= self._kept_count:
-            # The smallest value that is kept comes first.
+            # The smallest kept value comes first.
             largest = np.partition(largest, len(largest) - self._kept_count)[-self._kept_count :]
         self._largest = largest
 
     def result(self) -> Statistics:
-        """Return the statistics of all values; zeros for none."""
+        """Return the statistics of all added values; zeros if none are finite."""
         if not self._count:
             return Statistics(rms=0.0, p999=0.0, max=0.0, skipped=self._total)
         above_count = self._count - int(np.ceil(P999_QUANTILE * self._count))

@@ -1,9 +1,9 @@
-"""Executors: parallel map over many items, with ordered results that do not depend on the number of threads.
+"""Executors: parallel map over items, with ordered results that do not depend on the number of threads.
 
 All frame-wise work goes through an *executor*, which applies a function to a shared object (a model, a space) and items
-(blocks of frames). It runs in the caller's thread, on several threads or on the workers of a cluster, with equal
+(blocks of frames). An executor uses the caller's thread, several threads or the workers of a cluster, with equal
 results. So linear algebra is limited to one thread (`one_blas_thread`): splitting a matrix product over threads changes
-the order of sums, and with it the last bits. Small products, which dominate here, would also be slower.
+the order of sums and thus the last bits. Small products, which dominate here, would also be slower.
 
 A `WorkQueue` runs sequential work, such as writing a stream of bits, beside other work.
 """
@@ -45,7 +45,7 @@ def one_blas_thread() -> Iterator[None]:
 
 
 def _renew_lock() -> None:
-    """Replace the lock in a forked process, where a missing thread may hold it."""
+    """Replace the lock in a forked process, as a thread of the parent process may have held the lock."""
     global _lock
     _lock = Lock()
 
@@ -56,13 +56,13 @@ if hasattr(os, "register_at_fork"):
 
 @lru_cache(maxsize=1)
 def _blas_controller(module_count: int) -> Any:
-    """Find the BLAS libraries, which takes milliseconds; again only after more modules were imported."""
+    """Find the BLAS libraries, which takes milliseconds; cached until more modules are imported."""
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
 
 
-_MAX_QUEUED_TASKS = 4  # of a `WorkQueue`, to bound memory
+_MAX_QUEUED_TASKS = 4  # waiting tasks of a `WorkQueue`, to bound memory
 
 Shared = TypeVar("Shared")
 Item = TypeVar("Item")
@@ -72,8 +72,8 @@ Result = TypeVar("Result")
 class Executor(Protocol):
     """Apply ``function(shared, item)`` to every item, and yield the results in the order of the items.
 
-    Items are consumed lazily, so that long sequences are never in memory as a whole. `function` must be a function of a
-    module and `shared` picklable, so that both can be sent to another machine.
+    Items are consumed lazily, so that long sequences are never in memory as a whole. `function` must be defined at
+    module level and `shared` picklable, so that both can be sent to another machine.
     """
 
     def __call__(
@@ -105,7 +105,7 @@ def thread_executor(count: int | None = None) -> Executor:
             try:
                 for item in items:
                     pending.append(pool.submit(function, shared, item))
-                    if len(pending) > threads:  # one more, for the first thread that becomes free
+                    if len(pending) > threads:  # one extra item, for the first thread that becomes free
                         yield pending.popleft().result()
                         _check_process(process_id)
                 while pending:
@@ -119,19 +119,19 @@ def thread_executor(count: int | None = None) -> Executor:
 
 
 def two_thread_executor() -> Executor:
-    """Return an executor on at most two threads, for items whose memory grows with the whole data."""
+    """Return an executor on at most two threads, for items that need memory in proportion to all data."""
     return thread_executor(min(2, thread_count()))
 
 
 class WorkQueue:
-    """One thread that runs tasks in order; the caller's if `thread_count()` is 1."""
+    """A queue that runs tasks in order on one thread, or in the caller's thread if `thread_count()` is 1."""
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(1) if thread_count() > 1 else None
         self._pending: deque[Future[None]] = deque()
 
     def submit(self, task: Callable[[], None], large: bool = True) -> None:
-        """Run a task after those submitted before; in the caller's thread if it is not `large`."""
+        """Run a task after all earlier tasks; if the task is not `large`, run it in the caller's thread."""
         if self._pool is None or not large:
             self.wait()
             task()
@@ -141,13 +141,13 @@ class WorkQueue:
         self._pending.append(self._pool.submit(task))
 
     def wait(self) -> None:
-        """Wait for all tasks; their errors are raised here, or by the next `submit`."""
+        """Wait for all tasks; an error of a task is raised here or by a later `submit`."""
         while self._pending:
             self._pending.popleft().result()
 
 
 def _check_process(process_id: int) -> None:
-    """Raise MixseqError in a forked process, which lacks the threads."""
+    """Raise MixseqError in a forked process, which has no copy of the threads."""
     if os.getpid() != process_id:
         raise MixseqError("the process was forked during this iteration; start a new iteration")
 

@@ -15,19 +15,19 @@ Progress = Callable[[int, int, str], None]
 
 
 def no_progress(done: int, total: int, what: str) -> None:
-    """Ignore progress."""
+    """Ignore reports of progress."""
 
 
 @dataclass(frozen=True)
 class StagedProgress:
-    """One progress of several stages with the same number of steps."""
+    """A single progress report for several stages with the same number of steps."""
 
     progress: Progress  # callback of all stages
     count: int  # number of stages
     frames: int  # steps of every stage, usually frames
 
     def at(self, first: int, stages: int = 1) -> Progress:
-        """Return the progress callback of the first of some consecutive stages, or of several as one."""
+        """Return the progress callback of stage `first`, or of several consecutive stages as one."""
 
         def report(done: int, total: int, what: str) -> None:
             self.progress(first * self.frames + stages * self.frames * done // total, self.count * self.frames, what)
@@ -37,7 +37,7 @@ class StagedProgress:
 
 @contextmanager
 def forward_warnings(receive: Callable[[str], None], replace: bool = False) -> Iterator[None]:
-    """Pass the text of every `MixseqWarning` to a function, also or instead of showing it."""
+    """Pass the text of every `MixseqWarning` to a function; with `replace`, do not show the warning as well."""
     original: Callable[..., None] = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *args: Any, **kwargs: Any) -> None:

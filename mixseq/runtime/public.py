@@ -1,8 +1,8 @@
 """Arguments of public functions: checks of annotated types, and files in place of their contents.
 
-Paths in place of sequences, models, markers, contacts, maps, labels or keys of a retiming are read first
+A path in place of a sequence, model, markers, contacts, map, labels or keys of a retiming is read first
 (`mixseq_io.path_arguments`). A model in place of a sequence is sampled at its frames. Other types raise a `TypeError`
-that names the argument. Values are checked by the functions.
+that names the argument. The functions themselves check values.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _TYPE_NAMES = {
     "ndarray": "array",
     "str": "text",
 }
-"""Names of types in messages."""
+"""Names of types in error messages."""
 
 _CURES = {
     "Model": "mixseq.fit makes one of a sequence, mixseq.load reads one",
@@ -44,7 +44,7 @@ _CURES = {
 
 
 def public(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """Let a function take paths in place of file contents; TypeError for arguments of types outside its annotations."""
+    """Let a function accept paths in place of file contents; raise TypeError for arguments of other types."""
     function_signature = signature(function)
 
     @cache
@@ -62,7 +62,7 @@ def public(function: Callable[Parameters, Result]) -> Callable[Parameters, Resul
         try:
             bound = function_signature.bind(*args, **kwargs)
         except TypeError:
-            return function(*args, **kwargs)  # raises Python's own message
+            return function(*args, **kwargs)  # raises Python's message
         for name, value in bound.arguments.items():
             if name not in accepted_types():
                 continue
@@ -78,7 +78,7 @@ def public(function: Callable[Parameters, Result]) -> Callable[Parameters, Resul
 
 
 class _PublicNames(dict[str, Any]):
-    """Names in annotations that are imported for type checking only: the public ones."""
+    """Look up public names in annotations, which modules import for type checking only."""
 
     def __missing__(self, name: str) -> Any:
         find_name, _ = connected()
@@ -89,7 +89,7 @@ class _PublicNames(dict[str, Any]):
 
 
 def _resolve(name: str, value: Any, types: tuple[Any, ...], arguments: Mapping[str, Any]) -> Any:
-    """Read the file, or sample the model, that a value stands for; earlier `arguments` are resolved already."""
+    """Read the file of a path, or sample a model, in place of a value; earlier `arguments` are already resolved."""
     names = {getattr(hint, "__name__", "") for hint in types}
     if isinstance(value, str | os.PathLike) and not any(_is_instance(value, hint) for hint in types):
         _, argument_reader = connected()
@@ -101,7 +101,7 @@ def _resolve(name: str, value: Any, types: tuple[Any, ...], arguments: Mapping[s
 
 
 def _alternatives(hint: Any) -> tuple[Any, ...]:
-    """Return the members of a union; of array-likes an array, numbers and mixseq's types."""
+    """Return the types in a union; for array-likes, return array, number and mixseq's types."""
     members = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     if complex not in members:
         return members
@@ -114,7 +114,7 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
 
 
 def _is_instance(value: Any, hint: Any) -> bool:
-    """Return whether a value is of a type, as far as can be checked without reading it."""
+    """Return whether a value is of a type, without iterating over its contents."""
     origin = get_origin(hint) or hint
     if origin is Any:
         return True
@@ -136,7 +136,7 @@ def _is_instance(value: Any, hint: Any) -> bool:
 
 
 def _format_expected(types: tuple[Any, ...]) -> str:
-    """Describe the expected types, and how to make one."""
+    """Describe the expected types, and how to make a value of them."""
     names = [getattr(hint, "__name__", str(hint)) for hint in types if hint is not NoneType]
     cure = next((f" ({_CURES[name]})" for name in names if name in _CURES), "")
     return f"{' or '.join(_TYPE_NAMES.get(name, name) for name in names)} is expected{cure}"

@@ -2,15 +2,15 @@
 
 An element of clustering has a few vertices, which define its motion, and neighbours for averaging costs.
 
-Regions grow by a watershed, in which every hinge has a height. Rising water connects faces across hinges in the order
-of height, which is Kruskal's algorithm for the minimum spanning tree of the dual graph, whose nodes are faces and whose
+A watershed grows regions, given a height of every hinge. Rising water connects faces across hinges in the order of
+height. This is Kruskal's algorithm for the minimum spanning tree of the dual graph, whose nodes are faces and whose
 edges are hinges. A hinge that joins two lakes is the *pass* between them, with
 
-- an *area*: that of the smaller lake when they meet,
-- a *depth*: its height above the bottom of the shallower lake (the persistence of that lake).
+- an *area*: the area of the smaller lake when the lakes meet,
+- a *depth*: the height of the pass above the bottom of the shallower lake (the persistence of that lake).
 
-Cutting the tree at n passes of a component leaves n + 1 regions, connected across hinges. They have at least the least
-area of the passes, and one bottom each, its *seed*, at least the least depth of the passes below the surrounding ones.
+Cutting the tree at n passes of a component leaves n + 1 regions, connected across hinges. Each region has at least the
+least area of the passes. Its bottom, the *seed*, is below surrounding passes by at least the least depth of the passes.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class Boundaries:
 
     parts: Index  # (n, 2) parts i < j
     edges: Index  # (k, 2) vertices of the edges between faces of two parts
-    pair: Index  # (k,) pair of parts of each edge
+    pair: Index  # (k,) index of the pair of parts at each edge
 
     @classmethod
     def from_labels(cls, topology: Topology, part_of_face: Index) -> Boundaries:
-        """Find the boundaries between the parts ``(F,)`` of faces: hinges between faces of two parts."""
+        """Find the boundaries of parts ``(F,)``, which consist of hinges between faces of two parts."""
         sides = np.sort(part_of_face[topology.hinge_faces], axis=1)
         across = sides[:, 0] != sides[:, 1]
         parts, pair = np.unique(sides[across], axis=0, return_inverse=True)
@@ -45,7 +45,7 @@ class Boundaries:
         return cls(parts.astype(np.int64).reshape(-1, 2), edges, pair.reshape(-1))
 
     def middles(self, frame: FloatArray) -> Float:
-        """Return the middles ``(n, 3)`` of the boundaries in a frame ``(V, 3)``: means of edge midpoints."""
+        """Return the centres ``(n, 3)`` of the boundaries in a frame ``(V, 3)``, as means of edge midpoints."""
         sums = scatter_add(frame[self.edges].mean(axis=1), self.pair, len(self.parts))
         return sums / np.bincount(self.pair, minlength=len(self.parts))[:, None]
 
@@ -57,13 +57,13 @@ class Rim:
     vertex_count: int  # number of vertices of the mesh
     ends: Index  # (n, 2) vertices of the boundary edges
     sides: Index  # (n, 2) faces at the boundary edges
-    edges: Index  # (m, 2) edges with an end on a boundary
+    edges: Index  # (m, 2) edges with at least one end on a boundary
     faces: Index  # (k,) faces with a corner on a boundary or one edge away
     corners: IntArray  # (k, 3) vertices of these faces
 
     @classmethod
     def from_labels(cls, topology: Topology, patches: Index) -> Rim:
-        """Find the rim of patches ``(F,)``."""
+        """Find the rim of the patches ``(F,)`` of faces."""
         hinge_patches = patches[topology.hinge_faces]
         across = hinge_patches[:, 0] != hinge_patches[:, 1]
         ends = topology.edges[topology.hinge_edges[across]]
@@ -73,7 +73,7 @@ class Rim:
         return cls(topology.vertex_count, ends, sides, edges, faces, corners)
 
     def narrowness(self, patches: Index) -> Float:
-        """Return the fraction of each patch's corners at most an edge from its boundary: (merged) patches ``(F,)``."""
+        """Return, for (merged) patches ``(F,)``, the fraction of face corners at most one edge from a boundary."""
         across = patches[self.sides]
         boundary = _vertex_mask(self.ends[across[:, 0] != across[:, 1]], self.vertex_count)
         near = _vertex_mask(self.edges[boundary[self.edges].any(axis=1)], self.vertex_count)
@@ -83,7 +83,7 @@ class Rim:
 
 
 def _vertex_mask(vertices: Index, count: int) -> Mask:
-    """Return the mask ``(count,)`` of vertices."""
+    """Convert vertex indices to a mask ``(count,)``."""
     mask = np.zeros(count, dtype=bool)
     mask[vertices] = True
     return mask
@@ -95,7 +95,7 @@ class Passes:
 
     topology: Topology
     face_areas: Float  # (F,)
-    hinges: Index  # (n,) n is the number of faces minus that of components
+    hinges: Index  # (n,) hinge of every pass; n = number of faces - number of components
     areas: Float  # (n,)
     depths: Float  # (n,)
 
@@ -105,12 +105,12 @@ class Passes:
         return renumber_by_area(connected_components(len(self.face_areas), pairs), self.face_areas)
 
     def segment(self, parts: int | None, min_depth: float, min_area_fraction: float) -> Index:
-        """Cut the tree at passes of at least an area: the deepest ones into `parts`, or all above a depth."""
+        """Cut the tree at large passes: at the deepest to get `parts` regions, or at all deeper than `min_depth`."""
         min_area = min_area_fraction * float(self.face_areas.sum())
         return self.cut(self.deeper(min_depth, min_area) if parts is None else self.deepest(parts, min_area))
 
     def deepest(self, parts: int, min_area: float) -> Index:
-        """Return the deepest passes that leave `parts` regions; the least area is halved until there are enough."""
+        """Return the deepest passes that leave `parts` regions; halve `min_area` until enough passes are large."""
         components = len(self.face_areas) - len(self.hinges)
         count = min(max(parts - components, 0), len(self.hinges))
         while np.count_nonzero(self.areas >= min_area) < count:
@@ -119,12 +119,12 @@ class Passes:
         return np.asarray(large[np.argsort(-self.depths[large], kind="stable")[:count]], dtype=np.int64)
 
     def deeper(self, depth: float, min_area: float) -> Index:
-        """Return all passes deeper than a depth, with at least an area."""
+        """Return all passes deeper than `depth` with an area of at least `min_area`."""
         return np.flatnonzero((self.depths > depth) & (self.areas >= min_area))
 
 
 def find_passes(topology: Topology, heights: Float, bottoms: Float, areas: Float) -> Passes:
-    """Find the passes of hinges of heights ``(H,)`` between faces with bottoms and areas ``(F,)``."""
+    """Find the passes among hinges with heights ``(H,)``, given bottoms and areas ``(F,)`` of faces."""
     from mixseq.segmentation.segmentation_kernels import kruskal
 
     order = np.argsort(heights, kind="stable")
@@ -133,7 +133,7 @@ def find_passes(topology: Topology, heights: Float, bottoms: Float, areas: Float
 
 
 def renumber_by_area(labels: NDArray[np.integer], areas: Float) -> Index:
-    """Renumber the labels ``(F,)`` of faces by decreasing area, equal areas in the order of first faces."""
+    """Renumber the labels ``(F,)`` of faces by decreasing area; labels of equal area are ordered by first face."""
     _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
     order = np.lexsort((first, -np.bincount(inverse, areas)))
     rank = np.empty_like(order)
@@ -142,7 +142,7 @@ def renumber_by_area(labels: NDArray[np.integer], areas: Float) -> Index:
 
 
 def check_part_count(parts: int | None, topology: Topology) -> None:
-    """Raise `SettingsError` unless the number of parts is None or from 1 to that of faces."""
+    """Raise `SettingsError` unless the number of parts is None or from 1 to the number of faces."""
     if parts is None:
         return
     is_whole = isinstance(parts, int | np.integer)
@@ -159,12 +159,12 @@ class Trajectories:
     """Vertex positions in T frames."""
 
     coordinates: Single  # (3T, V) frame by frame
-    # (V, 4T + 4) for every vertex its coordinates x_t, the squares |x_t|^2, and h = (rest position, 1).
+    # (V, 4T + 4) coordinates x_t of every vertex, then squares |x_t|^2, then h = (rest position, 1).
     rows: Float
 
     @classmethod
     def from_frames(cls, x: Float) -> Trajectories:
-        """Make trajectories of frames ``(T, V, 3)``; the first one is the rest pose."""
+        """Make trajectories of frames ``(T, V, 3)``; the first frame is the rest pose."""
         count, vertices = x.shape[:2]
         rows = np.empty((vertices, 4 * count + 4))
         rows[:, : 3 * count].reshape(vertices, count, 3)[:] = x.transpose(1, 0, 2)
@@ -174,7 +174,7 @@ class Trajectories:
         return cls(x.transpose(0, 2, 1).reshape(3 * count, vertices).astype(np.float32), rows)
 
     def at(self, vertices: Index) -> Trajectories:
-        """Return the trajectories of some vertices."""
+        """Return the trajectories of the given vertices."""
         return Trajectories(np.ascontiguousarray(self.coordinates[:, vertices]), self.rows[vertices])
 
     @property
@@ -187,10 +187,10 @@ class Trajectories:
 class Elements:
     """Faces, or groups of faces."""
 
-    trajectories: Trajectories  # of their vertices
+    trajectories: Trajectories  # trajectories of the vertices
     corners: Table  # (E, 4) vertices of every element, padded with V
-    corner_factors: Single  # (E,) inverse numbers of vertices
-    weights: Float  # (E,) weight of each of its vertices: a fraction of its area
+    corner_factors: Single  # (E,) inverse number of vertices of every element
+    weights: Float  # (E,) weight of each vertex of an element: a fraction of the element's area
     pairs: Index  # (n, 2) pairs of neighbours
 
     @classmethod
@@ -207,7 +207,7 @@ class Elements:
 
     @classmethod
     def from_cells(cls, topology: Topology, faces: Elements) -> tuple[Elements, Index]:
-        """Make elements of cells, each a vertex and its neighbourhood; also return the cell ``(F,)`` of every face."""
+        """Make elements of cells of faces around centre vertices; also return the cell ``(F,)`` of every face."""
         from mixseq.segmentation.segmentation_kernels import partition_cells
 
         graph = topology.vertex_adjacency
@@ -230,7 +230,7 @@ class Elements:
 
     @cached_property
     def neighbourhoods(self) -> Table:
-        """Every element and its neighbours ``(E, m)``, m >= 4, padded with E."""
+        """Table ``(E, m)``, m >= 4, of every element and its neighbours, padded with E."""
         from mixseq.segmentation.segmentation_kernels import list_neighbours
 
         table = _padded(np.arange(len(self))[:, None], len(self), int(self._neighbourhood_sizes.max(initial=1)))
@@ -250,7 +250,7 @@ class Elements:
         return len(self.corners)
 
     def ball(self, element: int, min_size: int) -> Index:
-        """Return an element and the rings around it, until there are at least `min_size` elements or no more."""
+        """Return an element and rings of neighbours, until the ball has `min_size` elements or cannot grow."""
         ball = np.array([element])
         while True:
             grown = np.unique(self.neighbourhoods[ball])
@@ -266,7 +266,7 @@ def face_areas(x: Float, topology: Topology) -> Float:
 
 
 def _padded(members: NDArray[np.integer], padding: int, width: int = 0) -> Table:
-    """Return a table of members ``(E, n)`` with at least four columns."""
+    """Pad a table of members ``(E, n)`` to at least four columns."""
     table = np.full((len(members), max(4, width)), padding, dtype=np.int32)
     table[:, : members.shape[1]] = members
     return table

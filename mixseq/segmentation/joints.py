@@ -1,22 +1,22 @@
-"""Decomposition of a mesh into parts and the joints between them.
+"""Decomposition of a mesh into parts and joints between the parts.
 
-A joint of width w grows w strips of triangles from every boundary to both sides; the parts lose w - 1 strips, so
-that joint and part overlap by one strip (paper, Section 2.1 and Figure 4, with w = 3). In terms of the *depth* of
-a vertex, ``max_b (w_b - number of edges to the boundary vertex b)``:
+A joint of width w covers w strips of triangles on both sides of a boundary. Parts lose w - 1 strips, so that joint and
+part overlap by one strip (paper, Section 2.1 and Figure 4, with w = 3). In terms of the *depth* of a vertex,
+``max_b (w_b - number of edges to the boundary vertex b)``:
 
-- a part keeps its vertices of depth <= 1,
-- the faces with a vertex of depth >= 1 belong to a joint,
-- vertices of depth >= 2 on all sides are *free*: they belong only to the joint.
+- vertices of depth <= 1 remain in their part,
+- faces with a vertex of depth >= 1 belong to a joint,
+- vertices of depth >= 2 in all their parts are *free*: they belong only to the joint.
 
-The width depends on the motion: each strip but the first bends by at most 30 degrees (of the largest relative rotation
-of the two parts between any two frames), up to `joint_width`. On coarse meshes the width is also limited so that a part
-keeps a core of a third of its vertices. A joint of width 1 takes no vertices from a part.
+The width depends on the motion: every strip except the first takes at most 30 degrees of the largest relative rotation
+of the two parts between two frames. The width is at most `joint_width`. On coarse meshes the width is also limited so
+that a part keeps a core of a third of its vertices. A joint of width 1 takes no vertices from a part.
 
 Three kinds of elements cannot be reconstructed from lengths and angles and are returned to the parts: faces without
-area, vertices at which a joint is connected only by a point, and patches of a joint without a face inside one part.
+area, vertices that alone connect two pieces of a joint, and joint patches without a face inside a part.
 
-The rotations of parts, and the faces without area in some frame, are measured block by block, so that a sequence need
-not be in memory as a whole.
+The rotations of parts, and the faces without area in some frame, are measured block by block, so that a sequence may be
+larger than memory.
 """
 
 from __future__ import annotations
@@ -46,17 +46,17 @@ DEGENERATE_HEIGHT_RATIO = 1e-5
 
 
 def sample_frame_ids(frame_count: int, max_count: int = 24) -> Index:
-    """Return evenly spaced frames that represent a sequence, to find its parts and their shapes."""
+    """Return indices of evenly spaced frames, from which parts and their shapes are computed."""
     return evenly_spaced(frame_count, max_count)
 
 
 @dataclass(frozen=True, eq=False)
 class PartShapes:
-    """Shapes of parts, to which their rotations are relative."""
+    """Mean shapes of parts; rotations of parts are relative to these shapes."""
 
     faces: NDArray[np.integer]  # (F, 3) triangles of the mesh
     parts: tuple[Index, ...]  # vertices of every part, ascending
-    shapes: tuple[Float, ...]  # their positions, centred
+    shapes: tuple[Float, ...]  # centred positions of these vertices
 
     @classmethod
     def from_labels(cls, topology: Topology, part_of_face: Index, frames: FloatArray) -> PartShapes:
@@ -77,13 +77,13 @@ class PartMotion:
 
 
 def measure_part_motion(shapes: PartShapes, points: FloatArray) -> PartMotion:
-    """Measure the motion in a block of frames ``(B, V, 3)``; results of a frame do not depend on its block."""
+    """Measure part motion in a block of frames ``(B, V, 3)``; the result of a frame does not depend on its block."""
     from mixseq.segmentation.segmentation_kernels import mark_degenerate
 
     degenerate_mask = np.zeros(len(shapes.faces), dtype=bool)
     covariances = np.empty((len(points), len(shapes.parts), 3, 3))
     for frame, frame_covariances in zip(points, covariances, strict=True):
-        x = read_only(np.ascontiguousarray(frame, dtype=np.float64))  # always, as numba compiles per type
+        x = read_only(np.ascontiguousarray(frame, dtype=np.float64))  # same type always, as numba compiles per type
         mark_degenerate(x, shapes.faces, DEGENERATE_HEIGHT_RATIO, degenerate_mask)
         for part, (vertices, shape) in enumerate(zip(shapes.parts, shapes.shapes, strict=True)):
             posed = x[vertices]
@@ -92,7 +92,7 @@ def measure_part_motion(shapes: PartShapes, points: FloatArray) -> PartMotion:
 
 
 def join_part_motion(blocks: Iterable[PartMotion]) -> PartMotion:
-    """Join the motion of consecutive blocks of frames, of one at least."""
+    """Join the motion of one or more consecutive blocks of frames."""
     rotations, degenerate_mask = [], np.zeros(1, dtype=bool)
     for block in blocks:
         rotations.append(block.rotations)
@@ -100,20 +100,20 @@ def join_part_motion(blocks: Iterable[PartMotion]) -> PartMotion:
     return PartMotion(np.concatenate(rotations), degenerate_mask)
 
 
-MIN_CORE_FRACTION = 1.0 / 3.0  # of its vertices that a part keeps
+MIN_CORE_FRACTION = 1.0 / 3.0  # least fraction of its vertices that a part keeps
 DEGREES_PER_STRIP = 30.0  # relative rotation of two parts per strip of their joint, except the first
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A hinge-connected patch of faces between parts; local indices are into its vertices."""
+    """A hinge-connected patch of faces between parts; local indices refer to the joint's `vertices`."""
 
     vertices: Index  # (n,) global vertices, ascending
     faces: Index  # (m, 3) local triangles
     face_ids: Index  # (m,) global faces
-    edge_ids: Index  # (e,) global edges of its faces, ascending
-    hinge_ids: Index  # (h,) global hinges between two of its faces, ascending
-    free: Mask  # (n,) vertices of no part
+    edge_ids: Index  # (e,) global edges of these faces, ascending
+    hinge_ids: Index  # (h,) global hinges between two of these faces, ascending
+    free: Mask  # (n,) vertices that belong to no part
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,12 +122,12 @@ class Decomposition:
 
     part_of_face: Index  # (F,) the segmentation
     parts: tuple[Index, ...]  # (V_i,) vertices of every part, ascending; parts may share vertices
-    joints: tuple[Joint, ...]  # their faces are disjoint
-    widths: Index  # (p,) largest width of joints on the side of every part, in strips
+    joints: tuple[Joint, ...]  # joints share no faces
+    widths: Index  # (p,) largest width of joints inside every part, in strips
 
     @property
     def joint_of_face(self) -> Index:
-        """Joint ``(F,)`` of every face, -1 for none."""
+        """Joint ``(F,)`` of every face, -1 for faces in no joint."""
         result = np.full(len(self.part_of_face), -1, dtype=np.int64)
         for number, joint in enumerate(self.joints):
             result[joint.face_ids] = number
@@ -147,7 +147,7 @@ def decompose(
     points: FloatArray | PartMotion | None = None,
     core: float = MIN_CORE_FRACTION,
 ) -> Decomposition:
-    """Grow joints around the boundaries of a segmentation ``(F,)``, as wide as points ``(T, V, 3)`` bend."""
+    """Grow joints around the boundaries of parts ``(F,)``; their width follows the bending of points ``(T, V, 3)``."""
     if joint_width < 1:
         raise SettingsError(f"joint_width is {joint_width}; at least 1 strip is needed")
     if part_of_face.shape != (len(topology.faces),):
@@ -201,7 +201,7 @@ def _boundary_widths(topology: Topology, part_of_face: Index, joint_width: int, 
 
 
 def _largest_width(depths: list[Index], part_mask: Mask, core: float) -> int:
-    """Return the largest width of joints that leaves a part its core."""
+    """Return the largest width of joints with which a part keeps its core."""
     count = np.count_nonzero(part_mask)
     for width in range(len(depths) - 1, 1, -1):
         kept_count = np.count_nonzero(depths[width][part_mask] <= 1)
@@ -211,7 +211,7 @@ def _largest_width(depths: list[Index], part_mask: Mask, core: float) -> int:
 
 
 def _return_to_parts(topology: Topology, part_of_face: Index, kept: list[Mask], in_joint: Mask) -> Index:
-    """Return the joint patch ``(F,)`` of every face, -1 for none; add other elements to `kept`, in place."""
+    """Return the joint ``(F,)`` of every face, -1 for none; mark vertices returned to parts in `kept`, in place."""
 
     def keep(faces: Mask, vertices: Mask | None = None) -> None:
         for part, mask in enumerate(kept):
@@ -236,14 +236,14 @@ def _mark_rigid_faces(topology: Topology, kept: list[Mask]) -> Mask:
 
 
 def _mark_contact_vertices(topology: Topology, patches: Index) -> Mask:
-    """Mark the vertices at which faces of joints form several fans, not connected by hinges."""
+    """Mark the vertices where the faces of joints form several fans that no hinge connects."""
     in_joint = patches >= 0
     hinge_ids = interior_hinges(topology, in_joint)
     sides = topology.hinge_faces[hinge_ids]
     links = []
     for end in topology.edges[topology.hinge_edges[hinge_ids]].T:
         at_end = topology.faces[sides] == end[:, None, None]
-        links.append(3 * sides + at_end.argmax(axis=2))  # the corners of both faces at this end of the hinge
+        links.append(3 * sides + at_end.argmax(axis=2))  # corners of both faces at this end of the hinge
     corners = np.flatnonzero(np.repeat(in_joint, 3))
     fan = connected_components(len(corners), np.searchsorted(corners, np.concatenate(links)))
     vertex_and_fan = np.stack([topology.faces.reshape(-1)[corners], fan], axis=1)

@@ -1,25 +1,25 @@
 r"""Cut a mesh into parts by a named method or by labels; score segmentations by agreement and near-rigidity.
 
-*Adjusted Rand index* (Hubert and Arabie 1985) of two segmentations of one mesh. With :math:`n_{ij}` the weight that is
-in part i of one and part j of the other, :math:`a_i = \sum_j n_{ij}`, :math:`b_j = \sum_i n_{ij}`, N their sum, and the
-sums of squares
+*Adjusted Rand index* (Hubert and Arabie 1985) of two segmentations of one mesh. With :math:`n_{ij}` the total weight of
+faces in part i of the first and part j of the second, :math:`a_i = \sum_j n_{ij}`, :math:`b_j = \sum_i n_{ij}`, N their
+sum, and the sums of squares
 
 .. math:: S = \sum_{ij} n_{ij}^2, \quad A = \sum_i a_i^2, \quad B = \sum_j b_j^2, \quad Q = \sum_f w_f^2,
 
-of which Q is the contribution of pairs of a face with itself, the index is
+where Q is the contribution of pairs of a face with itself, the index is
 
 .. math:: \mathrm{ARI} = \frac{(S - Q) - E}{\frac{1}{2} (A + B) - Q - E}, \qquad
           E = \frac{(A - Q)(B - Q)}{N^2 - Q} .
 
-For weights of one that is the usual index of counts, since :math:`n^2 - n = 2 \binom{n}{2}`.
+For weights of one, this is the usual index of counts, since :math:`n^2 - n = 2 \binom{n}{2}`.
 
 *Karni-Gotsman error* ("Compression of soft-body animation sequences", Computers & Graphics 2004). With B the
 vertices of the first frame under the best rigid motion of their part in every frame (Kabsch),
 
 .. math:: \mathrm{KG} = 100\, \frac{\|A - B\|_F}{\|A - \bar A\|_F},
 
-where :math:`\bar A` holds centroids of every frame: of the part for the error of a part, of all vertices for that of
-the mesh. Vertices on a boundary count once in each of their parts.
+where :math:`\bar A` is the centroid in every frame: of the part for a part's error, of all vertices for the mesh's
+error. Vertices on a boundary count once in each of their parts.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ from mixseq.types import Float, FloatArray, Index, IntArray
 
 MethodSettings = MotionSettings | SilhouetteSettings | SpanningTreeSettings
 Segmentation = SegmentationName | MethodSettings
-"""Name of a method, or its settings."""
+"""Name of a method, or the settings of a method."""
 
 
 class Method(NamedTuple):
-    """A method to find parts: a function of points, topology, number of parts and settings, and their type."""
+    """A segmentation method: a function of points, topology, number of parts and settings; and the type of settings."""
 
     segment: Callable[[FloatArray, Topology, int | None, Any], Index]
     settings: type[MethodSettings]
@@ -60,7 +60,7 @@ METHODS: dict[SegmentationName, Method] = {
     "silhouettes": Method(segment_by_silhouettes, SilhouetteSettings),
     "spanning-tree": Method(segment_by_spanning_tree, SpanningTreeSettings),
 }
-"""Methods that need only the mesh sequence."""
+"""Methods by name; these methods need only a mesh sequence."""
 
 
 def resolve_segmentation(segmentation: Segmentation) -> tuple[SegmentationName, MethodSettings]:
@@ -83,10 +83,10 @@ def segment(
     parts: int | None = None,
     settings: MethodSettings | None = None,
 ) -> Index:
-    """Find the near-rigid part ``(F,)`` of every face, numbered by decreasing area: points ``(T, V, 3)`` in any unit.
+    """Find the near-rigid part ``(F,)`` of every face, by decreasing area, from points ``(T, V, 3)`` in any unit.
 
-    Parts are connected across edges. Without `parts` their number is automatic, at least one per component; "motion"
-    may find fewer where little moves. Raises `SettingsError` for wrong settings, or `parts` below 1 or above F.
+    Parts are connected across edges. Without `parts`, their number is automatic, at least one per component; "motion"
+    may find fewer if little moves. Raises `SettingsError` for wrong settings, or `parts` below 1 or above F.
     """
     implementation = METHODS[resolve_segmentation(method)[0]]
     if settings is not None and not isinstance(settings, implementation.settings):
@@ -98,7 +98,7 @@ def segment(
 
 
 def segment_by_labels(labels: ArrayLike, topology: Topology) -> NDArray[np.int64]:
-    """Split face labels ``(F,)`` into connected parts ``(F,)``; raise `SegmentationError` if they do not fit."""
+    """Split face labels ``(F,)`` into connected parts ``(F,)``; raise `SegmentationError` if labels do not fit."""
     array = np.asarray(labels)
     if array.shape != (len(topology.faces),) or not np.issubdtype(array.dtype, np.integer):
         raise SegmentationError(
@@ -127,18 +127,18 @@ def adjusted_rand_index(first: ArrayLike, second: ArrayLike, weights: ArrayLike 
     total = _pair_weight(np.zeros(len(w), dtype=np.int64), w)
     expected = same_in_first * same_in_second / total if total > 0 else 0.0
     largest = (same_in_first + same_in_second) / 2.0 - expected
-    # Zero if both have a single part, or a part for every face.
+    # `largest` is zero if both have a single part, or a part for every face.
     return (same_in_both - expected) / largest if largest > 0 else 1.0
 
 
 def _pair_weight(group: NDArray[np.intp], weights: NDArray[np.float64]) -> float:
-    """Return the weight of pairs of different faces in the same group, exactly 0 without any."""
+    """Return the weight of pairs of different faces in the same group; exactly 0 if there are no pairs."""
     squared_sums, sums_of_squares = np.bincount(group, weights) ** 2, np.bincount(group, weights**2)
     return float(np.sum(squared_sums - sums_of_squares))
 
 
 def near_rigid_errors(points: FloatArray, faces: IntArray, part_of_face: IntArray) -> tuple[Float, float]:
-    """Return KG errors ``(p,)`` of parts ``(F,)`` and of the mesh: points ``(T, V, 3)``, faces ``(F, 3)``."""
+    """Return KG errors ``(p,)`` of parts ``(F,)`` and of the mesh, with points ``(T, V, 3)``, faces ``(F, 3)``."""
     count = int(part_of_face.max(initial=-1)) + 1
     centroids = points.mean(axis=1, dtype=np.float64)[None]  # (1, T, 3)
     errors, variations, total_variation = np.zeros(count), np.zeros(count), 0.0

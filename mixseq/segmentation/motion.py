@@ -1,14 +1,14 @@
 r"""Segmentation by rigid motion: faces that rotate together form a part.
 
 1. *Cluster.* Every cluster has one rigid motion per frame. Faces are assigned to the cluster with the least error
-   (Lloyd's iteration), after errors are averaged over neighbours for smooth boundaries. The patch with the largest
-   error seeds the next cluster, until there are enough. Dense meshes are clustered by cells of faces first.
+   (Lloyd's iteration), with errors averaged over neighbours for smooth boundaries. The patch with the largest error
+   seeds the next cluster, until all exist. Dense meshes are first clustered by cells of faces.
 2. *Connect.* Clusters are split into connected patches; small patches join the neighbour with the least error.
-3. *Merge.* Neighbours are merged, those with the least relative rotation first, until every boundary bends enough
-   (or the given number of parts is reached). Bending is the criterion because vertices of a part are combined linearly,
-   which is accurate for translations and small deformations, but shrinks rotating shapes.
+3. *Merge.* Neighbours with the least relative rotation are merged first, until every boundary bends enough (or the
+   given number of parts is reached). The criterion is bending, as linear combinations of vertices are accurate for
+   translations and small deformations, but shrink rotating shapes.
 
-The result is deterministic: there are no random numbers.
+The result is deterministic, as no random numbers are used.
 
 Deviations from rigid motion follow from additive sums (`Moments`). For vertices with weights w, rest positions h and
 positions x_t in frame t, the error of the best rigid motion is
@@ -16,9 +16,9 @@ positions x_t in frame t, the error of the best rigid motion is
 .. math:: E = \sum_t \Bigl( S^{xx}_t + S^{hh} - 2 \max_R \mathrm{tr}(R^T C_t) \Bigr), \qquad
           C_t = \sum w\, x_t h^T - \frac{1}{W} \bigl(\sum w\, x_t\bigr)\bigl(\sum w\, h\bigr)^T
 
-with centred second moments S. The maximum is the sum of the singular values of C_t, the last one with the sign
-of det C_t (Kabsch 1976). All sums are additive over disjoint sets, so that the error of a union needs no vertices. In
-Lloyd's iteration the sums (`tally`) are updated by moving elements, and costs of unchanged clusters are reused.
+with centred second moments S. The maximum is the sum of the singular values of C_t, where the last value has the sign
+of det C_t (Kabsch 1976). The error of a union of disjoint sets follows from their added sums. In Lloyd's iteration,
+moving elements updates the sums (`tally`), and costs of unchanged clusters are reused.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ class Moments:
 
     @property
     def covariance(self) -> Float:
-        """Centred cross moments ``(T, 3, 3)``, the C_t above."""
+        """Centred cross moments ``(T, 3, 3)``, called C_t in the module docstring."""
         return self.cross - self.posed[:, :, None] * self.rest / max(self.weight, _SMALLEST_FLOAT)
 
     def errors(self) -> Float:
-        """Weighted squared error ``(T,)`` of the best rigid motion of every frame."""
+        """Weighted squared error ``(T,)`` of the best rigid motion in every frame."""
         weight = max(self.weight, _SMALLEST_FLOAT)
         posed = self.posed_square - np.einsum("ti,ti->t", self.posed, self.posed) / weight
         rest = self.rest_square - float(self.rest @ self.rest) / weight
@@ -69,7 +69,7 @@ class Moments:
 
     @property
     def softness(self) -> float:
-        """Largest error of a frame, root mean square, relative to the radius of gyration at rest."""
+        """Largest root mean square error in a frame, relative to the radius of gyration at rest."""
         rest = self.rest_square - float(self.rest @ self.rest) / max(self.weight, _SMALLEST_FLOAT)
         return float(np.sqrt(self.errors().max() / max(rest, _SMALLEST_FLOAT)))
 
@@ -97,7 +97,7 @@ def moments(rest: Float, posed: Float, weights: Float) -> Moments:
 
 
 def union_errors(one: Moments, others: Sequence[Moments]) -> Float:
-    """Return the errors ``(n,)`` of the unions of a set with each of n others: ``(one + other).error()``."""
+    """Return the errors ``(n,)`` of the unions of one set with each of n other sets: ``(one + other).error()``."""
     weight = np.maximum(one.weight + np.array([other.weight for other in others]), _SMALLEST_FLOAT)[:, None]
     rest = one.rest + np.stack([other.rest for other in others])
     posed = one.posed + np.stack([other.posed for other in others])
@@ -110,8 +110,8 @@ def union_errors(one: Moments, others: Sequence[Moments]) -> Float:
     return np.asarray(np.maximum(squares - means / weight - 2.0 * traces, 0.0).sum(axis=1))
 
 
-_COLUMN_MULTIPLE = 8  # for vectorised loops over clusters
-_MAX_WORK_NUMBERS = 1 << 24  # in an array of costs of more than `_COLUMN_MULTIPLE` columns
+_COLUMN_MULTIPLE = 8  # columns are padded to a multiple, for vectorised loops over clusters
+_MAX_WORK_NUMBERS = 1 << 24  # entries in an array of costs with more than `_COLUMN_MULTIPLE` columns
 
 
 class Clusters:
@@ -133,7 +133,7 @@ class Clusters:
         self._costs = np.full((len(elements), capacity), np.inf, dtype=np.float32)
 
     def assign(self, rounds: int) -> Single:
-        """Assign elements to the clusters of lowest cost ``(E,)``, averaged over neighbours `rounds` times."""
+        """Assign elements to clusters of lowest cost, averaged over neighbours `rounds` times; return it ``(E,)``."""
         from mixseq.segmentation.segmentation_kernels import assign_lowest
 
         stale = np.flatnonzero(self._sizes > 0 if rounds != self._rounds else self._stale)
@@ -162,7 +162,7 @@ class Clusters:
         self._stale[self.labels[moved]] = self._stale[labels[moved]] = True
         self.labels = labels
         self._sizes = np.bincount(labels, minlength=len(self._sizes))
-        # Recompute small remainders, in which rounding errors are large.
+        # Recompute tallies that became small by subtraction, as their rounding errors are large.
         for cluster in np.flatnonzero(self._stale & (self._tallies[:, 3, -1] < 1e-3 * previous_weights)):
             self._tallies[cluster] = tally(e, labels, len(self._sizes), labels == cluster)[cluster]
         for empty in np.flatnonzero((self._sizes == 0) & self._stale):
@@ -170,7 +170,7 @@ class Clusters:
             self._costs[:, empty] = np.inf
 
     def _average_costs(self, clusters: Index, rounds: int) -> Single:
-        """Return the costs ``(E, n)`` of clusters, averaged over neighbours."""
+        """Return the costs ``(E, n)`` of elements in the given clusters, averaged over neighbours."""
         from mixseq.segmentation.segmentation_kernels import average_members, squared_distances
 
         e = self._elements
@@ -179,7 +179,7 @@ class Clusters:
         motions = motions_of(self._tallies[clusters], e.trajectories).astype(np.float32)
         costs, averaged = (self._work[i, : (len(e) + 1) * width].reshape(len(e) + 1, width) for i in range(2))
         per_vertex = self._work[2, : (x.shape[1] + 1) * width].reshape(x.shape[1] + 1, width)
-        costs[-1] = averaged[-1] = per_vertex[-1] = 0.0  # of padding
+        costs[-1] = averaged[-1] = per_vertex[-1] = 0.0  # rows of padding
         per_vertex[:, len(clusters) :] = 0.0
         squared_distances(x, x[:3], motions, per_vertex[:-1])
         average_members(per_vertex, e.corners, e.corner_factors, costs)
@@ -201,7 +201,7 @@ def tally(elements: Elements, labels: Index, count: int, mask: Mask | None = Non
 
 
 def motions_of(tallies: Float, trajectories: Trajectories) -> Float:
-    """Return the best rigid motions ``(K, 3T, 4)``, rotations and translations, of clusters."""
+    """Return the best rigid motions ``(K, 3T, 4)`` of clusters: rotations and translations side by side."""
     count, frames = len(tallies), trajectories.frame_count
     sums = tallies[:, :, : 3 * frames].reshape(count, 4, frames, 3)
     cross, posed = sums[:, :3].transpose(0, 2, 3, 1), sums[:, 3]
@@ -229,7 +229,7 @@ def moments_of(tallies: Float, trajectories: Trajectories) -> list[Moments]:
 
 
 MAX_FACES_WITHOUT_CELLS = 20_000  # larger meshes are clustered by cells first
-MAX_FACES_TO_REFINE = 160_000  # larger meshes are clustered by cells only: boundaries are off by at most an edge
+MAX_FACES_TO_REFINE = 160_000  # larger meshes are clustered by cells only; boundaries are wrong by at most an edge
 
 
 @dataclass(frozen=True)
@@ -239,21 +239,21 @@ class MotionSettings:
     Attributes
     ----------
     clusters : int
-        Number of initial clusters, from which parts are merged.
+        Number of initial clusters, which are merged to parts.
     frames : int
         Number of frames, evenly spread over the sequence.
     smoothing : float
         Rounds of averaging costs over neighbouring faces, per square root of the number of faces, so that
         boundaries are equally smooth on coarse and on dense meshes.
     bend : float
-        A boundary stays if its sides rotate against each other by more than this between any two frames, in
-        degrees ...
+        A boundary is kept if the relative rotation of the patches at it, between any two frames, exceeds this angle in
+        degrees.
     narrow : float
-        ... and by up to this fraction more where a side is so narrow that its joints would take all of it:
-        such patches are bending skin.
+        Largest fraction by which `bend` is raised at patches that are too narrow for their joints. Such patches are
+        bending skin.
     soft, stiff : float
-        A patch softer than `soft` joins a neighbour with which it is stiffer than `stiff`, if there is one.
-        Softness is the largest rigid error of a frame, root mean square, relative to the radius of gyration.
+        A patch softer than `soft` joins a neighbour if the union is stiffer than `stiff`. Softness is the largest root
+        mean square rigid error in a frame, relative to the radius of gyration.
     small_region : float
         Patches below this fraction of the faces join a neighbour.
     """
@@ -274,7 +274,7 @@ def segment_by_motion(
     parts: int | None = None,
     settings: MotionSettings | None = None,
 ) -> Index:
-    """Find the near-rigid part ``(F,)`` of every face: points ``(T, V, 3)``."""
+    """Find the near-rigid part ``(F,)`` of every face from points ``(T, V, 3)``."""
     settings = settings or MotionSettings()
     check_part_count(parts, topology)
     faces = Elements.from_faces(topology, _sample_frames(points, settings.frames))
@@ -287,7 +287,7 @@ def segment_by_motion(
 
 
 def _sample_frames(points: FloatArray, frames: int) -> Float:
-    """Return sampled frames ``(T, V, 3)``, centred, in diagonals of the first one, or of the largest if that is 0."""
+    """Return centred sampled frames ``(T, V, 3)``, in diagonals of the first frame, or of the largest if that is 0."""
     x = points[sample_frame_ids(len(points), frames)].astype(np.float64)
     x -= x.mean(axis=1, keepdims=True)
     diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
@@ -307,7 +307,7 @@ def _cluster(topology: Topology, faces: Elements, count: int, settings: MotionSe
 
 
 def _grow_clusters(elements: Elements, count: int, rounds: float) -> Clusters:
-    """Add one cluster at a time, seeded at the element of largest cost, with few rounds of averaging."""
+    """Add clusters one at a time, each seeded at the element of largest cost, with few rounds of averaging."""
     seed_size = max(4, len(elements) // (6 * count))
     few_rounds = 1 + max(1, round(rounds)) // 4
     clusters = Clusters(elements, np.zeros(len(elements), dtype=np.int64), count)
@@ -319,7 +319,7 @@ def _grow_clusters(elements: Elements, count: int, rounds: float) -> Clusters:
 
 
 def _relax(clusters: Clusters, rounds: float, iterations: int) -> Index:
-    """Reassign all elements several times, by costs averaged over neighbours `rounds` times."""
+    """Reassign all elements `iterations` times, by costs averaged `rounds` times over neighbours."""
     for _ in range(iterations):
         clusters.assign(max(1, round(rounds)))
     return clusters.labels
@@ -330,8 +330,8 @@ class _Patches:
     """Patches of faces that are merged step by step."""
 
     labels: Index  # (F,) patch of every face
-    moments: dict[int, Moments]  # of every remaining patch
-    sizes: dict[int, int]  # numbers of faces
+    moments: dict[int, Moments]  # moments of every remaining patch
+    sizes: dict[int, int]  # number of faces of every remaining patch
     neighbours: dict[int, set[int]]
 
     @classmethod
@@ -365,7 +365,7 @@ class _Patches:
 
 
 def _merge_small_patches(patches: _Patches, settings: MotionSettings) -> None:
-    """Merge small patches, the smallest first, into the neighbour with the least increase of the rigid error."""
+    """Merge small patches, smallest first, into the neighbour for which the rigid error increases least."""
     min_size = max(4, round(settings.small_region * len(patches.labels)))
     moments = patches.moments
     while True:
@@ -381,7 +381,7 @@ def _merge_small_patches(patches: _Patches, settings: MotionSettings) -> None:
 
 
 def _merge_stiff_pairs(patches: _Patches, topology: Topology, parts: int | None, settings: MotionSettings) -> None:
-    """Merge neighbours, the pair that bends least first, until `parts` remain or every boundary bends enough."""
+    """Merge the neighbours that bend least, until `parts` patches remain or every boundary bends enough."""
     moments = patches.moments
     rotations = {p: m.motion()[0] for p, m in moments.items()}
     softness = {p: m.softness for p, m in moments.items()}

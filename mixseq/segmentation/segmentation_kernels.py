@@ -17,10 +17,10 @@ Table = NDArray[np.int32]
 def move_elements(
     elements: Index, source: Index, target: Index, corners: Table, weights: Float, rows: Float, tallies: Float
 ) -> None:
-    """Move elements ``(n,)`` between clusters ``(E,)``, -1 for none, and update tallies ``(K, 4, D)``, in place.
+    """Move elements ``(n,)`` between clusters ``(E,)`` (-1: no cluster), and update tallies ``(K, 4, D)`` in place.
 
     A vertex with weight w (an area in squared diagonals) and row y ``(D,)`` of `Trajectories`, which ends with
-    ``h = (rest position, 1)``, adds ``w h y^T``. Corners ``(E, 4)`` are padded with V.
+    ``h = (rest position, 1)``, adds ``w h y^T`` to the tally. Corners ``(E, 4)`` are padded with V.
     """
     width = rows.shape[1]
     for e in elements:
@@ -42,8 +42,8 @@ def move_elements(
 
 @compiled
 def squared_distances(posed: Single, rest: Single, motions: Single, result: Single) -> None:
-    """Write mean squared distances ``(V, K)`` of trajectories ``(3T, V)`` from rest ``(3, V)`` under ``(K, 3T, 4)``."""
-    chunk = 512  # vertices, so that the inner loops stay in cache
+    """Write mean squared distances ``(V, K)`` of ``(3T, V)`` from rest ``(3, V)`` moved by motions ``(K, 3T, 4)``."""
+    chunk = 512  # vertices per chunk, so that inner loops fit into the cache
     sums = np.empty(chunk, dtype=np.float32)
     count = np.float32(len(posed) // 3)
     for start in range(0, posed.shape[1], chunk):
@@ -68,12 +68,12 @@ def squared_distances(posed: Single, rest: Single, motions: Single, result: Sing
 
 @compiled
 def average_members(values: Single, members: Table, factors: Single, result: Single) -> None:
-    """Write the mean ``(E, K)`` of rows ``(n, K)`` of each element's members ``(E, m)``, padded with a row of zeros."""
+    """Write the means ``(E, K)`` of values ``(n, K)`` over each element's members ``(E, m)``; padding has value 0."""
     for e in range(len(members)):
         a, b = values[members[e, 0]], values[members[e, 1]]
         c, d = values[members[e, 2]], values[members[e, 3]]
         mean, factor = result[e], factors[e]
-        for k in range(len(mean)):  # four at once, as faces have three neighbours
+        for k in range(len(mean)):  # four members at once, as faces have three neighbours
             mean[k] = (a[k] + b[k] + c[k] + d[k]) * factor
         for i in range(4, members.shape[1]):
             a = values[members[e, i]]
@@ -83,7 +83,7 @@ def average_members(values: Single, members: Table, factors: Single, result: Sin
 
 @compiled
 def assign_lowest(updated: Single, columns: Index, costs: Single, labels: Index, lowest: Single) -> None:
-    """Write updated costs ``(E, n)`` to columns of costs ``(E, K)``, and every row's lowest and its column ``(E,)``."""
+    """Write updated costs ``(E, n)`` to columns of costs ``(E, K)``; write each row's lowest cost and its column."""
     for e in range(len(costs)):
         row = costs[e]
         for i in range(len(columns)):
@@ -98,7 +98,7 @@ def assign_lowest(updated: Single, columns: Index, costs: Single, labels: Index,
 
 @compiled
 def list_neighbours(pairs: Index, table: Table) -> None:
-    """Write the neighbours of elements, by pairs ``(n, 2)``, to columns 1, 2, ... of a table ``(E, m)``."""
+    """Write the neighbours of elements, given as pairs ``(n, 2)``, to columns 1, 2, ... of a table ``(E, m)``."""
     next_column = np.ones(len(table), dtype=np.int32)
     for side in range(2):
         for pair in range(len(pairs)):
@@ -109,7 +109,7 @@ def list_neighbours(pairs: Index, table: Table) -> None:
 
 @compiled
 def partition_cells(starts: Table, neighbours: Table, owner: Table) -> Index:
-    """Partition vertices into cells, a centre and its unassigned neighbours; write owners ``(V,)``, return centres."""
+    """Partition vertices into cells of a centre and unassigned neighbours; write owners ``(V,)``, return centres."""
     centres = np.empty(len(owner), dtype=np.int64)
     count = 0
     for v in range(len(owner)):
@@ -125,7 +125,7 @@ def partition_cells(starts: Table, neighbours: Table, owner: Table) -> Index:
 
 @compiled
 def mark_degenerate(points: Float, faces: NDArray[np.integer], height_ratio: float, mask: Mask) -> None:
-    """Mark the faces ``(F,)`` with a height of at most `height_ratio` times their longest side: points ``(V, 3)``."""
+    """Mark faces ``(F,)`` of points ``(V, 3)`` with a height of at most `height_ratio` times their longest side."""
     for f in range(len(faces)):
         a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
         u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -139,7 +139,7 @@ def mark_degenerate(points: Float, faces: NDArray[np.integer], height_ratio: flo
 
 @compiled
 def kruskal(ends: Index, heights: Float, bottoms: Float, areas: Float) -> tuple[Index, Float, Float]:
-    """Join nodes by edges ``(m, 2)`` in order of height; return edges of the tree, their areas and depths ``(k,)``."""
+    """Join nodes by edges ``(m, 2)`` in order of height; return tree edges with their areas and depths ``(k,)``."""
     parent = np.arange(len(areas))
     tree = np.empty(len(areas), dtype=np.int64)
     area, depth = np.empty(len(areas)), np.empty(len(areas))

@@ -1,23 +1,23 @@
-r"""Segmentation along regions of large deformation: by augmented silhouettes, and by a spanning tree.
+r"""Segmentation along regions of large deformation, by augmented silhouettes or by a spanning tree.
 
 *Augmented silhouettes* (Marras, Bronstein, Hormann, Scateni and Scopigno 2012; paper, Section 2.1, Figure 3):
 
-1. *Views.* N poses are viewed from K viewpoints. The augmented silhouette of a view are the edges between a front and
-   a back face, without occlusion. Only K' of all K N silhouettes, chosen at random, are used.
-2. *Marks.* On every silhouette the vertices are marked whose surrounding triangles deform most: by the largest
-   variation over the poses of the angles and lengths of their edges. Vertices with many marks are *significant*.
-3. *Seeds.* The height of a vertex is its diffusion distance from the nearest significant one. Maxima are seeds.
-4. *Regions.* They grow from the seeds downwards, until they meet where the mesh deforms.
+1. *Views.* N poses are viewed from K viewpoints. The augmented silhouette of a view is the set of edges between a front
+   and a back face, ignoring occlusion. Only K' of all K N silhouettes, chosen at random, are used.
+2. *Marks.* On every silhouette, the vertices of largest deformation are marked: the variation over the poses of the
+   angles and lengths of edges at a vertex. Vertices with many marks are *significant*.
+3. *Seeds.* The height of a vertex is its diffusion distance from the nearest significant vertex. Maxima are seeds.
+4. *Regions.* Regions grow from the seeds downwards, until they meet where the mesh deforms.
 
 Details and values that the paper does not give are described in docs/segmentation.md.
 
 *Spanning tree* (Wuhrer and Brunton 2010; paper, Section 1.3): a minimum spanning tree of the dual graph connects the
-faces across the hinges whose dihedral angle varies least, and is cut at hinges of large variation. Against noise,
-variations are averaged at vertices and smoothed. A hinge is cut by its depth as a pass, not its height: if it varies by
-enough more than the insides of both its sides, which must be large enough.
+faces across the hinges whose dihedral angle varies least, and is cut at hinges of large variation. To reduce noise,
+variations are averaged at vertices and smoothed. A hinge is cut if its depth as a pass is large: it varies more than
+the insides of both regions. Both regions must have enough area.
 
-*Variations* are the largest ones between any two frames; at vertices means over incident hinges or edges, weighted by
-length in the first frame:
+*Variations* are the largest changes between any two frames. Vertices have means over incident hinges or edges, weighted
+by length in the first frame:
 
 .. math:: \Delta\theta_h = \max_{s,t} \lvert \mathrm{wrap}(\theta_{h,s} - \theta_{h,t}) \rvert, \quad
           \Delta l_e = \max_{s,t} \lvert l_{e,s} - l_{e,t} \rvert, \quad
@@ -25,7 +25,7 @@ length in the first frame:
           \epsilon_v = \frac{\sum_e \Delta l_e}{\sum_e l_e} .
 
 *Diffusion.* With the cotangent Laplacian L and the vertex areas M of a mesh, heat spreads as :math:`M \dot u = -L u`.
-One implicit step of time :math:`r^2`, :math:`(M + r^2 L)\, u = M u_0`, smooths values over about the distance r. The
+One implicit step of time :math:`r^2`, :math:`(M + r^2 L)\, u = M u_0`, smooths values over a distance of about r. The
 eigenvectors :math:`L \phi_i = \lambda_i M \phi_i`, :math:`\phi_i^T M \phi_j = \delta_{ij}`, embed the surface so that
 Euclidean distances are *diffusion distances* (Coifman et al. 2005; Bronstein and Bronstein 2011), which measure how
 well two vertices are connected, independent of the signs of eigenvectors and of their basis where eigenvalues coincide:
@@ -58,7 +58,7 @@ _SMALLEST_FLOAT = np.finfo(np.float64).tiny
 
 
 def sample_frames(points: FloatArray, max_count: int) -> Float:
-    """Return evenly spaced frames ``(T, V, 3)``, in diagonals of the first one, or of the largest if that is 0."""
+    """Return evenly spaced frames ``(T, V, 3)``, in diagonals of the first frame, or of the largest if that is 0."""
     x = points[sample_frame_ids(len(points), max_count)].astype(np.float64)
     x -= x[0].mean(axis=0)
     diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
@@ -102,7 +102,7 @@ def _sum_at_vertices(edges: Index, values: Float, count: int) -> Float:
 
 
 _MIN_COTANGENT_WEIGHT, _MAX_COTANGENT_WEIGHT = 1e-2, 1e2  # limit the effect of slivers and obtuse triangles
-_MIN_SPARSE_VERTICES = 400  # smaller components have a dense eigensolver
+_MIN_SPARSE_VERTICES = 400  # smaller components use a dense eigensolver
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +114,7 @@ class Diffusion:
 
     @cached_property
     def areas(self) -> Float:
-        """Areas ``(V,)`` of vertices: a third of their faces, at least 1e-6 of the mean; equal if all are zero."""
+        """Areas ``(V,)`` of vertices: a third of face areas, at least 1e-6 of the mean; equal if all are zero."""
         thirds = np.repeat(triangle_areas(self.points, self.topology.faces) / 3.0, 3)
         areas = np.bincount(self.topology.faces.reshape(-1), thirds, self.topology.vertex_count)
         return np.asarray(np.maximum(areas, 1e-6 * (float(areas.mean()) or 1.0)))
@@ -143,21 +143,21 @@ class Diffusion:
         return np.asarray(_factor(system).solve(self.areas * values), dtype=np.float64)
 
     def embedding(self, time: float, count: int) -> Float:
-        """Coordinates ``(V, count)`` with diffusion distances within each component; padded with zeros if small."""
+        """Return coordinates ``(V, count)`` whose distances in a component are diffusion distances; padded with 0."""
         result = np.zeros((self.topology.vertex_count, count))
         for component, values, vectors in self._spectra(count):
             result[component, : len(values)] = vectors * np.exp(-time * values)
         return result
 
     def heat_kernel(self, times: Float, count: int) -> Float:
-        """Return the heat ``(V, n)`` left at its source after times ``(n,)``, less the constant part."""
+        """Return the heat ``(V, n)`` remaining at its source after twice the times ``(n,)``, without constant part."""
         result = np.zeros((self.topology.vertex_count, len(times)))
         for component, values, vectors in self._spectra(count):
             result[component] = vectors**2 @ np.exp(-2 * np.outer(values, times))
         return result
 
     def _spectra(self, count: int) -> Iterator[tuple[Index, Float, Float]]:
-        """Yield vertices ``(n,)``, lowest eigenvalues ``(k,)``, and eigenvectors ``(n, k)`` of every component."""
+        """Yield vertices ``(n,)``, lowest eigenvalues ``(k,)`` and eigenvectors ``(n, k)`` for every component."""
         roots = 1.0 / np.sqrt(self.areas)
         scaled = sparse.csr_array(self.laplacian.multiply(roots[:, None]).multiply(roots[None, :]))
         labels = self.topology.component_of_vertex
@@ -177,8 +177,8 @@ def _lowest_eigenpairs(matrix: sparse.csr_array, count: int) -> tuple[Float, Flo
     if size < _MIN_SPARSE_VERTICES or count >= size // 4:
         values, vectors = np.linalg.eigh(matrix.toarray())
         return values[1 : count + 1], vectors[:, 1 : count + 1]
-    # The shift makes the matrix definite. It is small against the lowest eigenvalues, of which the mean is about
-    # that of all divided by the number of vertices.
+    # The shift makes the matrix definite. It is small compared to the lowest eigenvalues, which are about the mean of
+    # all eigenvalues divided by the number of vertices.
     shift = 1e-3 * float(matrix.diagonal().mean()) / size
     factor = _factor(matrix + shift * sparse.eye_array(size))
     inverse = LinearOperator((size, size), matvec=factor.solve, dtype=np.float64)
@@ -198,7 +198,7 @@ def _factor(matrix: sparse.sparray) -> SuperLU:
 
 @dataclass(frozen=True)
 class SilhouetteSettings:
-    """Settings of `segment_by_silhouettes`. N, K and K' are the paper's quantities, with values chosen empirically.
+    """Settings of `segment_by_silhouettes`. N, K and K' are defined in the paper; their values were chosen empirically.
 
     Attributes
     ----------
@@ -213,16 +213,16 @@ class SilhouetteSettings:
     radius : float
         Smoothing radius of deformations, in diagonals; 0 for none.
     share : float
-        Fraction of the vertices on a silhouette that are marked: those that deform most.
+        Fraction of the vertices on a silhouette that are marked, by decreasing deformation.
     still : float
-        Deformation below which vertices are never marked: radians of bending plus strain.
+        Deformation below which vertices are never marked: bending in radians plus strain.
     eigenvectors : int
         Number of eigenvectors of the diffusion distance.
     time : float
         Time of diffusion, in squared diagonals; details smaller than its root have no influence.
     contrast : float
-        Without a number of parts, least height of a seed above the pass to a higher seed, as a fraction of the mean
-        distance.
+        Least height of a seed above the pass to a higher seed, as a fraction of the mean distance. Used only if the
+        number of parts is not given.
     small_region : float
         Least fraction of the area of a part, unless more parts are requested than that allows.
     """
@@ -265,7 +265,7 @@ def segment_by_silhouettes(
     deformation = surface.smooth(vertex_bending(x, topology) + vertex_strain(x, topology), settings.radius)
     significant = significant_vertices(x, topology, deformation, settings)
     distance = _signed_distance(surface, significant, settings)
-    bottoms = -distance[topology.faces].mean(axis=1)  # seeds are maxima, turned over
+    bottoms = -distance[topology.faces].mean(axis=1)  # negated distances, so that seeds are minima
     heights = bottoms[topology.hinge_faces].max(axis=1)
     min_depth = settings.contrast * float(np.average(np.abs(distance), weights=surface.areas))
     passes = find_passes(topology, heights, bottoms, face_areas(x[0], topology))
@@ -273,7 +273,7 @@ def segment_by_silhouettes(
 
 
 def viewpoints(count: int) -> Float:
-    """Return directions ``(count, 3)``, evenly spread over the upper half sphere: a Fibonacci spiral."""
+    """Return directions ``(count, 3)``, evenly spread over the upper half sphere on a Fibonacci spiral."""
     index = np.arange(count) + 0.5
     height = 1.0 - index / count
     angle = np.pi * (1.0 + np.sqrt(5.0)) * index
@@ -282,7 +282,7 @@ def viewpoints(count: int) -> Float:
 
 
 def silhouette(points: FloatArray, topology: Topology, direction: Float) -> Mask:
-    """Mark the hinges ``(H,)`` between a front and a back face of a view from a direction ``(3,)``."""
+    """Mark the hinges ``(H,)`` between a front and a back face, viewed from a direction ``(3,)``."""
     corners = points[topology.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     is_front = (normals @ direction > 0.0)[topology.hinge_faces]
@@ -292,7 +292,7 @@ def silhouette(points: FloatArray, topology: Topology, direction: Float) -> Mask
 def significant_vertices(
     points: FloatArray, topology: Topology, deformation: Float, settings: SilhouetteSettings
 ) -> Mask:
-    """Mark the vertices ``(V,)`` that deform most on most of their silhouettes: points ``(N, V, 3)``."""
+    """Mark the vertices ``(V,)`` that are marked on at least half of their silhouettes in poses ``(N, V, 3)``."""
     directions = viewpoints(settings.viewpoints)
     view_count = len(points) * len(directions)
     rng = np.random.default_rng(settings.seed)
@@ -310,9 +310,9 @@ def significant_vertices(
 
 
 def _signed_distance(surface: Diffusion, significant: Mask, settings: SilhouetteSettings) -> Float:
-    """Return the diffusion distance ``(V,)`` to the nearest significant vertex, negative inside; 0 without a rim.
+    """Return diffusion distances ``(V,)`` to the significant vertices; inside, minus the distances to other vertices.
 
-    Only distances to rim vertices, which have a neighbour of the other kind, are compared: others are rarely shorter.
+    Only rim vertices, with a neighbour in the other region, are searched; others are rarely closer. 0 without a rim.
     """
     from scipy.spatial import cKDTree
 
@@ -332,7 +332,7 @@ def _signed_distance(surface: Diffusion, significant: Mask, settings: Silhouette
 
 @dataclass(frozen=True)
 class SpanningTreeSettings:
-    """Settings of `segment_by_spanning_tree`. The values were chosen empirically; the paper gives none.
+    """Settings of `segment_by_spanning_tree`. The values were chosen empirically; the paper gives no values.
 
     Attributes
     ----------
@@ -341,10 +341,10 @@ class SpanningTreeSettings:
     radius : float
         Smoothing radius of variations, in diagonals; 0 for none.
     contrast : float
-        Without a number of parts, hinges are cut where the variation is larger than inside the parts by this fraction
-        of the mesh's mean variation ...
+        Fraction of the mesh's mean variation by which hinges must vary more than the insides of parts to be cut. Used
+        only if the number of parts is not given.
     still : float
-        ... and by more than this angle, in degrees; smaller variations are noise.
+        Angle in degrees by which cut hinges must also vary more; smaller variations are noise.
     small_region : float
         Least fraction of the area of a part, unless more parts are requested than that allows.
     """
@@ -370,7 +370,7 @@ def segment_by_spanning_tree(
     parts: int | None = None,
     settings: SpanningTreeSettings | None = None,
 ) -> Index:
-    """Find the part ``(F,)`` of every face between hinges whose angles vary most: points ``(T, V, 3)``."""
+    """Find the part ``(F,)`` of every face, bounded by hinges whose angles vary most in points ``(T, V, 3)``."""
     settings = settings or SpanningTreeSettings()
     check_part_count(parts, topology)
     x = sample_frames(points, settings.frames)

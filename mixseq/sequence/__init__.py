@@ -1,1 +1,1 @@
-"""Mesh sequences: a `header` with the mesh and its times, new points every frame (`sequence`), and `frame_rates`."""
+"""Mesh sequences: the mesh and frame times (`header`), points of every frame (`sequence`), and `frame_rates`."""

@@ -1,12 +1,12 @@
 """Frame rates and frame numbers: exact values and their text.
 
-NTSC rates are 1000/1001 of whole numbers, 24000/1001 = 23.976023... With the rounded value, a shot that begins at frame
-1001 would be off by a thousandth of a frame, and frames would miss the grid.
+NTSC rates are whole numbers times 1000/1001, such as 24000/1001 = 23.976023... With a rounded rate, frame numbers of a
+shot that begins at frame 1001 would be wrong by a thousandth of a frame.
 
 Frames have numbers besides their times, such as 1001 to 1096. The number n of a frame at the time t of a time line with
-f frames per second is :math:`n = t f` in every file and on every screen, so that a shot need not begin at 0. Files with
-numbers but no times, ``walk_1001.obj`` or PC2, get their times from it; `SequenceHeader.numbered_from` changes the
-first number. In Python frames are indexed from 0; messages show numbers.
+f frames per second is :math:`n = t f` in all files and messages, so a shot may begin at any time. In files that have
+numbers but no times (``walk_1001.obj``, PC2), times follow from this formula; `SequenceHeader.numbered_from` changes
+the first number. In Python frames are indexed from 0; messages show numbers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Seconds = Annotated[float, "seconds"]
 """A time or duration that scripts may give as a number of frames."""
 
 FRAME_TOLERANCE = 1e-3
-"""Distance in frames within which a time is at a whole number, as times are typed and stored with a few digits."""
+"""Distance in frames up to which a time is rounded to a whole frame number, as times are stored with few digits."""
 
 
 def time_to_number(time: float, fps: float) -> float:
@@ -61,7 +61,7 @@ def format_span(start: float, end: float, fps: float) -> str:
 
 
 def hint_frame_number(time: float, start: float, end: float, fps: float) -> str:
-    """Return a hint for a frame number given as seconds, "; frame 1005 is at 41.875 s", or "" for other times."""
+    """Return a hint if a time is probably a frame number, "; frame 1005 is at 41.875 s"; return "" for other times."""
     if not start - FRAME_TOLERANCE / fps <= number_to_time(time, fps) <= end + FRAME_TOLERANCE / fps:
         return ""
     return f"; frame {format_number(time)} is at {number_to_time(time, fps):g} s"
@@ -70,11 +70,11 @@ def hint_frame_number(time: float, start: float, end: float, fps: float) -> str:
 NTSC_RATES = tuple(1000 * whole / 1001 for whole in (24, 30, 48, 60, 120))
 
 _NTSC_TOLERANCE_FPS = 0.005
-"""Distance from an NTSC rate up to which a rate is rounded to two digits or more."""
+"""Largest difference of an NTSC rate and its value rounded to two digits or more."""
 
 
 def snap_to_ntsc(fps: float, base: float | None = None) -> float:
-    """Return the NTSC rate of a rounded one (23.976: 24000/1001); keep other rates and multiples of `base`."""
+    """Replace a rounded NTSC rate (23.976) by the exact rate (24000/1001); keep other rates and multiples of `base`."""
     if base and fps > 0 and isfinite(fps):
         ratio = max(fps / base, base / fps)
         if abs(ratio - round(ratio)) < 1e-9:

@@ -17,12 +17,12 @@ UP_AXES = ("X", "Y", "Z")
 DEFAULT_FPS = 24.0
 
 MAX_FRAME_COUNT = 10_000_000
-"""Limit that catches wrong rates and speeds."""
+"""Largest number of frames, to detect wrong rates and speeds."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class SequenceHeader:
-    """Everything about a mesh sequence but its points.
+    """All data of a mesh sequence except its points.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class SequenceHeader:
 
     @property
     def objects(self) -> tuple[MeshObject, ...]:
-        """The joined meshes, at least one: by default the whole sequence."""
+        """The joined meshes; without joined meshes, one object for the whole sequence."""
         whole = MeshObject(self.name, "", self.vertex_count, len(self.polygons.counts))
         return self.surface.objects or (whole,)
 
@@ -93,14 +93,14 @@ class SequenceHeader:
         return format_frame(self.times[index], self.fps)
 
     def frame_name(self, index: int) -> str:
-        """Return "frame" and the number of a frame index, with the index if it differs."""
+        """Return "frame" and the frame number of a frame index, with the index if the two differ."""
         if not 0 <= index < self.frame_count:
             return f"frame {index}"
         number = self.frame_number(index)
         return f"frame {number}" if number == f"{index}" else f"frame {number} (index {index})"
 
     def index_of(self, number: float) -> int:
-        """Return the index of the frame with a frame number; SettingsError if there is none."""
+        """Return the index of the frame with a frame number; raise SettingsError if no frame has the number."""
         distances = np.abs(self.times * self.fps - number)
         index = int(distances.argmin())
         if distances[index] > FRAME_TOLERANCE:
@@ -113,7 +113,7 @@ class SequenceHeader:
         return " to ".join(dict.fromkeys(format_frame(time, self.fps) for time in self.times[[0, -1]]))
 
     def numbered_from(self, first: float) -> SequenceHeader:
-        """Return the header with times moved so that the first frame has a number; SettingsError if not finite."""
+        """Return the header with times shifted to give the first frame a number; SettingsError if it is not finite."""
         if not np.isfinite(first):
             raise SettingsError(f"start_frame is {first}; a number is expected")
         numbers = (self.times - self.times[0]) * self.fps
@@ -121,7 +121,7 @@ class SequenceHeader:
         return self.with_times((np.where(np.abs(numbers - whole) < 1e-6, whole, numbers) + first) / self.fps)
 
     def with_times(self, times: ArrayLike, fps: float | None = None) -> SequenceHeader:
-        """Return the header of the same mesh with other frames."""
+        """Return the header of the same mesh with other frame times."""
         return SequenceHeader(
             **{
                 **header_fields(self),

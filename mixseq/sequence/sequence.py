@@ -1,18 +1,18 @@
 """Mesh sequences: one fixed mesh, with new vertex positions in every frame.
 
 `MeshSequence` adds points to a `SequenceHeader`. Readers stream ``(header, blocks of points)``; `Frames` is their
-common interface with `MeshSequence`. Points and headers are validated when they are made, so that every
-`MeshSequence` is valid.
+common interface with `MeshSequence`. Points and headers are validated on construction, so that every `MeshSequence` is
+valid.
 
-Files are read sequentially and often slowly, while fitting needs several passes and single frames. So streams are
-copied once to a `FrameStore` with random access, in memory or in a temporary file.
+Files are read sequentially and often slowly, but fitting needs several passes and single frames. So a stream is copied
+once to a `FrameStore` with random access, in memory or in a temporary file.
 
-Limits of double precision: as squared lengths are multiplied, lengths must be from `MIN_LENGTH` to `MAX_LENGTH`. Errors
+As products of squared lengths must fit into double precision, lengths must be from `MIN_LENGTH` to `MAX_LENGTH`. Errors
 below `rounding_error` of the largest coordinate cannot be computed.
 
-`convert_units` rotates the up axis by a quarter turn about the axis that is neither the old nor the new one: from Y to
-Z the point (x, y, z) becomes (x, -z, y), the usual convention. Coordinates are permuted and change signs without
-rounding; only a change of unit rounds.
+`convert_units` rotates the up axis by 90 degrees about the axis perpendicular to the old and new up axes. From Y to Z,
+the point (x, y, z) becomes (x, -z, y), by the usual convention. The rotation only permutes and negates coordinates, so
+only a change of unit rounds.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from mixseq.types import Float, FloatArray
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class MeshSequence(SequenceHeader):
-    """A deforming mesh: fixed polygons, ``(T, V, 3)`` points.
+    """A deforming mesh: fixed polygons with points ``(T, V, 3)``.
 
     Make one with `MeshSequence.from_arrays`, or read it from a file with `mixseq.read`.
 
@@ -55,7 +55,7 @@ class MeshSequence(SequenceHeader):
     Raises
     ------
     InvalidSequenceError
-        If the header is unsound, or points or velocities have another shape or are not finite.
+        If the header is invalid, or points or velocities have a wrong shape or are not finite.
     """
 
     points: FloatArray
@@ -91,11 +91,11 @@ class MeshSequence(SequenceHeader):
         points : (T, V, 3) array_like
             Vertex positions of every frame.
         faces : (F, 3) array_like or Polygons
-            Triangles, or polygons where there are quads or n-gons.
+            Triangles, or `Polygons` for quads and n-gons.
         times : (T,) array_like, optional
-            Seconds; by default frames follow each other at `fps`.
+            Times of the frames in seconds; by default, frames are spaced at `fps` from 0.
         fps : float, optional
-            Frames per second, by default 24; 23.976 means 24000/1001, see `mixseq.sequence.frame_rates`.
+            Frames per second, by default 24; 23.976 is read as 24000/1001, see `mixseq.sequence.frame_rates`.
         up_axis, metres_per_unit, name
             See `SequenceHeader`.
 
@@ -135,7 +135,7 @@ class MeshSequence(SequenceHeader):
         return SequenceHeader(**header_fields(self))
 
     def with_points(self, points: FloatArray) -> MeshSequence:
-        """Return the same mesh and times with other points, and no velocities."""
+        """Return the same mesh and times with other points and without velocities."""
         return replace(self, points=points, velocities=None)
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:
@@ -160,12 +160,12 @@ class Frames(Protocol):
         """Header of the sequence, without points."""
 
     def blocks(self, size: int = ...) -> Iterator[FloatArray]:
-        """Iterate over the points in blocks ``(B, V, 3)`` of at most `size` frames, from the first one on."""
+        """Iterate over the points in blocks ``(B, V, 3)`` of at most `size` frames, starting at the first frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class LazyFrames:
-    """`Frames` computed on demand: `make` yields the points in blocks of at most a given number of frames."""
+    """`Frames` computed on demand: `make` takes the largest number of frames per block, and yields blocks of points."""
 
     header: SequenceHeader
     make: Callable[[int], Iterator[FloatArray]]
@@ -176,7 +176,7 @@ class LazyFrames:
 
 
 def bounding_diagonal(points: FloatArray) -> float:
-    """Length of the diagonal of the bounding box of ``(V, 3)`` points."""
+    """Return the length of the diagonal of the bounding box of points ``(V, 3)``."""
     return Diagonal.from_points(points).length
 
 
@@ -197,7 +197,7 @@ def check_frames(frames: object) -> None:
 
 
 def check_block(header: SequenceHeader, points: FloatArray, first_frame: int) -> None:
-    """Validate a block of points ``(B, V, 3)`` against its header."""
+    """Raise InvalidSequenceError if a block of points ``(B, V, 3)`` does not fit its header."""
     if points.ndim != 3 or points.shape[2] != 3:
         raise InvalidSequenceError(f"points have shape {points.shape}; (frames, vertices, 3) is expected")
     if points.shape[1] != header.vertex_count:
@@ -224,7 +224,7 @@ def _check_velocities(header: SequenceHeader, points: FloatArray, velocities: Fl
 
 
 def _rate_of_times(times: ArrayLike, fps: float) -> float:
-    """Return the given rate if frame times are multiples of its period, else the exact NTSC rate.
+    """Return the given rate if frame times are multiples of its period; otherwise, return the exact NTSC rate.
 
     Examples
     --------
@@ -241,7 +241,7 @@ def _rate_of_times(times: ArrayLike, fps: float) -> float:
 
 
 def _as_points(points: ArrayLike) -> FloatArray:
-    """Return C-ordered float32 or float64 points of three dimensions; other types become float64."""
+    """Return points as a C-ordered array ``(T, V, 3)``; types other than float32 and float64 become float64."""
     array = np.asarray(points)
     if array.dtype not in (np.float32, np.float64):
         try:
@@ -254,10 +254,10 @@ def _as_points(points: ArrayLike) -> FloatArray:
 
 
 MAX_BLOCK_FRAMES = 8
-MAX_BLOCK_VERTICES = 1 << 20  # in all frames of a block of several frames: 24 MB of float64
+MAX_BLOCK_VERTICES = 1 << 20  # vertices in all frames of a block with several frames: 24 MB of float64
 
-MIN_LENGTH, MAX_LENGTH = 1e-60, 1e60  # of the diagonal of the first frame, and of coordinates, in any unit
-_RELATIVE_ROUNDING_ERROR = 2.0**-40  # of a coordinate in computations without cancellation
+MIN_LENGTH, MAX_LENGTH = 1e-60, 1e60  # limits of first diagonal and of coordinates, in any unit
+_RELATIVE_ROUNDING_ERROR = 2.0**-40  # rounding error of a coordinate, without cancellation
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +269,7 @@ class FrameStore:
 
 
 def load_frames(frames: Frames, progress: Progress = no_progress) -> FrameStore:
-    """Return a sequence with random access to its points, a copy unless it is in memory."""
+    """Return a sequence with random access to its points; copy the points unless they are in memory."""
     store = FrameStore(frames.header, frames.points) if isinstance(frames, MeshSequence) else _copy(frames, progress)
     _check_lengths(store)
     return store
@@ -328,7 +328,7 @@ def rounding_error(coordinate: float) -> float:
 
 
 def block_size(vertex_count: int) -> int:
-    """Return the number of frames per block; it depends on the mesh only, so results are reproducible."""
+    """Return the number of frames per block, which depends only on the mesh, so that results are reproducible."""
     return max(1, min(MAX_BLOCK_FRAMES, MAX_BLOCK_VERTICES // vertex_count))
 
 
@@ -340,7 +340,7 @@ def iterate_blocks(points: LargeArray) -> Iterator[FloatArray]:
 
 
 _UNITLESS_FORMATS = ("Alembic",)
-"""Formats without units in their files, whose writers cannot detect another unit."""
+"""File formats without units: a writer cannot detect that the unit has changed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,7 +356,7 @@ class UnitConversion:
     def from_header(
         cls, header: SequenceHeader, up_axis: str | None = None, units: str | float | None = None
     ) -> UnitConversion:
-        """Make the conversion of a sequence; parameters and errors as of `convert_units`."""
+        """Make the conversion of a sequence; parameters and errors are those of `convert_units`."""
         up = header.up_axis if up_axis is None else up_axis
         if up not in UP_AXES:
             raise SettingsError(f"up_axis is {up!r}; one of {', '.join(UP_AXES)} is expected")
@@ -376,7 +376,7 @@ class UnitConversion:
         return replace(header, up_axis=self.up_axis, metres_per_unit=self.metres_per_unit, surface=surface)
 
     def convert(self, values: FloatArray) -> FloatArray:
-        """Rotate and scale points or velocities ``(..., 3)``, in their precision."""
+        """Rotate and scale points or velocities ``(..., 3)``; keep their precision."""
         if not self.changes:
             return values
         axes = np.abs(self.rotation).argmax(axis=1)
@@ -393,28 +393,28 @@ class UnitConversion:
 def convert_units(sequence: MeshSequence, up_axis: str | None = None, units: str | float | None = None) -> MeshSequence:
     """Return a sequence rotated so that an axis points up, and scaled to a unit of length.
 
-    Points and velocities change, so that size and orientation in the world stay. To set metadata that a file lacks,
-    give `up_axis` and `metres_per_unit` to `mixseq.read` instead.
+    Points and velocities are converted, so that size and orientation in the world are kept. To set metadata missing in
+    a file, give `up_axis` and `metres_per_unit` to `mixseq.read` instead.
 
     Parameters
     ----------
     sequence : MeshSequence
         The sequence.
     up_axis : {"X", "Y", "Z"}, optional
-        New up axis, by default that of the sequence.
+        New up axis, by default the up axis of the sequence.
     units : str or float, optional
-        New unit of length: a name of `UNITS`, such as "cm", or metres; by default that of the sequence.
+        New unit of length: a name in `UNITS`, such as "cm", or metres; by default, the unit is kept.
 
     Returns
     -------
     MeshSequence
-        The same frames in other coordinates, of the same precision. The origin in an Alembic file is dropped, as the
-        format has no units.
+        The same frames in the new coordinates, in the same precision. A source file in Alembic is dropped from
+        `Surface.origin`, as the format has no units.
 
     Raises
     ------
     SettingsError
-        If there is no such axis or unit.
+        If the axis or unit does not exist.
 
     Examples
     --------
@@ -432,7 +432,7 @@ def convert_units(sequence: MeshSequence, up_axis: str | None = None, units: str
 
 
 def parse_unit(units: str | float) -> float:
-    """Return the length of a unit in metres, by name or as a positive number or text; else SettingsError."""
+    """Return the metres of a unit, given as a name, positive number or text; raise SettingsError for other values."""
     if units in UNITS:
         return UNITS[str(units)]
     try:
@@ -445,7 +445,7 @@ def parse_unit(units: str | float) -> float:
 
 
 def _quarter_turn(old: str, new: str) -> Float:
-    """Return the quarter turn ``(3, 3)`` from one up axis to another, or the identity."""
+    """Return the rotation ``(3, 3)`` by 90 degrees from one up axis to another; the identity if they are equal."""
     rotation = np.eye(3)
     if old != new:
         first, second = UP_AXES.index(old), UP_AXES.index(new)
