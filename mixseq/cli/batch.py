@@ -28,7 +28,7 @@ from mixseq.cli.compressed import aiming, compressed
 from mixseq.cli.files import Claim, check_options, decoded, is_model, options_of, overwriting
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.group import format_bytes, print_table, printable, progress_bar, say
-from mixseq.cli.lengths import in_diagonals
+from mixseq.cli.options import in_diagonals
 from mixseq.errors import FormatError, GivenUpError, MixseqError, MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.version import __version__

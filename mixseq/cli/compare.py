@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import mixseq
 from mixseq.cli import options
 from mixseq.cli.files import check_options, counted, options_of, select_frames
-from mixseq.cli.group import print_json, print_table, progress_bar, say
-from mixseq.cli.lengths import length_text
+from mixseq.cli.group import length_text, print_json, print_table, progress_bar, say
 from mixseq.errors import MixseqWarning
 from mixseq.sequence.frame_rates import format_frame, time_to_number
 

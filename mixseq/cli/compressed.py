@@ -11,8 +11,8 @@ import click
 import mixseq
 from mixseq.choices import ORDERS
 from mixseq.cli import options
-from mixseq.cli.group import as_bytes, format_bytes
-from mixseq.cli.lengths import in_diagonals, length_text
+from mixseq.cli.group import as_bytes, format_bytes, length_text
+from mixseq.cli.options import in_diagonals
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:

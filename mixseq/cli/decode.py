@@ -12,8 +12,8 @@ import click
 
 import mixseq
 from mixseq.cli import files, options
-from mixseq.cli.group import announce, format_bytes, print_table, progress_bar
-from mixseq.cli.lengths import in_diagonals, length_text
+from mixseq.cli.group import announce, format_bytes, length_text, print_table, progress_bar
+from mixseq.cli.options import in_diagonals
 from mixseq.errors import MixseqWarning, NoMeshError, SettingsError
 from mixseq.sequence.frame_rates import format_rate, snap_to_ntsc
 

@@ -13,9 +13,8 @@ import mixseq
 from mixseq.cli import options
 from mixseq.cli.compare import at_times_of
 from mixseq.cli.files import Claim, overwriting, read_sequence
-from mixseq.cli.group import announce, print_table, progress_bar
+from mixseq.cli.group import announce, length_text, print_table, progress_bar
 from mixseq.cli.info import dimension_rows
-from mixseq.cli.lengths import length_text
 
 
 @options.command("demo", "mixseq demo --out fox --frames 24")

@@ -13,9 +13,9 @@ import mixseq
 from mixseq.choices import POSE_FORMS, STILLS, PoseForm, StillName
 from mixseq.cli import files, options
 from mixseq.cli.compressed import aiming, coding_facts, coding_rows, compressed
-from mixseq.cli.group import announce, print_table, progress_bar
+from mixseq.cli.group import announce, length_text, print_table, progress_bar
 from mixseq.cli.info import bytes_of_frames, dimension_rows, size_row
-from mixseq.cli.lengths import in_diagonals, length_text
+from mixseq.cli.options import in_diagonals
 from mixseq.errors import OutputError
 
 if TYPE_CHECKING:

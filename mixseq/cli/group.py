@@ -33,6 +33,7 @@ from typing import Any
 
 import click
 
+from mixseq.choices import UNITS
 from mixseq.errors import MixseqError, MixseqWarning, SettingsError
 from mixseq.runtime.interrupts import signals_as_exceptions
 from mixseq.runtime.progress import Progress, forward_warnings, no_progress
@@ -118,6 +119,21 @@ def format_bytes(count: float) -> str:
         if count >= size:
             return f"{count / size:.3g} {unit}"
     return f"{count:.0f} bytes"
+
+
+_REPORTED_UNITS = ("km", "m", "cm", "mm")
+"""Units of reported lengths, in descending order."""
+
+
+def length_text(fraction: float, diagonal: float, digits: int = 4) -> str:
+    """Format a fraction of a diagonal, with the corresponding length in brackets; `diagonal` is in metres.
+
+    >>> length_text(0.0005, 1.8)
+    '0.0005 diagonals (0.9 mm)'
+    """
+    metres = fraction * diagonal
+    unit = next((name for name in _REPORTED_UNITS if metres >= UNITS[name]), "mm")
+    return f"{fraction:.{digits}g} diagonals ({metres / UNITS[unit]:.3g} {unit})"
 
 
 @contextmanager

@@ -6,7 +6,7 @@ Rare options are settings: ``--joint-width 2`` can be written ``--set joint_widt
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from mixseq.choices import PLACEMENTS, PROJECTIONS, SEGMENTATIONS, SPACES
+from mixseq.choices import PLACEMENTS, PROJECTIONS, SEGMENTATIONS, SPACES, UNITS
 from mixseq.cli.group import environment
-from mixseq.cli.lengths import parse_length
 from mixseq.errors import SettingsError
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_number, number_to_time
 
 if TYPE_CHECKING:
     from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
+    from mixseq.sequence.sequence import Frames
 
 
 Command = Callable[..., None]
@@ -173,6 +173,7 @@ POSITIVE_NUMBER = click.FloatRange(min=0, min_open=True)
 FRAME_RATE = click.FloatRange(min=0, min_open=True, max=1_000_000)
 
 _FRAME_RANGE = re.compile(r"\s*(-?\d+)(?:-(-?\d+))?\s*")
+_LENGTH_PATTERN = re.compile(rf"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?)\s*({'|'.join(UNITS)}|)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -220,6 +221,41 @@ class FrameChoice:
         for number in numbers:
             if not low <= number <= high:
                 raise SettingsError(f"there is no frame {format_number(number)}; frames are {header.frame_numbers}")
+
+
+# Errors and tolerances are fractions of the bounding-box diagonal of the first frame, or lengths with a unit.
+
+
+def parse_length(text: str) -> float | str:
+    """Parse an option value: return a fraction of the diagonal as a number, a length with a unit as text.
+
+    >>> parse_length("1e-3"), parse_length("0.5 mm")
+    (0.001, '0.5mm')
+    """
+    match = _LENGTH_PATTERN.fullmatch(text.strip())
+    if not match or not 0.0 < float(match[1]) < float("inf"):
+        raise click.BadParameter(f"{text!r} is not a length above 0, such as 0.001 (of the diagonal) or 0.5mm")
+    return f"{match[1]}{match[2].lower()}" if match[2] else float(match[1])
+
+
+def in_diagonals(settings: Mapping[str, Any], frames: Frames, *names: str) -> dict[str, Any]:
+    """Return settings with the named lengths converted to fractions of the diagonal of a sequence's first frame."""
+    from mixseq.sequence.sequence import bounding_diagonal
+
+    converted = dict(settings)
+    for name in names:
+        length = settings.get(name)
+        match = _LENGTH_PATTERN.fullmatch(length) if isinstance(length, str) else None
+        if match is None:
+            continue
+        diagonal = bounding_diagonal(next(iter(frames.blocks(1)))[0]) * frames.header.metres_per_unit
+        if not diagonal > 0.0:
+            raise SettingsError(
+                f"{frames.header.name!r} has no size in its first frame, so {length} is no fraction of it; give a "
+                "sequence whose first frame is larger than a point"
+            )
+        converted[name] = float(match[1]) * UNITS[match[2]] / diagonal
+    return converted
 
 
 def _angles(text: str) -> tuple[float, float]:

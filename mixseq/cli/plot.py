@@ -14,7 +14,7 @@ from mixseq.choices import COLOURS, PICTURES, PictureKind
 from mixseq.cli import options
 from mixseq.cli.files import Claim, overwriting, read_sequence, scene_items
 from mixseq.cli.group import announce, progress_bar
-from mixseq.cli.lengths import in_diagonals
+from mixseq.cli.options import in_diagonals
 from mixseq.errors import SettingsError
 
 

@@ -10,7 +10,7 @@ import mixseq
 from mixseq.cli import options
 from mixseq.cli.files import Claim, is_model, overwriting, time_rows, write_sequence
 from mixseq.cli.group import announce, print_table, progress_bar
-from mixseq.cli.lengths import in_diagonals
+from mixseq.cli.options import in_diagonals
 from mixseq.errors import SettingsError
 from mixseq.sequence.frame_rates import format_span, snap_to_ntsc
 

@@ -10,8 +10,7 @@ import click
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.group import print_json, print_table, progress_bar
-from mixseq.cli.lengths import length_text
+from mixseq.cli.group import length_text, print_json, print_table, progress_bar
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:

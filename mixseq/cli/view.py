@@ -30,7 +30,7 @@ from mixseq.cli.files import (
     write_frames,
 )
 from mixseq.cli.group import announce, needed, progress_bar, say
-from mixseq.cli.lengths import in_diagonals
+from mixseq.cli.options import in_diagonals
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.interrupts import acknowledge_signal
 from mixseq.runtime.progress import Progress, no_progress
