@@ -328,7 +328,7 @@ class Document:
         """Size of the file and its buffers in bytes."""
         total = self.size
         for index, buffer in enumerate(self.items("buffers")):
-            if "uri" in buffer or (index == 0 and self.chunk is not None):  # without compressed buffers
+            if "uri" in buffer or (index == 0 and self.chunk is not None):  # other buffers are computed
                 total += self.buffer(index).size
         return total
 

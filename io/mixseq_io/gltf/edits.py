@@ -131,7 +131,7 @@ def detach_node(document: Json, node: int, in_place: bool = False) -> int | None
 
 
 def find_unused_root(document: Json, scene: Scene, parents: Collection[int]) -> int | None:
-    """Return the former parent of detached nodes for `group_nodes` if single, a root, and now empty; else None."""
+    """Return the only former parent of detached nodes if it is an empty root, for `group_nodes`; else None."""
     if len(parents) != 1 or min(parents) < 0 or scene.parents[min(parents)] >= 0:
         return None
     (node,) = parents
