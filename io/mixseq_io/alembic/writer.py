@@ -52,7 +52,7 @@ def write_alembic(
     onto: str | os.PathLike[str] | None = None,
     sources: ArrayLike | None = None,
 ) -> None:
-    """Write an Alembic file (options as in `FORMATS`); `sources` ``(T,)`` are the original's times in s at the frames."""
+    """Write an Alembic file; options as in `FORMATS`. `sources` ``(T,)`` are the original's times in s at frames."""
     if sources is not None and np.shape(sources) != header.times.shape:
         raise SettingsError(f"sources are {np.size(sources)} times for {header.frame_count} frames; give one per frame")
     match = partial(match_archive, header=header)

@@ -7,8 +7,8 @@ unbound from skeletons and blend shapes. Stale velocities and accelerations are 
 
 The layer's points contain the whole motion of a mesh, so transforms above the mesh are frozen. The carrier is the
 outermost prim whose transform affects only this mesh. Operations up to the carrier keep their value at the first frame.
-Inverse operations on the carrier, with equal samples, cancel the others. ``!resetXformStack!`` is unsuitable: Blender 5
-ignores it, Hydra 2 does if it stands alone (https://github.com/PixarAnimationStudios/OpenUSD/issues/3781), and it would
+Inverse operations on the carrier, with equal samples, cancel animation above it. ``!resetXformStack!`` is unsuitable:
+Blender 5 ignores it, Hydra 2 if alone (https://github.com/PixarAnimationStudios/OpenUSD/issues/3781), and it would
 detach the mesh from referencing prims. Other motion (cameras, hair, lights, materials) keeps its times, or is retimed.
 """
 

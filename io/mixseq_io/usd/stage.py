@@ -146,7 +146,7 @@ def is_prim_path(text: str) -> bool:
 
 
 def relative_asset_path(file: Path, target: Path) -> str:
-    """Return the asset path of `file` in `target`: relative in a shared folder, absolute if symbolic links interfere."""
+    """Return the asset path of `file` in `target`: relative in a shared folder, but absolute if links interfere."""
     absolute, folder = file.absolute(), target.absolute().parent
     try:
         relative = os.path.relpath(absolute, folder)
