@@ -222,7 +222,7 @@ class OtherMotion:
             animation["samplers"].append(sampler)
 
     def warn_if_unretimed(self, path: Path, header: SequenceHeader, sources: ArrayLike | None) -> None:
-        """Warn if the sequence is retimed, or is over a frame longer than this animation."""
+        """Warn if the sequence is retimed, or extends beyond this animation by more than a frame."""
         ends = [channel.times[[0, -1]] + self.start for channel in self.channels if channel.is_animated]
         if ends:
             span = float(np.min(ends)), float(np.max(ends))

@@ -167,7 +167,7 @@ def create_animation(layout: Layout, header: SequenceHeader, keep_start: bool = 
 
 
 def choose_start(header: SequenceHeader, keep_start: bool = False) -> float:
-    """Return the time in s at key time 0: that of the first frame, since players show a static mesh before it.
+    """Return the time in s at key time 0: the first frame's time, since players show a static mesh before it.
 
     With `keep_start` it is 0, except for times below 0 and for a single frame, whose time glTF cannot store.
     """

@@ -1,8 +1,8 @@
 """Reader of glTF files (.gltf, .glb): skinned, morphed and moving meshes in world space.
 
-Frames are at all keys of the selected meshes, or at a given rate. If animation may move points along arcs, gaps between
-keys are filled with frames (`mixseq_io.gltf.animation.insert_frames`); only translations and linear morph weights do
-not. Key times are float32, so frame times within float32 rounding of the frame grid are snapped to it. Vertices are
+Frames are at all keys of the selected meshes, or at a given rate. If anything except translations and linear morph
+weights is animated, points may move along arcs, and `mixseq_io.gltf.animation.insert_frames` fills gaps between keys.
+Key times are float32, so frame times within float32 rounding of the frame grid are snapped to it. Split vertices are
 welded (`mixseq_io.gltf.primitives`). Points are computed in float64 and rounded to float32. A .glb with a mesh sequence
 (`mixseq_io.gltf.mesh_sequence`) is decoded as a compressed model.
 

@@ -2,9 +2,9 @@
 
 A copy keeps all contents outside the sequence. Meshes of the sequence get world-space positions, and new normals if
 they had normals; skins, morph targets and tangents are removed. Primitives and vertex order stay. The nodes of these
-meshes get the inverse of their parents' transform. If a parent is animated or shears, the node becomes a root of the
-scene, and several such nodes get a common root; their former children stay in the tree. The sequence, with the
-animation of other nodes, replaces all animations. Unreferenced data are removed, so rewriting does not grow the file.
+meshes get the inverse of their parents' transform. If a parent is animated or shears, the node becomes the first root
+of the scene, or several such nodes get a common root; former children stay in place. The sequence, with the animation
+of other nodes, replaces all animations. Unreferenced data are removed, so rewriting does not grow the file.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
