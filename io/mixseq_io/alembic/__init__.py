@@ -1,5 +1,5 @@
 """Alembic caches (.abc) in Ogawa files.
 
-`library`: access to the binding; `samples`: times, transforms and paths; `reader`; `writer`; `overlay`: meshes of a
-written archive, alone or in a copy of the original.
+`library` accesses Alembic's Python binding, `samples` has times, transforms and paths, and `overlay` the meshes of a
+written archive, new or in a copy of the original. `reader` and `writer` use these modules.
 """

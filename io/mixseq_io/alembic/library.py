@@ -1,4 +1,4 @@
-"""Access to alembic3d, the official binding of Alembic as a package: archives, errors, and arrays of its `imath`.
+"""Access to alembic3d, a package of Alembic's official Python binding: archives, errors, and `imath` arrays.
 
 Specification: https://docs.alembic.io/python/alembic.html, https://docs.alembic.io/reference/index.html
 """
@@ -29,10 +29,10 @@ LIBRARY_ERRORS: tuple[type[Exception], ...] = (
     LookupError,
     ArithmeticError,
 )
-"""Exceptions of the library for damaged files, and of conversions of their values."""
+"""Exceptions that the library or value conversions raise for damaged files."""
 
 _COLOUR_CHANNELS = {imath.C3fArray: "rgb", imath.C4fArray: "rgba"}
-"""Colour arrays, which NumPy can only access by channel."""
+"""Types of colour arrays; NumPy can access these arrays only by channel."""
 
 _HEADER_BYTES = 16
 """Size of an Ogawa header: "Ogawa", 255 if the file is complete, version (2 bytes), offset of the root group (8)."""
@@ -54,7 +54,7 @@ def open_archive(path: Path) -> Any:
 
 
 def sample_selector(sampled: Any, sample: int) -> Any:
-    """Return the selector of a sample by its time, since Python's constructor takes indices for times."""
+    """Return the selector of a sample by its time, since Python's constructor interprets an index as a time."""
     time = sampled.getTimeSampling().getSampleTime(sample)
     return Abc.ISampleSelector(time, Abc.ISampleSelector.TimeIndexType.kNearIndex)
 
@@ -65,7 +65,7 @@ def sample_length(array: Any, sample: int) -> int:
 
 
 def read_sample(array: Any, sample: int, file_size: int) -> NDArray[Any]:
-    """Return an array sample ``(n,)`` or ``(n, k)`` of a file of a size in bytes."""
+    """Return an array sample ``(n,)`` or ``(n, k)``; check its size against the file size in bytes."""
     stored = read_imath_sample(array, sample, file_size)
     channels = _COLOUR_CHANNELS.get(type(stored))
     if channels:
@@ -74,7 +74,7 @@ def read_sample(array: Any, sample: int, file_size: int) -> NDArray[Any]:
 
 
 def read_imath_sample(array: Any, sample: int, file_size: int) -> Any:
-    """Return an array sample as an array of imath; see `read_sample`."""
+    """Return an array sample as an imath array; see `read_sample`."""
     count = sample_length(array, sample)
     if count * array.getDataType().getNumBytes() > file_size:
         raise FormatError(f"an array claims {count} values, more than the file can hold; it is damaged")
@@ -82,13 +82,13 @@ def read_imath_sample(array: Any, sample: int, file_size: int) -> Any:
 
 
 def create_array(kind: Any, rows: ArrayLike) -> Any:
-    """Create an array of a type of imath, such as ``V3fArray``, from rows ``(n, k)``."""
+    """Create an imath array of a type such as ``V3fArray`` from rows ``(n, k)``."""
     values = np.asarray(rows)
     array = kind(len(values))
     if kind in _COLOUR_CHANNELS:
         for channel, column in zip(_COLOUR_CHANNELS[kind], values.T, strict=False):
             np.asarray(getattr(array, channel))[...] = column
-    elif kind is imath.UnsignedIntArray:  # not accessible to NumPy
+    elif kind is imath.UnsignedIntArray:  # NumPy cannot access this type
         for index, value in enumerate(values.tolist()):
             array[index] = value
     elif len(values):

@@ -1,8 +1,8 @@
-"""Meshes of written Alembic archives: new ones, or those of a copy of the original with new points.
+"""Meshes of written Alembic archives: new meshes, or meshes with new points in a copy of the original.
 
-The original is copied object by object and property by property, with metadata, which determine the kind of an object,
-and sample times; instances stay instances. Points are in mesh space below the archive's transforms, and marked so that
-readers use only their times for frames. Existing normals are recomputed; all other contents stay.
+All objects and properties of the original are copied with their sample times and metadata, which determine an object's
+type; instances stay instances. New points are in mesh space below the archive's transforms. Meshes with new points are
+marked, so that only these points determine the frames. Existing normals are recomputed; all other contents stay.
 
 Specification: https://docs.alembic.io/reference/index.html (``Abc``)
 """
@@ -66,33 +66,33 @@ _RGB_TYPES = (AbcGeom.OC3fGeomParam, AbcGeom.OC3fGeomParamSample, imath.C3fArray
 _RGBA_TYPES = (AbcGeom.OC4fGeomParam, AbcGeom.OC4fGeomParamSample, imath.C4fArray)
 
 _SAMPLE_OVERHEAD_BYTES = 300
-"""Size of a frame's keys, sizes, offsets and bounds."""
+"""Upper bound in bytes on a frame's keys, sizes, offsets and bounds in the file."""
 
 _OBJECT_OVERHEAD_BYTES = 8000
-"""Size of an object's names and headers."""
+"""Upper bound in bytes on an object's names and headers in the file."""
 
 
 @dataclass(frozen=True, eq=False)
 class NewMesh:
-    """Mesh of a new archive, before it is created at a path."""
+    """Mesh of a new archive, to be created at a path."""
 
     scene_mesh: SceneMesh
     path: ObjectPath
 
     @property
     def is_subdivided(self) -> bool:
-        """Whether it becomes a SubD, which has no normals."""
+        """Whether the mesh becomes a SubD, which has no normals."""
         return self.scene_mesh.subdivision != "none"
 
     def create(self, parent: Any, sampling: int) -> NewMeshWriter:
-        """Create the object and its face sets, without samples."""
+        """Create the mesh object with its face sets and colours, without samples."""
         mesh = (AbcGeom.OSubD if self.is_subdivided else AbcGeom.OPolyMesh)(parent, self.path[-1], sampling)
         face_sets = self.scene_mesh.face_sets
         members = np.concatenate([each.polygons for each in face_sets]) if face_sets else np.zeros(0)
         is_exclusive = len(np.unique(members)) == len(members)
         for each, name in zip(face_sets, make_unique_names(each.name for each in face_sets), strict=True):
             node = mesh.getSchema().createFaceSet(name)
-            polygons = create_array(imath.IntArray, each.polygons)  # kept alive until it is set
+            polygons = create_array(imath.IntArray, each.polygons)  # must be alive until the sample is set
             node.getSchema().set(AbcGeom.OFaceSetSchemaSample(polygons))
             if is_exclusive:
                 node.getSchema().setFaceExclusivity(AbcGeom.FaceSetExclusivity.kFaceSetExclusive)
@@ -103,16 +103,16 @@ class NewMesh:
         return NewMeshWriter(self, mesh)
 
     def _add_colours(self, schema: Any, colours: CornerValues) -> None:
-        """Add constant colours, without alpha if all are opaque."""
+        """Add constant colours, without alpha if all colours are opaque."""
         is_opaque = bool((colours.values[:, 3] == 1).all())
         parameter_type, sample_type, array_type = _RGB_TYPES if is_opaque else _RGBA_TYPES
-        values = create_array(array_type, colours.values)  # kept alive until they are set
+        values = create_array(array_type, colours.values)  # must be alive until the sample is set
         indices = create_array(imath.UnsignedIntArray, colours.indices[self._order])
         parameter = parameter_type(schema.getArbGeomParams(), COLOUR_PARAMETER, True, _CORNER_SCOPE, 1)
         parameter.set(sample_type(values, indices, _CORNER_SCOPE))
 
     def create_sample(self, positions: Any, is_first: bool) -> Any:
-        """Create a sample of points; the first one includes constant properties."""
+        """Create a sample of points; the first sample includes constant properties."""
         sample = AbcGeom.OSubDSchemaSample() if self.is_subdivided else AbcGeom.OPolyMeshSchemaSample()
         sample.setPositions(positions)
         if is_first:
@@ -141,7 +141,7 @@ class NewMesh:
 
     @cached_property
     def _arrays(self) -> dict[str, Any]:
-        """Constant arrays, which samples refer to."""
+        """Constant arrays that samples refer to."""
         scene_mesh, uvs = self.scene_mesh, self.scene_mesh.uvs
         arrays = {
             "counts": create_array(imath.IntArray, scene_mesh.polygons.counts),
@@ -155,7 +155,7 @@ class NewMesh:
         return arrays
 
     def bound_size(self, frame_count: int, has_velocities: bool) -> int:
-        """Return an upper bound of the size in the file in bytes."""
+        """Return an upper bound on the mesh's size in the file in bytes."""
         mesh, colours = self.scene_mesh, self.scene_mesh.colours
         normal_count = 0 if mesh.hard_edges is None else int(mesh.hard_edges.max(initial=-1)) + 1
         vector_count = mesh.vertex_count * (2 if has_velocities else 1) + normal_count
@@ -169,7 +169,7 @@ class NewMesh:
 
 @dataclass(frozen=True, eq=False)
 class NewMeshWriter:
-    """Writer of the samples of a created mesh."""
+    """Writer of the samples of a mesh in a new archive."""
 
     new_mesh: NewMesh
     mesh: Any
@@ -207,25 +207,25 @@ def create_meshes(top: Any, new_meshes: Sequence[NewMesh], sampling: int) -> lis
 
 
 _GEOMETRY_PROPERTY = ".geom"
-"""Compound property of all kinds of meshes."""
+"""Name of the compound property that holds a mesh's schema."""
 
 _POINT_PROPERTIES = frozenset(["P", ".velocities", "N", ".selfBnds", ".childBnds"])
-"""Properties of meshes that depend on points."""
+"""Names of mesh properties that depend on the points."""
 
 _CHILD_PROPERTIES = frozenset([".childBnds"])
 _ARCHIVE_PROPERTIES = re.compile(r"\.childBnds|statistics|\d+\.samples")
-"""Properties of the top object that depend on all others, such as bounds."""
+"""Names of properties of the top object that summarise the archive, such as bounds."""
 
 
 KeptSamples = tuple[range, int]
-"""Copied samples of a property, and the index of their time sampling in the copy."""
+"""Range of a property's copied samples, and the index of their time sampling in the copy."""
 
 
 class _Copier:
     """Copier of an archive's objects, with the samples needed for frames at times ``(T,)`` in s.
 
-    `schemas` are the copied schemas of meshes at `paths`, which get new points; `spans` are the first and last times of
-    animated objects; `lost` are objects and properties without a copy.
+    The meshes at `paths` get new points, and `schemas` are their copied schemas. `spans` are the first and last sample
+    times of animated objects; `lost` are the paths of objects and properties that cannot be copied.
     """
 
     def __init__(self, copy: Any, paths: Collection[str], times: Float, file_size: int) -> None:
@@ -237,7 +237,7 @@ class _Copier:
         self.lost: list[str] = []
 
     def copy_objects(self, top: Any) -> None:
-        """Copy all objects below the top one."""
+        """Copy the properties of the top object, and all objects below it."""
         new_top = self._copy.getTop()
         for header in top.getProperties().propertyheaders:
             if not _ARCHIVE_PROPERTIES.fullmatch(header.getName()):
@@ -272,7 +272,7 @@ class _Copier:
         return copy
 
     def _copy_property(self, path: str, header: Any, source: Any, parent: Any, stale: Collection[str]) -> Any:
-        """Copy a property of an object without its `stale` children; return a compound copy."""
+        """Copy an object's property without its `stale` children; return the copy of a compound property, else None."""
         stored = source.getProperty(header.getName())
         if not header.isCompound():
             self._copy_samples(path, header, stored, parent, {})
@@ -289,7 +289,7 @@ class _Copier:
         return copy
 
     def _select(self, stored: Any) -> KeptSamples:
-        """Select the samples of a property that frames need."""
+        """Select the samples of a property that determine its values at the frames."""
         times, sampling = sample_times(stored), stored.getTimeSampling()
         kept = range(len(times))[select_samples(times, self._window)]
         if len(kept) < len(times):
@@ -299,14 +299,14 @@ class _Copier:
     def _copy_samples(
         self, path: str, header: Any, stored: Any, parent: Any, animated: Mapping[int, KeptSamples]
     ) -> None:
-        """Copy the samples of a property; of a constant one, as of an `animated` one with the same sample count."""
+        """Copy a property's samples, for constant ones as selected in an `animated` property of equal sample count."""
         property_type = Abc.OArrayProperty if header.isArray() else Abc.OScalarProperty
         is_constant, count = stored.isConstant(), stored.getNumSamples()
         kept, sampling = (animated.get(count) if is_constant else None) or self._select(stored)
         if len(kept) == count:
             sampling = self._copy.addTimeSampling(stored.getTimeSampling())
         try:
-            # An error of the first sample must not leave an empty property.
+            # The first sample is read before the property is created: an error must not leave an empty property.
             value = self._read_value(stored, kept[0]) if kept else None
             data_type, metadata = header.getDataType(), header.getMetaData()
             copy = property_type(parent, header.getName(), data_type, metadata, sampling)
@@ -336,9 +336,9 @@ def _with_ancestors(paths: Collection[str]) -> set[str]:
 
 @dataclass(frozen=True, eq=False)
 class MeshMatch:
-    """Mesh of the sequence, and the mesh of the archive whose points it replaces.
+    """Mesh of the sequence, and the matching mesh of the archive, which gets its points.
 
-    `corners` ``(C,)`` are the mesh's corners by stored ones, `transform` places the mesh in the world at the frames.
+    `corners` ``(C,)`` index the sequence's corner of each stored corner; `transform` maps mesh space to the world.
     """
 
     scene_mesh: SceneMesh
@@ -350,7 +350,7 @@ class MeshMatch:
 
 @dataclass(frozen=True, eq=False)
 class Original:
-    """Archive with the meshes of a sequence."""
+    """Original archive, with the matches of a sequence's meshes."""
 
     path: Path
     archive: Any
@@ -358,7 +358,7 @@ class Original:
 
 
 def match_archive(path: Path, header: SequenceHeader) -> Original:
-    """Open an archive, and match the meshes of a sequence with its meshes."""
+    """Open an archive, and match its meshes with the meshes of a sequence."""
     with translate_read_errors(path, "Alembic", *LIBRARY_ERRORS), prefix_errors(path):
         archive = open_archive(path)
         meshes, _ = find_meshes(path, archive)
@@ -378,7 +378,7 @@ def match_archive(path: Path, header: SequenceHeader) -> Original:
 
 
 def _match(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> MeshMatch | None:
-    """Match a mesh of the sequence with one of the archive; None if vertices or faces differ."""
+    """Match a mesh of the sequence with a mesh of the archive; return None if vertices or faces differ."""
     if sample_length(mesh.schema.getPositionsProperty(), 0) != scene_mesh.vertex_count:
         return None
     transform, source = _read_source(path, header, scene_mesh, mesh)
@@ -395,7 +395,7 @@ def _read_source(
 
 
 def _describe_difference(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> str:
-    """Describe the first difference from the only candidate mesh."""
+    """Describe the first difference between a mesh of the sequence and the only candidate mesh in the archive."""
     count = sample_length(mesh.schema.getPositionsProperty(), 0)
     if count != scene_mesh.vertex_count:
         return f"{mesh.path} has {count} vertices, the sequence {scene_mesh.vertex_count}"
@@ -405,7 +405,7 @@ def _describe_difference(path: Path, header: SequenceHeader, scene_mesh: SceneMe
 
 
 _MAX_COPY_GROWTH = 2
-"""Largest ratio of a copy's size to the archive's; moving instances become separate objects."""
+"""Largest size ratio of a copy to its archive, since moving instances become separate objects."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -420,7 +420,7 @@ class CopiedMeshWriter:
 
     @classmethod
     def create(cls, match: MeshMatch, schema: Any, sampling: int, has_velocities: bool) -> CopiedMeshWriter:
-        """Create the properties in a copied schema; `write` adds the samples."""
+        """Create the replaced properties in a copied schema; `write` adds their samples."""
         stored = match.mesh.schema
         header = stored.getPositionsProperty().getHeader()
         positions = Abc.OArrayProperty(schema, "P", header.getDataType(), header.getMetaData(), sampling)
@@ -455,14 +455,14 @@ class CopiedMeshWriter:
 
 
 def _compute_bounds(points: FloatArray) -> Any:
-    """Return the bounding box of points ``(n, 3)``, an empty one without points."""
+    """Return the bounding box of points ``(n, 3)``, or an empty box without points."""
     if not len(points):
         return imath.Box3d()
     return imath.Box3d(*(imath.V3d(*map(float, end)) for end in (points.min(axis=0), points.max(axis=0))))
 
 
 def bound_copy_size(original: Original, header: SequenceHeader, has_velocities: bool) -> int:
-    """Return an upper bound of the size of a copy in bytes."""
+    """Return an upper bound on the size of a copy in bytes."""
     vertex_count = sum(match.scene_mesh.vertex_count for match in original.matches)
     normal_count = sum(match.corners.size for match in original.matches)
     per_frame = 12 * (vertex_count * (2 if has_velocities else 1) + normal_count)
@@ -479,10 +479,10 @@ def copy_archive(
     has_velocities: bool,
     sources: ArrayLike | None = None,
 ) -> list[CopiedMeshWriter]:
-    """Copy an archive into an empty one, `copy`, and return writers of the meshes that get the sequence.
+    """Copy an archive into the empty archive `copy`, and return writers of the meshes that get new points.
 
-    `sampling` is the index of the frames' time sampling, `sources` ``(T,)`` are the archive's times in s that the
-    frames show, `path` is for warnings.
+    `sampling` is the index of the frames' time sampling, `sources` ``(T,)`` are the archive's times in s at the
+    frames, and `path` is the file name in warnings.
     """
     paths = {match.mesh.path for match in original.matches}
     copier = _Copier(copy, paths, header.times, original.path.stat().st_size)

@@ -1,11 +1,11 @@
-"""Reader of Alembic archives (.abc): meshes over time in world space.
+"""Reader of Alembic archives (.abc) as animated meshes in world space.
 
-Frames are at all samples of the points and of the transforms above, or only of the points in copies of an original
-written by mixseq; other samples are interpolated linearly. Points are float32, as in Alembic, which has no units and no
-up axis: programs assume Y up. Instances appear as ordinary objects.
+Frames are at all samples of the points and of the transforms above them. In a copy of an original written by mixseq,
+frames are at the samples of the new points only. Values between samples are interpolated linearly. Points are float32,
+as in Alembic. Alembic has no units and no up axis; programs assume Y up. Instances are read as ordinary objects.
 
-Alembic lists the corners of a face clockwise seen from outside; applications reverse them. Values are per face, vertex
-or corner (their "scope"), with or without indices.
+Alembic lists the corners of a face clockwise, seen from outside; applications reverse this order. The "scope" of values
+is per face, vertex or corner; values may be indexed.
 
 Specification: https://docs.alembic.io/reference/index.html (``IPolyMeshSchema``, ``IGeomParam``, ``IFaceSet``)
 """
@@ -66,14 +66,14 @@ _MAX_OBJECT_COUNT = 1_000_000
 _MAX_OBJECT_DEPTH = 200
 
 OVERLAY_KEY = "mixseq_laid_over"
-"""Metadata of meshes with new points in a copy: frames at times of the points, velocities as rates in mesh space."""
+"""Metadata key of meshes with new points: only these points determine frames; velocities are in mesh space."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Unread mesh in an archive, with the schemas of its points and of transforms above, the nearest first.
+    """Unread mesh in an archive, with the schemas of its points and of the transforms above, the nearest first.
 
-    It or an ancestor is hidden at all times (`is_hidden`), or at some (`has_animated_visibility`).
+    `is_hidden` and `has_animated_visibility` also apply if an ancestor of the mesh is hidden or changes visibility.
     """
 
     node: Any
@@ -85,28 +85,28 @@ class Mesh:
 
     @property
     def path(self) -> str:
-        """Full name."""
+        """Full path of the mesh in the archive."""
         return self.scene_object.path
 
     @property
     def is_subdivided(self) -> bool:
-        """Whether it is a SubD."""
+        """Whether the mesh is a SubD."""
         return bool(AbcGeom.ISubD.matches(self.node.getMetaData()))
 
     @property
     def is_overlaid(self) -> bool:
-        """Whether mixseq replaced its points in a copy of the original."""
+        """Whether mixseq has replaced the points of this mesh in a copy of the original."""
         return bool(self.node.getMetaData().get(OVERLAY_KEY))
 
     @property
     def is_moving(self) -> bool:
-        """Whether its points have several samples, even equal ones, or a transform above changes."""
+        """Whether the points have several samples, even if equal, or a transform above changes."""
         is_sampled = self.schema.getPositionsProperty().getNumSamples() > 1
         return is_sampled or not self.has_static_transforms
 
     @property
     def has_static_transforms(self) -> bool:
-        """Whether all transforms above are constant."""
+        """Whether all transforms above the mesh are constant."""
         return all(schema.isConstant() for schema in self.transforms)
 
 
@@ -148,7 +148,7 @@ def find_meshes(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
         visibility = AbcGeom.GetVisibilityProperty(node) if depth else None
         if visibility is not None and visibility.valid() and visibility.getNumSamples():
             if visibility.isConstant():
-                is_hidden |= visibility.getValue() == 0  # 1 is visible, -1 inherits
+                is_hidden |= visibility.getValue() == 0  # 0 is hidden, 1 visible, -1 inherited
             else:
                 has_animated_visibility = True
         existing = Abc.WrapExistingFlag.kWrapExisting
@@ -168,7 +168,7 @@ def find_meshes(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
 
 
 COLOUR_PARAMETER = "Cd"
-"""Name of colours among a mesh's geometry parameters."""
+"""Name of the geometry parameter for colours."""
 
 _COLOUR_TYPES = (AbcGeom.IC3fGeomParam, AbcGeom.IC4fGeomParam)
 _SCHEME_NAMES = {"catmull-clark": "catmullClark", "": "catmullClark", "loop": "loop", "bilinear": "bilinear"}
@@ -176,9 +176,9 @@ _SCHEME_NAMES = {"catmull-clark": "catmullClark", "": "catmullClark", "loop": "l
 
 @dataclass(frozen=True, eq=False)
 class MeshSource:
-    """Mesh with its vertices in the sequence, and whether transforms mirror it in the first frame.
+    """Mesh with the slice of its vertices in the sequence; `is_mirrored` refers to transforms in the first frame.
 
-    The path of the file, its size in bytes, and frame times ``(T,)`` in s are for checks and messages.
+    The file's path and size in bytes, and frame times ``(T,)`` in s, are used in checks and messages.
     """
 
     path: Path
@@ -195,7 +195,7 @@ class MeshSource:
 
 
 def read_scene_mesh(source: MeshSource) -> SceneMesh:
-    """Return a mesh, its polygons counter-clockwise seen from outside."""
+    """Return a mesh whose polygons are counter-clockwise, seen from outside."""
     schema, mesh = source.mesh.schema, source.mesh
     stored, order = stored_polygons(source)
     polygons = Polygons(stored.counts, stored.indices[order])
@@ -218,7 +218,7 @@ def read_scene_mesh(source: MeshSource) -> SceneMesh:
 
 
 def stored_polygons(source: MeshSource) -> tuple[Polygons, Index]:
-    """Return the polygons as stored, and the stored corner of each corner in mixseq's order."""
+    """Return the polygons as stored, and the index of the stored corner for each corner in mixseq's order."""
     schema = source.mesh.schema
     counts = _read_constant(source, schema.getFaceCountsProperty())
     stored = Polygons(counts, _read_constant(source, schema.getFaceIndicesProperty()))
@@ -228,7 +228,7 @@ def stored_polygons(source: MeshSource) -> tuple[Polygons, Index]:
 
 
 def _read_constant(source: MeshSource, array: Any) -> NDArray[np.int32]:
-    """Return an array of equal samples; an error if they differ."""
+    """Return an array property's constant value; raise an error if its samples differ."""
     time = _find_change(array)
     if time is not None:
         index = int(np.searchsorted(source.times, time))
@@ -240,7 +240,7 @@ def _read_constant(source: MeshSource, array: Any) -> NDArray[np.int32]:
 
 
 def _find_change(array: Any) -> float | None:
-    """Return the time in s of the first sample that differs from sample 0, None if all are equal."""
+    """Return the time in s of the first sample that differs from sample 0, or None if all samples are equal."""
     if array.isConstant():
         return None
     first = array.getKey(sample_selector(array, 0))
@@ -262,7 +262,7 @@ def _read_uvs(source: MeshSource, polygons: Polygons) -> CornerValues | None:
 
 
 def _read_colours(source: MeshSource, polygons: Polygons) -> CornerValues | None:
-    """Return the colours ``Cd``, or the first colour parameter, as RGBA."""
+    """Return the colour parameter ``Cd``, or else the first colour parameter, as RGBA."""
     parameters = source.mesh.schema.getArbGeomParams()
     headers = parameters.propertyheaders if parameters.valid() else ()
     types = {each.getName(): kind for each in headers for kind in _COLOUR_TYPES if kind.matches(each)}
@@ -288,7 +288,7 @@ def _warn_if_animated(source: MeshSource, parameter: Any, label: str) -> None:
 
 
 def _read_corner_values(source: MeshSource, parameter: Any, polygons: Polygons, label: str) -> CornerValues | None:
-    """Return a geometry parameter's first sample at the corners, in stored order, for any scope."""
+    """Return a geometry parameter's first sample, of any scope, as values at corners in stored order."""
     if not parameter.valid() or not parameter.getNumSamples():
         return None
     values = read_sample(parameter.getValueProperty(), 0, source.file_size)
@@ -304,7 +304,7 @@ def _read_corner_values(source: MeshSource, parameter: Any, polygons: Polygons, 
         scopes.kUniformScope: (len(polygons.counts), faces),
         scopes.kConstantScope: (1, np.zeros_like(faces)),
     }
-    # Without a scope, the first one of the right size.
+    # Values of unknown scope get the first scope with the right number of elements.
     fitting = (each for each in elements.values() if each[0] == len(indices))
     size, of_corner = elements.get(parameter.getScope()) or next(fitting, (-1, faces))
     is_valid = size == len(indices) and indices.min(initial=0) >= 0 and indices.max(initial=-1) < len(values)
@@ -315,7 +315,7 @@ def _read_corner_values(source: MeshSource, parameter: Any, polygons: Polygons, 
 
 
 def _read_face_sets(source: MeshSource, polygon_count: int) -> tuple[FaceSet, ...]:
-    """Return the face sets, after one of the faces with the mesh's own material."""
+    """Return the face sets, preceded by a face set for the material that is assigned to the mesh, if any."""
     face_sets = []
     for name in source.mesh.schema.getFaceSetNames():
         node = source.mesh.schema.getFaceSet(name)
@@ -333,7 +333,7 @@ def _read_face_sets(source: MeshSource, polygon_count: int) -> tuple[FaceSet, ..
 
 
 def _read_scheme(source: MeshSource) -> str:
-    """Return a SubD's scheme, Catmull-Clark for unknown ones."""
+    """Return a SubD's subdivision scheme; unknown schemes are read as Catmull-Clark."""
     scheme = source.mesh.schema.getSubdivisionSchemeProperty()
     name = scheme.getValue() if scheme.valid() and scheme.getNumSamples() else ""
     if name in _SCHEME_NAMES.values():
@@ -368,7 +368,7 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
 
 @dataclass(frozen=True, eq=False)
 class _AnimatedMesh:
-    """Mesh with the samples and transforms at each frame; `overlay_transform` if new points are below moving ones."""
+    """Mesh with samples and transforms at each frame; `overlay_transform` for new points below moving transforms."""
 
     source: MeshSource
     samples: SampleInterpolation
@@ -376,7 +376,7 @@ class _AnimatedMesh:
     overlay_transform: MeshTransform | None = None
 
     def describe_frame(self, frame: int) -> str:
-        """Describe a frame in messages."""
+        """Return a description of a frame for messages."""
         return f"the frame at {self.source.times[frame]:g} s (index {frame}) of {self.source.mesh.path}"
 
 
@@ -388,7 +388,7 @@ class _AlembicReader(SequenceReader):
         self._meshes = animated_meshes
 
     def close(self) -> None:
-        """Release the archive, which closes with the last of its objects."""
+        """Release all objects of the archive; the library then closes it."""
         super().close()
         self._meshes = []
 
@@ -405,7 +405,7 @@ class _AlembicReader(SequenceReader):
 
 
 def _choose_times(meshes: list[Mesh]) -> Float:
-    """Return the times in s at which points or transforms change; of all samples if nothing does."""
+    """Return the sample times in s of animated points and transforms, or of static points if nothing is animated."""
     overlaid = [mesh for mesh in meshes if mesh.is_overlaid]
     points = [mesh.schema.getPositionsProperty() for mesh in overlaid or meshes]
     if overlaid:
@@ -417,7 +417,7 @@ def _choose_times(meshes: list[Mesh]) -> Float:
 
 
 def _locate_frames(path: Path, meshes: list[Mesh], times: Float, fps: float) -> list[_AnimatedMesh]:
-    """Locate frame times ``(T,)`` between the samples of meshes and transforms."""
+    """Locate frame times ``(T,)`` between the samples of each mesh and its transforms."""
     animated_meshes, vertex, file_size = [], 0, path.stat().st_size
     for mesh in meshes:
         points, transforms = (
@@ -439,7 +439,7 @@ def _locate_frames(path: Path, meshes: list[Mesh], times: Float, fps: float) -> 
 
 
 def _interpolate(animated: _AnimatedMesh, array: Any, frame: int, label: str) -> Single:
-    """Return an array property ``(V, 3)`` at a frame, interpolated between samples if needed."""
+    """Return the value ``(V, 3)`` of an array property at a frame, interpolated between samples if needed."""
     count = animated.source.vertex_count
     sample, weight = animated.samples.at(frame)
     arrays = [
@@ -471,7 +471,7 @@ def _read_world_points(animated: _AnimatedMesh, frame: int) -> Single:
 
 def _read_world_velocities(animated: _AnimatedMesh, frame: int) -> Single:
     velocities = animated.source.mesh.schema.getVelocitiesProperty()
-    if not velocities.valid():  # of a static mesh
+    if not velocities.valid():  # only static meshes may lack velocities
         return np.zeros((animated.source.vertex_count, 3), np.float32)
     own = _interpolate(animated, velocities, frame, "velocities")
     if animated.overlay_transform is None:

@@ -1,19 +1,19 @@
-"""Samples of properties and transforms at frame times, and paths of meshes in new archives.
+"""Evaluation of properties and transforms at frame times, and paths of meshes in new archives.
 
-Alembic properties have samples at their own times in seconds: uniform, cyclic (several per shutter), or arbitrary.
+Every Alembic property has its sample times in seconds: uniform, cyclic (several samples per shutter), or arbitrary.
 Between two samples of a transform, translation, stretch and rotation angle are interpolated linearly, as in Blender.
 Matrices act on row vectors: p' = p M.
 
-In a copy of the original, new points are in mesh space, so that other children of its transforms keep their place, and
-caches of other programs can refer to the result. With points p in mesh space and the matrix M of a frame, world points
-and velocities are
+In a copy of the original, new points are in mesh space. The transforms stay, so that their other children do not move,
+and caches of other programs can refer to the result. With points p in mesh space and the matrix M of a frame, the
+world-space points and velocities are
 
     w = p M,    w' = p' M + p M'.
 
-M' is the central difference over one frame, the motion of a transform while the shutter of a renderer is open.
+Here a prime is a time derivative. M' is the central difference over one frame, as during a renderer's open shutter.
 
-New archives keep original paths, by which cache modifiers of other programs refer to meshes. Other meshes are below a
-transform of their name, since programs name imported objects by transforms.
+New archives keep original paths, since cache modifiers of other programs refer to meshes by path. A mesh without an
+original path is below a transform with the name of the mesh, since programs name imported objects after transforms.
 
 Specification: https://docs.alembic.io/reference/index.html (``TimeSampling``, ``IXformSchema``)
 """
@@ -38,13 +38,13 @@ from mixseq_io.alembic.library import AbcCoreAbstract, sample_selector
 from mixseq_io.scene_meshes import SceneMesh
 
 ObjectPath = tuple[str, ...]
-"""Names of transforms from the root to a mesh, and of the mesh."""
+"""Names of the transforms from the root to a mesh, followed by the name of the mesh."""
 
 
 def choose_paths(header: SequenceHeader, scene_meshes: Sequence[SceneMesh]) -> list[ObjectPath]:
-    """Return the paths of all meshes in a new archive: ``/<name>/<object>/<object>``, or their own.
+    """Return the paths of all meshes in a new archive: the original paths, or ``/<name>/<object>/<object>``.
 
-    Own paths are kept if all meshes have one with a transform, and their common ancestor is named as the sequence.
+    Original paths are kept if all contain a transform, and the common ancestor, if any, has the sequence's name.
     """
     own = [tuple(mesh.path.split("/")[1:]) for mesh in scene_meshes if mesh.path.startswith("/")]
     if len(own) == len(scene_meshes) and _are_valid_paths(own) and _common_name(own) in ("", header.name):
@@ -56,7 +56,7 @@ def choose_paths(header: SequenceHeader, scene_meshes: Sequence[SceneMesh]) -> l
 
 
 def _are_valid_paths(paths: Sequence[ObjectPath]) -> bool:
-    """Whether each mesh is below a named transform, and none below another mesh."""
+    """Whether each mesh is below a named transform, and no mesh is below another mesh."""
     meshes = set(paths)
     ancestors = {path[:end] for path in meshes for end in range(1, len(path))}
     is_named = all(len(path) > 1 and all(path) for path in meshes)
@@ -64,18 +64,18 @@ def _are_valid_paths(paths: Sequence[ObjectPath]) -> bool:
 
 
 def _common_name(paths: Sequence[ObjectPath]) -> str:
-    """Return the name that readers give the sequence: of its only mesh, or of the common ancestor."""
+    """Return the name that readers give the sequence: the name of its only mesh, or of the common ancestor."""
     shared = list(takewhile(lambda names: len(set(names)) == 1, zip(*paths, strict=False)))
     return shared[-1][0] if shared else ""
 
 
 def make_valid_name(name: str) -> str:
-    """Return an object name without slashes, "mesh" for an empty one."""
+    """Return an object name without slashes, or "mesh" for an empty name."""
     return name.replace("/", "_") or "mesh"
 
 
 def make_unique_names(names: Iterable[str]) -> list[str]:
-    """Return valid names, repeated ones with a number: "a", "a_2"."""
+    """Return valid unique names; repeated names get a number: "a", "a_2"."""
     unique: dict[str, None] = {}
     numbers: dict[str, int] = {}
     for name in map(make_valid_name, names):
@@ -89,7 +89,7 @@ def make_unique_names(names: Iterable[str]) -> list[str]:
 
 
 TIME_TOLERANCE = 0.999e-6
-"""Distance in seconds below which times are equal."""
+"""Distance in seconds below which times count as equal."""
 
 _MAX_SAMPLE_COUNT = 1_000_000
 _COMMON_FRAME_RATES = (24, 25, 30, 48, 50, 60, *NTSC_RATES, 100, 120, 240)
@@ -111,7 +111,7 @@ def sample_times(sampled: Any) -> Float:
 
 
 def select_samples(times: Float, window: tuple[float, float]) -> slice:
-    """Return the slice of samples that determine values within a time window; all if none is inside.
+    """Return the slice of samples that determine values within a time window, or all if no sample time is inside.
 
     Examples
     --------
@@ -127,7 +127,7 @@ def select_samples(times: Float, window: tuple[float, float]) -> slice:
 
 
 def create_time_sampling(times: Float, step: float) -> Any:
-    """Return the sampling of times ``(N,)``: uniform, with `step` if it fits, or of arbitrary times."""
+    """Return a time sampling of times ``(N,)``: uniform (with `step` in s if it fits), or arbitrary."""
     if len(times) > 1:
         mean = float(times[-1] - times[0]) / (len(times) - 1)
         step = step if np.isclose(mean, step, rtol=1e-9, atol=0) else mean
@@ -141,13 +141,13 @@ def create_time_sampling(times: Float, step: float) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class SampleInterpolation:
-    """Sample before every frame ``(T,)``, and the weight of the next one."""
+    """Index of the sample before every frame ``(T,)``, and the weight of the next sample."""
 
     before: Index
     weight: Float
 
     def at(self, frame: int) -> tuple[int, float]:
-        """Return the sample before a frame, and the weight of the next one."""
+        """Return the index of the sample before a frame, and the weight of the next sample."""
         return int(self.before[frame]), float(self.weight[frame])
 
 
@@ -162,7 +162,7 @@ def locate_samples(times: Float, frames: Float) -> SampleInterpolation:
 
 
 def estimate_frame_rate(times: Float, declared: str) -> float:
-    """Return the frame rate of times ``(T,)``: declared, of uniform times, or of a common grid.
+    """Return the frame rate of times ``(T,)``: the declared rate, the rate of uniform times, or a common rate.
 
     Examples
     --------
@@ -186,14 +186,14 @@ def estimate_frame_rate(times: Float, declared: str) -> float:
 
 
 def _undo_rounding(rate: float, tolerance: float) -> float:
-    """Return a rate before rounding by a reciprocal or a text, such as 29.97 or 30000/1001."""
+    """Return a simple rate, such as 29.97 or 30000/1001, if it differs by the rounding of a reciprocal or a text."""
     simple = float(Fraction(rate).limit_denominator(1001))
     return simple if np.isclose(simple, rate, rtol=tolerance, atol=0) else float(f"{rate:.12g}")
 
 
 @dataclass(frozen=True, eq=False)
 class Transforms:
-    """Transforms from a mesh to the world, the nearest to the mesh first, with their samples at frames."""
+    """Transforms from a mesh to the world, the nearest to the mesh first, with the samples located at the frames."""
 
     samples: tuple[tuple[Any, SampleInterpolation], ...]
 
@@ -201,7 +201,7 @@ class Transforms:
     def from_schemas(
         cls, schemas: tuple[Any, ...], frames: Float, window: tuple[float, float] | None = None
     ) -> Transforms:
-        """Locate frames ``(T,)`` between the samples of transforms, all or those for a time window."""
+        """Locate frame times ``(T,)`` between the samples of transforms, limited to a time window if one is given."""
         samples = []
         for schema in schemas:
             times = np.zeros(1) if schema.isConstant() else sample_times(schema)
@@ -211,7 +211,7 @@ class Transforms:
         return cls(tuple(samples))
 
     def to_world(self, frame: int) -> Float:
-        """Return the matrix ``(4, 4)`` of a frame."""
+        """Return the mesh-to-world matrix ``(4, 4)`` of a frame."""
         world = np.eye(4)
         for schema, samples in self.samples:
             matrix, inherits = _local_matrix(schema, *samples.at(frame))
@@ -223,7 +223,7 @@ class Transforms:
 
 
 def _local_matrix(schema: Any, before: int, weight: float) -> tuple[Float, bool]:
-    """Return the parent-relative matrix ``(4, 4)`` of a transform, and whether it inherits its ancestors'."""
+    """Return the parent-relative matrix ``(4, 4)`` of a transform, and whether it inherits ancestor transforms."""
     if not schema.getNumSamples():
         return np.eye(4), True
     first = schema.getValue(sample_selector(schema, before))
@@ -235,7 +235,7 @@ def _local_matrix(schema: Any, before: int, weight: float) -> tuple[Float, bool]
 
 
 def determinant(matrix: Float) -> float:
-    """Return the determinant of a matrix's ``(3, 3)`` part, negative for mirroring."""
+    """Return the determinant of a matrix's linear part ``(3, 3)``, which is negative for mirroring."""
     with np.errstate(all="ignore"):
         return float(np.linalg.det(matrix[:3, :3]))
 
@@ -246,14 +246,14 @@ def interpolate_matrices(first: Float, second: Float, weight: float) -> Float:
         return np.full((4, 4), np.nan)  # the reader reports the frame and the vertex
     blend = (1 - weight) * first + weight * second
     rotations = nearest_rotations(np.stack([first[:3, :3], second[:3, :3]]))
-    stretches = np.stack([first[:3, :3], second[:3, :3]]) @ rotations.swapaxes(1, 2)  # before rotations
+    stretches = np.stack([first[:3, :3], second[:3, :3]]) @ rotations.swapaxes(1, 2)  # applied before the rotations
     step = rotvec_to_matrix(weight * matrix_to_rotvec(rotations[0].T @ rotations[1]))
     blend[:3, :3] = ((1 - weight) * stretches[0] + weight * stretches[1]) @ rotations[0] @ step
     return blend
 
 
 def transform_points(points: FloatArray, matrix: Float) -> Single:
-    """Transform points ``(V, 3)`` by a matrix ``(4, 4)``, or vectors by its part ``(3, 3)``."""
+    """Transform points ``(V, 3)`` by a matrix ``(4, 4)``, or vectors ``(V, 3)`` by a linear matrix ``(3, 3)``."""
     if np.array_equal(matrix, np.eye(len(matrix))):
         return np.asarray(points, dtype=np.float32)
     with np.errstate(all="ignore"):  # the reader reports overflow with its vertex
@@ -264,12 +264,12 @@ def transform_points(points: FloatArray, matrix: Float) -> Single:
 
 
 _MIN_RELATIVE_DETERMINANT = 1e-12
-"""Smallest determinant of an invertible matrix, relative to the cube of its largest element."""
+"""Lower bound on the determinant of an invertible matrix, relative to the cube of its largest element."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeshTransform:
-    """Matrices ``(T, 4, 4)`` from mesh space to the world, and their time derivatives."""
+    """Matrices ``(T, 4, 4)`` from mesh space to the world, and their time derivatives `rates` per second."""
 
     matrices: Float
     rates: Float
@@ -278,7 +278,7 @@ class MeshTransform:
     def from_schemas(cls, schemas: tuple[Any, ...], frames: Float, fps: float) -> MeshTransform:
         """Evaluate transforms, the nearest to the mesh first, at frame times ``(T,)`` in seconds.
 
-        Only samples for these frames are used, so that a copy without others gives the same result.
+        Only samples from the frames' time window are used: a copy contains no others, and must give equal results.
         """
         window = float(frames[0]), float(frames[-1])
         now, before, after = (_evaluate_matrices(schemas, frames + shift / fps, window) for shift in (0.0, -0.5, 0.5))
@@ -294,21 +294,21 @@ class MeshTransform:
             raise FormatError(f"the transforms above it make it flat in frame {int(is_singular.argmax())}")
 
     def to_mesh_points(self, world: FloatArray, frame: int) -> Single:
-        """Return a frame's points ``(V, 3)`` in mesh space."""
+        """Convert a frame's world-space points ``(V, 3)`` to mesh space."""
         return transform_points(world, np.linalg.inv(self.matrices[frame]))
 
     def to_mesh_velocities(self, world: FloatArray, points: FloatArray, frame: int) -> Single:
-        """Return a frame's velocities ``(V, 3)`` in mesh space, given its points there."""
+        """Convert a frame's world-space velocities ``(V, 3)`` to mesh space, given the points in mesh space."""
         inverse = np.linalg.inv(self.matrices[frame])[:3, :3]
         return transform_points(world - self._transport(points, frame), inverse)
 
     def to_world_velocities(self, own: FloatArray, points: FloatArray, frame: int) -> Single:
-        """Return a frame's world velocities ``(V, 3)``, given those and the points in mesh space."""
+        """Convert a frame's mesh-space velocities ``(V, 3)`` to world space, given the points in mesh space."""
         rotated = own.astype(np.float64) @ self.matrices[frame, :3, :3]
         return (rotated + self._transport(points, frame)).astype(np.float32)
 
     def _transport(self, points: FloatArray, frame: int) -> Float:
-        """Return the world velocities ``(V, 3)`` of points at rest in mesh space."""
+        """Return the world-space velocities ``(V, 3)`` of points that are static in mesh space."""
         return points.astype(np.float64) @ self.rates[frame, :3, :3] + self.rates[frame, 3, :3]
 
 

@@ -1,8 +1,8 @@
 """Writer of Alembic files (.abc) in the Ogawa format.
 
-Sequences from an archive become a copy of it with new points, others a new archive with a mesh per object, SubDs if
-subdivided, else PolyMeshes. Points are float32. Texture coordinates are at corners with indices, normals at corners per
-frame where there are hard edges; face sets have assigned materials.
+A sequence from an archive becomes a copy of this archive with new points. Any other sequence becomes a new archive with
+a mesh per object: a SubD if subdivided, else a PolyMesh. Points are float32. Texture coordinates are indexed values at
+corners. Meshes with hard edges have normals at corners in every frame. Face sets have assigned materials.
 
 Specification: https://docs.alembic.io/reference/index.html
 """
@@ -52,7 +52,7 @@ def write_alembic(
     onto: str | os.PathLike[str] | None = None,
     sources: ArrayLike | None = None,
 ) -> None:
-    """Write an Alembic file; options as in `FORMATS`, `sources` ``(T,)`` are the original's times in s, to compare."""
+    """Write an Alembic file; options as in `FORMATS`. `sources` ``(T,)`` are the original's times in s at frames."""
     if sources is not None and np.shape(sources) != header.times.shape:
         raise SettingsError(f"sources are {np.size(sources)} times for {header.frame_count} frames; give one per frame")
     match = partial(match_archive, header=header)
@@ -93,7 +93,7 @@ def _write(
     has_velocities: bool,
     sources: ArrayLike | None,
 ) -> None:
-    """Write all contents; the library completes the file when its last object is released, on return."""
+    """Write all contents; on return, the archive's last object is released and the library completes the file."""
     with _translate_write_errors(path):
         archive = Abc.CreateArchiveWithInfo(str(temporary), header.fps, f"mixseq {__version__}", "")
         sampling = archive.addTimeSampling(create_time_sampling(header.times, 1 / header.fps))
@@ -112,12 +112,12 @@ def _write(
 
 
 def _check_disk_space(path: Path, size: int) -> None:
-    """Raise an error if the disk has no space for a size in bytes.
+    """Raise an error if the disk has less free space than `size` in bytes.
 
-    If a disk is full, the library ends the process by a C++ exception in a destructor.
+    On a full disk, the library would crash the process by a C++ exception in a destructor.
     """
     with path.open("wb") as file:
-        if hasattr(os, "posix_fallocate"):  # respects quotas and limits
+        if hasattr(os, "posix_fallocate"):  # respects quotas and size limits
             os.posix_fallocate(file.fileno(), 0, size)
         elif shutil.disk_usage(path.parent).free < size:
             raise OSError(ENOSPC, os.strerror(ENOSPC))

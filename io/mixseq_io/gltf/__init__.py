@@ -1,5 +1,5 @@
 """Khronos' glTF 2.0, as text (.gltf) and binary (.glb).
 
-`document`, `codecs`: JSON, buffers, compression; `scene`, `primitives`, `animation`, `reader`: reading; `new_document`,
-`edits`, `writer`, `rigs`: writing; `mesh_sequence`: compressed models.
+`document` and `codecs` access JSON, buffers and compressed data. `scene`, `primitives`, `animation` and `reader` read;
+`new_document`, `edits`, `writer` and `rigs` write. `mesh_sequence` stores compressed models.
 """

@@ -1,6 +1,6 @@
 """Animations of a glTF file: keyframes of node properties, frame times, and the points of animated meshes.
 
-World-space points result from morph targets, then from the skin, or without one from the node's transform.
+World-space points are computed by the morph targets, then by the skin, or by the node's transform if it has no skin.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#appendix-c-interpolation
 """
@@ -35,15 +35,15 @@ COMMON_FRAME_RATES = (24.0, 30.0, 25.0, 60.0, 50.0, 48.0, 120.0, 100.0, 12.0, 15
 
 _MAX_FRAME_COUNT = 1_000_000
 MAX_GRID_RATE = 60.0
-"""Highest rate in Hz of keys at frames; finer grids are hundredths of seconds or ticks."""
+"""Highest frame rate in Hz that is derived from keys; finer key grids are hundredths of seconds or ticks."""
 
 _MIN_GAP_FRAMES = 1.5
 _GRID_TOLERANCE_FRAMES = 2e-3
-"""Distance of float32 keys from the frame grid, in frames."""
+"""Largest distance in frames between a frame and a float32 key that counts as at this frame."""
 
 
 def time_tolerance(times: Float) -> Float:
-    """Return the distance ``(n,)`` in s within which times are equal: a microsecond or a float32 step."""
+    """Return the distance ``(n,)`` in s within which times count as equal: a microsecond, or a larger float32 step."""
     return np.maximum(TIME_TOLERANCE, np.spacing(np.abs(times).astype(np.float32)).astype(np.float64))
 
 
@@ -56,7 +56,7 @@ def merge_key_times(channels: Iterable[Float]) -> Float:
 
 
 def sample_times(path: Path, keys: Float, fps: float) -> Float:
-    """Return times ``(n,)`` from the first key to the last, `fps` per second."""
+    """Return frame times ``(n,)`` in s from the first key to the last, at `fps` frames per second."""
     if not (np.isfinite(fps) and fps > 0):
         raise SettingsError(f"fps is {fps}; a positive number is expected")
     if not keys.size:
@@ -71,8 +71,8 @@ def sample_times(path: Path, keys: Float, fps: float) -> Float:
 def insert_frames(keys: Float, rate: float) -> Float:
     """Insert frames into gaps between key times ``(n,)``, at least half a frame from every key.
 
-    They are at ``k / rate`` if the first key is, else at multiples of the frame duration after it. More than 100 000
-    frames are not inserted.
+    Frames are at ``k / rate`` if the first key is at such a time, else at multiples of the frame duration after this
+    key. If more than 100 000 frames would be inserted, the keys are returned unchanged.
 
     Examples
     --------
@@ -95,7 +95,7 @@ def insert_frames(keys: Float, rate: float) -> Float:
 
 
 def estimate_frame_rate(times: Float) -> float:
-    """Return the frame rate of uniform keys ``(n,)``, else of the grid that they lie on, 24 without any.
+    """Return the frame rate of uniform key times ``(n,)``, else of the common-rate grid that holds all keys, else 24.
 
     Examples
     --------
@@ -112,7 +112,7 @@ def estimate_frame_rate(times: Float) -> float:
     offsets = times - times[0]
     median = 1 / float(np.median(np.diff(times)))
     likely = [rate for rate in COMMON_FRAME_RATES if abs(rate - median) < 1e-3 * median] or [median]
-    # A few distant keys determine no rate.
+    # Keys that are few and far apart do not determine a rate by their spacing.
     for rate in (*(likely if median >= min(COMMON_FRAME_RATES) else []), *COMMON_FRAME_RATES):
         frames = offsets * rate
         if np.abs(frames - np.rint(frames)).max() < _GRID_TOLERANCE_FRAMES:
@@ -121,9 +121,9 @@ def estimate_frame_rate(times: Float) -> float:
 
 
 def _uniform_rate(times: Float) -> float | None:
-    """Return the rate of uniform float32 keys ``(n,)``, None for others and for keys far apart.
+    """Return the rate of float32 keys ``(n,)``, or None if they are not uniform or are far apart.
 
-    Of the rates that round to the same keys it is a common one, or else the one with the fewest digits.
+    Several rates round to the same keys: a common rate is preferred, then the rate with the fewest digits.
     """
     count, span = times.size - 1, float(times[-1] - times[0])
     rounding = 2 * float(np.spacing(np.float32(np.abs(times).max())))
@@ -136,10 +136,10 @@ def _uniform_rate(times: Float) -> float | None:
     if last > count:
         frames = np.arange(last - count, last + 1)
         if np.abs(times * (last / times[-1]) - frames).max() < _GRID_TOLERANCE_FRAMES:
-            rate, span = last / end, end  # more precise, from frame 0 on
+            rate, span = last / end, end  # more precise, since it counts from frame 0
     error = rate * rounding / span
     common = min((*COMMON_FRAME_RATES, round(rate * 1.001) / 1.001), key=lambda common: abs(common - rate))
-    # Includes exporters' rounding of NTSC rates to 29.97, if it displaces no key.
+    # A rate such as 29.97, rounded by exporters, becomes the NTSC rate if every key stays at its frame.
     is_rounded = snap_to_ntsc(rate) == common
     if abs(common - rate) <= max(error, _GRID_TOLERANCE_FRAMES * rate / count if is_rounded else 0.0):
         return common
@@ -150,14 +150,14 @@ def _uniform_rate(times: Float) -> float | None:
 _PROPERTY_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 _INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
 NO_ANIMATION = "none"
-"""Value of the option that selects the static nodes, mostly in the rest pose."""
+"""Value of the animation option that selects the static transforms of all nodes, usually the rest pose."""
 
 _MAX_EXTRA_NUMBER = 1e9
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """Keyframes of a node's property at times ``(n,)``: values ``(n, k)``, or ``(n, 3, k)`` with tangents."""
+    """Keyframes of a node's property at times ``(n,)``, with values ``(n, k)``, or ``(n, 3, k)`` including tangents."""
 
     node: int
     name: str
@@ -175,7 +175,7 @@ class Channel:
 
     @property
     def is_linear_motion(self) -> bool:
-        """Whether points that follow this channel alone move linearly in time between keys."""
+        """Whether points moved by this channel alone move linearly in time between keys."""
         return self.interpolation == "LINEAR" and self.name in ("translation", "weights")
 
     def evaluate(self, times: Float) -> Float:
@@ -186,7 +186,7 @@ class Channel:
         s = np.clip((times - self.times[before]) / np.where(step > 0, step, 1.0), 0.0, 1.0)[:, None]
         first, second = self.values[before].astype(np.float64), self.values[after].astype(np.float64)
         if self.interpolation == "STEP":
-            # Frames on a grid may be just before their float32 key.
+            # A frame time may be slightly before the float32 key of the same frame.
             is_at_key = (s > 0) & ((self.times[after] - times)[:, None] <= time_tolerance(times)[:, None])
             return np.where((s < 1) & ~is_at_key, first, second)
         if self.interpolation == "CUBICSPLINE":
@@ -198,7 +198,7 @@ class Channel:
 
 
 def hermite(a: Float, out_tangent: Float, b: Float, in_tangent: Float, s: Float) -> Float:
-    """Evaluate Hermite cubics from `a` to `b` ``(n, k)`` at `s` ``(n, 1)``, with tangents per step."""
+    """Evaluate Hermite cubics from `a` to `b` ``(n, k)`` at `s` ``(n, 1)``, with tangents per key interval."""
     return (
         (2 * s**3 - 3 * s**2 + 1) * a
         + (s**3 - 2 * s**2 + s) * out_tangent
@@ -208,11 +208,11 @@ def hermite(a: Float, out_tangent: Float, b: Float, in_tangent: Float, s: Float)
 
 
 _MIN_SLERP_ANGLE = 1e-6
-"""Angle in radians below which an arc is straight to rounding."""
+"""Angle in radians below which an arc differs from a straight line by rounding only."""
 
 
 def slerp(a: Float, b: Float, s: Float) -> Float:
-    """Interpolate quaternions from `a` to `b` ``(n, 4)`` on the short arc, at fractions `s` ``(n, 1)``."""
+    """Interpolate quaternions from `a` to `b` ``(n, 4)`` along the shorter arc, at fractions `s` ``(n, 1)``."""
     cosine = np.sum(a * b, axis=1, keepdims=True)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
     is_straight = angle < _MIN_SLERP_ANGLE
@@ -228,9 +228,9 @@ def evaluate_pose(channels: Collection[Channel], times: Float) -> Pose:
 
 
 def choose_animation(document: Document, choice: str | int | None) -> Fields | None:
-    """Return the animation given by name or index, by default the first; None without any or for `NO_ANIMATION`.
+    """Return the animation with a name or index, by default the first; None for `NO_ANIMATION` or if the file has none.
 
-    Names may omit a prefix that ends in "|", as in ``AnimalArmature|Gallop``. An animation may be named "none", too.
+    Names may omit a prefix that ends in "|", as in ``AnimalArmature|Gallop``. An animation named "none" has precedence.
     """
     animations = document.items("animations")
     names = [each.text("name") or f"animation {index}" for index, each in enumerate(animations)]
@@ -258,12 +258,12 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
 
 
 def _format_numbered(names: Sequence[str], first: int = 0) -> str:
-    """Format numbered names from index `first` on for a message: "1 'Dance', 2 'Death'"."""
+    """Format the names from index `first` on with their indices for a message: "1 'Dance', 2 'Death'"."""
     return format_names([f"{index} {name!r}" for index, name in enumerate(names)][first:], str)
 
 
 def read_extra_number(animation: Fields | None, name: str, above: float = -_MAX_EXTRA_NUMBER) -> float | None:
-    """Return a number in the ``extras`` of an animation, such as its "fps" or "start"; None if it is not `above`."""
+    """Return a number in an animation's ``extras``, such as "fps" or "start", or None unless it exceeds `above`."""
     extras = {} if animation is None else animation.values.get("extras")
     value = extras.get(name) if isinstance(extras, dict) else None
     if not isinstance(value, int | float) or isinstance(value, bool):
@@ -272,7 +272,7 @@ def read_extra_number(animation: Fields | None, name: str, above: float = -_MAX_
 
 
 def read_channels(document: Document, animation: Fields | None, nodes: Collection[int]) -> list[Channel]:
-    """Read the channels of an animation that target some nodes."""
+    """Read the channels of an animation that target the given nodes."""
     if animation is None:
         return []
     samplers = animation.objects("samplers")
@@ -321,7 +321,7 @@ def _read_channel(document: Document, node: int, name: str, sampler: Fields) -> 
 
 @dataclass(frozen=True, eq=False)
 class MeshSkin:
-    """Nodes of J joints, skinning weights ``(W, J)`` whose rows sum to 1, and inverse bind matrices ``(J, 4, 4)``.
+    """Skin with the nodes of J joints, weights ``(W, J)`` with row sums 1, and inverse bind matrices ``(J, 4, 4)``.
 
     Inverse bind matrices map mesh space to each joint's space in the bind pose.
     """
@@ -340,7 +340,7 @@ class MeshSkin:
 class MeshNode:
     """Node with a welded mesh: rest points ``(W, 3)``, static morph weights ``(K,)``, and optionally a skin.
 
-    A skin replaces the node's transform.
+    The transform of a node with a skin has no effect.
     """
 
     scene: Scene
@@ -356,7 +356,7 @@ class MeshNode:
         return [self.node] if self.skin is None else self.skin.joints
 
     def orientation(self, world: Mapping[int, Float]) -> Float:
-        """Return 1 as modelled, -1 mirrored or 0 flat for each frame ``(B,)``, by majority of the joints."""
+        """Return the orientation per frame ``(B,)`` by majority of the joints: 1 unmirrored, -1 mirrored, 0 flat."""
         if self.skin is None:
             return _determinant_signs(world[self.node])
         used = np.unique(self.skin.weights.indices)
@@ -364,7 +364,7 @@ class MeshNode:
         return np.asarray(np.sign(_determinant_signs(matrices[:, used]).sum(axis=1)))
 
     def world_points(self, pose: Pose, world: Mapping[int, Float], frame_count: int) -> FloatArray:
-        """Return the points ``(B, W, 3)`` of B frames in world space, given the matrices of `transform_nodes`."""
+        """Return the world-space points ``(B, W, 3)`` of B frames, given the world matrices of `transform_nodes`."""
         morphed = self._morph(pose, frame_count)
         if self.skin is None:
             matrices = np.broadcast_to(world[self.node], (frame_count, 4, 4))
@@ -394,13 +394,13 @@ def _determinant_signs(matrices: Float) -> Float:
 
 
 def _blend_linearly(points: Float, matrices: Float, weights: csr_array) -> Float:
-    """Return points ``(W, 3)`` moved by joint matrices ``(J, 12)`` with weights ``(W, J)``."""
+    """Return points ``(W, 3)`` after linear blend skinning by joint matrices ``(J, 12)`` with weights ``(W, J)``."""
     blended = (weights @ matrices).reshape(-1, 3, 4)
     return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], points) + blended[:, :, 3])
 
 
 def find_transform_nodes(document: Document, node: Fields, index: int) -> list[int]:
-    """Return the nodes whose matrices move a node's mesh: its skin's joints, or the node itself."""
+    """Return the nodes whose matrices move a node's mesh: the joints of its skin, or the node itself if unskinned."""
     skin = node.index("skin")
     if skin is None:
         return [index]
@@ -449,7 +449,7 @@ def _read_skin(document: Document, fields: Fields, weld: Weld) -> MeshSkin:
 
 
 def read_inverse_binds(document: Document, skin: Fields, count: int) -> Float:
-    """Return a skin's matrices ``(J, 4, 4)`` from mesh space to each of its `count` joints."""
+    """Return a skin's inverse bind matrices ``(J, 4, 4)`` from mesh space to each of its `count` joints."""
     binds = skin.index("inverseBindMatrices")
     if binds is None:
         return np.tile(np.eye(4), (count, 1, 1))
@@ -460,7 +460,7 @@ def read_inverse_binds(document: Document, skin: Fields, count: int) -> Float:
 
 
 def _normalise_weights(joints: Index, weights: Float, joint_count: int) -> csr_array:
-    """Return weights ``(W, J)`` with row sums 1, as in renderers; vertices without weight follow the first joint."""
+    """Return weights ``(W, J)`` with row sums 1, as in renderers; unweighted vertices get the first joint."""
     vertex_count, per_vertex = weights.shape
     sums = weights.sum(axis=1, keepdims=True)
     weights = np.where(sums != 0, weights / np.where(sums != 0, sums, 1), np.arange(per_vertex) == 0)

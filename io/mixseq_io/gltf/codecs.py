@@ -1,13 +1,13 @@
 """Buffers of glTF files: layout, writing, compression and decompression.
 
-A buffer is laid out first, then written front to back while frames arrive, with no copy in memory. All sizes and
-offsets are known beforehand, except for the bounds of the points. A ``.glb`` begins with its JSON, which is written
-last into reserved space, padded with spaces. A ``.gltf`` holds the buffer in base64 as its first member, since a single
-file can be replaced atomically.
+A buffer is laid out first, then written sequentially while frames arrive, without a copy in memory. All sizes and
+offsets are known beforehand, but the bounds of the points are not. Therefore the JSON at the start of a ``.glb`` is
+written last, into reserved space padded with spaces. A ``.gltf`` holds the buffer in base64 as its first member, since
+only a single file can be replaced atomically.
 
-Compressed files are read as uncompressed documents: views (``EXT_meshopt_compression``, ``KHR_meshopt_compression``)
-and primitives (``KHR_draco_mesh_compression``) get buffers that are unpacked when read, in a separate process, by
-meshopt and Google's DracoPy (extra `gltf`). The uncompressed form of a primitive is preferred.
+Compressed files are read as uncompressed documents. Compressed views (``EXT_meshopt_compression``,
+``KHR_meshopt_compression``) and primitives (``KHR_draco_mesh_compression``) get buffers that are unpacked on access, in
+a separate process, by meshopt and DracoPy (extra `gltf`). The uncompressed form of a primitive is preferred.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#glb-file-format-specification,
 https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Vendor/EXT_meshopt_compression/README.md,
@@ -47,13 +47,13 @@ COMPONENT_TYPES = {"f4": FLOAT_COMPONENT, "u4": UNSIGNED_COMPONENT, "u2": 5123, 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 _MAX_GLB_BYTES = 2**32 - 1
-_MAX_TEXT_BUFFER_BYTES = 384 << 20  # in base64 as long as the longest strings of browsers, 512 MiB
+_MAX_TEXT_BUFFER_BYTES = 384 << 20  # 512 MiB in base64, the longest string of browsers
 _ALIGNMENT_BYTES = 4
 _GLB_OVERHEAD_BYTES = 28
 _PLACEHOLDER_BOUNDS: Bounds = (
     [-1.2345678901234567e-100] * 3,
     [-1.2345678901234567e-100] * 3,
-)  # no float32 is longer
+)  # no float32 has a longer text
 
 
 class Layout:
@@ -65,7 +65,7 @@ class Layout:
         self.contents: list[tuple[int, Iterable[Chunk]]] = []
 
     def reserve(self, length: int, **properties: Any) -> int:
-        """Add a view of data that is written later; return its index."""
+        """Add a view whose data are written later; return its index."""
         start = _align(self.length)
         self.length = start + length
         view = {"buffer": 0, "byteOffset": start, "byteLength": length, **properties}
@@ -78,7 +78,7 @@ class Layout:
         return view
 
     def add_array(self, values: NDArray[Any], **properties: int) -> int:
-        """Add an array ``(n,)`` or ``(n, k)`` in a view of its own; return its accessor."""
+        """Add an array ``(n,)`` or ``(n, k)`` in a separate view; return its accessor's index."""
         data = np.ascontiguousarray(values)
         view = self.add([data], data.nbytes, **properties)
         width = 1 if data.ndim == 1 else data.shape[1]
@@ -86,7 +86,7 @@ class Layout:
         return self.accessor(view, len(data), kind, component=COMPONENT_TYPES[data.dtype.str[1:]])
 
     def add_points(self, points: Single) -> int:
-        """Add positions of vertices ``(n, 3)``, with their bounds; return their accessor."""
+        """Add vertex positions ``(n, 3)`` with their bounds; return their accessor's index."""
         accessor = self.add_array(points, target=ARRAY_BUFFER)
         self.set_bounds(accessor, compute_bounds(points))
         return accessor
@@ -98,7 +98,7 @@ class Layout:
         return append(self.document, "accessors", position | contents)
 
     def set_bounds(self, accessor: int, bounds: Bounds = _PLACEHOLDER_BOUNDS) -> Json:
-        """Set the bounds of an accessor, or reserve space for them; return its entry."""
+        """Set the bounds of an accessor, or reserve space for the bounds; return the accessor's JSON entry."""
         entry: Json = self.document["accessors"][accessor]
         entry["min"], entry["max"] = bounds
         return entry
@@ -110,14 +110,14 @@ def compute_bounds(points: Single) -> Bounds:
 
 
 def append(document: Json, member: str, entry: Json) -> int:
-    """Append an entry to a list of a document; return its index."""
+    """Append an entry to a list of a document; return the entry's index."""
     entries = document.setdefault(member, [])
     entries.append(entry)
     return len(entries) - 1
 
 
 def compute_glb_size(layout: Layout) -> int:
-    """Return the size of a .glb in bytes, without the document's ``buffers``, which the writer adds."""
+    """Return the size of a .glb in bytes, except for the document's ``buffers`` list, which the writer adds."""
     return _GLB_OVERHEAD_BYTES + _align(len(_encode(layout.document))) + _align(layout.length)
 
 
@@ -129,7 +129,7 @@ class BufferWriter:
         self.position = 0
 
     def put(self, offset: int, data: Iterable[Chunk]) -> None:
-        """Write the chunks of a view, which begins at `offset`."""
+        """Write the chunks of a view that begins at `offset`."""
         self._append(bytes(offset - self.position))
         for chunk in data:
             self._append(chunk.tobytes() if isinstance(chunk, np.ndarray) else bytes(chunk))
@@ -141,7 +141,7 @@ class BufferWriter:
 
 @contextmanager
 def open_buffer_writer(path: Path, temporary: Path, layout: Layout) -> Iterator[BufferWriter]:
-    """Write the data of a layout, then data put by the caller, then the final document."""
+    """Write the data of a layout; on exit from the context, complete the buffer and write the final document."""
     is_binary = path.suffix.lower() == ".glb"
     layout.document["buffers"] = [{"byteLength": layout.length}]
     _check_size(path, layout, is_binary)
@@ -171,7 +171,7 @@ def _write_text(file: IO[bytes], layout: Layout) -> Iterator[BufferWriter]:
     pending = b""
 
     def write(data: bytes) -> None:
-        """Write complete groups of three bytes as four base64 letters each."""
+        """Write data as base64, four letters per complete group of three bytes."""
         nonlocal pending
         data = pending + data
         end = len(data) // 3 * 3
@@ -222,7 +222,7 @@ def _unpack_view(document: Document, packed: Fields) -> bytes:
 def unpack_meshopt(
     path: Path, data: bytes, place: str, count: int, stride: int, mode: str, name: str
 ) -> NDArray[np.uint8]:
-    """Unpack `count` elements of `stride` bytes; damaged data may end the process."""
+    """Unpack `count` meshopt elements of `stride` bytes; damaged data may crash the process."""
     import meshopt
 
     try:
@@ -236,7 +236,7 @@ def unpack_meshopt(
 
 @dataclass(frozen=True)
 class _AccessorLayout:
-    """Layout of an accessor, and the id of its Draco attribute, None for the triangles."""
+    """Layout of an accessor, with the id of its Draco attribute, or None for the triangle indices."""
 
     unique_id: int | None
     dtype: np.dtype[Any]
@@ -252,7 +252,7 @@ class _AccessorLayout:
 def _unpack_primitive(
     document: Document, packed: Fields, layouts: Sequence[_AccessorLayout], sizes: Sequence[int]
 ) -> bytes:
-    """Return the concatenated bytes of the accessors of a Draco primitive, each padded to a size."""
+    """Return the concatenated bytes of a Draco primitive's accessors, each padded to its entry in `sizes`."""
     if find_spec("DracoPy") is None:
         raise MissingExtraError(f"{document.path} is compressed with Draco; to read it: pip install 'mixseq[gltf]'")
     data = document.read_view(document.item("bufferViews", packed.integer("bufferView")))
@@ -262,7 +262,7 @@ def _unpack_primitive(
 
 
 def decode_draco(path: Path, data: bytes, place: str, layouts: Sequence[_AccessorLayout]) -> list[NDArray[Any]]:
-    """Decode the accessors of a primitive; damaged data may end the process."""
+    """Decode the accessors of a Draco primitive; damaged data may crash the process."""
     import DracoPy
 
     fields = Fields(path, place, {})
@@ -290,7 +290,7 @@ def _convert(fields: Fields, values: NDArray[Any] | None, layout: _AccessorLayou
 
 
 _POSITION_BITS, _UV_BITS, _NORMAL_BITS = 11, 11, 7
-"""Bits per number: points are accurate to 1/4000 of the mesh's largest side, normals to one degree."""
+"""Bits per number; points are accurate to 1/4000 of the bounding box's longest edge, normals to one degree."""
 
 _MAX_COMPRESSION_LEVEL = 10
 _ATTRIBUTE_NAMES = {0: "POSITION", 1: "NORMAL", 2: "COLOR_0", 3: "TEXCOORD_0"}
@@ -299,7 +299,7 @@ _ATTRIBUTE_NAMES = {0: "POSITION", 1: "NORMAL", 2: "COLOR_0", 3: "TEXCOORD_0"}
 
 @dataclass(frozen=True, eq=False)
 class DracoTriangles:
-    """Compressed triangles, with the decoded attributes ``(n, k)`` and their Draco ids by glTF name."""
+    """Compressed triangles, with the decoded attributes ``(n, k)`` and the Draco ids of attributes by glTF name."""
 
     data: bytes
     attributes: Mapping[str, NDArray[Any]]
@@ -308,7 +308,7 @@ class DracoTriangles:
 
 
 def compress_triangles(triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> DracoTriangles:
-    """Compress triangles ``(F, 3)`` and attributes ``(n, k)`` by glTF name, colours as bytes."""
+    """Compress triangles ``(F, 3)`` and attributes ``(n, k)`` given by glTF name; store colours as bytes."""
     if find_spec("DracoPy") is None:
         raise MissingExtraError(
             "a compressed still needs DracoPy: pip install 'mixseq[gltf]', or write a plain one (--still plain)"
@@ -341,7 +341,7 @@ def compress_triangles(triangles: NDArray[np.uint32], attributes: Mapping[str, S
 
 
 def decompress_document(document: Document) -> Document:
-    """Return a document without compression, whose data are unpacked when read."""
+    """Return an uncompressed form of a document, whose compressed data are unpacked on access."""
     edit = _Decompression(document)
     for index, view in enumerate(document.items("bufferViews")):
         extensions = view.object("extensions")
@@ -356,7 +356,7 @@ def decompress_document(document: Document) -> Document:
 
 
 class _Decompression:
-    """Edit of a document that replaces compressed views and primitives."""
+    """Conversion of a document's compressed views and primitives to uncompressed ones."""
 
     def __init__(self, document: Document) -> None:
         self._compressed = document
@@ -368,7 +368,7 @@ class _Decompression:
         self._unpacked_accessors: set[int] = set()
 
     def document(self) -> Document:
-        """Return the edited document."""
+        """Return the converted document."""
         for member in ("extensionsUsed", "extensionsRequired"):
             names = self._compressed.top.texts(member)
             others = [name for name in names if name not in (DRACO_EXTENSION, *MESHOPT_EXTENSIONS)]
@@ -382,7 +382,7 @@ class _Decompression:
         return replace(self._compressed, json=self._json, unpackers=self._unpackers)
 
     def unpack_view(self, index: int, view: Fields, packed: Fields) -> None:
-        """Point a meshopt-compressed view at a buffer of unpacked data."""
+        """Let a meshopt-compressed view refer to a buffer of unpacked data."""
         count, stride = packed.integer("count"), packed.integer("byteStride")
         if stride < 1 or count * stride != view.integer("byteLength"):
             raise packed.error(
@@ -394,7 +394,7 @@ class _Decompression:
         self._json["bufferViews"][index] = {"buffer": buffer, "byteLength": count * stride, **kept}
 
     def unpack_primitive(self, mesh: int, index: int, primitive: Fields) -> None:
-        """Point accessors without data of their own at the unpacked data of a Draco primitive."""
+        """Let accessors without uncompressed data refer to the unpacked data of a Draco primitive."""
         packed = primitive.object("extensions").object(DRACO_EXTENSION)
         ids, attributes = packed.object("attributes"), primitive.object("attributes")
         position = attributes.index("POSITION")

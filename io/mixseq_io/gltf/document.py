@@ -1,4 +1,4 @@
-"""glTF files (.gltf, .glb): checked access to their JSON, kept unchanged for writers, and to the arrays in buffers.
+"""Checked access to the JSON of glTF files (.gltf, .glb), kept unchanged for writers, and to arrays in buffers.
 
 Buffers in a .glb chunk, in the JSON, or in neighbouring files are read on demand. Every count and offset is compared
 with the available bytes before an array is allocated.
@@ -31,12 +31,12 @@ from mixseq_io.files import check_memory
 from mixseq_io.reader import translate_read_errors
 
 MALFORMED_JSON_ERRORS = (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError)
-"""Exceptions of unchecked access to the JSON of damaged files, for `translate_read_errors`."""
+"""Exceptions raised by unchecked access to the JSON of damaged files, for `translate_read_errors`."""
 
 DRACO_EXTENSION = "KHR_draco_mesh_compression"
 MESHOPT_EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 SEQUENCE_EXTENSION = "MIXSEQ_mesh_sequence"
-"""Extension of meshes whose frames are compressed streams (`mixseq_io.gltf.mesh_sequence`)."""
+"""Name of the extension that stores a mesh's frames as compressed streams (`mixseq_io.gltf.mesh_sequence`)."""
 
 _APPEARANCE_PREFIXES = (
     "KHR_materials_",
@@ -59,13 +59,13 @@ _SUPPORTED_EXTENSIONS = (
 )
 
 
-_EXACT_INTEGER_END = 2**53  # of integers that all JSON readers represent exactly
+_EXACT_INTEGER_END = 2**53  # all JSON readers represent smaller integers exactly
 _MAX_JSON_NUMBER = 1e300
 
 
 @dataclass(frozen=True)
 class Fields:
-    """JSON object at a path in a file, with checked access to its members."""
+    """JSON object at a JSON path in a file, with checked access to its members."""
 
     file: Path
     place: str
@@ -75,15 +75,15 @@ class Fields:
         return key in self.values
 
     def integer(self, key: str, default: int | None = None) -> int:
-        """Return a non-negative integer; it is required without a default."""
+        """Return a non-negative integer; a missing member is an error unless a default is given."""
         return self._integer(key, self.values.get(key, default))
 
     def index(self, key: str) -> int | None:
-        """Return an index into a list of the document, None if absent."""
+        """Return an index into a list of the document, or None if absent."""
         return self.integer(key) if key in self.values else None
 
     def text(self, key: str, default: str = "") -> str:
-        """Return a string."""
+        """Return a string, or the default if absent."""
         value = self.values.get(key, default)
         return value if isinstance(value, str) else self._unexpected(key, "a string")
 
@@ -97,12 +97,12 @@ class Fields:
         return [self._integer(f"{key}[{i}]", value) for i, value in enumerate(self._list(key))]
 
     def number(self, key: str, default: float) -> float:
-        """Return a finite number, the default if absent."""
+        """Return a finite number, or the default if absent."""
         value = self.values.get(key, default)
         return float(value) if _is_number(value) else self._unexpected(key, "a finite number")
 
     def numbers(self, key: str, count: int | None = None) -> Float | None:
-        """Return a list of `count` finite numbers, None if absent."""
+        """Return a list of `count` finite numbers, or None if absent."""
         if key not in self.values:
             return None
         numbers = self._list(key)
@@ -126,7 +126,7 @@ class Fields:
         return [self._object(f"{key}[{i}]", value) for i, value in enumerate(self._list(key))]
 
     def error(self, problem: str) -> FormatError:
-        """Return an error that names this object."""
+        """Return an error whose message names this object."""
         return FormatError(f"{self.file}: {self.place} {problem}")
 
     def _list(self, key: str) -> list[Any]:
@@ -139,7 +139,7 @@ class Fields:
         return Fields(self.file, f"{self.place}.{key}".lstrip("."), value)
 
     def _integer(self, key: str, value: Any) -> int:
-        # 3.0 is an integer in JSON.
+        # JSON allows 3.0 as an integer.
         if isinstance(value, float) and value.is_integer():
             value = int(value)
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _EXACT_INTEGER_END:
@@ -161,7 +161,7 @@ def _is_number(value: Any) -> bool:
 
 
 class _File(io.FileIO):
-    """Open file, closed with its last reference; replacing the file on disk does not change its content."""
+    """Open file that closes with its last reference; its content stays if the file on disk is replaced."""
 
     def __del__(self) -> None:
         self.close()
@@ -176,11 +176,11 @@ class Data:
     size: int
 
     def part(self, start: int, size: int) -> Data:
-        """Return a range within this one."""
+        """Return a subrange of this range."""
         return Data(self.source, self.start + start, size)
 
     def read(self, start: int, size: int) -> bytes:
-        """Return `size` bytes, fewer only at the end; raise `FormatError` if the file was cut since it was opened."""
+        """Return up to `size` bytes within the range; raise `FormatError` if the file was truncated after opening."""
         size = max(0, min(size, self.size - start))
         position = self.start + start
         if isinstance(self.source, bytes):
@@ -230,7 +230,7 @@ def read_glb_chunks(path: Path, data: Data) -> tuple[bytes, Data | None]:
 
 
 def read_uri(buffer: Fields, uri: str) -> Data:
-    """Return the bytes of a data URI or of a file in the folder of the document."""
+    """Return the bytes of a data URI, or of a file in the document's folder."""
     if uri.startswith("data:"):
         header, _, data = uri.partition(",")
         if not header.endswith(";base64"):
@@ -241,7 +241,7 @@ def read_uri(buffer: Fields, uri: str) -> Data:
         except (binascii.Error, ValueError):
             raise buffer.error("is a data URI with invalid base64; it is damaged") from None
     name, folder = unquote(uri), buffer.file.parent.resolve()
-    # Relative paths only, without links out of the folder.
+    # Only relative paths are allowed, without links that leave the folder.
     if ":" in name or "\\" in name or "\0" in name or name.startswith("/") or ".." in name.split("/"):
         raise buffer.error(f"is in {name[:80]!r}; only files in the folder of the glTF file are read")
     with translate_read_errors(folder / name, "the buffer of a glTF file"):
@@ -260,7 +260,7 @@ ELEMENT_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 """Numbers per element by accessor type; meshes and animations have no MAT2 and MAT3."""
 
 _MAX_UNSTORED_NUMBERS, _MAX_NUMBERS_PER_BYTE = 10_000_000, 16
-"""Numbers allowed beyond the stored bytes, such as zeros and repeated meshes."""
+"""Limits on computed numbers that are not stored in the file, such as zeros and repeated meshes."""
 
 _LISTS = (
     "accessors",
@@ -277,7 +277,7 @@ _LISTS = (
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """glTF file with its JSON in memory and buffers read on demand, or computed by `unpackers` of their index."""
+    """glTF file with its JSON in memory; buffers are read on demand, or computed by `unpackers` (by buffer index)."""
 
     path: Path
     json: dict[str, Any]
@@ -300,14 +300,14 @@ class Document:
         return self._items[kind]
 
     def item(self, kind: str, index: int) -> Fields:
-        """Return an item of a list, see `items`."""
+        """Return the item at an index of a list; see `items`."""
         items = self._items[kind]
         if not 0 <= index < len(items):
             raise FormatError(f"{self.path}: {kind}[{index}] is referenced, but there are {len(items)} {kind}")
         return items[index]
 
     def accessor(self, index: int) -> NDArray[Any]:
-        """Return an accessor's numbers ``(n,)`` or ``(n, k)``, with sparse values, normalised integers as floats."""
+        """Return an accessor's numbers ``(n,)`` or ``(n, k)``, sparse or not; normalised integers become floats."""
         accessor = self.item("accessors", index)
         dtype, width = element_layout(accessor)
         count = accessor.integer("count")
@@ -328,12 +328,12 @@ class Document:
         """Size of the file and its buffers in bytes."""
         total = self.size
         for index, buffer in enumerate(self.items("buffers")):
-            if "uri" in buffer or (index == 0 and self.chunk is not None):  # others are computed
+            if "uri" in buffer or (index == 0 and self.chunk is not None):  # other buffers are computed
                 total += self.buffer(index).size
         return total
 
     def check_effort(self, numbers: int, label: str) -> None:
-        """Raise an error for far more numbers than the file has bytes, as in damaged or hostile files."""
+        """Raise an error if a count of numbers far exceeds the file's size, as in damaged or hostile files."""
         if numbers > _MAX_UNSTORED_NUMBERS + _MAX_NUMBERS_PER_BYTE * self.data_size:
             raise FormatError(
                 f"{self.path}: {label} have {numbers} numbers, but the file only {self.data_size} bytes; it is "
@@ -342,7 +342,7 @@ class Document:
         check_memory(self.path, 8 * numbers, label)
 
     def buffer(self, index: int) -> Data:
-        """Return the bytes of a buffer: a .glb chunk, a data URI, a neighbouring file, or computed ones."""
+        """Return the bytes of a buffer: from the .glb chunk, a data URI, a neighbouring file, or an unpacker."""
         if index in self._buffers:
             return self._buffers[index]
         buffer = self.item("buffers", index)
@@ -370,7 +370,7 @@ class Document:
         return data.read(start, length)
 
     def _read_numbers(self, owner: Fields, dtype: np.dtype[Any], shape: tuple[int, int]) -> NDArray[Any]:
-        """Return the numbers ``(n, k)`` of an accessor, or of the indices or values of a sparse one."""
+        """Return the stored numbers ``(n, k)`` of an accessor, or of the indices or values of a sparse accessor."""
         view = self.item("bufferViews", owner.integer("bufferView"))
         data = self.buffer(view.integer("buffer"))
         start, length = view.integer("byteOffset", 0), view.integer("byteLength")
@@ -386,7 +386,7 @@ class Document:
         return np.ndarray(shape, dtype, content, 0, (stride, dtype.itemsize))
 
     def _fill_sparse(self, sparse: Fields, values: NDArray[Any]) -> NDArray[Any]:
-        """Return values ``(n, k)`` with some replaced by those of a sparse accessor."""
+        """Return a copy of values ``(n, k)`` with a sparse accessor's values at its indices."""
         where = sparse.object("indices")
         dtype = COMPONENT_DTYPES.get(where.integer("componentType"), "")
         if dtype not in ("<u1", "<u2", "<u4"):
@@ -418,12 +418,12 @@ def load_document(path: Path) -> Document:
         if name not in _SUPPORTED_EXTENSIONS and not name.startswith(_APPEARANCE_PREFIXES):
             raise FormatError(f"{path} requires the extension {name[:80]}, which is not supported; export without it")
     document = Document(path, parsed, chunk, data.size)
-    document.items("nodes")  # checks all lists
+    document.items("nodes")  # this checks all lists
     return document
 
 
 def element_layout(accessor: Fields) -> tuple[np.dtype[Any], int]:
-    """Return the dtype of an accessor's components and their number per element."""
+    """Return the dtype of an accessor's components, and the number of components per element."""
     kind, shape = accessor.integer("componentType"), accessor.text("type")
     if kind not in COMPONENT_DTYPES or shape not in ELEMENT_WIDTHS:
         raise accessor.error(f"has components {kind} of type {shape[:20]!r}, which meshes and animations never have")
@@ -431,7 +431,7 @@ def element_layout(accessor: Fields) -> tuple[np.dtype[Any], int]:
 
 
 def _normalise(values: NDArray[Any]) -> Single:
-    """Return normalised integers as fractions of the largest, at least -1."""
+    """Return normalised integers as fractions of their type's maximum, at least -1."""
     if values.dtype.kind == "f":
         return values
     fractions = np.maximum(values / float(np.iinfo(values.dtype).max), -1.0)

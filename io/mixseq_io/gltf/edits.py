@@ -1,7 +1,7 @@
-"""Edits of the original glTF document that gets a sequence: nodes, unused data, images and the other animation.
+"""Edits of the original glTF document that a sequence is written into: nodes, unused data, images, other animation.
 
-The animation of other nodes (cameras, lights, other meshes) keeps its own times and is resampled at the frames of the
-sequence, so that both last as long. It is kept only if the file has a single animation.
+The animation of nodes outside the sequence (cameras, lights, other meshes) keeps its times. It is resampled at the
+frames of the sequence, so that both have equal durations. It is kept only if the file has a single animation.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from mixseq_io.originals import warn_of_unretimed_motion
 from mixseq_io.reader import warn
 from mixseq_io.scene_meshes import format_names
 
-_PRUNED_LISTS = ("meshes", "accessors", "bufferViews")  # referrers before their targets
+_PRUNED_LISTS = ("meshes", "accessors", "bufferViews")  # each list refers to the next
 
 _PRUNABLE_PREFIXES = ("KHR_node_", "KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_xmp")
-"""Beginnings of extensions without references to the pruned lists, or with those in `_iterate_references`."""
+"""Prefixes of extensions whose references to the pruned lists, if any, are in `_iterate_references`."""
 
 
 def prune(path: Path, document: Json) -> None:
-    """Remove unused meshes, accessors and buffer views from a document, and renumber the others.
+    """Remove unused meshes, accessors and buffer views from a document, and renumber the remaining ones.
 
-    Unused skins keep their joints, by which programs such as Blender recognise bones.
+    Unused skins keep their joints, since programs such as Blender recognise bones by them.
     """
     unknown = sorted(name for name in collect_extensions(document) if not name.startswith(_PRUNABLE_PREFIXES))
     if unknown:
@@ -52,7 +52,7 @@ def prune(path: Path, document: Json) -> None:
 
 
 def collect_extensions(document: Json) -> set[str]:
-    """Return the extensions used by objects of a document, declared or not."""
+    """Return the names of all extensions used in a document, declared or not."""
     names: set[str] = set()
     stack: list[Any] = [document]
     while stack:
@@ -81,7 +81,7 @@ def _prune_list(document: Json, kind: str) -> None:
 
 
 def _iterate_references(document: Json) -> Iterator[tuple[Json, str, str]]:
-    """Yield the owner, the optional member and the target list of every reference."""
+    """Yield every possible reference as its owner, its member (which may be absent) and the list it refers to."""
     for node in document.get("nodes", ()):
         yield node, "mesh", "meshes"
     for mesh in document.get("meshes", ()):
@@ -106,9 +106,9 @@ _GROUP_MEMBERS = {"name", "matrix", "translation", "rotation", "scale"}
 
 
 def detach_node(document: Json, node: int, in_place: bool = False) -> int | None:
-    """Remove a node with a mesh from the tree, or `in_place` only its transform; return its substitute.
+    """Remove a node with a mesh from the tree, or only its transform if `in_place`; return its substitute, if any.
 
-    A new node takes its place if it had children, a camera or a light, or was a joint.
+    A new node substitutes a node that has children, a camera or a light, or is a joint.
     """
     entry = document["nodes"][node]
     removed = {key: entry.pop(key) for key in list(entry) if key not in _KEPT_MEMBERS}
@@ -131,7 +131,7 @@ def detach_node(document: Json, node: int, in_place: bool = False) -> int | None
 
 
 def find_unused_root(document: Json, scene: Scene, parents: Collection[int]) -> int | None:
-    """Return the only former parent of detached nodes if it is a root and now empty (see `group_nodes`), else None."""
+    """Return the only former parent of detached nodes if it is an empty root, for `group_nodes`; else None."""
     if len(parents) != 1 or min(parents) < 0 or scene.parents[min(parents)] >= 0:
         return None
     (node,) = parents
@@ -141,7 +141,7 @@ def find_unused_root(document: Json, scene: Scene, parents: Collection[int]) -> 
 
 
 def _replace_node(owner: Json, key: str, node: int, replacement: Sequence[int]) -> None:
-    """Replace a node in a list of nodes by others; an empty list is removed, since glTF forbids it."""
+    """Replace a node in an owner's list of nodes; remove the list if it becomes empty, since glTF forbids that."""
     if node in owner.get(key, ()):
         owner[key] = [new for old in owner[key] for new in (replacement if old == node else [old])]
         if not owner[key]:
@@ -188,14 +188,14 @@ _VISIBLE_MEMBERS = ("mesh", "camera", "extensions")
 
 @dataclass(frozen=True, eq=False)
 class OtherMotion:
-    """Animation of nodes outside the sequence: their paths, channels, and the time in s of key time 0."""
+    """Animation of nodes outside the sequence: node paths, channels, and the time in s at key time 0."""
 
     paths: Sequence[str] = ()
     channels: Sequence[Channel] = ()
     start: float = 0.0
 
     def replace_nodes(self, substitutes: Mapping[int, int | None]) -> OtherMotion:
-        """Animate substitutes of nodes, without morph weights; None drops their channels."""
+        """Return the animation for substitutes of nodes, without morph weights; the substitute None drops channels."""
         channels = []
         for channel in self.channels:
             node = substitutes.get(channel.node, channel.node)
@@ -204,7 +204,7 @@ class OtherMotion:
         return replace(self, channels=channels)
 
     def add_to(self, animation: Json, layout: Layout, header: SequenceHeader) -> None:
-        """Add the channels to the sequence's animation, whose first sampler has a key at every frame."""
+        """Add the channels, resampled at all frames, to the sequence's animation, whose first sampler has the times."""
         keys = animation["samplers"][0]["input"]
         for channel in self.channels:
             values = channel.evaluate(header.times - self.start)
@@ -222,7 +222,7 @@ class OtherMotion:
             animation["samplers"].append(sampler)
 
     def warn_if_unretimed(self, path: Path, header: SequenceHeader, sources: ArrayLike | None) -> None:
-        """Warn if the sequence is retimed, or outlasts the animation by more than a frame."""
+        """Warn if the sequence is retimed, or extends beyond this animation by more than a frame."""
         ends = [channel.times[[0, -1]] + self.start for channel in self.channels if channel.is_animated]
         if ends:
             span = float(np.min(ends)), float(np.max(ends))
@@ -233,7 +233,7 @@ NO_OTHER_MOTION = OtherMotion()
 
 
 def read_other_motion(document: Document, scene: Scene, excluded: Collection[int]) -> OtherMotion:
-    """Return the animation of nodes that are not `excluded`, if the file has a single animation."""
+    """Return the animation of nodes except `excluded` if the file has a single animation, else `NO_OTHER_MOTION`."""
     animations = document.items("animations")
     if len(animations) != 1:
         return NO_OTHER_MOTION
@@ -257,5 +257,5 @@ def find_animated_nodes(document: Document, scene: Scene) -> set[int]:
 
 
 def _influencing_nodes(document: Document, scene: Scene, node: int) -> set[int]:
-    """Return a node, its skin's joints, and their ancestors."""
+    """Return a node, the nodes whose matrices move its mesh, and all ancestors of these nodes."""
     return scene.with_ancestors([node, *find_transform_nodes(document, scene.nodes[node], node)])

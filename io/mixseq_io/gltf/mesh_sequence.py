@@ -12,12 +12,12 @@
         }}                                   0, the next 80 of primitive 1, and so on
     }]
 
-Text and streams are identical to those of an HDF5 file and hold vertices, faces, texture coordinates and hard edges; of
-the primitives a decoder needs the materials only. Schema and specification: ``docs/file-format.md``.
+The text and streams are identical to the text and streams of an HDF5 file. They hold vertices, faces, texture
+coordinates and hard edges, so a decoder reads only materials from primitives. Specification: ``docs/file-format.md``.
 
-The still is the first frame as ordinary glTF, by material, for other viewers: compressed by Draco with 11 bits for
-points and 7 for normals, plain float32, or a degenerate triangle per material. Materials are copied from the original
-by name. Text and streams precede textures, for progressive loading.
+The still is the first frame as ordinary glTF primitives by material, for viewers without the extension. It is
+compressed by Draco (11 bits for points, 7 for normals), plain float32, or a degenerate triangle per material. Materials
+are copied from the original by name. The text and streams precede textures in the file, for progressive loading.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def has_sequence(path: Path) -> bool:
         if data.read(0, 4) != b"glTF":
             return False  # the glTF reader reports the error
         text, _ = read_glb_chunks(path, data)
-    if f'"{SEQUENCE_EXTENSION}"'.encode() not in text:  # without parsing most files
+    if f'"{SEQUENCE_EXTENSION}"'.encode() not in text:  # avoids parsing files without a sequence
         return False
     return next(_iterate_sequences(load_document(path)), None) is not None
 
@@ -110,7 +110,7 @@ def read_container(path: Path) -> Container:
 
 
 def overhead_size(path: Path) -> int:
-    """Return the size in bytes of the still and images in a .glb."""
+    """Return the size in bytes of a .glb's contents outside the mesh sequence, such as the still and images."""
     document = load_document(path)
     extension = _find_sequence(document)
     own = {extension.index(name) for name in ("coding", "streams")}
@@ -143,7 +143,7 @@ def _read_data(document: Document, extension: Fields, key: str) -> bytes:
 
 
 def copy_materials(layout: Layout, names: Collection[str], origin: Origin | None) -> dict[str, int]:
-    """Copy materials of the original into a document; return their indices by name."""
+    """Copy materials of the original file into a document; return the indices of the copies by name."""
     if origin is None or origin.format != "glTF" or not names:
         return {}
     path = Path(origin.path)
@@ -156,14 +156,14 @@ def copy_materials(layout: Layout, names: Collection[str], origin: Origin | None
 
 
 class _Copier:
-    """Copier of entries from an original to a new document, each once."""
+    """Copier of entries from an original to a new document; every entry is copied once."""
 
     def __init__(self, layout: Layout, original: Document) -> None:
         self._layout, self._original = layout, original
         self._copied: dict[tuple[str, int], int] = {}
 
     def copy_materials(self, names: Collection[str]) -> dict[str, int]:
-        """Copy the first material of each name; return their indices by name."""
+        """Copy the first material of each name; return the indices of the copies by name."""
         indices: dict[str, int] = {}
         for index, fields in enumerate(self._original.items("materials")):
             name = fields.text("name") or f"material {index}"
@@ -172,7 +172,7 @@ class _Copier:
         return indices
 
     def _copy(self, kind: str, index: int) -> int:
-        """Copy an entry of a list and all that it references; return its new index."""
+        """Copy an entry of a list and all entries that it references; return its new index."""
         if (kind, index) not in self._copied:
             original = self._original.top.objects(kind)[index]
             entry = deepcopy(dict(original.values))
@@ -198,7 +198,7 @@ class _Copier:
 
 
 def _iterate_references(kind: str, entry: Json) -> Iterator[tuple[Json, str, str]]:
-    """Yield the owner, the member and the target list of every reference of a material or texture."""
+    """Yield every reference of a material or texture as its owner, its member and the list it refers to."""
     if kind == "textures":
         for owner in (entry, *entry.get("extensions", {}).values()):
             if "source" in owner:
@@ -231,7 +231,7 @@ def as_one_mesh(header: SequenceHeader) -> SceneMesh:
 
 
 def encode_polygon_runs(mesh: SceneMesh) -> list[int]:
-    """Return primitives of polygons as runs: ``[0, 120, 1, 80]`` for 120 of primitive 0, then 80 of 1."""
+    """Return the primitive of each polygon as runs: ``[0, 120, 1, 80]`` is 120 polygons of primitive 0, 80 of 1."""
     primitive = np.unique(assign_face_sets(mesh), return_inverse=True)[1]
     starts = np.flatnonzero(np.diff(primitive, prepend=-1))
     counts = np.diff(starts, append=len(primitive))
@@ -259,7 +259,7 @@ def add_still(
 def _select_used(
     primitive: SplitPrimitive, positions: Single, normals: Single
 ) -> tuple[NDArray[np.uint32], dict[str, Single]]:
-    """Return the triangles ``(F, 3)`` of a primitive, and attributes ``(n, k)`` of their vertices."""
+    """Return the triangles ``(F, 3)`` of a primitive, and attributes ``(n, k)`` of the vertices in triangles."""
     used, corners = np.unique(primitive.triangles, return_inverse=True)
     attributes = {
         "POSITION": positions[primitive.vertex_ids[used]],
@@ -302,7 +302,7 @@ def _add_draco(layout: Layout, triangles: NDArray[np.uint32], attributes: Mappin
 
 
 def _add_degenerate(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
-    """Add a triangle of zeros as accessors without data, with texture coordinates that materials may need."""
+    """Add a degenerate triangle as accessors without data, with texture coordinates if the primitive has them."""
     accessors = {
         name: _add_empty_accessor(layout, 3, f"VEC{values.shape[1]}", FLOAT_COMPONENT)
         for name, values in attributes.items()
@@ -318,10 +318,10 @@ def _add_empty_accessor(layout: Layout, count: int, kind: str, component: int) -
 
 
 _MAX_TEXT_BYTES = 1000
-"""Largest size of a text, apart from long names."""
+"""Upper bound on the size of the JSON text in bytes, without long names."""
 
 _STILL_SIZE_MARGIN = 1.02
-"""Largest ratio of the sizes of stills of a decoded frame and of the frame itself."""
+"""Largest size ratio of the still of a decoded frame to the still of the exact frame."""
 
 
 def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> None:
@@ -332,14 +332,14 @@ def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> N
 def write_container(
     path: Path, container: Container, header: SequenceHeader, points: FloatArray, still: StillName
 ) -> None:
-    """Write text, streams, and a still of `points` ``(V, 3)``; see `write_sequence`."""
+    """Write a .glb with text, streams and a still of `points` ``(V, 3)``; see `write_sequence`."""
     layout = _create_layout(header, points, container, still)
     with atomic_file(path) as temporary, open_buffer_writer(path, temporary, layout):
         pass
 
 
 def bound_overhead_size(header: SequenceHeader, points: FloatArray, still: StillName) -> int:
-    """Return an upper bound in bytes of a .glb without its streams: points ``(V, 3)``."""
+    """Return an upper bound in bytes of a .glb without its streams, with a still of `points` ``(V, 3)``."""
     container = Container(bytes(_MAX_TEXT_BYTES + 6 * len(header.name)), b"")
     layout = _create_layout(header, points, container, still)
     return int(_STILL_SIZE_MARGIN * compute_glb_size(layout))

@@ -1,13 +1,13 @@
-"""New glTF documents of a sequence: a node per object, plain materials by name, frames as morph targets.
+"""New glTF documents of a sequence, with a node per object, plain named materials, and frames as morph targets.
 
-Meshes become triangles by material. Vertices are split at seams of texture coordinates, hard edges and borders of
-materials, since glTF primitives have one material and one index for all attributes. The attribute ``_VERTEX`` stores
-the sequence's vertex of each copy, so that readers can weld them again.
+Meshes become primitives of triangles, one per material. Vertices are split at seams of texture coordinates, hard edges
+and borders of materials, since glTF primitives have one material and one index for all attributes. The attribute
+``_VERTEX`` stores the sequence's vertex index of each split vertex, so that readers can weld the split vertices.
 
-The first frame is the mesh, every further frame a target: frame ``k`` is ``x_k = x_0 + sum_j w_j(t_k) d_j`` with
+The first frame is the base mesh, and every other frame a morph target: ``x_k = x_0 + sum_j w_j(t_k) d_j`` with
 ``d_j = x_j - x_0`` and weights ``w_j(t_k)`` one where ``j = k``, else zero. Viewers interpolate weights linearly
-between keys, hence points and normals too. ``x_0`` and ``d_j`` are rounded to float32: a point is off by at most 2**-24
-of its displacement since the first frame, plus its own rounding.
+between keys, and therefore points and normals. ``x_0`` and ``d_j`` are rounded to float32. The error of a point is at
+most 2**-24 of its displacement from the first frame, plus the rounding of the point.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-targets
 """
@@ -46,7 +46,7 @@ _BYTES_PER_VECTOR = 12
 
 @dataclass(frozen=True, eq=False)
 class MovingPrimitive:
-    """Primitive of a document, with the mesh vertices and shared normals ``(n,)`` of its vertices."""
+    """Primitive of a document, with the indices of the mesh vertex and shared normal ``(n,)`` of each split vertex."""
 
     entry: Json
     vertex_ids: IntArray
@@ -55,7 +55,7 @@ class MovingPrimitive:
 
 @dataclass(frozen=True, eq=False)
 class MovingMesh:
-    """Mesh of a document that gets the points of a mesh of the sequence."""
+    """Mesh of a document, and the mesh of the sequence whose points are written to it."""
 
     node: int
     scene_mesh: SceneMesh
@@ -68,7 +68,7 @@ class MovingMesh:
 
 
 class MorphFrameWriter:
-    """Writer of frames as morph targets, laid out on construction and then written in order."""
+    """Writer of frames as morph targets; the constructor lays out the buffer, then frames are written in order."""
 
     def __init__(
         self,
@@ -124,7 +124,7 @@ class MorphFrameWriter:
         return layout.document["bufferViews"][view]["byteOffset"], unbounded
 
     def write(self, frame: int, points: Single, writer: BufferWriter) -> None:
-        """Write a frame's points ``(V, 3)``; `InvalidSequenceError` if too far from the first frame for float32."""
+        """Write a frame's points ``(V, 3)``; raise `InvalidSequenceError` if displacements exceed float32."""
         normals = [mesh.compute_normals(points[None])[0] for mesh in self._meshes]
         if self._first is None:
             self._first = points.astype(np.float64), normals
@@ -149,7 +149,7 @@ class MorphFrameWriter:
 def create_animation(layout: Layout, header: SequenceHeader, keep_start: bool = False) -> tuple[int, Json]:
     """Add float32 key times ``(T,)`` of the frames; return their accessor, and an animation without channels.
 
-    Its extras are ``fps``, and ``start``, the time in s at key 0, unless it is 0.
+    The animation's extras are ``fps``, and ``start`` (the time in s at key time 0) unless this time is 0.
     """
     start = choose_start(header, keep_start)
     keys = (header.times - start).astype(np.float32)
@@ -167,9 +167,9 @@ def create_animation(layout: Layout, header: SequenceHeader, keep_start: bool = 
 
 
 def choose_start(header: SequenceHeader, keep_start: bool = False) -> float:
-    """Return the time in s of key time 0: the first frame, until which players would show a static mesh.
+    """Return the time in s at key time 0: the first frame's time, since players show a static mesh before it.
 
-    `keep_start` returns 0 unless glTF cannot store the times: those before 0, and that of a single frame.
+    With `keep_start` it is 0, except for times below 0 and for a single frame, whose time glTF cannot store.
     """
     first = float(header.times[0])
     return 0.0 if keep_start and first >= 0 and header.frame_count > 1 else first
@@ -177,10 +177,10 @@ def choose_start(header: SequenceHeader, keep_start: bool = False) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SplitPrimitive:
-    """Triangles ``(F, 3)`` of one material by n split vertices, with uvs ``(n, 2)``, v up, and colours ``(n, 4)``.
+    """Triangles ``(F, 3)`` of one material on n split vertices, with uvs ``(n, 2)`` (v up) and colours ``(n, 4)``.
 
-    The split vertices copy the mesh's `vertex_ids` ``(n,)`` and have the shared normals `normal_ids` ``(n,)``, see
-    `mixseq.mesh.measures.corner_normals`.
+    Split vertices are copies of the mesh vertices `vertex_ids` ``(n,)``, with the shared normals `normal_ids` ``(n,)``
+    (see `mixseq.mesh.measures.corner_normals`).
     """
 
     vertex_ids: IntArray
@@ -192,19 +192,19 @@ class SplitPrimitive:
 
 
 def split_primitives(mesh: SceneMesh) -> list[SplitPrimitive]:
-    """Split a mesh into primitives: one per face set in `assign_face_sets`, one for the rest.
+    """Split a mesh into primitives: one per face set in `assign_face_sets`, and one for the remaining polygons.
 
-    Vertices keep their order within a primitive. Unused vertices are in the first one, without triangles.
+    Vertices keep their order within a primitive. Vertices without polygons belong to the first primitive.
     """
     owner_of_corner = np.repeat(assign_face_sets(mesh), mesh.polygons.counts)
     layers = {name: layer for name, layer in (("uvs", mesh.uvs), ("colours", mesh.colours)) if layer is not None}
     keys = {"vertices": mesh.polygons.indices, **{name: layer.indices for name, layer in layers.items()}}
     if mesh.hard_edges is not None:
         keys["normals"] = mesh.hard_edges
-    triangles = Polygons(mesh.polygons.counts, np.arange(owner_of_corner.size)).triangles  # of corners
+    triangles = Polygons(mesh.polygons.counts, np.arange(owner_of_corner.size)).triangles  # corner indices
     unused = np.flatnonzero(np.bincount(mesh.polygons.indices, minlength=mesh.vertex_count) == 0)
     primitives: list[SplitPrimitive] = []
-    split_vertex = np.zeros(owner_of_corner.size, dtype=np.uint32)  # of corners, set owner by owner
+    split_vertex = np.zeros(owner_of_corner.size, dtype=np.uint32)  # per corner, assigned by owner
     owner_of_triangle = owner_of_corner[triangles[:, 0]]
     groups = zip(_group_by_owner(owner_of_corner), _group_by_owner(owner_of_triangle), strict=True)
     for (owner, corners), (_, own_triangles) in groups:
@@ -217,7 +217,7 @@ def split_primitives(mesh: SceneMesh) -> list[SplitPrimitive]:
         split_vertex[corners] = copies[: corners.size]
         indices = {name: key[first] for name, key in own_keys.items()}
         values = {name: layer.values[indices[name]] for name, layer in layers.items()}
-        # Unused vertices have normal 0, since normals by hard edges have other indices than vertices.
+        # Unused vertices get normal 0: with hard edges, the vertex index is not a valid normal index.
         normal_ids = np.where(first < corners.size, indices.get("normals", indices["vertices"]), 0)
         primitives.append(
             SplitPrimitive(
@@ -240,12 +240,12 @@ def _group_by_owner(owner: IntArray) -> Iterator[tuple[int, IntArray]]:
 
 
 def _unique_tuples(columns: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
-    """Return a row of each distinct tuple of columns ``(n,)``, and the index ``(n,)`` of each row's tuple."""
+    """Return a row index of each distinct tuple of columns ``(n,)``, and the tuple index ``(n,)`` of each row."""
     labels = columns[0].astype(np.int64)
     for column in columns[1:]:
         combined = labels * (int(column.max(initial=0)) + 1) + column
         labels = np.unique(combined, return_inverse=True)[1].reshape(-1)
-    if labels.max(initial=0) > _MAX_LABELS_PER_ROW * len(labels):  # few corners of a large mesh
+    if labels.max(initial=0) > _MAX_LABELS_PER_ROW * len(labels):  # sparse labels, for few corners of a large mesh
         labels = np.unique(labels, return_inverse=True)[1].reshape(-1)
     rows = np.full(int(labels.max(initial=-1)) + 1, -1)
     rows[labels] = np.arange(len(labels))
@@ -254,7 +254,7 @@ def _unique_tuples(columns: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
 
 
 def assign_face_sets(mesh: SceneMesh) -> IntArray:
-    """Return the face set of each polygon ``(P,)``, -1 for none; the first with a material, else the first."""
+    """Return the first face set of each polygon ``(P,)``, preferably with a material, or -1 without a face set."""
     owner = np.full(len(mesh.polygons.counts), -1, dtype=np.int32)
     indices = [index for index, each in enumerate(mesh.face_sets) if has_own_primitive(each, mesh)]
     for index in sorted(indices, key=lambda index: not mesh.face_sets[index].material)[::-1]:
@@ -273,7 +273,7 @@ _MAX_UINT16_INDEX = 2**16 - 1
 
 
 def create_scene(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
-    """Create a document of a sequence without frames, and its meshes; objects without polygons are left out."""
+    """Create a document of a sequence without frames, and its meshes; omit objects without polygons."""
     layout, meshes = create_meshes(header)
     root = group_nodes(layout.document, [mesh.node for mesh in meshes], header)
     layout.document["scene"], layout.document["scenes"] = 0, [{"nodes": [root]}]
@@ -292,7 +292,7 @@ def create_meshes(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
 
 
 def group_nodes(document: Json, nodes: list[int], header: SequenceHeader, unused: int | None = None) -> int:
-    """Return the root of a sequence's nodes with converted axes: the only node, or a parent (`unused` or new)."""
+    """Return the only node of a sequence, or a parent (`unused` or new) of several; the root converts the axes."""
     entry = {**name_member(header.name), "children": nodes}
     if len(nodes) == 1:
         root = nodes[0]
@@ -306,7 +306,7 @@ def group_nodes(document: Json, nodes: list[int], header: SequenceHeader, unused
 
 
 def axis_conversion(header: SequenceHeader) -> Json:
-    """Return a node's transform from a sequence's axes and units to Y up and metres; {} for the identity."""
+    """Return the node transform from a sequence's axes and units to Y up and metres, or {} for the identity."""
     columns = {"X": [(0, 1, 0), (-1, 0, 0), (0, 0, 1)], "Z": [(1, 0, 0), (0, 0, -1), (0, 1, 0)]}
     matrix = np.eye(4)
     matrix[:3, :3] = header.metres_per_unit * np.array(columns.get(header.up_axis, np.eye(3)))
@@ -314,12 +314,12 @@ def axis_conversion(header: SequenceHeader) -> Json:
 
 
 def name_member(name: str) -> Json:
-    """Return the member ``name``, {} for an empty name."""
+    """Return a JSON member ``name``, or {} for an empty name."""
     return {"name": name} if name else {}
 
 
 def material_name(face_set: FaceSet) -> str:
-    """Return a material's glTF name: the last name of its path, or the face set's name."""
+    """Return the glTF name of a face set's material: the last name in its path, or the face set's name."""
     name = face_set.material
     return (name.rstrip("/").rpartition("/")[2] if name.startswith("/") else name) or face_set.name
 
@@ -356,7 +356,7 @@ def flip_v(uvs: Single) -> Single:
 
 
 def add_colours(layout: Layout, colours: Single) -> int:
-    """Add colours ``(n, 4)``, as bytes where that is exact; return their accessor."""
+    """Add colours ``(n, 4)``, as bytes if bytes are exact; return their accessor's index."""
     exact = colours_to_exact_bytes(colours)
     accessor = layout.add_array(clip_to_unit(colours) if exact is None else exact, target=ARRAY_BUFFER)
     if exact is not None:
@@ -365,19 +365,19 @@ def add_colours(layout: Layout, colours: Single) -> int:
 
 
 def narrow_indices(indices: NDArray[np.uint32]) -> NDArray[np.uint32] | NDArray[np.uint16]:
-    """Return indices ``(n,)`` as uint16 if they fit; glTF reserves the largest number."""
+    """Return indices ``(n,)`` as uint16 if they fit; glTF reserves the largest uint16."""
     return indices.astype(np.uint16) if indices.max(initial=0) < _MAX_UINT16_INDEX else indices
 
 
 def add_vertex_numbers(layout: Layout, primitive: MovingPrimitive, vertex_count: int) -> None:
-    """Store the mesh vertex of each split vertex in ``_VERTEX``, as float32, unless the numbers are too large."""
+    """Store the mesh vertex index of each split vertex in ``_VERTEX`` if float32 can represent all indices."""
     if vertex_count <= _MAX_EXACT_FLOAT32:
         numbers = primitive.vertex_ids.astype(np.float32)
         primitive.entry["attributes"]["_VERTEX"] = layout.add_array(numbers, target=ARRAY_BUFFER)
 
 
 def add_material(document: Json, name: str, materials: dict[str, int]) -> int:
-    """Return the index of the material of a name, added if missing from the indices by name."""
+    """Return the index of the material with a name; add the material if `materials` does not list it."""
     if name not in materials:
         entry = {
             **name_member(name),

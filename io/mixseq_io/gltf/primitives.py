@@ -1,8 +1,8 @@
-r"""Primitives of a glTF mesh as arrays, and welding of the vertices that exporters split.
+r"""Primitives of a glTF mesh as arrays, and welding of vertices that exporters have split.
 
 Exporters split vertices where texture coordinates, normals or materials differ. Vertices with bit-identical position,
-joints, weights and morph deltas are welded, across all primitives; degenerate faces stay. Files written by mixseq store
-the vertices in the attribute ``_VERTEX``.
+joints, weights and morph deltas are welded across all primitives; degenerate faces are kept. Files written by mixseq
+store the index of the welded vertex in the attribute ``_VERTEX``.
 
 ``KHR_texture_transform`` with scale :math:`s`, rotation :math:`r` and offset :math:`o` maps texture coordinates (u, v),
 v downwards, to
@@ -10,8 +10,8 @@ v downwards, to
 .. math::
     u' = s_u u \cos r + s_v v \sin r + o_u, \quad v' = -s_u u \sin r + s_v v \cos r + o_v
 
-as in the specification's example and all renderers; its listing has another sign
-(https://github.com/KhronosGroup/glTF/issues/1563). The transform of the base colour's texture is used, or the first.
+as in the specification's example and all renderers; the specification's code listing has another sign
+(https://github.com/KhronosGroup/glTF/issues/1563). The transform of the base colour texture is preferred.
 
 Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_texture_transform/README.md
 """
@@ -35,7 +35,7 @@ _OTHER_TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")
 
 
 def texture_transform(document: Document, primitive: Fields) -> Float:
-    """Return the transform of TEXCOORD_0 by a primitive's material, a matrix ``(2, 3)`` with the offset last."""
+    """Return a material's transform of a primitive's TEXCOORD_0 as a matrix ``(2, 3)`` with the offset last."""
     index = primitive.index("material")
     textures = [] if index is None else _iterate_textures(document.item("materials", index))
     for texture in textures:
@@ -46,7 +46,7 @@ def texture_transform(document: Document, primitive: Fields) -> Float:
 
 
 def _iterate_textures(material: Fields) -> Iterator[Fields]:
-    """Yield the textures of a material, the base colour's first."""
+    """Yield the textures of a material, beginning with the base colour texture."""
     metallic = material.object("pbrMetallicRoughness")
     for owner, names in (
         (metallic, ("baseColorTexture", "metallicRoughnessTexture")),
@@ -83,7 +83,7 @@ class Primitive:
         return self.fields.object("attributes")
 
     def attribute(self, name: str, width: int) -> NDArray[Any] | None:
-        """Return an attribute ``(n, width)`` of the vertices, ``(n,)`` for width 1; None if absent."""
+        """Return a vertex attribute ``(n, width)``, or ``(n,)`` for width 1; return None if absent."""
         return self._read(self.attributes, name, width)
 
     def count_sets(self, name: str) -> int:
@@ -100,12 +100,12 @@ class Primitive:
 
     @property
     def number_count(self) -> int:
-        """Count of numbers in the triangles and vertex motion."""
+        """Count of numbers in the triangles, positions and other attributes that determine vertex motion."""
         per_vertex = 3 + 8 * self.count_sets("JOINTS") + 3 * len(self.targets)
         return self.triangles.size + len(self.positions) * per_vertex
 
     def deltas(self, target: int) -> NDArray[Any] | None:
-        """Return a morph target's displacements ``(n, 3)``, None if it has none."""
+        """Return a morph target's displacements ``(n, 3)``, or None if it has no displacements."""
         return self._read(self.targets[target], "POSITION", 3)
 
     def _read(self, owner: Fields, name: str, width: int) -> NDArray[Any] | None:
@@ -120,7 +120,7 @@ class Primitive:
 
 
 def _read_primitives(document: Document, mesh: int) -> tuple[list[Primitive], list[int]]:
-    """Return a mesh's primitives of triangles, and the indices of the others."""
+    """Return a mesh's triangle primitives, and the indices of all skipped primitives."""
     primitives: list[Primitive] = []
     skipped, numbers = [], 0
     for index, fields in enumerate(document.item("meshes", mesh).objects("primitives")):
@@ -172,9 +172,9 @@ def split_triangles(corners: NDArray[np.int32], mode: int) -> NDArray[np.int32]:
 
 @dataclass(frozen=True, eq=False)
 class Weld:
-    """Welded vertices of a glTF mesh: those of each primitive's vertices ``(n,)``, and the first split vertex of each.
+    """Weld of a glTF mesh: `vertex_ids` ``(n,)`` hold the welded vertex of each split vertex, per primitive.
 
-    `representatives` ``(W,)`` index the vertices of all primitives, `skipped` primitives are not triangles.
+    `representatives` ``(W,)`` index one split vertex of each welded vertex; `skipped` index primitives not read.
     """
 
     primitives: tuple[Primitive, ...]
@@ -189,13 +189,13 @@ class Weld:
 
     @cached_property
     def triangles(self) -> NDArray[np.int32]:
-        """Triangles ``(F, 3)`` of all primitives by welded vertices."""
+        """Triangles ``(F, 3)`` of all primitives as indices of welded vertices."""
         each = zip(self.primitives, self.vertex_ids, strict=True)
         return np.concatenate([vertex_ids[primitive.triangles] for primitive, vertex_ids in each])
 
 
 def weld_vertices(document: Document, mesh: int) -> Weld:
-    """Weld the vertices of a mesh, in the order of ``_VERTEX`` or of appearance."""
+    """Weld the vertices of a mesh; number welded vertices by ``_VERTEX``, or else by first appearance."""
     primitives, skipped = _read_primitives(document, mesh)
     if not primitives:
         return Weld((), tuple(skipped), (), np.zeros(0, np.int64))
@@ -210,7 +210,7 @@ def weld_vertices(document: Document, mesh: int) -> Weld:
 
 
 def _read_vertex_numbers(primitives: Sequence[Primitive]) -> IntArray | None:
-    """Return the vertices ``(n,)`` stored in ``_VERTEX``, None if they are not 0, 1, 2, ... or positions differ."""
+    """Return the indices ``(n,)`` in ``_VERTEX``, or None if numbers are missing or positions contradict them."""
     if not all("_VERTEX" in each.attributes for each in primitives):
         return None
     stored = _gather(primitives, [each.attribute("_VERTEX", 1) for each in primitives], 1)[:, 0]
@@ -230,7 +230,7 @@ def _label_by_motion(primitives: Sequence[Primitive]) -> IntArray:
 
 
 def count_targets(primitives: Sequence[Primitive]) -> int:
-    """Return the number of morph targets; an error if it differs between the primitives of a mesh."""
+    """Return the number of morph targets; raise an error if the primitives of a mesh differ in this number."""
     count = len(primitives[0].targets)
     for each in primitives:
         if len(each.targets) != count:
@@ -239,7 +239,7 @@ def count_targets(primitives: Sequence[Primitive]) -> int:
 
 
 def _welding_columns(primitives: Sequence[Primitive]) -> Iterator[NDArray[Any]]:
-    """Yield the columns ``(n, k)`` that distinguish vertices, over all primitives."""
+    """Yield columns ``(n, k)`` of values whose equality determines welding, concatenated over all primitives."""
     yield np.concatenate([each.positions for each in primitives]).astype(np.float64)
     joints, weights = read_influences(primitives)
     for joint, weight in zip(joints.T, weights.T, strict=True):
@@ -249,7 +249,7 @@ def _welding_columns(primitives: Sequence[Primitive]) -> Iterator[NDArray[Any]]:
 
 
 def read_influences(primitives: Sequence[Primitive]) -> tuple[Index, Float]:
-    """Return joints and skinning weights ``(n, 4 * sets)`` of all vertices, sorted by joint, 0 for weight 0."""
+    """Return joints sorted per vertex, and weights, ``(n, 4 * sets)``; the joint of a weight 0 is 0."""
     set_count = max(min(each.count_sets("JOINTS"), each.count_sets("WEIGHTS")) for each in primitives)
     vertex_count = sum(len(each.positions) for each in primitives)
     joints, weights = np.zeros((2, vertex_count, 4 * set_count))
@@ -271,12 +271,12 @@ def _read_joints(primitive: Primitive, index: int) -> NDArray[Any] | None:
 
 
 def read_deltas(primitives: Sequence[Primitive], target: int) -> Float:
-    """Return a morph target's displacements ``(n, 3)`` of all vertices."""
+    """Return a morph target's displacements ``(n, 3)`` for the vertices of all primitives."""
     return _gather(primitives, [each.deltas(target) for each in primitives], 3)
 
 
 def _gather(primitives: Sequence[Primitive], arrays: Sequence[NDArray[Any] | None], width: int) -> Float:
-    """Concatenate an attribute ``(n, width)`` of all primitives, 0 for primitives without."""
+    """Concatenate an attribute ``(n, width)`` of all primitives; use 0 for primitives without the attribute."""
     return np.concatenate(
         [
             np.zeros((len(each.positions), width)) if values is None else values.reshape(-1, width)

@@ -1,14 +1,14 @@
 """Reader of glTF files (.gltf, .glb): skinned, morphed and moving meshes in world space.
 
-Frames are at all keys of the selected meshes, or at a given rate. Animation other than translations and linear morph
-weights moves points along arcs, so that gaps between keys get frames (`mixseq_io.gltf.animation.insert_frames`). Keys
-are float32; frames within that rounding of the frame grid are snapped to it in float64. Split vertices are welded
-(`mixseq_io.gltf.primitives`). Points are computed in float64 and rounded to float32. A .glb with a mesh sequence
+Frames are at all keys of the selected meshes, or at a given rate. If anything except translations and linear morph
+weights is animated, points may move along arcs, and `mixseq_io.gltf.animation.insert_frames` fills gaps between keys.
+Key times are float32, so frame times within float32 rounding of the frame grid are snapped to it. Split vertices are
+welded (`mixseq_io.gltf.primitives`). Points are computed in float64 and rounded to float32. A .glb with a mesh sequence
 (`mixseq_io.gltf.mesh_sequence`) is decoded as a compressed model.
 
-In the bind pose of a skin, the inverse bind matrix :math:`I_j` maps mesh space to that of joint j, which is thus at
-:math:`I_j^{-1}` in mesh space. The node of the first joint without a parent, at :math:`W_r`, places mesh space in the
-world by :math:`W_r I_r`:
+In the bind pose of a skin, the inverse bind matrix :math:`I_j` maps mesh space to the space of joint j. The matrix of
+joint j in mesh space is therefore :math:`I_j^{-1}`. With the world matrix :math:`W_r` of the first joint r without a
+parent, :math:`W_r I_r` maps mesh space to the world, and the world matrix of joint j in the bind pose is
 
 .. math:: M_j = W_r I_r I_j^{-1}.
 
@@ -72,7 +72,7 @@ if TYPE_CHECKING:
 
 
 def _select_nodes(document: Document, scene: Scene, prim: str | None) -> list[int]:
-    """Return the nodes with meshes at or below `prim`, or all; hidden ones only if all are hidden."""
+    """Return the nodes with meshes, only those at or below `prim` if given; omit hidden nodes unless all are."""
     nodes = [node for node in scene.objects if "mesh" in scene.nodes[node]]
     if prim is not None:
         objects = [scene.objects[node] for node in nodes]
@@ -83,7 +83,7 @@ def _select_nodes(document: Document, scene: Scene, prim: str | None) -> list[in
 def _select_moving_nodes(
     document: Document, scene: Scene, nodes: Sequence[int], channels: Collection[Channel]
 ) -> list[int]:
-    """Return the nodes whose meshes move; all if none moves."""
+    """Return the nodes whose meshes move, or all nodes if no mesh moves."""
     animated = [channel for channel in channels if channel.is_animated]
     moved = {channel.node for channel in animated if channel.name != "weights"}
     morphed = {channel.node for channel in animated if channel.name == "weights"}
@@ -95,7 +95,7 @@ def _select_moving_nodes(
 
 
 def _make_scene_mesh(document: Document, mesh_node: MeshNode, first: int, mirrored: bool) -> SceneMesh:
-    """Return the mesh of a node and its surface, with vertices from `first` on."""
+    """Return the mesh of a node with its surface; its vertices are numbered from `first` on."""
     weld, scene, primitives = mesh_node.weld, mesh_node.scene, mesh_node.weld.primitives
     order = [0, 2, 1] if mirrored else [0, 1, 2]
     starts = np.cumsum([0, *(len(each.positions) for each in primitives)]).tolist()
@@ -117,7 +117,7 @@ def _make_scene_mesh(document: Document, mesh_node: MeshNode, first: int, mirror
 
 
 def _read_uvs(primitive: Primitive) -> FloatArray | None:
-    """Return TEXCOORD_0 ``(n, 2)`` after the material's transform, with v upwards, unlike in glTF."""
+    """Return TEXCOORD_0 ``(n, 2)`` after the material's texture transform, converted to v upwards."""
     uvs = primitive.attribute("TEXCOORD_0", 2)
     if uvs is None:
         return None
@@ -146,7 +146,7 @@ def _join_values(
     default: Sequence[float],
     corners: IntArray,
 ) -> CornerValues | None:
-    """Join vertex values at corners ``(C,)``, with a default for primitives without; None if none has any."""
+    """Join vertex values of primitives at corners ``(C,)``, missing values as `default`; None if all are missing."""
     if all(own is None for own in of_primitives):
         return None
     values = [
@@ -159,7 +159,7 @@ def _join_values(
 def _find_hard_edges(
     primitives: Sequence[Primitive], corners: IntArray, polygons: Polygons
 ) -> NDArray[np.int32] | None:
-    """Return the normal of every corner ``(C,)``; primitives without normals are flat-shaded, as glTF specifies."""
+    """Return the normal index of each corner ``(C,)``; primitives without normals are flat-shaded, as glTF requires."""
     normals, flat = [], []
     for each in primitives:
         own = each.attribute("NORMAL", 3)
@@ -189,7 +189,7 @@ def _make_face_sets(document: Document, primitives: Sequence[Primitive]) -> tupl
 
 
 def _skinning_of(mesh_node: MeshNode) -> Skinning:
-    """Return the joints and skinning weights of a mesh; without a skin its node is the joint."""
+    """Return the joints and skinning weights of a mesh; an unskinned mesh has its node as the only joint."""
     scene, skin = mesh_node.scene, mesh_node.skin
     if skin is None:
         return Skinning.rigid(scene.paths[mesh_node.node], mesh_node.weld.vertex_count)
@@ -210,7 +210,7 @@ def read_joints(path: Path, name: str | None) -> Skeleton:
 
 
 def _select_nodes_of_skin(document: Document, scene: Scene, skin: Fields) -> list[int]:
-    """Return the nodes of meshes bound to the joints of a skin, and of unskinned meshes below these joints."""
+    """Return the nodes with meshes bound to the joints of a skin, and nodes with unskinned meshes below the joints."""
     joints = set(read_joint_nodes(document, skin))
     nodes = _select_nodes(document, scene, None)
     nodes = [node for node in nodes if _is_bound_to(document, scene, node, joints)]
@@ -222,7 +222,7 @@ def _select_nodes_of_skin(document: Document, scene: Scene, skin: Fields) -> lis
 def _bind(document: Document, mesh_node: MeshNode, skin: Fields) -> MeshNode:
     """Return a mesh in its bind pose, bound to the first joint r without a parent.
 
-    Its matrix is :math:`I_r`, or :math:`I_r I_j^{-1} W_j^{-1} W_n` for an unskinned node n below a joint j.
+    The inverse bind matrix is :math:`I_r`, or :math:`I_r I_j^{-1} W_j^{-1} W_n` if node n is unskinned below joint j.
     """
     scene, own_skin = mesh_node.scene, mesh_node.skin
     joints = read_joint_nodes(document, skin)
@@ -249,7 +249,7 @@ def _is_bound_to(document: Document, scene: Scene, node: int, joints: Set[int]) 
 
 
 def _select_skin(document: Document, name: str | None) -> Fields:
-    """Return the first skin of a skeleton; skins with the same joints are one skeleton."""
+    """Return the first skin of the named or only skeleton; skins with the same joints form one skeleton."""
     first_skins: dict[frozenset[int], int] = {}
     for index, skin in enumerate(document.items("skins")):
         first_skins.setdefault(frozenset(read_joint_nodes(document, skin)), index)
@@ -263,7 +263,7 @@ def _select_skin(document: Document, name: str | None) -> Fields:
 
 
 def _joint_parents(scene: Scene, joints: Sequence[int]) -> list[int]:
-    """Return the index of each joint's nearest ancestor joint, -1 for none."""
+    """Return the index of each joint's nearest ancestor joint, or -1 without one."""
     index = {joint: i for i, joint in enumerate(joints)}
     return [next((index[node] for node in scene.lineage(joint)[1:] if node in index), -1) for joint in joints]
 
@@ -286,7 +286,7 @@ def open_gltf(
     path: Path, prim: str | None = None, animation: str | int | None = None, fps: float | None = None
 ) -> SequenceReader:
     """Open a glTF file."""
-    # Non-finite points are reported with their vertex when they are read.
+    # Reading a frame reports non-finite points with their vertex.
     with prefix_errors(path), np.errstate(all="ignore"):
         document = decompress_document(load_document(path))
         scene = read_scene(document)
@@ -317,7 +317,7 @@ def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
 def _choose_times(
     path: Path, channels: Sequence[Channel], fps: float | None, stored_rate: float | None
 ) -> tuple[Float, float]:
-    """Return frame times ``(T,)`` in s and the frame rate: requested, else stored in the file, else of the keys."""
+    """Return frame times ``(T,)`` in s and the frame rate: `fps`, else `stored_rate`, else estimated from the keys."""
     keys = merge_key_times(channel.times for channel in channels)
     if fps is not None:
         times = sample_times(path, keys, fps)
@@ -345,7 +345,7 @@ def _influencing_nodes(document: Document, scene: Scene, nodes: Sequence[int]) -
 def _read_mesh_nodes(
     document: Document, scene: Scene, nodes: Sequence[int], channels: Collection[Channel]
 ) -> list[MeshNode]:
-    """Return the nodes whose meshes have triangles; an error if animated weights do not fit their morph targets."""
+    """Read the nodes whose meshes have triangles; raise an error if animated weights do not match the targets."""
     welds: dict[int, Weld] = {}
     mesh_nodes, number_count = [], 0
     for node in nodes:
@@ -369,7 +369,7 @@ def _read_mesh_nodes(
 
 
 def _weld(document: Document, mesh: int) -> Weld:
-    """Weld the vertices of a mesh, with warnings of primitives and attributes that are not read."""
+    """Weld the vertices of a mesh; warn of primitives and attributes that are not read."""
     weld = weld_vertices(document, mesh)
     place = f"{document.path}: meshes[{mesh}]"
     if weld.skipped:
@@ -382,13 +382,13 @@ def _weld(document: Document, mesh: int) -> Weld:
 
 
 def _world_matrices(mesh_nodes: Sequence[MeshNode], pose: Pose) -> Mapping[int, Float]:
-    """Return the world matrices of all nodes that move meshes, with common ancestors computed once."""
+    """Return the world matrices of all nodes that move meshes; common ancestors are evaluated once."""
     nodes = (node for each in mesh_nodes for node in each.transform_nodes)
     return mesh_nodes[0].scene.world_matrices(nodes, pose)
 
 
 class _GltfReader(SequenceReader):
-    """Reader of the points of meshes at frame times ``(T,)`` in s; `start` is added to those of the header."""
+    """Reader of mesh points at animation times ``(T,)`` in s; the header's times are these plus `start`."""
 
     def __init__(
         self,
@@ -419,7 +419,7 @@ class _GltfReader(SequenceReader):
         )
         super().__init__(path, header)
         self._mesh_nodes, self._is_mirrored, self._channels = mesh_nodes, is_mirrored, channels
-        self._times = times  # without start, not snapped to frames
+        self._times = times  # animation times, not snapped to frames
 
     def markings(self) -> Markings:
         """Return the sets of polygons and the joints of the meshes."""

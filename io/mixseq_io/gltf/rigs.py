@@ -1,19 +1,19 @@
-r"""Skins and morph targets as glTF documents.
+r"""Writer of skins and morphs as glTF documents.
 
-A target is displacements ``d_m`` and weights ``w_tm`` from 0 to 1 (`rig_arrays.normalise_morph_weights`). glTF blends
-normals as it does points, ``n_t ~ n_0 + sum_m w_tm e_m`` before normalisation. The ``e_m`` are fitted to the true
-normals ``N_t`` of all frames by least squares: with the matrix ``W`` of weights, ``E = W^+ (N - n_0)``.
+A morph target has displacements ``d_m`` and weights ``w_tm`` from 0 to 1 (`rig_arrays.normalise_morph_weights`). glTF
+blends normals like points, ``n_t ~ n_0 + sum_m w_tm e_m`` before normalisation. The ``e_m`` are fitted to the exact
+normals ``N_t`` of all frames by least squares: ``E = W^+ (N - n_0)`` with the matrix ``W`` of weights.
 
-Joints are nodes in a tree. The node of joint b has the rotation and translation of `Skin.local_motion`
-relative to its parent; in the world it takes the axes ``A_b`` at the pivot ``p_b`` to ``R_tb A_b`` at ``c_tb``. Its
-inverse bind matrix takes them to the axes of the world at the origin,
+Joints are nodes in a tree. The node of joint b has the rotation and translation of `Skin.local_motion` relative to its
+parent. In the world, the node moves the axes ``A_b`` at the pivot ``p_b`` to ``R_tb A_b`` at ``c_tb``. The inverse
+bind matrix maps the axes ``A_b`` at ``p_b`` to the world axes at the origin,
 
 .. math:: \begin{pmatrix} A_b & p_b \\ 0 & 1 \end{pmatrix}^{-1} =
           \begin{pmatrix} A_b^T & -A_b^T p_b \\ 0 & 1 \end{pmatrix},
 
-so that a point is mapped to ``R_tb (r_v - p_b) + c_tb``, the formula of the skin, after the morph targets. Constant
-properties are not animated. The root joints have a common parent that converts axes and units, since only joints and
-their ancestors move a skinned mesh.
+so that a point is mapped to ``R_tb (r_v - p_b) + c_tb``, the skin's formula; morph targets are applied before.
+Constant properties are not animated. The root joints have a common parent that converts axes and units, since only
+joints and their ancestors move a skinned mesh.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#skins
 """
@@ -51,7 +51,7 @@ _ACCESSOR_TYPES = {"translation": "VEC3", "rotation": "VEC4", "weights": "SCALAR
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Values of a property of some nodes at every frame."""
+    """Values of a node property at every frame, and the nodes that have these values."""
 
     nodes: Sequence[int]
     path: str
@@ -59,12 +59,12 @@ class Track:
 
 
 def add_animation(layout: Layout, header: SequenceHeader, tracks: Sequence[Track]) -> None:
-    """Add the linear animation of tracks with keys at the frames of a sequence, without constant tracks."""
+    """Add a linearly interpolated animation of all non-constant tracks, with keys at the frames of a sequence."""
     varying = [track for track in tracks if (track.values != track.values[0]).any()]
     if not varying:
         return
     times, animation = create_animation(layout, header)
-    # One view for possibly hundreds of tracks.
+    # All tracks, possibly hundreds, share one view.
     arrays = [np.ascontiguousarray(track.values) for track in varying]
     view, offset = layout.add(arrays, sum(array.nbytes for array in arrays)), 0
     for index, (track, array) in enumerate(zip(varying, arrays, strict=True)):
@@ -80,7 +80,7 @@ def add_animation(layout: Layout, header: SequenceHeader, tracks: Sequence[Track
 
 
 _MIN_SINGULAR_VALUE_RATIO = 1e-6
-"""Smallest singular value of the weights that is used for normals, relative to the largest."""
+"""Smallest singular value of the weights used in the pseudoinverse for normals, relative to the largest."""
 
 
 def create_morphed_scene(morph: Morph) -> Layout:
@@ -91,7 +91,7 @@ def create_morphed_scene(morph: Morph) -> Layout:
 
 
 def add_morph_targets(layout: Layout, meshes: Sequence[MovingMesh], morph: Morph) -> list[Track]:
-    """Add points, normals and targets to the meshes of a document; return the tracks of weights."""
+    """Add points, normals and morph targets to the meshes of a document; return the tracks of morph weights."""
     base = as_float32(morph.base[None], 0, "glTF")[0]
     targets = as_float32(morph.targets, 0, "glTF", "a target of vertex")
     for mesh in meshes:
@@ -120,7 +120,7 @@ def _add_shapes(layout: Layout, mesh: MovingMesh, morph: Morph, base: Single, ta
 
 
 def _fit_normals(mesh: MovingMesh, morph: Morph) -> tuple[Single, Single]:
-    """Return the normals of the base ``(G, 3)``, and displacements for the targets ``(M, G, 3)``."""
+    """Return the normals of the base mesh ``(G, 3)``, and the normal displacements of M targets ``(M, G, 3)``."""
     (base,) = mesh.compute_normals(morph.base[None])
     targets = np.zeros((len(morph.targets), base.size))
     if len(targets):
@@ -171,7 +171,7 @@ def create_skinned_scene(skin: Skin) -> Layout:
 
 
 def _add_joints(document: Json, skin: Skin) -> tuple[int, list[int], list[Track]]:
-    """Add a node for every bone in its first-frame pose, and a common root; return root, nodes and tracks."""
+    """Add a node for every bone in its first-frame pose, and a common root; return the root, nodes and tracks."""
     skeleton = skin.skeleton
     rotations, translations = local_joint_transforms(skin, "glTF")
     root = append(document, "nodes", {"name": "skeleton", "children": [], **axis_conversion(skin.header)})
@@ -189,7 +189,7 @@ def _add_joints(document: Json, skin: Skin) -> tuple[int, list[int], list[Track]
 
 
 def _add_inverse_binds(layout: Layout, skin: Skin) -> int:
-    """Add the inverse bind matrices ``(B, 4, 4)``; return their accessor."""
+    """Add the inverse bind matrices ``(B, 4, 4)``; return their accessor's index."""
     pivots = as_float32(skin.pivots[None], 0, "glTF", "the pivot of bone")[0].astype(np.float64)
     inverse_axes = rotation_matrices(skin.skeleton.axes).swapaxes(1, 2)
     matrices = np.tile(np.eye(4, dtype=np.float32), (skin.bone_count, 1, 1))

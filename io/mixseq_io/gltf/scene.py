@@ -1,9 +1,9 @@
 """Node tree of a glTF file: names, paths and world transforms, as matrices on column vectors, ``p' = M p``.
 
-The node of a mesh with world-space points keeps its path below transformed parents: its own transform is their inverse.
-That inverse is rounded, and does not exist as translation, rotation and scale (TRS) below non-uniformly scaled parents.
-A member of the node's ``extras`` marks such meshes. The reader takes their points as world space, as long as the
-transforms cancel within the rounding of exporters, which write scales such as 0.9999999.
+A mesh with world-space points can keep its node's path below transformed parents if the node has their inverse
+transform. This inverse is rounded; below non-uniformly scaled parents it may not exist as translation, rotation and
+scale (TRS). A member of the node's ``extras`` marks such meshes. The reader takes their points as world-space points
+if the transforms cancel within the rounding of exporters, which write scales such as 0.9999999.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from mixseq_io.gltf.document import Document, Fields
 from mixseq_io.scene_meshes import SceneObject
 
 WORLD_SPACE_MARK = "mixseq:world"
-"""Member of the ``extras`` of a node whose points are in world space."""
+"""Name of the member of a node's ``extras`` that marks world-space points."""
 
 _LINEAR_TOLERANCE = 1e-6  # rounding of rotations and scales by exporters
 _TRANSLATION_TOLERANCE = 1e-9  # rounding by `invert_transform`
@@ -30,7 +30,7 @@ _MIN_DETERMINANT = 1e-30
 
 
 def invert_transform(matrix: Float) -> dict[str, Any] | None:
-    """Return the inverse of a matrix ``(4, 4)`` as TRS members of a node, {} for the identity, None without one."""
+    """Return the inverse of a matrix ``(4, 4)`` as a node's TRS members, {} for the identity; None if impossible."""
     if np.array_equal(matrix, np.eye(4)):
         return {}
     if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < _MIN_DETERMINANT:
@@ -87,7 +87,7 @@ class Scene:
         return chain
 
     def with_ancestors(self, nodes: Iterable[int]) -> set[int]:
-        """Return nodes and all their ancestors."""
+        """Return the given nodes and all their ancestors."""
         visited = {-1}
         for node in nodes:
             while node not in visited:
@@ -128,7 +128,7 @@ def read_scene(document: Document) -> Scene:
 
 
 def _check_acyclic(nodes: Sequence[Fields], parents: Sequence[int]) -> None:
-    """Raise an error if a node is its own ancestor."""
+    """Raise an error if the node hierarchy has a cycle."""
     checked = {-1}
     for node in range(len(nodes)):
         chain = set()
@@ -163,7 +163,7 @@ def _order_depth_first(roots: Sequence[int], children: Sequence[Sequence[int]]) 
 
 
 def _read_objects(document: Document, parents: Sequence[int], order: Sequence[int]) -> dict[int, SceneObject]:
-    """Return an object with a unique path for every node, parents before children."""
+    """Return a scene object with a unique path for every node, parents before children."""
     objects: dict[int, SceneObject] = {}
     paths: set[str] = set()
     path_lengths = 0
@@ -211,7 +211,7 @@ def _local_matrices(node: Fields, index: int, pose: Pose) -> Float:
 
 
 def _read_property(node: Fields, index: int, name: str, pose: Pose) -> Float:
-    """Return the animated values ``(B, k)`` of a node's property, or the static one ``(1, k)``."""
+    """Return the animated values ``(B, k)`` of a node's property, or the static value ``(1, k)``."""
     if (index, name) in pose:
         return pose[index, name]
     values = node.numbers(name, len(_IDENTITY_TRS[name]))
@@ -219,7 +219,7 @@ def _read_property(node: Fields, index: int, name: str, pose: Pose) -> Float:
 
 
 def _quaternion_matrices(quaternions: Float) -> Float:
-    """Return rotation matrices ``(n, 3, 3)`` of quaternions ``(n, 4)``; the identity for zero length."""
+    """Return rotation matrices ``(n, 3, 3)`` of quaternions ``(n, 4)``; zero quaternions give the identity."""
     lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
     unit = quaternions / np.where(lengths > 0, lengths, 1)
     return rotation_matrices(np.where(lengths > 0, unit, _IDENTITY_TRS["rotation"]))

@@ -1,10 +1,10 @@
-"""Writer of glTF files: frames as morph targets, in a new document or in a copy of the original.
+"""Writer of glTF files with frames as morph targets, in a new document or in a copy of the original.
 
-Other contents of the original are kept. In its copy, meshes of the sequence get world-space positions, and normals
-where they had some; skins, morph targets and tangents are removed. Primitives and vertex order stay. Their nodes get
-the inverse transform of their parents. If a parent is animated or shears, they become a root of the scene, several of
-them below one root, which comes first; former children keep their place. All animations are replaced by the sequence
-and the animation of other nodes, and unreferenced data are removed, so that repeated writing does not grow the file.
+A copy keeps all contents outside the sequence. Meshes of the sequence get world-space positions, and new normals if
+they had normals; skins, morph targets and tangents are removed. Primitives and vertex order stay. The nodes of these
+meshes get the inverse of their parents' transform. If a parent is animated or shears, the node becomes the first root
+of the scene, or several such nodes get a common root; former children stay in place. The sequence, with the animation
+of other nodes, replaces all animations. Unreferenced data are removed, so rewriting does not grow the file.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
@@ -68,16 +68,16 @@ from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
 from mixseq_io.surfaces import lost_colours, lost_subdivision, warn_of_losses
 
 _MAX_BROWSER_FRAMES = 1000
-"""Usual limit of WebGL: 1024 or 4096 uniforms hold the weights, 2048 texture layers the targets."""
+"""Usual limit of morph targets in WebGL: 1024 or 4096 uniforms for weights, 2048 texture layers for targets."""
 
 _REPLACED_ATTRIBUTES = ("POSITION", "NORMAL", "TANGENT", "JOINTS_", "WEIGHTS_", "_VERTEX")
 
 
 @dataclass(frozen=True, eq=False)
 class MeshMatch:
-    """Mesh of the sequence and the node of the same mesh in the file.
+    """Mesh of the sequence, and the node of the matching mesh in the file.
 
-    `corners` ``(C,)`` are the mesh's corners by those of the file, `mirrored` means that the file's are reversed.
+    `corners` ``(C,)`` index the sequence's corner of each file corner; if `mirrored`, file triangles are reversed.
     """
 
     scene_mesh: SceneMesh
@@ -88,7 +88,7 @@ class MeshMatch:
 
 
 def find_matches(document: Document, scene: Scene, header: SequenceHeader) -> list[MeshMatch]:
-    """Find the meshes of a sequence in a file: by path, else by triangles if a single mesh has the same."""
+    """Match the meshes of a sequence to a file by path, else by triangles if only one mesh in the file fits."""
     meshes = {path: node for node, path in scene.paths.items() if "mesh" in scene.nodes[node]}
 
     @cache
@@ -105,7 +105,7 @@ def find_matches(document: Document, scene: Scene, header: SequenceHeader) -> li
 
 
 def _match(scene_mesh: SceneMesh, node: int, weld: Weld) -> MeshMatch | None:
-    """Match a mesh of the sequence with that of a node; None if vertices or triangles differ."""
+    """Match a mesh of the sequence with a node's mesh; return None if vertices or triangles differ."""
     has_vertices = weld.primitives and all(map(len, weld.vertex_ids))
     same_count = weld.vertex_count == scene_mesh.vertex_count
     if not (has_vertices and same_count and scene_mesh.polygons.only_triangles):
@@ -132,9 +132,9 @@ def _orient(triangles: NDArray[Any], mirrored: bool) -> NDArray[Any]:
 def overlay_sequence(
     document: Document, header: SequenceHeader, sources: ArrayLike | None = None
 ) -> tuple[Layout, list[MovingMesh], OtherMotion]:
-    """Return a copy of a document with its data, the meshes that get the sequence, and the other animation.
+    """Return a copy of a document with its data, the meshes to write, and the animation outside the sequence.
 
-    `sources` ``(T,)`` are the times of the file in s that the frames show.
+    `sources` ``(T,)`` are the times in s of the original's animation at the frames.
     """
     scene = read_scene(document)
     matches = find_matches(document, scene, header)
@@ -158,7 +158,7 @@ def overlay_sequence(
         for each in scenes:
             each["nodes"] = [root, *(node for node in each.get("nodes", ()) if node != root)]
     copied["asset"]["generator"] = GENERATOR_NAME
-    json.dumps(copied, allow_nan=False)  # an early error for NaN, which readers accept
+    json.dumps(copied, allow_nan=False)  # raises an error for NaN early; readers accept NaN
     prune(document.path, copied)
     layout = _copy_buffers(copied, document)
     for match, mesh in zip(matches, meshes, strict=True):
@@ -172,17 +172,17 @@ def overlay_sequence(
 
 
 def _find_inverse(scene: Scene, node: int, animated: Set[int]) -> Json | None:
-    """Return the inverse of the transforms above a node, None if it is hidden or has no static TRS inverse."""
+    """Return the inverse of the transforms above a node; None if the node is hidden or no static TRS inverse exists."""
     parent = scene.parents[node]
     if node in scene.hidden or not animated.isdisjoint(scene.lineage(parent)):
         return None
     if not isinstance(scene.nodes[node].values.get("extras", {}), dict):
-        return None  # cannot hold the mark
+        return None  # no member for the mark can be added
     return invert_transform(scene.world_matrices([parent], {})[parent][0])
 
 
 def _set_transform(entry: Json, inverse: Json | None) -> None:
-    """Set a node's transform to an inverse, marked in its extras; no transform for None or {}."""
+    """Add an inverse transform to a node and mark the node in its extras; None and {} add nothing."""
     extras = entry.pop("extras", {})
     if isinstance(extras, dict):
         mark = {WORLD_SPACE_MARK: True} if inverse else {}
@@ -205,7 +205,7 @@ def _remove_animations(copied: Json, document: Document, scene: Scene, nodes: Se
 
 
 def _add_mesh(copied: Json, document: Document, match: MeshMatch) -> MovingMesh:
-    """Give a node a mesh of its own without the data that depend on positions."""
+    """Assign a node a new copy of its mesh, without data that depend on positions."""
     if match.weld.skipped:
         warn(f"{document.path}: points or lines in the mesh {match.scene_mesh.path!r} are left out")
     node = copied["nodes"][match.node]
@@ -236,14 +236,14 @@ def _normal_ids(match: MeshMatch, primitive: Primitive, corners: slice) -> NDArr
 
 
 def _remove_positions(entry: Json) -> Json:
-    """Return a primitive without targets and attributes that are replaced."""
+    """Return a primitive without morph targets and without the attributes that the writer replaces."""
     attributes = entry["attributes"].items()
     kept = {name: accessor for name, accessor in attributes if not name.startswith(_REPLACED_ATTRIBUTES)}
     return {key: value for key, value in entry.items() if key != "targets"} | {"attributes": kept}
 
 
 def _copy_buffers(copied: Json, document: Document) -> Layout:
-    """Return a layout of the document with its buffer views in one buffer."""
+    """Return a layout of the copied document, with all buffer views and images in one buffer."""
     views = copied.pop("bufferViews", [])
     layout = Layout(copied)
     for index, view in enumerate(views):
@@ -267,7 +267,7 @@ def write_gltf(
 ) -> None:
     """Write a glTF file, binary ``.glb`` or text ``.gltf``, without velocities; options as in `FORMATS`.
 
-    Other contents of the original file are kept by default; `sources` ``(T,)`` are its times in s that the frames show.
+    The original's other contents are kept by default. `sources` ``(T,)`` are the original's times in s at the frames.
     """
 
     def load_original(file: Path) -> tuple[Layout, list[MovingMesh], OtherMotion]:
@@ -287,13 +287,13 @@ def write_gltf(
     _, numbered = validate_blocks(header, blocks, velocities)
     with atomic_file(path) as temporary, open_buffer_writer(path, temporary, layout) as writer:
         for first, block, _ in numbered:
-            # Frame by frame, since a block may be the whole sequence.
+            # Frames are written one by one, since a block may be the whole sequence.
             for frame, points in enumerate(block, start=first):
                 morphs.write(frame, as_float32(points[None], frame, "glTF", header=header)[0], writer)
 
 
 def standalone_losses(header: SequenceHeader) -> list[str]:
-    """Describe the losses of a sequence in a new document."""
+    """Describe the contents of a sequence that a new document cannot hold."""
     lost = []
     if not header.polygons.only_triangles:
         lost.append("polygons other than triangles (they are cut)")
@@ -313,7 +313,7 @@ def standalone_losses(header: SequenceHeader) -> list[str]:
 
 
 def warn_of_changes(path: Path, header: SequenceHeader, lost: Sequence[str], keep_start: bool = False) -> None:
-    """Warn of losses, and of differences after the file is read again."""
+    """Warn of lost contents, and of axes, units or times that differ from the sequence in the file."""
     warn_of_losses(path, "glTF files", lost)
     if axis_conversion(header):
         warn(
@@ -322,7 +322,7 @@ def warn_of_changes(path: Path, header: SequenceHeader, lost: Sequence[str], kee
             "(--convert-axes Y, --convert-units m) turns and scales the points"
         )
     start = choose_start(header, keep_start)
-    if start and (keep_start or header.frame_count == 1):  # otherwise the file stores the start
+    if start and (keep_start or header.frame_count == 1):  # otherwise the start is stored in the file
         warn(f"{path}: glTF's times begin at 0; all times are moved by {-start:g} s")
 
 

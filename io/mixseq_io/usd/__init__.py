@@ -1,5 +1,5 @@
 """Pixar's Universal Scene Description.
 
-`stage`: diagnostics, prims, transforms; `motion`: skins and frames; `surface`: faces and what is stored on them;
-`reader`; `layers`: samples, clips, packages; `overlay`: layers over an original; `writer`; `rigs`: skins and morphs.
+`stage` handles diagnostics, prims and transforms, `motion` skinning and frames, `surface` faces and their attributes.
+`layers` writes samples, clips and packages; `overlay` layers over an original; `rigs` reads and writes skins.
 """

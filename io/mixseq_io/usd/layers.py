@@ -1,18 +1,18 @@
-"""Samples of USD layers: values of every frame in the local spaces of prims, in one file, in clips, or in a package.
+"""Writing of time samples in the local spaces of prims to a single USD file, to value clips, or to a package.
 
-Values are set in Sdf layers directly; a stage would recompose the file below an overlay for every sample. Binary layers
-are saved repeatedly, which frees the memory of their samples; text layers stay in memory.
+Values are set in Sdf layers directly, since a stage would recompose the file below an overlay for every sample. Binary
+layers are saved repeatedly, which frees the memory of their samples; text layers stay in memory.
 
 Points and velocities are multiplied by the inverse of the prim's local-to-world transform. Extents are computed from
-the local points, normals from every frame's world-space points.
+the local points, and normals from the world-space points of each frame.
 
 Packages (.usdz) are uncompressed zip files of a layer and its textures. Files may be untrusted, so only textures in the
 folder of the original, or in folders that the user names, are packed.
 
-Clip ``i`` holds the frames from its first one to the first one of clip ``i + 1``, inclusive, so that USD interpolates
-within a clip. Clip times equal stage times and are authored for every frame: USD before 26.11 otherwise loses the
-offset of referencing shots, and rounds times between the first and the last. A manifest lists the attributes in clips,
-so that USD need not open all of them.
+Clip ``i`` also holds the first frame of clip ``i + 1``, so that USD interpolates within a clip. Clip times equal stage
+times. They are authored for every frame, since USD before 26.11 otherwise loses the offset of referencing shots, and
+rounds times between the first and the last. A manifest lists the attributes in clips, so that USD need not open all
+clips.
 
 Specifications: https://openusd.org/release/api/class_sdf_layer.html, https://openusd.org/release/spec_usdz.html,
 https://openusd.org/release/api/_usd__page__value_clips.html
@@ -43,7 +43,7 @@ from mixseq_io.scene_meshes import SceneMesh
 from mixseq_io.usd.stage import UDIM_PLACEHOLDER, clips_folder, save_layer
 
 FrameValues = tuple[float, Mapping[str, Any]]
-"""Time code of a frame, and values by attribute path."""
+"""Time code of a frame, and its values by attribute path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +56,12 @@ class LocalSpace:
 
 WORLD_SPACE = LocalSpace(np.eye(4), np.eye(4))
 LocalSpaceAt = Callable[[float], LocalSpace]
-"""Function from a time in seconds to a prim's space; `WORLD_SPACE` itself for the identity, which is not applied."""
+"""Function from a time in s to a prim's space; it returns the object `WORLD_SPACE` to skip identity transforms."""
 
 
 @dataclass(frozen=True, eq=False)
 class SampledNormals:
-    """Sampled normals: the normal group of every corner, and the group of every written normal; None per vertex."""
+    """Sampled normals, with normal groups by corner and by written normal (`order`); both are None if per vertex."""
 
     attribute: str
     interpolation: str
@@ -71,7 +71,7 @@ class SampledNormals:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SampledMesh:
-    """Mesh with samples, at a prim's path in its space; `vertex_of_point` ``(P,)`` is None if points are vertices."""
+    """Mesh prim with samples in its local space; `vertex_of_point` ``(P,)`` is None if every point is a vertex."""
 
     path: str
     scene_mesh: SceneMesh
@@ -88,14 +88,14 @@ class SampledMesh:
         return ("points", "extent", *velocities, *normals)
 
     def point_values(self, values: FloatArray) -> FloatArray:
-        """Return values ``(P, 3)`` at the prim's points, from values ``(V, 3)`` at the sequence's vertices."""
+        """Return values ``(P, 3)`` at the prim's points, given values ``(V, 3)`` at the sequence's vertices."""
         vertex_values = values[self.scene_mesh.vertices]
         return vertex_values if self.vertex_of_point is None else vertex_values[self.vertex_of_point]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SampledExtent:
-    """Extent of a skeleton's root above meshes; `other_corners` are of boxes around other things below it."""
+    """Extent of a SkelRoot above meshes; `other_corners` are points of the boxes around its other contents."""
 
     path: str
     scene_meshes: tuple[SceneMesh, ...]
@@ -105,7 +105,7 @@ class SampledExtent:
 
 @dataclass(frozen=True, eq=False)
 class SampledPrims:
-    """All prims with samples."""
+    """All prims that get samples."""
 
     meshes: tuple[SampledMesh, ...]
     extents: tuple[SampledExtent, ...] = ()
@@ -117,7 +117,7 @@ def compute_frame_values(
     times: NDArray[np.float64],
     blocks: Iterable[FrameBlock],
 ) -> Iterator[FrameValues]:
-    """Yield the values of every frame, from time codes and times in s ``(T,)``."""
+    """Yield the attribute values of every frame, given the frames' time codes and times in s ``(T,)``."""
     for first_frame, block, velocity_block in blocks:
         for frame, points in enumerate(block, first_frame):
             velocities = None if velocity_block is None else velocity_block[frame - first_frame]
@@ -148,7 +148,7 @@ def _attribute_values(
 
 
 def _to_local(vectors: FloatArray, prims: SampledPrims, spaces: Sequence[LocalSpace], weight: float) -> FloatArray:
-    """Transform world-space points (homogeneous weight 1) or directions (weight 0) ``(V, 3)`` to their local spaces."""
+    """Transform world-space points (weight 1) or directions (weight 0) ``(V, 3)`` to the meshes' local spaces."""
     if all(space is WORLD_SPACE for space in spaces):
         return vectors
     local = vectors.astype(np.float64)
@@ -163,7 +163,7 @@ def _to_local(vectors: FloatArray, prims: SampledPrims, spaces: Sequence[LocalSp
 def _compute_normals(
     normals: SampledNormals, scene_mesh: SceneMesh, points: FloatArray, space: LocalSpace
 ) -> NDArray[np.float32]:
-    """Return normals in a mesh's space: for x' = x M normals are n' = n M⁻ᵀ, hence n = n' Mᵀ."""
+    """Return normals n in a mesh's local space from world normals n' = n M⁻ᵀ for x' = x M, hence n = n' Mᵀ."""
     unit = corner_normals(points[scene_mesh.vertices][None], scene_mesh.polygons, normals.groups)[0]
     if space is not WORLD_SPACE:
         local = unit @ space.to_world[:3, :3].T
@@ -172,7 +172,7 @@ def _compute_normals(
 
 
 def _box_corners(extent: SampledExtent, points: FloatArray, time: float) -> FloatArray:
-    """Return the corners ``(n, 3)`` of boxes around everything below a prim, in the prim's space."""
+    """Return the corners ``(n, 3)`` of the boxes around all contents of a SkelRoot, in its local space."""
     vertices = [points[scene_mesh.vertices] for scene_mesh in extent.scene_meshes if scene_mesh.vertex_count]
     boxes = [zip(each.min(axis=0), each.max(axis=0), strict=True) for each in vertices]
     corners = np.array([corner for box in boxes for corner in product(*box)], dtype=np.float64).reshape(-1, 3)
@@ -181,7 +181,7 @@ def _box_corners(extent: SampledExtent, points: FloatArray, time: float) -> Floa
 
 
 def compute_extent(points: FloatArray) -> Any:
-    """Return the bounding box of points ``(n, 3)`` as an extent of USD."""
+    """Return the bounding box of points ``(n, 3)`` as a USD extent."""
     if not len(points):
         return Vt.Vec3fArray([Gf.Range3f().GetMin(), Gf.Range3f().GetMax()])  # USD's empty box
     return Vt.Vec3fArrayFromBuffer(np.stack([points.min(axis=0), points.max(axis=0)]).astype(np.float32))
@@ -199,7 +199,7 @@ _VALUE_TYPES = {
 
 
 class SampleWriter:
-    """Writer of samples to a layer, in bounded memory if it is binary."""
+    """Writer of samples to a layer, in bounded memory if the layer is binary."""
 
     def __init__(self, layer: Sdf.Layer) -> None:
         self._layer = layer
@@ -228,7 +228,7 @@ class SampleWriter:
 
 
 def declare_attributes(layer: Sdf.Layer, prims: SampledPrims) -> None:
-    """Author the sampled attributes without values."""
+    """Author the attributes that get samples, without values."""
     for mesh in prims.meshes:
         for name in mesh.attributes:
             attribute = attribute_spec(layer, f"{mesh.path}.{name}", _VALUE_TYPES[name])
@@ -244,7 +244,7 @@ def attribute_spec(
     kind: Sdf.ValueTypeName,
     variability: Sdf.Variability = Sdf.VariabilityVarying,
 ) -> Sdf.AttributeSpec:
-    """Return the spec of an attribute in a layer; create it, with overs above it, if it is missing."""
+    """Return the spec of an attribute in a layer; create a missing spec, with overs for its prim and ancestors."""
     Sdf.JustCreatePrimAttributeInLayer(layer, Sdf.Path(path), kind, variability)
     return layer.GetAttributeAtPath(path)
 
@@ -256,17 +256,17 @@ def override_spec(layer: Sdf.Layer, attribute: Usd.Attribute) -> Sdf.AttributeSp
 
 
 def write_package(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[Path]) -> list[str]:
-    """Write a package of a saved layer, with the textures in some folders; return the files left out."""
+    """Write a package of a saved layer and its textures in the given folders; return files that are not packed."""
     left_out: dict[str, None] = {}
 
     def rewrite(asset: str) -> str:
         files = _resolve_files(layer, asset)
-        # USD would pack all files that a referenced scene refers to, wherever they are.
+        # USD would pack all files that a referenced scene refers to, from any folder.
         rejected = files if _is_scene(asset) else [file for file in files if not _is_inside(file, folders)]
         left_out.update(dict.fromkeys(rejected))
         return "" if rejected else _extract_texture(layer, asset, textures)
 
-    textures = Path(f"{package}.textures")  # deleted with all names of this temporary prefix
+    textures = Path(f"{package}.textures")  # deleted with all files that have this temporary prefix
     textures.mkdir()
     UsdUtils.ModifyAssetPaths(layer, rewrite)
     save_layer(layer)
@@ -277,7 +277,7 @@ def write_package(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[
 
 
 def _resolve_files(layer: Sdf.Layer, asset: str) -> list[str]:
-    """Return the files of an asset path in a layer: one, none, or the tiles of a texture."""
+    """Return the files of an asset path in a layer: no file, one file, or all tiles of a texture."""
     outer, _ = Ar.SplitPackageRelativePathOuter(asset)
     absolute = layer.ComputeAbsolutePath(outer) if outer else ""
     if UDIM_PLACEHOLDER in absolute:
@@ -296,13 +296,13 @@ def _is_scene(asset: str) -> bool:
 
 
 def _is_inside(file: str, folders: Sequence[Path]) -> bool:
-    """Whether a path, with links resolved, is a regular file in one of some folders."""
+    """Whether a path, with links resolved, is a regular file in one of the given folders."""
     resolved = Path(file).resolve()
     return resolved.is_file() and any(resolved.is_relative_to(folder.resolve()) for folder in folders)
 
 
 def _extract_texture(layer: Sdf.Layer, asset: str, folder: Path) -> str:
-    """Return the asset path of a texture, extracted to a folder if it is in a package; few viewers read nested ones."""
+    """Return a texture's asset path; extract it to a folder from a package, since few viewers read nested packages."""
     outer, inner = Ar.SplitPackageRelativePathOuter(asset)
     if not inner:  # relative paths of tiles in other folders would be packed as "../wool.1001.png"
         return layer.ComputeAbsolutePath(asset) if UDIM_PLACEHOLDER in asset else asset
@@ -312,7 +312,7 @@ def _extract_texture(layer: Sdf.Layer, asset: str, folder: Path) -> str:
     ):
         pattern = re.escape(inner).replace(UDIM_PLACEHOLDER, r"\d{4}")
         entries = [entry for entry in package.infolist() if re.fullmatch(pattern, entry.filename)]
-        if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):  # against the specification
+        if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):  # the specification forbids compression
             return asset
         data = {Path(entry.filename).name: package.read(entry) for entry in entries}
         subfolder = folder / str(len(list(folder.iterdir())))
@@ -324,13 +324,13 @@ def _extract_texture(layer: Sdf.Layer, asset: str, folder: Path) -> str:
 
 
 _CLIP_SET = "mixseq"
-"""Not "default", which the original may have: USD merges clip sets of the same name key by key."""
+"""Name of the clip set; an original may use "default", and USD merges clip sets of the same name by key."""
 
 
 def save_clips(
     layer: Sdf.Layer, prims: SampledPrims, frames: Iterable[FrameValues], length: int, folder: ClipFolder
 ) -> None:
-    """Write frames to clips of `length` frames, and save a layer that lists them."""
+    """Write frames to clips of `length` frames each, and save a layer that lists the clips."""
     start_codes: list[float] = []
     codes: list[float] = []
     clip: SampleWriter | None = None
@@ -371,7 +371,7 @@ def _create_layer(file: Path, prims: SampledPrims, rate: float) -> Sdf.Layer:
 
 
 class ClipFolder:
-    """Folder of a file's clips, written under a temporary name and installed when complete."""
+    """Folder of a file's clips; it is written under a temporary name, and renamed when complete."""
 
     def __init__(self, owner: Path, resources: ExitStack) -> None:
         self.target = self.path = self._backup = clips_folder(owner)
@@ -381,7 +381,7 @@ class ClipFolder:
         self._is_installed = False
 
     def clip_name(self, number: int) -> str:
-        """Return the file name of a clip, numbered from 1."""
+        """Return the file name of a clip by its number, from 1."""
         return f"{self._stem}.{number:04d}.usdc"
 
     def make(self) -> None:
@@ -396,7 +396,7 @@ class ClipFolder:
         self.path.mkdir()
 
     def install(self) -> None:
-        """Rename the folder to its target; the replaced one is kept until the end."""
+        """Rename the folder to its target; a replaced folder is kept as a backup until the context ends."""
         for file in self.path.iterdir():
             with file.open("rb") as stream:
                 os.fsync(stream.fileno())
@@ -406,7 +406,7 @@ class ClipFolder:
         self._is_installed = True
 
     def warn_if_unused(self) -> None:
-        """Warn of a folder of clips that a file of this name without clips does not use."""
+        """Warn of the clips of an older file of the same name, if the new file has no clips."""
         with suppress(OSError):
             if _holds_only_clips(self.target, self._stem) and (self.target / self.manifest_name).exists():
                 warn(
@@ -424,7 +424,7 @@ class ClipFolder:
 
 @contextmanager
 def open_clip_folder(owner: Path) -> Iterator[ClipFolder]:
-    """Yield the folder for a file's clips; restore the replaced one after an exception."""
+    """Yield the folder for a file's clips; restore the replaced folder after an exception."""
     with ExitStack() as resources:
         folder = ClipFolder(owner, resources)
         try:

@@ -1,15 +1,15 @@
-"""Motion of USD meshes: skinning, welded points, animated attributes, and the time map of a layer over another file.
+"""Motion of USD meshes: skinning, welding of points, animated attributes, and the time map of an overlay layer.
 
-UsdSkel skins a mesh: blend shapes, ``geomBindTransform`` into skeleton space, linear or dual quaternion skinning, and
-the transform of the skeleton instead of that of the mesh.
+UsdSkel applies blend shapes, ``geomBindTransform`` into skeleton space, linear or dual quaternion skinning, and the
+transform of the skeleton instead of the mesh's transform.
 
 Game-engine characters have points split at seams of texture coordinates and normals. Meshes of skeletons are welded
-where position, joints, weights and blend shapes are bit-identical. Other meshes are not, since all their time samples
-would have to be read. A layer with new points stores the vertex of every point in `VERTICES_ATTRIBUTE`.
+where position, joints, weights and blend shapes are bit-identical. Other meshes are not welded, since all their time
+samples would have to be read. A layer with new points stores the vertex of every point in `VERTICES_ATTRIBUTE`.
 
-Sublayers keep their times in seconds if the layer above has another rate. To retime the whole stage, the layer gets
-samples of all animated attributes, at the source times of its frames; a layer offset could express only a constant
-speed.
+Sublayers keep their times in seconds if the layer above has another rate. To retime the whole stage, the layer above
+gets samples of all animated attributes, evaluated at the source times of its frames. A layer offset could express only
+a constant speed.
 
 Specification: https://openusd.org/release/api/_usd_skel__intro.html
 """
@@ -43,31 +43,31 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Skeleton prim (of an instance, not its prototype), its query, and its bound animation."""
+    """Skeleton prim (in an instance, not in the instance's prototype), its query, and its bound animation."""
 
     prim: Usd.Prim
     query: UsdSkel.SkeletonQuery
 
     @cached_property
     def has_joints(self) -> bool:
-        """Whether it has joints with a pose, animated or at rest."""
+        """Whether the skeleton has joints with an animated pose or a rest pose."""
         return len(self.query.ComputeSkinningTransforms(Usd.TimeCode.EarliestTime())) > 0
 
     @cached_property
     def animation(self) -> UsdSkel.Animation | None:
-        """Bound animation, or None."""
+        """Bound animation prim, or None."""
         query = self.query.GetAnimQuery()
         return UsdSkel.Animation(query.GetPrim()) if query else None
 
     def pose(self, code: float) -> Pose:
-        """Return the pose at a time code."""
+        """Return the skeleton's pose at a time code."""
         query = self.query.GetAnimQuery()
         weights = query.ComputeBlendShapeWeights(Usd.TimeCode(code)) if query else ()
         return Pose(self.query.ComputeSkinningTransforms(Usd.TimeCode(code)), Vt.FloatArray(weights))
 
 
 def bind_pose(skeleton: Skeleton, _: float) -> Pose:
-    """Return the bind pose, without blend shapes."""
+    """Return the bind pose of a skeleton, without blend shapes."""
     joint_count = len(skeleton.query.GetJointOrder())
     query = skeleton.query.GetAnimQuery()
     shape_count = len(query.GetBlendShapeOrder()) if query else 0
@@ -76,7 +76,7 @@ def bind_pose(skeleton: Skeleton, _: float) -> Pose:
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """Skeleton and skinning query of a mesh; the cache owns the data of the queries."""
+    """Skeleton and skinning query of a mesh; `cache` is kept alive, since it owns the data of the queries."""
 
     skeleton: Skeleton
     query: UsdSkel.SkinningQuery
@@ -95,7 +95,7 @@ class Skin:
         return has_weights and self.query.HasBlendShapes()
 
     def attributes(self) -> Iterator[Usd.Attribute]:
-        """Yield the attributes that deform the mesh in skeleton space, except its points."""
+        """Yield the attributes other than points that deform the mesh in skeleton space."""
         animation = self.skeleton.animation
         if self.has_joints:
             if animation is not None:
@@ -110,8 +110,8 @@ class Skin:
             yield animation.GetBlendShapeWeightsAttr()
 
     def deform(self, points: Vt.Vec3fArray, pose: Pose, code: float) -> Vt.Vec3fArray:
-        """Return the points of the mesh in a pose, in skeleton space if it has joints, else in mesh space."""
-        deformed = Vt.Vec3fArray(points)  # USD modifies it in place; it is copied on the first write
+        """Return the mesh's points in a pose: in skeleton space if joints move the mesh, else in mesh space."""
+        deformed = Vt.Vec3fArray(points)  # USD modifies this array in place; the array is copied on the first write
         if self.has_shapes and not self._add_blend_shapes(deformed, pose):
             raise InvalidSequenceError(
                 f"the blend shapes of {self.query.GetPrim().GetPath()} do not fit its {len(points)} points; "
@@ -129,7 +129,7 @@ class Skin:
         shapes, indices, offsets = self._blend_shapes
         mapper = self.query.GetBlendShapeMapper()
         weights = mapper.Remap(pose.shape_weights) if mapper else pose.shape_weights
-        # A weight between inbetweens is split between two of them; USD calls shapes and inbetweens subshapes.
+        # USD splits a weight between the two nearest subshapes; shapes and their inbetweens are subshapes.
         subshapes = shapes.ComputeSubShapeWeights(weights)
         deform: Any = shapes.ComputeDeformedPoints  # its type stub has no parameters
         return bool(deform(*subshapes, indices, offsets, points))
@@ -141,7 +141,7 @@ class Skin:
 
 
 def find_skins(meshes: Sequence[UsdGeom.Mesh], warnings: PrimWarnings) -> dict[Sdf.Path, Skin]:
-    """Return the skins of meshes by path; bindings are inherited as in USD."""
+    """Return the skins of meshes by mesh path; meshes inherit skeleton bindings as in USD."""
     ancestors = (prim for mesh in meshes for prim in self_and_ancestors(mesh.GetPrim()))
     roots = {prim.GetPath(): root for prim in ancestors if (root := UsdSkel.Root(prim))}
     instances = Usd.TraverseInstanceProxies()
@@ -159,7 +159,7 @@ def find_skins(meshes: Sequence[UsdGeom.Mesh], warnings: PrimWarnings) -> dict[S
     for mesh in meshes:
         schema = UsdSkel.BindingAPI(mesh.GetPrim())
         attributes = (schema.GetJointIndicesAttr(), schema.GetBlendShapesAttr()) if schema else ()
-        # Layers with new points block these attributes.
+        # In layers with new points, these attributes are blocked.
         if any(each.HasAuthoredValue() for each in attributes) and mesh.GetPath() not in skins:
             problem = "bound to no skeleton with a pose below a SkelRoot, and not moved by one"
             warnings.add(mesh.GetPrim(), problem)
@@ -171,14 +171,14 @@ VERTICES_ATTRIBUTE = "mixseq:vertices"
 
 @dataclass(frozen=True, eq=False)
 class Weld:
-    """Vertices ``(P,)`` of a mesh's points, and a point of every vertex ``(W,)``."""
+    """Weld of a mesh: the vertex of every point ``(P,)``, and one point of every vertex ``(W,)``."""
 
     vertex_of_point: IntArray
     point_of_vertex: IntArray
 
     @property
     def is_identity(self) -> bool:
-        """Whether every point is a vertex of its own."""
+        """Whether every point is a separate vertex."""
         return len(self.vertex_of_point) == len(self.point_of_vertex)
 
     @property
@@ -188,22 +188,22 @@ class Weld:
 
     @classmethod
     def identity(cls, point_count: int) -> Weld:
-        """Return the weld that keeps all points apart."""
+        """Return the weld in which every point is a separate vertex."""
         return cls(np.arange(point_count), np.arange(point_count))
 
     @classmethod
     def from_mesh(cls, mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> Weld:
-        """Weld a mesh's points ``(P, 3)``, as they are in some frame."""
+        """Weld a mesh's points ``(P, 3)``, given in any frame."""
         labels = _stored_vertices(mesh, len(points))
         return cls(*renumber_by_appearance(_identical_points(mesh, points) if labels is None else labels))
 
     def weld_polygons(self, polygons: Polygons) -> Polygons:
-        """Return polygons of points as polygons of vertices."""
+        """Return polygons with point indices replaced by vertex indices."""
         return Polygons(polygons.counts, self.vertex_of_point[polygons.indices])
 
 
 def _stored_vertices(mesh: UsdGeom.Mesh, point_count: int) -> IntArray | None:
-    """Return the vertices ``(P,)`` that a layer of mixseq stored; None if absent or of another size."""
+    """Return the vertex of each point ``(P,)`` as stored by mixseq; None if absent or of another size."""
     attribute = mesh.GetPrim().GetAttribute(VERTICES_ATTRIBUTE)
     if not attribute or attribute.GetTypeName() != Sdf.ValueTypeNames.IntArray:
         return None
@@ -212,7 +212,7 @@ def _stored_vertices(mesh: UsdGeom.Mesh, point_count: int) -> IntArray | None:
 
 
 def _identical_points(mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> IntArray:
-    """Label points ``(P,)``: the same label for the same position and influences."""
+    """Label points ``(P,)`` so that points with equal positions and influences share a label."""
     influences = list(_influences(mesh, len(points)))
     valid = [each for each in influences if each is not None]
     if mesh.GetPointsAttr().ValueMightBeTimeVarying() or not valid or len(valid) < len(influences):
@@ -222,11 +222,11 @@ def _identical_points(mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> IntArr
 
 
 def _influences(mesh: UsdGeom.Mesh, point_count: int) -> Iterator[NDArray[np.float32] | None]:
-    """Yield joint indices, weights and shape offsets ``(P, n)``; None for one that is animated or does not fit."""
+    """Yield joint indices, weights and shape offsets ``(P, n)``, or None for animated or invalid arrays."""
     binding = UsdSkel.BindingAPI(mesh.GetPrim())
     for primvar in (binding.GetJointIndicesPrimvar(), binding.GetJointWeightsPrimvar()):
         if not primvar or primvar.GetInterpolation() != UsdGeom.Tokens.vertex:
-            continue  # constant: the same for all points
+            continue  # constant primvars are equal at all points
         values = np.array(primvar.ComputeFlattened() or (), dtype=np.float32)
         fits = len(values) == point_count * primvar.GetElementSize()
         usable = fits and not primvar.ValueMightBeTimeVarying()
@@ -238,7 +238,7 @@ def _influences(mesh: UsdGeom.Mesh, point_count: int) -> Iterator[NDArray[np.flo
     for subshape, value in enumerate(query.ComputeSubShapePointOffsets()):
         offsets = np.array(value or (), dtype=np.float32).reshape(-1, 3)
         if not len(offsets):
-            continue  # the shape at weight 0
+            continue  # no offsets, as for weight 0
         point_ids = indices[query.GetBlendShapeIndex(subshape)]
         point_ids = point_ids if point_ids.size else np.arange(point_count)
         if len(point_ids) != len(offsets) or not are_valid_indices(point_ids, point_count):
@@ -251,7 +251,7 @@ def _influences(mesh: UsdGeom.Mesh, point_count: int) -> Iterator[NDArray[np.flo
 
 @dataclass(frozen=True, eq=False)
 class TimeMap:
-    """Time codes ``(T,)`` of a layer's frames, and the times of the original that they show, in s, if they differ."""
+    """Time codes ``(T,)`` of a layer's frames, and the original's times in s at the frames if retimed, else None."""
 
     original_rate: float
     rate: float
@@ -262,7 +262,7 @@ class TimeMap:
     def from_header(
         cls, header: SequenceHeader, original_rate: float, source_times: NDArray[np.float64] | None = None
     ) -> TimeMap:
-        """Map a sequence's frames to a file with a rate, in time codes per second."""
+        """Map a sequence's frames to an original file whose rate is given in time codes per second."""
         if source_times is not None and not np.isfinite(source_times).all():
             frame = int(np.argmin(np.isfinite(source_times)))
             raise SettingsError(
@@ -277,13 +277,13 @@ class TimeMap:
         return float(self.codes[0]) / self.rate
 
     def original_code(self, time: float) -> float:
-        """Return the original's time code at a time of the layer, in seconds."""
+        """Return the original's time code for a time of the layer in seconds."""
         if self.source_times is None:
             return time * self.original_rate
         return float(np.interp(time * self.rate, self.codes, self.source_times)) * self.original_rate
 
     def samples(self, attribute: Usd.Attribute) -> Iterator[tuple[float, Any]]:
-        """Yield the layer's time codes with the values of an animated attribute of the original."""
+        """Yield the samples of an original's animated attribute as pairs of the layer's time code and the value."""
         if self.source_times is None:
             original_codes = np.array(attribute.GetTimeSamples(), dtype=np.float64)
             codes = original_codes * (self.rate / self.original_rate)
@@ -296,14 +296,14 @@ class TimeMap:
 
 @dataclass(frozen=True, eq=False)
 class MeshMotion:
-    """Mesh and the attributes that animate it."""
+    """Mesh with its skin, if any, and the attributes that animate the mesh."""
 
     mesh: UsdGeom.Mesh
     skin: Skin | None
 
     @cached_property
     def transform(self) -> WorldTransform:
-        """Transform of the points: that of the skeleton if joints move them, else that of the mesh."""
+        """Transform of the points to the world: the skeleton's transform if joints move the mesh, else the mesh's."""
         return WorldTransform(self.skin.skeleton.prim if self.skin and self.skin.has_joints else self.mesh.GetPrim())
 
     @cached_property
@@ -316,7 +316,7 @@ class MeshMotion:
 
     @property
     def only_points_are_animated(self) -> bool:
-        """Whether neither transforms nor skeletons nor blend shapes move the mesh."""
+        """Whether no transform, skeleton or blend shape animates the mesh."""
         return all(attribute == self.mesh.GetPointsAttr() for attribute in self.animated_attributes)
 
 
@@ -339,7 +339,7 @@ class AnimatedMesh:
 
     @cached_property
     def weld(self) -> Weld:
-        """Map of points to vertices of all frames, from the points of the first one."""
+        """Weld of the points for all frames, computed in the first frame."""
         value = self.mesh.GetPointsAttr().Get(Usd.TimeCode(self.start))
         return Weld.from_mesh(self.mesh, np.array(value or (), dtype=np.float32).reshape(-1, 3))
 
@@ -355,7 +355,7 @@ class AnimatedMesh:
 
     @cached_property
     def _first_determinant(self) -> float:
-        """First nonzero determinant of the transform; objects may appear by scaling up from zero."""
+        """First nonzero determinant of the transform over time, since objects may appear by scaling up from zero."""
         determinants = (self.motion.transform.at(code).GetDeterminant3() for code in self.codes.tolist())
         return next((each for each in determinants if each), 1.0)
 
@@ -369,7 +369,7 @@ class AnimatedMesh:
         return determinant < 0
 
     def points(self, code: float, pose: Pose | None) -> NDArray[np.float32]:
-        """Return the vertices ``(V, 3)`` in world space at a time code, in a pose of the skeleton."""
+        """Return the vertices ``(V, 3)`` in world space at a time code, given the skeleton's pose."""
         path = self.mesh.GetPath()
         value = self.mesh.GetPointsAttr().Get(Usd.TimeCode(code))
         if value is None:
@@ -400,7 +400,7 @@ class AnimatedMesh:
         return _transform_vectors(value, self.motion.transform.at(code), 0.0)[self.weld.point_of_vertex]
 
     def has_velocities(self, warnings: PrimWarnings) -> bool:
-        """Whether the mesh has velocities that can be read; add a warning if they cannot."""
+        """Whether the mesh has usable velocities; add a warning if its velocities are unusable."""
         velocities = self.mesh.GetVelocitiesAttr()
         if not velocities.HasAuthoredValue():
             return False
@@ -423,5 +423,5 @@ def _transform_vectors(value: Vt.Vec3fArray, to_world: Gf.Matrix4d, weight: floa
     if to_world == Gf.Matrix4d(1.0):
         return vectors
     matrix = np.array(to_world, dtype=np.float64)
-    with np.errstate(all="ignore"):  # overflow is reported by the reader, with its vertex
+    with np.errstate(all="ignore"):  # the reader reports overflow with its vertex
         return np.asarray(vectors @ matrix[:3, :3] + weight * matrix[3, :3], dtype=np.float32)

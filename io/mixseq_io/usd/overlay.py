@@ -1,15 +1,15 @@
-"""USD layers with new points over an existing file, which keep everything else in it.
+"""USD layers with new points over an existing file, whose other contents are kept.
 
-The file is a sublayer. The layer overrides points, extents, velocities, and those authored normals that renderers use.
-USD scales time codes of sublayers with another ``timeCodesPerSecond``, so that they keep their seconds. Meshes are
-unbound from skeletons and blend shapes, stale velocities and accelerations are blocked
-(https://openusd.org/release/api/class_sdf_value_block.html), and instances are made unique.
+The file becomes a sublayer. The layer overrides points, extents, velocities, and authored normals that renderers use.
+If the file has another ``timeCodesPerSecond``, USD scales its time codes, so that times in seconds stay. Meshes are
+unbound from skeletons and blend shapes. Stale velocities and accelerations are blocked
+(https://openusd.org/release/api/class_sdf_value_block.html), and instances become ordinary prims.
 
-The layer's points are the whole motion of a mesh, so transforms above it are frozen. Operations that affect only this
-mesh keep their value at the first frame. Others are inverted: the carrier, the outermost prim with nothing but the mesh
-below it, gets their inverses with the same samples. ``!resetXformStack!`` is unsuitable: Blender 5 ignores it, Hydra 2
-where it stands alone (https://github.com/PixarAnimationStudios/OpenUSD/issues/3781), and it would detach the mesh from
-prims that reference it. Other motion of the file (cameras, hair, lights, materials) keeps its times, or is retimed.
+The layer's points contain the whole motion of a mesh, so transforms above the mesh are frozen. The carrier is the
+outermost prim whose transform affects only this mesh. Operations up to the carrier keep their value at the first frame.
+Inverse operations on the carrier, with equal samples, cancel animation above it. ``!resetXformStack!`` is unsuitable:
+Blender 5 ignores it, Hydra 2 if alone (https://github.com/PixarAnimationStudios/OpenUSD/issues/3781), and it would
+detach the mesh from referencing prims. Other motion (cameras, hair, lights, materials) keeps its times, or is retimed.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ _INVERSE_PREFIX = "!invert!"
 
 @dataclass(frozen=True, eq=False)
 class Freeze:
-    """Operations that keep a mesh still: own ones of its carrier, inverted ones above it, and constant ones on top."""
+    """Operations above a mesh by treatment: frozen up to the carrier, inverted above, and constant outermost ones."""
 
     carrier: Usd.Prim
     own_ops: TransformOps
@@ -79,7 +79,7 @@ class Freeze:
     constant_ops: TransformOps
 
     def author(self, layer: Sdf.Layer, time_map: TimeMap) -> None:
-        """Author the operations in a layer, frozen at its first frame."""
+        """Author the values of own operations at the layer's first frame, and inverse operations on the carrier."""
         for attribute in dict.fromkeys(op.GetAttr() for op in self.own_ops):
             if is_animated(attribute):
                 spec = attribute_spec(layer, str(attribute.GetPath()), attribute.GetTypeName())
@@ -89,7 +89,7 @@ class Freeze:
             return
         attributes = dict.fromkeys(op.GetAttr() for op in ops)
         names = {attribute: self._copy(layer, attribute, time_map) for attribute in attributes}
-        # The order attribute starts with the outermost operation; the innermost one is inverted first.
+        # The order attribute starts with the outermost operation, which is the inverse of the innermost operation.
         inverses = [("" if op.IsInverseOp() else _INVERSE_PREFIX) + names[op.GetAttr()] for op in ops]
         order = UsdGeom.Xformable(self.carrier).GetXformOpOrderAttr()
         override_spec(layer, order).default = Vt.TokenArray([*inverses, *(order.Get() or ())])
@@ -115,7 +115,7 @@ class Freeze:
 
 
 def find_freeze(mesh: Usd.Prim) -> Freeze | None:
-    """Return the freeze of a mesh; None if no transform moves it, or other prims are below it."""
+    """Return the freeze of a mesh; None if no transform moves the mesh, or if it has no carrier."""
     carrier = _find_carrier(mesh)
     if carrier is None or not WorldTransform(mesh).is_animated:
         return None
@@ -126,12 +126,12 @@ def find_freeze(mesh: Usd.Prim) -> Freeze | None:
 
 
 def _find_carrier(mesh: Usd.Prim) -> Usd.Prim | None:
-    """Return the outermost transformed prim with no other transforms below it but this mesh's, if any."""
+    """Return the outermost transformable prim whose transform affects only this mesh, if any."""
     carrier = None
     for prim in self_and_ancestors(mesh):
         descendants = Usd.PrimRange(prim, Usd.TraverseInstanceProxies())
         others = (other for other in descendants if not mesh.GetPath().HasPrefix(other.GetPath()))
-        if UsdSkel.Root(prim) or any(map(UsdGeom.Xformable, others)):  # a root has an extent in its own space
+        if UsdSkel.Root(prim) or any(map(UsdGeom.Xformable, others)):  # a SkelRoot's extent is in its local space
             return carrier
         carrier = prim if UsdGeom.Xformable(prim) else carrier
     return carrier
@@ -141,8 +141,8 @@ def _find_carrier(mesh: Usd.Prim) -> Usd.Prim | None:
 class MatchedMesh:
     """Mesh of the sequence matched with a mesh of the original.
 
-    `corner_points` ``(C,)`` are the points at the original's corners; `match` maps its polygons and corners to the
-    sequence's. `is_reversed` means that corner orders are opposite.
+    `corner_points` ``(C,)`` are the points at the original's corners. `match` maps the original's polygons and corners
+    to the sequence; with `is_reversed`, the corner orders are opposite.
     """
 
     scene_mesh: SceneMesh
@@ -155,7 +155,7 @@ class MatchedMesh:
 
 @dataclass(frozen=True, eq=False)
 class Original:
-    """File that the layer is laid over, and its meshes that match the sequence's."""
+    """File below the layer, and its meshes matched with the sequence's meshes."""
 
     path: Path
     stage: Usd.Stage
@@ -163,7 +163,7 @@ class Original:
 
 
 def open_original(path: Path, header: SequenceHeader) -> Original:
-    """Open a file that a sequence may be laid over; raise an error if it does not match."""
+    """Open a file for a layer over it; raise an error if its meshes do not match the sequence."""
     try:
         with translate_usd_read_errors(path):
             stage = open_stage(path)
@@ -191,7 +191,7 @@ def open_original(path: Path, header: SequenceHeader) -> Original:
 
 
 def _describe_difference(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> str:
-    """Describe the first difference from the only candidate mesh; "" if that is invalid."""
+    """Describe the first difference from the only candidate mesh, or return "" if the candidate is invalid."""
     point_polygons, points = _read_polygons(mesh)
     if point_polygons is None:
         return ""
@@ -203,7 +203,7 @@ def _describe_difference(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> str:
 
 
 def _match_mesh(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> MatchedMesh | None:
-    """Match a mesh of the sequence with one of the file; None if their faces differ."""
+    """Match a mesh of the sequence with a mesh of the file; return None if their faces differ."""
     point_polygons, points = _read_polygons(mesh)
     if point_polygons is None:
         return None
@@ -212,7 +212,7 @@ def _match_mesh(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> MatchedMesh | None
     for weld in (Weld.from_mesh(mesh, points), Weld.identity(len(points))):
         if weld.vertex_count != scene_mesh.vertex_count:
             continue
-        for is_reversed in (False, True):  # as left-handed faces are when they are read
+        for is_reversed in (False, True):  # the reader reverses left-handed faces
             order = reverse if is_reversed else None
             if matched := scene_mesh.match(weld.weld_polygons(point_polygons), order):
                 return MatchedMesh(matched[0], mesh, point_polygons.indices, matched[1], is_reversed, weld)
@@ -220,7 +220,7 @@ def _match_mesh(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> MatchedMesh | None
 
 
 def _read_polygons(mesh: UsdGeom.Mesh) -> tuple[Polygons | None, FloatArray]:
-    """Return a mesh's polygons of points, None if they are invalid, and its points ``(P, 3)``."""
+    """Return a mesh's polygons, or None if invalid, and its points ``(P, 3)``."""
     earliest = Usd.TimeCode.EarliestTime()
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(earliest) or (), dtype=np.int32)
     indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(earliest) or (), dtype=np.int32)
@@ -238,13 +238,13 @@ _COPIED_METADATA = (
     "colorConfiguration",
     "colorManagementSystem",
 )
-"""Metadata that USD reads only from the root layer."""
+"""Names of the metadata that USD reads only from the root layer."""
 
 
 def author_overlay(
     layer: Sdf.Layer, target: Path, original: Original, time_map: TimeMap, has_velocities: bool
 ) -> SampledPrims:
-    """Author everything but samples, and return the prims that get them."""
+    """Author the layer without samples, and return the prims that get samples."""
     author_sublayer(layer, target, original)
     moving = [matched for matched in original.meshes if WorldTransform(matched.mesh.GetPrim()).is_animated]
     freezes = {matched: freeze for matched in moving if (freeze := find_freeze(matched.mesh.GetPrim()))}
@@ -284,7 +284,7 @@ def author_sublayer(layer: Sdf.Layer, target: Path, original: Original) -> None:
 
 
 def disable_instancing(layer: Sdf.Layer, target: Path, prims: Iterable[Usd.Prim]) -> None:
-    """Turn instances above some prims into ordinary prims, which can be overridden."""
+    """Turn instances above the given prims into ordinary prims, which can be overridden."""
     instances = [each for prim in prims for each in self_and_ancestors(prim) if each.IsInstance()]
     paths = list(dict.fromkeys(str(prim.GetPath()) for prim in instances))
     for path in paths:
@@ -328,7 +328,7 @@ def _local_space(original: Original, prim: Usd.Prim, time_map: TimeMap, freeze: 
 
 
 def _replace_normals(matched: MatchedMesh) -> SampledNormals | None:
-    """Return the samples that replace authored normals; None without any, or if the mesh is subdivided."""
+    """Return the samples that replace authored normals; None if normals are missing or the mesh is subdivided."""
     mesh, scene_mesh = matched.mesh, matched.scene_mesh
     if mesh.GetSubdivisionSchemeAttr().Get() != UsdGeom.Tokens.none:
         return None
@@ -364,7 +364,7 @@ def _block_stale_attributes(layer: Sdf.Layer, mesh: UsdGeom.Mesh, sampled: Sampl
     for attribute in stale:
         if attribute.HasAuthoredValue() and attribute.GetName() not in sampled.attributes:
             override_spec(layer, attribute).default = Sdf.ValueBlock()
-    if is_bound:  # a binding of an ancestor is overridden, too, which needs the schema on the mesh
+    if is_bound:  # overriding an ancestor's binding requires the schema on the mesh
         spec = Sdf.CreatePrimInLayer(layer, sampled.path)
         if not UsdSkel.BindingAPI(prim):
             spec.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["SkelBindingAPI"]))
@@ -383,19 +383,19 @@ def _is_skel_property(name: str) -> bool:
 
 
 def _set_orientation(layer: Sdf.Layer, matched: MatchedMesh, sampled: SampledMesh, start: float) -> None:
-    """Override the orientation if the layer changes whether the mesh is mirrored on its way to the world."""
+    """Override the orientation if the layer changes whether the transform to the world mirrors the mesh."""
     if not matched.corner_points.size:
         return
     tokens, orientation = UsdGeom.Tokens, matched.mesh.GetOrientationAttr()
     is_mirrored = np.linalg.det(sampled.space(start).to_world[:3, :3]) < 0
-    # Faces of the sequence are counter-clockwise in the world; those of the mesh are in reverse if reversed.
+    # Faces of the sequence are counter-clockwise in the world; the mesh's faces are clockwise if reversed.
     is_left_handed = matched.is_reversed != is_mirrored
     if is_left_handed != (orientation.Get() == tokens.leftHanded):
         override_spec(layer, orientation).default = tokens.leftHanded if is_left_handed else tokens.rightHanded
 
 
 def _store_vertices(layer: Sdf.Layer, matched: MatchedMesh) -> None:
-    """Store the vertex of every point, which cannot be derived from time-sampled points."""
+    """Store the vertex of every point, since readers cannot derive it from time-sampled points."""
     if matched.weld.is_identity:
         return
     path = f"{matched.mesh.GetPath()}.{VERTICES_ATTRIBUTE}"
@@ -405,7 +405,7 @@ def _store_vertices(layer: Sdf.Layer, matched: MatchedMesh) -> None:
 
 
 def _root_extents(original: Original, time_map: TimeMap) -> tuple[SampledExtent, ...]:
-    """Return the extents of skeleton roots, which take precedence over those of meshes below them."""
+    """Return the extents of SkelRoots above the meshes, which take precedence over extents of the meshes."""
     meshes_of_root: dict[Usd.Prim, list[SceneMesh]] = {}
     for matched in original.meshes:
         for prim in self_and_ancestors(matched.mesh.GetPrim()):
@@ -423,7 +423,7 @@ def _root_extents(original: Original, time_map: TimeMap) -> tuple[SampledExtent,
 
 
 def _original_extent(root: Usd.Prim, time_map: TimeMap, mesh_count: int) -> Callable[[float], FloatArray]:
-    """Return the extent of a root in the original by time; empty if only the sequence's meshes are below it."""
+    """Return a SkelRoot's original extent as a function of time, empty without contents outside the sequence."""
     empty = np.zeros((0, 3))
     gprims = [each for each in Usd.PrimRange(root, Usd.TraverseInstanceProxies()) if UsdGeom.Gprim(each)]
     if len(gprims) <= mesh_count:
@@ -440,7 +440,7 @@ def _original_extent(root: Usd.Prim, time_map: TimeMap, mesh_count: int) -> Call
 
 
 def warn_of_other_motion(target: Path, header: SequenceHeader, original: Original, times: NDArray[np.float64]) -> None:
-    """Warn of other visible prims that change over time, if the sequence shows the source times ``(T,)`` in s."""
+    """Warn of animated visible prims outside the sequence if it is retimed to source times ``(T,)`` in s."""
     if not is_retimed(header, times):
         return
     cure = "; whole_stage=True (--whole-stage) retimes everything" if np.isfinite(times).all() else ""
@@ -455,7 +455,7 @@ def warn_of_other_motion(target: Path, header: SequenceHeader, original: Origina
 
 
 def retime_other_attributes(layer: Sdf.Layer, target: Path, original: Original, time_map: TimeMap) -> None:
-    """Author samples of animated attributes of the original that the layer does not override yet."""
+    """Author retimed samples of the original's animated attributes that the layer does not override yet."""
     prims = Usd.PrimRange.Stage(original.stage, Usd.TraverseInstanceProxies())
     attributes = [
         attribute
@@ -473,7 +473,7 @@ def retime_other_attributes(layer: Sdf.Layer, target: Path, original: Original, 
 
 
 def _is_visible_type(prim: Usd.Prim) -> bool:
-    """Whether a prim can be visible itself, unlike groups, skeletons and their animations."""
+    """Whether a prim has a visible type, which excludes groups, skeletons and skeletal animations."""
     schemas = (UsdGeom.Scope, UsdSkel.Root, UsdSkel.Skeleton, UsdSkel.Animation)
     return prim.GetTypeName() not in ("", "Xform") and not any(schema(prim) for schema in schemas)
 
@@ -490,7 +490,7 @@ def _animated_attributes(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
 
 
 def _rebase_asset_path(target: Path, value: Any) -> Any:
-    """Return a value; an asset path is rewritten for another file."""
+    """Return an attribute value, with an asset path rewritten for the target file."""
     if isinstance(value, Sdf.AssetPath) and value.resolvedPath:
         return Sdf.AssetPath(relative_asset_path(Path(value.resolvedPath), target))
     return value

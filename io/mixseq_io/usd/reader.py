@@ -1,9 +1,9 @@
-"""Reading of USD: meshes over time, in world space (.usd, .usda, .usdc, .usdz).
+"""Reader of USD files (.usd, .usda, .usdc, .usdz) as animated meshes in world space.
 
-Values are those of the composed stage, with references, layers, variants and value clips. Several meshes are joined.
-Points are float32, as in USD. Frames are at all samples of points, transforms, skeletons and blend shapes that move a
-mesh, as USD interpolates them. Where more than points moves, vertices move on arcs, so frames at the stage's rate fill
-the gaps between samples, as in `UsdSkel.BakeSkinning`.
+Values are read from the composed stage, with references, layers, variants and value clips. Several meshes are joined.
+Points are float32, as in USD. Frames are at all samples of the points, transforms, skeletons and blend shapes that move
+a mesh. If anything other than points is animated, vertices may move along arcs between samples. Frames at the stage's
+rate then fill the gaps, as in `UsdSkel.BakeSkinning`.
 
 Specification: https://openusd.org/release/api/class_usd_stage.html (time codes and frames per second)
 """
@@ -94,7 +94,7 @@ def open_usd_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
 
 @dataclass(frozen=True)
 class _Animation:
-    """Meshes of a stage at the time codes ``(T,)`` of all frames."""
+    """Meshes of a stage, with the time codes ``(T,)`` of all frames."""
 
     stage: Usd.Stage
     meshes: Sequence[AnimatedMesh]
@@ -176,7 +176,7 @@ def _header(path: Path, animation: _Animation, warnings: PrimWarnings) -> Sequen
     return SequenceHeader(
         polygons=polygons,
         vertex_count=ends[-1],
-        times=animation.codes / (rate if rate > 0 else 1.0),  # the header rejects other rates
+        times=animation.codes / (rate if rate > 0 else 1.0),  # the header rejects invalid rates
         fps=rate,
         up_axis=str(UsdGeom.GetStageUpAxis(stage)),
         metres_per_unit=UsdGeom.GetStageMetersPerUnit(stage),
@@ -193,7 +193,7 @@ def _frame_codes(path: Path, stage: Usd.Stage, motions: Sequence[MeshMotion]) ->
             raise FormatError(f"{path}: {attribute.GetPath()} is a spline; bake it into time samples")
     samples = dict.fromkeys(tuple(attribute.GetTimeSamples()) for attribute in attributes)
     codes = merge_times(map(np.array, samples), TIME_TOLERANCE * stage.GetTimeCodesPerSecond())
-    if not codes.size:  # static: the time of the only sample of the points, if there is one
+    if not codes.size:  # a static mesh has the time of its point sample, or 0
         return np.array(motions[0].mesh.GetPointsAttr().GetTimeSamples()[:1] or [0.0], dtype=np.float64)
     if all(motion.only_points_are_animated for motion in motions):
         return codes
@@ -202,7 +202,7 @@ def _frame_codes(path: Path, stage: Usd.Stage, motions: Sequence[MeshMotion]) ->
 
 
 def _frame_rate_codes(stage: Usd.Stage, first: float, last: float) -> tuple[NDArray[np.float64], float]:
-    """Return the time codes of the stage's frames from `first` to `last`, and their step; none without a valid rate."""
+    """Return the time codes of the stage's frames from `first` to `last`, and their step; empty without valid rate."""
     start, rate = stage.GetStartTimeCode(), stage.GetFramesPerSecond()
     step = stage.GetTimeCodesPerSecond() / rate if rate else 0.0
     if not (stage.HasAuthoredTimeCodeRange() and np.isfinite(step) and step > 0 and np.isfinite(start)):
@@ -225,7 +225,7 @@ def _read_markings(header: SequenceHeader, meshes: Sequence[AnimatedMesh]) -> Ma
 
 
 def _face_sets_by_family(meshes: Sequence[AnimatedMesh]) -> dict[str, tuple[FaceSet, ...]]:
-    """Return subsets of faces by family, without those that bind materials; mixseq's are sorted by part number."""
+    """Return subsets of faces by family, except material subsets; parts written by mixseq are sorted by number."""
     found: dict[str, list[tuple[int, FaceSet]]] = {}
     first_face = 0
     for animated in meshes:

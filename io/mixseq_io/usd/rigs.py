@@ -1,13 +1,13 @@
-"""Skins and morphs in USD (UsdSkel): stand-alone files with joints and blend shapes, and joints of skeletons.
+"""Writer of skins and morphs as stand-alone USD files (UsdSkel), and reader of the joints of skeletons.
 
-When read, bind transforms are taken from skeleton space to the world by the skeleton's transform at the start of the
-stage. USD's matrices act on row vectors.
+The reader maps bind transforms from skeleton space to the world by the skeleton's transform at the stage's start. USD's
+matrices act on row vectors.
 
 A written file has a SkelRoot with the meshes, a Skeleton and a SkelAnimation. Bind transforms are in world space, with
-the axes ``A_b`` at the pivot ``p_b``. The animation moves joints relative to their parents by `Skin.local_motion`, so
-that UsdSkel takes a point from the bind pose to ``R_tb (r_v - p_b) + c_tb``, the skin's formula; blend shapes come
-before joints. The Skeleton of a morph has no joints. Joints are named by paths of valid names (``hips/leg``), with
-their own names in ``jointNames``. Materials are copied from the sequence's original USD file.
+the axes ``A_b`` at the pivot ``p_b``. The animation moves joints relative to their parents by `Skin.local_motion`.
+UsdSkel thus maps a point from the bind pose to ``R_tb (r_v - p_b) + c_tb``, the skin's formula, after blend shapes. The
+Skeleton of a morph has no joints. Joints are identified by paths of valid names (``hips/leg``), and ``jointNames``
+holds their original names. Materials are copied from the sequence's original USD file.
 
 Specification: https://openusd.org/release/api/_usd_skel__schemas.html
 """
@@ -90,14 +90,14 @@ def read_skel_joints(path: Path, name: str | None) -> Skeleton:
 
 
 def find_skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Prim:
-    """Return the skeleton of a name, or the only one; see `mixseq_io.rig_arrays.choose_skeleton`."""
+    """Return the skeleton with a name, or the only skeleton; see `mixseq_io.rig_arrays.choose_skeleton`."""
     prims = [prim for prim in traverse_prims(path, stage) if UsdSkel.Skeleton(prim)]
     names = [(str(prim.GetPath()), prim.GetName(), prim.GetDisplayName()) for prim in prims]
     return prims[choose_skeleton(path, names, name)]
 
 
 def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
-    """Author a skin or a morph."""
+    """Author a skin or a morph in a layer."""
     shape = normalise_morph_weights(rig)
     prims = define_component(layer, target, rig.header, has_velocities=False)
     declare_attributes(layer, prims)
@@ -148,7 +148,7 @@ def _define_joints(skeleton: UsdSkel.Skeleton, joints: Skeleton) -> None:
 
 
 def _matrices(rotations: Float, translations: Float) -> Any:
-    """Return matrices of quaternions ``(B, 4)`` and translations ``(B, 3)`` for row vectors: x' = x M."""
+    """Return the matrices M of quaternions ``(B, 4)`` and translations ``(B, 3)``, for row vectors: x' = x M."""
     matrices = np.tile(np.eye(4), (len(rotations), 1, 1))
     matrices[:, :3, :3] = rotation_matrices(rotations).swapaxes(1, 2)
     matrices[:, 3, :3] = translations
@@ -167,7 +167,7 @@ def _animate_joints(
 
 
 def _set_samples(attribute: Usd.Attribute, values: list[Any], codes: NDArray[np.float64]) -> None:
-    """Set an attribute at every time code, or once if it is constant."""
+    """Set an attribute's values at all time codes, or a single value if the values are constant."""
     if all(value == values[0] for value in values):
         attribute.Set(values[0])
         return
@@ -187,7 +187,7 @@ def _add_influences(binding: UsdSkel.BindingAPI, mesh: SampledMesh, skin: Skin) 
 def _add_shapes(
     stage: Usd.Stage, binding: UsdSkel.BindingAPI, mesh: SampledMesh, names: list[str], targets: Float
 ) -> None:
-    """Add the morph targets that move a mesh, each with the offsets of its moving points only."""
+    """Add the morph targets that move a mesh, each with offsets of only the points that it moves."""
     path = Sdf.Path(mesh.path)
     identifiers = Identifiers(*(child.GetName() for child in stage.GetPrimAtPath(path).GetChildren()))
     used, paths = [], []
@@ -207,7 +207,7 @@ def _add_shapes(
 
 
 def write_usd_rig(path: Path, rig: Skin | Morph) -> None:
-    """Write a skin or a morph."""
+    """Write a skin or a morph as a USD file."""
     header = rig.header
     check_up_axis(path, header)
     origin = header.surface.origin

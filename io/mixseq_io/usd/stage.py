@@ -34,14 +34,14 @@ ROUNDING_TOLERANCE = 1e-9
 _MAX_REASON_LENGTH = 200
 
 _TEMPORARY_NAME = re.compile(r"\.mixseq\.[\w-]+\.[0-9a-f]{8}(?:(\.new)|\.\w+)")
-"""Names of temporary files, see `mixseq_io.files`, and of folders of clips, see `mixseq_io.usd.layers`."""
+"""Names of temporary files (see `mixseq_io.files`) and of temporary clip folders (see `mixseq_io.usd.layers`)."""
 
 
 @contextmanager
 def capture_diagnostics() -> Iterator[list[str]]:
-    """Yield a list that receives USD's warnings when the block ends; keep them off stderr."""
+    """Yield a list that receives USD's warnings when the block ends, instead of stderr."""
     messages: list[str] = []
-    delegate = UsdUtils.CoalescingDiagnosticDelegate()  # collects until it is deleted
+    delegate = UsdUtils.CoalescingDiagnosticDelegate()  # collects diagnostics until it is deleted
     try:
         yield messages
     finally:
@@ -51,7 +51,7 @@ def capture_diagnostics() -> Iterator[list[str]]:
 
 @contextmanager
 def translate_usd_read_errors(path: Path) -> Iterator[None]:
-    """Translate errors of USD (`RuntimeError`), and of damaged values, into `FormatError`."""
+    """Translate USD's `RuntimeError`, and exceptions raised by damaged values, into `FormatError`."""
     try:
         yield
     except MemoryError:
@@ -64,7 +64,7 @@ def translate_usd_read_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def translate_usd_write_errors(path: Path) -> Iterator[None]:
-    """Translate errors of USD about a file that is written into `OutputError`, or `OSError` if the disk caused them."""
+    """Translate USD's errors in writing a file into `OutputError`, or into `OSError` if the disk caused them."""
     try:
         yield
     except Tf.ErrorException as error:
@@ -76,7 +76,7 @@ def translate_usd_write_errors(path: Path) -> Iterator[None]:
 
 
 def save_layer(layer: Sdf.Layer) -> None:
-    """Save a layer; raise an error if that fails, even without a diagnostic."""
+    """Save a layer; raise an error if saving fails, even without a diagnostic."""
     if not layer.Save():
         raise Tf.ErrorException("USD does not save it, and does not say why")
 
@@ -86,22 +86,22 @@ def _join_diagnostics(error: Exception) -> str:
 
 
 def _format_diagnostic(diagnostic: object) -> str:
-    """Format a diagnostic, or an argument of another error, in one line."""
+    """Format a USD diagnostic, or an argument of another exception, in one line."""
     try:
         return " ".join(str(getattr(diagnostic, "commentary", diagnostic)).split())
-    except UnicodeDecodeError:  # the message quotes a damaged file
+    except UnicodeDecodeError:  # the message contains bytes of a damaged file
         return "its contents are not text"
 
 
 PART_NUMBER_KEY = "mixseq:part"
-"""Key of a part's index in the custom data of its subset."""
+"""Key for a part's index in the custom data of the part's subset."""
 
 UDIM_PLACEHOLDER = "<UDIM>"
-"""Placeholder for the tile number, from 1001 on, in the file name of a texture."""
+"""Placeholder for the tile number (from 1001 on) in a texture's file name."""
 
 
 def time_codes(times: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
-    """Convert times ``(T,)`` to time codes; round those that differ from a whole number by floating-point error only.
+    """Convert times ``(T,)`` to time codes; round codes that differ from whole numbers by floating-point error only.
 
     Examples
     --------
@@ -140,13 +140,13 @@ class Identifiers:
 
 
 def is_prim_path(text: str) -> bool:
-    """Whether a text is the absolute path of a prim, such as "/world/fox"."""
+    """Whether a string is the absolute path of a prim, such as "/world/fox"."""
     path = Sdf.Path(text) if Sdf.Path.IsValidPathString(text) else Sdf.Path()
     return bool(path.IsAbsolutePath() and path.IsPrimPath())
 
 
 def relative_asset_path(file: Path, target: Path) -> str:
-    """Return the path of `file` in `target`: relative in a shared folder, absolute where symbolic links interfere."""
+    """Return the asset path of `file` in `target`: relative in a shared folder, but absolute if links interfere."""
     absolute, folder = file.absolute(), target.absolute().parent
     try:
         relative = os.path.relpath(absolute, folder)
@@ -162,13 +162,13 @@ def relative_asset_path(file: Path, target: Path) -> str:
 
 
 def find_sublayer(path: Path) -> str:
-    """Return the asset path of a USD file's first sublayer; "" without any."""
+    """Return the asset path of a USD file's first sublayer, or "" without sublayers."""
     layer = Sdf.Layer.FindOrOpen(str(path))
     return next(iter(layer.subLayerPaths), "") if layer else ""
 
 
 def clips_folder(path: Path) -> Path:
-    """Return the folder of a USD file's value clips, named with its extension: x.usda and x.usdc differ."""
+    """Return the folder of a USD file's value clips; its name has the file's extension, as x.usda and x.usdc differ."""
     return path.with_name(f"{path.name}.clips")
 
 
@@ -191,15 +191,15 @@ def find_clips(path: Path) -> list[Path]:
 
 
 _MAX_PRIMS = 1_000_000
-"""Limit on visited prims; a few lines of nested instances can multiply without bound."""
+"""Limit on visited prims, since a few nested instances can multiply the number of prims without bound."""
 
 
 def open_stage(path: Path) -> Usd.Stage:
-    """Open a file, as it is on disk, with all payloads."""
+    """Open a USD file in its current state on disk, with all payloads."""
     if not path.is_file():
         raise FormatError(f"{path} does not exist")
-    # Layers are shared within a process by identifier, with unsaved edits and outdated contents. A unique argument
-    # gives this one an identifier of its own.
+    # USD shares layers within a process by identifier, with unsaved edits and outdated contents. A unique argument
+    # makes this layer's identifier unique.
     layer = Sdf.Layer.FindOrOpen(absolute_path(path), {"mixseq": token_hex(8)})
     if not layer:
         raise FormatError(f"{path} cannot be read as USD; it is damaged, truncated or of another type")
@@ -211,13 +211,13 @@ def open_stage(path: Path) -> Usd.Stage:
 def absolute_path(path: Path) -> str:
     """Return the absolute path by which USD opens a file.
 
-    Links are not resolved: references are relative to the link, and stores (git-annex, DVC) drop extensions.
+    Links are not resolved: references are relative to the link, and link targets may lack extensions (git-annex, DVC).
     """
     return os.path.abspath(path)  # noqa: PTH100 - Path.resolve follows links
 
 
 def traverse_prims(path: Path, stage: Usd.Stage) -> Iterator[Usd.Prim]:
-    """Yield the prims of a stage depth-first, in instances too, but not the prototypes of point instancers."""
+    """Yield the prims of a stage depth-first, including prims in instances, without prototypes of point instancers."""
     prims = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
     for count, prim in enumerate(prims):
         if count == _MAX_PRIMS:
@@ -235,7 +235,7 @@ def self_and_ancestors(prim: Usd.Prim) -> Iterator[Usd.Prim]:
 
 
 def define_prim_spec(layer: Sdf.Layer, path: Sdf.Path, type_name: str) -> None:
-    """Define a prim in a layer; works in an `Sdf.ChangeBlock`, which avoids recomposition for every sibling."""
+    """Define a prim in a layer, also in an `Sdf.ChangeBlock`, which avoids recomposition for every sibling."""
     spec = Sdf.CreatePrimInLayer(layer, path)
     spec.specifier, spec.typeName = Sdf.SpecifierDef, type_name
 
@@ -248,11 +248,11 @@ class PrimWarnings:
     paths_of_problem: dict[str, list[str]] = field(default_factory=dict)
 
     def add(self, prim: Usd.Prim, problem: str) -> None:
-        """Add a warning, in words that a list of prim paths may follow."""
+        """Add a prim's problem, worded so that a list of prim paths can follow."""
         self.paths_of_problem.setdefault(problem, []).append(str(prim.GetPath()))
 
     def emit(self) -> None:
-        """Warn of every problem once, with the prims that have it."""
+        """Warn once per problem, with the paths of all affected prims."""
         for problem, paths in self.paths_of_problem.items():
             warn(f"{self.path}: {problem}: {format_names(paths, str)}")
 
@@ -262,13 +262,13 @@ TransformOps = tuple[UsdGeom.XformOp, ...]
 
 @dataclass(frozen=True, eq=False)
 class WorldTransform:
-    """Transform from a prim's space to the world."""
+    """Transform from a prim's local space to the world."""
 
     prim: Usd.Prim
 
     @cached_property
     def ops(self) -> TransformOps:
-        """Operations on points, the innermost first, without pairs that cancel."""
+        """Transform operations, the innermost first, without pairs that cancel."""
         remaining: list[UsdGeom.XformOp] = []
         for op in self._all_ops:
             if remaining and _are_inverse(remaining[-1], op):
@@ -303,7 +303,7 @@ def transform_ops(prim: Usd.Prim) -> Iterator[UsdGeom.XformOp]:
 
 
 def compose_ops(ops: TransformOps, code: float) -> Gf.Matrix4d:
-    """Return the matrix product of operations, the innermost first, at a time code."""
+    """Return the matrix product of operations, given the innermost first, at a time code."""
     matrix = Gf.Matrix4d(1.0)
     for op in ops:
         matrix *= op.GetOpTransform(Usd.TimeCode(code))
@@ -321,7 +321,7 @@ def is_spline(attribute: Usd.Attribute) -> bool:
 
 
 def _are_inverse(first: UsdGeom.XformOp, second: UsdGeom.XformOp) -> bool:
-    """Whether two operations of different prims are inverse at all times."""
+    """Whether two operations of different prims are inverse to each other at all times."""
     a, b = first.GetAttr(), second.GetAttr()
     if first.IsInverseOp() == second.IsInverseOp() or a.GetPrim() == b.GetPrim():
         return False
@@ -333,7 +333,7 @@ def _are_inverse(first: UsdGeom.XformOp, second: UsdGeom.XformOp) -> bool:
     a_codes, b_codes = a.GetTimeSamples(), b.GetTimeSamples()
     if len(a_codes) != len(b_codes) or is_spline(a) or is_spline(b):
         return False
-    # USD scales the time codes of a sublayer with another rate, which rounds them.
+    # USD scales the time codes of a sublayer with another rate, which causes rounding.
     if not np.allclose(a_codes, b_codes, rtol=1e-12, atol=1e-9):
         return False
     return all(a.Get(a_code) == b.Get(b_code) for a_code, b_code in zip(a_codes, b_codes, strict=True))
@@ -342,7 +342,7 @@ def _are_inverse(first: UsdGeom.XformOp, second: UsdGeom.XformOp) -> bool:
 def find_meshes(path: Path, stage: Usd.Stage, prim_path: str | None, warnings: PrimWarnings) -> list[UsdGeom.Mesh]:
     """Return the meshes of a stage, or those at or below a prim path, in stage order.
 
-    Hidden meshes, guides, proxies, and meshes without points are returned only if there are no others.
+    Hidden meshes, guides, proxies, and meshes without points are omitted unless all meshes are of these kinds.
     """
     prims = list(traverse_prims(path, stage))
     meshes = [mesh for prim in prims if (mesh := UsdGeom.Mesh(prim))]
@@ -366,7 +366,7 @@ def find_meshes(path: Path, stage: Usd.Stage, prim_path: str | None, warnings: P
 
 
 def scene_objects_of(schemas: Sequence[UsdGeom.Mesh | Usd.Prim]) -> list[SceneObject]:
-    """Return meshes or other prims as scene objects that share their ancestors."""
+    """Return meshes or other prims as scene objects, with shared objects for common ancestors."""
     objects: dict[Sdf.Path, SceneObject] = {}
     for schema in schemas:
         new_prims = takewhile(lambda prim: prim.GetPath() not in objects, self_and_ancestors(schema.GetPrim()))
@@ -377,7 +377,7 @@ def scene_objects_of(schemas: Sequence[UsdGeom.Mesh | Usd.Prim]) -> list[SceneOb
 
 
 def display_name(prim: Usd.Prim) -> str:
-    """Return the display name of a prim, by default its name."""
+    """Return the display name of a prim, or its name if no display name is set."""
     return prim.GetDisplayName() or prim.GetName()
 
 
@@ -389,7 +389,7 @@ def _is_hidden(prim: Usd.Prim, visibility: Callable[[Usd.Prim], frozenset[str]])
 
 
 def _visibility(prim: Usd.Prim) -> frozenset[str]:
-    """Return the distinct values of a prim's visibility over time; some exporters repeat one at every frame."""
+    """Return the distinct values of a prim's visibility over time; some exporters repeat a value at every frame."""
     attribute = prim.GetAttribute(UsdGeom.Tokens.visibility)
     return frozenset(attribute.Get(code) for code in attribute.GetTimeSamples() or [0.0])
 

@@ -43,7 +43,7 @@ _MATERIAL_PURPOSES = (UsdShade.Tokens.allPurpose, UsdShade.Tokens.full, UsdShade
 
 
 def read_scene_mesh(animated: AnimatedMesh, first_vertex: int, warnings: PrimWarnings) -> SceneMesh:
-    """Read a mesh in the first frame, with faces counter-clockwise in world space."""
+    """Read a mesh's surface in the first frame, with faces counter-clockwise in world space."""
     mesh, code = animated.mesh, Usd.TimeCode(animated.start)
     path = str(mesh.GetPath())
     with prefix_errors(path):
@@ -58,7 +58,7 @@ def read_scene_mesh(animated: AnimatedMesh, first_vertex: int, warnings: PrimWar
         polygons=animated.weld.weld_polygons(polygons),
         uvs=_read_preferred_primvar(animated, polygons, warnings, "texture coordinates", _UV_TYPES, "st"),
         colours=_read_colours(animated, polygons, warnings),
-        # Normals of a subdivision surface follow from the subdivision.
+        # Subdivision determines the normals of a subdivision surface.
         hard_edges=_read_hard_edges(animated, polygons, warnings) if scheme == UsdGeom.Tokens.none else None,
         face_sets=tuple(_read_face_sets(mesh, len(polygons.counts), code, warnings)),
         subdivision=scheme,
@@ -80,7 +80,7 @@ def _reverse_corners(scene_mesh: SceneMesh) -> SceneMesh:
 
 
 def _read_polygons(animated: AnimatedMesh) -> Polygons:
-    """Return the polygons of a mesh's points."""
+    """Return the polygons of a mesh, with point indices."""
     counts = _read_constant(animated.mesh.GetFaceVertexCountsAttr(), animated.start)
     indices = _read_constant(animated.mesh.GetFaceVertexIndicesAttr(), animated.start)
     polygons = Polygons(counts, indices)
@@ -95,7 +95,7 @@ def _read_polygons(animated: AnimatedMesh) -> Polygons:
 
 
 def _read_constant(attribute: Usd.Attribute, start: float) -> NDArray[np.int32]:
-    """Return the value of an attribute that must be constant; some exporters repeat it at every sample."""
+    """Return the value of an attribute that must be constant; some exporters repeat the value in every sample."""
     first = np.array(attribute.Get(Usd.TimeCode(start)) or (), dtype=np.int32)
     for code in attribute.GetTimeSamples():
         if not np.array_equal(first, np.array(attribute.Get(Usd.TimeCode(code)) or (), dtype=np.int32)):
@@ -107,7 +107,7 @@ def _read_constant(attribute: Usd.Attribute, start: float) -> NDArray[np.int32]:
 
 
 def _read_colours(animated: AnimatedMesh, polygons: Polygons, warnings: PrimWarnings) -> CornerValues | None:
-    """Return the values of ``displayColor``, or of the first colour primvar, with ``displayOpacity`` if any."""
+    """Return the values of ``displayColor``, else of the first colour primvar, with ``displayOpacity`` if authored."""
     colours = _read_preferred_primvar(animated, polygons, warnings, "colours", _COLOUR_TYPES, "displayColor")
     opacity = UsdGeom.PrimvarsAPI(animated.mesh).FindPrimvarWithInheritance("displayOpacity")
     if colours is None:
@@ -127,7 +127,7 @@ def _read_preferred_primvar(
     types: Sequence[Sdf.ValueTypeName],
     preferred_name: str,
 ) -> CornerValues | None:
-    """Read the primvar of some types that has the preferred name, else the one of the first type."""
+    """Read the primvar with the preferred name among primvars of given types, else a primvar of the first type."""
     prim = animated.mesh.GetPrim()
     primvars = UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance()
     candidates = [each for each in primvars if each.GetTypeName() in types and each.HasAuthoredValue()]
@@ -145,7 +145,7 @@ def _read_preferred_primvar(
 def _read_primvar(
     animated: AnimatedMesh, polygons: Polygons, warnings: PrimWarnings, label: str, primvar: UsdGeom.Primvar
 ) -> CornerValues | None:
-    """Return a primvar's values at corners in the first frame, None if it does not fit the faces."""
+    """Return a primvar's values at corners in the first frame, or None if the primvar does not fit the faces."""
     prim, code = animated.mesh.GetPrim(), Usd.TimeCode(animated.start)
     if primvar.ValueMightBeTimeVarying():
         warnings.add(prim, f"{label} that change over time stay as they are in the first frame")
@@ -164,7 +164,7 @@ def _read_primvar(
 
 
 def _read_hard_edges(animated: AnimatedMesh, polygons: Polygons, warnings: PrimWarnings) -> IntArray | None:
-    """Return the normal's index at every corner; ``primvars:normals`` takes precedence over ``normals``."""
+    """Return the index of the normal at every corner; ``primvars:normals`` takes precedence over ``normals``."""
     mesh, code = animated.mesh, Usd.TimeCode(animated.start)
     primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")
     if primvar and primvar.HasAuthoredValue():
@@ -194,7 +194,7 @@ def value_ids_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.i
 
 
 def _read_face_sets(mesh: UsdGeom.Mesh, face_count: int, code: Usd.TimeCode, warnings: PrimWarnings) -> list[FaceSet]:
-    """Return the subsets of a mesh's faces, after a set for the mesh's material on all other faces."""
+    """Return the subsets of a mesh's faces, preceded by a face set for the mesh's material on the remaining faces."""
     sets, material_sets = [], []
     for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
         prim = subset.GetPrim()
@@ -207,7 +207,7 @@ def _read_face_sets(mesh: UsdGeom.Mesh, face_count: int, code: Usd.TimeCode, war
         is_valid = (faces >= 0) & (faces < face_count)
         if not is_valid.all():
             warnings.add(prim, "faces of subsets that the mesh does not have are left out")
-        # A subset without a binding inherits the mesh's material, which is not stored with it.
+        # A subset without a material binding inherits the mesh's material; its face set stores no material.
         bindings = UsdShade.MaterialBindingAPI(prim)
         is_bound = any(bindings.GetDirectBinding(purpose).GetMaterialPath() for purpose in _MATERIAL_PURPOSES)
         material = _bound_material(prim) if is_bound else None
@@ -222,7 +222,7 @@ def _read_face_sets(mesh: UsdGeom.Mesh, face_count: int, code: Usd.TimeCode, war
 
 
 def _bound_material(prim: Usd.Prim) -> UsdShade.Material | None:
-    """Return the first bound material among those for all purposes, final renders, and previews."""
+    """Return the first material that is bound for all purposes, for final renders, or for previews, in this order."""
     bindings = UsdShade.MaterialBindingAPI(prim)
     materials = (bindings.ComputeBoundMaterial(purpose)[0] for purpose in _MATERIAL_PURPOSES)
     return next(filter(None, materials), None)

@@ -1,12 +1,12 @@
 """Writing of USD (.usd and .usdc binary, .usda text, .usdz packages), with points rounded to float32.
 
-Sequences from a USD file become a layer over it (`overlay`), others a stand-alone component file: the default prim
-``/<name>`` is an Xform with one Mesh per object and the materials in ``/<name>/Looks``. Meshes are right-handed and in
-world space. Normals are written only for hard edges on meshes without subdivision.
+A sequence from a USD file becomes a layer over this file (`overlay`). Any other sequence becomes a stand-alone
+component file, whose default prim ``/<name>`` is an Xform with one Mesh per object and materials in ``/<name>/Looks``.
+Meshes are right-handed and in world space. Normals are written only for unsubdivided meshes with hard edges.
 
-Materials are copied from the original, as flattened networks of its composed stage; connections that leave a material
-are lost. Textures stay in place, with rewritten asset paths. Parts are a family of subsets that partitions the faces of
-every mesh.
+Materials are copied from the original's composed stage as flattened networks; connections that leave a material are
+lost. Textures are not copied; their asset paths are rewritten. Parts are a family of subsets that partitions the faces
+of every mesh.
 
 Specification: https://openusd.org/release/glossary.html#usdglossary-component,
 https://openusd.org/release/api/class_usd_geom_subset.html (families and their types)
@@ -81,7 +81,7 @@ class FaceParts:
 
 
 def _author_parts(layer: Sdf.Layer, paths: Sequence[str], parts: FaceParts, original: Original | None) -> None:
-    """Author a subset for every part of every mesh; replace those of an earlier layer."""
+    """Author a subset for every part of every mesh; replace the part subsets of an earlier layer."""
     stage = Usd.Stage.Open(layer)
     for index, path in enumerate(paths):
         part_of_polygon = parts.part_of_polygon[index]
@@ -114,13 +114,13 @@ _UV_NAME_INPUTS = {
     "ND_UsdPrimvarReader_vector2": "inputs:varname",
     "ND_geompropvalue_vector2": "inputs:geomprop",
 }
-"""Inputs with the name of texture coordinates, by shader id."""
+"""Name of the shader input that selects texture coordinates, by shader id."""
 
 
 def _define_materials(
     stage: Usd.Stage, target: Path, scope: str, names: Iterable[str], origin: Origin | None
 ) -> Mapping[str, UsdShade.Material]:
-    """Define materials below a scope; return them by name."""
+    """Define materials below a scope; return the materials by name."""
     used = list(dict.fromkeys(names))
     if not used:
         return {}
@@ -150,7 +150,7 @@ def _is_missing(origin: Origin | None) -> bool:
 
 
 def _flatten_materials(origin: Path, materials: Iterable[str]) -> Sdf.Layer | None:
-    """Return a flattened layer of a file with only some materials; None if it cannot be read."""
+    """Return a flattened layer of a file with only the named materials, or None if the file cannot be read."""
     try:
         with translate_usd_read_errors(origin):
             original = open_stage(origin)
@@ -181,7 +181,7 @@ def _copy_material(source: Sdf.Layer, name: str, layer: Sdf.Layer, path: Sdf.Pat
 
 
 def _read_written_uvs(shader: Sdf.PrimSpec) -> None:
-    """Let a reader of texture coordinates use ``st``, the name under which they are written."""
+    """Set a shader's texture coordinate input to ``st``, the name of the written texture coordinates."""
     shader_id = shader.attributes.get("info:id")
     name = _UV_NAME_INPUTS.get(shader_id.default) if shader_id else None
     if name:
@@ -197,8 +197,8 @@ def _walk_specs(prim: Sdf.PrimSpec) -> Iterator[Sdf.PrimSpec]:
 
 
 def _rebase_texture(target: Path, asset: str, origin: str) -> str:
-    """Return the asset path of a texture, possibly inside a .usdz file, as the target refers to it."""
-    # USD has made paths absolute, except those of tiles in packages.
+    """Return a texture's asset path for use in the target; the texture may be inside a .usdz file."""
+    # USD has made all paths absolute except for tiles in packages.
     if UDIM_PLACEHOLDER in asset and origin.endswith(".usdz") and not Path(asset).is_absolute():
         asset = Ar.JoinPackageRelativePath(origin, asset)
     outer, inner = Ar.SplitPackageRelativePathOuter(asset)
@@ -210,7 +210,7 @@ def _rebase_texture(target: Path, asset: str, origin: str) -> str:
 
 
 def define_component(layer: Sdf.Layer, target: Path, header: SequenceHeader, has_velocities: bool) -> SampledPrims:
-    """Author everything but samples, and return the prims that get them."""
+    """Author a stand-alone file without samples, and return the prims that get samples."""
     stage = Usd.Stage.Open(layer)
     name = identifier(header.name)
     root = UsdGeom.Xform.Define(stage, f"/{name}").GetPrim()
@@ -252,7 +252,7 @@ def _define_mesh(stage: Usd.Stage, path: str, scene_mesh: SceneMesh) -> None:
 
 
 def _define_colours(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh, colours: CornerValues) -> None:
-    """Author colours in the most compact interpolation, and opacity if any is below 1."""
+    """Author colours in the most compact interpolation, and opacities if any opacity is below 1."""
     vertices, values, indices = scene_mesh.polygons.indices, colours.values, None
     if len(values) == 1:
         interpolation = UsdGeom.Tokens.constant
@@ -272,7 +272,7 @@ def _define_colours(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh, colours: CornerVa
 
 
 def _set_display_name(prim: Usd.Prim, name: str) -> None:
-    """Set the display name of a prim if it differs from its name."""
+    """Set the display name of a prim if the display name differs from the prim's name."""
     if prim.GetName() != name:
         prim.SetDisplayName(name)
 
@@ -280,7 +280,7 @@ def _set_display_name(prim: Usd.Prim, name: str) -> None:
 def _bind_materials(
     prim: Usd.Prim, target: Path, scene_mesh: SceneMesh, materials: Mapping[str, UsdShade.Material]
 ) -> None:
-    """Bind a material to the whole mesh, and others to non-overlapping subsets of its faces."""
+    """Bind one material to the whole mesh, and other materials to non-overlapping subsets of its faces."""
     face_count = len(scene_mesh.polygons.counts)
     candidates = (each for each in scene_mesh.face_sets if each.material and each.polygons.size == face_count)
     whole = next(candidates, None)
@@ -314,7 +314,7 @@ def _bind_materials(
 
 
 def _unassigned_faces(face_set: FaceSet, owner_of_face: Sequence[str], location: str) -> list[int]:
-    """Return the faces of a set that have no material yet."""
+    """Return the faces of a face set that have no material yet; warn of faces with another material."""
     faces: list[int] = face_set.polygons.tolist()
     owners = dict.fromkeys(repr(owner_of_face[face]) for face in faces if owner_of_face[face])
     if owners:
@@ -323,14 +323,14 @@ def _unassigned_faces(face_set: FaceSet, owner_of_face: Sequence[str], location:
 
 
 _RANGE_TOLERANCE_FRAMES = 1.0 - 1e-3
-"""Distance within which frames at whole time codes reach the end of a motion."""
+"""Distance in frames within which the first or last frame reaches an end of the motion."""
 
 
 def author_time_range(layer: Sdf.Layer, header: SequenceHeader, time_map: TimeMap, original: Original | None) -> None:
     """Author units, rates and the time range.
 
-    The range is that of the frames. At an end where they cover the motion of the original's meshes, a longer range of
-    the original is kept, since the meshes are at rest there.
+    The time range contains the frames. If the frames reach an end of the motion of the original's meshes, the
+    original's range is kept if longer at this end, since the meshes are static beyond.
     """
     layer.timeCodesPerSecond = layer.framesPerSecond = header.fps
     start, end = float(time_map.codes[0]), float(time_map.codes[-1])
@@ -351,7 +351,7 @@ def author_time_range(layer: Sdf.Layer, header: SequenceHeader, time_map: TimeMa
 
 
 def _motion_range(original: Original, *default: float) -> tuple[float, float]:
-    """Return the first and last time code of the meshes' motion, or the default if they do not move."""
+    """Return the first and last time code of the meshes' motion, or the default for static meshes."""
     meshes = [matched.mesh for matched in original.meshes]
     skins = find_skins(meshes, PrimWarnings(original.path))
     motions = [MeshMotion(mesh, skins.get(mesh.GetPath())) for mesh in meshes]
@@ -361,7 +361,7 @@ def _motion_range(original: Original, *default: float) -> tuple[float, float]:
 
 
 def _scale_code(code: float, scale: float, round_inwards: Callable[[float], float]) -> float:
-    """Return an end of a time range at another rate; a whole time code stays whole and within the range.
+    """Convert an end of a time range to another rate; round a whole time code to a whole code within the range.
 
     Examples
     --------
@@ -389,8 +389,8 @@ def write_usd(
 ) -> None:
     """Write a USD file; options as in `FORMATS`.
 
-    `sources` are ``(T,)`` in seconds, NaN for frames that show no single time of the original; `parts` are written as
-    subsets of the faces, see `mixseq_io.text.label_files`.
+    `sources` ``(T,)`` are the original's times in s at the frames, NaN for frames without a single source time.
+    `parts` are written as subsets of the faces; see `mixseq_io.text.label_files`.
     """
     is_package = path.suffix.lower() == ".usdz"
     _check_options(is_package, flatten, onto, clips, pack_from)
@@ -450,7 +450,7 @@ def write_usd(
 
 
 def write_usd_parts(path: Path, header: SequenceHeader, parts: FaceParts) -> bool:
-    """Write a layer over a sequence's original that only adds parts; return whether that was possible."""
+    """Write a layer over a sequence's original that only adds parts; return whether the layer was written."""
     original = _open_original(path, header, flatten=False, onto=None)
     if original is None:
         return False
@@ -466,7 +466,7 @@ def write_usd_parts(path: Path, header: SequenceHeader, parts: FaceParts) -> boo
 
 
 def check_up_axis(path: Path, header: SequenceHeader) -> None:
-    """Raise an error for an up axis that USD does not have."""
+    """Raise an error if USD does not support the sequence's up axis."""
     if header.up_axis == "X":
         raise OutputError(
             f"{path}: USD stages have Y or Z up, this mesh has X; turn it with convert_units (--convert-axes Y), or "
@@ -475,7 +475,7 @@ def check_up_axis(path: Path, header: SequenceHeader) -> None:
 
 
 def warn_of_unpacked_files(path: Path, files: list[str]) -> None:
-    """Warn of files that `write_package` left out."""
+    """Warn of files that `write_package` did not pack."""
     if files:
         warn(
             f"{path}: only textures in the original's folder are packed, not {format_names(files, str)}; if these may "
@@ -484,7 +484,7 @@ def warn_of_unpacked_files(path: Path, files: list[str]) -> None:
 
 
 def texture_folders(header: SequenceHeader, pack_from: str | PathLike[str] | None = None) -> list[Path]:
-    """Return the folders of textures that may be packed, and the original itself, which may be a package."""
+    """Return the folders whose textures may be packed, preceded by the original file, which may be a package."""
     origin = header.surface.origin
     original = [Path(origin.path)] if origin and origin.format == "USD" else []
     parents = [path.parent for path in original]
@@ -505,7 +505,7 @@ def _check_options(is_package: bool, flatten: bool, onto: object, clips: int, pa
 def _open_original(
     path: Path, header: SequenceHeader, flatten: bool, onto: str | PathLike[str] | None
 ) -> Original | None:
-    """Open the file to lay the points over; return None for a stand-alone file."""
+    """Open the original file for a layer over it; return None if a stand-alone file is to be written."""
     origin = header.surface.origin
     origin_path = origin.path if origin and origin.format == "USD" else None
     if onto is None and origin_path is None:
@@ -532,7 +532,7 @@ def _open_original(
 
 
 def check_not_overwritten(path: Path, original: Path) -> None:
-    """Raise an error if `path` is the original, or a layer that it uses."""
+    """Raise an error if `path` is the original, or a layer that the original uses."""
     if not path.exists():
         return
     stage = None
