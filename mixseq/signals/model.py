@@ -114,8 +114,9 @@ class Model(Decodable, PickledWithoutCaches):
         time, placement, correction : Curve
             Signals of the new motion.
         header : SequenceHeader, optional
-            Header with the times of the new frames; by default the header of this model. residual_layer :
-            ResidualLayer, optional Residual layer of the new motion; by default none.
+            Header with the times of the new frames; by default the header of this model.
+        residual_layer : ResidualLayer, optional
+            Residual layer of the new motion; by default none.
         """
         return replace(
             self,
