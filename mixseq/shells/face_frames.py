@@ -336,7 +336,7 @@ class FrameGraph(PickledWithoutCaches):
 
 
 def bridging_mask(count: int, pairs: Index, sound: Mask) -> Mask:
-    """Mark sound pairs ``(h, 2)`` of `count` nodes, and a spanning forest of others between their components."""
+    """Mark sound pairs ``(h, 2)`` of `count` nodes, and a spanning forest of unsound pairs between sound components."""
     components = np.sort(connected_components(count, pairs[sound])[pairs], axis=1)
     separate = np.flatnonzero(components[:, 0] != components[:, 1])
     component_pairs, first = np.unique(components[separate], axis=0, return_index=True)

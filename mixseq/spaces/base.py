@@ -174,7 +174,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         return points
 
     def quaternion_signs(self, poses: Float, previous: Float) -> Float:
-        """Return the signs ``(pose_dim,)``, 1 or -1, that align the quaternions of poses with previous ones."""
+        """Return the signs ``(pose_dim,)``, 1 or -1, that align quaternions of poses with previous quaternions."""
         return np.ones(self.pose_dim)
 
     def pose_corrections(self, poses: Float, targets: Float) -> Float:

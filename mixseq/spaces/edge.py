@@ -14,7 +14,7 @@ vertices:
     which reduces errors locally. All matrices are constant.
 `DiscreteShell` (DSO, Froehlich and Botsch 2011)
     Pose-independent linear initialisation is followed by Gauss-Newton (`mixseq.shells.fitting`). Without
-    initialisation, Gauss-Newton stops in local minima if poses are distant (the paper's Figure 17).
+    initialisation, Gauss-Newton would be trapped in local minima if poses are distant (the paper's Figure 17).
 
 Both projections are exact for consistent lengths and angles. DSO optionally fits the volumes of pieces,
 
@@ -80,7 +80,7 @@ class EdgeProjection(Protocol):
         """Compute the values shared by all frames, as `PickledWithoutCaches.precompute` does."""
 
     def fit(self, targets: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Fit rows ``(N, 3)``, pieces in any pose; raises `ReconstructionError` if lengths or angles are not finite."""
+        """Fit rows ``(N, 3)`` of pieces in any pose; raise `ReconstructionError` for lengths or angles not finite."""
 
 
 MIN_VOLUME_RATIO = 1e-3

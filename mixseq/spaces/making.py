@@ -58,7 +58,7 @@ SpaceSettings = MixedSettings | EdgeSettings | NoSettings
 
 
 class SpaceOptions(TypedDict, total=False):
-    """Keyword settings of all spaces, except the positional parameters of `mixseq.fit`."""
+    """Keyword settings of all spaces, except settings that are parameters of `mixseq.fit`."""
 
     segmentation: Segmentation
     projection: ProjectionName

@@ -1,5 +1,4 @@
-r"""Interpolate in time: weight the frames at any time, as selected by cross-validation, and blend poses by these
-weights.
+r"""Interpolate in time by weights of the frames, selected by cross-validation, and blend poses by these weights.
 
 A quantity y with values :math:`y_k` at the frames is :math:`y(t) = \sum_k w_k(t)\, y_k` with :math:`\sum_k w_k = 1`.
 The weights result from kriging with a linear trend and the covariance (Matern, smoothness 3/2)
