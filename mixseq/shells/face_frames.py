@@ -7,17 +7,16 @@ follows from the lengths. The frames of both faces of a hinge thus differ by a k
 .. math:: F_j = F_i T_{ij}, \qquad T_{ij} = R_z(\alpha_i)\, R_x(\theta)\, R_z(-\alpha_j) .
 
 Blended lengths and angles are inconsistent: no frames satisfy all of these equations. *Rotation averaging* (after
-Govindu 2004) distributes the misfits :math:`F_i T_{ij} F_j^{-1}`, which are rotations by angles :math:`\varphi` about
-axes a, by
+Govindu 2004) distributes the misfits :math:`F_i T_{ij} F_j^{-1}`, rotations by angles :math:`\varphi` about axes a, by
+solving
 
 .. math:: \min_\omega \sum_{ij} w_{ij}\, |\omega_j - \omega_i - a_{ij} \sin \varphi_{ij}|^2 ,
 
 a linear system with a constant matrix. Each of a few rounds rotates the frames by :math:`\exp \omega`. The sine is
 smooth at 180 degrees, where a rotation vector would jump.
 
-Averaging starts from given or *chained* frames. Chaining visits the faces breadth-first from known frames. Each frame
-is the mean of the predictions by its neighbours in the preceding layer. Chained frames are exact for consistent lengths
-and angles.
+Averaging starts from given or *chained* frames. Chaining is breadth-first from known frames. Each frame is the mean of
+the predictions by neighbours in the preceding layer. Chained frames are exact for consistent lengths and angles.
 
 Frames are unit quaternions (w, x, y, z).
 """

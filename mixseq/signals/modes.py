@@ -7,8 +7,7 @@ The columns of the smaller matrix, U or V, are eigenvectors of a Gram matrix:
 
 - :math:`Y Y^T`, if the number of frames is at most that of coordinates. With the centred, unweighted vectors X, the
   deviations are :math:`U^T X / \sqrt T`;
-- :math:`Y^T Y`, if there are more frames. The scores are :math:`Y V`, the deviations scaled columns of V over the
-  weights.
+- :math:`Y^T Y`, if there are more frames. Scores are :math:`Y V`, deviations are scaled columns of V over the weights.
 
 Both methods apply an orthogonal matrix and its inverse. The modes therefore reproduce the vectors up to rounding
 errors, for singular values of any size. Only blocks of the vectors are in memory.

@@ -161,9 +161,8 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     ) -> tuple[Float, Float]:
         """Interpolate part poses ``(T, pose_dim)`` and placements ``(T, P)`` of the frames at times ``(N,)``.
 
-        Returns target poses ``(N, ...)`` for `pose_corrections`, and placements ``(N, P)``. By default there are no
-        parts; rotations are chained, and centres are weighted sums. With `in_body_axes`, parts are also interpolated in
-        body axes.
+        Returns target poses ``(N, ...)`` for `pose_corrections`, and placements ``(N, P)``. Spaces without parts chain
+        rotations and add weighted centres. `in_body_axes` also interpolates parts in body axes.
         """
         weights = operator.weights_at(times)
         placed = interpolate_poses(weights, self.unpack_placements(placements))
@@ -197,8 +196,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         points : (T, V, 3) or (V, 3) float
             Vertex positions in the units of the sequence: consecutive frames, or one pose.
         previous : (D,) float64, optional
-            Vector of the preceding frame, from which angles continue without jumps; by default, angles continue from
-            the reference.
+            Vector of the preceding frame, from which angles continue without jumps; by default the reference shape.
 
         Returns
         -------

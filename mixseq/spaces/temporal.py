@@ -6,9 +6,8 @@ The weights result from kriging with a linear trend and the covariance (Matern, 
 .. math:: k(d) = (1 + \sqrt 3\, d / \ell)\, e^{-\sqrt 3\, d / \ell}
 
 of frames at a distance d, in mean steps between frames. Kriging interpolates the frames; for large length scales
-:math:`\ell` it tends to the natural cubic spline. Short length scales prevent overshooting between sparse frames. The
-length scale minimises the squared errors of leave-one-out cross-validation. Only the nearest `WINDOW_FRAMES` frames
-have weights.
+:math:`\ell` it tends to the natural cubic spline. Short scales prevent overshooting between sparse frames. The scale
+minimises the squared errors of leave-one-out cross-validation. Only the nearest `WINDOW_FRAMES` frames have weights.
 
 Natural ends suit a continuing motion, but not one that starts from rest. In the first and the last interval, the
 not-a-knot spline has the share :math:`e^4 / (e^4 + e_\text{cubic}^4)`. The errors e of both splines are leave-one-out
