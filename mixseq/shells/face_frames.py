@@ -2,7 +2,7 @@ r"""Rotations of faces from edge lengths and dihedral angles.
 
 Edge lengths determine the shape of every triangle. Its *frame* is a rotation with three columns: the direction of side
 01, the in-plane normal of that side, and the face normal. In the frame, a hinge's edge has an angle :math:`\alpha` that
-follows from the lengths. The frames of both faces of a hinge thus differ by a known rotation (Wang, Liu and Tong 2012)
+follows from the lengths. The frames of both faces thus differ by a known rotation (Wang, Liu and Tong 2012)
 
 .. math:: F_j = F_i T_{ij}, \qquad T_{ij} = R_z(\alpha_i)\, R_x(\theta)\, R_z(-\alpha_j) .
 
@@ -12,8 +12,8 @@ solving
 
 .. math:: \min_\omega \sum_{ij} w_{ij}\, |\omega_j - \omega_i - a_{ij} \sin \varphi_{ij}|^2 ,
 
-a linear system with a constant matrix. Each of a few rounds rotates the frames by :math:`\exp \omega`. The sine is
-smooth at 180 degrees, where a rotation vector would jump.
+a linear system with a constant matrix. Each round rotates frames by :math:`\exp \omega`. The sine is smooth at 180
+degrees, where rotation vectors jump.
 
 Averaging starts from given or *chained* frames. Chaining is breadth-first from known frames. Each frame is the mean of
 the predictions by neighbours in the preceding layer. Chained frames are exact for consistent lengths and angles.

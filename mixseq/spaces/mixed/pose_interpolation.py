@@ -1,9 +1,10 @@
 r"""Interpolation of part poses in time: in world axes, in body axes, and by relations to neighbours.
 
 Rotations are chained and centres are weighted sums (`mixseq.spaces.temporal`), in world axes, where standing feet are
-at rest, and in body axes, where the rotation of the body is removed. Body poses are fitted to part poses interpolated
-in world axes. Part poses relative to bodies are independent of body rotations. With the matrix :math:`X = (R^T; t)` of
-four rows for a pose, and relations :math:`X_j = G_{ij} X_i` to neighbours, the interpolated poses minimise
+at rest, and in body axes, where the rotation of the body is removed. Bodies are fitted to part poses interpolated in
+world axes; relative to bodies, part poses are interpolated independently of body rotations. With the matrix
+:math:`X = (R^T; t)` of four rows for a pose, and relations :math:`X_j = G_{ij} X_i` to neighbours, the interpolated
+poses minimise
 
 .. math:: \sum_i |X_i - \hat X_i|^2_{P_i} + \lambda \sum_{ij} |X_j - \hat G_{ij} X_i|^2_{P_{ij}} ,
 
