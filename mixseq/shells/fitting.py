@@ -151,7 +151,7 @@ class Patch(PickledWithoutCaches):
 
     @cached_property
     def unknown_face_index(self) -> Index:
-        """Index ``(m,)`` of every face among those with unknown frames, -1 if known."""
+        """Index ``(m,)`` of every face among the faces with unknown frames, -1 if known."""
         is_known = self.fixed_face_mask.copy()
         is_known[0] |= not is_known.any()
         return np.where(is_known, -1, np.cumsum(~is_known) - 1)

@@ -118,7 +118,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
 
     @property
     def rounding_step_ratios(self) -> Float:
-        """Ratios ``(S,)`` of the rounding steps of a shape to that of positions: powers of two."""
+        """Ratios ``(S,)``, powers of two, of the rounding steps of a shape to the rounding step of positions."""
         return np.ones(self.shape_dim)
 
     @property
@@ -237,7 +237,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
 
     @abstractmethod
     def encode_independently(self, points: FloatArray) -> Float:
-        """Encode frames ``(T, V, 3)`` as vectors ``(T, D)``, each independently of the others; see `unwrap`."""
+        """Encode frames ``(T, V, 3)`` as vectors ``(T, D)``, each frame independently; see `unwrap`."""
 
     def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
         """Make vectors ``(T, D)`` continuous in time, and with a previous vector ``(D,)``; by default unchanged."""
@@ -269,7 +269,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         return self.decode(vectors, progress), [[] for _ in vectors]
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
-        """Return the change ``(S,)`` of a vector's shape from decoded points to edited ones ``(V, 3)``.
+        """Return the change ``(S,)`` of a vector's shape from decoded points to edited points ``(V, 3)``.
 
         The shape plus the change decodes to the edited points, except for the placement. Unedited points give zero.
         """

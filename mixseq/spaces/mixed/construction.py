@@ -166,7 +166,7 @@ def faces_without_area(topology: Topology, frames: FloatArray) -> Mask:
 
 
 def faces_at_winding_hinges(topology: Topology, frames: FloatArray) -> Mask:
-    """Mark the faces ``(F,)`` at hinges whose angles in frames ``(S, V, 3)`` differ by more than half a turn."""
+    """Mark the faces ``(F,)`` at hinges whose angles in frames ``(S, V, 3)`` differ by more than 180 degrees."""
     lowest = highest = dihedral_angles(frames[0].astype(np.float64), topology.hinges)
     for frame in frames[1:]:
         angles = dihedral_angles(frame.astype(np.float64), topology.hinges)

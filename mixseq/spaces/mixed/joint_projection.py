@@ -43,7 +43,7 @@ COMPLEX_STEP = 2.0**-400
 """Step h; its square is below rounding, and its products with rates are normal floating-point numbers."""
 
 RealOrComplex = NDArray[Any]
-"""Real numbers, or complex ones with rates times `COMPLEX_STEP` as imaginary parts."""
+"""Real numbers, or complex numbers whose imaginary parts are rates times `COMPLEX_STEP`."""
 
 
 def to_complex_step(values: Float, rates: Float) -> RealOrComplex:

@@ -78,7 +78,7 @@ PROJECTION_WEIGHT_RANGE = (1e-6, 1e6)
 """Range of `hold` and `relations`, outside which linear systems are singular."""
 
 LENGTH_STEP_RATIO = 1 / 4
-"""Ratio of the rounding step of lengths to that of positions, where P_m relaxes."""
+"""Ratio of the rounding step of lengths to the rounding step of positions, if P_m relaxes."""
 
 MAX_ANGLE_STEP_RATIO = 64
 """Largest ratio of the rounding step of angles in radians to that of positions in diagonals."""
@@ -521,5 +521,5 @@ def as_mixed(space: ShapeSpace) -> MixedSpace:
 
 
 def _with_positive_w(q: Float) -> Float:
-    """Return quaternions ``(..., 4)`` with w >= 0: rotations by at most half a turn."""
+    """Return quaternions ``(..., 4)`` with w >= 0: rotations by at most 180 degrees."""
     return np.where(q[..., :1] < 0, -q, q)

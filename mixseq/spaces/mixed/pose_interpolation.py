@@ -53,7 +53,7 @@ class PoseInterpolation:
     articulation: Articulation  # bodies and relations of the parts
     operator: TemporalOperator  # weights of the frames
     poses: Poses  # (T, p) part poses at the frames in world axes, rotations since the reference frame
-    in_body_axes: bool  # whether poses are interpolated in body axes as well
+    in_body_axes: bool  # whether poses are interpolated in body axes in addition to world axes
 
     def at(self, times: Float) -> tuple[Poses, Poses]:
         """Return body poses ``(N, B)`` and part poses in body axes ``(N, p)`` at times ``(N,)``; exact at frames."""

@@ -7,8 +7,8 @@ With the rigid motions :math:`M_{ti}` of part i from the reference frame to fram
 
 Here :math:`\bar w` is the mean of the neighbours' weights, and :math:`\mu_v` is `SMOOTHNESS_WEIGHT` times the squared
 distance of the part motions at the vertex from their mean. Gauss-Seidel sweeps visit the vertices in turn. Candidate
-parts of a vertex, and initial weights, are those of nearby faces, diffused over about `INFLUENCE_RINGS` rings of edges
-by two implicit steps, :math:`(I + r^2 L / 4)\, u = v`.
+parts of a vertex, and initial weights, come from nearby faces, diffused over about `INFLUENCE_RINGS` rings of edges by
+two implicit steps, :math:`(I + r^2 L / 4)\, u = v`.
 """
 
 from __future__ import annotations
