@@ -185,7 +185,7 @@ class Pieces:
 
 
 def _with_width(shape: Float) -> Float:
-    """Add width to a centred shape ``(n, 3)`` that is a line or a point; return wider shapes unchanged.
+    """Add width to a centred shape ``(n, 3)`` that is a line or a point; return other shapes unchanged.
 
     Offsets have neither a mean nor a moment along the line, so that the pose of a rigidly moving line is exact.
     """
