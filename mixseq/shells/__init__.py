@@ -1,5 +1,5 @@
-"""Meshes from the lengths of their edges and the dihedral angles between their faces.
+"""Reconstruct meshes from edge lengths and the dihedral angles between faces.
 
-`face_frames` finds rotations of faces, `shell` relaxes a mesh, `fitting` fits one by Gauss-Newton; `kernels` are their
-compiled loops, `solvers` and `gauss_newton` factor sparse systems.
+`face_frames` computes rotations of faces, `shell` relaxes meshes, and `fitting` fits meshes by Gauss-Newton. `kernels`
+contains the compiled loops of both; `solvers` and `gauss_newton` factor sparse systems.
 """

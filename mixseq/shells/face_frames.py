@@ -1,21 +1,22 @@
 r"""Rotations of faces from edge lengths and dihedral angles.
 
-Lengths determine the shape of every triangle. Its *frame* is a rotation whose columns are the direction of its side 01,
-the in-plane normal of that side, and the normal. In it, a hinge's edge has an angle :math:`\alpha` that follows from
-the lengths, so that the frames of both faces of a hinge differ by a known rotation (Wang, Liu and Tong 2012)
+Edge lengths determine the shape of every triangle. Its *frame* is a rotation with three columns: the direction of side
+01, the in-plane normal of that side, and the face normal. In the frame, a hinge's edge has an angle :math:`\alpha` that
+follows from the lengths. The frames of both faces thus differ by a known rotation (Wang, Liu and Tong 2012)
 
 .. math:: F_j = F_i T_{ij}, \qquad T_{ij} = R_z(\alpha_i)\, R_x(\theta)\, R_z(-\alpha_j) .
 
 Blended lengths and angles are inconsistent: no frames satisfy all of these equations. *Rotation averaging* (after
 Govindu 2004) distributes the misfits :math:`F_i T_{ij} F_j^{-1}`, rotations by angles :math:`\varphi` about axes a, by
+solving
 
 .. math:: \min_\omega \sum_{ij} w_{ij}\, |\omega_j - \omega_i - a_{ij} \sin \varphi_{ij}|^2 ,
 
-a system with a constant matrix. Frames are rotated by :math:`\exp \omega`, in two or three rounds. The sine is smooth
-at half a turn, where a rotation vector would jump.
+a linear system with a constant matrix. Each round rotates frames by :math:`\exp \omega`. The sine is smooth at 180
+degrees, where rotation vectors jump.
 
-Averaging starts from given frames, or from chained ones: breadth-first from the known frames, each frame is the mean of
-the predictions of its neighbours in the layer before. Chained frames are exact for consistent lengths and angles.
+Averaging starts from given or *chained* frames. Chaining is breadth-first from known frames. Each frame is the mean of
+the predictions by neighbours in the preceding layer. Chained frames are exact for consistent lengths and angles.
 
 Frames are unit quaternions (w, x, y, z).
 """
@@ -39,7 +40,7 @@ from mixseq.types import Float, Index, IntArray, Mask
 
 @inlined
 def multiply(p: Float, q: Float, r: Float) -> None:
-    """Write the product ``p q`` to r, which must not alias them."""
+    """Write the product ``p q`` to r, which must not alias p or q."""
     r[0] = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3]
     r[1] = p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2]
     r[2] = p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1]
@@ -48,7 +49,7 @@ def multiply(p: Float, q: Float, r: Float) -> None:
 
 @inlined
 def multiply_by_inverse(p: Float, q: Float, r: Float) -> None:
-    """Write the product ``p conj(q)`` to r, which must not alias them."""
+    """Write the product ``p conj(q)`` to r, which must not alias p or q."""
     r[0] = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
     r[1] = -p[0] * q[1] + p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
     r[2] = -p[0] * q[2] + p[1] * q[3] + p[2] * q[0] - p[3] * q[1]
@@ -57,7 +58,7 @@ def multiply_by_inverse(p: Float, q: Float, r: Float) -> None:
 
 @inlined
 def multiply_inverse_by(p: Float, q: Float, r: Float) -> None:
-    """Write the product ``conj(p) q`` to r, which must not alias them."""
+    """Write the product ``conj(p) q`` to r, which must not alias p or q."""
     r[0] = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
     r[1] = p[0] * q[1] - p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
     r[2] = p[0] * q[2] + p[1] * q[3] - p[2] * q[0] - p[3] * q[1]
@@ -66,7 +67,7 @@ def multiply_inverse_by(p: Float, q: Float, r: Float) -> None:
 
 @compiled
 def _triangle_frames(x: Float, faces: Index) -> Float:
-    """Return the frames ``(m, 4)`` of triangles ``(m, 3)`` with vertices ``(n, 3)``; arbitrary ones without area."""
+    """Return the frames ``(m, 4)`` of triangles ``(m, 3)`` with vertices ``(n, 3)``, arbitrary if the area is zero."""
     frames = np.empty((len(faces), 4))
     r = np.empty((3, 3))
     for f in range(len(faces)):
@@ -100,7 +101,7 @@ def _triangle_frames(x: Float, faces: Index) -> Float:
 
 @inlined
 def _quaternion(r: Float, q: Float) -> None:
-    """Write the unit quaternion of a rotation matrix, from its largest component (Shepperd 1978)."""
+    """Write the unit quaternion of a rotation matrix r to q, computed from the largest component (Shepperd 1978)."""
     trace = r[0, 0] + r[1, 1] + r[2, 2]
     largest = 0
     if r[0, 0] > trace:
@@ -140,10 +141,10 @@ def _hinge_rotations(first: Float, second: Float, bends: Float) -> Float:
 def _chain_frames(
     pairs: Index, rotations: Float, weights: Float, order: Index, starts: Index, links: Index, frames: Float
 ) -> None:
-    """Write frames ``(n, 4)`` in the order ``(k,)``, each the mean predicted by its links to earlier ones.
+    """Write frames ``(n, 4)`` in an order ``(k,)``; each is the mean of the predictions by links to earlier frames.
 
     The links of ``order[k]`` are ``links[starts[k] : starts[k + 1]]``: indices of pairs ``(h, 2)``, or -1 - index where
-    the frame is the first of its pair. Frames outside the order are known.
+    the frame is the first of its pair. Frames that are not in the order are known.
     """
     seen, total = np.empty(4), np.empty(4)
     for k in range(len(order)):
@@ -157,7 +158,7 @@ def _chain_frames(
                 multiply_by_inverse(frames[pairs[pair, 1]], rotations[pair], seen)
             cosine = total[0] * seen[0] + total[1] * seen[1] + total[2] * seen[2] + total[3] * seen[3]
             square = total[0] ** 2 + total[1] ** 2 + total[2] ** 2 + total[3] ** 2
-            # Quaternions of both signs are the same rotation; predictions half a turn from the mean have no weight.
+            # A quaternion and its negative are the same rotation; predictions 180 degrees off the mean have no weight.
             weight = weights[pair] * (cosine / math.sqrt(square) if square > 0.0 else 1.0)
             for i in range(4):
                 total[i] += weight * seen[i]
@@ -168,9 +169,9 @@ def _chain_frames(
 
 @compiled
 def averaging_right_side(frames: Float, pairs: Index, rotations: Float, weights: Float, count: int) -> Float:
-    """Return the right-hand side ``(count, 3)`` of an averaging round: weighted axes of misfits times their sines.
+    """Return the right-hand side ``(count, 3)`` of an averaging round: weighted misfit axes times misfit sines.
 
-    The first `count` frames move, the others are fixed. Arrays are real or complex.
+    The first `count` frames move, the remaining frames are fixed. Arrays are real or complex.
     """
     right = np.zeros((count, 3), frames.dtype)
     expected, misfit = np.empty(4, frames.dtype), np.empty(4, frames.dtype)
@@ -203,7 +204,7 @@ def _rotate_frames(frames: Float, vectors: Float) -> None:
 
 @compiled
 def rotate_sides(frames: Float, flat: Float) -> Float:
-    """Return the sides 01, 12, 20 ``(F, 3, 3)`` of flat triangles ``(F, 3, 2)`` with frames ``(F, 4)``."""
+    """Return the sides 01, 12, 20 ``(F, 3, 3)`` of flat triangles ``(F, 3, 2)``, rotated by frames ``(F, 4)``."""
     sides = np.empty((len(flat), 3, 3))
     for f in range(len(flat)):
         w, x, y, z = frames[f]
@@ -244,11 +245,11 @@ def triangle_frames(x: Float, faces: IntArray) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class HingeFrames:
-    """Hinges in the frames of their faces."""
+    """Hinges, expressed in the frames of their two faces."""
 
     faces: IntArray  # (m, 3) triangles
     hinges: Index  # (h, 4) hinges a, b, c, d: edge ab, opposite vertices c and d
-    hinge_faces: Index  # (h, 2) their faces
+    hinge_faces: Index  # (h, 2) the two faces of every hinge
 
     @cached_property
     def _edge_corners(self) -> tuple[Index, Index]:
@@ -264,16 +265,16 @@ class HingeFrames:
 
     @cached_property
     def side_ids(self) -> Index:
-        """Side ``(h, 2)`` of the hinge's edge in both faces."""
+        """Index ``(h, 2)`` of the side of both faces that lies on the hinge's edge."""
         return np.where(self.backward_mask, self._edge_corners[1], self._edge_corners[0])
 
     @cached_property
     def reversed_normals(self) -> Float:
-        """Half a turn ``(h,)`` at hinges of inconsistently oriented faces, else zero."""
+        """Angles ``(h,)`` added to hinge angles: pi between inconsistently oriented faces, else zero."""
         return np.where(self.backward_mask[:, 1], 0.0, np.pi)
 
     def rotations(self, flat: Float, angles: Float) -> Float:
-        """Return the rotations T ``(h, 4)`` across all hinges: flat ``(m, 3, 2)``; angles ``(h,)``."""
+        """Return the rotations T ``(h, 4)`` across hinges from flat triangles ``(m, 3, 2)`` and angles ``(h,)``."""
         sides = np.roll(flat, -1, axis=1) - flat
         directions = np.arctan2(sides[..., 1], sides[..., 0])
         alpha = directions[self.hinge_faces, self.side_ids] + np.where(self.backward_mask, np.pi, 0.0)
@@ -290,7 +291,7 @@ class FrameGraph(PickledWithoutCaches):
 
     @cached_property
     def factor(self) -> Factor:
-        """Factor of the matrix of averaging, which holds known frames softly."""
+        """Factor of the averaging matrix, in which known frames are softly constrained."""
         return factorise_laplacian(self.pairs, self.weights, np.where(self.known_mask, 1.0, 0.0))
 
     def cached_values(self) -> tuple[object, ...]:
@@ -334,7 +335,7 @@ class FrameGraph(PickledWithoutCaches):
 
 
 def bridging_mask(count: int, pairs: Index, sound: Mask) -> Mask:
-    """Mark sound pairs ``(h, 2)`` of `count` nodes, and a spanning forest of others between their components."""
+    """Mark sound pairs ``(h, 2)`` of `count` nodes, and a spanning forest of unsound pairs between sound components."""
     components = np.sort(connected_components(count, pairs[sound])[pairs], axis=1)
     separate = np.flatnonzero(components[:, 0] != components[:, 1])
     component_pairs, first = np.unique(components[separate], axis=0, return_index=True)

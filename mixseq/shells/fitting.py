@@ -9,18 +9,18 @@ The energy of the free vertices of a patch is
 
 with ``w_e = 1 / mean length of e`` and a constant ``w_h``, so that both terms measure relative changes (Froehlich and
 Botsch 2011). Soft constraints of positions and of the volume V of the patch are optional. Angle residuals are wrapped
-to (-pi, pi], so that folds beyond half a turn are pulled back the shorter way.
+to (-pi, pi], so that folds beyond 180 degrees unfold the shorter way.
 
 A step s solves :math:`(J^T J + \lambda \, \mathrm{diag}\, J^T J)\, s = -J^T r` (Levenberg-Marquardt). A step that does
-not lower the energy is repeated with ten times the damping :math:`\lambda`; one that lowers it as predicted by the
-linear model reduces the damping.
+not lower the energy is repeated with ten times the damping :math:`\lambda`. If a step lowers the energy as predicted by
+the linear model, the damping is reduced.
 
 The linear initialisation (after Wang, Liu and Tong 2012) is independent of the pose:
 
-1. Frames: minimise :math:`\sum \|F_j - F_i T_{ij}\|^2`, a sparse linear system. Faces with three fixed vertices have
-   known frames; without any, the first face has the identity. Project every frame to a rotation.
+1. Frames: minimise :math:`\sum \|F_j - F_i T_{ij}\|^2` by a sparse linear system. Faces with three fixed vertices have
+   known frames. Without such faces, the first frame is the identity. Project every frame to a rotation.
 2. Vertices: minimise :math:`\sum_f \sum_{ab \in f} \|x_b - x_a - F_f\, u_{ab}\|^2` over the sides of all faces, where
-   ``u`` is the side in the frame. Fixed vertices stay; without any, the first vertex is the origin.
+   ``u`` is the side in frame axes. Fixed vertices keep their positions; without them, the first vertex is the origin.
 
 The result is exact for consistent lengths and angles.
 """
@@ -55,7 +55,7 @@ class NormalEquations:
     edges: Index  # (e', 2) edges with a free vertex
     hinges: Index  # (h', 4) hinges with a free vertex
     free_ids: Index  # (f,) free vertices
-    free_index: Index  # (n,) index of every vertex among them, -1 if fixed
+    free_index: Index  # (n,) index of every vertex among the free ones, -1 if fixed
     pattern: BlockPattern  # pattern of the matrix, a triple of unknowns per free vertex
     edge_blocks: Index  # (e',) block that couples the two vertices of an edge, -1 if one is fixed
     hinge_blocks: Index  # (h', 6) blocks of the vertices ba, ca, cb, da, db, dc of a hinge, -1 if fixed
@@ -87,9 +87,9 @@ class Patch(PickledWithoutCaches):
     edges: Index  # (e, 2) edges, in the order of the lengths
     face_edges: Index  # (m, 3) edge of the sides 01, 12, 20 of every face
     hinges: Index  # (h, 4) hinges a, b, c, d, in the order of the angles
-    hinge_faces: Index  # (h, 2) their two faces
+    hinge_faces: Index  # (h, 2) the two faces of every hinge
     fixed_mask: Mask  # (n,) vertices with given positions
-    threads: int | None = None  # threads that factor one matrix; by default from its size
+    threads: int | None = None  # number of threads that factor one matrix; by default determined by its size
 
     @classmethod
     def from_joint(cls, topology: Topology, joint: Joint, fixed: Mask) -> Patch:
@@ -151,7 +151,7 @@ class Patch(PickledWithoutCaches):
 
     @cached_property
     def unknown_face_index(self) -> Index:
-        """Index ``(m,)`` of every face among those with unknown frames, -1 if known."""
+        """Index ``(m,)`` of every face among the faces with unknown frames, -1 if known."""
         is_known = self.fixed_face_mask.copy()
         is_known[0] |= not is_known.any()
         return np.where(is_known, -1, np.cumsum(~is_known) - 1)
@@ -173,12 +173,12 @@ class Patch(PickledWithoutCaches):
 
     @cached_property
     def unknown_ids(self) -> Index:
-        """Unknown vertices of the Poisson system: the free ones, without the first if none is fixed."""
+        """Unknown vertices of the Poisson system: the free vertices, without the first one if no vertex is fixed."""
         return self.free_ids if self.fixed_mask.any() else self.free_ids[1:]
 
 
 CONJUGATE_GRADIENT_TOLERANCE = 0.03
-"""Relative residual at which conjugate gradients stop; the next Gauss-Newton step corrects it."""
+"""Relative residual at which conjugate gradients stop; the next Gauss-Newton step corrects the error."""
 
 MAX_CONJUGATE_GRADIENT_STEPS = 100
 """Largest number of conjugate gradient steps, after which the matrix is factored."""
@@ -187,20 +187,20 @@ MAX_SQUARABLE_RESIDUAL = 1e150
 """Largest residual of the volume with a finite square."""
 
 MAX_DAMPING = 1e12
-"""Largest damping: the energy is not smooth or not finite where no step lowers it."""
+"""Largest damping; if it yields no step that lowers the energy, the energy is not smooth or not finite."""
 
 MAX_CONVERGED_DAMPING = 1e-2
 """Largest damping with which short steps indicate convergence."""
 
 LEVEL_ENERGY_RATIO = 0.1
-"""Ratio of energies below which the energy still decreases, as near an exact fit."""
+"""Ratio of new to old energy below which the energy has not levelled off, as near an exact fit."""
 
 
 class SoftConstraint(NamedTuple):
     """Soft constraints of positions of free vertices."""
 
     positions: Float  # (f, 3) expected positions, in the unit of the points
-    weights: Float  # (f,) weights of distances from them, per unit; empty without constraints
+    weights: Float  # (f,) weights of distances from these positions, per unit; empty without constraints
 
 
 NO_CONSTRAINT = SoftConstraint(np.zeros((0, 3)), np.zeros(0))
@@ -238,12 +238,12 @@ class ShellProblem:
         if self.volume is None:
             return residuals, energy
         volume_residual = self.volume_weight * (signed_volume(points, self.patch.faces) - self.volume)
-        # Python raises where squares overflow.
+        # Python raises an exception if a square overflows.
         square = volume_residual**2 if abs(volume_residual) < MAX_SQUARABLE_RESIDUAL else np.inf
         return np.append(residuals, volume_residual), energy + square
 
     def normal_equations(self, points: Float, residuals: Float) -> tuple[Float, Float]:
-        """Return the values ``(N,)`` of ``J^T J``, and ``J^T r`` ``(3 f,)``, without the volume."""
+        """Return the values ``(N,)`` of ``J^T J``, and ``J^T r`` ``(3 f,)``, without the volume term."""
         equations = self.patch.equations
         values, gradient = np.empty(len(equations.pattern.rows)), np.empty(3 * len(equations.free_ids))
         weights = self.length_weights, self.bending, self.constraint.weights
@@ -304,10 +304,10 @@ def fit_shell(problem: ShellProblem, start: Float, settings: ShellSettings | Non
 
 
 def _solve_step(pattern: BlockPattern, values: Float, gradient: Float, use_cg: bool) -> tuple[Float, bool]:
-    """Solve for a step, optionally by conjugate gradients; return whether these converged.
+    """Solve for a step, optionally by conjugate gradients; also return whether conjugate gradients converged.
 
-    If all positions are constrained, the matrix is well conditioned, and a few conjugate gradients cost a tenth of a
-    factorisation. Without constraints, soft bending modes make it ill conditioned.
+    If all positions are constrained, the matrix is well conditioned, and a few conjugate gradient steps cost a tenth of
+    a factorisation. Without constraints, soft bending modes make it ill conditioned.
     """
     if use_cg:
         step = np.empty_like(gradient)
@@ -326,7 +326,7 @@ def _solve_step_with_volume(pattern: BlockPattern, values: Float, gradient: Floa
 
 
 MAX_GUESS_RESIDUAL = 0.5
-"""Largest weighted residual of a guess from which Gauss-Newton starts without a linear start."""
+"""Largest weighted residual of a guess that replaces the linear start of Gauss-Newton."""
 
 
 def linear_initialisation(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
@@ -365,7 +365,7 @@ def _initial_frames(patch: Patch, flat: Float, angles: Float, positions: Float) 
     values[pattern.diagonal] = np.repeat(counts[unknown_ids].astype(np.float64), 3)
     inner = ~is_known[i] & ~is_known[j]
     first, second = index[i[inner]], index[j[inner]]
-    # -T^T couples row block j to column block i; below the diagonal is the higher number's row.
+    # -T^T couples row block j to column block i; in the lower triangle, the higher number is the row.
     inner_rotations = rotations[inner]
     blocks = -np.where((second > first)[:, None, None], np.swapaxes(inner_rotations, 1, 2), inner_rotations)
     places = pattern.places[pattern.find_blocks(first, second)][:, None, :] + np.arange(3)[:, None]
@@ -376,7 +376,7 @@ def _initial_frames(patch: Patch, flat: Float, angles: Float, positions: Float) 
 
 
 def integrate(patch: Patch, sides: Float, positions: Float) -> Float:
-    """Solve for the vertices ``(n, 3)`` with sides closest to ``(m, 3, 3)``; fixed ones are at positions ``(n, 3)``."""
+    """Solve for vertices ``(n, 3)`` with sides closest to ``(m, 3, 3)``; fixed vertices keep `positions` ``(n, 3)``."""
     count = len(patch.fixed_mask)
     right = np.zeros((count, 3))
     np.add.at(right, patch.faces.reshape(-1), -sides.reshape(-1, 3))
@@ -398,10 +398,10 @@ def rebuild_patch(
     guess: Float | None = None,
     soft: SoftConstraint = NO_CONSTRAINT,
 ) -> tuple[Float, ShellReport]:
-    """Rebuild a patch ``(n, 3)`` from lengths ``(e',)`` and angles ``(h',)``, in radians, at its free vertices.
+    """Rebuild a patch ``(n, 3)`` from lengths ``(e',)``, and angles ``(h',)`` in radians, around its free vertices.
 
-    Weights ``(e',)`` are inverse typical lengths. Fixed vertices are at positions ``(n, 3)``. A guess ``(f, 3)`` of the
-    free vertices is an alternative start.
+    Weights ``(e',)`` are inverse typical lengths. Fixed vertices are at `positions` ``(n, 3)``. A guess ``(f, 3)`` of
+    the free vertices is an alternative start.
     """
     lengths = clamp_lengths(lengths, weights)
     problem = ShellProblem(patch, lengths, angles, weights, settings.bending, soft)
@@ -415,7 +415,7 @@ def rebuild_patch(
 
 
 def _linear_start(problem: ShellProblem, positions: Float) -> Float:
-    """Return the linear start ``(n, 3)``, with lengths and angles of the positions between fixed vertices."""
+    """Return the linear start ``(n, 3)``; lengths and angles between fixed vertices are measured at the positions."""
     patch = problem.patch
     lengths, angles = edge_lengths(positions, patch.edges), dihedral_angles(positions, patch.hinges)
     lengths[patch.free_edge_mask], angles[patch.free_hinge_mask] = problem.lengths, problem.angles

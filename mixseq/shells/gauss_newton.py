@@ -1,8 +1,8 @@
 """Settings and reports of fits to lengths and angles, and the sparsity pattern of their matrices.
 
 Unknowns are triples: the coordinates of a vertex, or the columns of a face's frame. Coupled pairs follow from
-connectivity, so that the places of all values are computed once. A matrix is stored as its values alone, the lower
-triangle column by column (compressed sparse columns).
+connectivity, so that the indices of all values are computed once. Of every matrix, only the values of the lower
+triangle are stored, column by column (compressed sparse columns).
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from mixseq.types import Index
 class BlockPattern(PickledWithoutCaches):
     """The lower triangle of a symmetric matrix of n x n blocks, with all diagonal blocks."""
 
-    starts: Index  # (3n + 1,) where the values of every column start
-    rows: Index  # (N,) row of every value, ascending in each column; the first is that of the diagonal
+    starts: Index  # (3n + 1,) index of the first value of every column
+    rows: Index  # (N,) row of every value, ascending in each column; the first row is on the diagonal
     # (n + m, 3) index of the value in row 0 of every column of the n diagonal blocks, then of the m blocks below; rows
     # 1 and 2 follow. Diagonal blocks only have rows on and below the diagonal.
     places: Index
     keys: Index  # (m,) n * column + row of the blocks below the diagonal, ascending
-    threads: int | None = None  # threads that factor one matrix; by default from its size
+    threads: int | None = None  # number of threads that factor one matrix; by default determined by its size
 
     @classmethod
     def from_pairs(cls, count: int, pairs: Index, threads: int | None = None) -> BlockPattern:
@@ -57,7 +57,7 @@ class BlockPattern(PickledWithoutCaches):
         return (len(self.starts) - 1) // 3
 
     def find_blocks(self, i: Index, j: Index) -> Index:
-        """Return the block of `places` that couples i and j, -1 where one is negative."""
+        """Return the index in `places` of the block that couples i and j, -1 where i or j is negative."""
         low, high = np.minimum(i, j), np.maximum(i, j)
         below = self.block_count + np.searchsorted(self.keys, self.block_count * low + high)
         return np.where(low < 0, -1, np.where(low == high, low, below)).astype(np.int64)
@@ -88,17 +88,17 @@ class ShellSettings:
     iterations : int
         Largest number of steps.
     tolerance : float
-        Converged when the predicted decrease of the energy is below this fraction of it ...
+        Convergence limit of the predicted decrease of the energy, as a fraction of the energy.
     exact : float
-        ... or when no weighted residual is above this, ...
+        Alternative convergence limit of the largest weighted residual.
     accuracy : float
-        ... or when a step moves no coordinate by more than this, in the unit of the points (diagonals), and the
-        energy has levelled off. Steps shrink about tenfold, so that the remaining error is much smaller.
+        Alternative convergence limit of the largest change of a coordinate in a step, in the unit of the points
+        (diagonals), once the energy has levelled off. Steps shrink about tenfold, so that the final error is smaller.
 
     Raises
     ------
     SettingsError
-        If one of them is not a number, or below zero.
+        If a setting is not a number, or is negative.
     """
 
     bending: float = 0.3

@@ -1,8 +1,8 @@
 """Compiled inner loops of `mixseq.shells.shell` and `mixseq.shells.fitting`.
 
-Lengths, angles, their energy, gradients and normal equations, and conjugate gradients. Formulas are those of
-`mixseq.mesh.measures`; tests compare both. Loops release the interpreter's lock and add in a fixed order, so that
-results are bit-identical for any number of threads.
+They compute lengths, angles, energies, gradients and normal equations, and solve by conjugate gradients. Tests compare
+the formulas with `mixseq.mesh.measures`. Loops release the interpreter's lock and sum in a fixed order, so that results
+are bit-identical for any number of threads.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mixseq.types import Float, Index
 Vector = tuple[float, float, float]
 
 MIN_DOUBLE = 2.2250738585072014e-308
-"""Least positive number of full precision."""
+"""Least positive double with full precision."""
 
 FULL_TURN = 2.0 * math.pi
 """Angle of a full turn in radians."""
@@ -66,7 +66,7 @@ def _sides_and_normals(x: Float, a: int, b: int, c: int, d: int) -> tuple[Vector
 
 @inlined
 def _opening(e: Vector, n: Vector, m: Vector) -> tuple[float, float]:
-    """Return cosine and sine of the angle from normal n to m about e, times the lengths of all three."""
+    """Return cosine and sine of the angle from normal n to m about e, times the lengths of n, m and e."""
     return _dot(n, m) * math.sqrt(_dot(e, e)), _dot(_cross(n, m), e)
 
 
@@ -88,7 +88,7 @@ def wrap_angle(angle: float) -> float:
 def _write_gradient(
     e: Vector, p: Vector, q: Vector, n: Vector, m: Vector, scale: float, min_c: float, min_d: float, g: Float
 ) -> None:
-    """Write the gradient of an angle, times `scale`, as `angle_gradient` does."""
+    """Write the gradient of a hinge's angle, times `scale`, in the form of `angle_gradient`."""
     square = max(_dot(e, e), MIN_DOUBLE)
     size = scale * math.sqrt(square)
     first = -size / max(_dot(n, n), min_c, MIN_DOUBLE)
@@ -129,7 +129,7 @@ def angle_misfit(
 ) -> float:
     """Return 1 - cos of the error of the angle of the hinge abcd, and write its gradient as `angle_gradient` does.
 
-    `cosine` and `sine` are those of the target angle. Hinges of triangles without area have no error.
+    The arguments `cosine` and `sine` belong to the target angle. Hinges of triangles without area have no error.
     """
     e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
     along, across = _opening(e, n, m)
@@ -166,8 +166,8 @@ def shell_energy(
 ) -> float:
     """Return half the sum of squared residuals ``w (l - l*)`` and ``2 w sin((theta - theta*) / 2)``, and its gradient.
 
-    Vertices ``(V, 3)`` and lengths ``(E,)`` are in diagonals, targets ``(H, 2)`` cosines and sines of target angles,
-    weights ``(E,), (H,)`` per diagonal and radian. Least squares of normals are ``(H, 2)``.
+    Vertices ``(V, 3)`` and lengths ``(E,)`` are in diagonals, targets ``(H, 2)`` are cosines and sines of target
+    angles. Weights ``(E,), (H,)`` are per diagonal and radian. Lower bounds of squared normals are ``(H, 2)``.
     """
     total = 0.0
     gradient[:] = 0.0
@@ -198,7 +198,7 @@ def shell_energy(
 
 @compiled
 def hinge_nearness(x: Float, hinges: Index, targets: Float) -> Float:
-    """Return the squared cosines ``(H,)`` of half the errors of hinges: 1 without error, 0 at half a turn."""
+    """Return the squared cosines ``(H,)`` of half the angle errors of hinges: 1 without error, 0 at 180 degrees."""
     nearness, g = np.empty(len(hinges)), np.empty((4, 3))
     for k in range(len(hinges)):
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
@@ -269,7 +269,7 @@ def _add_coupling(values: Float, places: Index, block: int, g: Float, p: int, o:
 
 @inlined
 def _add_same_vertex(values: Float, places: Index, block: int, g: Float, p: int, o: int) -> None:
-    """Add the products of two gradients by one vertex, at a hinge of two faces with the same vertices."""
+    """Add the products of two gradients of one vertex, at a hinge between faces with the same vertices."""
     for j in range(3):
         for i in range(j, 3):
             values[places[block, j] + i] += g[p, i] * g[o, j] + g[o, i] * g[p, j]
@@ -315,7 +315,7 @@ def shell_equations(
                 for i in range(3):
                     gradient[3 * v + i] += residuals[k] * g[p, i]
                 _add_square(values, places, v, g, p)
-        if edge_blocks[k] >= 0:  # both gradients are opposite, whichever is the row
+        if edge_blocks[k] >= 0:  # the two gradients are opposite, so that their order is irrelevant
             _add_coupling(values, places, edge_blocks[k], g, 1, 0)
     first = len(edges)
     for k in range(len(hinges)):
@@ -358,10 +358,10 @@ def conjugate_gradients(
     max_steps: int,
     solution: Float,
 ) -> int:
-    """Solve with the inverse diagonal blocks as preconditioner, into `solution` ``(n,)``; return the number of steps.
+    """Solve into `solution` ``(n,)``, with inverse diagonal blocks as preconditioner; return the number of steps.
 
-    Returns -1 after `max_steps`, or where rounding makes the matrix or the preconditioner indefinite. The tolerance is
-    relative to the residual of zero, in the norm of the preconditioner.
+    Return -1 after `max_steps`, or if rounding makes the matrix or the preconditioner indefinite. The tolerance is
+    relative to the residual of the zero solution, in the norm of the preconditioner.
     """
     size = len(right)
     inverse = np.empty((size // 3, 6))
@@ -404,7 +404,7 @@ def conjugate_gradients(
 
 @inlined
 def _multiply(starts: Index, rows: Index, values: Float, p: Float, q: Float) -> None:
-    """Write the matrix times p to q, three columns and all their blocks at a time."""
+    """Write the product of the matrix and p to q, three columns at a time."""
     q[:] = 0.0
     for v in range(0, len(p), 3):
         a, b, c, end = starts[v], starts[v + 1], starts[v + 2], starts[v + 1]
@@ -433,7 +433,7 @@ def _multiply(starts: Index, rows: Index, values: Float, p: Float, q: Float) -> 
 
 @inlined
 def _invert_blocks(places: Index, values: Float, inverse: Float) -> bool:
-    """Write the upper triangles ``(n, 6)``, by rows, of inverse diagonal blocks; return whether all are definite."""
+    """Write inverse diagonal blocks as upper triangles ``(n, 6)``, by rows; return whether all blocks are definite."""
     for v in range(len(inverse)):
         a, b, c = values[places[v, 0]], values[places[v, 0] + 1], values[places[v, 0] + 2]
         d, e, f = values[places[v, 1] + 1], values[places[v, 1] + 2], values[places[v, 2] + 2]

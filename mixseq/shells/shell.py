@@ -1,13 +1,13 @@
-r"""A mesh as a shell: vertices from sides of faces, and relaxation that reduces errors of lengths and angles.
+r"""Treat a mesh as a shell: integrate vertices from sides of faces, and relax errors of lengths and angles.
 
-The energy is that of discrete shells (Froehlich and Botsch 2011), with weights of relative changes,
+The energy of discrete shells (Froehlich and Botsch 2011), with weights that measure relative changes, is
 
 .. math:: E(x) = \tfrac12 \sum_e \frac{(l_e - l_e^*)^2}{\bar l_e^2}
                + \tfrac12 \sum_h \beta^2 \cos^4 \frac{\delta_h}{2}
                  \Bigl( 2 \sin \frac{\theta_h - \theta_h^*}{2} \Bigr)^2 .
 
-The sine approximates small angles, and is smooth at half a turn. Hinges with a large error :math:`\delta_h` at the
-start have less weight: they are folds, and steps that unfold only some of them make vertices jump in time.
+The sine approximates small angles, and is smooth at 180 degrees. Hinges with a large initial error :math:`\delta_h`
+have less weight. They are folds, and steps that unfold only some folds make vertices jump in time.
 
 The energy is minimised by Chebyshev iteration with a constant preconditioner, the Laplacian of the mesh with weights
 :math:`1 / \bar l_e^2` (after Liu, Bouaziz and Kavan 2017). Step lengths follow from the range of preconditioned
@@ -36,19 +36,19 @@ POWER_ITERATIONS = 15
 """Number of power iterations for the largest curvature."""
 
 CURVATURE_SAFETY_FACTOR = 1.3
-"""Safety factor of the largest curvature, a lower bound estimated in the reference."""
+"""Safety factor of the largest curvature, which is underestimated at the reference."""
 
 CURVATURE_RANGE = 30.0
-"""Ratio of the largest to the least curvature that relaxation reduces; softer modes keep their errors."""
+"""Ratio of the largest to the least curvature that relaxation reduces; errors of softer modes remain."""
 
 SLENDER_HEIGHT_RATIO = 0.25
-"""Ratio of height to sides below which hinges of a triangle have less weight, because their angles are noisy."""
+"""Ratio of a triangle's height to its longest side below which its hinges have less weight: their angles are noisy."""
 
 MIN_AREA_RATIO = 0.7
-"""Least ratio of a triangle's area to its typical area in gradients; smaller ones would destabilise the iteration."""
+"""Least ratio of a triangle's area to its typical area in gradients; smaller areas would destabilise the iteration."""
 
 ZERO_AREA_HEIGHT_RATIO = 1e-6
-"""Ratio of height to sides below which a triangle is degenerate."""
+"""Ratio of height to longest side below which a triangle is degenerate."""
 
 ROUNDED_HEIGHT = 2.0**-19
 """Height in diagonals below which a triangle is degenerate: twice the rounding step of reference frames."""
@@ -57,10 +57,10 @@ DIFFERENCE_STEP = 1e-4
 """Step of difference quotients, relative to the median edge length."""
 
 MIN_HINGE_NEARNESS = 0.5
-"""Least `hinge_nearness`, at an error of a right angle, for which zero energy implies zero errors."""
+"""The `hinge_nearness` of errors of a right angle; above this value, zero energy implies zero errors."""
 
 EXACT_MEAN_RESIDUAL = 1e-8
-"""Mean weighted residual below which a mesh has the target lengths and angles, and is not relaxed."""
+"""Mean weighted residual below which the lengths and angles of a mesh count as exact; it is not relaxed."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,8 @@ class Relaxation:
 class Relaxed(NamedTuple):
     """A mesh after relaxation."""
 
-    points: Float  # (V, 3) its vertices
-    energy: float  # final energy, with less weight of hinges with large errors at the start
+    points: Float  # (V, 3) relaxed vertices
+    energy: float  # final energy, in which hinges with large initial errors have less weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +91,9 @@ class Shell(PickledWithoutCaches):
     topology: Topology  # connectivity
     reference: Float  # (V, 3) a reference shape, in diagonals
     typical_lengths: Float  # (E,) typical lengths of edges, in diagonals
-    position_weights: Float  # (V,) relative to those of sides; positive at least once per component
+    position_weights: Float  # (V,) weights relative to sides; positive at least once per component
     bending: float  # weight of an angle in radians relative to a relative change of length
-    # (t, 2) pairs of vertices with known sides, besides the edges
+    # (t, 2) pairs of vertices with known differences, besides the edges
     ties: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
 
     def cached_values(self) -> tuple[object, ...]:
@@ -106,7 +106,7 @@ class Shell(PickledWithoutCaches):
 
     @cached_property
     def hinge_frames(self) -> HingeFrames:
-        """Hinges in the frames of their faces."""
+        """Hinges, expressed in the frames of their two faces."""
         return HingeFrames(self.topology.faces, self.topology.hinges, self.topology.hinge_faces)
 
     @cached_property
@@ -154,12 +154,12 @@ class Shell(PickledWithoutCaches):
 
     @cached_property
     def _min_squared_normals(self) -> Float:
-        """Least squared normals ``(H, 2)`` in gradients."""
+        """Lower bounds ``(H, 2)`` of squared normals in gradients."""
         return np.square(MIN_AREA_RATIO * self._normal_lengths[self.topology.hinge_faces])
 
     @cached_property
     def side_weights(self) -> Float:
-        """Weights ``(F, 3)`` of the sides of faces: those of an edge add up to the squared weight of its length."""
+        """Weights ``(F, 3)`` of sides of faces; the weights of sides on an edge add up to its squared length weight."""
         weights = np.square(self.length_weights)
         default = 1.0 / max(float(self.typical_lengths.max()), MIN_DIRECTED_LENGTH)
         weights = np.where(weights > 0, weights, np.square(default))
@@ -167,7 +167,7 @@ class Shell(PickledWithoutCaches):
 
     @cached_property
     def tie_weight(self) -> float:
-        """Typical weight of a side."""
+        """Weight of ties: the median weight of a side."""
         return float(np.median(self.side_weights)) if len(self.side_weights) else 1.0
 
     @cached_property
@@ -179,7 +179,7 @@ class Shell(PickledWithoutCaches):
         return factorise_laplacian(np.stack([i, j], axis=1), weights, self.tie_weight * self.position_weights)
 
     def integrate(self, sides: Float, expected: Float, tie_sides: Float | None = None) -> Float:
-        """Integrate sides ``(F, 3, 3)`` of faces, and of ties ``(t, 3)``, to vertices near expected ones ``(V, 3)``."""
+        """Integrate sides of faces ``(F, 3, 3)`` and ties ``(t, 3)`` to vertices near expected positions ``(V, 3)``."""
         right = (self.tie_weight * self.position_weights)[:, None] * expected
         kernels.add_weighted_sides(self._faces, self.side_weights, sides, right)
         if tie_sides is not None:
@@ -188,7 +188,7 @@ class Shell(PickledWithoutCaches):
         return self.factor.solve(right)
 
     def relax(self, start: Float, lengths: Float, angles: Float, steps: int) -> Relaxed:
-        """Relax a start ``(V, 3)`` towards lengths ``(E,)`` and angles ``(H,)``."""
+        """Relax a mesh ``(V, 3)`` towards lengths ``(E,)`` and angles ``(H,)``, in a number of steps."""
         targets = _cosines_and_sines(angles)
         nearness = kernels.hinge_nearness(start, self.topology.hinges, targets)
         nearness = np.where(self.sound_hinge_mask, nearness, 1.0)
@@ -252,5 +252,5 @@ class Shell(PickledWithoutCaches):
 
 def _cosines_and_sines(angles: Float) -> Float:
     """Cosines and sines ``(H, 2)`` of angles ``(H,)``."""
-    with np.errstate(invalid="ignore"):  # detected by the energy
+    with np.errstate(invalid="ignore"):  # the energy detects infinite angles
         return np.stack([np.cos(angles), np.sin(angles)], axis=1)

@@ -1,10 +1,10 @@
 """Sparse symmetric positive definite systems: analyse a pattern once, factor its matrices, solve for right-hand sides.
 
 With rslab (``pip install 'mixseq[fast]'``) a pattern is ordered once, and matrices are factored by supernodes; SciPy's
-SuperLU takes several times longer. Both are exact to rounding, independent of the number of threads.
+SuperLU takes several times longer. Both solve to rounding precision, independently of the number of threads.
 
 rslab keeps a thread pool for every requested number of threads. A forked process inherits pools without threads, and
-would wait for them forever, so that it requests numbers that its ancestors did not use.
+would wait for them forever. It therefore requests numbers of threads that its ancestors did not use.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mixseq.errors import ReconstructionError
 from mixseq.types import Float, Index
 
 MIN_ROWS_FOR_THREADS = 30_000
-"""Number of rows below which a matrix is factored by one thread, since several are factored at the same time."""
+"""Number of rows below which a matrix is factored by one thread, since several matrices are factored at once."""
 
 _DEFAULT_THREADS = 4
 """Default number of threads of rslab."""
@@ -48,7 +48,7 @@ class Analysis(Protocol):
     """Symbolic factorisation of a pattern."""
 
     def factor(self, values: Float) -> Factor:
-        """Factor the matrix with these values of the lower triangle, in the order of the pattern."""
+        """Factor the matrix with values ``(N,)`` of the lower triangle, in the order of the pattern."""
 
 
 def analyse(starts: Index, rows: Index, threads: int | None = None) -> Analysis:
@@ -79,7 +79,7 @@ def factorise_laplacian(pairs: Index, weights: Float, position_weights: Float) -
 
 
 def index_of(ids: Index, count: int) -> Index:
-    """Return the index ``(count,)`` of every number below `count` among ids ``(n,)``, -1 for others."""
+    """Return the index ``(count,)`` of every number below `count` among ids ``(n,)``, -1 if absent."""
     index = np.full(count, -1, dtype=np.int64)
     index[ids] = np.arange(len(ids))
     return index
@@ -94,7 +94,7 @@ def _rslab() -> Any | None:
 
 
 def _import_on_lasting_thread() -> None:
-    """Import rslab on a thread that never ends, because it crashes once its importing thread has ended."""
+    """Import rslab on a thread that never ends, because rslab crashes after its importing thread has ended."""
     is_imported = threading.Event()
 
     def import_and_wait() -> None:
@@ -167,10 +167,10 @@ class _RslabAnalysis:
 
 
 class _SuperLUAnalysis:
-    """Indices of the values of both triangles; SuperLU keeps no analysis.
+    """Indices of the values of both triangles, because SuperLU does not store an analysis.
 
-    In symmetric mode with ``relax=1``: otherwise columns are joined to supernodes against the minimum degree ordering,
-    which takes ten times as long.
+    SuperLU runs in symmetric mode with ``relax=1``. Otherwise, it joins columns to supernodes against the minimum
+    degree ordering, which takes ten times as long.
     """
 
     def __init__(self, starts: Index, rows: Index) -> None:

@@ -1,5 +1,5 @@
-"""A sequence as time, pose and shape signals in a shape space.
+"""Represent a sequence by time, pose and shape signals in a shape space.
 
-`fitting` is `mixseq.fit`, `detail` chooses signals, `modes` are principal components; a `model` has a `curve` and a
-`pose` map, and is decoded by `decoding`.
+`fitting` contains `mixseq.fit`, `detail` computes signals, and `modes` computes principal components. A `model`
+consists of a `curve` and a `pose` map; `decoding` decodes it.
 """

@@ -1,8 +1,8 @@
-"""Cubic spline curves over time, given by the points they pass through.
+"""Cubic spline curves over time that pass through given values at knots.
 
-A curve has *knots*: times with a value each. It is a cubic B-spline through the values, twice continuously
-differentiable, with not-a-knot ends: its first two pieces are one cubic, and its last two. Two knots make a line, three
-a parabola. Values at knots can be edited by hand, independently of the other knots.
+A curve has *knots*: times with a value each. It is a twice continuously differentiable cubic B-spline through the
+values. At each not-a-knot end, two pieces are one cubic. With two knots the curve is a line, with three a parabola.
+Values at knots can be edited by hand, independently of the other knots.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 MIN_KNOT_SPACING = 1e-100
-"""Least time between knots in seconds, with a third power that double precision can divide by."""
+"""Least time between knots in seconds; in double precision its third power is still a valid divisor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,12 +85,12 @@ class Curve:
     @cached_property
     def spline(self) -> BSpline:
         """The curve as a B-spline of knots and control points."""
-        from scipy.interpolate import make_interp_spline  # heavy, and not needed at knots
+        from scipy.interpolate import make_interp_spline  # slow import, unused at knots
 
         return make_interp_spline(self.times, self.values, k=min(3, len(self.times) - 1))
 
     def __call__(self, times: ArrayLike) -> Float:
-        """Return the points ``(N, k)`` at times ``(N,)``; at a knot exactly its value."""
+        """Return the points ``(N, k)`` of the curve at times ``(N,)``; at knots exactly the given values."""
         times = np.atleast_1d(np.asarray(times, dtype=np.float64))
         if not self.dim:
             return np.zeros((len(times), 0))
@@ -102,7 +102,7 @@ class Curve:
         return points
 
     def derivative(self, times: ArrayLike, order: int = 1) -> Float:
-        """Return derivatives ``(N, k)`` by time, per second (to the power of `order`), at times ``(N,)``."""
+        """Return the time derivatives ``(N, k)`` of an order at times ``(N,)``, per second to the power of `order`."""
         times = np.atleast_1d(np.asarray(times, dtype=np.float64))
         if not self.dim or order > self.spline.k:
             return np.zeros((len(times), self.dim))

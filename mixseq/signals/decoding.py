@@ -71,7 +71,7 @@ class Decodable(ABC):
         Raises
         ------
         SettingsError
-            If the time is outside the sequence: models do not extrapolate.
+            If the time is outside the sequence, because models do not extrapolate.
         """
         frame: Float = next(self.blocks([time]))[0]
         return frame
@@ -90,19 +90,19 @@ class Decodable(ABC):
         frames: Iterable[int] | None = None,
         velocities: bool = False,
     ) -> MeshSequence:
-        """Decode frames.
+        """Decode frames of the motion to a mesh sequence.
 
         Parameters
         ----------
         times : (N,) array_like, optional
-            Times in seconds, increasing; by default those of the sequence.
+            Increasing times in seconds; by default the times of the frames.
         fps : float, optional
-            Frames per second: without `times` the rate at which the sequence is sampled from its first time on; with
-            `times` only their time line. 23.976 means 24000/1001, see `mixseq.sequence.frame_rates`.
+            Frames per second. Without `times`, the sequence is sampled at this rate from its first time. With `times`,
+            only the frame rate of the result is set. 23.976 means 24000/1001, see `mixseq.sequence.frame_rates`.
         progress : callable, optional
             Called for every frame.
         frames : iterable of int, optional
-            Indices of frames of the sequence, increasing, instead of times: ``range(10, 20)``.
+            Increasing indices of frames of the sequence, given instead of `times`, such as ``range(10, 20)``.
         velocities : bool
             Also compute `MeshSequence.velocities`, for motion blur.
 
@@ -150,7 +150,7 @@ class Decodable(ABC):
         progress: Progress = no_progress,
         workers: Executor | None = None,
     ) -> Iterator[Float]:
-        """Decode frames at `times` in blocks ``(B, V, 3)``, B <= size; bit-identical for any size and workers."""
+        """Decode frames at `times` in blocks ``(B, V, 3)``, B <= size; results do not depend on size and workers."""
         return _decode_blocks(_decode_points, self, self.clip_times(times), size, progress, workers)
 
     def moving_blocks(
@@ -164,10 +164,10 @@ class Decodable(ABC):
         return _decode_blocks(_decode_moving, self, self.clip_times(times), size, progress, workers)
 
     def clip_times(self, times: ArrayLike) -> Float:
-        """Clip times ``(N,)`` to the model, within a tolerance; raise `SettingsError` if one is outside."""
+        """Clip times ``(N,)`` to the model's range; raise `SettingsError` if a time is over 0.001 frames outside."""
         result = np.atleast_1d(np.asarray(times, dtype=np.float64))
         first, last, fps = self.start, self.end, self.header.fps
-        slack = 1e-3 / fps  # times are typed and printed with few digits
+        slack = 1e-3 / fps  # tolerance for times that were rounded when typed or printed
         is_outside = ~((result >= first - slack) & (result <= last + slack))
         if is_outside.any():
             time = float(result[is_outside][0])

@@ -1,8 +1,8 @@
-"""Signals of an encoded sequence: within a tolerance, exact, or with given numbers of modes and knots.
+"""Compute the signals of an encoded sequence: within a tolerance, exactly, or with given numbers of modes and knots.
 
-Key shapes are the mean and modes, or frames of the sequence. Curves have few knots, or one at (almost) every frame. For
-a tolerance, the coarsest signals that keep it at all frames are searched for; if the finest ones exceed it, an error is
-raised.
+Key shapes are the mean and modes, or frames of the sequence. Curves have few knots, or one at (almost) every frame. A
+search finds the coarsest signals within a given tolerance at all frames. If the finest signals exceed the tolerance, an
+error is raised.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, insert
 from mixseq.types import Float, FloatArray, Index, evenly_spaced
 
 DeviationNorm = Callable[[Float], Float]
-"""Norms ``(T,)`` of the deviations ``(T, k)`` of a curve."""
+"""Function from deviations ``(T, k)`` of a curve to their norms ``(T,)``."""
 
 
 def max_norm(weights: Float) -> DeviationNorm:
@@ -54,7 +54,7 @@ def max_norm(weights: Float) -> DeviationNorm:
 
 
 def rms_over_vertices(count: int) -> DeviationNorm:
-    """Return the root mean square of scores over a number of vertices."""
+    """Return the norm of score deviations: the root mean square displacement over `count` vertices."""
     return lambda scores: np.asarray(np.linalg.norm(scores, axis=1) / np.sqrt(count))
 
 
@@ -71,7 +71,7 @@ def fit_curve(times: Float, values: Float, tolerance: float, norm: DeviationNorm
         intervals = np.unique(np.clip(np.searchsorted(ends, outside) - 1, 0, len(ends) - 2))
         low, high = ends[intervals], ends[intervals + 1]
         middles = ((low + high) // 2)[high - low > 1]
-        if not len(middles):  # violations are between adjacent knots
+        if not len(middles):  # no frames between the knots around the violations
             break
         knots = np.union1d(knots, middles)
     return Curve(times, values)
@@ -114,10 +114,10 @@ OPERATOR_VERTICES = 256
 """Number of vertices from which the temporal operator is selected."""
 
 MIN_SCORE_SCALE = 1e-200
-"""Least scale of the scores of a mode in diagonals, for rounding."""
+"""Least scale, in diagonals, of the scores of a mode; their rounding step is proportional to the scale."""
 
 CORRECTION_STEP = 2.0**-24
-"""Rounding step of corrections of exact models in diagonals and radians; corrections are zero at frames."""
+"""Rounding step, in diagonals and radians, of the corrections of exact models, which are zero at frames."""
 
 
 class InterpolatedPoses(NamedTuple):
@@ -125,44 +125,44 @@ class InterpolatedPoses(NamedTuple):
 
     times: Float  # (2T - 1,) frames and midpoints, in seconds
     weights: FrameWeights  # weights of the frames at these times
-    quarter_times: Float  # (4T - 3,) frames and quarter points, in seconds
+    quarter_times: Float  # (4T - 3,) frames and points at quarters of the intervals, in seconds
     part_poses: Float  # (4T - 3, ...) part poses in body axes, at the quarter points
     placement: Float  # (4T - 3, P) placements at the quarter points
 
 
 @dataclass(frozen=True, eq=False)
 class EncodedSequence:
-    """A sequence as vectors of a shape space."""
+    """A mesh sequence encoded as vectors of a shape space."""
 
     header: SequenceHeader  # mesh and times
     space: ShapeSpace  # shape space of the vectors
-    shapes: LargeArray  # (T, S) shapes of the frames
+    shapes: LargeArray  # (T, S) shape part of the vectors of the frames
     placement: Float  # (T, P) placements of the frames, with continuous signs of quaternions
     samples: Float  # (T, C) coordinates of sampled vertices, used to select the temporal operator
     pose: PoseForm = "modes"  # form of the key shapes
-    in_body_axes: bool = False  # whether part poses are interpolated in body axes as well
+    in_body_axes: bool = False  # whether part poses are interpolated in body axes in addition to world axes
 
     @cached_property
     def operator(self) -> TemporalOperator:
-        """Temporal operator with the least errors of the samples."""
+        """The temporal operator that interpolates the samples with the least errors."""
         return select_operator(self.header.times, self.samples)
 
     @cached_property
     def poses(self) -> Float:
         """Part poses ``(T, pose_dim)`` of the frames."""
         poses = np.empty((len(self.shapes), self.space.pose_dim))
-        for frame in range(len(poses) if self.space.pose_dim else 0):  # frame by frame: shapes may be on disk
+        for frame in range(len(poses) if self.space.pose_dim else 0):  # frame by frame, as shapes may be on disk
             poses[frame] = self.shapes[frame : frame + 1][0, self.pose_columns]
         return poses
 
     @property
     def pose_columns(self) -> slice:
-        """Columns of shapes with the part poses."""
+        """Columns of the part poses in `shapes`."""
         return slice(self.space.shape_dim - self.space.pose_dim, self.space.shape_dim)
 
     @cached_property
     def modes(self) -> Modes:
-        """All modes of the shapes."""
+        """All principal components of the shapes."""
         return principal_modes(self.shapes, self.space.shape_weights)
 
     @cached_property
@@ -198,13 +198,13 @@ def encode_sequence(
         previous, done = vectors[-1], rows.stop
         progress(done, count, "encoding frames")
     rotations, centres = space.unpack_placements(raw_placement)
-    placement = space.pack_placements(Poses(align_quat_signs(rotations), centres))  # continuous in time
+    placement = space.pack_placements(Poses(align_quat_signs(rotations), centres))  # signs continuous in time
     body_samples = space.to_body_axes(samples.reshape(count, -1, 3), vertex_ids, placement).reshape(count, -1)
     return EncodedSequence(sequence.header, space, shapes, placement, body_samples, pose)
 
 
 def _encode_block(context: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Float, Float]:
-    """Return vectors and samples of a block of frames, independent of other frames."""
+    """Encode a block of frames independently of other frames; return vectors and coordinates of sampled vertices."""
     space, vertex_ids = context
     samples = points[:, vertex_ids].astype(np.float64)
     return space.encode_independently(points), samples.reshape(len(points), -1)
@@ -215,9 +215,9 @@ class Detail:
     """Level of detail of the signals."""
 
     rank: int | None = None  # number of shape modes; by default determined by slack
-    slack: float = 0.0  # largest deviation of the signals in diagonals, see `DeviationNorm`; zero for none
+    slack: float = 0.0  # largest deviation of the signals in diagonals, see `DeviationNorm`; zero for exact signals
     knots: int | ArrayLike | None = None  # inner knots of all curves; by default determined by slack
-    step: float = 0.0  # rounding step of key shapes and curves, a power of two in diagonals; zero for none
+    step: float = 0.0  # rounding step of key shapes and curves, a power of two in diagonals; zero for no rounding
 
 
 def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
@@ -247,13 +247,13 @@ def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
 
 
 Corrections = Callable[[Curve, Float, Float], Float]
-"""Corrections ``(N, C)`` from a time signal, times ``(N,)`` and target part poses ``(N, ...)``."""
+"""Function from a time signal, times ``(N,)`` and target part poses ``(N, ...)`` to corrections ``(N, C)``."""
 
 
 def _fit_curves_with_knots(
     encoded: EncodedSequence, scores: Float, corrections: Corrections, inner: Float
 ) -> tuple[Curve, Curve, Curve]:
-    """Fit curves of time, placement and correction with inner knots ``(n,)``."""
+    """Fit the time, placement and correction curves with inner knots ``(n,)``."""
     times = encoded.header.times
     time = least_squares_curve(times, scores, inner)
     placement = least_squares_curve(times, encoded.placement, inner)
@@ -265,10 +265,10 @@ def _fit_curves_with_knots(
 def _fit_curves_within_slack(
     encoded: EncodedSequence, scores: Float, corrections: Corrections, detail: Detail
 ) -> tuple[Curve, Curve, Curve]:
-    """Fit rounded curves of time, placement and correction, within slack of the interpolated poses."""
+    """Fit rounded time, placement and correction curves that deviate from the interpolated poses within the slack."""
     slack, step, space = detail.slack, detail.step, encoded.space
     times, weights, quarter_times, part_poses, placements = encoded.interpolated
-    # Scaled by mode, because lengths and angles, which have little weight, change with the scores of faint modes.
+    # Scale the step by mode: faint modes also change lengths and angles, which have little weight in the metric.
     scales = 2.0 ** np.floor(np.log2(np.maximum(np.abs(scores).max(axis=0), MIN_SCORE_SCALE)))
     score_norm = rms_over_vertices(encoded.header.vertex_count)
     time = _fit_rounded(times, weights.interpolate(scores), slack, score_norm, step * scales)
@@ -287,16 +287,16 @@ def _fit_rounded(times: Float, values: Float, slack: float, norm: DeviationNorm,
 
 
 def _round(values: Float, step: float | Float) -> Float:
-    """Round to multiples of a step, or of one step per column."""
+    """Round values to multiples of a step, or of one step per column."""
     return np.asarray(np.round(values / step) * step)
 
 
 def _choose_rank(encoded: EncodedSequence, detail: Detail) -> int:
-    """Return the given number of modes, or the least number with all frames within the slack."""
+    """Return the given number of modes, or the least number that reproduces all frames within the slack."""
     scores = encoded.modes.scores
     if detail.rank is not None:
         return min(detail.rank, len(encoded.modes.sizes))
-    tails, rank = np.zeros(len(scores)), int(scores.shape[1])  # squared norms of the scores from the rank on
+    tails, rank = np.zeros(len(scores)), int(scores.shape[1])  # squared norms of the scores beyond the rank
     while rank:
         tails += np.square(scores[:, rank - 1])
         if np.sqrt(tails.max()) / np.sqrt(encoded.header.vertex_count) > detail.slack:
@@ -324,7 +324,7 @@ def _inner_knots(knots: int | ArrayLike, times: Float) -> Float:
             f"they must be between {times[0]:g} and {times[-1]:g} s"
         )
     padded = np.concatenate([[times[0]] * 4, inner, [times[-1]] * 4])
-    # Schoenberg and Whitney: a frame within the support of every basis function.
+    # Schoenberg-Whitney condition: the support of every basis function contains a frame.
     for k in range(1, len(inner) + 3):
         if not ((times > padded[k]) & (times < padded[k + 4])).any():
             time = padded[k + 2]
@@ -336,7 +336,7 @@ VISUALLY_LOSSLESS_TOLERANCE = 5e-4
 """Default tolerance in diagonals: half a pixel where the mesh fills a picture of 1000 pixels."""
 
 EXACT_TOLERANCE = 1e-8
-"""Tolerance of exact models in diagonals, for rounding; near the origin the error is about 1e-15."""
+"""Tolerance of exact models in diagonals, which allows for rounding errors."""
 
 EXACT_ROUNDING_STEP = 2.0**-38
 """Rounding step of the signals of exact models in diagonals; frames are off by about 1e-11."""
@@ -345,10 +345,10 @@ TOLERANCE_TO_STEP_RATIO = 64
 """Initial ratio of the tolerance to the rounding step of signals."""
 
 SUFFICIENT_ERROR_RATIO = 0.6
-"""Ratio of error to tolerance above which a model is accepted without coarsening."""
+"""Ratio of error to tolerance above which a model is accepted without further coarsening."""
 
 MAX_TRIAL_MODELS = 7
-"""Largest number of models in the search, before the finest one."""
+"""Largest number of models in the search before the finest model is tried."""
 
 
 def fit_within_tolerance(
@@ -360,20 +360,20 @@ def fit_within_tolerance(
 ) -> Model:
     """Fit the coarsest signals that reproduce a sequence within a tolerance.
 
-    The error of the frames increases with the slack of the signals, irregularly: the slack is scaled by the measured
-    error, and bisected once it was both too small and too large.
+    The error of the frames increases irregularly with the slack of the signals. The slack is scaled by the measured
+    error; after values both too small and too large, it is bisected.
     """
     low, high, slack = 0.0, np.inf, tolerance / 4
     best: Model | None = None
     step = 2.0 ** np.floor(np.log2(tolerance / TOLERANCE_TO_STEP_RATIO))
-    errors: dict[bytes, float] = {}  # by digests of models, which coincide for short sequences
+    errors: dict[bytes, float] = {}  # by digest, because models of short sequences coincide
     for trial in range(MAX_TRIAL_MODELS):
         progress(trial, MAX_TRIAL_MODELS, "choosing modes and knots")
         model = build_model(encoded, Detail(slack=slack, step=step))
         digest = _digest(model)
         if digest not in errors:
             errors[digest] = largest_error(model, sequence, 2 * tolerance, workers)
-        elif errors[digest] > tolerance:  # all modes and knots are used already
+        elif errors[digest] > tolerance:  # the model has all modes and knots already
             step /= 2
         error = errors[digest]
         if error <= tolerance:
@@ -419,7 +419,7 @@ def verify_tolerance(
     )
     unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
     offset, coordinate = largest_offset(sequence.points), largest_coordinate(sequence.points)
-    if tolerance * unit < rounding_error(offset):  # independent of the position of the sequence
+    if tolerance * unit < rounding_error(offset):  # offsets do not depend on the position of the sequence
         raise SettingsError(
             f"{message}: vertices move up to {offset / unit:.3g} diagonals away from the first frame, and double "
             "precision cannot resolve the tolerance at that distance; give a larger tolerance, or fit the frames that "
@@ -436,9 +436,9 @@ def verify_tolerance(
 def largest_error(
     model: Model, sequence: FrameStore | MeshSequence, stop: float = np.inf, workers: Executor | None = None
 ) -> float:
-    """Return the largest distance of a vertex from the frames in diagonals; stop early above `stop`."""
+    """Return the largest distance of decoded vertices from the frames, in diagonals; stop early above `stop`."""
     unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
-    # Every fourth frame first, then those between, because violations occur at many frames.
+    # Check every fourth frame first, then the frames between, because violations usually occur at many frames.
     frames = np.concatenate([np.arange(first, len(sequence.points), 4) for first in (0, 2, 1, 3)])
     largest, done = 0.0, 0
     size = min(FRAMES_PER_BLOCK, block_size(sequence.header.vertex_count))

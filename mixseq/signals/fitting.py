@@ -1,8 +1,8 @@
 r"""Fit models to mesh sequences: shape space, encoding, and signals of a given detail.
 
-Two settings are selected by cross-validation: whether part poses are interpolated in body axes as well, and the share
-of lengths and angles in the projection. Inner frames x are left out, interpolated in time from the others, and compared
-by the root mean square errors of positions, edge lengths and dihedral angles,
+Two settings are selected by cross-validation: interpolation of part poses in body axes in addition to world axes, and
+the share of lengths and angles in the projection. Inner frames x are left out and interpolated in time from the other
+frames. Their errors are the root mean squares of errors of positions, edge lengths and dihedral angles,
 
 .. math:: |\hat x_v - x_v|, \qquad \hat l_e / l_e - 1, \qquad \mathrm{wrap}(\hat\theta_h - \theta_h) .
 """
@@ -46,7 +46,7 @@ from mixseq.spaces.temporal import FrameWeights
 from mixseq.types import Float, Index, evenly_spaced
 
 MIN_VALIDATION_FRAMES, MAX_VALIDATION_FRAMES = 3, 16
-"""Least number of frames that are left out, for meshes of any size, and largest number."""
+"""Least number of left-out frames, also for large meshes, and largest number."""
 
 MAX_VALIDATION_VERTICES = 2_000_000
 """Largest number of vertices in all left-out frames together."""
@@ -55,14 +55,14 @@ CANDIDATE_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Candidates for the share of lengths and angles, ascending."""
 
 SUFFICIENT_GAIN = 0.8
-"""Fraction of the largest gain that suffices: the smallest share that reaches it is selected."""
+"""Sufficient fraction of the largest gain: the smallest share with this gain is selected."""
 
 ERROR_FLOOR = 1e-12
-"""Least error in diagonals or radians; smaller ones are rounding errors."""
+"""Least error in diagonals or radians; smaller errors are due to rounding."""
 
 
 def tune_interpolation(encoded: EncodedSequence, frames: LargeArray) -> EncodedSequence:
-    """Select the axes of part poses, and the share of lengths and angles, on frames ``(T, V, 3)``."""
+    """Select the axes for part poses, and the share of lengths and angles, to fit left-out frames of ``(T, V, 3)``."""
     space = encoded.space
     if not isinstance(space, MixedSpace) or space.placement == "free" or len(frames) < 4:
         return encoded
@@ -76,7 +76,7 @@ def tune_interpolation(encoded: EncodedSequence, frames: LargeArray) -> EncodedS
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """Frames that are left out, and their interpolation from the other frames."""
+    """Left-out frames, and their interpolation from the other frames."""
 
     encoded: EncodedSequence  # the encoded sequence
     space: MixedSpace  # its shape space
@@ -86,7 +86,7 @@ class CrossValidation:
 
     @classmethod
     def from_sequence(cls, encoded: EncodedSequence, space: MixedSpace, frames: LargeArray) -> Self:
-        """Leave out evenly spread inner frames of ``(T, V, 3)``."""
+        """Leave out evenly spread inner frames of a sequence ``(T, V, 3)``."""
         frame_ids, weights = encoded.operator.leave_one_out()
         limit = MAX_VALIDATION_VERTICES // space.vertex_count
         limit = min(max(limit, MIN_VALIDATION_FRAMES), MAX_VALIDATION_FRAMES)
@@ -101,7 +101,7 @@ class CrossValidation:
         return bool(np.log(body / world).sum() < 0.0)
 
     def choose_share(self, in_body_axes: bool) -> float:
-        """Return the smallest share that nearly minimises the larger error of lengths and angles."""
+        """Return the smallest share that nearly minimises the larger of the errors of lengths and angles."""
         blocks = self.space.split(self._interpolated_vectors(in_body_axes))
         skinned = self.space.skin(self.space.join(blocks))
         errors_without = np.maximum(self._rms_errors(skinned)[1:], ERROR_FLOOR)
@@ -154,14 +154,14 @@ class CrossValidation:
 
 
 FIT_STAGES = 2 + SPACE_STAGES
-"""Stages of progress without the search for a tolerance: reading frames, making the space, encoding frames."""
+"""Number of progress stages, without the search for a tolerance: reading frames, making the space, encoding."""
 
 _SHELL_ACCURACY_RATIO = 10.0
 """Ratio of the tolerance of frames to the accuracy of fits to lengths and angles."""
 
 
 class FitOptions(SpaceOptions, total=False):
-    """Further settings of `fit`, by name."""
+    """Optional keyword settings of `fit`."""
 
     knots: int | ArrayLike | None
     pose: PoseForm
@@ -184,34 +184,34 @@ def fit(
 ) -> Model:
     """Fit a model to a mesh sequence: time, pose and shape signals in a shape space.
 
-    The sequence may be larger than memory: pass the result of `mixseq.open_sequence`. Its points are read once, and
-    are kept with their vectors in a temporary file. In memory are a few frames at a time, the signals, and square
-    matrices of the number of frames or of shape coordinates, whichever is smaller. The model is the same, to the last
-    bit, as that of a `MeshSequence`.
+    The sequence may be larger than memory: pass the result of `mixseq.open_sequence`. Its points are read once and
+    stored with their vectors in a temporary file. Memory holds a few frames at a time, the signals, and square
+    matrices. Their size is the number of frames or of shape coordinates, whichever is smaller. The model is
+    bit-identical to the model of a `MeshSequence`.
 
     Without `exact`, `tolerance`, `rank` or `knots` the model is visually lossless: no vertex of any frame is off by
     more than 0.0005 of the diagonal, half a pixel where the mesh fills a picture of 1000 pixels.
 
-    Between distant frames, such as poses of a set, the anchored placement also relaxes the mesh towards the
-    interpolated lengths and angles, so that faces do not tear; not if `rank` or `knots` is given.
+    Without `rank` and `knots`, the anchored placement also relaxes the mesh between distant frames, such as a set of
+    poses. It is relaxed towards the interpolated lengths and angles, so that faces do not tear.
 
     Parameters
     ----------
     sequence : MeshSequence or SequenceReader
         The animation.
     exact : bool
-        Reproduce the frames to about 1e-11 of the diagonal, the rounding of key shapes. The model is decoded at all
+        Reproduce the frames to about 1e-11 of the diagonal, because key shapes are rounded. The model is decoded at all
         frames to verify that no vertex is off by more than 1e-8 of the diagonal.
     tolerance : float, optional
         Largest distance of a vertex from the original, as a fraction of the bounding box's diagonal in the first
-        frame, verified at all frames. Determines the number of modes and knots.
+        frame, verified at all frames. The tolerance determines the numbers of modes and knots.
     rank : int, optional
         Number of shape modes; placements of parts stay exact.
     placement : {"anchored", "free"}
-        Placement of parts: by their poses (default), or by lengths and angles, with six numbers for every body (the
-        paper's).
+        Placement of parts by their poses (default), or by lengths, angles and six numbers for every body, as in the
+        paper.
     parts : int or (F,) int, optional
-        Number of parts, or the part of every triangle; by default segmented by motion.
+        Number of parts, or the part of every triangle; by default, parts are segmented by motion.
     joint_width : int
         Largest width of joints, in strips of triangles on each side of a boundary.
     space : {"mixed", "vertex", "gradient", "lri", "edge"}
@@ -229,8 +229,8 @@ def fit(
     projection, volume, shell : optional
         Settings of the edge space, see `mixseq.spaces.EdgeSettings`.
     knots : int or (n,) array_like, optional
-        Inner knots of all curves: their number, evenly spread, or their times in seconds. By default one at (almost)
-        every frame, or as few as `tolerance` allows.
+        Inner knots of all curves: their number, evenly spread, or their times in seconds. By default, a knot at
+        (almost) every frame, or the fewest knots that `tolerance` allows.
     pose : {"modes", "keys"}
         Key shapes: mean and modes (default), or frames of the sequence; see `mixseq.signals.pose`.
 
@@ -241,8 +241,8 @@ def fit(
     Raises
     ------
     SettingsError
-        If a setting is out of range, contradicts another one, or is unused by the space; or if double precision cannot
-        resolve the tolerance because the sequence is far from the origin, relative to its size.
+        If a setting is out of range, contradicts another setting, or is unused by the space. Also if double precision
+        cannot resolve the tolerance, because the sequence is far from the origin relative to its size.
     ReconstructionError
         If the most accurate model exceeds the tolerance for another reason.
     SegmentationError

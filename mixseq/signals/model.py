@@ -6,7 +6,7 @@ r"""A model: a shape space and three signals in it, continuous in time.
 - **pose**: the affine map :math:`\varphi` from pose space to weights of key shapes (`mixseq.signals.pose`),
 - **shape**: the key shapes :math:`P_j`, points of the shape space.
 
-The **placement** of bodies in the world is a curve of its own.
+The **placement** of bodies in the world is a separate curve.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Model(Decodable, PickledWithoutCaches):
     Attributes
     ----------
     header : SequenceHeader
-        Polygons, units and name of the mesh; the times of its frames, which `sample` returns by default.
+        Polygons, units and name of the mesh, and the times of the frames that `sample` returns by default.
     space : ShapeSpace
         The shape space.
     time : Curve
@@ -53,10 +53,10 @@ class Model(Decodable, PickledWithoutCaches):
     placement : Curve
         Poses of the bodies: a curve of `ShapeSpace.placement_dim` coordinates.
     correction : Curve, optional
-        Corrections of blended shapes between frames, and at frames in a model of few modes: a curve of
-        `ShapeSpace.correction_dim` coordinates; by default none.
+        Curve of `ShapeSpace.correction_dim` coordinates that corrects blended shapes between frames, and at frames in a
+        model of few modes. By default, there is no correction.
     residual_layer : ResidualLayer, optional
-        Displacements added to decoded frames, which keep a compressed sequence within its error bound. They belong to
+        Displacements added to decoded frames to keep a compressed sequence within its error bound. They are specific to
         this motion: `dataclasses.replace` keeps them, `with_motion` drops them.
 
     Raises
@@ -96,7 +96,7 @@ class Model(Decodable, PickledWithoutCaches):
 
     @property
     def curves(self) -> tuple[Curve, Curve, Curve]:
-        """Time, placement and correction."""
+        """The time, placement and correction curves."""
         return self.time, self.placement, self.correction
 
     def with_motion(
@@ -114,7 +114,7 @@ class Model(Decodable, PickledWithoutCaches):
         time, placement, correction : Curve
             Signals of the new motion.
         header : SequenceHeader, optional
-            Header with the times of the new frames; by default that of this model.
+            Header with the times of the new frames; by default the header of this model.
         residual_layer : ResidualLayer, optional
             Residual layer of the new motion; by default none.
         """
@@ -144,8 +144,8 @@ class Model(Decodable, PickledWithoutCaches):
 
     @property
     def mixed(self) -> MixedSpace:
-        """The mixed shape space of the model; raises `SettingsError` if it has another space."""
-        from mixseq.spaces.mixed.mixed_space import as_mixed  # heavy, and unused by compressed models
+        """The mixed shape space of the model; raises `SettingsError` for other kinds of space."""
+        from mixseq.spaces.mixed.mixed_space import as_mixed  # slow import, unused by compressed models
 
         return as_mixed(self.space)
 
@@ -170,7 +170,7 @@ class Model(Decodable, PickledWithoutCaches):
         return np.concatenate([shapes, *others], axis=1)
 
     def _blend_shapes(self, weights: Float) -> Float:
-        """Return weighted sums ``(N, S)`` of key shapes, row by row: a frame is independent of others."""
+        """Return weighted sums ``(N, S)`` of key shapes, row by row, so that each is independent of the others."""
         blended = np.empty((len(weights), self.shapes.shape[1]))
         with one_blas_thread():
             for row, weight in zip(blended, weights, strict=True):
@@ -184,10 +184,10 @@ class Model(Decodable, PickledWithoutCaches):
 
     @property
     def key_frames(self) -> NDArray[np.int64]:
-        """Frames ``(K,)`` that equal a key shape, -1 for key shapes that no frame equals."""
+        """Frame ``(K,)`` that equals each key shape, -1 for key shapes without an equal frame."""
         weights = self.pose.weights(self.time(self.times))
         frames = np.full(len(self.shapes), -1, dtype=np.int64)
-        keys = weights.argmax(axis=1)  # the only candidates
+        keys = weights.argmax(axis=1)  # only these key shapes can equal a frame
         for key in np.unique(keys):
             candidates = np.flatnonzero(keys == key)
             unit_weights = np.zeros(len(self.shapes))
@@ -200,22 +200,22 @@ class Model(Decodable, PickledWithoutCaches):
     def embedding(self, times: ArrayLike, plane: Plane | None = None) -> Float:
         """Return the coordinates ``(N, 2)`` of the model in its main plane, in diagonals.
 
-        The plane of the first two principal components of the frames (classical multidimensional scaling of their
-        distances in the shape space) is fixed for the model. It is the default picture of the time signal (paper,
-        Figure 18).
+        The main plane is spanned by the first two principal components of the frames, and fixed for the model. This is
+        classical multidimensional scaling of their distances in the shape space. The default picture of the time signal
+        shows these coordinates (paper, Figure 18).
 
         Parameters
         ----------
         times : (N,) array_like
             Times in seconds.
         plane : Plane, optional
-            The `plane` of another model with the same pose and shape signals, to compare the two; by default that of
-            this model.
+            The `plane` of another model with the same pose and shape signals, to compare both models; by default the
+            plane of this model.
 
         Raises
         ------
         SettingsError
-            If a time is outside the model, or the plane is of other key shapes.
+            If a time is outside the model, or the plane belongs to other key shapes.
         """
         origin, axes, _ = self.plane if plane is None else self.check_plane(plane)
         weights = self.pose.weights(self.time(self.clip_times(times)))
@@ -227,5 +227,5 @@ class Model(Decodable, PickledWithoutCaches):
 
     @cached_property
     def plane(self) -> Plane:
-        """The plane of `embedding`."""
+        """The main plane of the model, used by `embedding`."""
         return fit_plane(self.time(self.times), self.pose, self.shapes, self.space.embedding_weights)

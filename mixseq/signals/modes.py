@@ -1,16 +1,16 @@
 r"""Principal components of the vectors of a sequence: the modes of its shapes.
 
 The centred, weighted vectors are :math:`Y = U \Sigma V^T`, ``(T, D)``. Scores are :math:`U \Sigma`, coordinates of the
-frames. The shape signal has the mean, and the mean plus one standard deviation along every mode.
+frames. The key shapes are the mean, and the mean plus one standard deviation along every mode.
 
-The smaller of U and V are eigenvectors of a Gram matrix:
+The columns of the smaller matrix, U or V, are eigenvectors of a Gram matrix:
 
-- :math:`Y Y^T`, with at most as many frames as coordinates. With the centred, unweighted vectors X, the deviations are
-  :math:`U^T X / \sqrt T`;
-- :math:`Y^T Y`, with more frames. The scores are :math:`Y V`, and the deviations the columns of V over the weights.
+- :math:`Y Y^T`, if the number of frames is at most that of coordinates. With the centred, unweighted vectors X, the
+  deviations are :math:`U^T X / \sqrt T`;
+- :math:`Y^T Y`, if there are more frames. Scores are :math:`Y V`, deviations are scaled columns of V over the weights.
 
-Both apply an orthogonal matrix and its inverse, so that the modes reproduce the vectors to rounding for singular values
-of any size. Only blocks of the vectors are in memory.
+Both methods apply an orthogonal matrix and its inverse. The modes therefore reproduce the vectors up to rounding
+errors, for singular values of any size. Only blocks of the vectors are in memory.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from mixseq.signals.pose import PoseMap
 from mixseq.types import Float, Index
 
 NEGLIGIBLE_MODE = 1e-15
-"""Ratio of singular values below which modes are rounding errors."""
+"""Ratio to the largest singular value below which modes are rounding errors."""
 
 MIN_WEIGHT_RATIO = 1e-9
-"""Least ratio of weights of coordinates, where weights are divisors."""
+"""Least ratio of a weight of coordinates to the largest weight, because weights are divisors."""
 
 Deviations = Callable[[int], Iterator[tuple[slice, Float]]]
-"""One standard deviation along each of the first r modes, in blocks of coordinates: slices, and ``(r, C)``."""
+"""Function of r that yields blocks ``(r, C)``, with their columns, of one standard deviation along r modes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Modes:
     deviations: Deviations  # yields one standard deviation along every mode
 
     def first(self, rank: int) -> Modes:
-        """Return the first modes."""
+        """Return the first `rank` modes."""
         return replace(self, scores=self.scores[:, :rank], sizes=self.sizes[:rank])
 
     def pose_map(self) -> PoseMap:
@@ -62,7 +62,7 @@ class Modes:
 
 
 def principal_modes(vectors: LargeArray, metric: Float) -> Modes:
-    """Compute all modes of vectors ``(T, D)`` in a metric ``(D,)``: at most D and T - 1."""
+    """Compute all modes of vectors ``(T, D)`` in a metric ``(D,)``: at most the minimum of D and T - 1."""
     count, dim = vectors.shape
     return _from_frames(vectors, metric) if count <= dim else _from_coordinates(vectors, metric)
 
@@ -76,7 +76,7 @@ def _from_frames(vectors: LargeArray, metric: Float) -> Modes:
         mean[columns] = block.mean(axis=0)
         weighted = (block - mean[columns]) * metric[columns]
         gram += weighted @ weighted.T
-    # Separate the direction (1, ..., 1) of the mean, of eigenvalue zero, from modes of nearly zero eigenvalues.
+    # Separate the direction (1, ..., 1) of the mean, with eigenvalue zero, from modes with eigenvalues near zero.
     gram += 2.0 * (np.trace(gram) or 1.0) / count
     directions = np.linalg.eigh(gram)[1][:, -2::-1].T
     largest = np.abs(directions).argmax(axis=1)

@@ -1,10 +1,10 @@
-r"""The pose signal: from points of pose space to affine weights of key shapes; and the main plane of pose space.
+r"""The pose signal, a map from pose space to affine weights of key shapes, and the main plane of pose space.
 
 .. math:: \varphi(c) = \varphi_0 + c\,\Phi, \qquad \sum_j \varphi_j(c) = 1 \text{ for every } c
 
-Every point c of pose space is a shape, :math:`\sum_j \varphi_j(c)\,P_j`. The coordinates of pose space are the scores
-of a principal component analysis of the sequence, so that distances in it are distances between shapes. There are two
-equivalent forms of key shapes:
+Every point c of pose space represents the shape :math:`\sum_j \varphi_j(c)\,P_j`. The coordinates of pose space are the
+scores of a principal component analysis of the sequence, so that distances in pose space are distances between shapes.
+There are two equivalent forms of key shapes:
 
 modes
     the mean, and the mean plus one standard deviation along every mode;
@@ -18,8 +18,8 @@ singular vectors :math:`d_i` of the frames' deviations in the shape space,
 
 .. math:: u_i = \sum_t d_{ti}\, (s_t - \bar s) / \sigma_i, \qquad p_i = C^T d_i / \sigma_i,
 
-a shape is drawn at its products with :math:`u_1` and :math:`u_2`. A step of :math:`p_i` in pose space is the step
-:math:`u_i` of the shape: the smallest change by one diagonal along axis i.
+a shape is drawn at its scalar products with :math:`u_1` and :math:`u_2`. A step :math:`p_i` in pose space changes the
+shape by :math:`u_i`, the smallest change by one diagonal along axis i.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ class PoseMap:
     offset : (K,) float64
         Weights at the origin; they add up to one.
     matrix : (k, K) float64
-        Change of the weights along every coordinate; rows add up to zero.
+        Change of the weights per unit of every coordinate; rows add up to zero.
 
     Raises
     ------
     SettingsError
-        If sums or shapes are wrong.
+        If the sums or the array shapes are wrong.
     """
 
     offset: Float
@@ -58,7 +58,7 @@ class PoseMap:
 
     def __post_init__(self) -> None:
         offset = np.asarray(self.offset, dtype=np.float64)
-        # The rounding of products depends on the order.
+        # The rounding of products depends on the memory order of the matrix.
         matrix = np.asarray(self.matrix, dtype=np.float64, order="C")
         if offset.ndim != 1 or matrix.ndim != 2 or matrix.shape[1] != len(offset) or not len(offset):
             raise SettingsError(f"a pose map of {offset.shape} weights has a matrix of shape {matrix.shape}")
@@ -70,7 +70,7 @@ class PoseMap:
 
     @cached_property
     def identity(self) -> str:
-        """Digest of the pose map: models with equal ones can exchange key shapes."""
+        """Digest of the pose map; models with equal digests can exchange key shapes."""
         digest = blake2b(digest_size=16)
         for array in (self.offset, self.matrix):
             digest.update(np.ascontiguousarray(array).data)
@@ -82,12 +82,12 @@ class PoseMap:
         return int(self.matrix.shape[0])
 
     def weights(self, coordinates: Float) -> Float:
-        """Return the weights ``(N, K)`` of the key shapes at points ``(N, k)``."""
+        """Return the weights ``(N, K)`` of the key shapes at points ``(N, k)`` of pose space."""
         return self.offset + self.rates(coordinates)
 
     def rates(self, velocities: Float) -> Float:
         """Return the rates ``(N, K)`` of the weights at velocities ``(N, k)`` of points."""
-        # Row by row, because products of many rows are summed in another order than those of one.
+        # Row by row, because a product of many rows is summed in another order than a product of one row.
         rates = np.empty((len(velocities), len(self.offset)))
         for row, velocity in zip(rates, velocities, strict=True):
             row[:] = velocity @ self.matrix
@@ -114,10 +114,10 @@ def pose_signal_from_modes(scores: Float, mean: Float, directions: Float) -> tup
 
 
 NEGLIGIBLE_SPREAD = 1e-12
-"""Ratio of the spreads of frames along axes below which a spread is a rounding error."""
+"""Ratio to the largest spread of frames along an axis below which a spread is a rounding error."""
 
 MIN_STEP_SPREAD = 1e-4
-"""Least spread of frames along an axis, in diagonals and relative to the largest, for steps in pose space."""
+"""Least spread of frames along an axis with a step in pose space, in diagonals and relative to the largest."""
 
 
 class Plane(NamedTuple):
@@ -125,7 +125,7 @@ class Plane(NamedTuple):
 
     origin: Float  # (K,) mean weights of the key shapes
     axes: Float  # (K, 2) ``(weights - origin) @ axes`` are coordinates in the plane; zero without a spread
-    directions: Float  # (k, 2) smallest steps in pose space by one along each axis; zero without a spread
+    directions: Float  # (k, 2) smallest steps in pose space that move by one along an axis; zero without a spread
 
     def check(self, shapes: int, coordinates: int) -> Plane:
         """Return the plane; raise `SettingsError` for other numbers of key shapes or pose coordinates."""
@@ -161,7 +161,7 @@ def fit_plane(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Pla
 
 
 def _principal_frames(spread: Float, gram: Float) -> tuple[Float, Float]:
-    """Return eigenvalues and eigenvectors of ``spread gram spread^T`` ``(T, T)``, without that matrix."""
+    """Return eigenvalues and eigenvectors of ``spread gram spread^T`` ``(T, T)``, without forming the matrix."""
     gram_values, axes = np.linalg.eigh(gram)
     coordinates = spread @ (axes * np.sqrt(np.maximum(gram_values, 0.0)))
     values, vectors = np.linalg.eigh(coordinates.T @ coordinates)

@@ -1,7 +1,7 @@
-"""Shape spaces: encode vertex positions as vectors that combine linearly, decode vectors to positions.
+"""Shape spaces encode vertex positions as vectors that combine linearly, and decode vectors to positions.
 
-`base` is the contract, `making` makes spaces by name. `vertex`, `edge`, `gradient` and `lri` are spaces of whole
-meshes; `mixed` is S_m, of parts and joints. `pieces` are registered, `temporal` interpolates their poses.
+`base` defines the contract, `making` makes spaces by name. `vertex`, `edge`, `gradient` and `lri` are spaces of whole
+meshes; `mixed` is S_m, with parts and joints. `pieces` registers connected pieces, `temporal` interpolates poses.
 """
 
 from __future__ import annotations

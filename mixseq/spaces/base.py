@@ -32,7 +32,7 @@ MIN_GYRATION_RADIUS = 1e-3
 
 
 def radii_of_gyration(shapes: Float, parts: Sequence[Index]) -> Float:
-    """Return the radii of gyration ``(p,)`` of centred parts, vertices ``(N, 3)`` part by part."""
+    """Return the radii of gyration ``(p,)`` of parts, from centred vertices ``(N, 3)`` listed part by part."""
     sizes = [len(vertex_ids) for vertex_ids in parts]
     sums = np.add.reduceat(np.square(shapes).sum(axis=1), np.cumsum([0, *sizes[:-1]]))
     return np.maximum(np.sqrt(sums / sizes), MIN_GYRATION_RADIUS)
@@ -44,7 +44,7 @@ def mean_edge_lengths(
     """Return mean lengths ``(E,)`` of edges ``(E, 2)`` over frames ``(T, V, 3)``, divided by the scale."""
     total, done = np.zeros(len(edges)), 0
     for block in workers(_edge_lengths_of_block, edges, iterate_blocks(points)):
-        for lengths in block:  # frame by frame: the sum must not depend on the blocks
+        for lengths in block:  # frame by frame, so that the sum does not depend on the blocks
             total += lengths
         done += len(block)
         progress(done, len(points), "measuring edges")
@@ -61,20 +61,20 @@ def flatten_blocks(blocks: Iterable[NDArray[Any]]) -> NDArray[Any]:
 
 
 ShapeMap = Callable[[Float], Float]
-"""Map of shapes ``(K, S)`` of one space to vectors of the same shapes in another space."""
+"""Function that maps shapes ``(K, S)`` of one space to the same shapes in another space."""
 
 DIFFERENCE_STEP = 1e-4
-"""Step of central differences: displacement of vertices, in diagonals."""
+"""Step of central differences, as a displacement of vertices in diagonals."""
 
 
 class ShapeSpace(PickledWithoutCaches, ABC):
-    """A linear space of vectors ``(D,)``, each a shape of one mesh.
+    """A linear space of vectors ``(D,)``; every vector represents a shape of the same mesh.
 
     ``decode(encode(x)) = x`` for all frames x of its sequence. Affine combinations of vectors are vectors of the space.
 
-    A vector is ``[shape | placement | correction]``. The *placement* poses the shape, or each of its bodies:
-    quaternions, then centres. Distances between shapes ignore it. The *correction* is zero in encoded frames; between
-    frames it is added to blended part poses.
+    A vector is ``[shape | placement | correction]``. The *placement* is the pose of the shape, or of each of its
+    bodies, as quaternions, then centres. Distances between shapes ignore the placement. The *correction* is zero in
+    encoded frames; between frames it corrects blended part poses.
     """
 
     name: str
@@ -118,7 +118,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
 
     @property
     def rounding_step_ratios(self) -> Float:
-        """Ratios ``(S,)`` of the rounding steps of a shape to that of positions: powers of two."""
+        """Ratios ``(S,)``, powers of two, of the rounding steps of a shape to the rounding step of positions."""
         return np.ones(self.shape_dim)
 
     @property
@@ -147,7 +147,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         return 4 * self.rotation_count + 3 * self.centre_count
 
     def unpack_placements(self, placements: Float) -> Poses:
-        """Return quaternions and centres of placements ``(T, placement_dim)``."""
+        """Return the quaternions and centres in placements ``(T, placement_dim)``."""
         rotations, centres = np.split(placements, [4 * self.rotation_count], axis=1)
         shape = len(placements), self.rotation_count, 4
         return Poses(rotations.reshape(shape), centres.reshape(len(placements), self.centre_count, 3))
@@ -161,31 +161,31 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     ) -> tuple[Float, Float]:
         """Interpolate part poses ``(T, pose_dim)`` and placements ``(T, P)`` of the frames at times ``(N,)``.
 
-        Returns target poses ``(N, ...)`` for `pose_corrections`, and placements ``(N, P)``. Here there are no parts;
-        rotations are chained, and centres are weighted sums. `in_body_axes` interpolates parts in body axes as well.
+        Returns target poses ``(N, ...)`` for `pose_corrections`, and placements ``(N, P)``. Spaces without parts chain
+        rotations and add weighted centres. `in_body_axes` also interpolates parts in body axes.
         """
         weights = operator.weights_at(times)
         placed = interpolate_poses(weights, self.unpack_placements(placements))
         return np.zeros((len(times), 0)), self.pack_placements(placed)
 
     def to_body_axes(self, points: Float, vertex_ids: Index, placements: Float) -> Float:
-        """Return points ``(T, n, 3)`` of vertices ``(n,)`` in the axes of their bodies; here unchanged."""
+        """Return points ``(T, n, 3)`` of vertices ``(n,)`` in the axes of their bodies; by default unchanged."""
         return points
 
     def quaternion_signs(self, poses: Float, previous: Float) -> Float:
-        """Return the signs ``(pose_dim,)``, 1 or -1, that align the quaternions of poses with previous ones."""
+        """Return the signs ``(pose_dim,)``, 1 or -1, that align quaternions of poses with previous quaternions."""
         return np.ones(self.pose_dim)
 
     def pose_corrections(self, poses: Float, targets: Float) -> Float:
-        """Return the corrections ``(N, C)`` that take blended part poses ``(N, pose_dim)`` to targets ``(N, ...)``."""
+        """Return the corrections ``(N, C)`` that move blended part poses ``(N, pose_dim)`` to targets ``(N, ...)``."""
         return np.zeros((len(poses), 0))
 
     def extend(self, points: Float) -> tuple[ShapeSpace, ShapeMap]:
-        """Return a space that also contains a shape ``(V, 3)``, and the map to it; here this space."""
+        """Return a space that also contains a shape ``(V, 3)``, and the map to it; by default this space."""
         return self, identity_map
 
     def merge(self, other: ShapeSpace) -> tuple[ShapeSpace, ShapeMap | None, ShapeMap | None]:
-        """Return a space of the shapes of both, and the maps to it; None where frames must be encoded again."""
+        """Return a space of the shapes of both spaces, and the maps to it, or None if frames must be encoded again."""
         return self, identity_map, identity_map if other is self else None
 
     def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
@@ -196,7 +196,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         points : (T, V, 3) or (V, 3) float
             Vertex positions in the units of the sequence: consecutive frames, or one pose.
         previous : (D,) float64, optional
-            Vector of the preceding frame, from which angles continue without jumps; by default the reference.
+            Vector of the preceding frame, from which angles continue without jumps; by default the reference shape.
 
         Returns
         -------
@@ -205,7 +205,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         Raises
         ------
         SettingsError
-            If the points are not numeric, not finite, or not those of the mesh.
+            If the points are not numeric or not finite, or do not fit the mesh.
         """
         frames = self._check_points(points)
         if not len(frames):
@@ -237,10 +237,10 @@ class ShapeSpace(PickledWithoutCaches, ABC):
 
     @abstractmethod
     def encode_independently(self, points: FloatArray) -> Float:
-        """Encode frames ``(T, V, 3)`` as vectors ``(T, D)``, each independently of the others; see `unwrap`."""
+        """Encode frames ``(T, V, 3)`` as vectors ``(T, D)``, each frame independently; see `unwrap`."""
 
     def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
-        """Make vectors ``(T, D)`` continuous in time, and with a previous vector ``(D,)``; here unchanged."""
+        """Make vectors ``(T, D)`` continuous in time, and with a previous vector ``(D,)``; by default unchanged."""
         return vectors
 
     @abstractmethod
@@ -257,23 +257,23 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         Raises
         ------
         SettingsError
-            If the vectors are not of this space.
+            If the vectors do not belong to this space.
         ReconstructionError
-            If no mesh could be found for a vector.
+            If a vector cannot be decoded to a mesh.
         """
 
     def decode_with_reports(
         self, vectors: Float, progress: Progress = no_progress
     ) -> tuple[Float, list[list[ShellReport]]]:
-        """Decode vectors, and return the reports of the fits of every frame; none in spaces without fits."""
+        """Decode vectors, and return the fit reports of every frame, which are empty in spaces without fits."""
         return self.decode(vectors, progress), [[] for _ in vectors]
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
-        """Return the change ``(S,)`` of a vector's shape from decoded points to edited ones ``(V, 3)``.
+        """Return the change ``(S,)`` of a vector's shape from decoded points to edited points ``(V, 3)``.
 
-        Added to the shape, it decodes to the edited points, except for the placement. Unedited points give zero.
+        The shape plus the change decodes to the edited points, except for the placement. Unedited points give zero.
         """
-        # Continuing from the vector, because differences of rotation vectors depend on the number of full turns.
+        # Encode continuously from the vector, because differences of rotation vectors depend on full rotations.
         encoded = self.encode(np.stack([before, after]), vector)[:, : self.shape_dim]
         return np.asarray(encoded[1] - encoded[0])
 

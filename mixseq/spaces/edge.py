@@ -10,17 +10,17 @@ vertices:
 `RelaxedShell`
     Frames of faces are chained from the middle of every piece by lengths and angles, and averaged
     (`mixseq.shells.face_frames`). Vertices follow from the sides of faces, and relaxation reduces the errors of lengths
-    and angles (`mixseq.shells.shell`). Then averaging, which distributes errors globally, and relaxation, which reduces
-    them locally, alternate a few times. All matrices are constant.
+    and angles (`mixseq.shells.shell`). Averaging, which distributes errors globally, then alternates with relaxation,
+    which reduces errors locally. All matrices are constant.
 `DiscreteShell` (DSO, Froehlich and Botsch 2011)
-    Linear initialisation, independent of poses, is followed by Gauss-Newton (`mixseq.shells.fitting`), which would get
-    trapped from distant poses (the paper's Figure 17).
+    Pose-independent linear initialisation is followed by Gauss-Newton (`mixseq.shells.fitting`). Without
+    initialisation, Gauss-Newton would be trapped in local minima if poses are distant (the paper's Figure 17).
 
-Both are exact for consistent lengths and angles. DSO optionally fits the volumes of pieces,
+Both projections are exact for consistent lengths and angles. DSO optionally fits the volumes of pieces,
 
 .. math:: V(x) = \tfrac16 \sum_{ijk} \det(x_i - c,\; x_j - c,\; x_k - c) ,
 
-with the mean c of the vertices. For a closed surface V is independent of c; for an open one it is the volume of the
+with the mean c of the vertices. For a closed surface V is independent of c; for an open surface it is the volume of the
 cone from its centre, invariant under rigid motions. The residual is :math:`w\,(V - V^*) / \bar V` with the volume
 :math:`\bar V` of the reference. Sheets, with :math:`|\bar V|` below `MIN_VOLUME_RATIO` times area to the 3/2, have no
 volume term.
@@ -67,7 +67,7 @@ class ShellTargets(NamedTuple):
     length_weights: Float  # (E,) inverse typical lengths
     angles: Float  # (H,) dihedral angles in radians, modulo full turns
     volumes: Float  # (p,) volumes of the pieces; empty without volume terms
-    volume_weights: Float  # (p,) weights of the volumes over typical volumes; 0 for sheets
+    volume_weights: Float  # (p,) volume weights, divided by typical volumes; 0 for sheets
 
 
 class EdgeProjection(Protocol):
@@ -77,10 +77,10 @@ class EdgeProjection(Protocol):
     """
 
     def precompute(self) -> Self:
-        """Compute what all frames share, as `PickledWithoutCaches.precompute`."""
+        """Compute the values shared by all frames, as `PickledWithoutCaches.precompute` does."""
 
     def fit(self, targets: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Fit rows ``(N, 3)``, pieces in any pose; raises `ReconstructionError` if lengths or angles are not finite."""
+        """Fit rows ``(N, 3)`` of pieces in any pose; raise `ReconstructionError` for lengths or angles not finite."""
 
 
 MIN_VOLUME_RATIO = 1e-3
@@ -111,7 +111,7 @@ class DiscreteShell(PickledWithoutCaches):
 
     @cached_property
     def shell_pieces(self) -> tuple[ShellPiece | None, ...]:
-        """All pieces; None for unused vertices."""
+        """All pieces of the mesh, None for pieces of unused vertices."""
         no_vertices = np.zeros(self.topology.vertex_count, dtype=bool)
         shells: list[ShellPiece | None] = []
         for rows, face_ids in zip(self.pieces.row_slices, self.pieces.faces, strict=True):
@@ -195,9 +195,9 @@ class RelaxedShell(PickledWithoutCaches):
 
     @cached_property
     def _piece_mesh(self) -> tuple[Topology, Index, Index]:
-        """The mesh with separate vertices for every piece, and the edges and hinges of the mesh in its order."""
+        """The mesh with separate vertices for every piece, and the ids of its edges and hinges in the original mesh."""
         topology = Topology(self.pieces.face_rows(self.topology), len(self.pieces.shapes))
-        # Pieces share no edges, so that both have the same ones. Hinges are ordered by edges, then by faces.
+        # Pieces share no edges, so that both meshes have the same edges. Hinges are ordered by edges, then by faces.
         edge_ids = np.empty(len(topology.edges), dtype=np.int64)
         edge_ids[topology.face_edges] = self.topology.face_edges
         hinge_ids = np.argsort(np.argsort(edge_ids[topology.hinge_edges], kind="stable"))
@@ -214,7 +214,7 @@ class RelaxedShell(PickledWithoutCaches):
 
     @cached_property
     def _bridging_hinge_ids(self) -> Index:
-        """Hinges ``(h,)`` between frames: the sound ones, and others where they alone connect faces."""
+        """Hinges ``(h,)`` between frames: sound hinges, and unsound hinges where no sound hinges connect faces."""
         hinge_faces = self._piece_mesh[0].hinge_faces
         sound = self.shell.sound_hinge_mask
         return np.flatnonzero(bridging_mask(len(self.topology.faces), hinge_faces, sound))
@@ -283,18 +283,18 @@ class EdgeSettings:
     Attributes
     ----------
     projection : {"steps", "dso"}
-        A fixed number of steps by constant matrices, or Gauss-Newton until it converges (Froehlich and Botsch 2011).
+        Fixed number of steps with constant matrices, or Gauss-Newton until convergence (Froehlich and Botsch 2011).
     volume : float
-        DSO: weight of a relative change of volume relative to that of a length; 0 for no volume term. A mesh has
-        thousands of lengths for one volume: 10 halves the error of volumes between poses of animals, 100 leaves less
-        than 0.1 %.
+        DSO: weight of a relative change of volume against a relative change of length; 0 for no volume term. Weights
+        are large, because a mesh has thousands of lengths for one volume: 10 halves the error of volumes between poses
+        of animals, 100 leaves less than 0.1 %.
     shell : ShellSettings, optional
         DSO: weight of the angles, and convergence limits of Gauss-Newton.
 
     Raises
     ------
     SettingsError
-        If a setting is out of range, or not a setting of the projection.
+        If a setting is out of range, or does not apply to the projection.
     """
 
     projection: ProjectionName = "steps"
@@ -355,12 +355,12 @@ class EdgeSpace(PosedSpace):
 
     @property
     def paper_dimension(self) -> int:
-        """Dimension as the paper counts it: a length and an angle for every edge, and a pose."""
+        """Dimension as counted in the paper: a length and an angle for every edge, and a pose."""
         return 2 * len(self.topology.edges) + 6
 
     @property
     def shape_metric(self) -> Float:
-        """Implement `PosedSpace.shape_metric`; changes of volume move vertices by their ratio to the area."""
+        """Implement `PosedSpace.shape_metric`; vertices move by the change of volume over the area."""
         lengths, volumes = edge_lengths(self.reference, self.topology.edges), np.zeros(0)
         if len(self._volume_weights):
             areas = self.discrete_shell.piece_areas(self.reference)

@@ -1,8 +1,8 @@
 r"""The space of deformation gradients S_f (Sumner and Popović 2004, with their linear reconstruction P_f).
 
-The deformation gradient of a face maps its reference triangle to that of the frame. Both are completed by a fourth
-vertex along the normal, so with the columns ``D = [e_1, e_2, n / sqrt |n|]`` of a triangle with sides ``e_1, e_2`` and
-``n = e_1 x e_2``
+The deformation gradient of a face maps its reference triangle to its triangle in the frame. A fourth vertex along the
+normal completes both triangles. With the columns ``D = [e_1, e_2, n / sqrt |n|]`` of a triangle with sides ``e_1, e_2``
+and ``n = e_1 x e_2``
 
 .. math:: J_f = D_f \, \bar D_f^{-1} .
 
@@ -21,8 +21,8 @@ are rotations of the surface. Affine maps of the reference are reproduced.
 .. math:: \min_x \sum_{ij} w_{ij} \, | x_j - x_i - s_{ij} |^2 ,
 
 which is ``L x = B^T W s`` with the incidence matrix B of the sides and the Laplacian ``L = B^T W B``. The first vertex
-of every connected component is the origin. With half the cotangents of opposite angles as weights of the sides of
-triangles, this is the Poisson equation of P_f.
+of every connected component is the origin. If the weight of a triangle's side is half the cotangent of the opposite
+angle, this is the Poisson equation of P_f.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class PoissonSystem(PickledWithoutCaches):
 
 
 SYMMETRIC_ENTRIES = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
-"""Rows and columns of the six numbers of a symmetric matrix, its diagonal first."""
+"""Rows and columns of the six numbers of a symmetric matrix, with the diagonal first."""
 
 SYMMETRIC_ENTRY_IDS = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 """Index of each matrix entry among the six numbers."""
@@ -116,7 +116,7 @@ class GradientSpace(ShapeSpace):
 
     topology: Topology
     scale: float  # diagonal of the first frame, in the units of the sequence
-    reference: Float  # (V, 3) first frame in diagonals; faces without area are replaced by others
+    reference: Float  # (V, 3) first frame in diagonals, with faces without area replaced
     name = "gradient"
 
     @cached_property
@@ -126,7 +126,7 @@ class GradientSpace(ShapeSpace):
 
     @cached_property
     def face_rows(self) -> Index:
-        """Rows ``(F, 3)`` of the corners of faces; pieces share none."""
+        """Rows ``(F, 3)`` of the corners of faces; pieces share no rows."""
         return self.pieces.face_rows(self.topology)
 
     @cached_property
@@ -155,7 +155,7 @@ class GradientSpace(ShapeSpace):
         """The Poisson system of the reference triangles."""
         following = np.roll(self.reference_sides, -1, axis=2)
         preceding = np.roll(self.reference_sides, 1, axis=2)
-        # The angle opposite to a side is between the other two sides, one of them reversed.
+        # The angle opposite to a side lies between the other two sides, of which one is reversed.
         cosines = -np.sum(following * preceding, axis=1)
         areas = np.linalg.norm(np.cross(self.reference_sides[:, :, 0], self.reference_sides[:, :, 1]), axis=1)
         cotangents = cosines / areas[:, None]

@@ -6,13 +6,13 @@ invariant under rigid motions,
 
 .. math:: M_{ij} = F_i^T F_j, \qquad u_{ij} = F_i^T (x_j - x_i), \qquad u_{ji} = F_j^T (x_i - x_j) .
 
-In the paper's terms the discrete second form and the connection are the entries of M, the first form and the normal
-offsets those of u. All blend linearly, as there; a blended M need not be a rotation.
+In the paper's terms, M holds the discrete second form and the connection; u holds the first form and the normal
+offsets. As in the paper, all entries blend linearly; a blended M need not be a rotation.
 
 A mesh is rebuilt by two sparse linear least-squares problems:
 
-1. frames: :math:`\min_F \sum_{ij} \|F_j - F_i M_{ij}\|^2 + \|F_i - F_j M_{ij}^T\|^2`, one frame of every piece fixed.
-   Each is then projected to a rotation (not in the paper): inconsistent frames would shrink the mesh;
+1. frames: :math:`\min_F \sum_{ij} \|F_j - F_i M_{ij}\|^2 + \|F_i - F_j M_{ij}^T\|^2`, with one fixed frame per piece.
+   Every frame is then projected to a rotation, unlike in the paper, because inconsistent frames would shrink the mesh;
 2. vertices: :math:`\min_x \sum_{ij} |x_j - x_i - F_i u_{ij}|^2 + |x_i - x_j - F_j u_{ji}|^2`, one vertex fixed.
 
 The coordinates of a mesh reconstruct it exactly. A vector is ``[M (E, 3, 3) | u (E, 2, 3) | poses]``, with the poses of
@@ -46,12 +46,12 @@ class LRISpace(PosedSpace):
 
     @cached_property
     def face_rows(self) -> Index:
-        """Rows ``(F, 3)`` of the corners of faces; pieces share none."""
+        """Rows ``(F, 3)`` of the corners of faces; pieces share no rows."""
         return self.pieces.face_rows(self.topology)
 
     @cached_property
     def edge_rows(self) -> Index:
-        """Edges ``(E, 2)`` as pairs of rows i < j, without those of triangles with repeated corners."""
+        """Edges ``(E, 2)`` as pairs of rows i < j, except edges of triangles with repeated corners."""
         piece = np.empty(len(self.topology.edges), dtype=np.int64)
         piece[self.topology.face_edges] = self.topology.component_of_face[:, None]
         rows = self.pieces.find_rows(piece[:, None], self.topology.edges)
@@ -61,7 +61,7 @@ class LRISpace(PosedSpace):
     def reference_half_edges(self) -> Index:
         """Half-edge ``(N,)`` of each vertex that is longest in the tangent plane of the reference, -1 without an edge.
 
-        Half-edge e is edge e, half-edge E + e its reverse.
+        Half-edge e is edge e, and half-edge E + e is its reverse.
         """
         rows = self.pieces.shapes
         starts, lengths, _ = self._tangents(rows, vertex_normals(rows, self.face_rows, self.edge_rows))
@@ -75,7 +75,7 @@ class LRISpace(PosedSpace):
 
     @cached_property
     def unknown_index(self) -> Index:
-        """Index ``(N,)`` of every frame among the unknown ones, -1 if fixed."""
+        """Index ``(N,)`` of every frame among the unknown frames, -1 if fixed."""
         return index_of(self.poisson_system.unknown_ids, len(self.pieces.vertex_of_row))
 
     @cached_property
@@ -106,8 +106,8 @@ class LRISpace(PosedSpace):
     def vertex_frames(self, rows: Float) -> Float:
         """Return the frames ``(N, 3, 3)`` of rows ``(N, 3)``, with axes in columns.
 
-        A reference half-edge without tangential length is replaced by the first one of at least half the largest
-        length, or by an axis of the world.
+        A reference half-edge without tangential length is replaced by the first half-edge with at least half the
+        largest length, or by an axis of the world.
         """
         normals = vertex_normals(rows, self.face_rows, self.edge_rows)
         starts, lengths, tangents = self._tangents(rows, normals)
@@ -147,7 +147,7 @@ class LRISpace(PosedSpace):
         frames = self._solve_frames(connections)
         i, j = self.edge_rows.T
         forward, backward = (np.einsum("eab,eb->ea", frames[k], ends[:, n]) for n, k in enumerate((i, j)))
-        # Both constrain the same edge, so that least squares depend on their mean alone.
+        # Both vectors constrain the same edge, so that the least-squares solution depends only on their mean.
         return self.poisson_system.solve((forward - backward) / 2)
 
     def _solve_frames(self, connections: Float) -> Float:
@@ -192,7 +192,7 @@ class LRISpace(PosedSpace):
         return starts, np.linalg.norm(tangents, axis=1), tangents
 
     def _first_of_vertices(self, half_edges: Index, starts: Index) -> Index:
-        """Return the first half-edge ``(N,)`` of every vertex, -1 without one, by ascending starts."""
+        """Return the first half-edge ``(N,)`` of every vertex, -1 without half-edges; starts ascend."""
         result = np.full(len(self.pieces.vertex_of_row), -1, dtype=np.int64)
         vertices, first = np.unique(starts, return_index=True)
         result[vertices] = half_edges[first]

@@ -35,7 +35,7 @@ from mixseq.spaces.vertex import VertexSpace
 from mixseq.types import Index
 
 SPACE_STAGES = 3
-"""Number of stages of progress, each as long as one pass over all frames."""
+"""Number of progress stages; each takes about as long as one pass over all frames."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ SpaceSettings = MixedSettings | EdgeSettings | NoSettings
 
 
 class SpaceOptions(TypedDict, total=False):
-    """Settings of spaces by name, except the parameters of `mixseq.fit` itself."""
+    """Keyword settings of all spaces, except settings that are parameters of `mixseq.fit`."""
 
     segmentation: Segmentation
     projection: ProjectionName
@@ -140,7 +140,7 @@ def make_space(
 
 
 def segment_faces(frames: FrameStore | MeshSequence, settings: MixedSettings, topology: Topology) -> Index:
-    """Return the part ``(F,)`` of every triangle, from settings or segmentation."""
+    """Return the part ``(F,)`` of every triangle, given in the settings or found by segmentation."""
     points, parts = frames.points, settings.parts
     if not (parts is None or isinstance(parts, int | np.integer)):
         return segment_by_labels(parts, topology)

@@ -1,8 +1,8 @@
-r"""The pieces of a mesh, connected by triangles across edges, and spaces with poses of the pieces.
+r"""Hinge-connected pieces of a mesh, and shape spaces that store a pose of every piece.
 
-A vector is ``[shape | quaternions | centres]``: invariants of rigid motions, and a pose of every hinge-connected piece,
-its rotation from the reference and its centre (the paper's :math:`\mathbb{R}^6`, Section 2.2). The paper orients a mesh
-by its first face; here all vertices of a piece are registered to their mean shape, which is more robust.
+A vector is ``[shape | quaternions | centres]``. The shape is invariant under rigid motions. The pose of a piece is its
+rotation from the reference and its centre (the paper's :math:`\mathbb{R}^6`, Section 2.2). The paper orients a mesh by
+its first face; instead, all vertices of a piece are registered to their mean shape, which is more robust.
 """
 
 from __future__ import annotations
@@ -72,18 +72,18 @@ def register_parts(shapes: Float, parts: Sequence[Index], x: FloatArray) -> tupl
 
 
 MIN_WIDTH_RATIO = 1e-3
-"""Least ratio of width to length of a piece; narrower ones are lines."""
+"""Least ratio of width to length of a piece; narrower pieces are lines."""
 
 ADDED_WIDTH_RATIO = 0.1
-"""Ratio of the width added to lines to their length."""
+"""Ratio of the width added to a line to the line's length."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Hinge-connected pieces, with relative poses that lengths and angles do not determine.
+    """Hinge-connected pieces of a mesh; lengths and angles do not determine their relative poses.
 
-    Unused vertices are pieces of their own, after all others. Pieces may share vertices, but no edges; arrays of *rows*
-    hold the vertices of all pieces, piece after piece.
+    Every unused vertex is a separate piece, after all other pieces. Pieces may share vertices, but no edges. Arrays of
+    *rows* contain the vertices of all pieces, piece after piece.
     """
 
     vertices: tuple[Index, ...]  # vertices of every piece, ascending
@@ -141,7 +141,7 @@ class Pieces:
 
     @cached_property
     def registration_shapes(self) -> Float:
-        """Shapes ``(N, 3)`` for registration; width added to lines and points determines their rotation."""
+        """Shapes ``(N, 3)`` for registration; lines and points are widened to determine their rotation."""
         return np.concatenate([_with_width(self.shapes[each]) for each in self.row_slices])
 
     def measure_poses(self, x: FloatArray) -> tuple[Float, Float]:
@@ -164,7 +164,7 @@ class Pieces:
         return self._mean_rows(x[self.vertex_of_row])
 
     def merge_rows(self, rows: Float) -> Float:
-        """Return vertices ``(V, 3)`` from rows ``(N, 3)``; shared ones are means."""
+        """Return vertices ``(V, 3)`` from rows ``(N, 3)``; a shared vertex is the mean of its rows."""
         counts = np.bincount(self.vertex_of_row)
         return scatter_add(rows, self.vertex_of_row, len(counts)) / counts[:, None]
 
@@ -173,7 +173,7 @@ class Pieces:
         return [np.arange(each.start, each.stop) for each in self.row_slices]
 
     def _register(self, vertex_ids: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
-        """Register pieces twice: lines first approximately, then exactly."""
+        """Register pieces twice, because the first registration of lines is approximate."""
         aligned, rotations, centres = register_parts(self.registration_shapes, vertex_ids, x)
         aligned, refinement, _ = register_parts(self.registration_shapes, self._rows_of_pieces, aligned)
         return aligned, rotations @ refinement, centres
@@ -185,7 +185,7 @@ class Pieces:
 
 
 def _with_width(shape: Float) -> Float:
-    """Add width to a centred shape ``(n, 3)`` that is a line or a point; return others unchanged.
+    """Add width to a centred shape ``(n, 3)`` that is a line or a point; return other shapes unchanged.
 
     Offsets have neither a mean nor a moment along the line, so that the pose of a rigidly moving line is exact.
     """
@@ -242,7 +242,7 @@ class PosedSpace(ShapeSpace):
         """Return rows ``(N, 3)`` of the pieces of a shape ``(S,)``, each in any pose; see `Pieces`."""
 
     def unwrap_shapes(self, shapes: Float, previous: Float | None) -> Float:
-        """Make shapes ``(T, S)`` continuous in time, and with a previous one or the reference."""
+        """Make shapes ``(T, S)`` continuous in time, and with a previous shape or the reference."""
         return shapes
 
     @property

@@ -1,17 +1,17 @@
-r"""Interpolation in time: weights of the frames at any time, selected by cross-validation, and poses by these weights.
+r"""Interpolate in time by weights of the frames, selected by cross-validation, and blend poses by these weights.
 
 A quantity y with values :math:`y_k` at the frames is :math:`y(t) = \sum_k w_k(t)\, y_k` with :math:`\sum_k w_k = 1`.
-The weights are those of kriging with a linear trend and the covariance (Matern, smoothness 3/2)
+The weights result from kriging with a linear trend and the covariance (Matern, smoothness 3/2)
 
 .. math:: k(d) = (1 + \sqrt 3\, d / \ell)\, e^{-\sqrt 3\, d / \ell}
 
-of frames at a distance d, in mean steps between frames. It interpolates the frames; in the limit of large length scales
-:math:`\ell` it is the natural cubic spline. Shorter ones prevent overshooting between sparse frames. The length scale
+of frames at a distance d, in mean steps between frames. Kriging interpolates the frames; for large length scales
+:math:`\ell` it tends to the natural cubic spline. Short scales prevent overshooting between sparse frames. The scale
 minimises the squared errors of leave-one-out cross-validation. Only the nearest `WINDOW_FRAMES` frames have weights.
 
-Natural ends suit a continuing motion, but not one that starts from rest. In the first and the last interval the
-not-a-knot spline has the share :math:`e^4 / (e^4 + e_\text{cubic}^4)`, with the leave-one-out errors e of both at the
-frame next to that end.
+Natural ends suit a continuing motion, but not one that starts from rest. In the first and the last interval, the
+not-a-knot spline has the share :math:`e^4 / (e^4 + e_\text{cubic}^4)`. The errors e of both splines are leave-one-out
+errors at the frame next to that end.
 
 *Splines.* With second derivatives :math:`m_i` at knots that are :math:`h_i` apart, the spline through :math:`y_i` has
 
@@ -53,7 +53,7 @@ def spline_weights(knots: Float, times: Float, ends: EndCondition) -> Float:
     if ends == "not-a-knot" and len(knots) > 3:
         system[0, :3] = steps[1], -steps[0] - steps[1], steps[0]
         system[-1, -3:] = steps[-1], -steps[-1] - steps[-2], steps[-2]
-    elif ends == "not-a-knot" and len(knots) == 3:  # both conditions coincide: the spline is a parabola
+    elif ends == "not-a-knot" and len(knots) == 3:  # the spline is a parabola
         system[0, 1] = system[-1, -2] = -1.0
     m = np.linalg.solve(system, right)
 
@@ -90,7 +90,7 @@ class FrameWeights:
     frame_count: int  # number T of all frames
 
     def select(self, ids: Index | slice) -> FrameWeights:
-        """Return the weights at some of the times."""
+        """Return the weights at selected times."""
         return FrameWeights(self.frame_ids[ids], self.weights[ids], self.frame_count)
 
     def interpolate(self, values: Float) -> Float:
@@ -98,7 +98,7 @@ class FrameWeights:
         flat = values.reshape(self.frame_count, -1)
         result = np.empty((len(self.frame_ids), flat.shape[1]))
         for row, weights, frame_ids in zip(result, self.weights, self.frame_ids, strict=True):
-            np.einsum("m,mc->c", weights, flat[frame_ids], out=row)  # in order, for any number of threads
+            np.einsum("m,mc->c", weights, flat[frame_ids], out=row)  # the order of the sum is independent of threads
         return result.reshape(len(self.frame_ids), *values.shape[1:])
 
 
@@ -107,8 +107,8 @@ class TemporalOperator:
     """Temporal interpolation of a sequence with increasing times ``(T,)``; made by `select_operator`."""
 
     times: Float
-    length_scale: float = np.inf  # of the covariance, in mean steps; infinite for the natural cubic spline
-    cubic_shares: tuple[float, float] = (0.5, 0.5)  # of the not-a-knot spline in the first and last interval
+    length_scale: float = np.inf  # length scale in mean steps; infinite for the natural cubic spline
+    cubic_shares: tuple[float, float] = (0.5, 0.5)  # shares of the not-a-knot spline in the first and last interval
 
     def weights_at(self, times: Float) -> FrameWeights:
         """Return the weights of the frames at times ``(N,)``; a frame has the weight one at its own time."""
@@ -148,7 +148,7 @@ class TemporalOperator:
         knots = _snap_regular_knots((self.times[frame_ids] - firsts) / step)
         windows, window_ids = np.unique(knots, axis=0, return_inverse=True)
         offsets = (times - firsts[:, 0]) / step
-        # Times in windows with the same knots share a system: nearly all, if frames are evenly spaced.
+        # Windows with the same knots share a linear system; if frames are evenly spaced, nearly all windows do.
         for number, window in enumerate(windows):
             mask = window_ids.reshape(-1) == number
             if cubic or np.isinf(self.length_scale):
@@ -221,12 +221,12 @@ class Poses(NamedTuple):
 
 
 def interpolate_poses(weights: FrameWeights, poses: Poses) -> Poses:
-    """Interpolate each pose independently: rotations chained, centres as weighted sums."""
+    """Interpolate each pose independently, by chained rotations and weighted sums of centres."""
     return Poses(chain_rotations(weights, poses.rotations), weights.interpolate(poses.centres))
 
 
 def chain_rotations(weights: FrameWeights, rotations: Float) -> Float:
-    """Return the rotations ``(N, p, 4)`` chained from those at the frames ``(T, p, 4)``."""
+    """Return the rotations ``(N, p, 4)`` chained from the rotations at the frames ``(T, p, 4)``."""
     exponents = np.cumsum(weights.weights[:, ::-1], axis=1)[:, ::-1]
     result = rotations[weights.frame_ids[:, 0]]
     for column in range(1, weights.frame_ids.shape[1]):
@@ -234,7 +234,7 @@ def chain_rotations(weights: FrameWeights, rotations: Float) -> Float:
         previous = rotations[weights.frame_ids[:, column - 1]]
         current = rotations[weights.frame_ids[:, column]]
         is_one = np.abs(exponent - 1.0) < EXPONENT_TOLERANCE
-        result[is_one] = current[is_one]  # all exponents before are one as well
+        result[is_one] = current[is_one]  # all preceding exponents are one, too
         mask = ~is_one & (np.abs(exponent) >= EXPONENT_TOLERANCE)
         if mask.any():
             step = quat_multiply(quat_conjugate(previous[mask]), current[mask])

@@ -1,4 +1,4 @@
-"""Linear spaces: a shape is its vertex positions (S_v), or three coefficients of every vector of a spatial basis."""
+"""Linear spaces of vertex positions (S_v), or of three coefficients for every vector of a spatial basis."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from mixseq.spaces.base import ShapeMap, ShapeSpace, identity_map
 from mixseq.types import Float, FloatArray, Index, Mask
 
 RANK_TOLERANCE = 1e-9
-"""Ratio of the sizes of basis vectors and shapes below which basis vectors are rounding errors."""
+"""Ratio of the size of a basis vector to the size of shapes below which the vector is a rounding error."""
 
 MAX_BASIS_BLOCKS = 128
-"""Largest number of independent blocks of a basis; a basis of more is treated as one block."""
+"""Largest number of independent blocks of a basis; a basis with more blocks is treated as one block."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class BasisSpace(ShapeSpace):
         blocks: list[tuple[Index | slice, Index | slice, Float]] = []
         for number in range(block_of_vector.max(initial=-1) + 1):
             vector_ids = np.flatnonzero(block_of_vector == number)
-            vertex_ids = np.flatnonzero(self.basis[vector_ids].any(axis=0))  # others are at the origin
+            vertex_ids = np.flatnonzero(self.basis[vector_ids].any(axis=0))  # other vertices are at the origin
             blocks.append((vertex_ids, vector_ids, self.basis[np.ix_(vector_ids, vertex_ids)].T))
         return blocks
 
@@ -92,7 +92,7 @@ class BasisSpace(ShapeSpace):
             return other, None, identity_map
         if self.scale == other.scale and np.array_equal(self.basis, other.basis):
             return self, identity_map, identity_map
-        from scipy import linalg  # heavy, and not needed to decode
+        from scipy import linalg  # slow import, unused for decoding
 
         bases = [space.basis / np.linalg.norm(space.basis, axis=1, keepdims=True) for space in (self, other)]
         with one_blas_thread():
@@ -102,7 +102,7 @@ class BasisSpace(ShapeSpace):
             return merged, self._map_to(merged), other._map_to(merged)
 
     def _map_to(self, target: BasisSpace) -> ShapeMap:
-        """Return the map of shapes to a space with an orthonormal basis that spans this one."""
+        """Return the map of shapes to a space with an orthonormal basis that spans this space."""
         change = (target.basis @ self.basis.T) * (self.scale / target.scale)
 
         def map_shapes(shapes: Float) -> Float:
@@ -140,7 +140,7 @@ def _number_blocks(support: Mask) -> Index:
     lowest = np.arange(len(support), dtype=np.int32)
     while True:
         lowest_of_vertex = np.full(support.shape[1], len(support), dtype=np.int32)
-        for row, number in zip(support, lowest, strict=True):  # row by row: the support may take a gigabyte
+        for row, number in zip(support, lowest, strict=True):  # row by row, as the support may take a gigabyte
             np.minimum(lowest_of_vertex, number, out=lowest_of_vertex, where=row)
         count = len(support)
         merged = np.array([lowest_of_vertex[row].min(initial=count) for row in support], dtype=np.int32)

@@ -1,5 +1,5 @@
-"""The mixed shape space S_m: parts by their rest-space vertices and poses, joints by lengths and angles.
+"""The mixed shape space S_m: parts have rest-space vertices and poses, joints have lengths and angles.
 
-`mixed_space` is the space, `construction` makes it of a sequence. Vertices follow `skinning_weights`, part poses and
-their `articulation` (`posing_kernels`); `joints` and `assembly` are its projections, `pose_interpolation` interpolates.
+`mixed_space` defines the space, `construction` makes it. Vertices follow from `skinning_weights`, part poses and their
+`articulation` (`posing_kernels`). `joint_projection` and `assembly` project, `pose_interpolation` interpolates in time.
 """

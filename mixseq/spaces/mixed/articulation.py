@@ -1,18 +1,18 @@
 r"""Part poses relative to their bodies, and relations of neighbouring parts.
 
-Adjacent parts form a *body*: parts with a common boundary, and parts of components that touch in the reference frame,
-such as eyes and shoes. The pose of a body is the rigid motion from the reference frame that fits its parts best,
+Adjacent parts form a *body*. Parts are adjacent if they share a boundary, or if their components touch in the reference
+frame, as eyes and shoes do. The pose of a body is the rigid motion from the reference frame that fits its parts best,
 
 .. math:: \min_{Q, C} \sum_i m_i\, |Q\, (\bar c_i - \bar C) + C - c_i|^2 + m_i r_i^2\, |Q - T_i|^2 ,
 
 with the rotations :math:`T_i` of parts since the reference frame, their centres :math:`c_i`, numbers of vertices
 :math:`m_i` and radii of gyration :math:`r_i`. Relative to their body, parts have rotations :math:`t_i = Q^T T_i` and
 centres :math:`Q^T (c_i - C)`. The *relation* of a part j to its neighbour i is the rotation :math:`t_i^T t_j` and the
-position of the pivot of j, the middle of their boundary, in the axes of i. Both are invariant under rigid motions.
+position of the pivot of j, the middle of their boundary, in the axes of i. Relations are invariant under rigid motions.
 
 Blended poses and blended relations are inconsistent. They are reconciled like the faces of joints
-(`mixseq.spaces.mixed.joint_projection`): rotations are averaged, then centres follow from the pivots, by constant
-matrices of the weights :math:`m_i r_i^2` and :math:`m_i`.
+(`mixseq.spaces.mixed.joint_projection`). Rotations are averaged with weights :math:`m_i r_i^2`; centres then follow
+from the pivots with weights :math:`m_i`. The matrices are constant.
 """
 
 from __future__ import annotations
@@ -68,10 +68,10 @@ class PartPoses(NamedTuple):
 class Steadiness(NamedTuple):
     """Inverse variances of part poses and relations over the frames, in 1 / squared diagonals."""
 
-    turns: Float  # (p,) of rotations of parts in body axes, times their radii of gyration
-    centres: Float  # (p,) of centres of parts in body axes
-    relation_turns: Float  # (n,) of rotations between neighbours, times the smaller radius of gyration
-    relation_points: Float  # (n,) of pivots in the axes of neighbours
+    turns: Float  # (p,) for rotations of parts in body axes, times their radii of gyration
+    centres: Float  # (p,) for centres of parts in body axes
+    relation_turns: Float  # (n,) for rotations between neighbours, times the smaller radius of gyration
+    relation_points: Float  # (n,) for pivots in the axes of neighbours
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ class Articulation:
     areas: Float  # (p,) areas of the parts in the reference frame, in squared diagonals
     body_of_part: Index  # (p,) body of every part
     pairs: Index  # (n, 2) neighbouring parts i and j, every pair in both orders
-    pivots: Float  # (n, 3) middles of their boundaries in the reference frame, relative to the centre of j
+    pivots: Float  # (n, 3) middles of the pairs' boundaries in the reference frame, relative to the centre of j
     steadiness: Steadiness  # inverse variances of poses and relations
     relation_weight: float = 1.0  # weight of a relation relative to its lighter part's pose
 
@@ -107,7 +107,7 @@ class Articulation:
 
     @cached_property
     def parents(self) -> Index:
-        """Parents ``(p,)`` in the tree of parts, -1 for roots: the part of each body with the largest area."""
+        """Parents ``(p,)`` in the tree of parts, -1 for roots; the root of a body is its part with the largest area."""
         result = np.full(len(self.radii), -1, dtype=np.int64)
         reached = np.zeros(len(self.radii), dtype=bool)
         for root in np.argsort(-self.areas, kind="stable"):
@@ -138,13 +138,13 @@ class Articulation:
 
     @cached_property
     def _systems(self) -> tuple[Float, ...]:
-        """Weights ``(p,)``, ``(n,)`` and inverse ``(p, p)`` of rotations; weights ``(n,)`` and inverse of centres."""
+        """Weights ``(p,)``, ``(n,)`` and inverse ``(p, p)`` for rotations; weights ``(n,)`` and inverse for centres."""
         steady, inertia = self.steadiness, self.masses * np.square(self.radii)
         _, *centres = self._weights_and_inverse(self.masses, steady.centres, steady.relation_points)
         return *self._weights_and_inverse(inertia, steady.turns, steady.relation_turns), *centres
 
     def _weights_and_inverse(self, sizes: Float, poses: Float, relations: Float) -> tuple[Float, ...]:
-        """Weights of parts ``(p,)`` and relations ``(n,)``, and the inverse ``(p, p)`` of their matrix."""
+        """Weights of parts ``(p,)`` and relations ``(n,)``, and the inverse ``(p, p)`` of the weighted matrix."""
         i, j = self.pairs.T
         part_weights = sizes * poses
         relation_weights = self.relation_weight * np.minimum(sizes[i], sizes[j]) * relations
@@ -156,7 +156,7 @@ class Articulation:
         return part_weights, relation_weights, np.asarray(np.linalg.inv(matrix))
 
     def fit_bodies(self, poses: Poses) -> Poses:
-        """Fit poses ``(T, B)`` of bodies, rotations since the reference, to part poses ``(T, p)``."""
+        """Fit poses ``(T, B)`` of bodies, with rotations since the reference, to part poses ``(T, p)``."""
         centres = self._body_means(poses.centres)
         rest_offsets = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.body_of_part]
         offsets = poses.centres - centres[:, self.body_of_part]
@@ -190,7 +190,7 @@ class Articulation:
         return Poses(quat_multiply(rotations, poses.rotations), centres)
 
     def add_relations(self, poses: Poses) -> PartPoses:
-        """Return poses ``(T, p)``, in any common axes, with their relations."""
+        """Return poses ``(T, p)``, in any common axes, together with their relations."""
         i, j = self.pairs.T
         back = quat_conjugate(poses.rotations[:, i])
         pivots = rotate_vectors(quat_to_matrix(poses.rotations[:, j]), self.pivots) + poses.centres[:, j]
@@ -204,7 +204,7 @@ class Articulation:
         return Poses(rotations, centres)
 
     def _reconcile_frame(self, poses: PartPoses) -> tuple[RealOrComplex, RealOrComplex]:
-        """Return the part poses ``(p, 4)``, ``(p, 3)`` that fit those of one frame best."""
+        """Return the part poses ``(p, 4)``, ``(p, 3)`` that best fit the poses and relations of one frame."""
         graph = self.pairs, self.pivots, *self._tree, self._tree_relations
         arrays = *map(np.ascontiguousarray, poses), *graph, *self._systems
         return kernels.reconcile_poses(*arrays)
@@ -224,7 +224,7 @@ class Articulation:
         return Steadiness(*result)
 
     def pose_corrections(self, poses: Poses, targets: Poses) -> Float:
-        """Return rotation vectors and shifts ``(T, 6 p)`` from poses to targets, continuous in time."""
+        """Return rotation vectors and shifts ``(T, 6 p)`` that move poses to targets, continuous in time."""
         changes = quat_multiply(quat_conjugate(poses.rotations), targets.rotations)
         rotation_vectors = continuous_rotvec(quat_to_matrix(changes))
         shifts = targets.centres - poses.centres
@@ -255,7 +255,7 @@ def find_articulation(
 ) -> Articulation:
     """Find bodies and neighbouring parts: reference ``(V, 3)``, rest centres and radii ``(p, 3), (p,)``, in diagonals.
 
-    Without steadiness, all poses and relations have unit weights; `relation_weight` multiplies those of relations.
+    Without steadiness, all poses and relations have unit weights; `relation_weight` multiplies relation weights.
     """
     labels, count = decomposition.part_of_face, len(decomposition.parts)
     boundaries = Boundaries.from_labels(topology, labels)

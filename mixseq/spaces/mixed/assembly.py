@@ -1,4 +1,4 @@
-"""The projection P_m of the free placement: a mesh from lengths, angles and rigid parts alone.
+"""The projection P_m of the free placement, which finds a mesh from lengths, angles and rigid parts alone.
 
 1. *Frames.* Every rigid part, and every joint face, is a node with a rotation. The relative rotations across hinges
    follow from lengths and angles. Rotations are chained from a seed of every component, and averaged
@@ -37,7 +37,7 @@ NOISE_HEIGHT_RATIO = 1e-4
 
 
 class FreeFrame(NamedTuple):
-    """One frame of S_m."""
+    """Blocks of one frame of S_m that determine its mesh."""
 
     lengths: Float  # (E',) edge lengths of joint faces, in diagonals
     angles: Float  # (H',) hinge angles of joint faces, in radians
@@ -50,8 +50,8 @@ class Assembly(PickledWithoutCaches):
     """The projection of the free placement of one mesh."""
 
     topology: Topology  # the mesh
-    part_of_vertex: Index  # (V,) part of vertices skinned to a single part, -1 for others
-    joint_faces: Mask  # (F,) faces with lengths and angles: at least those not skinned to a single part
+    part_of_vertex: Index  # (V,) part of vertices skinned to a single part, else -1
+    joint_faces: Mask  # (F,) faces with lengths and angles, including all faces not skinned to a single part
     edge_ids: Index  # (E',) edges of joint faces
     hinge_ids: Index  # (H',) hinges of joint faces
     reference: Float  # (V, 3) a frame of the sequence
@@ -67,7 +67,7 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _node_of_face(self) -> Index:
-        """Node ``(F,)`` of every face: its rigid part, or for joint faces a node of its own, after all parts."""
+        """Node ``(F,)`` of every face: its rigid part, or a separate node for every joint face, after all parts."""
         part_of_vertex = np.full(self.topology.vertex_count, -1, dtype=np.int64)
         for part, vertex_ids in enumerate(self._rigid_parts):
             part_of_vertex[vertex_ids] = part
@@ -82,7 +82,7 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _bridging_hinge_ids(self) -> Index:
-        """Hinges between different nodes: the sound ones, and others where they alone connect nodes."""
+        """Hinges between different nodes: sound hinges, and unsound hinges where no sound hinges connect nodes."""
         pairs, sound = self._node_of_face[self.topology.hinge_faces], self.shell.sound_hinge_mask
         return np.flatnonzero(bridging_mask(self._node_count, pairs, sound) & (pairs[:, 0] != pairs[:, 1]))
 
@@ -118,7 +118,7 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _ties(self) -> Index:
-        """Ties ``(t, 3)``: a part, and two of its vertices in different components of the mesh."""
+        """Ties ``(t, 3)``, each of a part and two of its vertices in different components of the mesh."""
         component = self.topology.component_of_vertex
         ties = []
         for number, part in enumerate(self._rigid_parts):
@@ -134,7 +134,7 @@ class Assembly(PickledWithoutCaches):
 
     @cached_property
     def _components(self) -> list[tuple[Index, list[int]]]:
-        """Independently moving components: their vertices, and the indices of their seeds."""
+        """Vertices and indices of seeds of all independently moving components."""
         component = self._component_of_vertex
         component_of_seed = np.array([component[vertices[0]] for vertices in self._seed_vertices])
         return [

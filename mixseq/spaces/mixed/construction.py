@@ -1,7 +1,7 @@
 """Make the mixed shape space of a sequence: mean shapes, skinning weights, joint faces and settings of P_m.
 
-Half-way between two frames, lengths and angles should be their means. Joint faces are those with large errors there,
-for any segmentation. The share of their lengths and angles is selected by `mixseq.signals.fitting`.
+Half-way between two frames, lengths and angles should be the means of both frames. Joint faces are faces with large
+half-way errors, for any segmentation. The share of their lengths and angles is selected by `mixseq.signals.fitting`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Purpose = Literal["sequence", "reduced", "blends"]
 """Use of a space: frames in time, models of a given rank or knots, or blends of poses that may be far apart."""
 
 ERROR_LIMITS = {"sequence": (0.1, 25.0), "reduced": (0.1, 25.0), "blends": (0.015, 4.0), "free": (0.06, 15.0)}
-"""Largest half-way errors of faces outside joints, by purpose or placement: relative of edges, in degrees of hinges."""
+"""Largest half-way errors outside joints, by purpose or placement: relative for edges, in degrees for hinges."""
 
 TORN_STRETCH = 0.1
 """Relative half-way error of an edge above which its faces are torn."""
@@ -52,7 +52,7 @@ FAR_RELATIONS = 3.0
 """`Projection.relations` where frames are far apart, since relations vary less than poses."""
 
 MIN_HEIGHT_RATIO = 1e-3
-"""Least ratio of height to longest side of joint faces, in all frames; angles of lower ones are noise."""
+"""Least ratio of height to longest side of joint faces, in all frames; angles of lower faces are noise."""
 
 MAX_NEIGHBOUR_PAIRS = 12
 """Largest number of pairs of neighbouring frames from which joint faces are found."""
@@ -61,16 +61,16 @@ SAMPLED_FACES = 100_000
 """Number of faces from which the fraction of torn faces is estimated."""
 
 MAX_POSES_FOR_ALL_PAIRS = 12
-"""Largest number of poses of which all pairs are compared; of more poses, neighbours."""
+"""Largest number of poses of which all pairs are compared; with more poses, only neighbours are compared."""
 
 MIN_STEPS, MAX_STEPS = 6, 20
-"""Relaxation steps between far poses without joint faces, and with joint faces only; linear in between."""
+"""Relaxation steps between far poses if no faces, or all faces, are joint faces; linear in between."""
 
 FREE_STEPS = 10
 """Relaxation steps of the free placement."""
 
 MAX_SHAPE_FRAMES = 64
-"""Number of frames in mean shapes. All frames are encoded exactly for any shapes."""
+"""Number of frames in mean shapes. Frames are encoded exactly with any mean shapes."""
 
 
 def mixed_space(
@@ -83,8 +83,8 @@ def mixed_space(
 ) -> MixedSpace:
     """Make the mixed shape space of points ``(T, V, 3)`` in any unit.
 
-    Purpose "reduced" ignores lengths and angles, which are inaccurate in models of few modes; "blends" uses their full
-    share.
+    Purpose "reduced" ignores lengths and angles, which are inaccurate in models of few modes; "blends" uses the full
+    share of lengths and angles.
     """
     if placement not in PLACEMENTS:
         raise SettingsError(f"placement is {placement!r}; {' or '.join(map(repr, PLACEMENTS))} is expected")
@@ -166,7 +166,7 @@ def faces_without_area(topology: Topology, frames: FloatArray) -> Mask:
 
 
 def faces_at_winding_hinges(topology: Topology, frames: FloatArray) -> Mask:
-    """Mark the faces ``(F,)`` at hinges whose angles in frames ``(S, V, 3)`` differ by more than half a turn."""
+    """Mark the faces ``(F,)`` at hinges whose angles in frames ``(S, V, 3)`` differ by more than 180 degrees."""
     lowest = highest = dihedral_angles(frames[0].astype(np.float64), topology.hinges)
     for frame in frames[1:]:
         angles = dihedral_angles(frame.astype(np.float64), topology.hinges)
@@ -180,14 +180,14 @@ def are_far_apart(space: MixedSpace, frames: LargeArray) -> bool:
     pairs = list(_neighbour_pairs(frames))
     return bool(pairs) and all(
         sum(_torn_share(space.topology, midpoint(space, pair), pair) for pair in pairs) > FAR_TORN_SHARE * len(pairs)
-        for midpoint in (_linear_midpoint, _skinned_midpoint)  # the first is quick, and often suffices
+        for midpoint in (_linear_midpoint, _skinned_midpoint)  # the linear midpoint is quick, and often suffices
     )
 
 
 def midpoint_errors(space: MixedSpace, pairs: Iterable[FloatArray], stretch: float, bend: float) -> Float:
     """Return the largest errors ``(F,)`` half-way between pairs ``(2, V, 3)``, relative to limits.
 
-    The limit of edges, `stretch`, is relative to their lengths; that of hinges, `bend`, is in degrees.
+    The limit for edges, `stretch`, is relative to edge lengths; the limit for hinges, `bend`, is in degrees.
     """
     topology = space.topology
     errors = np.zeros(len(topology.faces))
@@ -202,7 +202,7 @@ def midpoint_errors(space: MixedSpace, pairs: Iterable[FloatArray], stretch: flo
 
 
 def _all_pairs(frames: FloatArray) -> Iterator[FloatArray]:
-    """Yield all pairs of a few frames ``(S, V, 3)``, or neighbours of many."""
+    """Yield all pairs of few frames ``(S, V, 3)``, or only neighbouring pairs of many frames."""
     count = len(frames)
     pairs = combinations(range(count), 2) if count <= MAX_POSES_FOR_ALL_PAIRS else pairwise(range(count))
     return (frames[[first, second]] for first, second in pairs)

@@ -1,10 +1,10 @@
-r"""The projection P_m at the joints: move skinned vertices so that joints have the target lengths and angles.
+r"""The projection P_m at joints, which moves skinned vertices so that joints have the target lengths and angles.
 
-Joint faces, and one ring of faces around them, move; all other faces stay skinned. Lengths and angles change by a
-*share* of the differences from those of the skinned mesh to the targets; a share of 0 leaves the skinned mesh.
+Joint faces, and one ring of faces around them, move; all other faces stay skinned. Lengths and angles of the skinned
+mesh change by a *share* of their differences from the targets; a share of 0 preserves the skinned mesh.
 
-1. *Faces.* The frames of the skinned faces are rotated to the relative rotations across hinges that follow from lengths
-   and angles, by rotation averaging (`mixseq.shells.face_frames`): two rounds with one constant matrix.
+1. *Faces.* Relative rotations across hinges follow from lengths and angles. The frames of the skinned faces are rotated
+   to fit these by rotation averaging (`mixseq.shells.face_frames`): two rounds with one constant matrix.
 2. *Vertices* follow from the changes of the sides s of faces, by one back-substitution with a constant matrix,
 
    .. math:: \min_d \sum_f \sum_{ab} w_{ab}\, |d_b - d_a - (s'_{ab} - s_{ab})|^2 + \eta\, w \sum_v |d_v|^2 .
@@ -17,7 +17,7 @@ The projection is analytic. Velocities are derivatives by a complex step, exact 
 
 .. math:: f'(x)\, \dot x = \mathrm{Im}\, f(x + i h \dot x) / h + O(h^2) .
 
-Without a subtraction, h can be small enough for an error below rounding. Compiled loops take real or complex arrays.
+Nothing is subtracted, so that h can be tiny and the error below rounding. Compiled loops take real or complex arrays.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ from mixseq.shells.solvers import Factor, factorise_laplacian, index_of
 from mixseq.types import Float, Index, Mask
 
 COMPLEX_STEP = 2.0**-400
-"""Step h, with a square below rounding, and products that are normal numbers."""
+"""Step h; its square is below rounding, and its products with rates are normal floating-point numbers."""
 
 RealOrComplex = NDArray[Any]
-"""Real numbers, or complex ones with rates times `COMPLEX_STEP` as imaginary parts."""
+"""Real numbers, or complex numbers whose imaginary parts are rates times `COMPLEX_STEP`."""
 
 
 def to_complex_step(values: Float, rates: Float) -> RealOrComplex:
@@ -69,7 +69,7 @@ MIN_SIDE_LENGTH = 1e-12
 """Least length of sides in diagonals, since side 01 defines the frame of a triangle."""
 
 MIN_HEIGHT_RATIO = 1e-12
-"""Least ratio of height to side of triangles; lower ones are degenerate, with the unit quaternion as their frame."""
+"""Least ratio of height to side of triangles; lower triangles are degenerate, with the unit quaternion as frame."""
 
 SLIVER_AREA_RATIO = 1e-4
 """Ratio of area to squared sides at which the lengths and angles of a triangle have half their weight."""
@@ -139,7 +139,7 @@ def analytic_frames(x: Float, faces: Index) -> Float:
         scale = 1.0 / np.sqrt(n2)
         nx, ny, nz = nx * scale, ny * scale, nz * scale
         mx, my, mz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
-        # From the largest component (Shepperd 1978).
+        # Compute the quaternion from its largest component (Shepperd 1978).
         trace = ux + my + nz
         if trace.real >= max(ux.real, my.real, nz.real):
             p, q, r, s = 1.0 + trace, mz - ny, nx - uz, uy - mx
@@ -196,7 +196,7 @@ def target_rotations(
     """Return target rotations ``(h, 4)`` of the second face of each hinge relative to the first.
 
     Frames ``(m, 4)``, flat triangles ``(m, 3)`` and quality ``(m,)`` are of skinned faces; side_ids and backward
-    ``(h, 2)`` of the edge in both faces. `angle_ids` ``(h,)`` index target angles ``(k,)`` in radians, -1 for none.
+    ``(h, 2)`` are of the edge in both faces. `angle_ids` ``(h,)`` index target angles ``(k,)`` in radians, else -1.
     """
     result = np.empty((len(pairs), 4), frames.dtype)
     skinned, about_edge = np.empty(4, frames.dtype), np.empty(4, frames.dtype)
@@ -205,7 +205,7 @@ def target_rotations(
         i, j = pairs[k, 0], pairs[k, 1]
         multiply_inverse_by(frames[i], frames[j], skinned)
         w, x, y, z = skinned[0], skinned[1], skinned[2], skinned[3]
-        # Half the skinned angle: in axes along the edge, the relative rotation is about the edge.
+        # Find half the skinned angle; in axes along the edge, the relative rotation is about the edge.
         ci, si = _half_direction(flat, i, side_ids[k, 0], backward[k, 0] != 0)
         cj, sj = _half_direction(flat, j, side_ids[k, 1], backward[k, 1] != 0)
         ca, sa, cb, sb = ci * cj + si * sj, si * cj - ci * sj, ci * cj - si * sj, si * cj + ci * sj
@@ -280,8 +280,8 @@ def displacement_right_side(
 ) -> Float:
     """Return the right-hand side ``(count, 3)`` of displacements, from weighted changes of sides of faces.
 
-    Frames ``(m, 4)`` and flat triangles ``(m, 3)`` are skinned and target ones. Weights ``(n, 3)`` are of sides 01, 12,
-    20, zero without area. `moving_index` ``(V,)`` is the index of a vertex among the moving ones, -1 for others.
+    Frames ``(m, 4)`` and flat triangles ``(m, 3)`` are of skinned and target faces. Weights ``(n, 3)`` of sides 01, 12,
+    20 are zero without area. `moving_index` ``(V,)`` is the index of a vertex among moving vertices, else -1.
     """
     right = np.zeros((count, 3), frames.dtype)
     for f in range(len(faces)):
@@ -336,12 +336,12 @@ class JointProjection(PickledWithoutCaches):
 
     @cached_property
     def edge_ids(self) -> Index:
-        """Edges ``(E',)`` with a target length: those of joint faces, ascending."""
+        """Edges ``(E',)`` with a target length: the edges of joint faces, ascending."""
         return np.unique(self.topology.face_edges[self.joint_faces]).astype(np.int64)
 
     @cached_property
     def hinge_ids(self) -> Index:
-        """Hinges ``(H',)`` with a target angle: those of joint faces, ascending."""
+        """Hinges ``(H',)`` with a target angle: the hinges of joint faces, ascending."""
         return np.flatnonzero(self.joint_faces[self.topology.hinge_faces].any(axis=1))
 
     @cached_property
@@ -429,7 +429,7 @@ class JointProjection(PickledWithoutCaches):
 
     @cached_property
     def _side_weights(self) -> Float:
-        """Weights ``(n, 3)`` of the sides of moving faces, zero for those without area."""
+        """Weights ``(n, 3)`` of the sides of moving faces, zero for faces without area."""
         weights = self.shell.side_weights[self._moving_face_ids]
         weights[np.isin(self._moving_face_ids, self.shell.degenerate_face_ids)] = 0.0
         return weights
@@ -446,7 +446,7 @@ class JointProjection(PickledWithoutCaches):
         return factorise_laplacian(ends, self._side_weights.reshape(-1), position_weights)
 
     def mesh_targets(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, Float]:
-        """Return lengths ``(E,)`` and angles ``(H,)`` of the whole mesh: targets at joints, else those skinned."""
+        """Return lengths ``(E,)`` and angles ``(H,)`` of the mesh: targets at joints, skinned values elsewhere."""
         topology = self.topology
         all_lengths, all_angles = lengths_and_angles(x, topology.edges, topology.hinges)
         quality = triangle_quality(flatten_triangles(all_lengths, topology.face_edges.astype(np.int64)))

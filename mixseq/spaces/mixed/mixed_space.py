@@ -1,4 +1,4 @@
-"""The mixed shape space S_m: near-rigid parts by their vertices and poses, joints by lengths and angles.
+"""The mixed shape space S_m: near-rigid parts have vertices and poses, joints have lengths and angles.
 
 A vector, in diagonals and radians, is
 
@@ -9,14 +9,14 @@ A vector, in diagonals and radians, is
   changes only its own pose.
 - Vertices are skinned to the parts around them by dual quaternions (Kavan and others 2008). *Rest vertices* are the
   vertices in rest space, after inverse skinning. Inside a part they are the paper's aligned part vertices.
-- Lengths and angles are those of *joint faces*, whose errors half-way between frames would be large.
-- Corrections are zero in encoded frames. Between frames they take blended part poses to poses interpolated in time.
+- Lengths and angles are stored for *joint faces*, whose errors half-way between frames would be large.
+- Corrections are zero in encoded frames. Between frames they move blended part poses to poses interpolated in time.
 
-The projection P_m reconciles poses and relations, skins the rest vertices, and moves those of joints towards their
-lengths and angles (`mixseq.spaces.mixed.joint_projection`). Between far poses, relaxation of the whole mesh follows
-(`mixseq.shells.shell`). With the free placement, P_m finds part poses from lengths and angles
-(`mixseq.spaces.mixed.assembly`). All is exact at the frames and, except for relaxation, analytic: velocities are
-derivatives by a complex step.
+The projection P_m reconciles poses and relations, skins the rest vertices, and moves vertices of joints towards the
+joints' lengths and angles (`mixseq.spaces.mixed.joint_projection`). Between far poses, relaxation of the whole mesh
+follows (`mixseq.shells.shell`). With the free placement, P_m finds part poses from lengths and angles
+(`mixseq.spaces.mixed.assembly`). P_m is exact at the frames. Except for relaxation it is analytic, so that velocities
+are derivatives by a complex step.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ PROJECTION_WEIGHT_RANGE = (1e-6, 1e6)
 """Range of `hold` and `relations`, outside which linear systems are singular."""
 
 LENGTH_STEP_RATIO = 1 / 4
-"""Ratio of the rounding step of lengths to that of positions, where P_m relaxes."""
+"""Ratio of the rounding step of lengths to the rounding step of positions, if P_m relaxes."""
 
 MAX_ANGLE_STEP_RATIO = 64
 """Largest ratio of the rounding step of angles in radians to that of positions in diagonals."""
@@ -189,7 +189,7 @@ class MixedSpace(ShapeSpace):
 
     @cached_property
     def rigid_part_of_vertex(self) -> Index:
-        """Part ``(V,)`` of vertices skinned to a single part, -1 for others."""
+        """Part ``(V,)`` of vertices skinned to a single part, else -1."""
         starts, parts, _ = self._skinning
         return np.where(np.diff(starts) == 1, parts[starts[:-1]], -1)
 
@@ -286,8 +286,8 @@ class MixedSpace(ShapeSpace):
         """Metric ``(D,)``: vertex displacement in diagonals per unit of each coordinate.
 
         1 for rest vertices and centres of bodies; twice a radius of gyration for quaternions; `ARTICULATION_WEIGHT`
-        times that, for all vertices of the part, for part poses; `JOINT_WEIGHT` for lengths, and for angles times the
-        length of their edges. Relations follow from part poses and have the weight 0.
+        times these weights, over all vertices of the part, for part poses; `JOINT_WEIGHT` for lengths, and its product
+        with the edge length for angles. Relations follow from part poses and have the weight 0.
         """
         edge_count, _, coordinate_count, *_ = self.block_sizes
         part_weights = ARTICULATION_WEIGHT * np.sqrt(self.articulation.masses)
@@ -463,7 +463,7 @@ class MixedSpace(ShapeSpace):
     def interpolate_poses(
         self, operator: TemporalOperator, poses: Float, placements: Float, times: Float, in_body_axes: bool
     ) -> tuple[Float, Float]:
-        """Implement `ShapeSpace.interpolate_poses`: in world axes, optionally body axes, and by relations."""
+        """Implement `ShapeSpace.interpolate_poses`: in world axes, optionally in body axes, and by relations."""
         bodies, parts = self.pose_interpolation(operator, poses, placements, in_body_axes).at(times)
         first = self.unpack_placements(placements[:1]).rotations[0]
         bodies = bodies._replace(rotations=align_quat_signs(bodies.rotations, first))
@@ -480,7 +480,7 @@ class MixedSpace(ShapeSpace):
         return PoseInterpolation(self.articulation, operator, world, in_body_axes)
 
     def to_body_axes(self, points: Float, vertex_ids: Index, placements: Float) -> Float:
-        """Implement `ShapeSpace.to_body_axes`: of the body of each vertex's main part."""
+        """Implement `ShapeSpace.to_body_axes`, with the body of each vertex's main part."""
         bodies = self.unpack_placements(placements)
         main_parts = np.asarray(self.skinning_weights[vertex_ids].argmax(axis=1)).reshape(-1)
         body = self.articulation.body_of_part[main_parts]
@@ -521,5 +521,5 @@ def as_mixed(space: ShapeSpace) -> MixedSpace:
 
 
 def _with_positive_w(q: Float) -> Float:
-    """Return quaternions ``(..., 4)`` with w >= 0: rotations by at most half a turn."""
+    """Return quaternions ``(..., 4)`` with w >= 0: rotations by at most 180 degrees."""
     return np.where(q[..., :1] < 0, -q, q)

@@ -1,15 +1,16 @@
 r"""Interpolation of part poses in time: in world axes, in body axes, and by relations to neighbours.
 
-Rotations are chained and centres are weighted sums (`mixseq.spaces.temporal`), in world axes, where standing feet rest,
-and in body axes, which do not turn with the body. Bodies follow the poses interpolated in world axes; part poses are
-interpolated relative to them, independent of their rotations. With the matrix :math:`X = (R^T; t)` of four rows for a
-pose, and relations :math:`X_j = G_{ij} X_i` to neighbours, the interpolated poses minimise
+Rotations are chained and centres are weighted sums (`mixseq.spaces.temporal`), in world axes, where standing feet are
+at rest, and in body axes, where the rotation of the body is removed. Bodies are fitted to part poses interpolated in
+world axes; relative to bodies, part poses are interpolated independently of body rotations. With the matrix
+:math:`X = (R^T; t)` of four rows for a pose, and relations :math:`X_j = G_{ij} X_i` to neighbours, the interpolated
+poses minimise
 
 .. math:: \sum_i |X_i - \hat X_i|^2_{P_i} + \lambda \sum_{ij} |X_j - \hat G_{ij} X_i|^2_{P_{ij}} ,
 
-where :math:`\hat X_i` is the mean of the estimates in world and body axes, weighted by their precisions. That is a
-linear system; polar decomposition then projects to rotations. Every precision P is the inverse of a 4 x 4 covariance
-of the errors :math:`\delta` of leave-one-out cross-validation over F frames,
+where :math:`\hat X_i` is the mean of the estimates in world and body axes, weighted by their precisions. The minimum
+solves a linear system; polar decomposition then projects matrices to rotations. Every precision P is the inverse of a 4
+x 4 covariance of the errors :math:`\delta` of leave-one-out cross-validation over F frames,
 
 .. math:: P = \Bigl(\frac{\sum \delta \delta^T + n\, S}{3 F + n} + \varepsilon^2\Bigr)^{-1} ,
 
@@ -36,7 +37,7 @@ MAX_WORLD_ERROR_RATIO = 2.0
 """Largest ratio of errors in world axes to errors in body axes; above it, only body axes are used."""
 
 PRIOR_SAMPLES = 6.0
-"""Number n of error samples that the isotropic prior is worth."""
+"""Number n of error samples to which the isotropic prior is equivalent."""
 
 POSE_ERROR_FLOOR = 1e-3
 r"""Error :math:`\varepsilon` added to all covariances, in diagonals."""
@@ -52,7 +53,7 @@ class PoseInterpolation:
     articulation: Articulation  # bodies and relations of the parts
     operator: TemporalOperator  # weights of the frames
     poses: Poses  # (T, p) part poses at the frames in world axes, rotations since the reference frame
-    in_body_axes: bool  # whether poses are interpolated in body axes as well
+    in_body_axes: bool  # whether poses are interpolated in body axes in addition to world axes
 
     def at(self, times: Float) -> tuple[Poses, Poses]:
         """Return body poses ``(N, B)`` and part poses in body axes ``(N, p)`` at times ``(N,)``; exact at frames."""
@@ -91,7 +92,7 @@ class PoseInterpolation:
         return bodies, _fuse(mean, precision, relations, RELATION_WEIGHT * self._relation_precisions, pairs)
 
     def _interpolate_in_world(self, weights: FrameWeights) -> tuple[Poses, Poses]:
-        """Body poses of parts interpolated in world axes, and these parts in body axes."""
+        """Interpolate part poses in world axes; return body poses, and the part poses in body axes."""
         world = interpolate_poses(weights, self.poses)
         bodies = self.articulation.fit_bodies(world)
         return bodies, self.articulation.to_body_axes(world, bodies)
@@ -143,7 +144,7 @@ class PoseInterpolation:
 
 
 def _keep_frames(frames: Poses, poses: Poses, is_frame: Mask) -> Poses:
-    """Return poses with aligned signs, replaced by those of the frames where `is_frame` ``(N, 1, 1)``."""
+    """Return poses with aligned signs, replaced by the poses of frames where `is_frame` ``(N, 1, 1)``."""
     rotations = align_quat_signs(poses.rotations, frames.rotations[0])
     centres = np.where(is_frame, frames.centres, poses.centres)
     return Poses(np.where(is_frame, frames.rotations, rotations), centres)

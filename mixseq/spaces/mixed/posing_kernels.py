@@ -1,4 +1,4 @@
-"""Compiled inner loops that pose a mesh: reconciled part poses, motions of parts, and skinning.
+"""Compiled inner loops that reconcile part poses, compute motions of parts, and skin a mesh.
 
 Skinning blends dual quaternions. Quaternions are (w, x, y, z), inputs of any length, results of unit length; positions
 are in diagonals. Arrays are real or complex, for derivatives by a complex step
@@ -75,7 +75,7 @@ def reconcile_poses(
         _normalise(q[part])
     step, relation = np.empty(4, q.dtype), np.empty(4, q.dtype)
     expected, misfit = np.empty(4, q.dtype), np.empty(4, q.dtype)
-    # Start from relations along the tree: they vary less than poses, so that their blends are close to the solution.
+    # Start from relations along the tree: relations vary less than poses, so that their blends are near the solution.
     for k in range(len(children)):
         for a in range(4):
             relation[a] = relation_rotations[child_relations[k], a]
@@ -85,7 +85,7 @@ def reconcile_poses(
             q[children[k], a] = expected[a]
     right = np.empty((count, 3), q.dtype)
     for _ in range(AVERAGING_ROUNDS):
-        # Misfits are weighted by their sines, which are smooth at half a turn. Blends of distant rotations are short
+        # Misfits are weighted by their sines, which are smooth at 180 degrees. Blends of distant rotations are short
         # quaternions, with less weight.
         for part in range(count):
             multiply_by_inverse(rotations[part], q[part], misfit)
@@ -197,7 +197,7 @@ def part_motions(
 def _blend(starts: Index, parts: Index, weights: Float, duals: Float, v: int, motion: Float) -> None:
     """Write the blended motion of a vertex: a unit quaternion and a translation, seven numbers."""
     first, end = starts[v], starts[v + 1]
-    if end == first + 1:  # one part's motion is a unit dual quaternion already
+    if end == first + 1:  # the motion of a single part is a unit dual quaternion already
         for i in range(8):
             motion[i] = duals[parts[first], i]
     else:
@@ -213,7 +213,7 @@ def _blend(starts: Index, parts: Index, weights: Float, duals: Float, v: int, mo
             motion[i] *= inverse
     w, x, y, z = motion[0], motion[1], motion[2], motion[3]
     d, a, b, c = motion[4], motion[5], motion[6], motion[7]
-    # Twice the vector part of dual times conjugate.
+    # The translation is twice the vector part of dual times conjugate.
     motion[4] = 2.0 * (-d * x + a * w - b * z + c * y)
     motion[5] = 2.0 * (-d * y + b * w - c * x + a * z)
     motion[6] = 2.0 * (-d * z + c * w - a * y + b * x)

@@ -7,8 +7,8 @@ With the rigid motions :math:`M_{ti}` of part i from the reference frame to fram
 
 Here :math:`\bar w` is the mean of the neighbours' weights, and :math:`\mu_v` is `SMOOTHNESS_WEIGHT` times the squared
 distance of the part motions at the vertex from their mean. Gauss-Seidel sweeps visit the vertices in turn. Candidate
-parts of a vertex, and initial weights, are those of nearby faces, diffused over about `INFLUENCE_RINGS` rings of edges
-by two implicit steps, :math:`(I + r^2 L / 4)\, u = v`.
+parts of a vertex, and initial weights, come from nearby faces, diffused over about `INFLUENCE_RINGS` rings of edges by
+two implicit steps, :math:`(I + r^2 L / 4)\, u = v`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def accumulate_errors(
 ) -> None:
     """Add the errors of part motions at vertices ``(n,)`` in a frame to products and variances, in place.
 
-    Products ``(n, k, k)`` sum the scalar products of errors, variances ``(n,)`` their squared distances from the mean.
+    Products ``(n, k, k)`` sum scalar products of errors; variances ``(n,)`` sum squared distances from the mean error.
     """
     max_parts = parts.shape[1]
     errors = np.empty((max_parts, 3))
@@ -80,8 +80,8 @@ def fit_weights(
 ) -> None:
     """Fit skinning weights ``(V, k)`` of vertices ``(n,)``, in place, by Gauss-Seidel sweeps.
 
-    Products ``(n, k, k)`` are the quadratic forms of the errors, smoothness ``(n,)`` the weights of smoothness; starts
-    ``(V + 1,)`` index the neighbours ``(m,)`` of vertices.
+    Products ``(n, k, k)`` are the quadratic forms of the errors, smoothness ``(n,)`` contains smoothness weights;
+    starts ``(V + 1,)`` index the neighbours ``(m,)`` of vertices.
     """
     max_parts = parts.shape[1]
     mean = np.empty(max_parts)
@@ -107,7 +107,7 @@ def fit_weights(
             mu = smoothness[k]
             for a in range(count):
                 mean[a] /= total
-            # Exchanges between two parts preserve the sum; the energy of each is a parabola.
+            # Exchanges between two parts preserve the sum; the energy is a quadratic function of the exchange.
             for _ in range(EXCHANGE_ROUNDS):
                 for a in range(count):
                     for b in range(a):
@@ -129,7 +129,7 @@ MAX_PARTS_PER_VERTEX = 6
 """Largest number of parts that a vertex is skinned to."""
 
 MIN_WEIGHT = 0.01
-"""Least skinning weight; smaller ones are set to zero."""
+"""Least skinning weight; smaller weights are set to zero."""
 
 SMOOTHNESS_WEIGHT = 0.1
 """Weight of smoothness relative to the squared distance of part motions."""
@@ -141,7 +141,7 @@ GAUSS_SEIDEL_SWEEPS = 20
 """Number of Gauss-Seidel sweeps."""
 
 MAX_FULLY_FITTED_VERTICES = 200_000
-"""Largest number of vertices of a mesh whose vertices are all fitted; in larger ones only near part boundaries."""
+"""Largest mesh, in vertices, with all vertices fitted; in larger meshes, only vertices near part boundaries are."""
 
 FITTED_BOUNDARY_RINGS = 32
 """Rings of fitted vertices around part boundaries; weights fall to a hundredth within half of them."""
@@ -185,9 +185,9 @@ def fit_skinning_weights(
 
 
 def _split_vertices(topology: Topology, decomposition: Decomposition) -> tuple[Index, Index, Index]:
-    """Return fitted vertices ``(n,)``, rigid ones ``(m,)``, and the part ``(m,)`` of these.
+    """Return fitted vertices ``(n,)``, rigid vertices ``(m,)``, and the part ``(m,)`` of each rigid vertex.
 
-    Fitted are those near vertices with faces of several parts; in small meshes all that have faces.
+    Vertices near vertices with faces of several parts are fitted; in small meshes, all vertices with faces are fitted.
     """
     labels = decomposition.part_of_face[:, None]
     part = np.full(topology.vertex_count, len(decomposition.parts) - 1)  # unused vertices are the last part
