@@ -150,7 +150,7 @@ class Attachments:
 
 
 def attach_pieces(pieces: Sequence[Index], points: Float, leaders: Index) -> Attachments:
-    """Attach all pieces of a mesh ``(V, 3)`` but the largest, each to its leader ``(V,)``, if given, or to a near piece."""
+    """Attach pieces of a mesh ``(V, 3)`` to their leaders ``(V,)``, and pieces without to near ones."""
     is_led = np.array([bool((leaders[vertices] != vertices).all()) for vertices in pieces])
     diagonals = np.array([np.linalg.norm(np.ptp(points[vertices], axis=0)) for vertices in pieces])
     root = int(np.argmax(np.where(is_led, -1.0, diagonals)))

@@ -32,7 +32,7 @@ class BlockPattern(PickledWithoutCaches):
 
     @classmethod
     def from_pairs(cls, count: int, pairs: Index, threads: int | None = None) -> BlockPattern:
-        """Return the 3 x 3 block pattern of `count` vertices that are coupled in pairs ``(k, 2)``; negative indices are ignored."""
+        """Return the block pattern of `count` vertices coupled in pairs ``(k, 2)``; ignore negative indices."""
         low, high = pairs.min(axis=1, initial=count), pairs.max(axis=1, initial=-1)
         coupled = (low >= 0) & (low < high)
         keys = np.unique(count * low[coupled] + high[coupled])
