@@ -192,7 +192,7 @@ class Coding:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A sequence quantised with one step. Sizes are in bytes; on a coarse mesh, they are estimates for the whole mesh."""
+    """A sequence quantised with a step. Sizes are in bytes; on a coarse mesh they estimate those of the whole mesh."""
 
     candidate: Candidate  # components and parts of the sequence
     step: float  # quantisation step, in the units of the sequence
