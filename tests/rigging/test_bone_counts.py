@@ -106,10 +106,10 @@ def test_two_bones_are_enough_for_a_bar_of_two(max_error: float | None, kg: floa
 @pytest.mark.slow
 def test_what_bones_do_not_reach_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mixseq.rigging.fitting.MAX_BONES", 1)
-    with pytest.warns(MixseqWarning, match=r"^1 bones reach an error of .* % \(KG\), not 0\.01; correctives"):
+    with pytest.warns(MixseqWarning, match=r"^1 bones reach an error of .* % \(KG\), not 0\.01; add correctives"):
         skin = fit_skin(skinned_bar(), kg=0.01)
     assert skin.bone_count == 1
-    with pytest.warns(MixseqWarning, match=r"^1 bones reach an error of .* diagonals, not 0\.001; correctives"):
+    with pytest.warns(MixseqWarning, match=r"^1 bones reach an error of .* diagonals, not 0\.001; add correctives"):
         fit_skin(skinned_bar(), max_error=0.001)
     np.testing.assert_array_equal(skin.weights[:, 0], 1)
 

@@ -158,7 +158,7 @@ def test_signals_must_fit_together() -> None:
             Curve(model.time.times, model.time.values),
             "correction signal has 2 coordinates; 0 are",
         ),
-        "header": (model.header.with_times([0.0, 99.0]), "frames are from 0 to 99 s, a signal only"),
+        "header": (model.header.with_times([0.0, 99.0]), "frames are from 0 to 99 s, the time signal only"),
     }
     for name, (value, message) in wrong.items():
         with pytest.raises(SettingsError, match=message):
