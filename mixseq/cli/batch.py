@@ -282,7 +282,7 @@ def write_report(folder: Path, report: Report) -> None:
 
 
 def rows(entries: Iterable[Entry]) -> list[tuple[str, ...]]:
-    """Return the table rows of entries, with the columns of `HEADING`."""
+    """Return the table rows of entries, with the columns of `TABLE_HEADINGS`."""
 
     def shown(value: float | None, form: str) -> str:
         return "" if value is None else form.format(value)

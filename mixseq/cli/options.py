@@ -300,7 +300,7 @@ argument = partial(click.argument, type=FILE_PATH)
 def option(spec: str, *names: str, **settings: Any) -> Decorator:
     """Return a decorator that adds an option, spelled ``--name METAVAR`` as in help, with its default shown.
 
-    If the metavar is in `PATHS`, the value is a path.
+    If the metavar is in `PATH_METAVARS`, the value is a path.
     """
     name, _, metavar = spec.partition(" ")
     settings.setdefault("metavar", metavar or None)
