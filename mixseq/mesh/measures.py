@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.rotations import FULL_TURN
 from mixseq.types import Float, FloatArray, IntArray
 
 
@@ -102,8 +103,6 @@ def hard_edges_from_normals(polygons: Polygons, normals: FloatArray) -> NDArray[
         return None
     return groups.astype(np.int32)
 
-
-_FULL_TURN = 2.0 * np.pi
 
 MIN_EDGE_LENGTH_RATIO = 1e-6  # least length of an edge relative to its typical length
 MIN_DIRECTED_LENGTH = 1e-12  # in diagonals; shorter edges have no direction and no weight
@@ -186,7 +185,7 @@ def volume_gradient(points: FloatArray, faces: IntArray) -> Float:
 
 def wrap_angles(angles: FloatArray) -> Float:
     """Map angles to (-pi, pi]."""
-    return np.asarray(np.pi - np.mod(np.pi - angles, _FULL_TURN), dtype=np.float64)
+    return np.asarray(np.pi - np.mod(np.pi - angles, FULL_TURN), dtype=np.float64)
 
 
 def unwrap_angles(angles: FloatArray, reference: FloatArray | None = None) -> Float:
@@ -195,6 +194,6 @@ def unwrap_angles(angles: FloatArray, reference: FloatArray | None = None) -> Fl
     previous = reference
     for frame in result:  # frame by frame, so that results do not depend on blocks
         if previous is not None:
-            frame -= _FULL_TURN * np.round((frame - previous) / _FULL_TURN)
+            frame -= FULL_TURN * np.round((frame - previous) / FULL_TURN)
         previous = frame
     return result

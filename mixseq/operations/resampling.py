@@ -14,11 +14,10 @@ import numpy as np
 
 from mixseq.errors import SettingsError
 from mixseq.operations.retiming import Retiming
-from mixseq.operations.sections import TIME_TOLERANCE_FRAMES
 from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.frame_rates import snap_to_ntsc
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE, snap_to_ntsc
 from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
 from mixseq.sequence.sequence import Frames, MeshSequence, join_blocks
 from mixseq.signals.decoding import FRAMES_PER_BLOCK
@@ -73,7 +72,7 @@ def plan(
             "a retiming sets the range, the speed and the direction; leave out start, end, speed and reverse"
         )
     rate = model.header.fps if fps is None else snap_to_ntsc(float(fps), model.header.fps)
-    times = _frame_times(retiming.start, retiming.end, rate, TIME_TOLERANCE_FRAMES / model.header.fps)
+    times = _frame_times(retiming.start, retiming.end, rate, FRAME_TOLERANCE / model.header.fps)
     retimed = np.clip(times, retiming.start, retiming.end)
     try:
         sources = model.clip_times(retiming(retimed))
@@ -86,7 +85,7 @@ def _frame_times(start: float, end: float, fps: float, slack: float) -> Float:
     """Return the multiples ``(N,)`` of ``1 / fps`` from `start` to `end`, up to `slack` seconds outside included."""
     if not (np.isfinite(fps) and fps > 0):
         raise SettingsError(f"fps is {fps}; a positive number is expected")
-    slack = min(slack, TIME_TOLERANCE_FRAMES / fps)
+    slack = min(slack, FRAME_TOLERANCE / fps)
     first, last = np.ceil((start - slack) * fps), np.floor((end + slack) * fps)
     if last < first:
         raise SettingsError(

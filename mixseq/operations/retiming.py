@@ -27,7 +27,6 @@ from scipy.interpolate import PchipInterpolator, PPoly
 
 from mixseq.errors import FormatError, SettingsError
 from mixseq.operations.sections import (
-    TIME_TOLERANCE_FRAMES,
     breakpoints,
     interpolate_adaptively,
     merge_sites,
@@ -36,6 +35,7 @@ from mixseq.operations.sections import (
 )
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.public import public
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import frame_times
 from mixseq.signals.curve import MIN_KNOT_SPACING, Curve
 from mixseq.signals.decoding import ResidualLayer
@@ -193,7 +193,7 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
         model.clip_times(sources)  # the map is monotone between its keys
     except SettingsError as error:
         raise SettingsError(f"the retiming goes beyond the source: {error}") from None
-    frames = frame_times(retiming.start, retiming.end, model.header.fps, TIME_TOLERANCE_FRAMES)
+    frames = frame_times(retiming.start, retiming.end, model.header.fps, FRAME_TOLERANCE)
     kink_sites = np.zeros(0) if smooth else _sites_near_kinks(outputs, sources)
     time, placement, correction = (
         _compose(model, curve, retiming, kink_sites, norm)

@@ -36,7 +36,7 @@ from mixseq.mesh.rotations import (
     quat_to_matrix,
     rotvec_to_quat,
 )
-from mixseq.sequence.frame_rates import format_span, hint_frame_number
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_span, hint_frame_number
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import DeviationNorm, max_norm
 from mixseq.signals.model import Model
@@ -197,9 +197,6 @@ OFFSET_KNOT_RATIOS = np.array([1.0, 2.0, 3.0]) / 3.0
 
 KNOT_SNAP_RATIO = 0.02
 """Distance, as a fraction of the fade, within which window knots snap to a curve's knot, as close knots lose digits."""
-
-TIME_TOLERANCE_FRAMES = 1e-3
-"""Distance, in frames, within which times snap to frames and knots, as typed times have few digits."""
 
 MIN_FADE_RATIO = 1e-6
 """Shortest allowed fade, as a fraction of the longest, so that knots are distinct in float64."""
@@ -375,8 +372,8 @@ def merge_frame_times(sections: Sequence[ModelSection]) -> Float:
 
 
 def snap_time(model: Model, time: float, name: str = "time") -> float:
-    """Snap a time to the nearest end, frame or knot of a model within `TIME_TOLERANCE_FRAMES`."""
-    slack = TIME_TOLERANCE_FRAMES / model.header.fps
+    """Snap a time to the nearest end, frame or knot of a model within `FRAME_TOLERANCE`."""
+    slack = FRAME_TOLERANCE / model.header.fps
     if not model.start - slack <= time <= model.end + slack:
         fps = model.header.fps
         raise SettingsError(

@@ -45,7 +45,6 @@ from scipy.spatial.distance import cdist
 
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.operations.sections import (
-    TIME_TOLERANCE_FRAMES,
     breakpoints,
     fade_window,
     interpolate_adaptively,
@@ -56,7 +55,7 @@ from mixseq.operations.sections import (
     snap_time,
 )
 from mixseq.runtime.public import public
-from mixseq.sequence.frame_rates import Seconds
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE, Seconds
 from mixseq.sequence.header import frame_times
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -348,7 +347,7 @@ def _check_target(to: ArrayLike) -> Float:
 def _check_reach(model: Model, reach: float | None) -> float:
     if reach is None:
         return default_reach(model)
-    min_reach = TIME_TOLERANCE_FRAMES / model.header.fps
+    min_reach = FRAME_TOLERANCE / model.header.fps
     if not (np.isfinite(reach) and reach >= min_reach):
         raise SettingsError(f"reach is {reach:g} s; a number of seconds is expected, at least {min_reach:g}")
     return float(reach)

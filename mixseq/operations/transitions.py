@@ -18,7 +18,6 @@ import numpy as np
 
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.operations.sections import (
-    TIME_TOLERANCE_FRAMES,
     ModelSection,
     Seam,
     align_part_quaternions,
@@ -38,7 +37,7 @@ from mixseq.operations.sections import (
 from mixseq.operations.timeline import ground_drift, ground_position, translate
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.public import public
-from mixseq.sequence.frame_rates import Seconds
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE, Seconds
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import Detail, build_model, encode_sequence
 from mixseq.signals.model import Model
@@ -189,11 +188,11 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
     a, b = match_spaces(a, b)
     at = snap_time(a, at, "at")
     for name, remaining in (("first", a.end - at), ("second", b.end - b.start)):
-        if duration > remaining + TIME_TOLERANCE_FRAMES / a.header.fps:
+        if duration > remaining + FRAME_TOLERANCE / a.header.fps:
             raise SettingsError(f"duration is {duration:g} s; the {name} model has {remaining:g} s left")
     b = map_times(b, at - b.start)
     end = min(snap_time(b, at + duration), a.end, b.end)
-    if not end - at > TIME_TOLERANCE_FRAMES / a.header.fps:
+    if not end - at > FRAME_TOLERANCE / a.header.fps:
         raise SettingsError(f"duration is {duration:g} s; give a longer one, or concatenate the models")
     weight, weight_rate = (partial(step, start=at, end=end) for step in (_smooth_step, _smooth_step_rate))
     if travel:
@@ -247,7 +246,7 @@ def blend(a: Model, b: Model, weight: float | Curve) -> Model:
     if isinstance(weight, Curve):
         if weight.dim != 1:
             raise SettingsError(f"weight is a curve of {weight.dim} coordinates; one is expected")
-        slack = TIME_TOLERANCE_FRAMES / a.header.fps
+        slack = FRAME_TOLERANCE / a.header.fps
         if weight.start > start + slack or weight.end < end - slack:
             raise SettingsError(
                 f"weight is a curve from {weight.start:g} to {weight.end:g} s; {start:g} to {end:g} s are expected"

@@ -18,7 +18,7 @@ Seconds = Annotated[float, "seconds"]
 """A time or duration that scripts may give as a number of frames."""
 
 FRAME_TOLERANCE = 1e-3
-"""Distance in frames up to which a time is rounded to a whole frame number, as times are stored with few digits."""
+"""Distance in frames up to which times snap to frames and knots, as times are typed and stored with few digits."""
 
 
 def time_to_number(time: float, fps: float) -> float:

@@ -33,7 +33,7 @@ from mixseq.mesh.measures import edge_lengths, wrap_angles
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.jit import compiled, inlined
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.shells.face_frames import HingeFrames, averaging_right_side, multiply, multiply_inverse_by
+from mixseq.shells.face_frames import MIN_SIDE_LENGTH, HingeFrames, averaging_right_side, multiply, multiply_inverse_by
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.shells.shell import Shell
 from mixseq.shells.solvers import Factor, factorise_laplacian, index_of
@@ -64,9 +64,6 @@ def solve_columns(factor: Factor, right: RealOrComplex) -> RealOrComplex:
     solution = factor.solve(np.concatenate(from_complex_step(right), axis=1))
     return to_complex_step(solution[:, :columns], solution[:, columns:])
 
-
-MIN_SIDE_LENGTH = 1e-12
-"""Least length of sides in diagonals, since side 01 defines the frame of a triangle."""
 
 MIN_HEIGHT_RATIO = 1e-12
 """Least ratio of height to side of triangles; lower triangles are degenerate, with the unit quaternion as frame."""
