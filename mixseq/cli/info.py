@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.compressed import coding_facts, coding_rows
+from mixseq.cli.compressed import coding_facts, coding_rows, history_rows
 from mixseq.cli.files import is_model
 from mixseq.cli.group import format_bytes, print_json, print_table
 from mixseq.sequence.frame_rates import format_frames, format_rate, time_to_number
@@ -50,10 +50,11 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
             from mixseq.sequence.sequence import bounding_diagonal
 
             facts |= {"kind": "sequence", **_mesh(reader.header, bounding_diagonal(first))}
+    header = model.header if facts["kind"] == "model" else reader.header
     if as_json:
-        print_json(facts)
+        print_json(facts | {"provenance": header.provenance and header.provenance.to_plain()})
     elif not quiet:
-        print_table(_rows(facts))
+        print_table([*_rows(facts), *history_rows(header)])
 
 
 def dimension_rows(model: Model) -> Rows:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,7 @@ from mixseq.mesh.polygons import read_only
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.provenance import as_edited
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable, ResidualLayer
 from mixseq.signals.pose import Plane, PoseMap, fit_plane
@@ -118,14 +119,18 @@ class Model(Decodable, PickledWithoutCaches):
         residual_layer : ResidualLayer, optional
             Residual layer of the new motion; by default none.
         """
-        return replace(
-            self,
+        return self.edited(
             header=header or self.header,
             time=time,
             placement=placement,
             correction=correction,
             residual_layer=residual_layer,
         )
+
+    def edited(self, **changes: Any) -> Model:
+        """Return the model with other fields, and mark it as edited: it is no longer within a bound of its source."""
+        header = changes.pop("header", self.header)
+        return replace(self, header=replace(header, provenance=as_edited(header.provenance)), **changes)
 
     @property
     def start(self) -> float:
