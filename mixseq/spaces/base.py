@@ -63,7 +63,7 @@ def flatten_blocks(blocks: Iterable[NDArray[Any]]) -> NDArray[Any]:
 ShapeMap = Callable[[Float], Float]
 """Function that maps shapes ``(K, S)`` of one space to the same shapes in another space."""
 
-DIFFERENCE_STEP = 1e-4
+DIFFERENCE_STEP_DIAGONALS = 1e-4
 """Step of central differences, as a displacement of vertices in diagonals."""
 
 
@@ -285,7 +285,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """Decode vectors and their rates ``(T, D)`` to points and velocities ``(T, V, 3)``, by central differences."""
         points = self.decode(vectors)
         size = np.abs(rates * self.weights).max(axis=1, initial=0.0)
-        step = np.divide(DIFFERENCE_STEP, size, out=np.zeros_like(size), where=size > 0)
+        step = np.divide(DIFFERENCE_STEP_DIAGONALS, size, out=np.zeros_like(size), where=size > 0)
         change = step[:, None] * rates
         ahead, behind = (self.decode_for_differences(v) for v in (vectors + change, vectors - change))
         inverse = np.divide(0.5, step, out=np.zeros_like(step), where=step > 0)
