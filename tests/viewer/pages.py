@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compression.bitstream.compressed_sequence import to_model
+from mixseq.compression.bitstream.compressed_sequence import decode
 from mixseq.pictures.scene import to_y_up
 from mixseq.signals.model import Model
 from mixseq.types import Float
@@ -86,7 +86,7 @@ class Opened:
 
 def _item(description: dict[str, Any], streams: Any) -> OpenedItem:
     container = Container(description["coding"].encode(), next(streams))
-    model = to_model(read_sequence(Path(description["name"]), container))
+    model = decode(read_sequence(Path(description["name"]), container))
     colours = {
         each["name"]: rows_of(next(streams), model.header.vertex_count)
         for each in description["colourings"]
