@@ -35,7 +35,7 @@ class CompressedModel(Model):
     """A compressed sequence as a model. Make it with `mixseq.load`.
 
     At its frames, it is what the streams decode to. Between frames it is `fitted`, which has all signals and is thus
-    what operations edit. It is a subclass of `Model`, so that no operation has to know it.
+    what operations edit. It is a subclass of `Model`, so that it is one everywhere, without a case for it.
 
     Attributes
     ----------
