@@ -47,6 +47,9 @@ SIGNAL_TOLERANCE = 2e-6
 KINK_SITE_COUNT = 10
 """Number of sites on each side of a kink; their distances double up to half the distance to the next key."""
 
+NEGLIGIBLE_TIME = 1e-100
+"""Absolute value in seconds below which source times are rounded to zero."""
+
 
 @dataclass(frozen=True, eq=False)
 class Retiming:
@@ -104,6 +107,7 @@ class Retiming:
                 f"the output times of a retiming must be {MIN_KNOT_SPACING:g} s apart or more, and no time beyond "
                 f"{1 / MIN_KNOT_SPACING:g} s"
             )
+        y = np.where(np.abs(y) < NEGLIGIBLE_TIME, 0.0, y)  # slopes of subnormal numbers have inverses that overflow
         coefficients = np.stack([np.diff(y) / np.diff(x), y[:-1]])
         return cls(float(x[0]), float(x[-1]), PchipInterpolator(x, y) if smooth else PPoly(coefficients, x))
 

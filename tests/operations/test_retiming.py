@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import mixseq
@@ -74,6 +74,7 @@ def test_it_passes_through_its_points(smooth: bool) -> None:
     st.lists(st.floats(-1, 1), min_size=6, max_size=6),
     st.booleans(),
 )
+@example([1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 2.2e-311, 0.0, 0.0, 0.0], True)
 def test_it_rises_and_falls_only_where_its_points_do(steps: list[float], changes: list[float], smooth: bool) -> None:
     outputs = np.cumsum(steps)
     sources = np.cumsum(changes)[: len(outputs)]
