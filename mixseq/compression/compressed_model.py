@@ -79,10 +79,11 @@ class CompressedModel(Model):
         from mixseq.signals.fitting import fit  # slow import, unused at frames
 
         with self._lock:
-            if self._fitted is None:
+            fitted = self._fitted
+            if fitted is None:
                 frames = LazyFrames(self.header, lambda size: self.playback.blocks(self.times, size))
-                self.__dict__["_fitted"] = fit(frames, exact=True, progress=progress)
-            return self._fitted
+                fitted = self.__dict__["_fitted"] = fit(frames, exact=True, progress=progress)
+            return fitted
 
     start = Decodable.start
     end = Decodable.end

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compression.bitstream.compressed_sequence import decode
+from mixseq.compression.bitstream.compressed_sequence import Playback, decode
 from mixseq.pictures.scene import to_y_up
-from mixseq.signals.model import Model
 from mixseq.types import Float
 from mixseq.viewer.export_data import BYTE_ORDER_MARK, ESCAPE_UNIT, PAGE_ENCODING
 from mixseq_io.coded.streams import Container, read_sequence
@@ -52,7 +51,7 @@ class OpenedItem:
     """A mesh of a page: what is said of it, its model, and colours that are stored."""
 
     description: dict[str, Any]
-    model: Model
+    model: Playback
     colours: dict[str, NDArray[np.uint8]]
 
     @property
