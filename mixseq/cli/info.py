@@ -41,18 +41,19 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
     if is_model(path):
         if is_compressed(path):
             coded = read_compressed(path)
-            facts |= {"kind": "model", **_mesh(coded.header, coded.parameters.diagonal), **coding_facts(path, coded)}
+            header = coded.header
+            facts |= {"kind": "model", **_mesh(header, coded.parameters.diagonal), **coding_facts(path, coded)}
         else:
             model = mixseq.load(path)
-            facts |= {"kind": "model", **_mesh(model.header, model.space.scale), **_dimensions(model)}
-            facts["bytes"]["frames"] = bytes_of_frames(model.header)
+            header = model.header
+            facts |= {"kind": "model", **_mesh(header, model.space.scale), **_dimensions(model)}
+            facts["bytes"]["frames"] = bytes_of_frames(header)
     else:
         with mixseq.open_sequence(path, **reading) as reader:
-            first = next(iter(reader.blocks(1)))[0]
+            first, header = next(iter(reader.blocks(1)))[0], reader.header
             from mixseq.sequence.sequence import bounding_diagonal
 
-            facts |= {"kind": "sequence", **_mesh(reader.header, bounding_diagonal(first))}
-    header = model.header if facts["kind"] == "model" else reader.header
+            facts |= {"kind": "sequence", **_mesh(header, bounding_diagonal(first))}
     if as_json:
         print_json(facts | {"provenance": header.provenance and header.provenance.to_plain()})
     elif not quiet:

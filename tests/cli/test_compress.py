@@ -348,8 +348,8 @@ def test_texture_coordinates_are_told_and_left_out(run: Run) -> None:
     mixseq.write("textured.npz", MeshSequence.from_header(replace(walk.header, surface=surface), walk.points))
     encode = ("encode", "textured.npz", "small.h5", "--max-error", "0.01", "--overwrite")
     assert "texture error  at most 0.001 of the square" in run(*encode, "--set", "uv_error=0.001").output
-    told = run("verify", "small.h5", "textured.npz")
-    assert (told.exit_code, "texture        0.001 of the square, requested" in told.output) == (0, True)
+    result = run("verify", "small.h5", "textured.npz")
+    assert (result.exit_code, "texture        0.001 of the square, requested" in result.output) == (0, True)
     assert "texture coordinates" in run("info", "small.h5").output
     for options in (("--no-uvs",), ("--set", "uvs=no")):
         told = run(*encode, *options).output.replace("textured.npz", "")
