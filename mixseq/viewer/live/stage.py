@@ -235,8 +235,8 @@ class LiveStage:
         self._client_views.pop(client.client_id, None)
 
     def _update_camera(self, client: Any) -> None:
-        aspect = client.camera.aspect
-        position, centre = self._arrangement.camera(aspect)
+        aspect = client.camera.aspect  # width/height
+        position, centre = self._arrangement.camera(1 / aspect)
         self._client_views[client.client_id] = position, aspect
         with client.atomic():
             client.camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
