@@ -128,7 +128,7 @@ def rate(points: Iterable[Point], measure: Measure, target: float) -> float | No
 # Tables -----------------------------------------------------------------------------------------------------
 
 TARGETS: tuple[tuple[Measure, float, str], ...] = (
-    *(("kg_percent", kg, f"KG {kg:g} %") for kg in KG_TARGETS),  # type: ignore[misc]
+    *(("kg_percent", kg, f"KG {kg:g} %") for kg in KG_TARGETS),
     *(("max_error", error, f"max {error:g}") for error in ERROR_TARGETS),
 )
 

@@ -63,7 +63,7 @@ def rows(name: str) -> Iterator[tuple[str, ...]]:
         x = keys.points.astype(np.float64)
         spline = make_interp_spline(keys.times, x, k=min(3, len(keys) - 1))
         operator = select_operator(keys.times, x.reshape(len(x), -1))
-        case = {
+        case: dict[str, Any] = {
             "sequence": name,
             "is dense": every in ("2", "4"),
             "spline": errors(truth, spline(truth.times)),

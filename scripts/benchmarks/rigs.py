@@ -54,7 +54,7 @@ def rows(name: str) -> Iterator[tuple[str, ...]]:
 
 def fit_tree(sequence: mixseq.MeshSequence, bones: int) -> Float:
     """Return the frames ``(T, V, 3)`` of a skin whose bones are a tree."""
-    return mixseq.fit_skin(sequence, bones).points()
+    return np.asarray(mixseq.fit_skin(sequence, bones).points())
 
 
 def fit_free(sequence: mixseq.MeshSequence, bones: int) -> Float:
@@ -70,7 +70,7 @@ def fit_free(sequence: mixseq.MeshSequence, bones: int) -> Float:
         tracks = np.ascontiguousarray(centred.swapaxes(0, 1).reshape(sequence.vertex_count, -1))
         binding, motions = decompose_tracks(tracks, of_vertex, bones, ROUNDS, lambda done: None)
         shown = binding.matrix(len(motions)) @ motions.reshape(4 * len(motions), -1)
-    return diagonal * shown.reshape(sequence.vertex_count, -1, 3).swapaxes(0, 1) + centres[:, None]
+    return np.asarray(diagonal * shown.reshape(sequence.vertex_count, -1, 3).swapaxes(0, 1) + centres[:, None])
 
 
 if __name__ == "__main__":

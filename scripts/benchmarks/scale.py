@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.types import Float, FloatArray, Index
+from mixseq.types import Float, FloatArray, Index, IntArray
 from scripts.benchmarks.common.harness import MIXSEQ, animation, print_table, run, slow_signals, subdivided
 
 SOURCES = ("long", "dense-60", "dense-240", "large")
@@ -64,7 +64,7 @@ def write(source: str, file: str) -> None:
     print(points.shape[1], len(points))
 
 
-def dense(frames: int) -> tuple[FloatArray, Index]:
+def dense(frames: int) -> tuple[FloatArray, IntArray]:
     """Repeat the frames of an elephant with four times its triangles."""
     points, faces = subdivided(animation("elephant_gallop"))
     return points[np.arange(frames) % len(points)], faces
