@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -164,7 +165,8 @@ def test_parts_of_a_model_are_taken_along(tmp_path: Path) -> None:
     labels = uneven_halves(sequence)
     model = fit(sequence, exact=True, parts=labels)
     mixseq.save(tmp_path / "model.h5", model)
-    for source in (model, tmp_path / "model.h5"):
+    sources: tuple[Any, ...] = model, tmp_path / "model.h5"
+    for source in sources:
         coded = mixseq.compress(source, max_error=1e-3)
         np.testing.assert_array_equal(coded.parts, labels)
         np.testing.assert_array_equal(mixseq.segment(source), labels)
@@ -175,7 +177,8 @@ def test_parts_of_a_model_are_taken_along(tmp_path: Path) -> None:
         found = PoseInterpolator.from_poses(reader).space
         assert isinstance(found, MixedSpace)
         np.testing.assert_array_equal(found.decomposition.part_of_face, labels)
-    np.testing.assert_array_equal(mixseq.compress(CompressedModel.from_sequence(coded), kg=1.0).parts, labels)
+    again: Any = CompressedModel.from_sequence(coded)
+    np.testing.assert_array_equal(mixseq.compress(again, kg=1.0).parts, labels)
 
 
 def test_labels_that_do_not_fit_are_refused(tmp_path: Path) -> None:
