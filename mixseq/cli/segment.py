@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mixseq.choices import SegmentationName
     from mixseq.segmentation.methods import MethodSettings
     from mixseq.sequence.header import SequenceHeader
-    from mixseq.types import FloatArray, IntArray
+    from mixseq.types import FloatArray, Index
     from mixseq_io.reader import SequenceReader
     from mixseq_io.text.labels import Labels
 
@@ -103,7 +103,7 @@ def command(
             choice = replace(labels, label_source="skeleton") if method_name == "skeleton" else labels
             parts_of_faces = split_into_connected(reader.header, choice.read(reader, reading))
         elif method is None and parts is None and settings is None and (own := own_parts(reader)) is not None:
-            method_name, parts_of_faces = "model", _named(own)
+            method_name, parts_of_faces = "model", _named(own.astype("int64"))
         else:
             parts_of_faces = _segment(reader.header, points, method_name, parts, settings)
         measures = _measure_parts(reader.header, points, parts_of_faces)
@@ -194,7 +194,7 @@ def _segment(
     return _named(segment(points, topology, cast("SegmentationName", method), parts, settings))
 
 
-def _named(labels: IntArray) -> Labels:
+def _named(labels: Index) -> Labels:
     """Return the labels ``(F,)`` of parts, with names."""
     from mixseq_io.text.labels import Labels
 

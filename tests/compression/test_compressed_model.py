@@ -124,7 +124,7 @@ def test_it_is_a_sequence_where_one_is_expected(model: CompressedModel) -> None:
 def uneven_halves(sequence: MeshSequence) -> IntArray:
     """Labels of two parts that no segmentation finds."""
     along = sequence.points[0][sequence.faces].mean(axis=1)[:, np.ptp(sequence.points[0], axis=0).argmax()]
-    return (along > np.quantile(along, 0.2)).astype(np.int64)
+    return np.asarray(along > np.quantile(along, 0.2), dtype=np.int64)
 
 
 def test_parts_are_those_of_the_original() -> None:
