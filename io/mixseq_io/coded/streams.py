@@ -2,7 +2,8 @@
 
 The text is JSON with parameters, source, name, fps, up_axis, metres_per_unit, counts and first time. The order of the
 streams is connectivity, surface, times, texture coordinates and labels if any; every group of the spatial basis;
-coefficients and residual layer of every chunk. The dataset begins with an index of the lengths and CRC-32 checksums of all streams:
+coefficients and residual layer of every chunk. The dataset begins with an index of the lengths and CRC-32 checksums of
+all streams:
 
 ==========  =====================================================================================================
 bytes       meaning, all numbers little-endian
