@@ -60,7 +60,7 @@ def main() -> int:
     every: list[Row | LiveRow] = [*rows, *live]
     options.json.write_text(json.dumps([{**asdict(row), "passed": row.passed} for row in every], indent=1))
     failed = sum(not row.passed for row in every)
-    print(f"\n{len(every) - failed} of {len(every)} rows are as they should be")
+    print(f"\n{len(every) - failed} of {len(every)} rows pass")
     return 1 if failed or not every else 0
 
 

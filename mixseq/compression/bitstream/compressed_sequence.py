@@ -194,7 +194,7 @@ def decode(coded: CompressedSequence) -> Playback:
         basis = decode_basis(coded, graph)
         coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
         if not (np.isfinite(basis.norms).all() and np.isfinite(coefficients).all()):
-            raise FormatError(f"the coded signals are not finite; {DAMAGE_CURE}")
+            raise FormatError(f"the coded signals are damaged, they are not finite; {DAMAGE_CURE}")
     residual_layer = None
     if any(chunk.residuals for chunk in coded.chunks):
         chunks = tuple((chunk.count, chunk.residuals) for chunk in coded.chunks)

@@ -290,7 +290,7 @@ class Reader:
     def stream(self) -> BitStream:
         """Return the stream; raise `FormatError` if it ended early."""
         if arithmetic.is_past_end(self._stream):
-            raise FormatError(f"the coded signals end early; {DAMAGE_CURE}")
+            raise FormatError(f"the coded signals are damaged, they end early; {DAMAGE_CURE}")
         return self._stream
 
     def add_to_checksum(self, values: Index) -> None:

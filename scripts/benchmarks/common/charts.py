@@ -38,7 +38,7 @@ def _costs(ax: Any, lines: Sequence[Line]) -> None:
         x, y = zip(*line.points, strict=True)
         ax.plot(x, y, marker=marker, label=line.label)
     ax.set(xscale="log", yscale="log", xlabel="vertices", ylabel="microseconds per vertex and frame")
-    ax.set_title("Cost of a vertex; level = linear")
+    ax.set_title("Cost per vertex; level = linear")
     ax.grid(alpha=0.3, which="both")
     ax.legend(frameon=False)
 

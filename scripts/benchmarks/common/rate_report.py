@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from scripts.benchmarks.common.rates import Measure, Point, rate
-from scripts.benchmarks.common.section import LargeArray, Section, at_most
+from scripts.benchmarks.common.section import Section, Table, at_most
 from scripts.benchmarks.peers.coder import ERROR_TARGETS, KG_TARGETS
 
 OURS, PEER, SKINNING, FRAMES = "ours", "trajectory", "bones", "draco"
@@ -54,7 +54,7 @@ def sequence_section(measured: Measured, titles: Mapping[str, str]) -> Section:
         )
     return Section(
         f"{measured.name}: {measured.vertices} vertices, {measured.frames} frames",
-        [LargeArray("", columns, rows)],
+        [Table("", columns, rows)],
     )
 
 
@@ -96,7 +96,7 @@ def _against_peer(section: Section, sequences: Sequence[Measured]) -> None:
         "encode: ours / PCA",
         "decode: Draco / ours",
     )
-    section.tables.append(LargeArray("Bits of ours over bits of PCA in trajectory space.", columns, rows))
+    section.tables.append(Table("Bits of ours over bits of PCA in trajectory space.", columns, rows))
     for kg, column in zip(KG_TARGETS, ratios.T, strict=True):
         if kg in WANTED:
             section.targets.append(at_most(f"KG {kg:g} %: ours / PCA, median", np.nanmedian(column), WANTED[kg]))
@@ -130,7 +130,7 @@ def _against_skinning(section: Section, measured: Measured) -> None:
             what = f"{measured.name}, KG {point.kg_percent:.2g} %: ours / skinning with {point.setting} bones"
             section.targets.append(at_most(what, ours / point.bits, HALF))
     columns = ("skinning", "KG %", "bits", "bits of ours", "ratio", "encode s")
-    section.tables.append(LargeArray(f"{measured.name}, at the errors of skinning.", columns, rows))
+    section.tables.append(Table(f"{measured.name}, at the errors of skinning.", columns, rows))
 
 
 def _text(bits: float | None) -> str:

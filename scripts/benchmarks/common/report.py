@@ -21,11 +21,10 @@ Results = dict[str, dict[str, Any]]
 UNKNOWN = "not known"
 
 HOW_OFTEN = (
-    "Seconds with a range are the median of several runs, with the fastest and the slowest of them: "
-    "`0.12 (0.11-0.15, 5 runs)`. So is the cost of a vertex in `scale`, and so are ratios and targets of such seconds. "
-    "All other seconds, and memory, are those of a single run, also where it is not marked `(1 run)`: `scale` by "
-    "frames, `cluster`, and the runs of `startup` that compile. Errors, iterations and hashes of mixseq are the same "
-    "in every run."
+    "Seconds with a range are the median of several runs, with the fastest and the slowest run: `0.12 (0.11-0.15, 5 "
+    "runs)`. The cost per vertex in `scale`, ratios and targets are based on these medians. All other seconds, and "
+    "memory, are of a single run, marked `(1 run)` or not: `scale` by frames, `cluster`, and the runs of `startup` "
+    "that compile. Errors, iterations and hashes of mixseq are equal in every run."
 )
 
 
@@ -81,7 +80,7 @@ def save(results: Results) -> None:
     ]
     chapters = [
         *(section.markdown() for section in sections),
-        "### Where the figures come from",
+        "### Origin of the figures",
         HOW_OFTEN,
         markdown_table(("measurement", "when", "s", "commit", "machine"), origins),
         *(f"Machine {number}: {each}." for number, each in enumerate(machines, start=1)),

@@ -40,7 +40,7 @@ def at_most(what: str, value: float, target: float, unit: str = "") -> Target:
 
 
 @dataclass(frozen=True)
-class LargeArray:
+class Table:
     """A table of text."""
 
     caption: str
@@ -70,7 +70,7 @@ class Section:
     """All that one measurement shows; the lists are filled as it goes."""
 
     title: str
-    tables: list[LargeArray] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
     targets: list[Target] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     bars: list[Bar] = field(default_factory=list)
@@ -88,9 +88,7 @@ class Section:
         targets = [{k: v for k, v in target.items() if k != "met"} for target in plain["targets"]]
         return cls(
             title=plain["title"],
-            tables=[
-                LargeArray(t["caption"], tuple(t["columns"]), [tuple(r) for r in t["rows"]]) for t in plain["tables"]
-            ],
+            tables=[Table(t["caption"], tuple(t["columns"]), [tuple(r) for r in t["rows"]]) for t in plain["tables"]],
             targets=[Target(**target) for target in targets],
             notes=plain["notes"],
             bars=[Bar(**bar) for bar in plain["bars"]],
@@ -105,7 +103,7 @@ class Section:
             blocks += [table.caption] * bool(table.caption) + [markdown_table(table.columns, table.rows)]
         if self.targets:
             rows = [target.row() for target in self.targets]
-            blocks.append(markdown_table(("target", "measured", "wanted", ""), rows))
+            blocks.append(markdown_table(("target", "measured", "required", ""), rows))
         return "\n\n".join([*blocks, *self.notes])
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import mixseq
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.child import MIXSEQ, ChildError, run
-from scripts.benchmarks.common.section import LargeArray, Say, Section, at_least
+from scripts.benchmarks.common.section import Say, Section, Table, at_least
 
 NAME = "elephant_gallop"
 FPS = 240
@@ -46,15 +46,15 @@ def measure(say: Say) -> Section:
     return Section(
         "Cluster",
         [
-            LargeArray(
+            Table(
                 f"`mixseq decode --fps {FPS} --cluster local:2` of {NAME}.",
                 ("decoded by", "s", "sha256"),
                 rows,
             )
         ],
         [
-            at_least("2 workers: same file as without (1 = yes)", float(undisturbed == wanted), 1),
-            at_least("one worker killed: same file (1 = yes)", float(survived == wanted), 1),
+            at_least("2 workers: equal file (1 = yes)", float(undisturbed == wanted), 1),
+            at_least("one worker killed: equal file (1 = yes)", float(survived == wanted), 1),
         ],
         figures=[{"seconds": [alone, calm, disturbed], "sha256": [wanted, undisturbed, survived]}],
     )

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 from scripts.benchmarks.common.child import MIXSEQ, Child, run, run_module
-from scripts.benchmarks.common.section import LargeArray, Say, Section, at_most
+from scripts.benchmarks.common.section import Say, Section, Table, at_most
 
 SOURCES = {"long": "100 vertices, 10,000 frames", "large": "1,000,000 vertices, 3 frames"}
 
@@ -43,7 +43,7 @@ def measure(say: Say) -> Section:
     columns = ("sequence", "step", "CPU s", "MB", "before: CPU s", "MB")
     rows: list[tuple[str, ...]] = []
     section.tables.append(
-        LargeArray("CPU seconds of all threads and processes; MB: peak of resident memory.", columns, rows)
+        Table("CPU seconds of all threads and processes; MB: peak of resident memory.", columns, rows)
     )
     for name, what in SOURCES.items():
         with tempfile.TemporaryDirectory() as folder:

@@ -11,7 +11,7 @@ from typing import Any
 import mixseq
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.child import ChildError, run, run_module
-from scripts.benchmarks.common.section import Bar, LargeArray, Say, Section, at_least, at_most
+from scripts.benchmarks.common.section import Bar, Say, Section, Table, at_least, at_most
 from scripts.benchmarks.common.timing import Timing, repeated
 
 NAMES = {"horse_gallop": 5, "q_man_run": 5, "elephant_gallop": None}
@@ -33,13 +33,13 @@ def measure(say: Say) -> Section:
     _check_installed()
     columns = ("sequence", "method", "parts or bones", "s", "KG %", "max error/diag", "py-dem-bones / this")
     rows: list[tuple[str, ...]] = []
-    section = Section("Fitting", [LargeArray("", columns, rows)])
+    section = Section("Fitting", [Table("", columns, rows)])
     for name, target in NAMES.items():
         _measure(section, rows, name, target, say)
     section.notes.append(
-        "`fit` is the whole of it: parts, joints, registration, signals; with the default tolerance also the search "
-        "for the detail that keeps it. py-dem-bones: 30 iterations, 4 weights a vertex; only its solver is timed. "
-        "Where its own clustering stops early it is started again from labels of k-means, which are not timed."
+        "`fit` includes parts, joints, registration and signals; with the default tolerance also the search for the "
+        "necessary detail. py-dem-bones: 30 iterations, 4 weights per vertex; only its solver is timed. If its own "
+        "clustering stops early, it is restarted from k-means labels, which are not timed."
     )
     return section
 
@@ -73,7 +73,7 @@ def _measure(section: Section, rows: list[tuple[str, ...]], name: str, target: i
         if target is not None:
             section.targets.extend(
                 [
-                    at_least(f"{name}, fit {which}: times faster than py-dem-bones", ratio, target),
+                    at_least(f"{name}, fit {which}: speed relative to py-dem-bones", ratio, target),
                     at_most(
                         f"{name}, fit {which}: KG below py-dem-bones'",
                         error.kg_percent,

@@ -15,7 +15,7 @@ from mixseq.shells.gauss_newton import ShellReport, ShellSettings
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.envelope import envelope
 from scripts.benchmarks.common.full_mesh import FullMesh, iterate
-from scripts.benchmarks.common.section import Bar, LargeArray, Say, Section, at_least, at_most
+from scripts.benchmarks.common.section import Bar, Say, Section, Table, at_least, at_most
 from scripts.benchmarks.common.timing import Timing, repeated
 
 PAIRS = (
@@ -59,19 +59,19 @@ def measure(say: Say) -> Section:
     rows: list[tuple[str, ...]] = []
     section = Section(
         "One interpolated frame",
-        [LargeArray("Errors against the means of the two frames, at 99 % / 99.9 % / max.", COLUMNS, rows)],
+        [Table("Errors against the means of the two frames, at 99 % / 99.9 % / max.", COLUMNS, rows)],
     )
     for name, first, second, factor in PAIRS:
         _measure_pair(section, rows, name, first, second, factor, say)
     section.notes.append(
-        "`MixIT` is what `mixseq.interpolate` does: poses agree with what neighbours see of each other, and lengths "
-        "and angles are made to agree from there. `MixIT, free` is the paper's placement. Both take a fixed number of "
+        "`MixIT` is what `mixseq.interpolate` does: poses are reconciled with the relations of neighbours, then "
+        "lengths and angles with each other. `MixIT, free` is the paper's placement. Both take a fixed number of "
         "steps with constant matrices. "
-        "`vertex means` takes no time worth measuring and shows the errors of no method at all. "
+        "`vertex means` are the plain means of the vertices, as a reference without a method. "
         "`full mesh` is Gauss-Newton on all lengths and angles with the kernels, the solver and the criteria of the "
-        "joints, from the mean of the vertices or from the linear start, on one thread and on two; the fastest of them "
-        "counts. Analysis of patterns and compilation are not timed on either side. `capped`: stopped at the largest "
-        "number of iterations; `held back`: the last steps were damped, no better point was found."
+        "joints, from the mean of the vertices or from the linear start, on one thread and on two; the fastest is "
+        "the reference. Symbolic analysis and compilation are not timed. `capped`: stopped at the largest number of "
+        "iterations; `held back`: the last steps were damped without finding a better point."
     )
     return section
 

@@ -10,7 +10,7 @@ from mixseq.runtime.parallel import thread_executor
 from mixseq.shells.gauss_newton import ShellSettings
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.full_mesh import FullMesh, iterate
-from scripts.benchmarks.common.section import Bar, LargeArray, Say, Section, at_least
+from scripts.benchmarks.common.section import Bar, Say, Section, Table, at_least
 from scripts.benchmarks.common.timing import Timing, repeated
 
 NAMES = {"horse_gallop": 10, "elephant_gallop": 10, "q_man_run": None}
@@ -35,12 +35,12 @@ COLUMNS = (
 def measure(say: Say) -> Section:
     """Measure all animations."""
     rows: list[tuple[str, ...]] = []
-    section = Section("Playback", [LargeArray(f"Rank {RANK}, anchored; all frames in a row.", COLUMNS, rows)])
+    section = Section("Playback", [Table(f"Rank {RANK}, anchored; all frames in order.", COLUMNS, rows)])
     for name, target in NAMES.items():
         _measure(section, rows, name, target, say)
     section.notes.append(
-        "An iteration on the full mesh is assembly, refactorisation and solution with rslab, the pattern analysed "
-        "before. The ratio for two threads is against the faster of both columns."
+        "An iteration on the full mesh is assembly, refactorisation and solution with rslab, after symbolic "
+        "analysis. The ratio for two threads is relative to the faster of both columns."
     )
     return section
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from scripts.benchmarks.common.child import MIXSEQ, Child, run, run_module
-from scripts.benchmarks.common.section import LargeArray, Line, Say, Section, at_most
+from scripts.benchmarks.common.section import Line, Say, Section, Table, at_most
 from scripts.benchmarks.common.timing import Timing
 
 NAME = "elephant_gallop"
@@ -43,7 +43,7 @@ def _frames(section: Section, say: Say) -> None:
     columns = ("frames", "file MB", "encode s", "MB", "model MB", "decode s", "MB", "decoded MB")
     rows: list[tuple[str, ...]] = []
     section.tables.append(
-        LargeArray(
+        Table(
             f"{NAME}, subdivided once and repeated; `mixseq encode {' '.join(ENCODE[:2])}` from HDF5, `mixseq decode` "
             "to USD. MB after the seconds: peak of resident memory.",
             columns,
@@ -82,7 +82,7 @@ def _frames(section: Section, say: Say) -> None:
         section.targets.extend(
             [
                 at_most(f"{step}, {FRAMES[-1]} frames: peak of memory", peak, MEMORY, " MB"),
-                at_most(f"{step}: largest distance from a straight line", 100 * bent, 100 * BENT, " %"),
+                at_most(f"{step}: largest deviation from linear growth", 100 * bent, 100 * BENT, " %"),
             ]
         )
         megabytes = [child.megabytes for child in found[step]]
@@ -112,7 +112,7 @@ def _vertices(section: Section, say: Say) -> None:
         "exponent, decode",
     )
     rows: list[tuple[str, ...]] = []
-    section.tables.append(LargeArray("Cost of a vertex, rank 20, anchored, all threads.", columns, rows))
+    section.tables.append(Table("Cost per vertex, rank 20, anchored, all threads.", columns, rows))
     points: dict[str, list[tuple[float, float]]] = {step: [] for step in STEPS}
     for words in SIZES:
         say(f"{' '.join(words)}: cost of a vertex")
@@ -136,9 +136,9 @@ def _vertices(section: Section, say: Say) -> None:
         section.figures.append({"sequence": " ".join(words), **found})
     section.lines.extend(Line(step, points[step]) for step in STEPS)
     section.notes.append(
-        "The exponent is that of the total cost against the mesh before in the table: 1 is linear in vertices. Below "
-        "1, what every frame costs whatever its size (calls, poses) is spread over more vertices; above 1, a sparse "
-        "factorisation of a mesh of n vertices grows as n^1.5, and larger meshes leave the processor's cache."
+        "The exponent is the growth of the total cost from the previous mesh in the table: 1 is linear in the number "
+        "of vertices. It is below 1 if constant costs per frame (calls, poses) dominate, and above 1 if sparse "
+        "factorisations dominate, which grow as n^1.5, or if meshes exceed the processor's cache."
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from scripts.benchmarks.common.child import MIXSEQ, run, run_module
-from scripts.benchmarks.common.section import LargeArray, Say, Section, at_least, at_most
+from scripts.benchmarks.common.section import Say, Section, Table, at_least, at_most
 from scripts.benchmarks.common.timing import Timing
 
 RUNS = 10
@@ -46,29 +46,29 @@ def measure(say: Say) -> Section:
         ("Python alone", nothing.text()),
         ("`mixseq --help`", help_.text()),
         ("`import mixseq`", import_.text()),
-        ("the same, and what `read`, `fit` and `save` need", all_.text()),
+        ("`import mixseq` with the modules of `read`, `fit` and `save`", all_.text()),
         ("first frame of a compressed walk of 24 frames, import and all", frame.text()),
         (
-            "first run, nothing compiled yet: fit, decode with velocities, both placements, float32 and float64",
+            "first run, without compiled functions: fit, decode with velocities, both placements, float32 and float64",
             f"{sum(cold['first']):.3g}",
         ),
         ("second run, a new process", f"{sum(warm['first']):.3g}"),
-        ("the same once more in that process", f"{sum(warm['again']):.3g}"),
+        ("repeated in that process", f"{sum(warm['again']):.3g}"),
     ]
     return Section(
         "Start-up",
-        [LargeArray("Each in new processes.", ("what", "s"), rows)],
+        [Table("Each run is a new process.", ("what", "s"), rows)],
         [
             at_most("`mixseq --help`", help_.median, HELP, " s"),
             at_most("`import mixseq`, Python's own start included", import_.median, IMPORT, " s"),
             at_most("first frame of a compressed file", frame.median, SHOWN, " s"),
-            at_most("pause of the first run (first minus second)", first, FIRST, " s"),
-            at_least("functions compiled in the first run (or they are not counted)", len(cold["compiled"]), 1),
+            at_most("compilation time of the first run (first minus second run)", first, FIRST, " s"),
+            at_least("functions compiled in the first run", len(cold["compiled"]), 1),
             at_most("functions compiled in later runs", compiled, 0),
         ],
         notes=[
-            "Help and import are medians; the runs that compile are single ones. Whether later runs compile is "
-            "counted, as the difference of two times would tell how busy the machine was."
+            "Help and import are medians; runs that compile are single runs. Compiled functions are counted, since "
+            "differences of times depend on other work on the machine."
             + (f" Compiled again: {', '.join(sorted(set(warm['compiled'])))}." if compiled else "")
         ],
         figures=[

@@ -149,7 +149,7 @@ def test_numbers_of_another_mesh_are_refused(numbers: tuple[int, int, int]) -> N
 
 def test_data_of_a_far_smaller_mesh_are_refused_early() -> None:
     data = encode_polygons(Polygons.from_triangles(tetrahedron()[1]), 4)
-    with pytest.raises(FormatError, match="damaged, or"):
+    with pytest.raises(FormatError, match="are damaged; restore the file"):
         decode_polygons(data, 10**6, 3 * 10**6, 10**6)
 
 
