@@ -37,17 +37,13 @@ from mixseq.mesh.measures import edge_lengths, wrap_angles
 from mixseq.mesh.surface import DEFAULT_COLOUR
 from mixseq.mesh.topology import Topology
 from mixseq.metrics import MIN_NORMAL_HEIGHT_RATIO
-from mixseq.pictures.scene import Scene, SceneItem, check_start_times, is_same_mesh
+from mixseq.pictures.scene import CLAY_COLOUR, Scene, SceneItem, check_start_times, is_same_mesh
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import FrameStore, bounding_diagonal
-from mixseq.types import Float, FloatArray, Index, IntArray
+from mixseq.types import ByteArray, Float, FloatArray, Index, IntArray
 
-ByteArray = NDArray[np.uint8]
-
-CLAY_COLOUR = (0.80, 0.77, 0.72)
 JOINT_RED = (0.85, 0.20, 0.13)
-INK_COLOUR = "#3a3a3a"
 
 FIRST_HUE, LAST_HUE = 90.0, 330.0
 """Range of part hues in degrees of OKLCH, from straw to mauve; both ends are 60 degrees from the red of joints."""

@@ -30,14 +30,13 @@ from mixseq.pictures.charts import (
     time_axis,
 )
 from mixseq.pictures.colours import (
-    INK_COLOUR,
     JOINT_RED,
     part_colours,
     segmentation_colours,
     vertex_distances,
 )
 from mixseq.pictures.page import Target, draw_mesh, error_map, import_matplotlib
-from mixseq.pictures.scene import Limits, View, aspect_ratio, resolve_view, to_y_up
+from mixseq.pictures.scene import INK_COLOUR, Limits, View, aspect_ratio, resolve_view, to_y_up
 from mixseq.pictures.sheets import opposite_views, views_aspect
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import Decomposition

@@ -27,6 +27,10 @@ from mixseq.sequence.sequence import Frames, FrameStore, block_size, load_frames
 from mixseq.signals.model import Model
 from mixseq.types import Float, FloatArray, Index, Single, evenly_spaced
 
+CLAY_COLOUR = (0.80, 0.77, 0.72)
+INK_COLOUR = "#3a3a3a"
+"""Colours of meshes without colours, and of lines and text."""
+
 Limits = tuple[float, float, float, float]
 """Screen rectangle: left, right, bottom and top, in units of the points."""
 

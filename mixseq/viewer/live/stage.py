@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.pictures.colours import ByteArray, Colouring, SceneColours
+from mixseq.mesh.nearest import RayHit, intersect_ray
+from mixseq.pictures.colours import Colouring, SceneColours
 from mixseq.pictures.scene import FIELD_OF_VIEW_DEGREES, SCENE_SIZE, Arrangement, Scene, arrange_meshes
-from mixseq.types import Float, Single
+from mixseq.types import ByteArray, Float, Single
 from mixseq.viewer.playback import Moment
-from mixseq.viewer.session import RayHit, intersect_ray
 
 GROUND_COLOUR = (243, 243, 240)
 GRID_COLOUR = (222, 222, 218)
