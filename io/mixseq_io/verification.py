@@ -169,12 +169,9 @@ def verify(
         If the model was edited and there is no script.
     """
     file = Path(path)
-    uv_bound = None
-    if is_compressed(file):
-        sequence = read_compressed(file)
-        model, uv_bound = decode_model(file, sequence), sequence.parameters.uv_error
-    else:
-        model = load(file)
+    sequence = read_compressed(file) if is_compressed(file) else None
+    model = load(file) if sequence is None else decode_model(file, sequence)
+    uv_bound = None if sequence is None else sequence.parameters.uv_error
     header, provenance = model.header, model.header.provenance or Provenance(file.name)
     if provenance.source is None:
         provenance = replace(provenance, source=Provenance(""))
@@ -214,11 +211,9 @@ Bounds = list[tuple[Provenance, float | None]]
 def _find_step(bounds: Bounds, checksum: int, header: SequenceHeader) -> tuple[Provenance, float | None]:
     """Return the step whose source has the frames or else the name of an original, or else the first step."""
     name = header.provenance.name if header.provenance else header.name
-    sources = [(step.source or step, step, bound) for step, bound in bounds]
-    same = [each for source, *each in sources if source.checksum == checksum]
-    named = [each for source, *each in sources if source.name == name]
-    step, bound = [*same, *named, bounds[-1]][0]
-    return step, bound
+    same = [bound for bound in bounds if bound[0].source and bound[0].source.checksum == checksum]
+    named = [bound for bound in bounds if bound[0].source and bound[0].source.name == name]
+    return [*same, *named, bounds[-1]][0]
 
 
 def _describe(step: Provenance, bound: float | None, header: SequenceHeader) -> dict[str, Any]:

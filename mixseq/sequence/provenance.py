@@ -96,9 +96,9 @@ class Provenance:
 
 def format_error(error: float) -> str:
     """Format an error in diagonals, rounded up to two digits: 1e-4 as "1e-4", 0.00062 as "6.2e-4"."""
-    digits, exponent = f"{error:.12e}".split("e")
-    digits, exponent = f"{ceil(10 * float(digits)) / 10:.1e}".split("e")[0], int(exponent) + (float(digits) > 9.9)
-    return f"{digits.removesuffix('.0')}e{exponent}" if error else "0"
+    digits, exponent = map(float, f"{error:.12e}".split("e"))
+    rounded, carried = f"{ceil(10 * digits) / 10:.1e}".split("e")
+    return f"{rounded.removesuffix('.0')}e{int(exponent) + int(carried)}" if error else "0"
 
 
 def as_edited(provenance: Provenance | None) -> Provenance | None:

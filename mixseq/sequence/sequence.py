@@ -388,8 +388,8 @@ class UnitConversion:
         if self.changes and origin is not None and origin.format in _UNITLESS_FORMATS:
             surface = replace(surface, origin=None)
         provenance = as_edited(header.provenance) if self.changes else header.provenance
-        units = {"up_axis": self.up_axis, "metres_per_unit": self.metres_per_unit}
-        return replace(header, **units, surface=surface, provenance=provenance)
+        up_axis, metres_per_unit = self.up_axis, self.metres_per_unit
+        return replace(header, up_axis=up_axis, metres_per_unit=metres_per_unit, surface=surface, provenance=provenance)
 
     def convert(self, values: FloatArray) -> FloatArray:
         """Rotate and scale points or velocities ``(..., 3)``; keep their precision."""

@@ -189,8 +189,8 @@ def test_bounds_are_of_the_file_that_is_given(chain: Path) -> None:
     (chain / "rank.h5").rename(chain / "other.h5")
     names = {"small.h5": ("small.h5", BOUND), "other.h5": ("rank.h5", 2 * BOUND)}
     for file, (name, bound) in names.items():
-        with mixseq.open_sequence(chain / file) as original:
-            found = mixseq.verify(chain / "twice.glb", original)
+        with mixseq.open_sequence(chain / file) as reader:
+            found = mixseq.verify(chain / "twice.glb", reader)
         assert (found.source, found.holds) == (name, True)
         assert found.bound == pytest.approx(bound, rel=0.01)
     original = mixseq.read(chain / "bar.npz")

@@ -77,7 +77,9 @@ def test_damaged_values_are_refused() -> None:
     nested: dict[str, object] = {}
     for _ in range(MAX_STEPS):
         nested = {"source": nested}
-    for plain in ([], {"what": 1}, {"name": 3}, {"max_error": -1}, {"diagonal": "2"}, {"order": "any"}, nested):
+    numbers: list[object] = [{"name": 3}, {"max_error": -1}, {"diagonal": "2"}, {"order": "any"}]
+    damaged: list[object] = [[], {"what": 1}, nested, *numbers]
+    for plain in damaged:
         with pytest.raises(SettingsError, match="provenance"):
             Provenance.from_plain(plain)
 

@@ -419,8 +419,8 @@ def _provenance(path: Path, facts: Mapping[str, Any], parameters: CodingParamete
         source = Provenance.from_plain(facts.get("source", {}))
     except (SettingsError, TypeError) as error:
         raise FormatError(f"{path}: source: {error}; it is damaged") from error
-    error, diagonal, promised = parameters.max_error, parameters.diagonal, parameters.promised
-    return Provenance(path.name, source, error, diagonal, promised, order=order)
+    bound = parameters.max_error, parameters.diagonal, parameters.promised
+    return Provenance(path.name, source, *bound, order=order)
 
 
 def _between(path: Path, facts: Mapping[str, Any]) -> TemporalInterpolation | None:
