@@ -287,7 +287,9 @@ def _compress_poses(
         ),
     )
     frames = numbering.renumber_frames(centred)
-    return compress(frames, max_error=max_error, progress=progress, uvs=False), numbering.vertices
+    one_part = np.zeros(len(geometry_header.faces), dtype=np.int64)
+    coded = compress(frames, max_error=max_error, progress=progress, uvs=False, parts=one_part)
+    return replace(coded, parts=None), numbering.vertices  # players have no use for parts
 
 
 def _regular_times(elapsed: Float, fps: float) -> tuple[Float, float]:
