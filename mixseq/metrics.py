@@ -162,15 +162,15 @@ def compare(a: Frames, b: Frames) -> Comparison:
         frames=header.frame_count,
         vertices=header.vertex_count,
         diagonal=unit.length,
-        kg_percent=100 * _ratio(np.sqrt(error_squares), np.sqrt(variation_squares)),
-        rms_error=_ratio(np.sqrt(error_squares / count), unit.fraction),
-        max_error=_ratio(per_frame[worst], unit.fraction),
+        kg_percent=100 * error_ratio(np.sqrt(error_squares), np.sqrt(variation_squares)),
+        rms_error=error_ratio(np.sqrt(error_squares / count), unit.fraction),
+        max_error=error_ratio(per_frame[worst], unit.fraction),
         worst_frame=worst,
         worst_time=float(header.times[worst]),
         edge_strain=strains.result(),
         dihedral_degrees=angles.result(),
         volume=_volume_error(np.concatenate(volumes, axis=1), unit.fraction) if is_closed else None,
-        per_frame_max=np.array([_ratio(value, unit.fraction) for value in per_frame]),
+        per_frame_max=np.array([error_ratio(value, unit.fraction) for value in per_frame]),
     )
 
 
@@ -274,7 +274,8 @@ def _volume_error(volumes: Float, diagonal: float) -> VolumeError | None:
     return VolumeError(mean=float(errors.mean()), max=float(errors.max()))
 
 
-def _ratio(value: float, unit: float) -> float:
+def error_ratio(value: float, unit: float) -> float:
+    """Return an error in a unit; zero errors are zero in any unit, others infinite if the unit is zero."""
     if value == 0:
         return 0.0
     return float(value / unit) if unit > 0 else float("inf")
