@@ -15,7 +15,6 @@ the integral over the whole transition, so that the last term vanishes at the en
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -136,7 +135,7 @@ def translate(model: Model, offset: Float) -> Model:
     placement = model.placement
     values = placement.values.copy()
     values[:, centre_columns(model.space)] += offset if offset.ndim == 1 else offset[:, None]
-    return replace(model, placement=Curve(placement.times, values))
+    return model.edited(placement=Curve(placement.times, values))
 
 
 def ground_drift(

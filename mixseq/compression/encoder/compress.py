@@ -124,9 +124,9 @@ def compress(
         stages.at(1 + MAX_ROUNDS)(0, 1, "checking")
         coded = replace(_measure_errors(frames, coded, max_error, kg), order=numbering.order)
     parameters = coded.parameters
+    header = replace(header, provenance=frames.trace(parameters.max_error, parameters.promised, coded.order).provenance)
     if uv_steps is not None:
         parameters = replace(parameters, uv_steps=uv_steps, uv_error=float(uv_error))
-    header = replace(coded.header, surface=header.surface)
     return replace(coded, header=header, parameters=parameters, parts=labels)
 
 
