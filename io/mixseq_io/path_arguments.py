@@ -23,9 +23,10 @@ def argument_reader(name: str, types: Collection[str]) -> ArgumentReader | None:
     """Return the reader for an argument's name and type names, or None if the argument cannot be a file."""
     if name in _READERS_BY_NAME and set(types) - {"int", "NoneType"}:  # counts are not read from files
         return _READERS_BY_NAME[name]
+    has_frames = {"Frames", "MeshSequence"} & set(types)
     if "Model" in types:
-        return _read_frames if "Frames" in types else _read_model
-    return _read_sequence if {"Frames", "MeshSequence"} & set(types) else None
+        return _read_frames if has_frames else _read_model
+    return _read_frames if has_frames else None
 
 
 def _reader(reference: str) -> ArgumentReader:

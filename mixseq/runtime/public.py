@@ -1,7 +1,7 @@
 """Arguments of public functions: checks of annotated types, and files in place of their contents.
 
 A path in place of a sequence, model, markers, contacts, map, labels or keys of a retiming is read first
-(`mixseq_io.path_arguments`). A model in place of a sequence is sampled at its frames. Other types raise a `TypeError`
+(`mixseq_io.path_arguments`). A model in place of a sequence is decoded at its frames. Other types raise a `TypeError`
 that names the argument. The functions themselves check values.
 """
 
@@ -89,14 +89,14 @@ class _PublicNames(dict[str, Any]):
 
 
 def _resolve(name: str, value: Any, types: tuple[Any, ...], arguments: Mapping[str, Any]) -> Any:
-    """Read the file of a path, or sample a model, in place of a value; earlier `arguments` are already resolved."""
+    """Read the file of a path, and decode a model, in place of a value; earlier `arguments` are already resolved."""
     names = {getattr(hint, "__name__", "") for hint in types}
     if isinstance(value, str | os.PathLike) and not any(_is_instance(value, hint) for hint in types):
         _, argument_reader = connected()
         read = argument_reader(name, names)
-        return value if read is None else read(os.fspath(value), arguments)
-    if names & _SEQUENCE_TYPES and "Model" not in names and type(value).__name__ == "Model":
-        return value.sample()
+        value = value if read is None else read(os.fspath(value), arguments)
+    if names & _SEQUENCE_TYPES and "Model" not in names and any(cls.__name__ == "Model" for cls in type(value).mro()):
+        return value.frames if "Frames" in names else value.sample()
     return value
 
 

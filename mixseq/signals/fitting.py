@@ -23,7 +23,7 @@ from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.sequence import Frames, check_frames, load_frames
+from mixseq.sequence.sequence import Frames, check_frames, load_frames, own_parts
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.signals.detail import (
@@ -36,6 +36,7 @@ from mixseq.signals.detail import (
     build_model,
     encode_sequence,
     fit_within_tolerance,
+    largest_error,
     verify_tolerance,
 )
 from mixseq.signals.model import Model
@@ -178,7 +179,7 @@ def fit(
         Placement of parts by their poses (default), or by lengths, angles and six numbers for every body, as in the
         paper.
     parts : int or (F,) int, optional
-        Number of parts, or the part of every triangle; by default, parts are segmented by motion.
+        Number of parts, or the part of every triangle; by default those of a model, or segmented by motion.
     joint_width : int
         Largest width of joints, in strips of triangles on each side of a boundary.
     space : {"mixed", "vertex", "gradient", "lri", "edge"}
@@ -231,6 +232,8 @@ def fit(
     """
     check_frames(sequence)
     knots, pose = settings.pop("knots", None), settings.pop("pose", "modes")
+    if parts is None and space == "mixed":
+        parts = own_parts(sequence)
     _check_options(exact, tolerance, rank, knots, pose)
     options = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
     max_error = VISUALLY_LOSSLESS_TOLERANCE if tolerance is None else float(tolerance)
@@ -249,12 +252,15 @@ def fit(
         encoded = encode_sequence(frames, shape_space, pose, executor, stages.at(1 + SPACE_STAGES))
         encoded = select_share(encoded, frames.points)
         if exact:
-            model = build_model(encoded, Detail(step=EXACT_ROUNDING_STEP))
-            return verify_tolerance(model, frames, EXACT_TOLERANCE, executor, stages.at(FIT_STAGES))
-        if is_reduced:
-            return build_model(encoded, Detail(rank=rank, knots=knots))
-        search = stages.at(FIT_STAGES, MAX_TRIAL_MODELS)
-        return fit_within_tolerance(encoded, frames, max_error, search, executor)
+            max_error, model = EXACT_TOLERANCE, build_model(encoded, Detail(step=EXACT_ROUNDING_STEP))
+            verify_tolerance(model, frames, max_error, executor, stages.at(FIT_STAGES))
+        elif is_reduced:
+            model = build_model(encoded, Detail(rank=rank, knots=knots))
+            max_error = largest_error(model, frames, workers=executor)
+        else:
+            search = stages.at(FIT_STAGES, MAX_TRIAL_MODELS)
+            model = fit_within_tolerance(encoded, frames, max_error, search, executor)
+        return replace(model, header=frames.trace(max_error, promised=not is_reduced))
 
 
 def _check_options(
