@@ -593,7 +593,8 @@ def test_parts_are_interpolated_in_the_axes_of_the_part_around_which_they_turn_e
     """A hub that reels, and wheels that turn evenly around it; a wheel is the largest part, a hub the third."""
     rng, count = np.random.default_rng(0), 16
     hub = turns_of(np.cumsum(rng.uniform(-2.0, 2.0, count)))[:, 0]
-    evenly = np.stack([turns_of(speed * np.arange(count), np.eye(3)[2])[:, 0] for speed in (0.9, -0.7, 0.0)], axis=1)
+    axis = np.array([0.0, 0.0, 1.0])
+    evenly = np.stack([turns_of(np.linspace(0.0, last, count), axis)[:, 0] for last in (13.5, -10.5, 0.0)], axis=1)
     turns = align_quat_signs(quat_multiply(hub[:, None], evenly))
     offsets = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 0, 0]])
     poses = Poses(turns, rotate_vectors(quat_to_matrix(hub[:, None]), offsets))
