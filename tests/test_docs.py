@@ -9,7 +9,7 @@ import shlex
 import shutil
 import tomllib
 from collections.abc import Iterator
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -36,7 +36,6 @@ from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.shell import Relaxation
 from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.mixed.mixed_space import Projection
-from mixseq.spaces.vertex import BasisSpace
 from mixseq_io import FORMATS
 from mixseq_io.registry import capability_table, motion_table
 from mixseq_io.surfaces import SURFACE_ARRAY_NAMES
@@ -389,14 +388,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mixseq.save(path / "gradient.h5", mixseq.fit(small, rank=1, space="gradient"))
     mixseq.save(path / "lri.h5", mixseq.fit(small, rank=1, space="lri"))
     mixseq.save(path / "edge.h5", mixseq.fit(small, rank=1, space="edge", projection="dso", volume=1.0))
-    vertex = mixseq.fit(small, rank=1, space="vertex")
-    fields = BasisSpace(np.eye(small.vertex_count), vertex.space.scale)
-    mixseq.save(path / "basis.h5", replace(vertex, space=fields))
     mixseq.save(path / "compressed.h5", mixseq.compress(small, max_error=0.01))
     return path
 
 
-MODELS = ("walk.h5", "free.h5", "vertex.h5", "gradient.h5", "lri.h5", "edge.h5", "basis.h5")
+MODELS = ("walk.h5", "free.h5", "vertex.h5", "gradient.h5", "lri.h5", "edge.h5")
 
 
 @pytest.mark.parametrize("name", ["sequence.h5", *MODELS])

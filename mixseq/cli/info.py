@@ -39,11 +39,13 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
         "bytes": {"total": path.stat().st_size if path.is_file() else None},
     }
     if is_model(path):
-        model = mixseq.load(path)
-        facts |= {"kind": "model", **_mesh(model.header, model.space.scale), **_dimensions(model)}
-        facts["bytes"]["frames"] = bytes_of_frames(model.header)
         if is_compressed(path):
-            facts |= coding_facts(path, read_compressed(path))
+            coded = read_compressed(path)
+            facts |= {"kind": "model", **_mesh(coded.header, coded.parameters.diagonal), **coding_facts(path, coded)}
+        else:
+            model = mixseq.load(path)
+            facts |= {"kind": "model", **_mesh(model.header, model.space.scale), **_dimensions(model)}
+            facts["bytes"]["frames"] = bytes_of_frames(model.header)
     else:
         with mixseq.open_sequence(path, **reading) as reader:
             first = next(iter(reader.blocks(1)))[0]
@@ -156,12 +158,10 @@ def _rows(facts: dict[str, Any]) -> Rows:
         *_topology_rows(facts["topology"]),
         *_surface_rows(facts["surface"]),
     ]
-    if facts["kind"] == "model":
-        rows += _dimension_rows(facts, facts["triangles"])
     if "coding" in facts:
         rows += coding_rows(facts, facts["metres_per_unit"])
     elif facts["kind"] == "model":
-        rows.append(size_row(**facts["bytes"]))
+        rows += [*_dimension_rows(facts, facts["triangles"]), size_row(**facts["bytes"])]
     elif facts["bytes"]["total"] is not None:
         rows.append(("size", format_bytes(facts["bytes"]["total"])))
     return rows

@@ -55,7 +55,7 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
     """Exaggerate or damp the motion of a model.
 
     The time signal is scaled about its mean over the frames. Relative poses and shapes of parts change; the path of the
-    body does not. The residual layer is kept.
+    body does not.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def smooth(model: Model, seconds: Seconds) -> Model:
     """Remove changes of time signal, placement and correction that are faster than a period.
 
     A sine of this period loses half its power. The gain is 0.13 at half the period and 0.97 at twice the period.
-    Smoothing is weaker within about one period of the ends. The residual layer is dropped.
+    Smoothing is weaker within about one period of the ends.
 
     Parameters
     ----------

@@ -208,8 +208,6 @@ DEFAULT_FADE_SECONDS = 0.2
 def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     """Exaggerate or damp the motion of a part relative to its parent, about the mean joint pose.
 
-    The residual layer is kept.
-
     Parameters
     ----------
     model : Model
@@ -238,8 +236,6 @@ def hold(
     model: Model, part: int, time: Seconds, start: Seconds, end: Seconds, fade: Seconds = DEFAULT_FADE_SECONDS
 ) -> Model:
     """Hold a part at rest relative to its parent, in its joint pose at a given time.
-
-    The residual layer is kept.
 
     Parameters
     ----------

@@ -33,12 +33,10 @@ from mixseq.operations.sections import (
     signal_norms,
     strictly_between,
 )
-from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import frame_times
 from mixseq.signals.curve import MIN_KNOT_SPACING, Curve
-from mixseq.signals.decoding import ResidualLayer
 from mixseq.signals.detail import DeviationNorm
 from mixseq.signals.model import Model
 from mixseq.types import Float
@@ -164,8 +162,7 @@ def _linear_map(origin: float, slope: float) -> PPoly:
 def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     """Retime a model by a map of time: play it faster, slower or backwards, or freeze it.
 
-    `mixseq.operations.resample` with a `Retiming` does the same, but returns a sequence. The residual layer is retimed
-    with the signals.
+    `mixseq.operations.resample` with a `Retiming` does the same, but returns a sequence.
 
     Parameters
     ----------
@@ -203,9 +200,7 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
         _compose(model, curve, retiming, kink_sites, norm)
         for curve, norm in zip(model.curves, signal_norms(model), strict=True)
     )
-    layer = model.residual_layer
-    retimed = None if layer is None else RetimedLayer(layer, retiming)
-    return model.with_motion(time, placement, correction, model.header.with_times(frames), retimed)
+    return model.with_motion(time, placement, correction, model.header.with_times(frames))
 
 
 def _compose(model: Model, curve: Curve, retiming: Retiming, kink_sites: Float, norm: DeviationNorm) -> Curve:
@@ -228,23 +223,6 @@ def _sites_near_kinks(outputs: Float, sources: Float) -> Float:
     before = outputs[kinks, None] + (outputs[kinks - 1] - outputs[kinks])[:, None] * fractions
     after = outputs[kinks, None] + (outputs[kinks + 1] - outputs[kinks])[:, None] * fractions
     return np.concatenate([before, after]).reshape(-1)
-
-
-@dataclass(frozen=True, eq=False)
-class RetimedLayer(PickledWithoutCaches):
-    """A residual layer composed with a retiming."""
-
-    source: ResidualLayer  # the layer in source time
-    retiming: Retiming  # map from output time to source time
-
-    def at(self, times: Float) -> Float:
-        """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""
-        return self.source.at(self.retiming(times))
-
-    def rates(self, times: Float) -> Float:
-        """Return the time derivatives ``(N, V, 3)`` of the displacements, per second."""
-        slopes = self.retiming.slope(times)
-        return np.asarray(slopes[:, None, None] * self.source.rates(self.retiming(times)))
 
 
 _INTEGER_LIMIT = 2**63

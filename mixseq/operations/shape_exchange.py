@@ -66,7 +66,7 @@ def key_poses(model: Model) -> MeshSequence:
 def with_shapes(model: Model, keys: Frames | Model) -> Model:
     """Apply the motion of a model to another body, with the same time and pose signals and other key shapes.
 
-    The residual layer and the correction are dropped, as both belong to the first body.
+    The correction is dropped, as it belongs to the first body.
 
     Parameters
     ----------

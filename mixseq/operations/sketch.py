@@ -80,7 +80,7 @@ def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | Non
     """Make a motion from a curve in the embedding of a model.
 
     The motion starts at 0 s and runs along the curve at constant speed. Where the curve passes through the position of
-    a frame, the motion shows this frame. The residual layer is dropped.
+    a frame, the motion shows this frame.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ DROP_DISTANCE_RATIO = 1e-3
 def drag(model: Model, time: Seconds, to: ArrayLike, reach: Seconds | None = None, plane: Plane | None = None) -> Model:
     """Drag a point of the time curve in the embedding of a model.
 
-    The pose is interpolated from other frames. The placement of bodies does not change. The residual layer is kept.
+    The pose is interpolated from other frames. The placement of bodies does not change.
 
     Parameters
     ----------

@@ -90,7 +90,7 @@ def travel_of(model: Model, even: bool = False) -> Curve:
 def in_place(model: Model, even: bool = False) -> Model:
     """Remove the travel of a model along the ground, so that the body stays at its start.
 
-    Rotations and vertical motion are kept. `travel_of` returns the removed displacement. The residual layer is kept.
+    Rotations and vertical motion are kept. `travel_of` returns the removed displacement.
 
     Parameters
     ----------
@@ -158,8 +158,6 @@ MAX_REPETITIONS = 10_000
 def cut(model: Model, start: Seconds, end: Seconds, at: Seconds | None = None) -> Model:
     """Extract a section of a model.
 
-    The residual layer is dropped.
-
     Parameters
     ----------
     model : Model
@@ -191,7 +189,7 @@ def repeat(
     """Repeat a section of a model.
 
     The motion before and after the section is only shifted in time. Between repetitions, value, slope and curvature of
-    all signals are made continuous by changes within the section. The residual layer is dropped.
+    all signals are made continuous by changes within the section.
 
     Parameters
     ----------
@@ -233,7 +231,7 @@ def repeat(
 def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Model:
     """Close a model to a loop: make value, slope and curvature of all signals equal at the start and the end.
 
-    The last frame equals the first. Parts that make whole turns keep turning. The residual layer is dropped.
+    The last frame equals the first. Parts that make whole turns keep turning.
 
     Parameters
     ----------
@@ -267,8 +265,6 @@ def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Mod
 def shift(model: Model, seconds: Seconds) -> Model:
     """Shift a model in time by a number of seconds; negative numbers shift to earlier times.
 
-    The residual layer is dropped.
-
     Raises
     ------
     SettingsError
@@ -283,8 +279,7 @@ def shift(model: Model, seconds: Seconds) -> Model:
 def speed(model: Model, factor: float) -> Model:
     """Speed up a model by a factor, with the same start time.
 
-    The number of frames does not change; `Model.sample` and `mixseq.operations.resampling` make new frames. The
-    residual layer is dropped.
+    The number of frames does not change; `Model.sample` and `mixseq.operations.resampling` make new frames.
 
     Raises
     ------
@@ -298,8 +293,5 @@ def speed(model: Model, factor: float) -> Model:
 
 @public
 def reverse(model: Model) -> Model:
-    """Reverse a model in time, with the same start and end times.
-
-    The residual layer is dropped.
-    """
+    """Reverse a model in time, with the same start and end times."""
     return map_times(model, model.start + model.end, -1.0)

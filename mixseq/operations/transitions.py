@@ -51,8 +51,7 @@ def into(model: Model, space: ShapeSpace) -> Model:
     """Convert a model into another shape space of its mesh.
 
     The frames are decoded, encoded in the new space, and interpolated by cubic splines there. They do not change if the
-    new space represents their shapes exactly. A model already in this space is returned unchanged. The residual layer
-    is encoded with the frames, so the result has no residual layer.
+    new space represents their shapes exactly. A model already in this space is returned unchanged.
 
     Parameters
     ----------
@@ -63,9 +62,6 @@ def into(model: Model, space: ShapeSpace) -> Model:
     """
     if model.space is space:
         return model
-    common, _, to_space = space.merge(model.space)
-    if common is space and to_space is not None:
-        return replace(model, space=space, shapes=to_space(model.shapes))
     with one_blas_thread():
         return build_model(encode_sequence(model.sample(), space), Detail())
 
@@ -73,15 +69,11 @@ def into(model: Model, space: ShapeSpace) -> Model:
 def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
     """Bring two models of one mesh into one space, with the same pose and shape signals.
 
-    The common space is the space of the first model. A basis space is extended to all shapes, or replaced by the second
-    model's space if the kinds differ. If key shapes differ, both models get all key shapes, with weights as pose space.
+    The common space is the space of the first model. If key shapes differ, both models get all key shapes, with weights
+    as pose space.
     """
     _check_meshes(first, second)
-    space, *maps = first.space.merge(second.space)
-    first, second = (
-        into(model, space) if to_space is None else replace(model, space=space, shapes=to_space(model.shapes))
-        for model, to_space in zip((first, second), maps, strict=True)
-    )
+    second = into(second, first.space)
     if _same_shapes(first, second):
         return first, replace(second, pose=first.pose, shapes=first.shapes)
     shapes = np.concatenate([first.shapes, second.shapes])
@@ -127,7 +119,7 @@ def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = 
     """Concatenate two models.
 
     The second model starts at the end time of the first. Jumps in value, slope and curvature of the signals are
-    distributed before and after the seam. The residual layer is dropped.
+    distributed before and after the seam.
 
     Parameters
     ----------
@@ -160,8 +152,6 @@ def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = 
 @public
 def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool = False) -> Model:
     """Blend from one model into another.
-
-    The residual layer is dropped.
 
     Parameters
     ----------
@@ -217,8 +207,6 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
 @public
 def blend(a: Model, b: Model, weight: float | Curve) -> Model:
     """Blend two models over the time interval that both cover.
-
-    The residual layer is dropped.
 
     Parameters
     ----------

@@ -95,7 +95,7 @@ def _resolve(name: str, value: Any, types: tuple[Any, ...], arguments: Mapping[s
         _, argument_reader = connected()
         read = argument_reader(name, names)
         return value if read is None else read(os.fspath(value), arguments)
-    if names & _SEQUENCE_TYPES and "Model" not in names and type(value).__name__ == "Model":
+    if names & _SEQUENCE_TYPES and "Model" not in names and any(cls.__name__ == "Model" for cls in type(value).mro()):
         return value.sample()
     return value
 

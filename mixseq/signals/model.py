@@ -22,9 +22,10 @@ from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import read_only
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread
+from mixseq.runtime.progress import Progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.signals.curve import Curve
-from mixseq.signals.decoding import Decodable, ResidualLayer
+from mixseq.signals.decoding import Decodable
 from mixseq.signals.pose import Plane, PoseMap, fit_plane
 from mixseq.spaces.base import ShapeSpace
 from mixseq.types import Float
@@ -55,9 +56,6 @@ class Model(Decodable, PickledWithoutCaches):
     correction : Curve, optional
         Curve of `ShapeSpace.correction_dim` coordinates that corrects blended shapes between frames, and at frames in a
         model of few modes. By default, there is no correction.
-    residual_layer : ResidualLayer, optional
-        Displacements added to decoded frames to keep a compressed sequence within its error bound. They are specific to
-        this motion: `dataclasses.replace` keeps them, `with_motion` drops them.
 
     Raises
     ------
@@ -72,7 +70,6 @@ class Model(Decodable, PickledWithoutCaches):
     shapes: Float
     placement: Curve
     correction: Curve = None  # type: ignore[assignment]  # set below by default
-    residual_layer: ResidualLayer | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shapes", read_only(np.asarray(self.shapes, dtype=np.float64)))
@@ -100,12 +97,7 @@ class Model(Decodable, PickledWithoutCaches):
         return self.time, self.placement, self.correction
 
     def with_motion(
-        self,
-        time: Curve,
-        placement: Curve,
-        correction: Curve,
-        header: SequenceHeader | None = None,
-        residual_layer: ResidualLayer | None = None,
+        self, time: Curve, placement: Curve, correction: Curve, header: SequenceHeader | None = None
     ) -> Model:
         """Return the model with another motion and the same shapes.
 
@@ -115,17 +107,8 @@ class Model(Decodable, PickledWithoutCaches):
             Signals of the new motion.
         header : SequenceHeader, optional
             Header with the times of the new frames; by default the header of this model.
-        residual_layer : ResidualLayer, optional
-            Residual layer of the new motion; by default none.
         """
-        return replace(
-            self,
-            header=header or self.header,
-            time=time,
-            placement=placement,
-            correction=correction,
-            residual_layer=residual_layer,
-        )
+        return replace(self, header=header or self.header, time=time, placement=placement, correction=correction)
 
     @property
     def start(self) -> float:
@@ -168,6 +151,18 @@ class Model(Decodable, PickledWithoutCaches):
         shapes = self._blend_shapes(self.pose.rates(self.time.derivative(clipped)))
         others = self.placement.derivative(clipped), self.correction.derivative(clipped)
         return np.concatenate([shapes, *others], axis=1)
+
+    def decode_points(self, times: Float) -> Float:
+        """Implement `Decodable.decode_points`."""
+        return self.space.decode(self.curve(times))
+
+    def decode_moving(self, times: Float) -> tuple[Float, Float]:
+        """Implement `Decodable.decode_moving`."""
+        return self.space.decode_with_velocities(self.curve(times), self.rates(times))
+
+    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
+        """Precompute the space."""
+        self.space.precompute()
 
     def _blend_shapes(self, weights: Float) -> Float:
         """Return weighted sums ``(N, S)`` of key shapes, row by row, so that each is independent of the others."""

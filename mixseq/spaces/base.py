@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -59,9 +59,6 @@ def flatten_blocks(blocks: Iterable[NDArray[Any]]) -> NDArray[Any]:
     """Return rows ``(T, n)`` with the concatenated entries of blocks ``(T, ...)``."""
     return np.concatenate([block.reshape(len(block), -1) for block in blocks], axis=1)
 
-
-ShapeMap = Callable[[Float], Float]
-"""Function that maps shapes ``(K, S)`` of one space to the same shapes in another space."""
 
 DIFFERENCE_STEP = 1e-4
 """Step of central differences, as a displacement of vertices in diagonals."""
@@ -180,14 +177,6 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """Return the corrections ``(N, C)`` that move blended part poses ``(N, pose_dim)`` to targets ``(N, ...)``."""
         return np.zeros((len(poses), 0))
 
-    def extend(self, points: Float) -> tuple[ShapeSpace, ShapeMap]:
-        """Return a space that also contains a shape ``(V, 3)``, and the map to it; by default this space."""
-        return self, identity_map
-
-    def merge(self, other: ShapeSpace) -> tuple[ShapeSpace, ShapeMap | None, ShapeMap | None]:
-        """Return a space of the shapes of both spaces, and the maps to it, or None if frames must be encoded again."""
-        return self, identity_map, identity_map if other is self else None
-
     def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
         """Encode frames as vectors.
 
@@ -290,8 +279,3 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         ahead, behind = (self.decode_for_differences(v) for v in (vectors + change, vectors - change))
         inverse = np.divide(0.5, step, out=np.zeros_like(step), where=step > 0)
         return points, (ahead - behind) * inverse[:, None, None]
-
-
-def identity_map(shapes: Float) -> Float:
-    """Return shapes unchanged: the map between spaces with the same vectors."""
-    return shapes

@@ -139,7 +139,6 @@ def test_another_motion_through_the_same_shapes() -> None:
     moved = model.with_motion(time, placement, correction, header=header)
     assert moved.header is header and moved.space is model.space
     np.testing.assert_array_equal(moved.shapes, model.shapes)
-    assert moved.residual_layer is None
     assert moved.curves == (time, placement, correction)
     np.testing.assert_allclose(moved.sample().points, LONG.points[::-1], atol=1e-8)
     assert model.with_motion(*model.curves).header is model.header

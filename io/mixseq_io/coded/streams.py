@@ -43,15 +43,14 @@ from mixseq.compression.bitstream.compressed_sequence import (
     CodingParameters,
     CompressedSequence,
     TemporalInterpolation,
-    to_model,
 )
 from mixseq.compression.bitstream.connectivity import decode_polygons
 from mixseq.compression.bitstream.corner_values import decode_hard_edges, decode_uvs, encode_hard_edges
+from mixseq.compression.compressed_model import CompressedModel
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, Surface
 from mixseq.sequence.header import SequenceHeader
-from mixseq.signals.model import Model
 from mixseq.types import Float, Index
 from mixseq_io.files import check_memory, format_gigabytes, max_memory
 from mixseq_io.surfaces import surface_from_arrays, surface_to_arrays
@@ -445,12 +444,12 @@ def _header(
         raise FormatError(f"{path}: {error}; it is damaged, or there is too little memory") from error
 
 
-def decode_model(path: Path, coded: CompressedSequence) -> Model:
+def decode_model(path: Path, coded: CompressedSequence) -> CompressedModel:
     """Decode a sequence read from a file; raise `FormatError` if it is contradictory or takes too much memory."""
     width, frames = 3 if coded.parameters.factors == "shapes" else 1, coded.header.frame_count
     numbers = coded.parameters.rank * (width * coded.header.vertex_count + 3 * frames)
     check_memory(path, _BYTES_PER_NUMBER * numbers, "its basis and coefficients")
     try:
-        return to_model(coded)
+        return CompressedModel.from_sequence(coded)
     except (FormatError, MemoryError) as error:
         raise FormatError(f"{path}: {error}") from error

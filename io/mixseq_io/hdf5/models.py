@@ -45,7 +45,7 @@ from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mixed.articulation import STEADINESS_RANGE, Steadiness
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
-from mixseq.spaces.vertex import BasisSpace, VertexSpace
+from mixseq.spaces.vertex import VertexSpace
 from mixseq.types import Float, Index
 from mixseq.version import __version__
 from mixseq_io.hdf5.contents import MODEL_FORMAT, Contents, check_version, read_header
@@ -162,15 +162,12 @@ def _read_segmentation(file: Contents, topology: Topology) -> Decomposition:
     )
 
 
-StoredSpace = MixedSpace | VertexSpace | GradientSpace | LRISpace | EdgeSpace | BasisSpace
+StoredSpace = MixedSpace | VertexSpace | GradientSpace | LRISpace | EdgeSpace
 Blocks = dict[str, tuple[int, ...]]
 """Shape of each dataset by name, in the order of the corresponding blocks in a vector."""
 
 EDGE_SETTINGS = ("projection", "volume")
 """Settings of the edge space that are stored in the group "edge"; the group "shell" has those of its shell fits."""
-
-SPACE_NAMES = (*SPACES, BasisSpace.name)
-"""Names of the shape spaces that files can store."""
 
 
 def shape_blocks(space: StoredSpace) -> Blocks:
@@ -178,8 +175,6 @@ def shape_blocks(space: StoredSpace) -> Blocks:
     match space:
         case VertexSpace():
             return {"positions": (space.vertex_count, 3)}
-        case BasisSpace():
-            return {"coefficients": (len(space.basis), 3)}
         case GradientSpace():
             return {"turns": (len(space.topology.faces), 3), "stretches": (len(space.topology.faces), 6)}
         case LRISpace():
@@ -227,8 +222,6 @@ def write_space(file: h5py.File, space: StoredSpace) -> None:
     match space:
         case MixedSpace():
             write_mixed_space(file, space)
-        case BasisSpace():
-            write_compact(file, "space/fields", space.basis)
         case GradientSpace() | LRISpace():
             write_compact(file, "space/reference", space.reference)
         case EdgeSpace():
@@ -239,15 +232,13 @@ def write_space(file: h5py.File, space: StoredSpace) -> None:
 def read_space(file: Contents, header: SequenceHeader) -> StoredSpace:
     """Read a shape space."""
     kind = file.text("space")
-    if kind not in SPACE_NAMES:
-        raise FormatError(f"{file.path}: the space {kind!r} is not known; {', '.join(SPACE_NAMES)} are")
+    if kind not in SPACES:
+        raise FormatError(f"{file.path}: the space {kind!r} is not known; {', '.join(SPACES)} are")
     if kind == MixedSpace.name:
         return read_mixed_space(file, header)
     scale = read_scale(file)
     if kind == VertexSpace.name:
         return VertexSpace(header.vertex_count, scale)
-    if kind == BasisSpace.name:
-        return _read_basis_space(file, header.vertex_count, scale)
     topology = Topology(header.faces, header.vertex_count)
     reference = read_floats(file, "space/reference", (header.vertex_count, 3), MAX_LENGTH_DIAGONALS)
     if kind == GradientSpace.name:
@@ -255,14 +246,6 @@ def read_space(file: Contents, header: SequenceHeader) -> StoredSpace:
     if kind == LRISpace.name:
         return LRISpace(topology, scale, reference)
     return _read_edge_space(file, topology, scale, reference)
-
-
-def _read_basis_space(file: Contents, vertex_count: int, scale: float) -> BasisSpace:
-    fields = read_floats(file, "space/fields", (None, vertex_count))
-    is_zero = ~fields.any(axis=1)
-    if is_zero.any():
-        raise FormatError(f"{file.path}: space/fields is zero everywhere in row {int(is_zero.argmax())}")
-    return BasisSpace(fields, scale)
 
 
 def _read_edge_space(file: Contents, topology: Topology, scale: float, reference: Float) -> EdgeSpace:
@@ -357,7 +340,7 @@ def write_model(file: h5py.File, model: Model) -> None:
     """Store a model in a new file; raise `OutputError` if its shape space cannot be stored."""
     space = model.space
     if not isinstance(space, StoredSpace):
-        raise OutputError(f"files hold models in the spaces {', '.join(SPACE_NAMES)}, not in {type(space).__name__}")
+        raise OutputError(f"files hold models in the spaces {', '.join(SPACES)}, not in {type(space).__name__}")
     write_text(file, "format", MODEL_FORMAT)
     file.attrs["version"] = MODEL_VERSION
     write_text(file, "created_by", f"mixseq {__version__}")

@@ -184,11 +184,11 @@ def _measure_errors(
     sequence: FrameStore, coded: CompressedSequence, bound: float | None, kg: float | None
 ) -> CompressedSequence:
     """Decode a compressed sequence, and return it with its measured errors."""
-    model, between = decode(coded)
+    playback = decode(coded)
     unit = coded.parameters.diagonal
     squares = variation = largest = 0.0
     frame_count = 0
-    for block in model.blocks(model.times):
+    for block in playback.blocks(playback.times):
         points = sequence.points[frame_count : frame_count + len(block)].astype(np.float64)
         distances = np.square(points - block).sum(axis=2)
         squares, largest = squares + float(distances.sum()), max(largest, float(distances.max()))
@@ -206,4 +206,4 @@ def _measure_errors(
             f"the KG error of the decoded frames is {kg_percent:.6g} %, more than {kg:g}; please report this"
         )
     parameters = replace(coded.parameters, max_error=error if bound is None else bound, kg_percent=kg_percent)
-    return replace(coded, parameters=parameters, between=between)
+    return replace(coded, parameters=parameters, between=playback.between)
