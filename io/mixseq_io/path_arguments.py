@@ -9,8 +9,9 @@ from typing import Any
 
 from mixseq.errors import SettingsError
 from mixseq.sequence.frame_rates import snap_to_ntsc
+from mixseq.sequence.sequence import is_rig
 from mixseq_io.isolation import import_function
-from mixseq_io.registry import read
+from mixseq_io.registry import open_sequence, read, read_all
 
 Arguments = Mapping[str, Any]
 """Arguments of a function by name; the first argument is the sequence or model."""
@@ -37,10 +38,16 @@ _read_sequence, _read_model = _reader("mixseq_io.registry:read"), _reader("mixse
 
 
 def _read_frames(path: str, arguments: Arguments) -> Any:
-    """Load a model, or read a sequence."""
+    """Load a model, open a rig, or read a sequence."""
     from mixseq_io.loading import is_model
 
-    return _read_model(path, arguments) if is_model(Path(path)) else read(path)
+    if is_model(Path(path)):
+        return _read_model(path, arguments)
+    reader = open_sequence(path)
+    if is_rig(reader):
+        return reader
+    with reader:
+        return read_all(reader)
 
 
 def _read_mesh(path: str, _: Arguments) -> Any:

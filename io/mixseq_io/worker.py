@@ -2,8 +2,8 @@
 
 Requests and answers are pickles on stdin and stdout. Requests and the values of their answers are:
 
-- ``("open", reader, path, options, folder, limit)``: header of the opened file, whether it has velocities, and whether it
-  can be evaluated at any time
+- ``("open", reader, path, options, folder, limit)``: header of the opened file, whether it has velocities,
+  and whether it can be evaluated at any time
 - ``("markings",)``: face sets and skinning weights of the mesh
 - ``("iterate", iteration, quantity, size, start, frames)``: None; iterate over points or velocities from a block on,
   evaluated at fractional frame indices unless `frames` is None

@@ -17,11 +17,11 @@ from mixseq.types import FloatArray
 from mixseq_io.gltf.reader import open_gltf
 from mixseq_io.isolation import open_isolated
 from mixseq_io.reader import SequenceReader
+from mixseq_io.usd.motion import Weld
 from mixseq_io.usd.reader import open_usd
 from tests.formats.conftest import lossy
 from tests.formats.gltf_maker import JOINTS, TRIANGLE, Maker, morphing, moving, skinned
 from tests.formats.usd.stage_maker import CORNERS, INDICES, lower
-from tests.formats.usd_maker import Asset
 
 QUARTER = np.pi / 2
 WEIGHTS = [[1, 0, 0, 0], [0.5, 0.5, 0, 0], [0, 1, 0, 0]]
@@ -51,7 +51,7 @@ def test_a_joint_turns_along_an_arc(tmp_path: Path) -> None:
     arm = np.stack([1 + np.cos(angle), np.sin(angle)], axis=1)  # of (2, 0) about (1, 0)
     np.testing.assert_allclose(points[:, 0, :2], arm, atol=2e-7)
     turned = arm + np.stack([-np.sin(angle), np.cos(angle)], axis=1)  # of (2, 1)
-    np.testing.assert_allclose(points[:, 1, :2], (turned + [2, 1]) / 2, atol=2e-7)
+    np.testing.assert_allclose(points[:, 1, :2], (turned + np.array([2, 1])) / 2, atol=2e-7)
     speed = QUARTER * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     np.testing.assert_allclose(velocities[:, 0, :2], speed, atol=1e-6)
     assert not velocities[:, :, 2].any()
@@ -216,12 +216,12 @@ def test_cesium_man_is_what_usd_computes_between_frames(data: Path) -> None:
         points = joined(reader.blocks_at(codes / reader.header.fps))
         name = reader.header.objects[0].path
     stage = Usd.Stage.Open(str(path))
-    cache, root = UsdSkel.Cache(), None
+    cache = UsdSkel.Cache()
     root = next(UsdSkel.Root(prim) for prim in stage.Traverse() if UsdSkel.Root(prim))
     cache.Populate(root, Usd.PrimDefaultPredicate)
     (binding,) = cache.ComputeSkelBindings(root, Usd.PrimDefaultPredicate)
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath(name))
-    vertices = mixseq_vertices(mesh)
+    vertices = Weld.from_mesh(mesh, np.array(mesh.GetPointsAttr().Get())).vertex_of_point
     for code, got in zip(codes.tolist(), points, strict=True):
         skinned_points = Vt.Vec3fArray(mesh.GetPointsAttr().Get())
         transforms = cache.GetSkelQuery(binding.GetSkeleton()).ComputeSkinningTransforms(code)
@@ -229,9 +229,3 @@ def test_cesium_man_is_what_usd_computes_between_frames(data: Path) -> None:
         matrix = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(binding.GetSkeleton().GetPrim()))
         expected = np.array(skinned_points) @ matrix[:3, :3] + matrix[3, :3]
         np.testing.assert_allclose(got[vertices], expected, atol=1e-6)
-
-
-def mixseq_vertices(mesh: UsdGeom.Mesh) -> FloatArray:
-    from mixseq_io.usd.motion import Weld
-
-    return Weld.from_mesh(mesh, np.array(mesh.GetPointsAttr().Get())).vertex_of_point
