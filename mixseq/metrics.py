@@ -38,8 +38,8 @@ from mixseq.types import Float
 TIME_TOLERANCE_FRAMES = 1e-6
 """Largest difference, in frames, of times that count as equal."""
 
-DEGENERATE_HEIGHT_RATIO = 1e-6
-"""Height of a face relative to its longest side up to which its normal is undefined."""
+MIN_NORMAL_HEIGHT_RATIO = 1e-6
+"""Ratio of height to longest side up to which the normal of a face is undefined."""
 
 _MAX_BLOCK_VERTICES = 50_000  # vertices in all frames of a block: about 40 MB of temporary arrays
 
@@ -247,7 +247,7 @@ def _add_strains(strains: RunningStatistics, topology: Topology, x: Float, y: Fl
 
 
 def _add_angles(angles: RunningStatistics, topology: Topology, x: Float, y: Float) -> None:
-    degenerate = np.logical_or(*(degenerate_faces(z, topology.faces, DEGENERATE_HEIGHT_RATIO) for z in (x, y)))
+    degenerate = np.logical_or(*(degenerate_faces(z, topology.faces, MIN_NORMAL_HEIGHT_RATIO) for z in (x, y)))
     defined = ~degenerate[:, topology.hinge_faces].any(axis=2)
     x_angles, y_angles = (dihedral_angles(z, topology.hinges)[defined] for z in (x, y))
     angles.add(np.degrees(np.abs(wrap_angles(y_angles - x_angles))))

@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Float", "FloatArray", "Index", "Int32", "IntArray", "Mask", "PathLike", "Single", "evenly_spaced"]
+__all__ = [
+    "ByteArray", "Float", "FloatArray", "Index", "Int32", "IntArray", "Mask", "PathLike", "Single", "evenly_spaced",
+]  # fmt: skip
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
 Index = NDArray[np.int64]
 Int32 = NDArray[np.int32]
 Mask = NDArray[np.bool_]
+ByteArray = NDArray[np.uint8]
 
 FloatArray = NDArray[np.floating[Any]]
 """Floating-point arrays of any precision, such as points from files."""

@@ -24,9 +24,11 @@ def argument_reader(name: str, types: Collection[str]) -> ArgumentReader | None:
     """Return the reader for an argument's name and type names, or None if the argument cannot be a file."""
     if name in _READERS_BY_NAME and set(types) - {"int", "NoneType"}:  # counts are not read from files
         return _READERS_BY_NAME[name]
-    if "Model" in types:
-        return _read_frames if "Frames" in types else _read_model
-    return _read_sequence if {"Frames", "MeshSequence"} & set(types) else None
+    if {"Frames", "Model"} <= set(types):
+        return _open_frames
+    if {"Frames", "MeshSequence"} & set(types):
+        return _read_frames
+    return _read_model if "Model" in types else None
 
 
 def _reader(reference: str) -> ArgumentReader:
@@ -34,10 +36,19 @@ def _reader(reference: str) -> ArgumentReader:
     return lambda path, _: import_function(reference)(path)
 
 
-_read_sequence, _read_model = _reader("mixseq_io.registry:read"), _reader("mixseq_io.loading:load")
+_read_model = _reader("mixseq_io.loading:load")
 
 
 def _read_frames(path: str, arguments: Arguments) -> Any:
+    """Load a model, or read a sequence."""
+    frames = _open_frames(path, arguments)
+    if not is_rig(frames):
+        return frames
+    with frames:
+        return read_all(frames)
+
+
+def _open_frames(path: str, arguments: Arguments) -> Any:
     """Load a model, open a rig, or read a sequence."""
     from mixseq_io.loading import is_model
 

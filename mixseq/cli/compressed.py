@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 Rows = list[tuple[str, str]]
 
 _OF_FITTING = (
-    *("exact", "tolerance", "rank", "space", "parts", "segmentation", "joint_width", "placement"),
-    *("projection", "volume", "labels", "label_source", "knots", "pose"),
+    *("exact", "tolerance", "rank", "space", "segmentation", "joint_width", "placement"),
+    *("projection", "volume", "knots", "pose"),
 )
 """Options of ``mixseq encode`` that apply only to uncompressed models."""
 

@@ -102,13 +102,14 @@ def command(
     error: Comparison | None = None
     with workers as work, progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
         model: Model | CompressedSequence
+        parts = labels.parts(reader, fitting.get("parts"), reading)
         if aim:
-            model = compressed(reader, aim, progress, still if web else None)
+            model = compressed(reader, aim | {"parts": parts}, progress, still if web else None)
         elif web:
             model = read_compressed(source)
         else:
             fitting = in_diagonals(fitting, reader, "tolerance")
-            fitting["parts"] = labels.parts(reader, fitting.get("parts"), reading)
+            fitting["parts"] = parts
             model = mixseq.fit(reader, **fitting, knots=knots, pose=pose, progress=progress, workers=work)
         mixseq.save(target, model, still=still)
         seconds = perf_counter() - start

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from mixseq.pictures.scene import SceneItem
     from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
-    from mixseq.sequence.sequence import LazyFrames, MeshSequence
+    from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence
     from mixseq.signals.model import Model
     from mixseq.types import FloatArray
     from mixseq_io.reader import SequenceReader
@@ -79,6 +79,20 @@ def select_frames(blocks: Iterable[FloatArray], indices: Iterable[int]) -> Itera
         remaining, first = remaining[len(rows) :], first + len(block)
         if not remaining:
             return
+
+
+def at_times_of(a: Frames, b: Frames) -> Frames:
+    """Return the frames of b at the times of a if b has them and further frames; otherwise return b."""
+    from mixseq.metrics import match_frames
+    from mixseq.sequence.sequence import LazyFrames
+
+    more = b.header.frame_count > a.header.frame_count
+    frames = match_frames(a.header, b.header) if more else None
+    if frames is None:
+        return b
+    indices = sorted(set(frames.tolist()))
+    header = b.header.with_times(b.header.times[indices])
+    return LazyFrames(header, lambda size: select_frames(b.blocks(size), indices))
 
 
 def decoded(model: Model, progress: Progress, workers: Executor) -> LazyFrames:

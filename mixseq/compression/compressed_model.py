@@ -44,6 +44,7 @@ class CompressedModel(Model):
     """
 
     playback: Playback
+    _parts: Index | None
     _fitted: Model | None
     _lock: threading.Lock
 
@@ -61,10 +62,10 @@ class CompressedModel(Model):
     @classmethod
     def from_sequence(cls, coded: CompressedSequence) -> CompressedModel:
         """Decode the streams of a compressed sequence."""
-        return _from_playback(decode(coded))
+        return _from_playback(decode(coded), coded.parts)
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return _from_playback, (self.playback, self._fitted)
+        return _from_playback, (self.playback, self.parts, self._fitted)
 
     def __repr__(self) -> str:
         return f"CompressedModel({self.header.name!r}: {self.start:g} to {self.end:g} s, {len(self.times)} frames)"
@@ -82,8 +83,13 @@ class CompressedModel(Model):
             fitted = self._fitted
             if fitted is None:
                 frames = LazyFrames(self.header, lambda size: self.playback.blocks(self.times, size))
-                fitted = self.__dict__["_fitted"] = fit(frames, exact=True, progress=progress)
+                fitted = self.__dict__["_fitted"] = fit(frames, exact=True, parts=self.parts, progress=progress)
             return fitted
+
+    @property
+    def parts(self) -> Index | None:
+        """Part ``(F,)`` of every triangle, stored in the file; None if they are found when the model is fitted."""
+        return self._parts
 
     start = Decodable.start
     end = Decodable.end
@@ -122,7 +128,8 @@ class CompressedModel(Model):
         return points
 
 
-def _from_playback(playback: Playback, fitted: Model | None = None) -> CompressedModel:
+def _from_playback(playback: Playback, parts: Index | None, fitted: Model | None = None) -> CompressedModel:
     model: CompressedModel = object.__new__(CompressedModel)
-    model.__dict__.update(header=playback.header, playback=playback, _fitted=fitted, _lock=threading.Lock())
+    signals = {"header": playback.header, "playback": playback, "_parts": parts, "_fitted": fitted}
+    model.__dict__.update(signals, _lock=threading.Lock())
     return model

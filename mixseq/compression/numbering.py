@@ -20,11 +20,11 @@ import numpy as np
 from mixseq.choices import ORDERS, OrderName
 from mixseq.compression.bitstream.connectivity import encode_polygons, walk_polygons
 from mixseq.errors import SettingsError
-from mixseq.mesh.polygons import Polygons, match_polygons
+from mixseq.mesh.polygons import Polygons, match_polygons, match_triangles
 from mixseq.mesh.surface import FaceSet, Surface, renumber_by_first_use
 from mixseq.sequence.header import SequenceHeader, header_fields
 from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence
-from mixseq.types import FloatArray, Index
+from mixseq.types import FloatArray, Index, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +51,14 @@ class Renumbering:
         """Return the polygons in their new order, on renumbered vertices."""
         new_ids = np.argsort(self.vertices)
         return Polygons(polygons.counts[self.polygons], new_ids[polygons.indices[self.corners]])
+
+    def renumber_labels(self, labels: IntArray, header: SequenceHeader) -> IntArray:
+        """Return labels ``(F,)`` of the triangles of a header in the order of the renumbered header."""
+        if labels.shape != (len(header.faces),) or self.order == "keep":
+            return labels  # another shape is refused where labels are used
+        old = Polygons.from_triangles(np.argsort(self.vertices)[header.faces])
+        new = Polygons.from_triangles(self.renumber_polygons(header.polygons).triangles)
+        return labels[match_triangles(new, old, ("the renumbered mesh", "the mesh"))]
 
     def renumber_header(self, header: SequenceHeader) -> SequenceHeader:
         """Return the header with its mesh and all attributes renumbered."""

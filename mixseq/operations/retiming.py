@@ -34,6 +34,7 @@ from mixseq.operations.sections import (
     strictly_between,
 )
 from mixseq.runtime.public import public
+from mixseq.runtime.text_files import read_text
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import frame_times
 from mixseq.signals.curve import MIN_KNOT_SPACING, Curve
@@ -312,12 +313,7 @@ def read_retiming(
 def read_retiming_keys(path: str | os.PathLike[str]) -> RetimingKeys:
     """Read the points of a retiming, with files and errors as in `read_retiming`."""
     file = Path(path)
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise FormatError(f"{file} cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError:
-        raise FormatError(f"{file} is not text; a CSV or TOML file is expected") from None
+    text = read_text(file, "a CSV or TOML file")
     unit: Unit | None
     if file.suffix.lower() == ".toml":
         data = parse_toml(file, text)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from mixseq.choices import TRANSFERS, TransferName
 from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology
-from mixseq.retargeting.contacts import ContactReport, PlantedTransfer, plant_contacts
+from mixseq.retargeting.contacts import ContactReport, PlantedMotion, plant_contacts
 from mixseq.retargeting.gradient_transfer import gradient_transfer
 from mixseq.retargeting.markers import Correspondence, Markers
 from mixseq.retargeting.matching import CorrespondenceQuality, RestMesh
@@ -74,7 +74,7 @@ class Transfer:
     correspondence: Correspondence  # correspondence of source and target
     method: TransferMethod  # method that transfers frames
     quality: CorrespondenceQuality | None = None  # quality of a correspondence from markers
-    planted: PlantedTransfer | None = None  # transfer with footskate cleanup, if there are contacts
+    planted: PlantedMotion | None = None  # motions of the parts after footskate cleanup, if there are contacts
 
     @property
     def contacts(self) -> ContactReport:
@@ -87,11 +87,11 @@ class Transfer:
         size = block_size(max(self.source.header.vertex_count, self.header.vertex_count))
         slices = [slice(start, start + size) for start in range(0, frame_count, size)]
         frames, planted = (self.source.points[block] for block in slices), self.planted
-        if planted is None:
-            blocks = run(_transfer_block, self.method, frames)
+        if planted is not None and isinstance(self.method, MixedTransfer):
+            poses = (PartPoses(planted.rotations[block], planted.centres[block]) for block in slices)
+            blocks = run(_transfer_posed_block, self.method, zip(frames, poses, strict=True))
         else:
-            poses = (PartPoses(*(values[block] for values in planted.poses)) for block in slices)
-            blocks = run(_transfer_posed_block, planted.method, zip(frames, poses, strict=True))
+            blocks = run(_transfer_block, self.method, frames)
         for block in blocks:
             yield block
             done_count += len(block)
@@ -138,8 +138,8 @@ def plan_transfer(
         if not settings.contacts:
             return Transfer(header, source, rest, correspondence, mixed, quality)
         run = workers or thread_executor()
-        planted = plant_contacts(mixed, source.points, header, settings.contacts, run, progress)
-        return Transfer(header, source, rest, correspondence, planted.method, quality, planted)
+        method, planted = plant_contacts(mixed, source.points, header, settings.contacts, run, progress)
+        return Transfer(header, source, rest, correspondence, method, quality, planted)
 
 
 def _find_correspondence(

@@ -2,7 +2,7 @@
 
 A path in place of a sequence, model, markers, contacts, map, labels or keys of a retiming is read first
 (`mixseq_io.path_arguments`); a file that stays open is closed when the function returns. A model in place of a sequence
-is sampled at its frames. Other types raise a `TypeError` that names the argument. The functions themselves check
+is decoded at its frames. Other types raise a `TypeError` that names the argument. The functions themselves check
 values.
 """
 
@@ -94,14 +94,14 @@ class _PublicNames(dict[str, Any]):
 
 
 def _resolve(name: str, value: Any, types: tuple[Any, ...], arguments: Mapping[str, Any]) -> Any:
-    """Read the file of a path, or sample a model, in place of a value; earlier `arguments` are already resolved."""
+    """Read the file of a path, and decode a model, in place of a value; earlier `arguments` are already resolved."""
     names = {getattr(hint, "__name__", "") for hint in types}
     if isinstance(value, str | os.PathLike) and not any(_is_instance(value, hint) for hint in types):
         _, argument_reader = connected()
         read = argument_reader(name, names)
-        return value if read is None else read(os.fspath(value), arguments)
+        value = value if read is None else read(os.fspath(value), arguments)
     if names & _SEQUENCE_TYPES and "Model" not in names and any(cls.__name__ == "Model" for cls in type(value).mro()):
-        return value.sample()
+        return value.frames if "Frames" in names else value.sample()
     return value
 
 

@@ -41,8 +41,8 @@ from mixseq.mesh.topology import (
 from mixseq.segmentation.elements import Boundaries
 from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced
 
-DEGENERATE_HEIGHT_RATIO = 1e-5
-"""Ratio of height to longest side up to which a face has no area."""
+MIN_MOTION_HEIGHT_RATIO = 1e-5
+"""Ratio of height to longest side up to which a face has no motion of its own."""
 
 
 def sample_frame_ids(frame_count: int, max_count: int = 24) -> Index:
@@ -84,7 +84,7 @@ def measure_part_motion(shapes: PartShapes, points: FloatArray) -> PartMotion:
     covariances = np.empty((len(points), len(shapes.parts), 3, 3))
     for frame, frame_covariances in zip(points, covariances, strict=True):
         x = read_only(np.ascontiguousarray(frame, dtype=np.float64))  # same type always, as numba compiles per type
-        mark_degenerate(x, shapes.faces, DEGENERATE_HEIGHT_RATIO, degenerate_mask)
+        mark_degenerate(x, shapes.faces, MIN_MOTION_HEIGHT_RATIO, degenerate_mask)
         for part, (vertices, shape) in enumerate(zip(shapes.parts, shapes.shapes, strict=True)):
             posed = x[vertices]
             frame_covariances[part] = (posed - posed.mean(axis=0)).T @ shape

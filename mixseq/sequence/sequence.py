@@ -34,7 +34,7 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS, UP_AXES, SequenceHeader, header_fields
-from mixseq.types import Float, FloatArray
+from mixseq.types import Float, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -184,10 +184,16 @@ class LazyFrames:
 
     header: SequenceHeader
     make: Callable[[int], Iterator[FloatArray]]
+    parts: IntArray | None = None
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:
         """Yield the points in blocks ``(B, V, 3)`` of at most `size` frames."""
         return self.make(size)
+
+
+def own_parts(frames: Frames) -> IntArray | None:
+    """Return the part ``(F,)`` of every triangle that frames of a model come with; None if there are none."""
+    return getattr(frames, "parts", None)
 
 
 def bounding_diagonal(points: FloatArray) -> float:

@@ -53,7 +53,7 @@ ZERO_AREA_HEIGHT_RATIO = 1e-6
 ROUNDED_HEIGHT = 2.0**-19
 """Height in diagonals below which a triangle is degenerate: twice the rounding step of reference frames."""
 
-DIFFERENCE_STEP = 1e-4
+DIFFERENCE_STEP_EDGES = 1e-4
 """Step of difference quotients, relative to the median edge length."""
 
 MIN_HINGE_NEARNESS = 0.5
@@ -238,7 +238,7 @@ class Shell(PickledWithoutCaches):
         targets = _cosines_and_sines(dihedral_angles(x, topology.hinges))
         direction, curvature = np.random.default_rng(0).normal(size=x.shape), 0.0
         typical = max(float(np.median(self.typical_lengths)), MIN_DIRECTED_LENGTH)
-        size = DIFFERENCE_STEP * typical * np.sqrt(len(x))
+        size = DIFFERENCE_STEP_EDGES * typical * np.sqrt(len(x))
         for _ in range(POWER_ITERATIONS):
             direction *= size / max(float(np.linalg.norm(direction)), MIN_DIRECTED_LENGTH)
             ahead, behind = (

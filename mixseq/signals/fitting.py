@@ -23,7 +23,7 @@ from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.sequence import Frames, check_frames, load_frames
+from mixseq.sequence.sequence import Frames, check_frames, load_frames, own_parts
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.signals.detail import (
@@ -211,7 +211,7 @@ def fit(
         Placement of parts by their poses (default), or by lengths, angles and six numbers for every body, as in the
         paper.
     parts : int or (F,) int, optional
-        Number of parts, or the part of every triangle; by default, parts are segmented by motion.
+        Number of parts, or the part of every triangle; by default those of a model, or segmented by motion.
     joint_width : int
         Largest width of joints, in strips of triangles on each side of a boundary.
     space : {"mixed", "vertex", "gradient", "lri", "edge"}
@@ -264,6 +264,8 @@ def fit(
     """
     check_frames(sequence)
     knots, pose = settings.pop("knots", None), settings.pop("pose", "modes")
+    if parts is None and space == "mixed":
+        parts = own_parts(sequence)
     _check_options(exact, tolerance, rank, knots, pose)
     options = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
     max_error = VISUALLY_LOSSLESS_TOLERANCE if tolerance is None else float(tolerance)

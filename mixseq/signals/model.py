@@ -24,11 +24,12 @@ from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress
 from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import LazyFrames
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
 from mixseq.signals.pose import Plane, PoseMap, fit_plane
 from mixseq.spaces.base import ShapeSpace
-from mixseq.types import Float
+from mixseq.types import Float, IntArray
 
 if TYPE_CHECKING:
     from mixseq.segmentation.joints import Decomposition
@@ -124,6 +125,16 @@ class Model(Decodable, PickledWithoutCaches):
     def decomposition(self) -> Decomposition:
         """Parts and joints of the mesh; raises `SettingsError` if the shape space has none."""
         return self.mixed.decomposition
+
+    @property
+    def parts(self) -> IntArray | None:
+        """Part ``(F,)`` of every triangle; None if the shape space has no parts."""
+        return None if self.space.segmentation is None else self.space.segmentation.part_of_face
+
+    @property
+    def frames(self) -> LazyFrames:
+        """The frames, decoded on demand, with their parts."""
+        return LazyFrames(self.header, lambda size: self.blocks(self.times, size), self.parts)
 
     @property
     def mixed(self) -> MixedSpace:

@@ -60,7 +60,7 @@ def flatten_blocks(blocks: Iterable[NDArray[Any]]) -> NDArray[Any]:
     return np.concatenate([block.reshape(len(block), -1) for block in blocks], axis=1)
 
 
-DIFFERENCE_STEP = 1e-4
+DIFFERENCE_STEP_DIAGONALS = 1e-4
 """Step of central differences, as a displacement of vertices in diagonals."""
 
 
@@ -274,7 +274,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """Decode vectors and their rates ``(T, D)`` to points and velocities ``(T, V, 3)``, by central differences."""
         points = self.decode(vectors)
         size = np.abs(rates * self.weights).max(axis=1, initial=0.0)
-        step = np.divide(DIFFERENCE_STEP, size, out=np.zeros_like(size), where=size > 0)
+        step = np.divide(DIFFERENCE_STEP_DIAGONALS, size, out=np.zeros_like(size), where=size > 0)
         change = step[:, None] * rates
         ahead, behind = (self.decode_for_differences(v) for v in (vectors + change, vectors - change))
         inverse = np.divide(0.5, step, out=np.zeros_like(step), where=step > 0)

@@ -207,7 +207,7 @@ def test_info(run: Run, small: Path) -> None:
     table = rows(succeed(run("info", "small.h5")))
     assert table["model"] == "bar"
     assert table["max error"].startswith("at most 0.001 diagonals (")
-    assert {"signals", "total", "KG error", "space"} <= set(table)
+    assert {"signals", "total", "KG error"} <= set(table)
     facts = json.loads(succeed(run("info", "small.h5", "--json")))
     sizes, coding = facts["bytes"], facts["coding"]
     assert sizes["total"] == small.stat().st_size

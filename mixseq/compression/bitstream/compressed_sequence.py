@@ -34,7 +34,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
 from mixseq.spaces.temporal import TemporalOperator, insert_midpoints, select_operator
-from mixseq.types import Float
+from mixseq.types import Float, Index
 
 MIN_COVARIANCE_LENGTH, MAX_COVARIANCE_LENGTH = 0.5, 64.0
 """Range of covariance lengths in files, in mean steps between frames. Frozen: part of the format."""
@@ -138,6 +138,8 @@ class CompressedSequence:
     order: OrderName = "keep"
     # Interpolation of coefficients between frames. None if the decoder chooses it.
     between: TemporalInterpolation | None = None
+    # Part (F,) of every triangle, used by `CompressedModel` between frames. None if found from the decoded frames.
+    parts: Index | None = None
 
 
 @dataclass(frozen=True, eq=False)
