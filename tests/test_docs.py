@@ -116,7 +116,7 @@ BROUGHT = {
 
 NOT_RUN = {
     r"pip install |python -m venv |\. \.?venv/bin/activate": "installs",
-    r"scripts/(demo|test|check|docs|fuzz)": "sets up and runs tools; continuous integration does that",
+    r"(MIXSEQ_\w+=\S+ )?scripts/(demo|test|check|docs|fuzz)": "sets up and runs tools; continuous integration does so",
     r"export MIXSEQ_(DATA|NODE_MODULES)=": "names a folder of the reader's",
     r"scripts/bench \w+|(MIXSEQ_DATA=FOLDER )?scripts/paper": "measures for minutes to hours, with data of others",
     r"python docs/images/\w+.py": "draws for minutes",

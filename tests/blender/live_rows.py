@@ -72,7 +72,7 @@ def live_rows(folder: Path, data: Path | None) -> Iterator[LiveRow]:
         raise SystemExit(f"Blender failed in {LIVING.name}:\n{done.stdout[-2000:]}")
     for rows in (_positions, _coloured, _rendered, _others):
         yield from rows(models, lambda name: dict(np.load(folder / f"{name}.npz")))
-    yield LiveRow("tracebacks on the console", done.stdout.count("Traceback"), 0, "lines")
+    yield LiveRow("tracebacks in the console", done.stdout.count("Traceback"), 0, "lines")
 
 
 def _models(folder: Path, data: Path | None) -> dict[str, Model]:
@@ -115,16 +115,16 @@ def _positions(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
     moments = several["moments"]
     yield LiveRow("frames and sub-frames, signals", _off(models["signals"], moments, several["signals"]), SINGLE)
     later = _off(models["compressed"], moments - 3, several["compressed"])
-    yield LiveRow("beside it, compressed, 3 frames later", later, SINGLE)
+    yield LiveRow("a second object, compressed, 3 frames later", later, SINGLE)
     size = np.ptp(several["compressed"][-1], axis=0)
     yield LiveRow("its bounds", float(np.abs(several["size"] - size).max()), 1e-5, "units")
     for what, name in (("retimed by a curve", "curve"), ("retimed by a strip", "strip")):
         yield LiveRow(what, _off(models["compressed"], retimed[f"{name}_frames"], retimed[name]), SINGLE)
     astray = float(np.abs(retimed["strip_frames"] - retimed["meant"]).max())
-    yield LiveRow("frames of the strip, beside its curve", astray, 1e-3, "frames")
-    yield LiveRow("saved, moved, opened again", _off(models["signals"], moments, reopened["points"]), SINGLE)
+    yield LiveRow("frames of the strip, compared with its curve", astray, 1e-3, "frames")
+    yield LiveRow("after saving, moving and opening", _off(models["signals"], moments, reopened["points"]), SINGLE)
     absolute = sum(not path.startswith("//") for path in reopened["paths"].tolist())
-    yield LiveRow("paths that are not relative", absolute, 0, "paths")
+    yield LiveRow("absolute paths", absolute, 0, "paths")
     for what, name in (("baked to Alembic", "alembic"), ("baked to shape keys", "keys")):
         yield LiveRow(what, _off(models["compressed"], baked["moments"], baked[name]), SINGLE)
 
@@ -132,7 +132,7 @@ def _positions(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
 def _coloured(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
     found, colours = seen("coloured"), models["slide"].header.surface.colours
     assert colours is not None
-    for what, name in (("colours of corners", "model"), ("colours, saved and opened again", "opened")):
+    for what, name in (("colours of corners", "model"), ("colours, after saving and opening", "opened")):
         yield LiveRow(what, float(np.abs(found[name] - colours.at_corners).max()), 0, "of 1")
     white = np.minimum(colours.at_corners, 1)
     off = np.abs(found["glb"] - white).max()
@@ -144,8 +144,8 @@ def _coloured(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
 def _rendered(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
     slide, found = models["slide"], seen("rendered")
     frames = found["step_frames"]
-    yield LiveRow("moments of an open shutter", len(np.unique(frames)), 5, "moments", at_least=True)
-    yield LiveRow("vertices at them", _off(slide, frames, found["steps"]), SINGLE)
+    yield LiveRow("times while the shutter is open", len(np.unique(frames)), 5, "moments", at_least=True)
+    yield LiveRow("vertices at these times", _off(slide, frames, found["steps"]), SINGLE)
     yield LiveRow("vertices after the render", _off(slide, [SHUTTER], found["after"]), SINGLE)
     before, now, after = (slide((SHUTTER + step) / FPS)[0, 0] for step in (-1, 0, 1))
     vectors = found["vectors"]
@@ -153,13 +153,13 @@ def _rendered(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
     inside = np.abs(vectors).max(axis=-1) > 0
     yield LiveRow("pixels that move", int(inside.sum()), 0.9 * (PIXELS / 2) ** 2, "pixels", at_least=True)
     error = float(np.abs(vectors[inside] - expected).max()) if inside.any() else np.inf
-    yield LiveRow(f"their vectors, of {abs(expected[0]):.1f} and {abs(expected[2]):.1f}", error, 1e-3, "pixels")
+    yield LiveRow(f"their motion vectors, of {abs(expected[0]):.1f} and {abs(expected[2]):.1f}", error, 1e-3, "pixels")
 
 
 def _others(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
     *wrong, none = seen("told")["messages"].tolist()
     silent = sum(not message for message in wrong) + bool(none)
-    yield LiveRow("mistakes that are not told, or told of what is right", silent, 0, "messages")
+    yield LiveRow("missing and false error messages", silent, 0, "messages")
     if rates := seen("scrubbed"):
         what = f"scrubbing {rates['vertices']:,} vertices"
         for kept, rate in zip(("decoded", "kept"), rates["rates"].tolist(), strict=True):

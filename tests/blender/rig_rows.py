@@ -92,19 +92,19 @@ def _rows(name: str, sequence: MeshSequence, rig: Skin | Morph, file: Path, seen
     def off(points: Float, times: Float) -> float:
         return _farthest(points, rig.resampled(times).points()[:, own]) / sequence.diagonal
 
-    yield LiveRow(f"{name}, beside the rig", off(shown, moments[0]), NEAR)
+    yield LiveRow(f"{name}, compared with the rig", off(shown, moments[0]), NEAR)
     yield LiveRow(f"{name}, half-way between frames", off(halves, moments[1]), NEAR)
     mixed = MIXED if isinstance(rig, Skin) else NEAR
     yield LiveRow(f"{name}, a quarter after frames", off(quarters, moments[2]), mixed)
     told = measure_rig_file(file, sequence).max_error
     found = _farthest(shown, sequence.points[:, own]) / sequence.diagonal
-    yield LiveRow(f"{name}, its error, beside {told:.3g} that is told", abs(found - told), NEAR)
+    yield LiveRow(f"{name}, its error, compared with {told:.3g} printed", abs(found - told), NEAR)
     if isinstance(rig, Skin):
         bones = dict(seen.names["bones"])
         names, parents = rig.skeleton.names, rig.skeleton.parents.tolist()
         meant = {bone: names[parent] if parent >= 0 else "" for bone, parent in zip(names, parents, strict=True)}
         others = sum(bones.get(bone) not in (parent, parent or "skeleton") for bone, parent in meant.items())
-        yield LiveRow(f"{name}, bones with other names or parents", others, 0, "bones")
+        yield LiveRow(f"{name}, bones with different names or parents", others, 0, "bones")
 
 
 def _farthest(points: FloatArray, others: FloatArray) -> float:

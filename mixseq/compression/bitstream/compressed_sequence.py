@@ -14,6 +14,7 @@ from typing import get_args
 import numpy as np
 
 from mixseq.choices import OrderName
+from mixseq.compression.bitstream.arithmetic import DAMAGE_CURE
 from mixseq.compression.bitstream.residual_layer import CodedResidualLayer
 from mixseq.compression.bitstream.signal_graph import SignalGraph, mesh_graph
 from mixseq.compression.bitstream.spatial_basis import (
@@ -195,7 +196,7 @@ def decode(coded: CompressedSequence) -> Playback:
         basis = decode_basis(coded, graph)
         coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
         if not (np.isfinite(basis.norms).all() and np.isfinite(coefficients).all()):
-            raise FormatError("coded signals are not finite; the file is damaged")
+            raise FormatError(f"the coded signals are damaged, they are not finite; {DAMAGE_CURE}")
     residual_layer = None
     if any(chunk.residuals for chunk in coded.chunks):
         chunks = tuple((chunk.count, chunk.residuals) for chunk in coded.chunks)
@@ -217,12 +218,12 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
     max_rank = 3 * min(len(ranks) * parameters.frame_count, graph.size) + len(ranks)
     if parameters.rank > max_rank:
         raise FormatError(
-            f"{parameters.rank} basis vectors are more than the {max_rank} that such a sequence can have; "
-            "the file is damaged"
+            f"the parameters are damaged: {parameters.rank} basis vectors, and such a sequence has {max_rank} at most; "
+            f"{DAMAGE_CURE}"
         )
     count, expected = len(coded.basis), len(part_groups(ranks))
     if count != expected:
-        raise FormatError(f"the spatial basis has {count} groups, {expected} are expected; the file is damaged")
+        raise FormatError(f"the spatial basis is damaged, it has {count} groups of {expected}; {DAMAGE_CURE}")
     coordinates, step = 1 if parameters.factors == "trajectories" else 3, parameters.step
     vectors, vertices = read_basis(coded.basis, ranks, coordinates, step, coded.header.faces, graph)
     return assemble_basis(parameters.factors, vectors, vertices, parameters.frame_count)

@@ -34,7 +34,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compression.bitstream.arithmetic import BitModels, BitStream, code_modelled_bit, new_bit_models
+from mixseq.compression.bitstream.arithmetic import (
+    DAMAGE_CURE,
+    BitModels,
+    BitStream,
+    code_modelled_bit,
+    new_bit_models,
+)
 from mixseq.compression.bitstream.signal_coder import NumberModels, Reader, SignalCoder, Writer
 from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
@@ -65,7 +71,7 @@ def read_labels(reader: Reader, part_count: int, graph: SignalGraph) -> Index:
     _code_labels(reader.stream(), _new_label_models(), node_labels, graph.neighbours, graph.counts)
     reader.add_to_checksum(node_labels)
     if not np.array_equal(np.unique(node_labels), np.arange(part_count)):
-        raise FormatError(f"the labels of the mesh are not those of {part_count} parts; the file is damaged")
+        raise FormatError(f"the labels of the mesh are damaged: {part_count} parts are expected; {DAMAGE_CURE}")
     labels = np.empty_like(node_labels)
     labels[graph.order] = node_labels
     return labels
