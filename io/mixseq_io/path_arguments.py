@@ -9,9 +9,8 @@ from typing import Any
 
 from mixseq.errors import SettingsError
 from mixseq.sequence.frame_rates import snap_to_ntsc
-from mixseq.sequence.sequence import is_rig
 from mixseq_io.isolation import import_function
-from mixseq_io.registry import open_sequence, read, read_all
+from mixseq_io.registry import open_sequence, read
 
 Arguments = Mapping[str, Any]
 """Arguments of a function by name; the first argument is the sequence or model."""
@@ -41,24 +40,18 @@ _read_model = _reader("mixseq_io.loading:load")
 
 def _read_frames(path: str, arguments: Arguments) -> Any:
     """Load a model, or read a sequence."""
-    frames = _open_frames(path, arguments)
-    if not is_rig(frames):
-        return frames
-    with frames:
-        return read_all(frames)
+    return _read_model(path, arguments) if _is_model(path) else read(path)
 
 
 def _open_frames(path: str, arguments: Arguments) -> Any:
-    """Load a model, open a rig, or read a sequence."""
+    """Load a model, or open a sequence, which may be a rig; the caller closes it."""
+    return _read_model(path, arguments) if _is_model(path) else open_sequence(path)
+
+
+def _is_model(path: str) -> bool:
     from mixseq_io.loading import is_model
 
-    if is_model(Path(path)):
-        return _read_model(path, arguments)
-    reader = open_sequence(path)
-    if is_rig(reader):
-        return reader
-    with reader:
-        return read_all(reader)
+    return is_model(Path(path))
 
 
 def _read_mesh(path: str, _: Arguments) -> Any:

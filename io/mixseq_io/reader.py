@@ -281,19 +281,9 @@ _STEPS_PER_FRAME = 64
 
 
 class AnimationReader(SequenceReader):
-    """Reader that computes points at any animation time; `frame_times` ``(T,)`` are those of the header's times."""
+    """Reader of points at any animation time; subclasses set the times of frames, `_frame_times` ``(T,)``."""
 
-    def __init__(
-        self,
-        path: Path,
-        header: SequenceHeader,
-        frame_times: Float,
-        has_velocities: bool = False,
-        can_evaluate: bool = False,
-    ) -> None:
-        super().__init__(path, header, has_velocities=has_velocities, can_evaluate=can_evaluate)
-        self._frame_times = frame_times
-        self._seconds_per_time = np.ptp(header.times) / (np.ptp(frame_times) or 1.0)
+    _frame_times: Float
 
     @abstractmethod
     def _points_at(self, times: Float, step_times: Float) -> FloatArray:
@@ -311,7 +301,7 @@ class AnimationReader(SequenceReader):
         first, last = self._frame_times[[0, -1]]
         step = (last - first) / max(self._frame_times.size - 1, 1) / _STEPS_PER_FRAME
         before, after = np.maximum(times - step, first), np.minimum(times + step, last)
-        seconds = (after - before) * self._seconds_per_time
+        seconds = (after - before) * np.ptp(self.header.times) / ((last - first) or 1.0)
         moved = self._points_at(after, times).astype(np.float64) - self._points_at(before, times)
         return np.asarray(moved / np.where(seconds > 0, seconds, 1.0)[:, None, None])
 

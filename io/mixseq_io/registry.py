@@ -253,17 +253,12 @@ def read(path: PathLike, **options: Any) -> MeshSequence:
     Rigs are baked to points of the frames; only open files have other times (`SequenceReader.blocks_at`).
     """
     with open_sequence(path, **options) as reader:
-        return read_all(reader)
-
-
-def read_all(reader: SequenceReader) -> MeshSequence:
-    """Read an open file into memory."""
-    reader.check_total_memory()
-    velocities = reader.velocity_blocks()
-    sequence = join_blocks(reader.header, reader.blocks())
-    if velocities is None:
-        return sequence
-    return replace(sequence, velocities=np.concatenate(list(velocities)))
+        reader.check_total_memory()
+        velocities = reader.velocity_blocks()
+        sequence = join_blocks(reader.header, reader.blocks())
+        if velocities is None:
+            return sequence
+        return replace(sequence, velocities=np.concatenate(list(velocities)))
 
 
 @public

@@ -8,22 +8,20 @@ by a model. The output has a frame at every multiple of ``1 / fps`` from its sta
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
 from mixseq.operations.retiming import Retiming
-from mixseq.runtime.parallel import Executor, serial_executor
+from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, snap_to_ntsc
 from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
 from mixseq.sequence.sequence import Frames, MeshSequence, Rig, is_rig, join_blocks
-from mixseq.signals.decoding import FRAMES_PER_BLOCK, Decodable, Decoded
+from mixseq.signals.decoding import FRAMES_PER_BLOCK, Decodable
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.types import Float
@@ -35,6 +33,7 @@ class RigMotion(Decodable):
 
     header: SequenceHeader
     rig: Rig
+    is_serial = True
 
     def decode_points(self, times: Float) -> Float:
         """Return the points ``(N, V, 3)`` at times ``(N,)`` from start to end."""
@@ -47,16 +46,6 @@ class RigMotion(Decodable):
 
     def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
         """Do nothing, since frames are independent."""
-
-    def _decode_blocks(
-        self,
-        decode: Callable[[Self, Float], Decoded],
-        times: ArrayLike,
-        size: int,
-        progress: Progress,
-        workers: Executor | None,
-    ) -> Iterator[Decoded]:
-        return super()._decode_blocks(decode, times, size, progress, serial_executor)
 
 
 @dataclass(frozen=True, eq=False)

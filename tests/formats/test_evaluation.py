@@ -165,8 +165,9 @@ def test_transforms_turn_and_points_are_samples(tmp_path: Path) -> None:
     mesh.CreateFaceVertexCountsAttr([4, 3])
     mesh.CreateFaceVertexIndicesAttr(INDICES)
     mesh.CreatePointsAttr(Vt.Vec3fArrayFromBuffer(CORNERS))
-    for code, angle in ((0, 0.0), (1, 90.0)):
-        (mesh.GetOrderedXformOps() or [mesh.AddRotateZOp()])[0].Set(angle, code)
+    turn = mesh.AddRotateZOp()
+    turn.Set(0.0, 0)
+    turn.Set(90.0, 1)
     stage.Save()
     with open_usd(tmp_path / "spin.usda") as reader:
         points = joined(reader.blocks_at([0.25 / 24]))

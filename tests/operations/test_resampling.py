@@ -62,7 +62,7 @@ class Wheel:
     def turned(times: ArrayLike) -> Float:
         c, s = np.cos(times), np.sin(times)
         turns = np.moveaxis(np.array([[c, -s, 0 * c], [s, c, 0 * c], [0 * c, 0 * c, 0 * c]]), 2, 0)
-        return TRIANGLE @ turns.swapaxes(1, 2)
+        return np.asarray(TRIANGLE @ turns.swapaxes(1, 2))
 
 
 @pytest.mark.parametrize(
@@ -78,6 +78,7 @@ def test_rigs_are_evaluated(settings: dict[str, Any], sources: ArrayLike, slope:
     """A model of three frames, a radian apart, would be far from the arc."""
     got = resample(Wheel(), velocities=True, **settings)
     np.testing.assert_allclose(got.points, Wheel.turned(sources), atol=1e-12)
+    assert got.velocities is not None
     np.testing.assert_allclose(got.velocities, slope * Wheel.turned(np.add(sources, np.pi / 2)), atol=1e-12)
     np.testing.assert_array_equal(resample(Wheel(), **settings).points, got.points)
 

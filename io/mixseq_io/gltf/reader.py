@@ -420,7 +420,8 @@ class _GltfReader(AnimationReader):
         animated = [channel for channel in channels if channel.is_animated]
         # Shapes that are stored frame by frame are samples, between which weights are not meant to be linear.
         can_evaluate = bool(animated) and not any(channel.is_cache for channel in animated)
-        super().__init__(path, header, times, can_evaluate=can_evaluate)
+        super().__init__(path, header, can_evaluate=can_evaluate)
+        self._frame_times = times  # not snapped to frames
         self._mesh_nodes, self._is_mirrored, self._channels = mesh_nodes, is_mirrored, channels
 
     def markings(self) -> Markings:

@@ -121,7 +121,8 @@ class _UsdReader(AnimationReader):
     def __init__(self, path: Path, header: SequenceHeader, animation: _Animation, has_velocities: bool) -> None:
         moves = any(mesh.motion.animated_attributes for mesh in animation.meshes)
         is_cache = any(is_animated(mesh.mesh.GetPointsAttr()) for mesh in animation.meshes)
-        super().__init__(path, header, animation.codes, has_velocities, can_evaluate=moves and not is_cache)
+        super().__init__(path, header, has_velocities=has_velocities, can_evaluate=moves and not is_cache)
+        self._frame_times = animation.codes
         self._animation: _Animation | None = animation
 
     def markings(self) -> Markings:
