@@ -3,7 +3,7 @@
 ::
 
     /                          format = "mixseq-model", version = 1, created_by, settings (JSON), space,
-                               name, fps, up_axis, metres_per_unit, vertex_count
+                               provenance (JSON), name, fps, up_axis, metres_per_unit, vertex_count
     /polygons/                 counts, indices
     /segmentation/             part_of_face, widths                         (mixed space)
     /segmentation/parts/       vertices, sizes                              (mixed space)
@@ -24,7 +24,7 @@ See ``docs/file-format.md``. `mixseq_io.hdf5.coded_files` describes the layout o
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import h5py
 import numpy as np
@@ -35,6 +35,7 @@ from mixseq.errors import FormatError, InvalidSequenceError, OutputError, Recons
 from mixseq.mesh.topology import Topology
 from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.provenance import Provenance
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -338,6 +339,8 @@ def write_model(file: h5py.File, model: Model) -> None:
     write_text(file, "created_by", f"mixseq {__version__}")
     file.attrs["vertex_count"] = model.header.vertex_count
     write_header(file, model.header)
+    provenance = replace(model.header.provenance or Provenance(""), name="")
+    write_text(file, "provenance", json.dumps(provenance.to_plain()))
     write_space(file, space)
     write_signals(file, model, space)
 
@@ -348,6 +351,8 @@ def read_model(file: Contents) -> Model:
     try:
         frames = read_increasing_times(file, "signals/time/frames")
         header = read_header(file, int(file.attrs["vertex_count"]), frames)
+        provenance = Provenance.from_plain(json.loads(file.text("provenance") if "provenance" in file.attrs else "{}"))
+        header = replace(header, provenance=replace(provenance, name=file.path.name))
         return read_signals(file, header, read_space(file, header))
     except (InvalidSequenceError, SettingsError, ReconstructionError, IndexError) as error:
         raise FormatError(f"{file.path}: {error}; it is damaged") from error
