@@ -9,6 +9,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from itertools import chain, tee
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +20,7 @@ from numpy.typing import ArrayLike, DTypeLike
 
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, MixseqWarning, SettingsError
 from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.provenance import Provenance
 from mixseq.sequence.sequence import check_block
 from mixseq.types import Float, FloatArray
 from mixseq_io.files import check_memory, max_memory, memory_limit, out_of_memory_error
@@ -158,7 +160,7 @@ class SequenceReader(ABC):
         can_evaluate: bool = False,
     ) -> None:
         self.path = path
-        self.header = header
+        self.header = header if header.provenance else replace(header, provenance=Provenance(path.name))
         self.has_velocities = has_velocities
         self.can_evaluate = can_evaluate
         self._resources = resources or ExitStack()

@@ -186,6 +186,7 @@ class Entry:
     bytes: int | None = None  # size of the model
     target_signature: str | None = None  # hash of the model's name, size and modification time
     bits: float | None = None  # size of the model in bits per vertex and frame
+    history: str = ""  # what the model comes from and how far it is from it, see `mixseq.sequence.provenance`
     message: str = ""  # reason of a failure
     warnings: tuple[str, ...] = field(default=())  # warnings while reading
 
@@ -325,6 +326,7 @@ def in_markdown(report: Report) -> str:
         "Times are those of encoding. Errors are of all decoded frames: the largest of a vertex, and the one of Karni",
         "and Gotsman. Bits are per vertex and frame.",
     ]
+    lines += [printable(f"- {Path(each.target).stem}: {each.history}") for each in entries if ", which" in each.history]
     messages = [printable(f"- {Path(entry.target).stem}: {each}") for entry in entries for each in entry.warnings]
     return "\n".join([*lines, *(["", "## Warnings", "", *messages] if messages else [])]) + "\n"
 
@@ -465,7 +467,8 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
             fitting = in_diagonals(fitting, reader, "tolerance")
             mixseq.save(file, mixseq.fit(reader, **fitting, progress=progress, workers=mapped))
         seconds = perf_counter() - start
-        error = mixseq.compare(reader, decoded(mixseq.load(file), progress, mapped))
+        model = mixseq.load(file)
+        error = mixseq.compare(reader, decoded(model, progress, mapped))
         size, signature = _size_and_hash([file])
         file.replace(asset.target)
     return {
@@ -475,6 +478,7 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
         "max_error": error.as_dict()["max_error"],
         "diagonal": error.diagonal * reader.header.metres_per_unit,
         "kg_percent": error.as_dict()["kg_percent"],
+        "history": str(model.header.provenance or ""),
         "bytes": size,
         "target_signature": signature,
         "bits": 8 * size / (error.frames * error.vertices),

@@ -12,7 +12,7 @@ import click
 import mixseq
 from mixseq.choices import POSE_FORMS, STILLS, PoseForm, StillName
 from mixseq.cli import files, options
-from mixseq.cli.compressed import aiming, coding_facts, coding_rows, compressed
+from mixseq.cli.compressed import aiming, coding_facts, coding_rows, compressed, history_rows
 from mixseq.cli.group import announce, length_text, print_table, progress_bar
 from mixseq.cli.info import bytes_of_frames, dimension_rows, size_row
 from mixseq.cli.options import in_diagonals
@@ -121,6 +121,7 @@ def command(
         else:
             sizes = target.stat().st_size, bytes_of_frames(model.header)
             rows = dict([*dimension_rows(model), size_row(*sizes)])
+        rows |= dict(history_rows(model.header))
         rows["time"] = f"{seconds:.1f} s"
         if error is not None:
             length = length_text(error.max_error, error.diagonal * reader.header.metres_per_unit, digits=2)

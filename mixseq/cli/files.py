@@ -19,6 +19,7 @@ import click
 
 import mixseq
 from mixseq.cli import options
+from mixseq.cli.compressed import history_rows
 from mixseq.cli.group import printable
 from mixseq.errors import OutputError, SettingsError
 from mixseq.runtime.progress import Progress
@@ -109,6 +110,7 @@ def time_rows(header: SequenceHeader) -> list[tuple[str, str]]:
     return [
         ("frames", format_frames(header.frame_count, *numbers)),
         ("time", f"{first:g} to {last:g} s at {format_rate(header.fps)} frames per second"),
+        *history_rows(header),
     ]
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.compressed import coding_facts, coding_rows
+from mixseq.cli.compressed import coding_facts, coding_rows, history_rows
 from mixseq.cli.files import is_model
 from mixseq.cli.group import format_bytes, print_json, print_table
 from mixseq.sequence.frame_rates import format_frames, format_rate, time_to_number
@@ -41,21 +41,23 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
     if is_model(path):
         if is_compressed(path):
             coded = read_compressed(path)
-            facts |= {"kind": "model", **_mesh(coded.header, coded.parameters.diagonal), **coding_facts(path, coded)}
+            header = coded.header
+            facts |= {"kind": "model", **_mesh(header, coded.parameters.diagonal), **coding_facts(path, coded)}
         else:
             model = mixseq.load(path)
-            facts |= {"kind": "model", **_mesh(model.header, model.space.scale), **_dimensions(model)}
-            facts["bytes"]["frames"] = bytes_of_frames(model.header)
+            header = model.header
+            facts |= {"kind": "model", **_mesh(header, model.space.scale), **_dimensions(model)}
+            facts["bytes"]["frames"] = bytes_of_frames(header)
     else:
         with mixseq.open_sequence(path, **reading) as reader:
-            first = next(iter(reader.blocks(1)))[0]
+            first, header = next(iter(reader.blocks(1)))[0], reader.header
             from mixseq.sequence.sequence import bounding_diagonal
 
-            facts |= {"kind": "sequence", **_mesh(reader.header, bounding_diagonal(first))}
+            facts |= {"kind": "sequence", **_mesh(header, bounding_diagonal(first))}
     if as_json:
-        print_json(facts)
+        print_json(facts | {"provenance": header.provenance and header.provenance.to_plain()})
     elif not quiet:
-        print_table(_rows(facts))
+        print_table([*_rows(facts), *history_rows(header)])
 
 
 def dimension_rows(model: Model) -> Rows:

@@ -23,7 +23,7 @@ of pose space is a pose of the whole character, independent of its position.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import make_smoothing_spline
@@ -80,11 +80,11 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
             raise SettingsError(f"there is no mode {mode}; the model has {count}, from 0 on")
     gains = np.ones(count)
     gains[list(scaled_modes)] = gain
-    scaled = replace(model, time=_scale_about_mean(model, model.time, gains))
+    scaled = model.edited(time=_scale_about_mean(model, model.time, gains))
     if modes is not None:
         return scaled
     gains = np.full(model.correction.dim, gain)
-    return replace(scaled, correction=_scale_about_mean(model, model.correction, gains))
+    return scaled.edited(correction=_scale_about_mean(model, model.correction, gains))
 
 
 def _scale_about_mean(model: Model, curve: Curve, gains: Float) -> Curve:

@@ -228,7 +228,7 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     mean = limb.joint_pose(model, model.times).mean(axis=0)
     sites = model_sites(model, model.start, model.end)
     correction = _edit_joint(model, limb, sites, lambda _, joint_pose: mean + gain * (joint_pose - mean))
-    return replace(model, correction=correction, shapes=_scale_joint_shapes(model, limb, gain))
+    return model.edited(correction=correction, shapes=_scale_joint_shapes(model, limb, gain))
 
 
 @public
@@ -281,8 +281,7 @@ def hold(
         return np.concatenate([points, weight(times) * to_limb_modes(held_point - points)], axis=1)
 
     signal = interpolate_adaptively(held_signal, sites, SIGNAL_TOLERANCE, shape_norm(extended))
-    return replace(
-        extended,
+    return extended.edited(
         time=_splice(extended, extended.time, signal),
         correction=_splice(extended, model.correction, correction),
     )

@@ -20,7 +20,6 @@ similar
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -94,7 +93,7 @@ def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
     difference = encode_edit(model, time, points)
     shapes = np.array(model.shapes)
     shapes[key] += difference
-    return replace(model, shapes=shapes)
+    return model.edited(shapes=shapes)
 
 
 def check_edited_points(points: ArrayLike | MeshSequence, header: SequenceHeader) -> Float:
@@ -220,8 +219,7 @@ def _add_key_shape(model: Model, difference: Float, weight: Curve) -> Model:
     row = np.zeros((1, len(model.shapes) + 1))
     row[0, 0], row[0, -1] = -1.0, 1.0
     sites = weight.times
-    return replace(
-        model,
+    return model.edited(
         time=Curve(sites, np.concatenate([model.time(sites), weight.values], axis=1)),
         pose=PoseMap(
             np.append(model.pose.offset, 0.0),

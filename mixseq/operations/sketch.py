@@ -37,7 +37,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -273,8 +272,7 @@ def drag(model: Model, time: Seconds, to: ArrayLike, reach: Seconds | None = Non
             "the embedding of the model is one point, as its shape does not change; there is nothing to drag"
         )
     step, correction = _drag_changes(model, time, target, plane)
-    return replace(
-        model,
+    return model.edited(
         time=_add_fading_change(model.time, time, reach, step),
         correction=_add_fading_change(model.correction, time, reach, correction),
     )

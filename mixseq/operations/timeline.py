@@ -15,7 +15,6 @@ the integral over the whole transition, so that the last term vanishes at the en
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from mixseq.operations.sections import (
     check_fade,
     join_models,
     map_times,
+    motion_seam,
     sites_between,
     snap_section,
     subdivide,
@@ -135,7 +135,7 @@ def translate(model: Model, offset: Float) -> Model:
     placement = model.placement
     values = placement.values.copy()
     values[:, centre_columns(model.space)] += offset if offset.ndim == 1 else offset[:, None]
-    return replace(model, placement=Curve(placement.times, values))
+    return model.edited(placement=Curve(placement.times, values))
 
 
 def ground_drift(
@@ -224,7 +224,7 @@ def repeat(
         start = first + delay if number else copy.start
         end = last + delay if number < times - 1 else copy.end
         sections.append(ModelSection(copy, start, end))
-    return join_models(sections, [Seam(fade)] * (times - 1))
+    return join_models(sections, [motion_seam(model, fade)] * (times - 1))
 
 
 @public
@@ -254,7 +254,7 @@ def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Mod
     displacement = ground_displacement(model, start, end) if travel else np.zeros(3)
     # Join two copies: the second half of the first copy and the first half of the second meet at the loop's seam.
     second = ModelSection(map_times(translate(model, displacement), length), start + length, end + length)
-    passes = join_models([ModelSection(model, start, end), second], [Seam(fade)])
+    passes = join_models([ModelSection(model, start, end), second], [motion_seam(model, fade)])
     middle = (start + end) / 2
     moved_back = map_times(translate(passes, -displacement), -length)
     sections = [ModelSection(moved_back, start, middle), ModelSection(passes, middle, end)]

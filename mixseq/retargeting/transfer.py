@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -130,6 +130,7 @@ def plan_transfer(
         correspondence, quality = _find_correspondence(source, rest, target.header, settings, progress)
         gradients = gradient_transfer(source.topology, source.rest, topology, rest, correspondence)
         header = target.header.with_times(source.header.times, source.header.fps)
+        header = replace(header, provenance=None)  # frames are those of neither file
         if settings.method == "gradients":
             return Transfer(header, source, rest, correspondence, gradients, quality)
         progress(0, 1, "finding parts")

@@ -39,7 +39,7 @@ from mixseq.mesh.topology import (
     propagate_depth,
 )
 from mixseq.segmentation.elements import Boundaries
-from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced
+from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced, index_mask
 
 MIN_MOTION_HEIGHT_RATIO = 1e-5
 """Ratio of height to longest side up to which a face has no motion of its own."""
@@ -173,9 +173,7 @@ def decompose(
 
     patches = _return_to_parts(topology, part_of_face, kept, in_joint)
     if topology.unused_vertices.size:
-        unused = np.zeros(topology.vertex_count, dtype=bool)
-        unused[topology.unused_vertices] = True
-        kept.append(unused)
+        kept.append(index_mask(topology.unused_vertices, topology.vertex_count))
         widths = np.append(widths, 1)
     in_parts = np.any(kept, axis=0)
     return Decomposition(

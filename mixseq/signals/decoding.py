@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import Self, TypeVar
 
 import numpy as np
@@ -14,6 +15,7 @@ from mixseq.runtime.parallel import Executor, serial_executor, thread_executor
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_span, hint_frame_number, snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader, frame_times
+from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
 
@@ -133,7 +135,10 @@ class Decodable(ABC):
         fps = None if fps is None else snap_to_ntsc(fps, self.header.fps)
         if times is None and fps is not None:
             times = frame_times(self.times[0], self.times[-1], fps)
-        return self.header.with_times(self.times if times is None else self.clip_times(times), fps)
+        if times is None or np.array_equal(times, self.times):
+            return self.header.with_times(self.times, fps)
+        header = self.header.with_times(self.clip_times(times), fps)
+        return replace(header, provenance=as_edited(header.provenance))
 
     def blocks(
         self,

@@ -36,6 +36,7 @@ from mixseq.signals.detail import (
     build_model,
     encode_sequence,
     fit_within_tolerance,
+    largest_error,
     verify_tolerance,
 )
 from mixseq.signals.model import Model
@@ -284,12 +285,15 @@ def fit(
         encoded = encode_sequence(frames, shape_space, pose, executor, stages.at(1 + SPACE_STAGES))
         encoded = tune_interpolation(encoded, frames.points)
         if exact:
-            model = build_model(encoded, Detail(step=EXACT_ROUNDING_STEP))
-            return verify_tolerance(model, frames, EXACT_TOLERANCE, executor, stages.at(FIT_STAGES))
-        if is_reduced:
-            return build_model(encoded, Detail(rank=rank, knots=knots))
-        search = stages.at(FIT_STAGES, MAX_TRIAL_MODELS)
-        return fit_within_tolerance(encoded, frames, max_error, search, executor)
+            max_error, model = EXACT_TOLERANCE, build_model(encoded, Detail(step=EXACT_ROUNDING_STEP))
+            verify_tolerance(model, frames, max_error, executor, stages.at(FIT_STAGES))
+        elif is_reduced:
+            model = build_model(encoded, Detail(rank=rank, knots=knots))
+            max_error = largest_error(model, frames, workers=executor)
+        else:
+            search = stages.at(FIT_STAGES, MAX_TRIAL_MODELS)
+            model = fit_within_tolerance(encoded, frames, max_error, search, executor)
+        return replace(model, header=frames.trace(max_error, promised=not is_reduced))
 
 
 def _check_options(

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,7 @@ from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress
 from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import LazyFrames
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
@@ -109,7 +110,12 @@ class Model(Decodable, PickledWithoutCaches):
         header : SequenceHeader, optional
             Header with the times of the new frames; by default the header of this model.
         """
-        return replace(self, header=header or self.header, time=time, placement=placement, correction=correction)
+        return self.edited(header=header or self.header, time=time, placement=placement, correction=correction)
+
+    def edited(self, **changes: Any) -> Model:
+        """Return the model with other fields, and mark it as edited: it is no longer within a bound of its source."""
+        header = changes.pop("header", self.header)
+        return replace(self, header=replace(header, provenance=as_edited(header.provenance)), **changes)
 
     @property
     def start(self) -> float:

@@ -211,6 +211,7 @@ class PageItemReport:
     frames: int  # number of poses
     max_error: float  # bound of vertex errors, in diagonals of the first pose
     error: float  # the same bound in units of the mesh
+    history: str  # what the bound refers to, see `mixseq.sequence.provenance`
     positions: int  # bytes of mesh and motion before encoding as text
     colours: int  # bytes of colours before encoding as text
 
@@ -261,8 +262,9 @@ def encode_mesh(
         "colourings": colourings,
         "signals": item.signals,
     }
+    history = str(compressed.header.provenance or "")
     sizes = len(container.streams), sum(map(len, stored))
-    report = PageItemReport(item.mesh.name, len(elapsed), parameters.max_error, error, *sizes)
+    report = PageItemReport(item.mesh.name, len(elapsed), parameters.max_error, error, history, *sizes)
     return description, [container.streams, *stored], report
 
 

@@ -18,10 +18,11 @@ from mixseq.compression.encoder.uvs import UV_ERROR, encode_uvs, with_quantised_
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.provenance import Provenance
 from mixseq_io.coded.streams import INDEX_HEAD, LABEL_COUNT, MAGIC, Container, pack_leb128, pack_surface, pack_times
 
-_HDF5_SIZE, _INDEX_SIZE_PER_64_FRAMES = 1200, 64
-"""Largest size in bytes of HDF5 structures with attributes, and of the part of the index for 64 frames."""
+_HDF5_SIZE, _INDEX_SIZE_PER_64_FRAMES, _SOURCE_SIZE = 1200, 64, 32
+"""Largest sizes in bytes: HDF5 structures with attributes, part of the index for 64 frames, checksum of the source."""
 
 
 def pack(coded: CompressedSequence) -> Container:
@@ -58,6 +59,8 @@ def room_for_signals(
     streams = _header_streams(*with_quantised_uvs(header, uv_error, uvs))
     connectivity, surface, times, *uv_sizes = map(len, streams)
     surface += sum(uv_sizes)
+    source = header.provenance or Provenance(header.name)
+    container += len(json.dumps(source.to_plain())) + _SOURCE_SIZE
     container += times + _INDEX_SIZE_PER_64_FRAMES * (1 + header.frame_count // 64)
     static = connectivity + surface + container
     if size <= static:
@@ -99,6 +102,8 @@ def _facts_json(coded: CompressedSequence) -> bytes:
         "first_time": float(header.times[0]),
         "frame_count": header.frame_count,
     }
+    if header.provenance is not None and header.provenance.source is not None:
+        facts["source"] = header.provenance.source.to_plain()
     if coded.order != "keep":
         facts["order"] = coded.order
     if coded.between is not None:

@@ -1,8 +1,9 @@
 """Read compressed models, which have a text that describes the streams, and one dataset with all streams.
 
-The text is JSON with parameters, name, fps, up_axis, metres_per_unit, counts and first time. The order of the streams
-is connectivity, surface, times, texture coordinates and labels if any; every group of the spatial basis; coefficients
-and residual layer of every chunk. The dataset begins with an index of the lengths and CRC-32 checksums of all streams:
+The text is JSON with parameters, source, name, fps, up_axis, metres_per_unit, counts and first time. The order of the
+streams is connectivity, surface, times, texture coordinates and labels if any; every group of the spatial basis;
+coefficients and residual layer of every chunk. The dataset begins with an index of the lengths and CRC-32 checksums of
+all streams:
 
 ==========  =====================================================================================================
 bytes       meaning, all numbers little-endian
@@ -52,6 +53,7 @@ from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, Surface
 from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.provenance import Provenance
 from mixseq.types import Float, Index
 from mixseq_io.files import check_memory, format_gigabytes, max_memory
 from mixseq_io.surfaces import surface_from_arrays, surface_to_arrays
@@ -377,6 +379,7 @@ def read_sequence(path: Path, container: Container) -> CompressedSequence:
     order: OrderName = facts.get("order", "keep")
     if order not in ORDERS:
         raise FormatError(f"{path}: the order {order!r} is unknown to this mixseq; upgrade it")
+    header = replace(header, provenance=_provenance(path, facts, parameters, order))
     parts = _face_labels(path, facts["coding"].get(LABEL_COUNT), header_data.get("labels", b""), header)
     return CompressedSequence(header, parameters, basis, chunks, order, _between(path, facts), parts)
 
@@ -408,6 +411,16 @@ def _parameters(path: Path, facts: Mapping[str, Any]) -> CodingParameters:
     if parameters.frame_count != facts.get("frame_count"):
         raise FormatError(f"{path}: its two numbers of frames differ; it is damaged")
     return parameters
+
+
+def _provenance(path: Path, facts: Mapping[str, Any], parameters: CodingParameters, order: OrderName) -> Provenance:
+    """Return the provenance of the decoded frames; raise `FormatError` if that of their source is invalid."""
+    try:
+        source = Provenance.from_plain(facts.get("source", {}))
+    except (SettingsError, TypeError) as error:
+        raise FormatError(f"{path}: source: {error}; it is damaged") from error
+    bound = parameters.max_error, parameters.diagonal, parameters.promised
+    return Provenance(path.name, source, *bound, order=order)
 
 
 def _between(path: Path, facts: Mapping[str, Any]) -> TemporalInterpolation | None:
