@@ -106,6 +106,7 @@ BROUGHT = {
     "docs/how-to/unreal-unity.md": "shot.abc",
     "docs/how-to/web.md": "shot.glb",
     "docs/index.md": "shot.usdc",
+    "docs/resampling.md": "character.glb",
     "docs/scale.md": "long.usdc walk.h5",
     "docs/segmentation.md": "man.glb npz/horse_gallop.npz npz/q_horse_gallop.npz npz/fox_run.npz "
     "npz/robotexpressive_dance.npz",

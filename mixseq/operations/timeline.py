@@ -27,6 +27,7 @@ from mixseq.operations.sections import (
     check_fade,
     join_models,
     map_times,
+    motion_seam,
     sites_between,
     snap_section,
     subdivide,
@@ -223,7 +224,7 @@ def repeat(
         start = first + delay if number else copy.start
         end = last + delay if number < times - 1 else copy.end
         sections.append(ModelSection(copy, start, end))
-    return join_models(sections, [Seam(fade)] * (times - 1))
+    return join_models(sections, [motion_seam(model, fade)] * (times - 1))
 
 
 @public
@@ -253,7 +254,7 @@ def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Mod
     displacement = ground_displacement(model, start, end) if travel else np.zeros(3)
     # Join two copies: the second half of the first copy and the first half of the second meet at the loop's seam.
     second = ModelSection(map_times(translate(model, displacement), length), start + length, end + length)
-    passes = join_models([ModelSection(model, start, end), second], [Seam(fade)])
+    passes = join_models([ModelSection(model, start, end), second], [motion_seam(model, fade)])
     middle = (start + end) / 2
     moved_back = map_times(translate(passes, -displacement), -length)
     sections = [ModelSection(moved_back, start, middle), ModelSection(passes, middle, end)]

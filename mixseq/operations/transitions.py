@@ -30,6 +30,7 @@ from mixseq.operations.sections import (
     lerp,
     map_times,
     merge_frame_times,
+    motion_seam,
     sites_between,
     snap_section,
     snap_time,
@@ -123,8 +124,8 @@ SITES_PER_BLENDED_KNOT = 8
 def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = False) -> Model:
     """Concatenate two models.
 
-    The second model starts at the end time of the first. Jumps in value, slope and curvature of the signals are
-    distributed before and after the seam.
+    The second model starts at the end time of the first. Jumps in value are distributed before and after the seam, and
+    jumps in slope and curvature over a frame, so that frames change only if the motions do not meet.
 
     Parameters
     ----------
@@ -151,7 +152,7 @@ def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = 
     if travel:
         b = translate(b, (ground_position(a)([seam]) - ground_position(b)([first]))[0])
     b = map_times(b, seam - first)
-    return join_models([ModelSection(a, start, seam), ModelSection(b, seam, b.end)], [Seam(fade)])
+    return join_models([ModelSection(a, start, seam), ModelSection(b, seam, b.end)], [motion_seam(a, fade)])
 
 
 @public

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -162,6 +162,21 @@ class Frames(Protocol):
 
     def blocks(self, size: int = ...) -> Iterator[FloatArray]:
         """Iterate over the points in blocks ``(B, V, 3)`` of at most `size` frames, starting at the first frame."""
+
+
+class Rig(Frames, Protocol):
+    """An open animation of joints, morph weights or transforms: a reader whose `can_evaluate` is true."""
+
+    def blocks_at(self, times: ArrayLike, size: int = ...) -> Iterator[FloatArray]:
+        """Iterate over the points at times ``(N,)`` in seconds, in blocks ``(B, V, 3)`` of at most `size` frames."""
+
+    def velocity_blocks_at(self, times: ArrayLike, size: int = ...) -> Iterator[FloatArray]:
+        """Iterate over the velocities at times ``(N,)``, in units per second, in the same blocks as `blocks_at`."""
+
+
+def is_rig(frames: Frames) -> TypeGuard[Rig]:
+    """Return whether frames are an open rig, which can be evaluated at any time."""
+    return bool(getattr(frames, "can_evaluate", False))
 
 
 @dataclass(frozen=True, eq=False)

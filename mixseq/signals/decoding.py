@@ -29,6 +29,7 @@ class Decodable(ABC):
     """A motion that can be decoded at any time."""
 
     header: SequenceHeader
+    is_serial = False  # whether blocks are decoded on the caller's thread only
 
     @property
     def times(self) -> Float:
@@ -170,7 +171,8 @@ class Decodable(ABC):
         """Yield results of `decode_points` or `decode_moving` at times ``(N,)`` in blocks of `size` frames."""
         clipped = self.clip_times(times)
         blocks = (clipped[start : start + size] for start in range(0, len(clipped), size))
-        executor = workers or (thread_executor() if len(clipped) > size else serial_executor)
+        threads = thread_executor() if len(clipped) > size else serial_executor
+        executor = serial_executor if self.is_serial else workers or threads
         self.prepare(clipped, decode is type(self).decode_moving, progress)
         done = 0
         for block in executor(decode, self, blocks):

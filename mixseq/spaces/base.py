@@ -154,12 +154,12 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         return flatten_blocks(poses)
 
     def interpolate_poses(
-        self, operator: TemporalOperator, poses: Float, placements: Float, times: Float, in_body_axes: bool
+        self, operator: TemporalOperator, poses: Float, placements: Float, times: Float
     ) -> tuple[Float, Float]:
         """Interpolate part poses ``(T, pose_dim)`` and placements ``(T, P)`` of the frames at times ``(N,)``.
 
         Returns target poses ``(N, ...)`` for `pose_corrections`, and placements ``(N, P)``. Spaces without parts chain
-        rotations and add weighted centres. `in_body_axes` also interpolates parts in body axes.
+        rotations and add weighted centres.
         """
         weights = operator.weights_at(times)
         placed = interpolate_poses(weights, self.unpack_placements(placements))

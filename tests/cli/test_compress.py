@@ -156,13 +156,10 @@ def test_encode_in_an_order_of_our_own(run: Run) -> None:
         ("--max-error 0.1 --exact", "--exact is for models .* leave out --max-error"),
         ("--kg 1 --order any", "'any' is not one of 'keep', 'vertices', 'free'"),
         ("--order free", "--order is for compressed models; give --max-error, --kg or --size, too"),
-        ("--size 1MB --parts 3", "--parts is for models"),
         ("--size 1MB --rank 3", "--rank is for models"),
         ("--size 1MB --space vertex", "--space is for models"),
         ("--size 1MB --knots 3", "--knots is for models"),
         ("--size 1MB --pose keys", "--pose is for models"),
-        ("--size 1MB --labels bar.usdc", "--labels is for models"),
-        ("--size 1MB --source skeleton", "--source is for models"),
         ("--size 1MB --volume 1", "--volume is for"),
     ],
 )

@@ -117,8 +117,9 @@ def compress(
         frames = load_frames(sequence, stages.at(0))
         unit = bounding_diagonal(frames.points[:1][0]) or 1.0
         labels = _segment(frames, parts)
-        if size is not None and labels is not None:
-            size = max(int(size) - len(encode_face_labels(labels, header.faces)), 1)
+        label_size = 0 if labels is None else len(encode_face_labels(labels, header.faces))
+        if size is not None and size > label_size:
+            size -= label_size
         coded = _search_streams(frames, stages, chunk, unit, max_error, kg, size)
         stages.at(1 + MAX_ROUNDS)(0, 1, "checking")
         coded = replace(_measure_errors(frames, coded, max_error, kg), order=numbering.order)

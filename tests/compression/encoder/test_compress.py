@@ -26,7 +26,7 @@ from mixseq.compression.bitstream import signal_coder, spatial_basis
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
 from mixseq.compression.bitstream.signal_coder import Reader, Writer
 from mixseq.compression.bitstream.signal_graph import mesh_graph
-from mixseq.compression.bitstream.spatial_basis import read_labels, split_parts, write_labels
+from mixseq.compression.bitstream.spatial_basis import encode_face_labels, read_labels, split_parts, write_labels
 from mixseq.compression.encoder import parts, trial
 from mixseq.compression.encoder.compress import compress
 from mixseq.compression.encoder.parts import initial_parts, merge_parts
@@ -41,7 +41,8 @@ pytestmark = pytest.mark.slow
 
 
 def size_of(coded: CompressedSequence) -> int:
-    return sum(map(len, coded.basis)) + sum(len(c.coefficients) + len(c.residuals) for c in coded.chunks)
+    labels = 0 if coded.parts is None else len(encode_face_labels(coded.parts, coded.header.faces))
+    return labels + sum(map(len, coded.basis)) + sum(len(c.coefficients) + len(c.residuals) for c in coded.chunks)
 
 
 def largest(sequence: MeshSequence, points: FloatArray) -> float:
