@@ -111,7 +111,7 @@ def command(
         writing = writing | {"whole_stage": True}
     keys = None if retime is None else read_retiming_keys(retime)
     with workers as work, progress_bar(quiet) as progress, ExitStack() as opened:
-        motion = _motion(source, tolerance, exact, reading, progress, work, opened)
+        motion = _motion(source, tolerance, exact, velocities, reading, progress, work, opened)
         if frames is not None:
             start, end = frames.span(motion.header)
         retiming = None
@@ -135,13 +135,14 @@ def _motion(
     source: Path,
     tolerance: float | str | None,
     exact: bool,
+    velocities: bool,
     reading: dict[str, Any],
     progress: Progress,
     workers: Executor,
     opened: ExitStack,
 ) -> Model | Rig:
     """Load a model, open a rig until `opened` closes, or fit a model to a sequence while reading it."""
-    from mixseq.sequence.sequence import is_rig
+    from mixseq.sequence.sequence import is_rig, without_velocities
 
     if not is_model(source):
         reader = mixseq.open_sequence(source, **reading)
@@ -150,7 +151,8 @@ def _motion(
         with reader:
             detail = {"exact": True} if tolerance is None else {"tolerance": tolerance}
             detail = in_diagonals(detail, reader, "tolerance")
-            return mixseq.fit(reader, **detail, progress=progress, workers=workers)
+            frames = without_velocities(reader) if velocities else reader  # the model's replace them
+            return mixseq.fit(frames, **detail, progress=progress, workers=workers)
     if tolerance is not None or reading:
         given = "--tolerance" if tolerance is not None else "the options for reading sequences"
         raise SettingsError(f"{source} is a model already; leave out {given}")

@@ -20,7 +20,7 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, snap_to_ntsc
 from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
-from mixseq.sequence.sequence import Frames, MeshSequence, Rig, is_rig, join_blocks
+from mixseq.sequence.sequence import Frames, MeshSequence, Rig, is_rig, join_blocks, without_velocities
 from mixseq.signals.decoding import FRAMES_PER_BLOCK, Decodable
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
@@ -183,7 +183,10 @@ def resample(
     >>> slow.frame_count, slow.points[1, 0].round(9).tolist(), slow.velocities[1, 0].round(6).tolist()
     (9, [0.5, 0.5, 0.5], [12.0, 12.0, 12.0])
     """
-    motion = source if isinstance(source, Model) or is_rig(source) else fit(source, exact=True, progress=progress)
+    motion = source
+    if not (isinstance(source, Model) or is_rig(source)):
+        frames = without_velocities(source) if velocities else source  # the model's replace them
+        motion = fit(frames, exact=True, progress=progress)
     planned = plan(motion, fps, start, end, speed, reverse, retiming)
     if not velocities:
         return join_blocks(planned.header, planned.blocks(progress=progress))

@@ -17,6 +17,7 @@ only a change of unit rounds.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.choices import UNITS, OrderName
-from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.polygons import Polygons, read_only
 from mixseq.runtime.low_memory import LargeArray, new_large_array
@@ -195,6 +196,23 @@ class LazyFrames:
 def own_parts(frames: Frames) -> IntArray | None:
     """Return the part ``(F,)`` of every triangle that frames of a model come with; None if there are none."""
     return getattr(frames, "parts", None)
+
+
+def warn_of_velocities(frames: Frames) -> None:
+    """Warn the caller of a public function if frames have velocities, which are not kept; the values are not read."""
+    if getattr(frames, "velocities", None) is not None or getattr(frames, "has_velocities", False):
+        warnings.warn(
+            f"{frames.header.name!r}: its velocities are not kept; models compute them again, "
+            "with --velocities or sample(velocities=True)",
+            MixseqWarning,
+            stacklevel=4,
+        )
+
+
+def without_velocities(frames: Frames) -> Frames:
+    """Return the same frames without their velocities."""
+    check_frames(frames)
+    return LazyFrames(frames.header, frames.blocks, own_parts(frames))
 
 
 def bounding_diagonal(points: FloatArray) -> float:

@@ -315,6 +315,33 @@ def test_velocities_of_a_model(path: Path) -> None:
     np.testing.assert_allclose(got.velocities, expected, atol=1e-5)
 
 
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda source: mixseq.fit(source, exact=True, space="vertex"),
+        lambda source: mixseq.compress(source, max_error=0.01, parts=1),
+        lambda source: mixseq.transfer(source, moving(1), method="gradients"),
+        resample,
+    ],
+    ids=["fit", "compress", "transfer", "resample"],
+)
+def test_a_warning_says_that_they_are_lost(tmp_path: Path, use: Callable[[Any], Any]) -> None:
+    path = tmp_path / "walk.npz"
+    write(path, moving())
+    for source in (read(path), path):
+        with pytest.warns(MixseqWarning, match="'.*': its velocities are not kept") as caught:
+            use(source)
+        assert len(caught) == 1
+    use(moving().with_points(moving().points))  # no warning
+
+
+def test_resampled_velocities_replace_those_of_the_source(tmp_path: Path) -> None:
+    path = tmp_path / "walk.npz"
+    write(path, moving())
+    assert resample(path, velocities=True).velocities is not None  # no warning
+    assert resample(read(path), velocities=True).velocities is not None
+
+
 @pytest.mark.realdata
 def test_velocities_of_a_gallop(data: Path, tmp_path: Path) -> None:
     """Written velocities are central differences of the model in time.

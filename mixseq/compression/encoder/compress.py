@@ -35,6 +35,7 @@ from mixseq.sequence.sequence import (
     load_frames,
     own_parts,
     rounding_error,
+    warn_of_velocities,
 )
 from mixseq.spaces.making import MixedSettings, segment_faces
 from mixseq.types import Index
@@ -103,6 +104,7 @@ def compress(
         If the sequence is damaged or invalid, or its coordinates are too small or too large for double precision.
     """
     check_frames(sequence)
+    warn_of_velocities(sequence)
     _check_target(max_error, kg, size)
     if not chunk >= MIN_CHUNK_FRAMES:
         raise SettingsError(f"chunk is {chunk}; {MIN_CHUNK_FRAMES} frames or more are expected")
