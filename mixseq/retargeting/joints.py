@@ -19,6 +19,13 @@ not shrink. The mean gradients of the two triangles f and g at an edge determine
    \qquad \bar e = J_f e + J_g e .
 
 A bend is thus distributed over the hinges of the target, even if the source has more or fewer hinges.
+
+Near folds, a little noise of the source turns angles by up to a full turn, and targets that contradict the skinned
+positions have several solutions. So angles differ from the angles :math:`\hat\theta` of the skinned positions by
+
+.. math:: \sin\delta\, e^{\kappa (\cos\delta - 1)}, \qquad \delta = \theta' - \hat\theta ,
+
+which retains small differences, ignores folds and varies smoothly with the source.
 """
 
 from __future__ import annotations
@@ -39,6 +46,9 @@ from mixseq.segmentation.joints import Decomposition, Joint
 from mixseq.shells.fitting import Patch, SoftConstraint, rebuild_patch
 from mixseq.shells.gauss_newton import ShellReport, ShellSettings
 from mixseq.types import Float, Index
+
+BEND_CONCENTRATION = 4.0
+"""Concentration of the differences of angles from skinned positions; with 8, noise is amplified as much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,12 +212,14 @@ class JointSolver:
         for joint, patch, (edges, hinges, free), skin in systems:
             offsets = rotate_vectors(frame.rotations[skin.main_part], frame.offsets[free])
             guess = skin.deform(rotations, translations) + offsets
+            start = points[joint.vertices]
+            start[patch.free_ids] = guess
             rebuilt, report = rebuild_patch(
                 patch,
                 frame.lengths[edges],
-                frame.angles[hinges],
+                limit_bends(frame.angles[hinges], dihedral_angles(start, patch.hinges[patch.free_hinge_mask])),
                 frame.length_weights[edges],
-                points[joint.vertices],
+                start,
                 settings,
                 guess,
                 SoftConstraint(guess, frame.offset_weights[free]),
@@ -240,6 +252,12 @@ class JointSolver:
         reference_rotations, reference_centres = self._reference_poses
         relative_rotations = rotations @ np.swapaxes(reference_rotations, 1, 2)
         return relative_rotations, translations - rotate_vectors(relative_rotations, reference_centres)
+
+
+def limit_bends(angles: Float, skinned_angles: Float) -> Float:
+    """Limit the differences of angles ``(H',)`` from those of skinned positions, in radians; see the formula above."""
+    differences = angles - skinned_angles
+    return np.asarray(skinned_angles + np.sin(differences) * np.exp(BEND_CONCENTRATION * (np.cos(differences) - 1.0)))
 
 
 class JointMetrics(Protocol):

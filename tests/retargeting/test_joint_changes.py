@@ -9,7 +9,7 @@ from mixseq.mesh.measures import dihedral_angles, edge_lengths
 from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.rotations import rotvec_to_matrix
-from mixseq.retargeting.joints import EdgewiseMetrics, GradientMetrics, HarmonicSkin
+from mixseq.retargeting.joints import EdgewiseMetrics, GradientMetrics, HarmonicSkin, limit_bends
 from mixseq.retargeting.markers import Correspondence
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.segmentation.joints import make_joint
@@ -21,6 +21,18 @@ from tests.retargeting.pairs import furthest, gradients, same
 
 BEND = 1.0
 """Radians by which `arched` turns the end of a tube."""
+
+
+def test_bends_that_contradict_the_skinned_positions_are_limited() -> None:
+    skinned, turns = np.array([0.4, -3.0]), 2 * np.pi * np.arange(-1, 2)[:, None]
+    np.testing.assert_allclose(limit_bends(skinned + 1e-3, skinned), skinned + 1e-3, atol=1e-8)
+    np.testing.assert_allclose(limit_bends(skinned + turns, skinned), np.tile(skinned, (3, 1)), atol=1e-12)
+    folded = [limit_bends(skinned + np.pi + noise, skinned) for noise in (-1e-3, 1e-3)]
+    np.testing.assert_allclose(folded, np.stack([skinned, skinned]), atol=1e-5)
+    cosine = (np.sqrt(65) - 1) / 8  # of the largest difference, where 4 cos^2 + cos = 4
+    largest = np.sqrt(1 - cosine**2) * np.exp(4 * (cosine - 1))
+    limited = limit_bends(np.linspace(-np.pi, np.pi, 10_001), np.zeros(10_001))
+    assert np.abs(limited).max() == pytest.approx(largest, abs=1e-6)
 
 
 def arched(points: Float, share: float = 1.0) -> Float:
