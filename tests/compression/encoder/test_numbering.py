@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,8 @@ def test_a_compressed_grid_is_the_same_mesh(order: OrderName, tmp_path: Path) ->
     """Polygons, texture coordinates, face sets, hard edges: everything is where it was."""
     original = scrambled()
     file = tmp_path / "grid.h5"
-    mixseq.save(file, mixseq.compress(original, max_error=BOUND, uv_error=0, order=order))
+    without = replace(original, velocities=None)
+    mixseq.save(file, mixseq.compress(without, max_error=BOUND, uv_error=0, order=order))
     coded = read_compressed(file)
     assert coded.order == order
     assert (match_polygons(original.polygons, coded.header.polygons) is None) == (order == "free")
