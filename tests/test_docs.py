@@ -23,7 +23,7 @@ import pytest
 from click.testing import CliRunner
 
 import mixseq
-from mixseq import operations
+from mixseq import creature, operations
 from mixseq.cli import main
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.options import Setting
@@ -42,7 +42,7 @@ from mixseq_io.registry import capability_table, motion_table
 from mixseq_io.surfaces import SURFACE_ARRAY_NAMES
 from scripts.paper_study.main import STAGES
 from tests import given
-from tests.meshes import bar
+from tests.meshes import COARSE_CELL_METRES, bar
 
 pytestmark = pytest.mark.slow
 
@@ -123,6 +123,7 @@ NOT_RUN = {
     r"mixseq decode .* --cluster local:4": "starts processes; tests/runtime/test_cluster.py does that",
     r"mixseq plot --video (\w+\.\w+) walk": "large; docs/how-to/film.md makes the same in small",
     r"mixseq blender ": "downloads 100 MB; tests/blender packs what it would",
+    r"mixseq warm-up": "tests/cli/test_warm_up.py does that",
     r"mixseq view (?!.*--export)": "waits for a browser; tests/viewer has one",
 }
 """Commands that are shown and not run, and why."""
@@ -144,6 +145,7 @@ def test_code_and_commands_run_from_top_to_bottom(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MIXSEQ_DATA", str(tmp_path))
+    monkeypatch.setattr(creature, "CELL_METRES", COARSE_CELL_METRES)  # a fox of 1,614 vertices is enough to run a page
     for file in BROUGHT.get(name, "").split():
         given.make(file)
     names: dict[str, Any] = given.names() if blocks(name, PART) else {}

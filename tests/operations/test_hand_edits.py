@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 import mixseq
 from mixseq.compression.bitstream.compressed_sequence import to_model
-from mixseq.creature import walk_cycle
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.operations import concatenate, cut, reverse, shift, swap_key
 from mixseq.operations.sculpt import encode_edit, sculpt
@@ -20,7 +19,7 @@ from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.spaces.vertex import BasisSpace
-from tests.meshes import bar
+from tests.meshes import bar, coarse_walk
 
 pytestmark = pytest.mark.slow
 
@@ -36,7 +35,7 @@ def compressed(sequence: MeshSequence) -> Model:
 
 @pytest.fixture(scope="module")
 def model() -> Model:
-    return compressed(walk_cycle(frames=8))
+    return compressed(coarse_walk(frames=8))
 
 
 def test_room_changes_nothing_but_the_space(model: Model) -> None:
@@ -67,7 +66,7 @@ def test_sculpted_vertex_is_where_it_was_put(model: Model) -> None:
 
 
 def test_other_spaces_have_room() -> None:
-    fitted = mixseq.fit(walk_cycle(frames=4), space="vertex")
+    fitted = mixseq.fit(coarse_walk(frames=4), space="vertex")
     assert encode_edit(fitted, 0.0, fitted(0.0))[0].space is fitted.space
 
 
@@ -90,7 +89,7 @@ def test_residual_layers_stay_with_their_times(model: Model) -> None:
 
 
 def warped() -> MeshSequence:
-    walk = walk_cycle(frames=8)
+    walk = coarse_walk(frames=8)
     return walk.with_points(walk.points + 0.1 * np.sin(7 * walk.points[..., [1, 2, 0]]))
 
 
