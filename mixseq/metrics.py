@@ -17,29 +17,27 @@ largest thousandth of all values is stored.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import chain, islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compression.numbering import Renumbering, find_numbering, identity_numbering, object_vertex_counts
+from mixseq.compression.numbering import Renumbering, identity_numbering, match_meshes, mesh_of
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.measures import Diagonal, degenerate_faces, dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.polygons import match_triangles
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
 from mixseq.runtime.public import public
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames
 from mixseq.types import Float
 
-TIME_TOLERANCE_FRAMES = 1e-6
-"""Largest difference, in frames, of times that count as equal."""
-
-DEGENERATE_HEIGHT_RATIO = 1e-6
-"""Height of a face relative to its longest side up to which its normal is undefined."""
+MIN_NORMAL_HEIGHT_RATIO = 1e-6
+"""Ratio of height to longest side up to which the normal of a face is undefined."""
 
 _MAX_BLOCK_VERTICES = 50_000  # vertices in all frames of a block: about 40 MB of temporary arrays
 
@@ -164,27 +162,36 @@ def compare(a: Frames, b: Frames) -> Comparison:
         frames=header.frame_count,
         vertices=header.vertex_count,
         diagonal=unit.length,
-        kg_percent=100 * _ratio(np.sqrt(error_squares), np.sqrt(variation_squares)),
-        rms_error=_ratio(np.sqrt(error_squares / count), unit.fraction),
-        max_error=_ratio(per_frame[worst], unit.fraction),
+        kg_percent=100 * error_ratio(np.sqrt(error_squares), np.sqrt(variation_squares)),
+        rms_error=error_ratio(np.sqrt(error_squares / count), unit.fraction),
+        max_error=error_ratio(per_frame[worst], unit.fraction),
         worst_frame=worst,
         worst_time=float(header.times[worst]),
         edge_strain=strains.result(),
         dihedral_degrees=angles.result(),
         volume=_volume_error(np.concatenate(volumes, axis=1), unit.fraction) if is_closed else None,
-        per_frame_max=np.array([_ratio(value, unit.fraction) for value in per_frame]),
+        per_frame_max=np.array([error_ratio(value, unit.fraction) for value in per_frame]),
     )
 
 
 def match_frames(a: SequenceHeader, b: SequenceHeader) -> NDArray[np.int64] | None:
-    """Return the frame indices ``(T,)`` of b at the times of a, or None if b has no frame at one of the times."""
+    """Return the frame indices ``(T,)`` of b at the times of a, or None if b has no frame at one of the times.
+
+    Times in single precision are off by up to 1e-4 of a frame after a minute, so they count as equal within
+    `FRAME_TOLERANCE`, but not beyond a quarter of the smallest step between frames.
+    """
     after = np.clip(np.searchsorted(b.times, a.times), 1, max(b.frame_count - 1, 1))
     before = after - 1
     after = np.minimum(after, b.frame_count - 1)
     is_before = np.abs(b.times[before] - a.times) <= np.abs(b.times[after] - a.times)
     frames = np.where(is_before, before, after)
-    is_same = np.abs(b.times[frames] - a.times) <= TIME_TOLERANCE_FRAMES / a.fps
-    return frames if is_same.all() else None
+    return frames if (np.abs(b.times[frames] - a.times) <= _time_tolerance(a, b)).all() else None
+
+
+def _time_tolerance(a: SequenceHeader, b: SequenceHeader) -> float:
+    """Return the largest difference in seconds of times that count as equal."""
+    steps = np.concatenate([np.diff(a.times), np.diff(b.times)])
+    return float(min(FRAME_TOLERANCE / a.fps, steps.min(initial=np.inf) / 4))
 
 
 def match_reference(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
@@ -200,32 +207,20 @@ def match_reference(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
     ):
         if count != other_count:
             raise InvalidSequenceError(f"the reference has {count} {what}, the other sequence {other_count}")
-    renumbering = _find_renumbering(header, b)
+    renumbering = match_meshes(mesh_of(header), mesh_of(b))
     if renumbering is None:
         renumbering = identity_numbering(header.polygons, header.vertex_count)
         try:
             match_triangles(header.polygons, b.polygons, ("the reference", "the other sequence"))
         except InvalidSequenceError as error:
             raise InvalidSequenceError(f"{error}; vertices must be in the same order") from None
-    differs = np.abs(header.times - b.times) > TIME_TOLERANCE_FRAMES / header.fps
-    if differs.any():
-        frame = int(differs.argmax())
+    if match_frames(header, b) is None:
+        frame = int(np.argmax(np.abs(header.times - b.times) > _time_tolerance(header, b)))
         raise InvalidSequenceError(
             f"{header.frame_name(frame)} is at {header.times[frame]:.9g} s in the reference, at "
             f"{b.times[frame]:.9g} s in the other sequence; give sequences with the same times"
         )
     return (a if renumbering.order != "free" else renumbering.renumber_frames(a)), renumbering
-
-
-def _find_renumbering(a: SequenceHeader, b: SequenceHeader) -> Renumbering | None:
-    """Return the renumbering from vertices of `a` to vertices of `b`; return None if the meshes differ."""
-    renumbering = find_numbering(b.polygons, a.polygons, object_vertex_counts(a))
-    if renumbering is not None:
-        return renumbering
-    inverse = find_numbering(a.polygons, b.polygons, object_vertex_counts(b))
-    if inverse is None:
-        return None
-    return replace(identity_numbering(a.polygons, a.vertex_count), vertices=inverse.inverse.vertices)
 
 
 def paired_blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Float]]:
@@ -247,7 +242,7 @@ def _add_strains(strains: RunningStatistics, topology: Topology, x: Float, y: Fl
 
 
 def _add_angles(angles: RunningStatistics, topology: Topology, x: Float, y: Float) -> None:
-    degenerate = np.logical_or(*(degenerate_faces(z, topology.faces, DEGENERATE_HEIGHT_RATIO) for z in (x, y)))
+    degenerate = np.logical_or(*(degenerate_faces(z, topology.faces, MIN_NORMAL_HEIGHT_RATIO) for z in (x, y)))
     defined = ~degenerate[:, topology.hinge_faces].any(axis=2)
     x_angles, y_angles = (dihedral_angles(z, topology.hinges)[defined] for z in (x, y))
     angles.add(np.degrees(np.abs(wrap_angles(y_angles - x_angles))))
@@ -268,7 +263,8 @@ def _volume_error(volumes: Float, diagonal: float) -> VolumeError | None:
     return VolumeError(mean=float(errors.mean()), max=float(errors.max()))
 
 
-def _ratio(value: float, unit: float) -> float:
+def error_ratio(value: float, unit: float) -> float:
+    """Return an error in a unit; zero errors are zero in any unit, others infinite if the unit is zero."""
     if value == 0:
         return 0.0
     return float(value / unit) if unit > 0 else float("inf")

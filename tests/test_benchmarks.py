@@ -9,13 +9,11 @@ import pytest
 
 from mixseq.mesh.topology import Topology
 from mixseq.sequence.sequence import MeshSequence
-from scripts.benchmarks.common.rates import Point, errors, rate
-from scripts.benchmarks.common.varied import varied
-from scripts.benchmarks.compress import CODERS, _names, _there
-from scripts.benchmarks.peers.coder import Coder, step_of
-from scripts.benchmarks.peers.components import Space, components, to_points
+from scripts.benchmarks.common.harness import repeat_with_variation
+from scripts.benchmarks.compress import CODERS, Point, errors, is_installed, join_loops, rate
+from scripts.benchmarks.peers.coders import Coder, step_of
 from scripts.benchmarks.peers.packing import from_lzma, numbers, planes, to_lzma, width
-from scripts.benchmarks.peers.pca import Pca
+from scripts.benchmarks.peers.pca import Pca, Space, components, to_points
 from scripts.benchmarks.peers.prediction import prediction, traversal
 from tests.meshes import SEQUENCES, bar, grid, topology_of, torus
 
@@ -27,7 +25,7 @@ def mesh_of(sequence: MeshSequence) -> Topology:
 
 
 def point(kg: float, bits: float) -> Point:
-    return Point("", 0, 0, bits, kg, kg / 100, (0.0,), (0.0,))
+    return Point(bits, kg, kg / 100, 0.0, 0.0)
 
 
 def test_numbers_survive_planes_and_lzma() -> None:
@@ -81,7 +79,7 @@ def test_all_components_are_the_sequence(space: Space) -> None:
 @pytest.mark.parametrize("coder", STEPPED, ids=lambda coder: coder.name)
 @pytest.mark.parametrize("name", ["bar", "folding sheet", "several components", "unused vertices"])
 def test_what_is_decoded_has_the_error_of_its_step(coder: Coder, name: str) -> None:
-    if not all(map(_there, coder.packages)):
+    if not is_installed(coder.package):
         pytest.skip("not installed")
     sequence = SEQUENCES[name]()
     found = []
@@ -103,7 +101,7 @@ def test_a_shift_of_the_whole_is_cheap_in_trajectory_space() -> None:
     assert sizes[1] < sizes[0] + 60
 
 
-@pytest.mark.skipif(not _there("DracoPy"), reason="not installed")
+@pytest.mark.skipif(not is_installed("DracoPy"), reason="not installed")
 def test_draco_gives_back_all_vertices_in_order() -> None:
     coder = next(coder for coder in CODERS if coder.name == "draco")
     sequence = bar()
@@ -112,14 +110,6 @@ def test_draco_gives_back_all_vertices_in_order() -> None:
     size = np.ptp(sequence.points.reshape(-1, 3), axis=0).max()
     assert np.abs(decoded - sequence.points).max() <= 0.51 * size / (2**12 - 1)
     assert 0 < coder.signals(mesh_of(sequence), data) < len(data)
-
-
-@pytest.mark.skipif(not _there("py-dem-bones"), reason="not installed")
-def test_bones_are_decoded_from_their_bytes() -> None:
-    coder = next(coder for coder in CODERS if coder.name == "bones")
-    sequence = bar()
-    decoded = coder.decode(mesh_of(sequence), coder.encode(sequence, 4))
-    assert errors(sequence.points, decoded, sequence.diagonal)[0] < 5
 
 
 def test_rates_lie_on_the_lower_staircase() -> None:
@@ -134,12 +124,12 @@ def test_rates_lie_on_the_lower_staircase() -> None:
 
 def test_loops_with_variation_do_not_repeat() -> None:
     sequence = bar(frames=6)
-    long = varied(sequence, 4)
+    long = repeat_with_variation(sequence, 4)
     assert len(long) == 24
     away = np.abs(long.points[:6] - long.points[6:12]).max() / sequence.diagonal
     assert 1e-3 < away < 1
-    np.testing.assert_array_equal(long.points, varied(sequence, 4).points)
+    np.testing.assert_array_equal(long.points, repeat_with_variation(sequence, 4).points)
 
 
 def test_names_may_be_one_word_or_two() -> None:
-    assert _names(["a", "x10", "b", "c x2"]) == ["a x10", "b", "c x2"]
+    assert join_loops(["a", "x10", "b", "c x2"]) == ["a x10", "b", "c x2"]

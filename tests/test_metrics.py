@@ -299,6 +299,23 @@ def test_shared_frames() -> None:
     assert match_frames(slow, one) is None
 
 
+def test_times_of_late_frames_in_single_precision_are_the_same() -> None:
+    header = bar().header.with_times(np.arange(1001, 1006) / 24, fps=24)
+    rounded = header.with_times(header.times.astype(np.float32))
+    assert np.abs(rounded.times - header.times).max() * 24 > 1e-5
+    found = match_frames(header, rounded)
+    assert found is not None
+    assert found.tolist() == [0, 1, 2, 3, 4]
+    assert match_frames(header, header.with_times(header.times + 2e-3 / 24)) is None
+
+
+def test_frames_close_in_time_are_not_confused() -> None:
+    header = bar().header.with_times(np.arange(5) * 1e-3 / 24, fps=24)
+    assert match_frames(header, header.with_times(header.times + 0.9e-3 / 24)) is None
+    assert match_frames(header, header.with_times(header.times[:3] + 0.1e-3 / 24)) is None
+    assert match_frames(header, header.with_times(header.times + 0.1e-3 / 24)) is not None
+
+
 # As numbers -----------------------------------------------------------------------------------------------
 
 

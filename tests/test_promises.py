@@ -1,16 +1,18 @@
-"""Promises on sequences that try to break them: some of what `scripts/bench promises` tries."""
+"""Promises on sequences that try to break them: some of them, and with MIXSEQ_EXHAUSTIVE all, in half an hour."""
 
 from __future__ import annotations
 
+import os
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import mixseq
-from scripts.benchmarks.common.adversarial import SEQUENCES
-from scripts.benchmarks.common.promises import attempts, distance
+from tests.adversarial import SEQUENCES
+from tests.promises import attempts, distance
 
 REFUSED = {"fit": "refused", "compress": "refused", "exact": "refused"}
 KEPT = {"fit": "kept", "compress": "kept", "exact": "kept"}
@@ -30,9 +32,27 @@ KEPT = {"fit": "kept", "compress": "kept", "exact": "kept"}
     ],
 )
 def test_promises_are_kept_or_refused(name: str, expected: dict[str, str], reason: str) -> None:
-    found = list(attempts(name, *SEQUENCES[name](), (1e-4,)))
+    found = list(attempts(*SEQUENCES[name](), (1e-4,)))
     assert {each.way: each.kind for each in found} == expected
     assert all(re.search(reason, each.words) for each in found if each.kind == "refused")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("MIXSEQ_EXHAUSTIVE" not in os.environ, reason="MIXSEQ_EXHAUSTIVE is not set")
+@pytest.mark.parametrize("name", SEQUENCES)
+def test_no_promise_is_broken(name: str) -> None:
+    found = list(attempts(*SEQUENCES[name](), (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)))
+    assert not [each for each in found if each.kind not in ("kept", "refused")]
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+@pytest.mark.skipif("MIXSEQ_EXHAUSTIVE" not in os.environ, reason="MIXSEQ_EXHAUSTIVE is not set")
+def test_no_promise_about_an_animation_is_broken(data: Path) -> None:
+    for path in sorted((data / "npz").glob("*.npz")):
+        with np.load(path) as arrays:
+            found = list(attempts(arrays["points"], arrays["faces"], (1e-3, 1e-5)))
+        assert not [each for each in found if each.kind != "kept"], path.stem
 
 
 @pytest.mark.slow
@@ -46,7 +66,7 @@ def test_broken_promises_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(mixseq, "fit", lambda *given, **settings: still)
     monkeypatch.setattr(mixseq, "verify", liar)
-    fitted, compressed, exact = attempts("two frames", points, faces, (1e-3,))
+    fitted, compressed, exact = attempts(points, faces, (1e-3,))
     assert (fitted.kind, compressed.kind, exact.kind) == ("broken", "verify wrong", "broken")
     assert fitted.error == pytest.approx(distance(points, points[[0, 0]]))
 

@@ -30,7 +30,7 @@ from weakref import WeakSet, finalize
 
 from mixseq.errors import FormatError
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import FloatArray
+from mixseq.types import Float, FloatArray
 from mixseq_io.files import format_gigabytes, max_memory
 from mixseq_io.reader import SequenceReader, warn
 from mixseq_io.text.labels import Markings
@@ -55,7 +55,7 @@ class OpenFile:
         self._iteration_ids = count()
         self.lock = threading.RLock()
         with self.lock:
-            header, self.has_velocities = self._open()
+            header, self.has_velocities, self.can_evaluate = self._open()
         self.header = _frozen(header)
         _open_files.add(self)
 
@@ -64,14 +64,14 @@ class OpenFile:
         with self.lock:
             return self._require_worker().request(self.path, *request)
 
-    def iterate(self, quantity: str, size: int) -> Iterator[Any]:
-        """Yield blocks of the given quantity, points or velocities, of at most `size` frames."""
+    def iterate(self, quantity: str, size: int, frames: Float | None = None) -> Iterator[Any]:
+        """Yield blocks of the given quantity, points or velocities, of at most `size` frames, or evaluate `frames`."""
         iteration, block_count, open_count = next(self._iteration_ids), 0, 0
         while True:
             with self.lock:
                 worker = self._require_worker()
                 if open_count != self._open_count:
-                    request = "iterate", iteration, quantity, size, block_count
+                    request = "iterate", iteration, quantity, size, block_count, frames
                     worker.request(self.path, *request, repeated=block_count > 0)
                     open_count = self._open_count
                 block = worker.request(self.path, "next", iteration)
@@ -339,7 +339,7 @@ def can_isolate() -> bool:
 
 class _IsolatedReader(SequenceReader):
     def __init__(self, path: Path, file: OpenFile, resources: ExitStack) -> None:
-        super().__init__(path, file.header, resources, file.has_velocities)
+        super().__init__(path, file.header, resources, file.has_velocities, file.can_evaluate)
         self._file = file
 
     def markings(self) -> Markings:
@@ -353,6 +353,9 @@ class _IsolatedReader(SequenceReader):
 
     def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
         return self._file.iterate(quantity, size)
+
+    def _evaluate(self, quantity: str, frames: Float, size: int) -> Iterator[FloatArray]:
+        return self._file.iterate(quantity, size, frames)
 
 
 def _frozen(header: SequenceHeader) -> SequenceHeader:

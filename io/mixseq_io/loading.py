@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from mixseq.errors import FormatError, SettingsError
 from mixseq.runtime.public import public
-from mixseq.types import FloatArray, PathLike
+from mixseq.types import FloatArray, IntArray, PathLike
 from mixseq_io.files import check_memory, memory_limit
 from mixseq_io.format import HDF5_SIGNATURE
 from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents, translate_h5_errors
@@ -99,6 +99,11 @@ class ModelReader(SequenceReader):
         self._model = load(path)
         self._max_block_frames = FRAMES_PER_BLOCK
         super().__init__(path, self._model.header)
+
+    @property
+    def parts(self) -> IntArray | None:
+        """Part ``(F,)`` of every triangle; None if the model has none."""
+        return self._model.parts
 
     def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
         return self._model.blocks(self._model.times, min(size, self._max_block_frames))

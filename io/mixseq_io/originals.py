@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import FormatError, InvalidSequenceError, OutputError, SettingsError
+from mixseq.mesh.polygons import Polygons, count_common_polygons, describe_difference, reversed_winding
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
 from mixseq_io.reader import warn
@@ -80,6 +82,16 @@ def match_meshes(
         del unmatched[name]
         matches.append(result)
     return matches
+
+
+def describe_difference_up_to_winding(polygons: Polygons, stored: Polygons, name: str) -> str:
+    """Describe the first difference of a sequence's polygons from stored ones, in the winding with more equal polygons.
+
+    Stored polygons are reversed if their mesh is mirrored or left-handed; `name` is the name of their mesh.
+    """
+    reversed_polygons = Polygons(stored.counts, stored.indices[reversed_winding(stored.counts, keep_first=True)])
+    closest = max((stored, reversed_polygons), key=partial(count_common_polygons, polygons))
+    return describe_difference(polygons, closest, ("the sequence", name))
 
 
 def is_retimed(header: SequenceHeader, sources: ArrayLike | None) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 from mixseq.errors import SettingsError
 from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq_io.isolation import import_function
-from mixseq_io.registry import read
+from mixseq_io.registry import open_sequence, read
 
 Arguments = Mapping[str, Any]
 """Arguments of a function by name; the first argument is the sequence or model."""
@@ -23,9 +23,11 @@ def argument_reader(name: str, types: Collection[str]) -> ArgumentReader | None:
     """Return the reader for an argument's name and type names, or None if the argument cannot be a file."""
     if name in _READERS_BY_NAME and set(types) - {"int", "NoneType"}:  # counts are not read from files
         return _READERS_BY_NAME[name]
-    if "Model" in types:
-        return _read_frames if "Frames" in types else _read_model
-    return _read_sequence if {"Frames", "MeshSequence"} & set(types) else None
+    if {"Frames", "Model"} <= set(types):
+        return _open_frames
+    if {"Frames", "MeshSequence"} & set(types):
+        return _read_frames
+    return _read_model if "Model" in types else None
 
 
 def _reader(reference: str) -> ArgumentReader:
@@ -33,14 +35,23 @@ def _reader(reference: str) -> ArgumentReader:
     return lambda path, _: import_function(reference)(path)
 
 
-_read_sequence, _read_model = _reader("mixseq_io.registry:read"), _reader("mixseq_io.loading:load")
+_read_model = _reader("mixseq_io.loading:load")
 
 
 def _read_frames(path: str, arguments: Arguments) -> Any:
     """Load a model, or read a sequence."""
+    return _read_model(path, arguments) if _is_model(path) else read(path)
+
+
+def _open_frames(path: str, arguments: Arguments) -> Any:
+    """Load a model, or open a sequence, which may be a rig; the caller closes it."""
+    return _read_model(path, arguments) if _is_model(path) else open_sequence(path)
+
+
+def _is_model(path: str) -> bool:
     from mixseq_io.loading import is_model
 
-    return _read_model(path, arguments) if is_model(Path(path)) else read(path)
+    return is_model(Path(path))
 
 
 def _read_mesh(path: str, _: Arguments) -> Any:

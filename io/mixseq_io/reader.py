@@ -9,18 +9,20 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from itertools import chain, tee
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import ArrayLike, DTypeLike
 
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, MixseqWarning, SettingsError
 from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.provenance import Provenance
 from mixseq.sequence.sequence import check_block
-from mixseq.types import FloatArray
+from mixseq.types import Float, FloatArray
 from mixseq_io.files import check_memory, max_memory, memory_limit, out_of_memory_error
 from mixseq_io.text.labels import Markings, group_face_sets
 
@@ -155,10 +157,12 @@ class SequenceReader(ABC):
         header: SequenceHeader,
         resources: ExitStack | None = None,
         has_velocities: bool = False,
+        can_evaluate: bool = False,
     ) -> None:
         self.path = path
-        self.header = header
+        self.header = header if header.provenance else replace(header, provenance=Provenance(path.name))
         self.has_velocities = has_velocities
+        self.can_evaluate = can_evaluate
         self._resources = resources or ExitStack()
         self._closed = False
         self._memory_limit = max_memory()
@@ -174,6 +178,18 @@ class SequenceReader(ABC):
         if not self.has_velocities:
             return None
         return self._checked("velocities", self._read("velocities", block_size), check_velocities)
+
+    def blocks_at(self, times: ArrayLike, size: int = 16) -> Iterator[FloatArray]:
+        """Iterate over the points of a rig at times ``(N,)`` in s of the header, in blocks of at most `size` frames.
+
+        Joints, morph weights and transforms are interpolated between keys as the file's format defines, and held before
+        the first frame and after the last. Raises `SettingsError` unless `can_evaluate`.
+        """
+        return self._evaluated("points", times, size)
+
+    def velocity_blocks_at(self, times: ArrayLike, size: int = 16) -> Iterator[FloatArray]:
+        """Iterate over the velocities of a rig, in units per second, by central differences; see `blocks_at`."""
+        return self._evaluated("velocities", times, size)
 
     def check_total_memory(self) -> None:
         """Raise an error if all frames together would exceed the memory limit in single precision."""
@@ -211,6 +227,26 @@ class SequenceReader(ABC):
     def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
         """Yield the quantity "points" or "velocities" in blocks of at most `size` frames."""
 
+    def _evaluate(self, quantity: str, frames: Float, size: int) -> Iterator[FloatArray]:
+        """Yield the quantity at fractional frame indices ``(N,)``, if the reader `can_evaluate`."""
+        raise NotImplementedError
+
+    def _evaluated(self, quantity: str, times: ArrayLike, size: int) -> Iterator[FloatArray]:
+        if not self.can_evaluate:
+            raise SettingsError(
+                f"{self.path} has no rig to evaluate, only points of its frames; mixseq.fit makes a model of them, "
+                "which has points at any time"
+            )
+        own_times = self.header.times
+        frames = np.interp(np.asarray(times, np.float64).reshape(-1), own_times, np.arange(float(own_times.size)))
+        return self._while_open(self._evaluate(quantity, frames, self._block_size(size)))
+
+    def _while_open(self, blocks: Iterator[FloatArray]) -> Iterator[FloatArray]:
+        self._check_open()
+        for block in blocks:
+            yield block
+            self._check_open()
+
     def _check_open(self) -> None:
         if self._closed:
             raise FormatError(f"{self.path} is closed; read its blocks inside the with statement")
@@ -240,6 +276,36 @@ class SequenceReader(ABC):
             raise FormatError(
                 f"{self.path}: {frame} frames of {quantity} for {self.header.frame_count} times; is it truncated?"
             )
+
+
+_STEPS_PER_FRAME = 64
+"""Steps of difference quotients per mean frame: small for curved paths, large for float32 rounding of points."""
+
+
+class AnimationReader(SequenceReader):
+    """Reader of points at any animation time; subclasses set the times of frames, `_frame_times` ``(T,)``."""
+
+    _frame_times: Float
+
+    @abstractmethod
+    def _points_at(self, times: Float, step_times: Float) -> FloatArray:
+        """Return the points ``(B, V, 3)`` at animation times ``(B,)``, with stepped channels at `step_times`."""
+
+    def _evaluate(self, quantity: str, frames: Float, size: int) -> Iterator[FloatArray]:
+        for start in range(0, frames.size, size):
+            times = np.interp(frames[start : start + size], np.arange(self._frame_times.size), self._frame_times)
+            with np.errstate(all="ignore"):  # points that are not finite are reported with their vertex
+                values = self._points_at(times, times) if quantity == "points" else self._velocities_at(times)
+                block = values.astype(np.float32, copy=False)
+            yield block
+
+    def _velocities_at(self, times: Float) -> FloatArray:
+        first, last = self._frame_times[[0, -1]]
+        step = (last - first) / max(self._frame_times.size - 1, 1) / _STEPS_PER_FRAME
+        before, after = np.maximum(times - step, first), np.minimum(times + step, last)
+        seconds = (after - before) * np.ptp(self.header.times) / ((last - first) or 1.0)
+        moved = self._points_at(after, times).astype(np.float64) - self._points_at(before, times)
+        return np.asarray(moved / np.where(seconds > 0, seconds, 1.0)[:, None, None])
 
 
 @contextmanager

@@ -248,7 +248,10 @@ def open_sequence(
 
 @public
 def read(path: PathLike, **options: Any) -> MeshSequence:
-    """Read a file into memory; parameters and errors are those of `open_sequence`."""
+    """Read a file into memory; parameters and errors are those of `open_sequence`.
+
+    Rigs are baked to points of the frames; only open files have other times (`SequenceReader.blocks_at`).
+    """
     with open_sequence(path, **options) as reader:
         reader.check_total_memory()
         velocities = reader.velocity_blocks()

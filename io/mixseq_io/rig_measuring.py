@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.metrics import error_ratio
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq.types import IntArray
@@ -54,9 +55,9 @@ def measure_rig_file(path: Path, sequence: MeshSequence) -> RigErrors:
         spread += float(np.square(expected - expected.mean(axis=0)).sum())
     diagonal = bounding_diagonal(sequence.points[0][vertex_ids].astype(np.float64) @ rotation)
     return RigErrors(
-        max_error=_ratio(np.sqrt(largest), diagonal),
-        rms_error=_ratio(np.sqrt(squares / (sequence.frame_count * len(vertex_ids))), diagonal),
-        kg_percent=100 * _ratio(np.sqrt(squares), np.sqrt(spread)),
+        max_error=error_ratio(np.sqrt(largest), diagonal),
+        rms_error=error_ratio(np.sqrt(squares / (sequence.frame_count * len(vertex_ids))), diagonal),
+        kg_percent=100 * error_ratio(np.sqrt(squares), np.sqrt(spread)),
     )
 
 
@@ -83,9 +84,3 @@ def _frame_pairs(path: Path, sequence: MeshSequence) -> Iterator[tuple[NDArray[n
         for file_frame, points in enumerate(file_frames):
             for frame in np.flatnonzero(nearest == file_frame):
                 yield sequence.points[frame], points.astype(np.float64)
-
-
-def _ratio(value: float, unit: float) -> float:
-    if value == 0:
-        return 0.0
-    return float(value / unit) if unit > 0 else float("inf")

@@ -14,7 +14,6 @@ from mixseq_io.coded.packing import pack
 from mixseq_io.hdf5.coded_files import write_container
 from mixseq_io.hdf5.datasets import create_h5
 from mixseq_io.hdf5.models import write_model
-from mixseq_io.reader import warn
 
 MODEL_EXTENSIONS = (".h5", ".hdf5", ".glb")
 
@@ -28,7 +27,7 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
     path : path-like
         The output file; an existing file is replaced when the new file is complete.
     model : Model or CompressedSequence
-        Model or compressed sequence to store. The residual layer of a model is omitted with a `MixseqWarning`.
+        Model or compressed sequence to store. Models, also those loaded from compressed files, are stored as signals.
     still : {"draco", "plain", "none"}
         Form of the first frame in a .glb, for viewers that do not support mesh sequences: compressed by Draco (extra
         ``draco``), stored as float32 (5 to 10 times the bytes), or omitted.
@@ -58,11 +57,6 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
             )
         write_sequence(target, model, still)
         return
-    if isinstance(model, Model) and model.residual_layer is not None:
-        warn(
-            f"{target}: the residual layer of a compressed model is not stored with signals; frames may be off by more "
-            "than its bound"
-        )
     with create_h5(target) as (file, _):
         if isinstance(model, CompressedSequence):
             write_container(file, pack(model))

@@ -64,11 +64,11 @@ class RoundingMonitor:
         for block in blocks:
             yield block
             points = np.asarray(block)
-            if points.dtype == np.float32 or not points.size:
-                continue
-            diagonal = diagonal or Diagonal.from_points(points[0])
-            for start in range(0, len(points), _FRAMES_PER_MEASUREMENT):
-                self._update(points[start : start + _FRAMES_PER_MEASUREMENT], first + start, diagonal)
+            if points.size:
+                diagonal = diagonal or Diagonal.from_points(points[0])
+                if points.dtype != np.float32:
+                    for start in range(0, len(points), _FRAMES_PER_MEASUREMENT):
+                        self._update(points[start : start + _FRAMES_PER_MEASUREMENT], first + start, diagonal)
             first += len(points)
 
     def _update(self, points: FloatArray, first: int, diagonal: Diagonal) -> None:

@@ -1,8 +1,9 @@
-r"""Verify a compressed model by comparison with its original, and verify its stated error bound.
+r"""Verify a model by comparison with its original, or with the same edit of it, and verify its stated error bound.
 
 :math:`A, B` are points of original and decoded frames. d is the bounding box diagonal of the first original frame, or
-1 if this frame is a single point. The bound is :math:`|A_{tv} - B_{tv}| \le \epsilon\, d`. `mixseq.metrics` defines the
-KG error. Frames are decoded in small blocks; `mixseq.mesh.measures` avoids overflow at any scale.
+1 if this frame is a single point. The bound is :math:`|A_{tv} - B_{tv}| \le \epsilon\, d`, a sum for models that were
+made of models (`mixseq.sequence.provenance`). `mixseq.metrics` defines the KG error. Frames are decoded in small
+blocks; `mixseq.mesh.measures` avoids overflow at any scale.
 """
 
 from __future__ import annotations
@@ -16,13 +17,14 @@ import numpy as np
 
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.compression.numbering import Renumbering
-from mixseq.errors import FormatError
+from mixseq.errors import FormatError, SettingsError
 from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.polygons import match_polygons
 from mixseq.metrics import match_reference, paired_blocks
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.provenance import Provenance, frames_checksum
 from mixseq.sequence.sequence import Frames, LazyFrames, check_frames
 from mixseq.signals.decoding import FRAMES_PER_BLOCK
 from mixseq.signals.model import Model
@@ -31,6 +33,7 @@ from mixseq_io.coded.streams import Container, decode_model, read_index, read_se
 from mixseq_io.gltf import mesh_sequence
 from mixseq_io.hdf5 import coded_files
 from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents
+from mixseq_io.loading import load
 
 
 def is_compressed(path: Path) -> bool:
@@ -83,10 +86,17 @@ class Verification:
     ----------
     frames, vertices : int
         Number of decoded frames and vertices.
-    bound : float
-        Bound stated by the file: largest distance of a vertex from the original, in diagonals.
+    bound : float or None
+        Bound stated by the file: largest distance of a vertex from the original, in diagonals. If the file comes from
+        another model of the original, the sum of both bounds. None for models that were edited.
     promised : bool
-        Whether the bound was requested before compression instead of measured after compression.
+        Whether the bound (the first one of a sum) was requested beforehand instead of measured afterwards.
+    source : str
+        Name of the original to which the bound refers.
+    diagonal : float
+        Diagonal of the original's first frame in metres, the unit of errors.
+    provenance : str
+        All steps from the original to the file, such as "1e-4 from r10.h5, which is 6e-4 from walk.usdc".
     max_error : float or None
         Largest distance of a vertex from the original, in diagonals.
     kg_percent : float or None
@@ -101,8 +111,11 @@ class Verification:
 
     frames: int
     vertices: int
-    bound: float
+    bound: float | None
     promised: bool
+    source: str
+    diagonal: float
+    provenance: str
     max_error: float | None = None
     kg_percent: float | None = None
     worst_frame: int | None = None
@@ -112,11 +125,11 @@ class Verification:
 
     @property
     def holds(self) -> bool:
-        """Whether all vertices and texture coordinates are within their bounds; true without an original."""
+        """Whether all vertices and texture coordinates are within their bounds; true without an original or a bound."""
         tolerance = 1.0 if self.promised else 1.0 + _MEASURED_BOUND_TOLERANCE
         if self.uv_bound is not None and self.uv_error is not None and self.uv_error > self.uv_bound:
             return False
-        return self.max_error is None or self.max_error <= self.bound * tolerance
+        return self.max_error is None or self.bound is None or self.max_error <= self.bound * tolerance
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as values for JSON, with None in place of infinity."""
@@ -125,46 +138,101 @@ class Verification:
 
 
 @public
-def verify(path: PathLike, original: Frames | None = None, progress: Progress = no_progress) -> Verification:
-    """Verify checksums and error bound of a compressed model, and that its frames decode to finite points.
+def verify(
+    path: PathLike,
+    original: Frames | None = None,
+    progress: Progress = no_progress,
+    *,
+    script: PathLike | None = None,
+) -> Verification:
+    """Verify checksums and error bound of a model, and that its frames decode to finite points.
 
     Parameters
     ----------
     path : path-like
-        HDF5 or GLB file with a result of `mixseq.compress`.
+        HDF5 or GLB file with a result of `mixseq.compress`, or a model.
     original : MeshSequence or SequenceReader, optional
-        The sequence before compression; all vertices of all frames are compared, even if vertices were renumbered.
+        The sequence before compression or fitting, or the one before that; all vertices of all frames are compared,
+        even if vertices were renumbered.
     progress : callable, optional
         Function that is called after every frame.
+    script : path-like, optional
+        Edit script by which the model was edited. It is applied to the exact model of the original.
 
     Raises
     ------
     FormatError
-        If the file is damaged or is not a compressed model, or if a decoded frame is not finite.
+        If the file is damaged or is not a model, or if a decoded frame is not finite.
     InvalidSequenceError
         If the original is not a sequence, or if its mesh or frames differ from those of the model.
+    SettingsError
+        If the model was edited and there is no script.
     """
-    source = Path(path)
-    if original is not None:
-        check_frames(original)
-    sequence = read_compressed(source)
-    model = decode_model(source, sequence)
-    frames = LazyFrames(model.header, lambda size: _finite_blocks(source, model, size, progress))
-    header, parameters = sequence.header, sequence.parameters
+    file = Path(path)
+    sequence = read_compressed(file) if is_compressed(file) else None
+    model = load(file) if sequence is None else decode_model(file, sequence)
+    uv_bound = None if sequence is None else sequence.parameters.uv_error
+    header, provenance = model.header, model.header.provenance or Provenance(file.name)
+    if provenance.source is None:
+        provenance = replace(provenance, source=Provenance(""))
+    bounds = provenance.bounds
     verification = Verification(
         header.frame_count,
         header.vertex_count,
-        parameters.max_error,
-        parameters.promised,
-        uv_bound=parameters.uv_error,
+        **_describe(*bounds[0], header),
+        provenance=str(provenance),
+        uv_bound=uv_bound,
     )
-    if original is not None:
-        original, renumbering = match_reference(original, header)
-        uv_error = None if parameters.uv_error is None else _uv_error(original.header, header)
-        return replace(verification, **_measure_errors(original, frames, renumbering), uv_error=uv_error)
-    for _ in frames.blocks(FRAMES_PER_BLOCK):
-        pass
-    return verification
+    frames = LazyFrames(header, lambda size: _finite_blocks(file, model, size, progress))
+    if original is None:
+        for _ in frames.blocks(FRAMES_PER_BLOCK):
+            pass
+        return verification
+    check_frames(original)
+    if script is not None:
+        original = _edit(original, Path(script))
+    elif any(bound is None for _, bound in bounds):
+        raise SettingsError(
+            f"{file} is {provenance or 'a model of an unknown original'}, which has no bound; give the edit script, "
+            "which is applied to the original for comparison (--script), or measure without a bound by mixseq compare"
+        )
+    paired, renumbering = match_reference(original, header)
+    uv_error = None if uv_bound is None else _uv_error(original.header, header)
+    errors = _measure_errors(paired, frames, renumbering)
+    checksum = errors.pop("checksum")
+    if script is None:
+        verification = replace(verification, **_describe(*_find_step(bounds, checksum, original.header), header))
+    return replace(verification, **errors, uv_error=uv_error)
+
+
+Bounds = list[tuple[Provenance, float | None]]
+
+
+def _find_step(bounds: Bounds, checksum: int, header: SequenceHeader) -> tuple[Provenance, float | None]:
+    """Return the step whose source has the frames or else the name of an original, or else the first step."""
+    name = header.provenance.name if header.provenance else header.name
+    same = [bound for bound in bounds if bound[0].source and bound[0].source.checksum == checksum]
+    named = [bound for bound in bounds if bound[0].source and bound[0].source.name == name]
+    return [*same, *named, bounds[-1]][0]
+
+
+def _describe(step: Provenance, bound: float | None, header: SequenceHeader) -> dict[str, Any]:
+    """Return the fields of `Verification` for the source of a step."""
+    name = step.source.name if step.source else ""
+    diagonal = step.diagonal * header.metres_per_unit
+    return {"source": name, "bound": bound, "promised": step.promised, "diagonal": diagonal}
+
+
+def _edit(original: Frames, script: Path) -> LazyFrames:
+    """Return the frames of the exact model of a sequence after the edits of a script."""
+    from mixseq.operations.script import Readers, read_script
+    from mixseq.signals.fitting import fit
+    from mixseq_io.registry import read
+
+    model = fit(original, exact=True)
+    for edit in read_script(script, Readers(model=load, mesh=read)):
+        model = edit(model)
+    return LazyFrames(model.header, lambda size: model.blocks(model.times, size))
 
 
 def _finite_blocks(path: Path, model: Model, size: int, progress: Progress) -> Iterator[FloatArray]:
@@ -180,11 +248,12 @@ def _finite_blocks(path: Path, model: Model, size: int, progress: Progress) -> I
 
 
 def _measure_errors(original: Frames, frames: Frames, renumbering: Renumbering) -> dict[str, Any]:
-    """Compare all vertices of all frames; return the errors, and frame and vertex of the largest error."""
+    """Compare all vertices of all frames; return the errors, the worst frame and vertex, and a checksum."""
     squared_sum = variation = worst = 0.0
-    first_frame, worst_frame, worst_vertex = 0, 0, 0
+    first_frame, worst_frame, worst_vertex, checksum = 0, 0, 0, 0
     unit = Diagonal(0.0, 0)
     for x, y in paired_blocks(original, frames, FRAMES_PER_BLOCK):
+        checksum = frames_checksum([x], checksum)
         if first_frame == 0:
             unit = Diagonal.from_points(x[0])
         with np.errstate(over="ignore"):  # an overflow gives an infinite distance
@@ -197,6 +266,7 @@ def _measure_errors(original: Frames, frames: Frames, renumbering: Renumbering) 
             worst_frame, worst_vertex = first_frame + int(frame), int(vertex)
         first_frame += len(x)
     return {
+        "checksum": checksum,
         "max_error": _ratio(np.sqrt(worst), unit.fraction or 1.0),
         "kg_percent": 100 * _ratio(np.sqrt(squared_sum), np.sqrt(variation)),
         "worst_frame": worst_frame,

@@ -2,9 +2,11 @@
 
 Requests and answers are pickles on stdin and stdout. Requests and the values of their answers are:
 
-- ``("open", reader, path, options, folder, limit)``: header of the opened file, and whether it has velocities
+- ``("open", reader, path, options, folder, limit)``: header of the opened file, whether it has velocities,
+  and whether it can be evaluated at any time
 - ``("markings",)``: face sets and skinning weights of the mesh
-- ``("iterate", iteration, quantity, size, start)``: None; iterate over points or velocities from a block on
+- ``("iterate", iteration, quantity, size, start, frames)``: None; iterate over points or velocities from a block on,
+  evaluated at fractional frame indices unless `frames` is None
 - ``("next", iteration)``: next block of an iteration, or None at its end
 - ``("close",)``: None; the file is closed
 - ``("call", function, path, arguments, folder, limit)``: result of a function that is called with a path
@@ -28,6 +30,7 @@ from typing import Any
 import numpy as np
 
 from mixseq.errors import MixseqError
+from mixseq.types import Float
 from mixseq_io.files import MEMORY_LIMIT_VARIABLE, out_of_memory_error
 from mixseq_io.isolation import import_function, time_limiters
 from mixseq_io.reader import SequenceReader
@@ -72,7 +75,7 @@ class RequestHandler:
         imported = import_function(reader)
         self._begin(path, folder, limit)
         self._reader = imported(Path(path), **options)
-        return self._reader.header, self._reader.has_velocities
+        return self._reader.header, self._reader.has_velocities, self._reader.can_evaluate
 
     def _begin(self, path: str, folder: str, limit: int) -> None:
         self._path = path
@@ -83,9 +86,11 @@ class RequestHandler:
         assert self._reader is not None
         return self._reader.markings()
 
-    def _iterate(self, iteration: int, quantity: str, size: int, start: int) -> None:
-        assert self._reader is not None
-        self._iterations[iteration] = blocks = iter(self._reader._read(quantity, size))
+    def _iterate(self, iteration: int, quantity: str, size: int, start: int, frames: Float | None) -> None:
+        reader = self._reader
+        assert reader is not None
+        blocks = reader._read(quantity, size) if frames is None else reader._evaluate(quantity, frames, size)
+        self._iterations[iteration] = blocks
         for _ in range(start):
             next(blocks, None)
             limit_time(1)  # restarted for every skipped block, as in the first iteration

@@ -27,7 +27,7 @@ from mixseq.cli import options
 from mixseq.cli.compressed import aiming, compressed
 from mixseq.cli.files import Claim, check_options, decoded, is_model, options_of, overwriting
 from mixseq.cli.formats import as_markdown
-from mixseq.cli.group import format_bytes, print_table, printable, progress_bar, say
+from mixseq.cli.group import format_bytes, length_text, print_table, printable, progress_bar, say
 from mixseq.cli.options import in_diagonals
 from mixseq.errors import FormatError, GivenUpError, MixseqError, MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.progress import Progress, no_progress
@@ -181,9 +181,12 @@ class Entry:
     vertices: int | None = None  # number of vertices
     seconds: float | None = None  # duration of the encoding, without the comparison
     max_error: float | None = None  # largest vertex error of the decoded model, in diagonals
+    diagonal: float | None = None  # diagonal of the first frame, in metres
     kg_percent: float | None = None  # Karni-Gotsman error
     bytes: int | None = None  # size of the model
+    target_signature: str | None = None  # hash of the model's name, size and modification time
     bits: float | None = None  # size of the model in bits per vertex and frame
+    history: str = ""  # what the model comes from and how far it is from it, see `mixseq.sequence.provenance`
     message: str = ""  # reason of a failure
     warnings: tuple[str, ...] = field(default=())  # warnings while reading
 
@@ -199,9 +202,12 @@ class Entry:
         return (
             self.state == "done"
             and all(getattr(self, name) == getattr(same, name) for name in inputs)
-            and asset.target.is_file()
-            and asset.target.stat().st_size == self.bytes
+            and self.is_unchanged(asset.target)
         )
+
+    def is_unchanged(self, target: Path) -> bool:
+        """Return whether a file has the size and modification time of the model that the batch wrote."""
+        return target.is_file() and _size_and_hash([target]) == (self.bytes, self.target_signature)
 
 
 @dataclass(frozen=True)
@@ -235,7 +241,7 @@ class Report:
         return (
             entry is not None
             and entry.target == str(asset.target)
-            and (entry.state != "done" or asset.target.stat().st_size == entry.bytes)
+            and (entry.state != "done" or entry.is_unchanged(asset.target))
         )
 
     def count(self, state: str) -> int:
@@ -293,7 +299,9 @@ def rows(entries: Iterable[Entry]) -> list[tuple[str, ...]]:
             shown(entry.frames, "{:,}"),
             shown(entry.vertices, "{:,}"),
             shown(entry.seconds, "{:.1f} s"),
-            shown(entry.max_error, "{:.2g}"),
+            ""
+            if entry.max_error is None or entry.diagonal is None
+            else length_text(entry.max_error, entry.diagonal, digits=2),
             shown(entry.kg_percent, "{:.2g} %"),
             "" if entry.bytes is None else format_bytes(entry.bytes),
             shown(entry.bits, "{:.3g}"),
@@ -315,9 +323,10 @@ def in_markdown(report: Report) -> str:
         "",
         as_markdown([TABLE_HEADINGS, *cells]),
         "",
-        "Times are those of encoding. Errors are of all decoded frames: the largest of a vertex in diagonals, and the",
-        "one of Karni and Gotsman. Bits are per vertex and frame.",
+        "Times are those of encoding. Errors are of all decoded frames: the largest of a vertex, and the one of Karni",
+        "and Gotsman. Bits are per vertex and frame.",
     ]
+    lines += [printable(f"- {Path(each.target).stem}: {each.history}") for each in entries if ", which" in each.history]
     messages = [printable(f"- {Path(entry.target).stem}: {each}") for entry in entries for each in entry.warnings]
     return "\n".join([*lines, *(["", "## Warnings", "", *messages] if messages else [])]) + "\n"
 
@@ -458,16 +467,20 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
             fitting = in_diagonals(fitting, reader, "tolerance")
             mixseq.save(file, mixseq.fit(reader, **fitting, progress=progress, workers=mapped))
         seconds = perf_counter() - start
-        error = mixseq.compare(reader, decoded(mixseq.load(file), progress, mapped))
-        size = file.stat().st_size
+        model = mixseq.load(file)
+        error = mixseq.compare(reader, decoded(model, progress, mapped))
+        size, signature = _size_and_hash([file])
         file.replace(asset.target)
     return {
         "frames": error.frames,
         "vertices": error.vertices,
         "seconds": seconds,
         "max_error": error.as_dict()["max_error"],
+        "diagonal": error.diagonal * reader.header.metres_per_unit,
         "kg_percent": error.as_dict()["kg_percent"],
+        "history": str(model.header.provenance or ""),
         "bytes": size,
+        "target_signature": signature,
         "bits": 8 * size / (error.frames * error.vertices),
     }
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import check_options, counted, options_of, select_frames
+from mixseq.cli.files import at_times_of, check_options, counted, options_of
 from mixseq.cli.group import length_text, print_json, print_table, progress_bar, say
 from mixseq.errors import MixseqWarning
 from mixseq.sequence.frame_rates import format_frame, time_to_number
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from mixseq.metrics import Comparison
     from mixseq.runtime.low_memory import Statistics
     from mixseq.sequence.header import SequenceHeader
-    from mixseq.sequence.sequence import Frames
 
 
 @options.command("compare", "mixseq compare walk.usdc decoded.usdc", "mixseq compare walk.usdc walk.h5 --json")
@@ -59,20 +58,6 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
         if shared is not b:
             say(f"compared at the {result.frames} times that {other} shares, out of {b.header.frame_count}")
         print_table(_rows(result, a.header))
-
-
-def at_times_of(a: Frames, b: Frames) -> Frames:
-    """Return the frames of b at the times of a if b has them and further frames; otherwise return b."""
-    from mixseq.metrics import match_frames
-    from mixseq.sequence.sequence import LazyFrames
-
-    more = b.header.frame_count > a.header.frame_count
-    frames = match_frames(a.header, b.header) if more else None
-    if frames is None:
-        return b
-    indices = sorted(set(frames.tolist()))
-    header = b.header.with_times(b.header.times[indices])
-    return LazyFrames(header, lambda size: select_frames(b.blocks(size), indices))
 
 
 def _warn_of_axes(reference: Path, a: SequenceHeader, other: Path, b: SequenceHeader) -> None:

@@ -26,12 +26,13 @@ if TYPE_CHECKING:
 Rows = list[tuple[str, str]]
 
 _OF_FITTING = (
-    *("exact", "tolerance", "rank", "space", "parts", "segmentation", "joint_width", "placement"),
-    *("projection", "volume", "labels", "label_source", "knots", "pose"),
+    *("exact", "tolerance", "rank", "space", "segmentation", "joint_width", "placement"),
+    *("projection", "volume", "knots", "pose"),
 )
 """Options of ``mixseq encode`` that apply only to uncompressed models."""
 
 _ORDER_MESSAGES = {
+    "keep": "",
     "vertices": "faces have other numbers than the original's",
     "free": "vertices and faces have other numbers than the original's",
 }
@@ -155,6 +156,12 @@ def coding_rows(facts: dict[str, Any], metres_per_unit: float) -> Rows:
     ]
     if coding["uv_error"] is not None:
         rows.append(("texture error", f"at most {coding['uv_error']:.3g} of the square"))
-    if coding["order"] in _ORDER_MESSAGES:
-        rows.append(("order", _ORDER_MESSAGES[coding["order"]]))
     return rows
+
+
+def history_rows(header: SequenceHeader) -> Rows:
+    """Return table rows about what frames come from, how far they are from it, and what has other numbers there."""
+    if header.provenance is None:
+        return []
+    rows = {"history": str(header.provenance), "order": _ORDER_MESSAGES[header.provenance.kept_order]}
+    return [(name, text) for name, text in rows.items() if text]

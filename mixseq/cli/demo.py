@@ -11,8 +11,7 @@ import click
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.compare import at_times_of
-from mixseq.cli.files import Claim, overwriting, read_sequence
+from mixseq.cli.files import Claim, at_times_of, overwriting, read_sequence
 from mixseq.cli.group import announce, length_text, print_table, progress_bar
 from mixseq.cli.info import dimension_rows
 

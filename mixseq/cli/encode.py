@@ -12,7 +12,7 @@ import click
 import mixseq
 from mixseq.choices import POSE_FORMS, STILLS, PoseForm, StillName
 from mixseq.cli import files, options
-from mixseq.cli.compressed import aiming, coding_facts, coding_rows, compressed
+from mixseq.cli.compressed import aiming, coding_facts, coding_rows, compressed, history_rows
 from mixseq.cli.group import announce, length_text, print_table, progress_bar
 from mixseq.cli.info import bytes_of_frames, dimension_rows, size_row
 from mixseq.cli.options import in_diagonals
@@ -102,13 +102,14 @@ def command(
     error: Comparison | None = None
     with workers as work, progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
         model: Model | CompressedSequence
+        parts = labels.parts(reader, fitting.get("parts"), reading)
         if aim:
-            model = compressed(reader, aim, progress, still if web else None)
+            model = compressed(reader, aim | {"parts": parts}, progress, still if web else None)
         elif web:
             model = read_compressed(source)
         else:
             fitting = in_diagonals(fitting, reader, "tolerance")
-            fitting["parts"] = labels.parts(reader, fitting.get("parts"), reading)
+            fitting["parts"] = parts
             model = mixseq.fit(reader, **fitting, knots=knots, pose=pose, progress=progress, workers=work)
         mixseq.save(target, model, still=still)
         seconds = perf_counter() - start
@@ -120,6 +121,7 @@ def command(
         else:
             sizes = target.stat().st_size, bytes_of_frames(model.header)
             rows = dict([*dimension_rows(model), size_row(*sizes)])
+        rows |= dict(history_rows(model.header))
         rows["time"] = f"{seconds:.1f} s"
         if error is not None:
             length = length_text(error.max_error, error.diagonal * reader.header.metres_per_unit, digits=2)

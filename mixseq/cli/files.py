@@ -19,6 +19,7 @@ import click
 
 import mixseq
 from mixseq.cli import options
+from mixseq.cli.compressed import history_rows
 from mixseq.cli.group import printable
 from mixseq.errors import OutputError, SettingsError
 from mixseq.runtime.progress import Progress
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from mixseq.pictures.scene import SceneItem
     from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
-    from mixseq.sequence.sequence import LazyFrames, MeshSequence
+    from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence
     from mixseq.signals.model import Model
     from mixseq.types import FloatArray
     from mixseq_io.reader import SequenceReader
@@ -81,6 +82,20 @@ def select_frames(blocks: Iterable[FloatArray], indices: Iterable[int]) -> Itera
             return
 
 
+def at_times_of(a: Frames, b: Frames) -> Frames:
+    """Return the frames of b at the times of a if b has them and further frames; otherwise return b."""
+    from mixseq.metrics import match_frames
+    from mixseq.sequence.sequence import LazyFrames
+
+    more = b.header.frame_count > a.header.frame_count
+    frames = match_frames(a.header, b.header) if more else None
+    if frames is None:
+        return b
+    indices = sorted(set(frames.tolist()))
+    header = b.header.with_times(b.header.times[indices])
+    return LazyFrames(header, lambda size: select_frames(b.blocks(size), indices))
+
+
 def decoded(model: Model, progress: Progress, workers: Executor) -> LazyFrames:
     """Return the frames of a model, decoded on demand."""
     from mixseq.sequence.sequence import LazyFrames
@@ -95,6 +110,7 @@ def time_rows(header: SequenceHeader) -> list[tuple[str, str]]:
     return [
         ("frames", format_frames(header.frame_count, *numbers)),
         ("time", f"{first:g} to {last:g} s at {format_rate(header.fps)} frames per second"),
+        *history_rows(header),
     ]
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.compressed import coding_facts, coding_rows
+from mixseq.cli.compressed import coding_facts, coding_rows, history_rows
 from mixseq.cli.files import is_model
 from mixseq.cli.group import format_bytes, print_json, print_table
 from mixseq.sequence.frame_rates import format_frames, format_rate, time_to_number
@@ -39,21 +39,25 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
         "bytes": {"total": path.stat().st_size if path.is_file() else None},
     }
     if is_model(path):
-        model = mixseq.load(path)
-        facts |= {"kind": "model", **_mesh(model.header, model.space.scale), **_dimensions(model)}
-        facts["bytes"]["frames"] = bytes_of_frames(model.header)
         if is_compressed(path):
-            facts |= coding_facts(path, read_compressed(path))
+            coded = read_compressed(path)
+            header = coded.header
+            facts |= {"kind": "model", **_mesh(header, coded.parameters.diagonal), **coding_facts(path, coded)}
+        else:
+            model = mixseq.load(path)
+            header = model.header
+            facts |= {"kind": "model", **_mesh(header, model.space.scale), **_dimensions(model)}
+            facts["bytes"]["frames"] = bytes_of_frames(header)
     else:
         with mixseq.open_sequence(path, **reading) as reader:
-            first = next(iter(reader.blocks(1)))[0]
+            first, header = next(iter(reader.blocks(1)))[0], reader.header
             from mixseq.sequence.sequence import bounding_diagonal
 
-            facts |= {"kind": "sequence", **_mesh(reader.header, bounding_diagonal(first))}
+            facts |= {"kind": "sequence", **_mesh(header, bounding_diagonal(first))}
     if as_json:
-        print_json(facts)
+        print_json(facts | {"provenance": header.provenance and header.provenance.to_plain()})
     elif not quiet:
-        print_table(_rows(facts))
+        print_table([*_rows(facts), *history_rows(header)])
 
 
 def dimension_rows(model: Model) -> Rows:
@@ -156,12 +160,10 @@ def _rows(facts: dict[str, Any]) -> Rows:
         *_topology_rows(facts["topology"]),
         *_surface_rows(facts["surface"]),
     ]
-    if facts["kind"] == "model":
-        rows += _dimension_rows(facts, facts["triangles"])
     if "coding" in facts:
         rows += coding_rows(facts, facts["metres_per_unit"])
     elif facts["kind"] == "model":
-        rows.append(size_row(**facts["bytes"]))
+        rows += [*_dimension_rows(facts, facts["triangles"]), size_row(**facts["bytes"])]
     elif facts["bytes"]["total"] is not None:
         rows.append(("size", format_bytes(facts["bytes"]["total"])))
     return rows

@@ -133,8 +133,7 @@ def command(
     picture_format(target)
     camera = filming.get("camera")
     numbers = None if frames is None else frames.ranges
-    positive = 1.0 if isinstance(tolerance, str) else tolerance  # a length in units is converted below
-    check_settings(kind, against is not None, numbers, positive, camera)
+    check_settings(kind, against is not None, numbers, tolerance is not None, camera)
     if against is None and reading:
         raise SettingsError(
             "--prim, --animation, --input-fps, --mesh and --allow-gaps are for reading a sequence; give --against"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from mixseq.operations.resampling import Resampling
     from mixseq.runtime.parallel import Executor
     from mixseq.runtime.progress import Progress
+    from mixseq.sequence.sequence import Rig
     from mixseq.signals.model import Model
 
 
@@ -48,8 +49,12 @@ if TYPE_CHECKING:
 )
 @options.setting("--linear", is_flag=True, help="Join the points of --retime by straight lines, not smoothly.")
 @options.velocities()
-@options.length("--tolerance X", help="Fit a sequence only up to this fraction of its diagonal, or 0.5mm.")
-@options.option("--exact", is_flag=True, help="Fit a sequence exactly, which is the default.")
+@options.length("--tolerance X", help="Fit frames only up to this fraction of the sequence's diagonal, or 0.5mm.")
+@options.option(
+    "--exact",
+    is_flag=True,
+    help="Fit frames exactly, also those of a rig.  [default: evaluate rigs, fit other sequences exactly]",
+)
 @options.setting(
     "--whole-stage",
     is_flag=True,
@@ -83,8 +88,10 @@ def command(
 ) -> None:
     """Change the frame rate, speed or direction of a sequence.
 
-    SOURCE is a model, or a sequence in any format, which is turned into a model first. TARGET's format follows from
-    its extension, see "mixseq formats"; frames are written while later frames are decoded.
+    SOURCE is a model, or a sequence in any format. Rigs of glTF and USD (skeletons, morph targets, transforms) are
+    evaluated at the new times, between their keys as the file says; with --exact or --tolerance their frames are baked.
+    Frames of other sequences, and baked ones, are turned into a model first. TARGET's format follows from its
+    extension, see "mixseq formats"; frames are written while later frames are computed.
 
     TARGET has a frame at every whole multiple of 1/fps from the start of the output to its end. If time is left over
     before the first frame or after the last, the table lists it.
@@ -103,16 +110,16 @@ def command(
     if whole_stage:
         writing = writing | {"whole_stage": True}
     keys = None if retime is None else read_retiming_keys(retime)
-    with workers as work, progress_bar(quiet) as progress:
-        model = _model(source, tolerance, reading, progress, work)
+    with workers as work, progress_bar(quiet) as progress, ExitStack() as opened:
+        motion = _motion(source, tolerance, exact, reading, progress, work, opened)
         if frames is not None:
-            start, end = frames.span(model.header)
+            start, end = frames.span(motion.header)
         retiming = None
         if keys is not None:
-            own = model.header.fps
+            own = motion.header.fps
             outputs, sources = keys.in_seconds(own if rate is None else snap_to_ntsc(rate, own), own).T
             retiming = Retiming.through(outputs, sources, smooth=not linear)
-        planned = plan(model, rate, start, end, speed, reverse, retiming)
+        planned = plan(motion, rate, start, end, speed, reverse, retiming)
         if velocities:
             points, speeds = unzip_blocks(planned.moving_blocks(progress=progress, workers=work))
             write_sequence(target, planned.header, points, speeds, writing, planned.sources)
@@ -124,16 +131,23 @@ def command(
     announce(target)
 
 
-def _model(
+def _motion(
     source: Path,
     tolerance: float | str | None,
+    exact: bool,
     reading: dict[str, Any],
     progress: Progress,
     workers: Executor,
-) -> Model:
-    """Load a model, or fit a model to a sequence while reading it."""
+    opened: ExitStack,
+) -> Model | Rig:
+    """Load a model, open a rig until `opened` closes, or fit a model to a sequence while reading it."""
+    from mixseq.sequence.sequence import is_rig
+
     if not is_model(source):
-        with mixseq.open_sequence(source, **reading) as reader:
+        reader = mixseq.open_sequence(source, **reading)
+        if is_rig(reader) and tolerance is None and not exact:
+            return opened.enter_context(reader)
+        with reader:
             detail = {"exact": True} if tolerance is None else {"tolerance": tolerance}
             detail = in_diagonals(detail, reader, "tolerance")
             return mixseq.fit(reader, **detail, progress=progress, workers=workers)
@@ -144,12 +158,16 @@ def _model(
 
 
 def _rows(planned: Resampling) -> list[tuple[str, str]]:
+    from mixseq.operations.resampling import RigMotion
+
     header, retiming = planned.header, planned.retiming
     first, last = header.times[[0, -1]]
     sources = planned.sources
     begin, end, low, high = sources[0], sources[-1], sources.min(), sources.max()
     beyond = f", between {low:g} and {high:g} s" if low < min(begin, end) or high > max(begin, end) else ""
-    rows = [*time_rows(header), ("source", f"{format_span(begin, end, planned.model.header.fps)}{beyond}")]
+    rows = [*time_rows(header), ("source", f"{format_span(begin, end, planned.motion.header.fps)}{beyond}")]
+    if isinstance(planned.motion, RigMotion):
+        rows.append(("rig", "evaluated at these times; --exact fits its frames instead"))
     negligible = 1e-3 / header.fps  # shorter times are rounding errors
     why = f"; frames are at whole multiples of 1/{header.fps:g} s"
     if first - retiming.start > negligible:

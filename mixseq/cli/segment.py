@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mixseq.choices import SegmentationName
     from mixseq.segmentation.methods import MethodSettings
     from mixseq.sequence.header import SequenceHeader
-    from mixseq.types import FloatArray
+    from mixseq.types import FloatArray, Index
     from mixseq_io.reader import SequenceReader
     from mixseq_io.text.labels import Labels
 
@@ -46,7 +46,7 @@ METHOD_NAMES = (*SEGMENTATIONS, *_LABEL_METHODS)
 @options.option(
     "--method",
     type=click.Choice(METHOD_NAMES),
-    help="How parts are found.  [default: motion; labels with --labels or --source]",
+    help="How parts are found.  [default: motion; a model's own parts; labels with --labels or --source]",
 )
 @options.parts()
 @options.setting(
@@ -95,13 +95,15 @@ def command(
         check_picture(picture_file)
     with progress_bar(quiet) as progress, mixseq.open_sequence(path, **reading) as reader:
         from mixseq.segmentation.joints import sample_frame_ids
-        from mixseq.sequence.sequence import load_frames
+        from mixseq.sequence.sequence import load_frames, own_parts
 
         frames = load_frames(reader, progress)
         points = frames.points[sample_frame_ids(len(frames.points))]
         if method_name in _LABEL_METHODS:
             choice = replace(labels, label_source="skeleton") if method_name == "skeleton" else labels
             parts_of_faces = split_into_connected(reader.header, choice.read(reader, reading))
+        elif method is None and parts is None and settings is None and (own := own_parts(reader)) is not None:
+            method_name, parts_of_faces = "model", _named(own.astype("int64"))
         else:
             parts_of_faces = _segment(reader.header, points, method_name, parts, settings)
         measures = _measure_parts(reader.header, points, parts_of_faces)
@@ -187,10 +189,15 @@ def _segment(
 ) -> Labels:
     from mixseq.mesh.topology import Topology
     from mixseq.segmentation.methods import segment
-    from mixseq_io.text.labels import Labels
 
     topology = Topology(header.faces, header.vertex_count)
-    labels = segment(points, topology, cast("SegmentationName", method), parts, settings)
+    return _named(segment(points, topology, cast("SegmentationName", method), parts, settings))
+
+
+def _named(labels: Index) -> Labels:
+    """Return the labels ``(F,)`` of parts, with names."""
+    from mixseq_io.text.labels import Labels
+
     return Labels(labels, tuple(f"part_{number:02d}" for number in range(int(labels.max(initial=-1)) + 1)))
 
 

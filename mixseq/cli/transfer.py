@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,7 +16,7 @@ import click
 import mixseq
 from mixseq.choices import TRANSFERS
 from mixseq.cli import files, options
-from mixseq.cli.group import announce, print_json, print_table, progress_bar
+from mixseq.cli.group import announce, length_text, print_json, print_table, progress_bar
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.progress import forward_warnings
 
@@ -62,21 +63,24 @@ def facts(transferred: Transfer, method: str, report: TransferReport) -> dict[st
 
 def rows(transferred: Transfer, method: str, report: TransferReport) -> list[tuple[str, str]]:
     """Return the report of a transfer as table rows."""
+    from mixseq.sequence.sequence import bounding_diagonal
+
     header, parts = transferred.header, _part_counts(transferred)
+    diagonal = bounding_diagonal(transferred.target) * header.metres_per_unit
     by = ", ".join(_number(count, what[:-1]) for what, count in parts.items()) or "deformation gradients"
     frames = _number(header.frame_count, "frame")
     return [
         ("transferred", f"{frames} to {header.vertex_count:,} vertices, by {by}"),
         *_coverage_rows(report.coverage),
-        *([] if transferred.quality is None else _quality_rows(transferred.quality)),
+        *([] if transferred.quality is None else _quality_rows(transferred.quality, diagonal)),
         ("strain", f"{_strain(report.strain)}; source {_strain(report.source_strain)}"),
         ("unlike the source's", _strain(report.excess)),
-        ("acceleration", _smoothness(report, header)),
+        ("acceleration", _smoothness(report, header, diagonal)),
         ("self-intersections", _crossings(report.intersections, header)),
         ("... of the source", _crossings(report.source_intersections, header)),
         ("turned over", _triangles(report.turned_over, header)),
         ("flat", _triangles(report.flat, header)),
-        *_contact_rows(transferred.contacts),
+        *_contact_rows(transferred.contacts, diagonal),
     ]
 
 
@@ -99,12 +103,16 @@ def _quality_facts(quality: CorrespondenceQuality) -> dict[str, Any]:
     """Return the numeric attributes of a correspondence quality, and the values of all markers by name."""
     names = [quality.markers.name(number) for number in range(len(quality.markers))]
     missed = zip(names, quality.marker_distances.tolist(), strict=True)
+    distances = [
+        distance if math.isfinite(distance) else None
+        for distance in (quality.mean_distance, quality.p99_distance, quality.largest_distance)
+    ]
     return {
         "source_coverage": quality.source_coverage,
         "target_coverage": quality.target_coverage,
-        "mean_distance": quality.mean_distance,
-        "p99_distance": quality.p99_distance,
-        "largest_distance": quality.largest_distance,
+        "mean_distance": distances[0],
+        "p99_distance": distances[1],
+        "largest_distance": distances[2],
         "flipped": quality.flipped_count,
         "filled_vertices": quality.filled_vertex_count,
         "filled_triangles": quality.filled_face_count,
@@ -113,11 +121,13 @@ def _quality_facts(quality: CorrespondenceQuality) -> dict[str, Any]:
     }
 
 
-def _quality_rows(quality: CorrespondenceQuality) -> list[tuple[str, str]]:
-    percent = [
-        f"{100 * value:.2g} %" for value in (quality.mean_distance, quality.p99_distance, quality.largest_distance)
-    ]
-    worst = [f"{name} by {100 * distance:.2g} %" for name, distance in quality.worst_markers(3)]
+def _quality_rows(quality: CorrespondenceQuality, diagonal: float) -> list[tuple[str, str]]:
+    mean, p99, largest = (
+        length_text(distance, diagonal, digits=2)
+        for distance in (quality.mean_distance, quality.p99_distance, quality.largest_distance)
+    )
+    distances = f"{mean} on average, {p99} at 99 %, {largest} at most"
+    worst = [f"{name} by {length_text(distance, diagonal, digits=2)}" for name, distance in quality.worst_markers(3)]
     return [
         (
             "matched",
@@ -125,7 +135,7 @@ def _quality_rows(quality: CorrespondenceQuality) -> list[tuple[str, str]]:
             f"source's; {quality.filled_vertex_count:,} vertices, {quality.filled_face_count:,} triangles like their "
             "neighbours",
         ),
-        ("distances", f"{percent[0]} of the diagonal on average, {percent[1]} at 99 %, {percent[2]} at most"),
+        ("distances", distances if math.isfinite(quality.largest_distance) else "no vertex is near the source"),
         ("facing away", _number(quality.flipped_count, "triangle")),
         ("markers", f"{len(quality.markers)}, missed most: {', '.join(worst)}"),
     ]
@@ -135,14 +145,14 @@ def _strain(strain: Statistics) -> str:
     return f"{100 * strain.rms:.3g} % rms, {100 * strain.p999:.3g} % at 99.9 %"
 
 
-def _smoothness(report: TransferReport, header: SequenceHeader) -> str:
+def _smoothness(report: TransferReport, header: SequenceHeader, diagonal: float) -> str:
     smooth = report.smoothness
     if smooth is None:
         return "takes three frames"
     ratio = "" if smooth.ratio is None else f", {smooth.ratio:.2f} times the source's"
     most = "" if not smooth.source_max else f", {smooth.max / smooth.source_max:.2f} times at most"
     worst = header.frame_number(smooth.worst_frame)
-    return f"{smooth.rms:.2g} diagonals per squared frame rms{ratio}{most} (frame {worst})"
+    return f"{length_text(smooth.rms, diagonal, digits=2)} per squared frame rms{ratio}{most} (frame {worst})"
 
 
 def _crossings(counts: FrameCounts, header: SequenceHeader) -> str:
@@ -160,16 +170,18 @@ def _triangles(counts: FrameCounts, header: SequenceHeader) -> str:
     return f"{_number(counts.worst, 'triangle')} at most (frame {worst}), {counts.mean:.2g} on average"
 
 
-def _contact_rows(contacts: ContactReport) -> list[tuple[str, str]]:
+def _contact_rows(contacts: ContactReport, diagonal: float) -> list[tuple[str, str]]:
     """Return table rows with the sliding of every contact, and the largest shift and rotation that reduce it."""
     result = []
     for group in contacts.groups:
         stances = _number(len(group.stances), "stance")
-        slid = f"slides {100 * group.before:.2g} % of the diagonal as transferred, {100 * group.after:.2g} % now"
+        before, after = (length_text(length, diagonal, digits=2) for length in (group.before, group.after))
+        slid = f"slides {before} as transferred, {after} now"
         longer = f", limb longer by {100 * group.residual:.2g} %" if group.residual > 0 else ""
         result.append((group.name, f"{stances}, {slid}{longer}"))
     if contacts.groups:
-        moved = f"body by {100 * contacts.shift:.2g} % of the diagonal, limbs by {contacts.turn:.2g} degrees at most"
+        shift = length_text(contacts.shift, diagonal, digits=2)
+        moved = f"body by {shift}, limbs by {contacts.turn:.2g} degrees at most"
         result.append(("moved", moved))
     return result
 
@@ -343,7 +355,7 @@ def command(
         source_parts = _parts_of_source(source_motion, parts, labels, reading)
         model: Any = source_motion
         if as_model:
-            source_parts = None if model.space.segmentation is None else model.space.segmentation.part_of_face
+            source_parts = model.parts
             if isinstance(rest_shape, int):
                 rest_shape = model.sample(frames=[rest_shape])
         moving = key_poses(model) if as_model else source_motion

@@ -14,25 +14,29 @@ from mixseq.cli.group import length_text, print_json, print_table, progress_bar
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
-    from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
     from mixseq_io.verification import Verification
 
 
 @options.command("verify", "mixseq verify walk.h5", "mixseq verify walk.h5 walk.usdc --json")
 @options.argument("path", metavar="FILE")
 @options.argument("original", required=False)
+@options.option("--script FILE", help="Edit script by which FILE was edited, to be applied to ORIGINAL, too.")
 @options.as_json
 @options.reading
 @options.quiet
-def command(path: Path, original: Path | None, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
-    """Check that a compressed model is not damaged, and that its error bound holds.
+def command(
+    path: Path, original: Path | None, script: Path | None, as_json: bool, reading: dict[str, Any], quiet: bool
+) -> None:
+    """Check that a model is not damaged, and that its error bound holds.
 
-    FILE was written by "mixseq encode" with --max-error, --kg or --size. All checksums are checked and all frames are
-    decoded. With ORIGINAL, the error of every vertex in every frame is compared with the bound. The exit code is 0 if
-    the bound holds, 1 if it does not, 2 if FILE is damaged.
+    FILE was written by "mixseq encode". All checksums are checked and all frames are decoded. With ORIGINAL, the error
+    of every vertex in every frame is compared with the bound. If FILE was made of another model of ORIGINAL, the bound
+    is the sum of both. The exit code is 0 if the bound holds, 1 if it does not, 2 if FILE is damaged.
+
+    An edited model has no bound. With --script, it is compared with the same edit of ORIGINAL.
     """
-    from mixseq_io.verification import read_compressed
-
+    if original is None:
+        options.refuse("script", why="is applied to ORIGINAL, which is missing; name it")
     if reading and original is None:
         raise SettingsError(f"{next(iter(reading))!r} is for reading ORIGINAL, which is missing; name it")
     with ExitStack() as resources:
@@ -40,30 +44,34 @@ def command(path: Path, original: Path | None, as_json: bool, reading: dict[str,
         frames = None
         if original is not None:
             frames = resources.enter_context(mixseq.open_sequence(original, **reading))
-        result = mixseq.verify(path, frames, progress=progress)
+        result = mixseq.verify(path, frames, progress=progress, script=script)
     worst = None if frames is None or result.worst_frame is None else frames.header.frame_number(result.worst_frame)
     if as_json:
         print_json({"file": str(path), "original": None if original is None else str(original)} | result.as_dict())
     elif not quiet:
-        print_table(_rows(result, read_compressed(path), worst))
+        print_table(_rows(result, worst))
     if not result.holds:
         click.get_current_context().exit(1)
 
 
-def _rows(result: Verification, coded: CompressedSequence, worst: str | None) -> list[tuple[str, str]]:
+def _rows(result: Verification, worst: str | None) -> list[tuple[str, str]]:
 
     def length(fraction: float) -> str:
-        return length_text(fraction, coded.parameters.diagonal * coded.header.metres_per_unit, digits=6)
+        return length_text(fraction, result.diagonal, digits=6)
 
-    rows = [
-        ("intact", f"{result.frames:,} frames of {result.vertices:,} vertices"),
-        ("bound", f"{length(result.bound)}, {'requested' if result.promised else 'as measured'}"),
-    ]
+    rows = [("intact", f"{result.frames:,} frames of {result.vertices:,} vertices")]
+    if result.provenance:
+        rows.append(("history", result.provenance))
+    if result.bound is not None:
+        how = "requested" if result.promised else "as measured"
+        rows.append(("bound", f"{length(result.bound)} from {result.source or 'the original'}, {how}"))
     if result.uv_bound is not None:
         rows.append(("texture", f"{result.uv_bound:.6g} of the square, requested"))
     if result.max_error is None:
         return rows
     texture = [("texture error", f"{result.uv_error:.6g} of the square")] if result.uv_error is not None else []
+    if result.bound is not None:
+        texture.append(("bound holds", "yes" if result.holds else "no"))
     return [
         *rows,
         (
@@ -72,5 +80,4 @@ def _rows(result: Verification, coded: CompressedSequence, worst: str | None) ->
         ),
         ("KG error", f"{result.kg_percent:.4g} %"),
         *texture,
-        ("bound holds", "yes" if result.holds else "no"),
     ]

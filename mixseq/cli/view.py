@@ -360,4 +360,5 @@ def _export(
     announce(page)
     for item in report.items:
         about = f"{item.name}: n" if len(report.items) > 1 else "n"
-        say(f"{about}o vertex is off by more than {item.max_error:.3g} of the diagonal, {item.error:.2g} units")
+        length = f"{item.max_error:.3g} of the diagonal, {item.error:.2g} units"
+        say(f"{about}o vertex is off by more than {length}: {item.history}")

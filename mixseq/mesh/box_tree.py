@@ -267,7 +267,7 @@ def crossing_pairs(
 
 MAX_LEAF_TRIANGLES = 4  # queries take the same time with 2 to 8
 BOX_MARGIN = 1e-14  # margin against rounding, relative to the largest coordinate
-DEGENERATE_HEIGHT_RATIO = 1e-12  # ratio of height to longest side up to which a triangle has no area
+MIN_QUERIED_HEIGHT_RATIO = 1e-12  # ratio of height to longest side up to which a queried triangle has no normal
 
 
 def triangle_corners(points: FloatArray, faces: IntArray) -> Float:
@@ -301,7 +301,7 @@ def unit_normals(corners: Float) -> Float:
     normals = np.cross(sides[:, 0], sides[:, 1])
     areas = np.sqrt(np.einsum("fi,fi->f", normals, normals))
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(normals / np.where(areas > DEGENERATE_HEIGHT_RATIO * longest, areas, np.nan)[:, None])
+        return np.asarray(normals / np.where(areas > MIN_QUERIED_HEIGHT_RATIO * longest, areas, np.nan)[:, None])
 
 
 @dataclass(frozen=True, eq=False)

@@ -202,6 +202,11 @@ def describe_difference(first: Polygons, second: Polygons, names: tuple[str, str
     return ""
 
 
+def count_common_polygons(first: Polygons, second: Polygons) -> int:
+    """Count polygons with the same vertices in the same cyclic order in both meshes."""
+    return (Counter(_cycle_keys(first)) & Counter(_cycle_keys(second))).total()
+
+
 def _cycle_keys(polygons: Polygons) -> list[tuple[int, ...]]:
     ends = np.cumsum(polygons.counts)[:-1]
     return [_cycle_key(vertices.tolist()) for vertices in np.split(polygons.indices, ends)]

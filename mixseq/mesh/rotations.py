@@ -87,17 +87,6 @@ def align_quat_signs(quaternions: FloatArray, reference: FloatArray | None = Non
     return q * np.cumprod(np.where(cosines < 0, -1.0, 1.0), axis=0)[..., None]
 
 
-def angular_velocities(quaternions: FloatArray, derivatives: FloatArray) -> Float:
-    r"""Return the angular velocities ``(..., 3)`` of quaternions and their derivatives ``(..., 4)``, in world axes.
-
-    .. math:: \omega = 2\, \mathrm{Im}(\dot q\, \bar q) / |q|^2
-    """
-    squares = np.einsum("...i,...i->...", quaternions, quaternions)[..., None]
-    return np.asarray(
-        2.0 * quat_multiply(derivatives, quat_conjugate(quaternions))[..., 1:] / np.where(squares > 0, squares, 1.0)
-    )
-
-
 FULL_TURN = 2.0 * np.pi
 
 

@@ -17,7 +17,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.types import Index, IntArray, Mask
+from mixseq.types import Index, IntArray, Mask, index_mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +128,7 @@ class Topology(PickledWithoutCaches):
     @cached_property
     def unused_vertices(self) -> Index:
         """Vertices that no face uses."""
-        used = np.zeros(self.vertex_count, dtype=bool)
-        used[self.faces] = True
-        return np.flatnonzero(~used)
+        return np.flatnonzero(~index_mask(self.faces, self.vertex_count))
 
     @cached_property
     def vertex_adjacency(self) -> sparse.csr_array:
@@ -193,9 +191,7 @@ def connected_components(count: int, pairs: IntArray) -> Index:
 
 def mark_face_vertices(topology: Topology, faces: Mask) -> Mask:
     """Mark the vertices ``(V,)`` of the marked faces ``(F,)``."""
-    marked = np.zeros(topology.vertex_count, dtype=bool)
-    marked[topology.faces[faces]] = True
-    return marked
+    return index_mask(topology.faces[faces], topology.vertex_count)
 
 
 def dilate_vertices(topology: Topology, vertices: Mask, rings: int) -> Mask:

@@ -23,7 +23,7 @@ of pose space is a pose of the whole character, independent of its position.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import make_smoothing_spline
@@ -55,7 +55,7 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
     """Exaggerate or damp the motion of a model.
 
     The time signal is scaled about its mean over the frames. Relative poses and shapes of parts change; the path of the
-    body does not. The residual layer is kept.
+    body does not.
 
     Parameters
     ----------
@@ -80,11 +80,11 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
             raise SettingsError(f"there is no mode {mode}; the model has {count}, from 0 on")
     gains = np.ones(count)
     gains[list(scaled_modes)] = gain
-    scaled = replace(model, time=_scale_about_mean(model, model.time, gains))
+    scaled = model.edited(time=_scale_about_mean(model, model.time, gains))
     if modes is not None:
         return scaled
     gains = np.full(model.correction.dim, gain)
-    return replace(scaled, correction=_scale_about_mean(model, model.correction, gains))
+    return scaled.edited(correction=_scale_about_mean(model, model.correction, gains))
 
 
 def _scale_about_mean(model: Model, curve: Curve, gains: Float) -> Curve:
@@ -112,7 +112,7 @@ def smooth(model: Model, seconds: Seconds) -> Model:
     """Remove changes of time signal, placement and correction that are faster than a period.
 
     A sine of this period loses half its power. The gain is 0.13 at half the period and 0.97 at twice the period.
-    Smoothing is weaker within about one period of the ends. The residual layer is dropped.
+    Smoothing is weaker within about one period of the ends.
 
     Parameters
     ----------

@@ -28,9 +28,10 @@ from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
 from mixseq.segmentation.methods import MethodSettings
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, FrameStore, MeshSequence, check_frames, load_frames
+from mixseq.sequence.sequence import Frames, FrameStore, MeshSequence, check_frames, load_frames, own_parts
 from mixseq.shells.gauss_newton import ShellReport
 from mixseq.signals.detail import encode_sequence
+from mixseq.signals.model import Model
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.making import (
     SPACE_STAGES,
@@ -45,7 +46,7 @@ from mixseq.types import Float
 
 @public
 def segment(
-    sequence: MeshSequence,
+    sequence: MeshSequence | Model,
     method: SegmentationName = "motion",
     parts: int | None = None,
     settings: MethodSettings | None = None,
@@ -54,8 +55,8 @@ def segment(
 
     Parameters
     ----------
-    sequence : MeshSequence
-        The animation, or poses of one mesh.
+    sequence : MeshSequence or Model
+        The animation, or poses of one mesh. The parts of a model are returned, unless other settings are given.
     method : {"motion", "silhouettes", "spanning-tree"}
         Segmentation by rigid motion (the default), by augmented silhouettes (Marras et al. 2012), or by cutting a
         spanning tree (Wuhrer and Brunton 2010).
@@ -77,6 +78,10 @@ def segment(
     SettingsError
         If the method does not exist, the settings belong to another method, or `parts` is out of range.
     """
+    if isinstance(sequence, Model):
+        if sequence.parts is not None and (method, parts, settings) == ("motion", None, None):
+            return sequence.parts.astype(np.int64)
+        sequence = sequence.sample()
     check_frames(sequence)
     topology = Topology(sequence.faces, sequence.vertex_count)
     return segmentation.segment(sequence.points, topology, method, parts, settings)
@@ -109,8 +114,10 @@ class PoseInterpolator(PickledWithoutCaches):
         **settings: Unpack[SpaceOptions],
     ) -> PoseInterpolator:
         """Make a shape space from all poses, and encode the poses `pose_ids` (default: all); see `interpolate`."""
-        making = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
         check_frames(poses)
+        if parts is None and space == "mixed":
+            parts = own_parts(poses)
+        making = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
         count = poses.header.frame_count
         ids = np.arange(count) if pose_ids is None else np.asarray(pose_ids)
         if ids.ndim != 1 or not np.issubdtype(ids.dtype, np.integer) or not len(ids):

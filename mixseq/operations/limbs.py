@@ -208,8 +208,6 @@ DEFAULT_FADE_SECONDS = 0.2
 def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     """Exaggerate or damp the motion of a part relative to its parent, about the mean joint pose.
 
-    The residual layer is kept.
-
     Parameters
     ----------
     model : Model
@@ -230,7 +228,7 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     mean = limb.joint_pose(model, model.times).mean(axis=0)
     sites = model_sites(model, model.start, model.end)
     correction = _edit_joint(model, limb, sites, lambda _, joint_pose: mean + gain * (joint_pose - mean))
-    return replace(model, correction=correction, shapes=_scale_joint_shapes(model, limb, gain))
+    return model.edited(correction=correction, shapes=_scale_joint_shapes(model, limb, gain))
 
 
 @public
@@ -238,8 +236,6 @@ def hold(
     model: Model, part: int, time: Seconds, start: Seconds, end: Seconds, fade: Seconds = DEFAULT_FADE_SECONDS
 ) -> Model:
     """Hold a part at rest relative to its parent, in its joint pose at a given time.
-
-    The residual layer is kept.
 
     Parameters
     ----------
@@ -285,8 +281,7 @@ def hold(
         return np.concatenate([points, weight(times) * to_limb_modes(held_point - points)], axis=1)
 
     signal = interpolate_adaptively(held_signal, sites, SIGNAL_TOLERANCE, shape_norm(extended))
-    return replace(
-        extended,
+    return extended.edited(
         time=_splice(extended, extended.time, signal),
         correction=_splice(extended, model.correction, correction),
     )

@@ -1,8 +1,9 @@
-"""Resample a model: decode it at another frame rate, speed or direction.
+"""Resample a model or a rig: compute it at another frame rate, speed or direction.
 
-The output has a frame at every multiple of ``1 / fps`` from its start to its end. With the retiming :math:`r`
-(`mixseq.operations.retiming`), the frame at the output time :math:`o` shows the model at the time :math:`r(o)`. Its
-velocities, per second of the output, are the velocities of the model times :math:`r'(o)`.
+A rig (joints, morph weights, transforms) is evaluated as its file defines it between keys; points of frames are fitted
+by a model. The output has a frame at every multiple of ``1 / fps`` from its start to its end. With the retiming
+:math:`r` (`mixseq.operations.retiming`), the frame at the output time :math:`o` shows the source at the time
+:math:`r(o)`. Its velocities, per second of the output, are the velocities of the source times :math:`r'(o)`.
 """
 
 from __future__ import annotations
@@ -19,18 +20,39 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, snap_to_ntsc
 from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
-from mixseq.sequence.sequence import Frames, MeshSequence, join_blocks
-from mixseq.signals.decoding import FRAMES_PER_BLOCK
+from mixseq.sequence.sequence import Frames, MeshSequence, Rig, is_rig, join_blocks
+from mixseq.signals.decoding import FRAMES_PER_BLOCK, Decodable
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.types import Float
 
 
 @dataclass(frozen=True, eq=False)
+class RigMotion(Decodable):
+    """The motion of an open rig, evaluated on the caller's thread, since its file has one position."""
+
+    header: SequenceHeader
+    rig: Rig
+    is_serial = True
+
+    def decode_points(self, times: Float) -> Float:
+        """Return the points ``(N, V, 3)`` at times ``(N,)`` from start to end."""
+        return np.concatenate(list(self.rig.blocks_at(times, len(times)))).astype(np.float64)
+
+    def decode_moving(self, times: Float) -> tuple[Float, Float]:
+        """Return points and velocities ``(N, V, 3)`` at times ``(N,)`` from start to end."""
+        velocities = np.concatenate(list(self.rig.velocity_blocks_at(times, len(times))))
+        return self.decode_points(times), velocities.astype(np.float64)
+
+    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
+        """Do nothing, since frames are independent."""
+
+
+@dataclass(frozen=True, eq=False)
 class Resampling:
     """The planned frames of a resampling, not yet decoded. Create it with `plan`."""
 
-    model: Model  # the source
+    motion: Decodable  # the source
     header: SequenceHeader  # header of the output, with the times of its frames
     retiming: Retiming  # map from output time to source time, over the duration of the output
     sources: Float  # (N,) source time of every frame, in seconds
@@ -40,21 +62,21 @@ class Resampling:
         self, size: int = FRAMES_PER_BLOCK, progress: Progress = no_progress, workers: Executor | None = None
     ) -> Iterator[Float]:
         """Yield the decoded frames in blocks of points ``(B, V, 3)`` with ``B <= size``, see `Model.blocks`."""
-        return self.model.blocks(self.sources, size, progress, workers)
+        return self.motion.blocks(self.sources, size, progress, workers)
 
     def moving_blocks(
         self, size: int = FRAMES_PER_BLOCK, progress: Progress = no_progress, workers: Executor | None = None
     ) -> Iterator[tuple[Float, Float]]:
         """Yield blocks of points ``(B, V, 3)`` and of velocities ``(B, V, 3)`` in units per second of the output."""
         done = 0
-        for points, velocities in self.model.moving_blocks(self.sources, size, progress, workers):
+        for points, velocities in self.motion.moving_blocks(self.sources, size, progress, workers):
             slopes = self.slopes[done : done + len(points)]
             yield points, slopes[:, None, None] * velocities
             done += len(points)
 
 
 def plan(
-    model: Model,
+    motion: Decodable | Rig,
     fps: float | None = None,
     start: float | None = None,
     end: float | None = None,
@@ -63,22 +85,24 @@ def plan(
     retiming: Retiming | None = None,
 ) -> Resampling:
     """Compute the frames of a resampling, with parameters and errors as in `resample`."""
+    if not isinstance(motion, Decodable):
+        motion = RigMotion(motion.header, motion)
     if retiming is None:
-        first, last = model.times[[0, -1]]
-        first, last = model.clip_times([first if start is None else start, last if end is None else end])
+        first, last = motion.times[[0, -1]]
+        first, last = motion.clip_times([first if start is None else start, last if end is None else end])
         retiming = Retiming.section(float(first), float(last), speed, reverse)
     elif not (start is None and end is None and speed == 1.0 and not reverse):
         raise SettingsError(
             "a retiming sets the range, the speed and the direction; leave out start, end, speed and reverse"
         )
-    rate = model.header.fps if fps is None else snap_to_ntsc(float(fps), model.header.fps)
-    times = _frame_times(retiming.start, retiming.end, rate, FRAME_TOLERANCE / model.header.fps)
+    rate = motion.header.fps if fps is None else snap_to_ntsc(float(fps), motion.header.fps)
+    times = _frame_times(retiming.start, retiming.end, rate, FRAME_TOLERANCE / motion.header.fps)
     retimed = np.clip(times, retiming.start, retiming.end)
     try:
-        sources = model.clip_times(retiming(retimed))
+        sources = motion.clip_times(retiming(retimed))
     except SettingsError as error:
         raise SettingsError(f"the retiming goes beyond the source: {error}") from None
-    return Resampling(model, model.header.with_times(times, rate), retiming, sources, retiming.slope(retimed))
+    return Resampling(motion, motion.header.with_times(times, rate), retiming, sources, retiming.slope(retimed))
 
 
 def _frame_times(start: float, end: float, fps: float, slack: float) -> Float:
@@ -117,7 +141,9 @@ def resample(
     Parameters
     ----------
     source : Model, MeshSequence or SequenceReader
-        The motion. A sequence is fitted exactly.
+        The motion. A rig of an open glTF or USD file is evaluated at the times asked for, between its keys as the file
+        says; so are such files given by their paths. Other sequences are fitted exactly, also those of `mixseq.read`,
+        in which rigs are baked to points of frames.
     fps : float, optional
         Frames per second of the output, by default of the source.
     start, end : float, optional
@@ -130,14 +156,14 @@ def resample(
     retiming : Retiming, optional
         Map from output time to source time that replaces `start`, `end`, `speed` and `reverse`.
     velocities : bool
-        Also compute velocities, in units per second of the output.
+        Also compute velocities, in units per second of the output; those of rigs by central differences.
     progress : callable, optional
         Function called after every block of frames.
 
     Returns
     -------
     MeshSequence
-        Frames at multiples of ``1 / fps``, with float64 points in the units of the model.
+        Frames at multiples of ``1 / fps``, with float64 points in the units of the source.
 
     Raises
     ------
@@ -157,8 +183,8 @@ def resample(
     >>> slow.frame_count, slow.points[1, 0].round(9).tolist(), slow.velocities[1, 0].round(6).tolist()
     (9, [0.5, 0.5, 0.5], [12.0, 12.0, 12.0])
     """
-    model = source if isinstance(source, Model) else fit(source, exact=True, progress=progress)
-    planned = plan(model, fps, start, end, speed, reverse, retiming)
+    motion = source if isinstance(source, Model) or is_rig(source) else fit(source, exact=True, progress=progress)
+    planned = plan(motion, fps, start, end, speed, reverse, retiming)
     if not velocities:
         return join_blocks(planned.header, planned.blocks(progress=progress))
     points, rates = zip(*planned.moving_blocks(progress=progress), strict=True)

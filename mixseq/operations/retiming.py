@@ -33,12 +33,11 @@ from mixseq.operations.sections import (
     signal_norms,
     strictly_between,
 )
-from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.public import public
+from mixseq.runtime.text_files import read_text
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import frame_times
 from mixseq.signals.curve import MIN_KNOT_SPACING, Curve
-from mixseq.signals.decoding import ResidualLayer
 from mixseq.signals.detail import DeviationNorm
 from mixseq.signals.model import Model
 from mixseq.types import Float
@@ -48,6 +47,9 @@ SIGNAL_TOLERANCE = 2e-6
 
 KINK_SITE_COUNT = 10
 """Number of sites on each side of a kink; their distances double up to half the distance to the next key."""
+
+NEGLIGIBLE_TIME = 1e-100
+"""Absolute value in seconds below which source times are rounded to zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +108,7 @@ class Retiming:
                 f"the output times of a retiming must be {MIN_KNOT_SPACING:g} s apart or more, and no time beyond "
                 f"{1 / MIN_KNOT_SPACING:g} s"
             )
+        y = np.where(np.abs(y) < NEGLIGIBLE_TIME, 0.0, y)  # slopes of subnormal numbers have inverses that overflow
         coefficients = np.stack([np.diff(y) / np.diff(x), y[:-1]])
         return cls(float(x[0]), float(x[-1]), PchipInterpolator(x, y) if smooth else PPoly(coefficients, x))
 
@@ -160,8 +163,7 @@ def _linear_map(origin: float, slope: float) -> PPoly:
 def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     """Retime a model by a map of time: play it faster, slower or backwards, or freeze it.
 
-    `mixseq.operations.resample` with a `Retiming` does the same, but returns a sequence. The residual layer is retimed
-    with the signals.
+    `mixseq.operations.resample` with a `Retiming` does the same, but returns a sequence.
 
     Parameters
     ----------
@@ -199,9 +201,7 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
         _compose(model, curve, retiming, kink_sites, norm)
         for curve, norm in zip(model.curves, signal_norms(model), strict=True)
     )
-    layer = model.residual_layer
-    retimed = None if layer is None else RetimedLayer(layer, retiming)
-    return model.with_motion(time, placement, correction, model.header.with_times(frames), retimed)
+    return model.with_motion(time, placement, correction, model.header.with_times(frames))
 
 
 def _compose(model: Model, curve: Curve, retiming: Retiming, kink_sites: Float, norm: DeviationNorm) -> Curve:
@@ -224,23 +224,6 @@ def _sites_near_kinks(outputs: Float, sources: Float) -> Float:
     before = outputs[kinks, None] + (outputs[kinks - 1] - outputs[kinks])[:, None] * fractions
     after = outputs[kinks, None] + (outputs[kinks + 1] - outputs[kinks])[:, None] * fractions
     return np.concatenate([before, after]).reshape(-1)
-
-
-@dataclass(frozen=True, eq=False)
-class RetimedLayer(PickledWithoutCaches):
-    """A residual layer composed with a retiming."""
-
-    source: ResidualLayer  # the layer in source time
-    retiming: Retiming  # map from output time to source time
-
-    def at(self, times: Float) -> Float:
-        """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""
-        return self.source.at(self.retiming(times))
-
-    def rates(self, times: Float) -> Float:
-        """Return the time derivatives ``(N, V, 3)`` of the displacements, per second."""
-        slopes = self.retiming.slope(times)
-        return np.asarray(slopes[:, None, None] * self.source.rates(self.retiming(times)))
 
 
 _INTEGER_LIMIT = 2**63
@@ -330,12 +313,7 @@ def read_retiming(
 def read_retiming_keys(path: str | os.PathLike[str]) -> RetimingKeys:
     """Read the points of a retiming, with files and errors as in `read_retiming`."""
     file = Path(path)
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise FormatError(f"{file} cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError:
-        raise FormatError(f"{file} is not text; a CSV or TOML file is expected") from None
+    text = read_text(file, "a CSV or TOML file")
     unit: Unit | None
     if file.suffix.lower() == ".toml":
         data = parse_toml(file, text)

@@ -34,6 +34,7 @@ import numpy as np
 
 from mixseq.errors import FormatError, MixseqError, SettingsError
 from mixseq.operations.retiming import RetimingKeys, Unit, check_unit, parse_toml, read_retiming_keys
+from mixseq.runtime.text_files import read_text
 from mixseq.sequence.frame_rates import number_to_time
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
@@ -159,11 +160,7 @@ def _read_pairs(value: Any, folder: Path, readers: Readers) -> Float:
 
 def read_pairs(path: Path) -> Float:
     """Read pairs of numbers ``(N, 2)`` from a CSV file without a header."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = (error.strerror if isinstance(error, OSError) else None) or error
-        raise FormatError(f"{path} cannot be read: {reason}") from error
+    lines = read_text(path, "a CSV file").splitlines()
     pairs = _as_pairs([line.split(",") for line in lines if line.strip()])
     if pairs is None:
         raise FormatError(f"{path} is not CSV with two numbers on each line")
@@ -273,13 +270,7 @@ class Edit:
 
 def read_script(path: Path, readers: Readers) -> list[Edit]:
     """Read an edit script and the files that it names."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise FormatError(f"{path} cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise FormatError(f"{path} is not a TOML file: {error}") from error
-    script = parse_toml(path, text)
+    script = parse_toml(path, read_text(path, "a TOML file"))
     unit = check_unit(script.pop("unit", None), f"{path}") or "seconds"
     tables = script.pop("edit", [])
     if script:

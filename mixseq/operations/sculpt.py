@@ -20,7 +20,6 @@ similar
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -53,13 +52,11 @@ MAX_MOVED_RATIO = 0.9
 """Fraction of moved vertices above which an edit causes a warning."""
 
 
-def encode_edit(model: Model, time: float, points: ArrayLike | MeshSequence) -> tuple[Model, Float]:
-    """Return the model in a space that represents edited points ``(V, 3)``, and the key shape difference ``(S,)``."""
+def encode_edit(model: Model, time: float, points: ArrayLike | MeshSequence) -> Float:
+    """Return the key shape difference ``(S,)`` of edited points ``(V, 3)`` at a time."""
     edited, original = check_edited_points(points, model.header), model(time)
-    space, map_shapes = model.space.extend(edited - original)
-    model = replace(model, space=space, shapes=map_shapes(model.shapes))
     _warn_of_large_edit(original, edited, time)
-    return model, space.shape_difference(model.curve([time])[0], original, edited)
+    return model.space.shape_difference(model.curve([time])[0], original, edited)
 
 
 @public
@@ -67,7 +64,7 @@ def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
     """Replace a key shape by an edited mesh.
 
     Key shapes of the model must be frames, as after ``mixseq.fit(sequence, pose="keys")``. Every frame follows the
-    edit in proportion to its weight of the key shape. The residual layer is kept.
+    edit in proportion to its weight of the key shape.
 
     Parameters
     ----------
@@ -93,10 +90,10 @@ def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
             f"key shape {key} is no frame of the model; fit one with pose='keys', or sculpt a frame instead"
         )
     time = float(model.times[frame])
-    model, difference = encode_edit(model, time, points)
+    difference = encode_edit(model, time, points)
     shapes = np.array(model.shapes)
     shapes[key] += difference
-    return replace(model, shapes=shapes)
+    return model.edited(shapes=shapes)
 
 
 def check_edited_points(points: ArrayLike | MeshSequence, header: SequenceHeader) -> Float:
@@ -169,8 +166,6 @@ def sculpt(
 ) -> Model:
     """Apply a manual edit of one frame to other times.
 
-    The residual layer is kept.
-
     Parameters
     ----------
     model : Model
@@ -196,7 +191,7 @@ def sculpt(
     """
     _check_settings(where, start, end, radius)
     time = snap_time(model, time)
-    model, difference = encode_edit(model, time, points)
+    difference = encode_edit(model, time, points)
     if where == "window":
         return _add_key_shape(model, difference, _window_weight(model, time, start, end))
     if where == "similar":
@@ -224,8 +219,7 @@ def _add_key_shape(model: Model, difference: Float, weight: Curve) -> Model:
     row = np.zeros((1, len(model.shapes) + 1))
     row[0, 0], row[0, -1] = -1.0, 1.0
     sites = weight.times
-    return replace(
-        model,
+    return model.edited(
         time=Curve(sites, np.concatenate([model.time(sites), weight.values], axis=1)),
         pose=PoseMap(
             np.append(model.pose.offset, 0.0),

@@ -13,7 +13,8 @@ The jump is distributed before and after the seam by C2 offsets of three cubics 
 
 .. math:: p(u) = \sum_{j=1}^3 a_j\, (r_j - u)_+^3, \qquad u = |t - t_\text{seam}|, \qquad r_j = j / 3 \cdot \text{fade}
 
-The offsets end smoothly for any coefficients :math:`a_j`; the three jumps determine these. The result is a cubic spline
+The offsets end smoothly for any coefficients :math:`a_j`; the three jumps determine these. Where two motions meet, the
+jumps in slope and curvature have an offset of their own, with the length of a frame. The result is a cubic spline
 that equals the sections outside the windows. Its knots are the knots of the sections, the seams and the window knots.
 """
 
@@ -215,6 +216,9 @@ class Seam(NamedTuple):
 
     fade: float  # length of the window on each side of the seam, in seconds; at most the length of the section
     fraction_before: float = 0.5  # fraction of the jump distributed before the seam; 1 keeps the later section exact
+    # Length of the windows of slope and curvature, by default `fade`. Both are uncertain at the ends of curves, and
+    # offsets grow with the length times the slope, and with its square times the curvature.
+    slope_fade: float | None = None
 
 
 class ModelSection(NamedTuple):
@@ -225,16 +229,24 @@ class ModelSection(NamedTuple):
     end: float
 
 
+def motion_seam(model: Model, fade: float) -> Seam:
+    """Return the seam of two motions: jumps in value over the fade, in slope and curvature over a frame."""
+    return Seam(fade, slope_fade=1.0 / model.header.fps)
+
+
 def join_curves(sections: Sequence[CurveSection], seams: Sequence[Seam]) -> Curve:
     """Concatenate consecutive sections of curves, with jumps at the seams distributed."""
     edges = np.array([sections[0].start, *(section.end for section in sections)])
     offsets: list[list[_SeamOffset]] = [[] for _ in sections]
     for index, (before, after, seam) in enumerate(zip(sections, sections[1:], seams, strict=False)):
         jump = _jet(after.curve, after.start) - _jet(before.curve, before.end)
-        fraction = seam.fraction_before
+        fraction, slope_jump = seam.fraction_before, jump * np.array([0.0, 1.0, 1.0])[:, None]
+        jumps = [(jump, seam.fade)]
+        if seam.slope_fade is not None:
+            jumps = [(jump - slope_jump, seam.fade), (slope_jump, min(seam.slope_fade, seam.fade))]
         for section, side, scale in ((before, -1, fraction), (after, 1, fraction - 1)):
-            if scale:
-                offset = _SeamOffset.from_jet(scale * jump, section, edges[index + 1], side, seam.fade)
+            for jet, fade in jumps if scale else ():
+                offset = _SeamOffset.from_jet(scale * jet, section, edges[index + 1], side, fade)
                 offsets[index + (side > 0)].append(offset)
     knots = [
         strictly_between(times, start, end)

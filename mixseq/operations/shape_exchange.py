@@ -13,6 +13,8 @@ each in diagonals of its mesh, with the mean rotation A and the mean shift :math
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mixseq.errors import SettingsError
@@ -66,7 +68,7 @@ def key_poses(model: Model) -> MeshSequence:
 def with_shapes(model: Model, keys: Frames | Model) -> Model:
     """Apply the motion of a model to another body, with the same time and pose signals and other key shapes.
 
-    The residual layer and the correction are dropped, as both belong to the first body.
+    The correction is dropped, as it belongs to the first body.
 
     Parameters
     ----------
@@ -131,7 +133,7 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
     rotations = quat_multiply(normalise_quat(poses.rotations), rotation)
     moved_poses = Poses(align_quat_signs(rotations), poses.centres + shift)
     return Model(
-        header.with_times(model.header.times, model.header.fps),
+        replace(header, times=model.header.times, fps=model.header.fps, provenance=None),
         second,
         model.time,
         model.pose,

@@ -37,7 +37,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -80,7 +79,7 @@ def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | Non
     """Make a motion from a curve in the embedding of a model.
 
     The motion starts at 0 s and runs along the curve at constant speed. Where the curve passes through the position of
-    a frame, the motion shows this frame. The residual layer is dropped.
+    a frame, the motion shows this frame.
 
     Parameters
     ----------
@@ -236,7 +235,7 @@ DROP_DISTANCE_RATIO = 1e-3
 def drag(model: Model, time: Seconds, to: ArrayLike, reach: Seconds | None = None, plane: Plane | None = None) -> Model:
     """Drag a point of the time curve in the embedding of a model.
 
-    The pose is interpolated from other frames. The placement of bodies does not change. The residual layer is kept.
+    The pose is interpolated from other frames. The placement of bodies does not change.
 
     Parameters
     ----------
@@ -273,8 +272,7 @@ def drag(model: Model, time: Seconds, to: ArrayLike, reach: Seconds | None = Non
             "the embedding of the model is one point, as its shape does not change; there is nothing to drag"
         )
     step, correction = _drag_changes(model, time, target, plane)
-    return replace(
-        model,
+    return model.edited(
         time=_add_fading_change(model.time, time, reach, step),
         correction=_add_fading_change(model.correction, time, reach, correction),
     )

@@ -15,7 +15,6 @@ the integral over the whole transition, so that the last term vanishes at the en
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from mixseq.operations.sections import (
     check_fade,
     join_models,
     map_times,
+    motion_seam,
     sites_between,
     snap_section,
     subdivide,
@@ -90,7 +90,7 @@ def travel_of(model: Model, even: bool = False) -> Curve:
 def in_place(model: Model, even: bool = False) -> Model:
     """Remove the travel of a model along the ground, so that the body stays at its start.
 
-    Rotations and vertical motion are kept. `travel_of` returns the removed displacement. The residual layer is kept.
+    Rotations and vertical motion are kept. `travel_of` returns the removed displacement.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def translate(model: Model, offset: Float) -> Model:
     placement = model.placement
     values = placement.values.copy()
     values[:, centre_columns(model.space)] += offset if offset.ndim == 1 else offset[:, None]
-    return replace(model, placement=Curve(placement.times, values))
+    return model.edited(placement=Curve(placement.times, values))
 
 
 def ground_drift(
@@ -157,8 +157,6 @@ MAX_REPETITIONS = 10_000
 @public
 def cut(model: Model, start: Seconds, end: Seconds, at: Seconds | None = None) -> Model:
     """Extract a section of a model.
-
-    The residual layer is dropped.
 
     Parameters
     ----------
@@ -191,7 +189,7 @@ def repeat(
     """Repeat a section of a model.
 
     The motion before and after the section is only shifted in time. Between repetitions, value, slope and curvature of
-    all signals are made continuous by changes within the section. The residual layer is dropped.
+    all signals are made continuous by changes within the section.
 
     Parameters
     ----------
@@ -226,14 +224,14 @@ def repeat(
         start = first + delay if number else copy.start
         end = last + delay if number < times - 1 else copy.end
         sections.append(ModelSection(copy, start, end))
-    return join_models(sections, [Seam(fade)] * (times - 1))
+    return join_models(sections, [motion_seam(model, fade)] * (times - 1))
 
 
 @public
 def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Model:
     """Close a model to a loop: make value, slope and curvature of all signals equal at the start and the end.
 
-    The last frame equals the first. Parts that make whole turns keep turning. The residual layer is dropped.
+    The last frame equals the first. Parts that make whole turns keep turning.
 
     Parameters
     ----------
@@ -256,7 +254,7 @@ def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Mod
     displacement = ground_displacement(model, start, end) if travel else np.zeros(3)
     # Join two copies: the second half of the first copy and the first half of the second meet at the loop's seam.
     second = ModelSection(map_times(translate(model, displacement), length), start + length, end + length)
-    passes = join_models([ModelSection(model, start, end), second], [Seam(fade)])
+    passes = join_models([ModelSection(model, start, end), second], [motion_seam(model, fade)])
     middle = (start + end) / 2
     moved_back = map_times(translate(passes, -displacement), -length)
     sections = [ModelSection(moved_back, start, middle), ModelSection(passes, middle, end)]
@@ -266,8 +264,6 @@ def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Mod
 @public
 def shift(model: Model, seconds: Seconds) -> Model:
     """Shift a model in time by a number of seconds; negative numbers shift to earlier times.
-
-    The residual layer is dropped.
 
     Raises
     ------
@@ -283,8 +279,7 @@ def shift(model: Model, seconds: Seconds) -> Model:
 def speed(model: Model, factor: float) -> Model:
     """Speed up a model by a factor, with the same start time.
 
-    The number of frames does not change; `Model.sample` and `mixseq.operations.resampling` make new frames. The
-    residual layer is dropped.
+    The number of frames does not change; `Model.sample` and `mixseq.operations.resampling` make new frames.
 
     Raises
     ------
@@ -298,8 +293,5 @@ def speed(model: Model, factor: float) -> Model:
 
 @public
 def reverse(model: Model) -> Model:
-    """Reverse a model in time, with the same start and end times.
-
-    The residual layer is dropped.
-    """
+    """Reverse a model in time, with the same start and end times."""
     return map_times(model, model.start + model.end, -1.0)

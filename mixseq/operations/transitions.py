@@ -16,6 +16,7 @@ from functools import partial
 
 import numpy as np
 
+from mixseq.compression.numbering import match_meshes, mesh_of
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.operations.sections import (
     ModelSection,
@@ -29,6 +30,7 @@ from mixseq.operations.sections import (
     lerp,
     map_times,
     merge_frame_times,
+    motion_seam,
     sites_between,
     snap_section,
     snap_time,
@@ -38,6 +40,7 @@ from mixseq.operations.timeline import ground_drift, ground_position, translate
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, Seconds
+from mixseq.sequence.sequence import load_frames
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import Detail, build_model, encode_sequence
 from mixseq.signals.model import Model
@@ -51,8 +54,7 @@ def into(model: Model, space: ShapeSpace) -> Model:
     """Convert a model into another shape space of its mesh.
 
     The frames are decoded, encoded in the new space, and interpolated by cubic splines there. They do not change if the
-    new space represents their shapes exactly. A model already in this space is returned unchanged. The residual layer
-    is encoded with the frames, so the result has no residual layer.
+    new space represents their shapes exactly. A model already in this space is returned unchanged.
 
     Parameters
     ----------
@@ -63,9 +65,6 @@ def into(model: Model, space: ShapeSpace) -> Model:
     """
     if model.space is space:
         return model
-    common, _, to_space = space.merge(model.space)
-    if common is space and to_space is not None:
-        return replace(model, space=space, shapes=to_space(model.shapes))
     with one_blas_thread():
         return build_model(encode_sequence(model.sample(), space), Detail())
 
@@ -73,15 +72,11 @@ def into(model: Model, space: ShapeSpace) -> Model:
 def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
     """Bring two models of one mesh into one space, with the same pose and shape signals.
 
-    The common space is the space of the first model. A basis space is extended to all shapes, or replaced by the second
-    model's space if the kinds differ. If key shapes differ, both models get all key shapes, with weights as pose space.
+    The common space is the space of the first model, with its numbers of vertices if those of the second model differ,
+    as in compressed files of another order. If key shapes differ, both models get all key shapes, with weights
+    as pose space.
     """
-    _check_meshes(first, second)
-    space, *maps = first.space.merge(second.space)
-    first, second = (
-        into(model, space) if to_space is None else replace(model, space=space, shapes=to_space(model.shapes))
-        for model, to_space in zip((first, second), maps, strict=True)
-    )
+    second = _encode_like(second, first)
     if _same_shapes(first, second):
         return first, replace(second, pose=first.pose, shapes=first.shapes)
     shapes = np.concatenate([first.shapes, second.shapes])
@@ -105,17 +100,20 @@ def _same_shapes(first: Model, second: Model) -> bool:
     return all(a is b or np.array_equal(a, b) for a, b in zip(*arrays, strict=True))
 
 
-def _check_meshes(first: Model, second: Model) -> None:
-    a, b = first.header, second.header
-    if a.vertex_count != b.vertex_count:
+def _encode_like(model: Model, first: Model) -> Model:
+    """Return a model in the space of another one, and with its numbers of vertices if those of the mesh differ."""
+    a, b = first.header, model.header
+    if a.vertex_count == b.vertex_count and np.array_equal(a.faces, b.faces):
+        return into(model, first.space)
+    numbering = match_meshes(mesh_of(b), mesh_of(a))
+    if numbering is None:
         raise InvalidSequenceError(
-            f"{a.name!r} has {a.vertex_count} vertices, {b.name!r} {b.vertex_count}; two models of one mesh are needed"
+            f"{a.name!r} has {a.vertex_count} vertices, {b.name!r} {b.vertex_count}, or other faces; two models of one "
+            "mesh are needed"
         )
-    if not np.array_equal(a.faces, b.faces):
-        raise InvalidSequenceError(
-            f"the faces of {a.name!r} and {b.name!r} differ; two models of one mesh, with the same order of vertices "
-            "and faces, are needed"
-        )
+    frames = numbering.renumber_frames(model.sample())
+    with one_blas_thread():
+        return build_model(encode_sequence(load_frames(frames), first.space), Detail())
 
 
 SITES_PER_BLENDED_KNOT = 8
@@ -126,8 +124,8 @@ SITES_PER_BLENDED_KNOT = 8
 def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = False) -> Model:
     """Concatenate two models.
 
-    The second model starts at the end time of the first. Jumps in value, slope and curvature of the signals are
-    distributed before and after the seam. The residual layer is dropped.
+    The second model starts at the end time of the first. Jumps in value are distributed before and after the seam, and
+    jumps in slope and curvature over a frame, so that frames change only if the motions do not meet.
 
     Parameters
     ----------
@@ -154,14 +152,12 @@ def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = 
     if travel:
         b = translate(b, (ground_position(a)([seam]) - ground_position(b)([first]))[0])
     b = map_times(b, seam - first)
-    return join_models([ModelSection(a, start, seam), ModelSection(b, seam, b.end)], [Seam(fade)])
+    return join_models([ModelSection(a, start, seam), ModelSection(b, seam, b.end)], [motion_seam(a, fade)])
 
 
 @public
 def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool = False) -> Model:
     """Blend from one model into another.
-
-    The residual layer is dropped.
 
     Parameters
     ----------
@@ -217,8 +213,6 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
 @public
 def blend(a: Model, b: Model, weight: float | Curve) -> Model:
     """Blend two models over the time interval that both cover.
-
-    The residual layer is dropped.
 
     Parameters
     ----------

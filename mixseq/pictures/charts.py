@@ -1,8 +1,6 @@
 """Draw charts of a model's signals: embedding, coordinates over time, singular values. Define the style of all charts.
 
-Values are distances in the shape space in diagonals, without the placement of parts. Let :math:`C` be the centred
-frames ``(T, k)`` in pose space, and :math:`G = L L^T` the Gram matrix of unit steps along its coordinates (the identity
-for principal components). The *singular values* of a model are the singular values of :math:`C L`.
+`chart_data` computes what is drawn.
 """
 
 from __future__ import annotations
@@ -17,12 +15,12 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from mixseq.errors import OutputError, SettingsError
-from mixseq.pictures.colours import INK_COLOUR
+from mixseq.pictures.chart_data import dense_times, largest_coordinates, singular_values
 from mixseq.pictures.page import DOTS_PER_INCH, Target, import_matplotlib
-from mixseq.pictures.scene import Limits
+from mixseq.pictures.scene import INK_COLOUR, Limits
 from mixseq.sequence.frame_rates import format_frame_range, time_to_number
 from mixseq.signals.model import Model
-from mixseq.types import Float, IntArray
+from mixseq.types import Float
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -169,14 +167,8 @@ def round_frames(count: int, max_count: int, first: int = 0) -> list[int]:
 MAX_LABELLED_FRAMES = 10
 """Number of frames labelled in the embedding by default."""
 
-MAX_COORDINATES = 5
-"""Largest number of coordinates drawn over time; the coordinates with the largest movement are drawn."""
-
 _CHART_INCHES = 4.5
 """Approximate length of the longer side of the embedding chart."""
-
-RANK_TOLERANCE = 1e-13
-"""Fraction of the largest singular value below which singular values count as rounding errors."""
 
 
 def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> None:
@@ -266,48 +258,12 @@ def draw_singular_values(ax: Axes, model: Model) -> None:
     ax.legend(loc="upper right")
 
 
-def largest_coordinates(model: Model) -> tuple[IntArray, Float]:
-    """Return the time-signal coordinates ``(n,)`` with the largest movement, and their units ``(n,)`` in diagonals."""
-    units = np.sqrt(np.diagonal(_step_gram(model)))
-    sizes = units * np.linalg.norm(_centred(model), axis=0)
-    coordinate_ids = np.sort(np.argsort(-sizes, kind="stable")[:MAX_COORDINATES])
-    return coordinate_ids, units[coordinate_ids]
-
-
-def singular_values(model: Model) -> Float:
-    """Return the singular values ``(r,)`` of a model's modes in diagonals, in descending order."""
-    if not model.time.dim:
-        return np.zeros(0)
-    squares, directions = np.linalg.eigh(_step_gram(model))
-    roots = directions * np.sqrt(np.maximum(squares, 0.0))
-    sizes = np.linalg.svd(_centred(model) @ roots, compute_uv=False)
-    return np.asarray(sizes[sizes > RANK_TOLERANCE * max(sizes.max(initial=0.0), np.finfo(np.float64).tiny)])
-
-
 def check_frames(frames: Sequence[int], count: int) -> list[int]:
     """Return the distinct frames, sorted; raise SettingsError for frames outside the model."""
     for frame in frames:
         if not 0 <= frame < count:
             raise SettingsError(f"there is no frame {frame}; choose frames from 0 to {count - 1}")
     return sorted(set(frames))
-
-
-def dense_times(model: Model) -> Float:
-    """Return times ``(N,)`` from the start to the end of a model, dense enough for smooth lines."""
-    knots = max(len(model.times), len(model.time.times))
-    return np.linspace(model.start, model.end, min(max(400, 20 * knots), 20_000))
-
-
-def _centred(model: Model) -> Float:
-    coordinates = model.time(model.times)
-    return np.asarray(coordinates - coordinates.mean(axis=0))
-
-
-def _step_gram(model: Model) -> Float:
-    """Return the Gram matrix ``(k, k)`` of unit steps along the coordinates of pose space."""
-    shapes, metric = model.shapes, model.space.shape_weights
-    steps = model.pose.matrix @ ((shapes - shapes.mean(axis=0)) * metric)
-    return np.asarray(steps @ steps.T)
 
 
 def _write_note(ax: Axes, text: str) -> None:

@@ -36,17 +36,14 @@ from mixseq.errors import SettingsError
 from mixseq.mesh.measures import edge_lengths, wrap_angles
 from mixseq.mesh.surface import DEFAULT_COLOUR
 from mixseq.mesh.topology import Topology
-from mixseq.pictures.scene import Scene, SceneItem, check_start_times, is_same_mesh
+from mixseq.metrics import MIN_NORMAL_HEIGHT_RATIO
+from mixseq.pictures.scene import CLAY_COLOUR, Scene, SceneItem, check_start_times, is_same_mesh
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import FrameStore, bounding_diagonal
-from mixseq.types import Float, FloatArray, Index, IntArray
+from mixseq.types import ByteArray, Float, FloatArray, Index, IntArray
 
-ByteArray = NDArray[np.uint8]
-
-CLAY_COLOUR = (0.80, 0.77, 0.72)
 JOINT_RED = (0.85, 0.20, 0.13)
-INK_COLOUR = "#3a3a3a"
 
 FIRST_HUE, LAST_HUE = 90.0, 330.0
 """Range of part hues in degrees of OKLCH, from straw to mauve; both ends are 60 degrees from the red of joints."""
@@ -114,9 +111,6 @@ def srgb(linear: FloatArray) -> Float:
     """Convert linear values in 0..1 to sRGB (IEC 61966-2-1)."""
     return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055))
 
-
-DEGENERATE_HEIGHT_RATIO = 1e-6
-"""Ratio of height to longest side of a face below which its normal is undefined, as in `mixseq.metrics`."""
 
 SCALE_QUANTILE = 0.99
 """Quantile of measured values at which colour scales end, so that outliers do not darken all other faces."""
@@ -218,7 +212,7 @@ def _face_normals(x: Float, faces: IntArray) -> tuple[Float, NDArray[np.bool_]]:
     u, v, w = b - a, c - a, c - b
     normals = np.cross(u, v, axis=0)
     longest_squared = np.maximum(np.maximum(_dot(u, u), _dot(v, v)), _dot(w, w))
-    return normals, _dot(normals, normals) <= (DEGENERATE_HEIGHT_RATIO * longest_squared) ** 2
+    return normals, _dot(normals, normals) <= (MIN_NORMAL_HEIGHT_RATIO * longest_squared) ** 2
 
 
 def _dot(u: Float, v: Float) -> Float:

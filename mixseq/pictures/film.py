@@ -17,11 +17,12 @@ from scipy.ndimage import gaussian_filter1d
 
 from mixseq.choices import COLOURS, Colour
 from mixseq.errors import SettingsError
-from mixseq.pictures.colours import INK_COLOUR, ByteArray, Colouring, format_two_digits, make_colouring
+from mixseq.pictures.colours import Colouring, format_two_digits, make_colouring
 from mixseq.pictures.film_encoding import check_film, encode_film, film_format, import_pillow
 from mixseq.pictures.page import import_matplotlib
 from mixseq.pictures.raster import Picture, blank_picture, render_mesh
 from mixseq.pictures.scene import (
+    INK_COLOUR,
     Camera,
     DecodedItem,
     Scene,
@@ -38,7 +39,7 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, FrameStore
-from mixseq.types import Float
+from mixseq.types import ByteArray, Float
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw

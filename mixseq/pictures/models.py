@@ -30,14 +30,13 @@ from mixseq.pictures.charts import (
     time_axis,
 )
 from mixseq.pictures.colours import (
-    INK_COLOUR,
     JOINT_RED,
     part_colours,
     segmentation_colours,
     vertex_distances,
 )
 from mixseq.pictures.page import Target, draw_mesh, error_map, import_matplotlib
-from mixseq.pictures.scene import Limits, View, aspect_ratio, resolve_view, to_y_up
+from mixseq.pictures.scene import INK_COLOUR, Limits, View, aspect_ratio, resolve_view, to_y_up
 from mixseq.pictures.sheets import opposite_views, views_aspect
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import Decomposition
@@ -347,7 +346,9 @@ def plot_model(
         If matplotlib is not installed.
     """
     resolved_format = picture_format(target, file_format)
-    check_settings(kind, against is not None, frames, tolerance, camera)
+    check_settings(kind, against is not None, frames, tolerance is not None, camera)
+    if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
+        raise SettingsError(f"tolerance is {tolerance}; a positive number of diagonals is expected")
     with chart_style():
         section = _page_section(model, kind, against, frames, tolerance, camera, progress)
         title = model.header.name if kind else summary(model)
@@ -371,27 +372,25 @@ def check_settings(
     kind: PictureKind | None,
     against: bool,
     frames: Sequence[object] | None,
-    tolerance: float | None,
+    tolerance: bool,
     camera: tuple[float, float] | None = None,
 ) -> None:
     """Raise SettingsError if settings of `plot_model` contradict each other."""
     if kind is not None and kind not in PICTURES:
         raise SettingsError(f"kind is {kind!r}; one of {', '.join(PICTURES)} is expected")
-    if not against and (kind in ("error-frames", "error-vertices") or tolerance is not None):
+    if not against and (kind in ("error-frames", "error-vertices") or tolerance):
         raise SettingsError(
             f"{kind or 'tolerance'} needs the original; give the sequence that errors are measured against"
         )
     uses: list[tuple[str, bool, tuple[PictureKind, ...]]] = [
         ("against", against, ("error-frames", "error-vertices")),
         ("frames", frames is not None, ("embedding", "error-vertices")),
-        ("tolerance", tolerance is not None, ("error-frames",)),
+        ("tolerance", tolerance, ("error-frames",)),
         ("camera", camera is not None, ("parts", "error-vertices")),
     ]
     for name, is_given, kinds in uses:
         if is_given and kind is not None and kind not in kinds:
             raise SettingsError(f"{name} is for {' and '.join(kinds)}, not for {kind}; leave it out")
-    if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
-        raise SettingsError(f"tolerance is {tolerance}; a positive number of diagonals is expected")
     if camera is not None and not np.all(np.isfinite(camera)):
         raise SettingsError(f"the camera is at {camera}; two numbers of degrees are expected")
     if kind == "error-vertices" and frames is not None and not 0 < len(set(frames)) <= MAX_ERROR_FRAMES:

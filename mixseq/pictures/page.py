@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import MissingExtraError
 from mixseq.mesh.topology import Topology
-from mixseq.pictures.colours import CLAY_COLOUR, INK_COLOUR
 from mixseq.pictures.raster import area_normals, ground_shadow, shade, smooth_normals
-from mixseq.pictures.scene import Limits, View, shared_limits, three_quarter_view, to_y_up
+from mixseq.pictures.scene import CLAY_COLOUR, INK_COLOUR, Limits, View, shared_limits, three_quarter_view, to_y_up
 from mixseq.types import Float, FloatArray, Index, IntArray
 
 if TYPE_CHECKING:

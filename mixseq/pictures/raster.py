@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from mixseq.pictures.colours import CLAY_COLOUR, ByteArray
-from mixseq.pictures.scene import Limits, View
+from mixseq.pictures.scene import CLAY_COLOUR, Limits, View
 from mixseq.runtime.jit import compiled
 from mixseq.sequence.sequence import bounding_diagonal
-from mixseq.types import Float, Index, IntArray, Single
+from mixseq.types import ByteArray, Float, Index, IntArray, Single
 
 Picture = ByteArray
 

@@ -27,6 +27,10 @@ from mixseq.sequence.sequence import Frames, FrameStore, block_size, load_frames
 from mixseq.signals.model import Model
 from mixseq.types import Float, FloatArray, Index, Single, evenly_spaced
 
+CLAY_COLOUR = (0.80, 0.77, 0.72)
+INK_COLOUR = "#3a3a3a"
+"""Colours of meshes without colours, and of lines and text."""
+
 Limits = tuple[float, float, float, float]
 """Screen rectangle: left, right, bottom and top, in units of the points."""
 
@@ -403,14 +407,14 @@ class Arrangement:
         return np.asarray(points_in_scene, dtype=np.float32)
 
     def camera(self, aspect: float) -> tuple[Float, Float]:
-        """Return position ``(3,)`` and target ``(3,)`` of a camera that shows all meshes; `aspect` is width/height."""
+        """Return position ``(3,)`` and target ``(3,)`` of a camera that shows all meshes; `aspect` is height/width."""
         centre = (self.low + self.high) / 2
         rotation = self.view.rotation
         corners = np.array(list(product(*np.stack([self.low, self.high], axis=1)))) - centre
         right, up, forwards = rotation @ corners.T
         tangent = np.tan(np.radians(FIELD_OF_VIEW_DEGREES) / 2)
         # the smallest distance at which all corners of the bounding box are inside the picture
-        distance = (forwards + FRAMING_RATIO * np.maximum(np.abs(up), np.abs(right) / aspect) / tangent).max()
+        distance = (forwards + FRAMING_RATIO * np.maximum(np.abs(up), np.abs(right) * aspect) / tangent).max()
         return centre + distance * rotation[2], centre
 
     def with_azimuth(self, azimuth: float, target: Float, distance: float) -> Arrangement:

@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
-from mixseq.pictures.colours import CLAY_COLOUR, INK_COLOUR, part_colours, segmentation_colours
+from mixseq.pictures.colours import part_colours, segmentation_colours
 from mixseq.pictures.page import Sheet, Target, draw_mesh, error_map
 from mixseq.pictures.scene import (
+    CLAY_COLOUR,
+    INK_COLOUR,
     Limits,
     View,
     aspect_ratio,

@@ -209,8 +209,8 @@ def find_exchanged_pairs(bending: BendingEnergy, target: Float) -> list[tuple[in
 
 
 def find_wrong_markers(source: Float, target: Float) -> list[tuple[int, float, float]]:
-    """Find markers far from their predictions, in order of detection: source, target ``(n, 3)``."""
-    remaining, wrong_ids = np.arange(len(source)), []
+    """Find markers far from their predictions, the most surprising first: source, target ``(n, 3)``."""
+    remaining, wrong_markers = np.arange(len(source)), []
     for _ in range(min(len(source) // 4, MAX_REPORTED_MARKERS)):
         if len(remaining) < MIN_COMPARED_MARKERS:
             break
@@ -220,9 +220,9 @@ def find_wrong_markers(source: Float, target: Float) -> list[tuple[int, float, f
         if not is_wrong.any():
             break
         worst = int(np.argmax(np.where(is_wrong, surprises, 0)))
-        wrong_ids.append((int(remaining[worst]), float(distances[worst]), float(surprises[worst])))
+        wrong_markers.append((int(remaining[worst]), float(distances[worst]), float(surprises[worst])))
         remaining = np.delete(remaining, worst)
-    return wrong_ids
+    return sorted(wrong_markers, key=lambda marker: -marker[2])
 
 
 def cluster_markers(points: Float) -> list[Index]:

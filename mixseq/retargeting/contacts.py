@@ -351,15 +351,6 @@ def _report_groups(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class PlantedTransfer:
-    """A transfer with footskate cleanup."""
-
-    method: MixedTransfer  # transfer with strides scaled to the target's legs
-    poses: PartPoses  # poses of the target's parts in all frames
-    report: ContactReport  # report of the corrections
-
-
 def plant_contacts(
     method: MixedTransfer,
     points: LargeArray,
@@ -367,8 +358,11 @@ def plant_contacts(
     contacts: Mapping[str, ArrayLike],
     workers: Executor,
     progress: Progress = no_progress,
-) -> PlantedTransfer:
-    """Find poses with contacts ``(k,)`` fixed in the stances of the source, from source frames ``(T, V, 3)``."""
+) -> tuple[MixedTransfer, PlantedMotion]:
+    """Fix contacts ``(k,)`` in the stances of the source, from source frames ``(T, V, 3)``.
+
+    Return the method with strides scaled to the target's legs, and the motions of the target's parts.
+    """
     gradients = method.gradients
     target, source = gradients.target, gradients.source
     vertices = {name: _check_vertices(name, given, header.vertex_count) for name, given in contacts.items()}
@@ -404,7 +398,7 @@ def plant_contacts(
         header.fps,
         1.0,
     )
-    return PlantedTransfer(method, PartPoses(planted.rotations, planted.centres), planted.report)
+    return method, planted
 
 
 def _measure_contacts(shared: tuple[MixedTransfer, Index, Index], block: FloatArray) -> tuple[PartPoses, Float, Float]:

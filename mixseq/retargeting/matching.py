@@ -56,7 +56,7 @@ class Matches:
 
 @dataclass(frozen=True, eq=False)
 class CorrespondenceQuality:
-    """Quality of a correspondence; distances are in diagonals of the target."""
+    """Quality of a correspondence; distances are in diagonals of the target, and infinite if no vertex has a match."""
 
     source_coverage: float  # share of the registered source's area with a match on the target
     target_coverage: float  # share of the target's area with a match on the source
@@ -149,8 +149,11 @@ def assess(
         is_near = closest.distances <= settings.largest_distance * diagonal
         covered_area += float(registered.face_areas[face_ids[is_near]].sum())
     distances = matches.distances[matches.has_vertex_match] / diagonal
-    if not distances.size:
-        distances = np.zeros(1)  # no vertex has a match; coverages are zero
+    mean, p99, largest = (
+        (float(distances.mean()), float(np.percentile(distances, 99)), float(distances.max()))
+        if distances.size
+        else (np.inf, np.inf, np.inf)
+    )
     is_mapped = correspondence.faces >= 0
     source_normals = registered.face_normals[correspondence.faces[is_mapped]]
     cosines = np.einsum("fc,fc->f", target.face_normals[is_mapped], source_normals)
@@ -160,9 +163,9 @@ def assess(
     return CorrespondenceQuality(
         covered_area / max(float(registered.face_areas.sum()), 1e-300),
         float(target.face_areas[matches.has_face_match].sum() / max(float(target.face_areas.sum()), 1e-300)),
-        float(distances.mean()),
-        float(np.percentile(distances, 99)),
-        float(distances.max()),
+        mean,
+        p99,
+        largest,
         int((cosines < 0).sum()),
         int((correspondence.matched & ~matches.has_vertex_match).sum()),
         int((is_mapped & ~matches.has_face_match).sum()),

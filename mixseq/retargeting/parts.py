@@ -38,7 +38,7 @@ from mixseq.retargeting.gradient_transfer import GradientTransfer
 from mixseq.retargeting.limbs import ArticulatedBody
 from mixseq.retargeting.markers import Correspondence
 from mixseq.segmentation.elements import Boundaries
-from mixseq.segmentation.joints import DEGENERATE_HEIGHT_RATIO, Decomposition, PartMotion, decompose
+from mixseq.segmentation.joints import MIN_MOTION_HEIGHT_RATIO, Decomposition, PartMotion, decompose
 from mixseq.shells.solvers import Factor, factorise
 from mixseq.spaces.pieces import register_parts
 from mixseq.types import Float, Index, IntArray
@@ -104,7 +104,7 @@ def transfer_parts(
     labels = merge_small_regions(topology, labels, TriangleMesh(rest, topology).face_areas)
     parts = split_labels(topology, labels)
     source_parts = labels[np.unique(parts, return_index=True)[1]]
-    observed = PartMotion(rotations[:, source_parts], degenerate_faces(rest, faces, DEGENERATE_HEIGHT_RATIO))
+    observed = PartMotion(rotations[:, source_parts], degenerate_faces(rest, faces, MIN_MOTION_HEIGHT_RATIO))
     decomposition = decompose(topology, parts, joint_width, observed, core=MIN_CORE_VERTEX_RATIO)
     faceless_count = len(decomposition.parts) - len(source_parts)  # vertices without faces follow part 0
     source_parts = np.append(source_parts, np.zeros(faceless_count, dtype=np.int64))

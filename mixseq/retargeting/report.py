@@ -37,7 +37,7 @@ from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import bounding_diagonal, check_block
-from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced
+from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced, index_mask
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,7 @@ def measure_coverage(transfer: Transfer) -> Coverage:
         leader_component = names[int(component_of_vertex[leader])]
         followers.append(Follower(names[component], len(follower_ids), leader, leader_component))
     is_mapped = correspondence.faces >= 0
-    is_used = np.zeros(len(source.header.faces), dtype=np.bool_)
-    is_used[correspondence.faces[is_mapped]] = True
+    is_used = index_mask(correspondence.faces[is_mapped], len(source.header.faces))
     return Coverage(
         vertices=float(correspondence.matched.mean()),
         area=_area_share(is_mapped, TriangleMesh(transfer.target, topology).face_areas),

@@ -26,7 +26,7 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.segmentation.methods import segment, segment_by_labels
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence, check_frames, load_frames
+from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, load_frames
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index
 
@@ -60,10 +60,8 @@ def prepare_source(
 ) -> SourceMotion:
     """Prepare a sequence or a model as the source of transfers."""
     if isinstance(source, Model):
-        if parts is None and source.space.segmentation:
-            parts = source.space.segmentation.part_of_face
-        model = source
-        source = LazyFrames(model.header_at(), lambda size: model.blocks(model.times, size))
+        parts = source.parts if parts is None else parts
+        source = source.frames
     else:
         check_frames(source)
     frames = load_frames(source, progress)

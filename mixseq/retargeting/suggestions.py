@@ -17,10 +17,10 @@ pair of triples determines a proper similarity S between the bodies, and the cos
 .. math:: c_{ij} = \|S x_i - y_j\| + \tfrac13 \sum_{k=1}^3 |d_{i\,i_k} - d_{j\,j_k}| ,
 
 the distance of the points plus the mean difference of their surface distances to the triples, in roots of the area. The
-best assignment (Kuhn 1955) gets a new cost, from the similarity and the surface distances of all its pairs. A
-left-right exchange preserves distances but needs a reflection, which a proper similarity excludes. The *margin* of a
-pair is the additional cost of the best matching without this pair. Then less prominent extremities, such as ears, are
-matched with similar costs, guided by the matched pairs.
+best assignment (Kuhn 1955) of all extremities of the body that has fewer gets a new cost, from the similarity and the
+surface distances of all its pairs. A left-right exchange preserves distances but needs a reflection, which a proper
+similarity excludes. The *margin* of a pair is the additional cost of the best matching without this pair. Then less
+prominent extremities, such as ears, are matched with similar costs, guided by the matched pairs.
 
 *Examination* checks the consistency of markers, and finds a correspondence of decimated meshes within a second. Its
 registration is stiff and does not reach inconsistent markers; the distances that remain are the residuals.
@@ -198,7 +198,6 @@ def find_maxima(values: Float, surface: CoarseSurface) -> tuple[Index, Float]:
 
 MIN_LIMB_PROMINENCE = 0.1  # smallest prominence of limbs, tail and head; tests have at least 0.15, and ears up to 0.06
 MAX_MATCHED_EXTREMITIES = 8  # largest number of prominent extremities; all of their triples are tried
-UNMATCHED_COST = 0.5  # cost of an unmatched extremity
 MAX_TRIPLE_DISTANCE_DIFFERENCE = 0.5  # largest difference of distances between two matched triples
 MIN_SURE_MARGIN = 0.1  # smallest margin of a suggested pair
 MAX_MEAN_PAIR_COST = 0.4  # largest mean cost of the pairs of two similar bodies; horse and camel have 0.26
@@ -242,12 +241,11 @@ def _match_prominent(first: Extremities, second: Extremities) -> list[ExtremityP
             triples = np.array(first_triple), np.array(second_triple)
             pairs = _match_from_triples(first, second, (first_ids, second_ids), triples)
             if pairs is not None and pairs not in matchings:
-                unmatched_count = len(first_ids) - len(pairs)
-                matchings[pairs] = _matching_cost(first, second, pairs) + UNMATCHED_COST * unmatched_count
+                matchings[pairs] = _matching_cost(first, second, pairs)
     if not matchings:
         return []
     best = min(matchings, key=lambda pairs: (matchings[pairs], pairs))
-    if _matching_cost(first, second, best) > MAX_MEAN_PAIR_COST * len(best):
+    if matchings[best] > MAX_MEAN_PAIR_COST * len(best):
         return []
     sure_pairs = []
     for pair in best:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.choices import TRANSFERS, TransferName
+from mixseq.compression.numbering import match_meshes, mesh_of
 from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology
-from mixseq.retargeting.contacts import ContactReport, PlantedTransfer, plant_contacts
+from mixseq.retargeting.contacts import ContactReport, PlantedMotion, plant_contacts
 from mixseq.retargeting.gradient_transfer import gradient_transfer
 from mixseq.retargeting.markers import Correspondence, Markers
 from mixseq.retargeting.matching import CorrespondenceQuality, RestMesh
@@ -74,7 +75,7 @@ class Transfer:
     correspondence: Correspondence  # correspondence of source and target
     method: TransferMethod  # method that transfers frames
     quality: CorrespondenceQuality | None = None  # quality of a correspondence from markers
-    planted: PlantedTransfer | None = None  # transfer with footskate cleanup, if there are contacts
+    planted: PlantedMotion | None = None  # motions of the parts after footskate cleanup, if there are contacts
 
     @property
     def contacts(self) -> ContactReport:
@@ -87,11 +88,11 @@ class Transfer:
         size = block_size(max(self.source.header.vertex_count, self.header.vertex_count))
         slices = [slice(start, start + size) for start in range(0, frame_count, size)]
         frames, planted = (self.source.points[block] for block in slices), self.planted
-        if planted is None:
-            blocks = run(_transfer_block, self.method, frames)
+        if planted is not None and isinstance(self.method, MixedTransfer):
+            poses = (PartPoses(planted.rotations[block], planted.centres[block]) for block in slices)
+            blocks = run(_transfer_posed_block, self.method, zip(frames, poses, strict=True))
         else:
-            poses = (PartPoses(*(values[block] for values in planted.poses)) for block in slices)
-            blocks = run(_transfer_posed_block, planted.method, zip(frames, poses, strict=True))
+            blocks = run(_transfer_block, self.method, frames)
         for block in blocks:
             yield block
             done_count += len(block)
@@ -130,6 +131,7 @@ def plan_transfer(
         correspondence, quality = _find_correspondence(source, rest, target.header, settings, progress)
         gradients = gradient_transfer(source.topology, source.rest, topology, rest, correspondence)
         header = target.header.with_times(source.header.times, source.header.fps)
+        header = replace(header, provenance=None)  # frames are those of neither file
         if settings.method == "gradients":
             return Transfer(header, source, rest, correspondence, gradients, quality)
         progress(0, 1, "finding parts")
@@ -138,8 +140,8 @@ def plan_transfer(
         if not settings.contacts:
             return Transfer(header, source, rest, correspondence, mixed, quality)
         run = workers or thread_executor()
-        planted = plant_contacts(mixed, source.points, header, settings.contacts, run, progress)
-        return Transfer(header, source, rest, correspondence, planted.method, quality, planted)
+        method, planted = plant_contacts(mixed, source.points, header, settings.contacts, run, progress)
+        return Transfer(header, source, rest, correspondence, method, quality, planted)
 
 
 def _find_correspondence(
@@ -156,17 +158,28 @@ def _find_correspondence(
     if markers is not None:
         from mixseq.retargeting.correspond import correspond_and_assess
 
+        for side, provenance in (("source", source.header.provenance), ("target", header.provenance)):
+            if provenance is not None and provenance.kept_order == "free":
+                raise SettingsError(
+                    f"markers are numbers of vertices, and those of the {side} differ from its original's "
+                    f"({provenance}, order 'free'); give the original, or compress it with order='vertices'"
+                )
+
         pairs = markers if isinstance(markers, Markers) else Markers.from_pairs(markers)
         source_mesh = MeshSequence.from_header(source.header.with_times([0.0]), source.rest[None])
         target_mesh = MeshSequence.from_header(header.with_times([0.0]), rest[None])
         return correspond_and_assess(source_mesh, target_mesh, pairs, progress=progress)
-    if not np.array_equal(source.topology.faces, header.faces):
+    if np.array_equal(source.topology.faces, header.faces):
+        return Correspondence.identity(*sizes[0]), None
+    numbering = match_meshes(mesh_of(source.header), mesh_of(header))
+    if numbering is None:
         (vertices, faces), (target_vertices, target_faces) = sizes
         raise SettingsError(
             f"the source has {vertices} vertices and {faces} triangles, the target {target_vertices} and "
             f"{target_faces}, or they are in another order; give markers or a map"
         )
-    return Correspondence.identity(*sizes[0]), None
+    face_ids = np.asarray(numbering.renumber_labels(np.arange(sizes[0][1]), source.header.polygons), dtype=np.int64)
+    return Correspondence.identity(*sizes[0]).renumbered(numbering.vertices, face_ids), None
 
 
 @public

@@ -32,6 +32,7 @@ from scipy.spatial.transform import Rotation
 
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import read_only
+from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
 
@@ -363,13 +364,7 @@ class Morph:
 
 def rotation_matrices(quaternions: FloatArray) -> Float:
     """Return the rotation matrices ``(..., 3, 3)`` of unit quaternions ``(..., 4)`` in the order x, y, z, w."""
-    x, y, z, w = np.moveaxis(np.asarray(quaternions, dtype=np.float64), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return quat_to_matrix(np.roll(quaternions, 1, axis=-1))
 
 
 def remove_sign_flips(quaternions: FloatArray) -> Float:

@@ -1,14 +1,16 @@
 """Arguments of public functions: checks of annotated types, and files in place of their contents.
 
 A path in place of a sequence, model, markers, contacts, map, labels or keys of a retiming is read first
-(`mixseq_io.path_arguments`). A model in place of a sequence is sampled at its frames. Other types raise a `TypeError`
-that names the argument. The functions themselves check values.
+(`mixseq_io.path_arguments`); a file that stays open is closed when the function returns. A model in place of a sequence
+is decoded at its frames. Other types raise a `TypeError` that names the argument. The functions themselves check
+values.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack
 from functools import cache, wraps
 from inspect import Parameter, signature
 from types import NoneType, UnionType
@@ -63,16 +65,19 @@ def public(function: Callable[Parameters, Result]) -> Callable[Parameters, Resul
             bound = function_signature.bind(*args, **kwargs)
         except TypeError:
             return function(*args, **kwargs)  # raises Python's message
-        for name, value in bound.arguments.items():
-            if name not in accepted_types():
-                continue
-            types = accepted_types()[name]
-            value = bound.arguments[name] = _resolve(name, value, types, bound.arguments)
-            if not any(_is_instance(value, hint) for hint in types):
-                raise TypeError(
-                    f"{function.__name__}: {name} is of type {type(value).__name__}; {_format_expected(types)}"
-                )
-        return function(*bound.args, **bound.kwargs)
+        with ExitStack() as opened:
+            for name, given in bound.arguments.items():
+                if name not in accepted_types():
+                    continue
+                types = accepted_types()[name]
+                value = bound.arguments[name] = _resolve(name, given, types, bound.arguments)
+                if value is not given and isinstance(value, AbstractContextManager):
+                    opened.enter_context(value)
+                if not any(_is_instance(value, hint) for hint in types):
+                    raise TypeError(
+                        f"{function.__name__}: {name} is of type {type(value).__name__}; {_format_expected(types)}"
+                    )
+            return function(*bound.args, **bound.kwargs)
 
     return call
 
@@ -89,14 +94,14 @@ class _PublicNames(dict[str, Any]):
 
 
 def _resolve(name: str, value: Any, types: tuple[Any, ...], arguments: Mapping[str, Any]) -> Any:
-    """Read the file of a path, or sample a model, in place of a value; earlier `arguments` are already resolved."""
+    """Read the file of a path, and decode a model, in place of a value; earlier `arguments` are already resolved."""
     names = {getattr(hint, "__name__", "") for hint in types}
     if isinstance(value, str | os.PathLike) and not any(_is_instance(value, hint) for hint in types):
         _, argument_reader = connected()
         read = argument_reader(name, names)
-        return value if read is None else read(os.fspath(value), arguments)
-    if names & _SEQUENCE_TYPES and "Model" not in names and type(value).__name__ == "Model":
-        return value.sample()
+        value = value if read is None else read(os.fspath(value), arguments)
+    if names & _SEQUENCE_TYPES and "Model" not in names and any(cls.__name__ == "Model" for cls in type(value).mro()):
+        return value.frames if "Frames" in names else value.sample()
     return value
 
 

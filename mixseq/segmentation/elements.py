@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import scatter_add, triangle_areas
 from mixseq.mesh.topology import Topology, connected_components
-from mixseq.types import Float, FloatArray, Index, IntArray, Mask, Single
+from mixseq.types import Float, FloatArray, Index, IntArray, Single, index_mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,26 +67,19 @@ class Rim:
         hinge_patches = patches[topology.hinge_faces]
         across = hinge_patches[:, 0] != hinge_patches[:, 1]
         ends = topology.edges[topology.hinge_edges[across]]
-        edges = topology.edges[_vertex_mask(ends, topology.vertex_count)[topology.edges].any(axis=1)]
-        faces = np.flatnonzero(_vertex_mask(edges, topology.vertex_count)[topology.faces].any(axis=1))
+        edges = topology.edges[index_mask(ends, topology.vertex_count)[topology.edges].any(axis=1)]
+        faces = np.flatnonzero(index_mask(edges, topology.vertex_count)[topology.faces].any(axis=1))
         sides, corners = topology.hinge_faces[across], topology.faces[faces]
         return cls(topology.vertex_count, ends, sides, edges, faces, corners)
 
     def narrowness(self, patches: Index) -> Float:
         """Return, for (merged) patches ``(F,)``, the fraction of face corners at most one edge from a boundary."""
         across = patches[self.sides]
-        boundary = _vertex_mask(self.ends[across[:, 0] != across[:, 1]], self.vertex_count)
-        near = _vertex_mask(self.edges[boundary[self.edges].any(axis=1)], self.vertex_count)
+        boundary = index_mask(self.ends[across[:, 0] != across[:, 1]], self.vertex_count)
+        near = index_mask(self.edges[boundary[self.edges].any(axis=1)], self.vertex_count)
         sizes = np.bincount(patches)
         sums = np.bincount(patches[self.faces], near[self.corners].sum(axis=1) / 3.0, minlength=len(sizes))
         return np.asarray(sums / np.maximum(sizes, 1), dtype=np.float64)
-
-
-def _vertex_mask(vertices: Index, count: int) -> Mask:
-    """Convert vertex indices to a mask ``(count,)``."""
-    mask = np.zeros(count, dtype=bool)
-    mask[vertices] = True
-    return mask
 
 
 @dataclass(frozen=True, eq=False)

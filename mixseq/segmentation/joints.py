@@ -39,10 +39,10 @@ from mixseq.mesh.topology import (
     propagate_depth,
 )
 from mixseq.segmentation.elements import Boundaries
-from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced
+from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced, index_mask
 
-DEGENERATE_HEIGHT_RATIO = 1e-5
-"""Ratio of height to longest side up to which a face has no area."""
+MIN_MOTION_HEIGHT_RATIO = 1e-5
+"""Ratio of height to longest side up to which a face has no motion of its own."""
 
 
 def sample_frame_ids(frame_count: int, max_count: int = 24) -> Index:
@@ -84,7 +84,7 @@ def measure_part_motion(shapes: PartShapes, points: FloatArray) -> PartMotion:
     covariances = np.empty((len(points), len(shapes.parts), 3, 3))
     for frame, frame_covariances in zip(points, covariances, strict=True):
         x = read_only(np.ascontiguousarray(frame, dtype=np.float64))  # same type always, as numba compiles per type
-        mark_degenerate(x, shapes.faces, DEGENERATE_HEIGHT_RATIO, degenerate_mask)
+        mark_degenerate(x, shapes.faces, MIN_MOTION_HEIGHT_RATIO, degenerate_mask)
         for part, (vertices, shape) in enumerate(zip(shapes.parts, shapes.shapes, strict=True)):
             posed = x[vertices]
             frame_covariances[part] = (posed - posed.mean(axis=0)).T @ shape
@@ -173,9 +173,7 @@ def decompose(
 
     patches = _return_to_parts(topology, part_of_face, kept, in_joint)
     if topology.unused_vertices.size:
-        unused = np.zeros(topology.vertex_count, dtype=bool)
-        unused[topology.unused_vertices] = True
-        kept.append(unused)
+        kept.append(index_mask(topology.unused_vertices, topology.vertex_count))
         widths = np.append(widths, 1)
     in_parts = np.any(kept, axis=0)
     return Decomposition(

@@ -48,7 +48,7 @@ from mixseq.mesh.measures import dihedral_angles, edge_lengths, triangle_areas, 
 from mixseq.mesh.topology import Topology
 from mixseq.segmentation.elements import check_part_count, face_areas, find_passes
 from mixseq.segmentation.joints import sample_frame_ids
-from mixseq.types import Float, FloatArray, Index, Mask
+from mixseq.types import Float, FloatArray, Index, Mask, index_mask
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
@@ -319,8 +319,7 @@ def _signed_distance(surface: Diffusion, significant: Mask, settings: Silhouette
     embedding = surface.embedding(settings.time, settings.eigenvectors)
     component = surface.topology.component_of_vertex
     edges = surface.topology.edges
-    rim = np.zeros(len(embedding), dtype=bool)
-    rim[edges[significant[edges[:, 0]] != significant[edges[:, 1]]]] = True
+    rim = index_mask(edges[significant[edges[:, 0]] != significant[edges[:, 1]]], len(embedding))
     result = np.zeros(len(embedding))
     for number in np.unique(component[rim]):
         in_component = component == number

@@ -12,6 +12,7 @@ from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons, read_only
 from mixseq.mesh.surface import MeshObject, Surface
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_frame, format_number
+from mixseq.sequence.provenance import Provenance
 
 UP_AXES = ("X", "Y", "Z")
 DEFAULT_FPS = 24.0
@@ -42,6 +43,8 @@ class SequenceHeader:
         Name of the mesh.
     surface : Surface
         Texture coordinates, hard edges, face sets, objects, and the source file.
+    provenance : Provenance, optional
+        The file, and what its frames were compressed from or fitted to, with the bound of the error.
 
     Raises
     ------
@@ -57,6 +60,7 @@ class SequenceHeader:
     metres_per_unit: float = 1.0
     name: str = "mesh"
     surface: Surface = Surface()  # noqa: RUF009 - frozen all the way down
+    provenance: Provenance | None = None
 
     def __post_init__(self) -> None:
         times = np.asarray(self.times, dtype=np.float64).reshape(-1)

@@ -20,12 +20,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.choices import UNITS
+from mixseq.choices import UNITS, OrderName
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.polygons import Polygons, read_only
@@ -34,7 +34,8 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS, UP_AXES, SequenceHeader, header_fields
-from mixseq.types import Float, FloatArray
+from mixseq.sequence.provenance import Provenance, as_edited, frames_checksum
+from mixseq.types import Float, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -136,7 +137,7 @@ class MeshSequence(SequenceHeader):
 
     def with_points(self, points: FloatArray) -> MeshSequence:
         """Return the same mesh and times with other points and without velocities."""
-        return replace(self, points=points, velocities=None)
+        return replace(self, points=points, velocities=None, provenance=as_edited(self.provenance))
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:
         """Iterate over the points in blocks ``(B, V, 3)`` of at most `size` frames."""
@@ -163,16 +164,37 @@ class Frames(Protocol):
         """Iterate over the points in blocks ``(B, V, 3)`` of at most `size` frames, starting at the first frame."""
 
 
+class Rig(Frames, Protocol):
+    """An open animation of joints, morph weights or transforms: a reader whose `can_evaluate` is true."""
+
+    def blocks_at(self, times: ArrayLike, size: int = ...) -> Iterator[FloatArray]:
+        """Iterate over the points at times ``(N,)`` in seconds, in blocks ``(B, V, 3)`` of at most `size` frames."""
+
+    def velocity_blocks_at(self, times: ArrayLike, size: int = ...) -> Iterator[FloatArray]:
+        """Iterate over the velocities at times ``(N,)``, in units per second, in the same blocks as `blocks_at`."""
+
+
+def is_rig(frames: Frames) -> TypeGuard[Rig]:
+    """Return whether frames are an open rig, which can be evaluated at any time."""
+    return bool(getattr(frames, "can_evaluate", False))
+
+
 @dataclass(frozen=True, eq=False)
 class LazyFrames:
     """`Frames` computed on demand: `make` takes the largest number of frames per block, and yields blocks of points."""
 
     header: SequenceHeader
     make: Callable[[int], Iterator[FloatArray]]
+    parts: IntArray | None = None
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:
         """Yield the points in blocks ``(B, V, 3)`` of at most `size` frames."""
         return self.make(size)
+
+
+def own_parts(frames: Frames) -> IntArray | None:
+    """Return the part ``(F,)`` of every triangle that frames of a model come with; None if there are none."""
+    return getattr(frames, "parts", None)
 
 
 def bounding_diagonal(points: FloatArray) -> float:
@@ -266,6 +288,13 @@ class FrameStore:
 
     header: SequenceHeader
     points: LargeArray  # (T, V, 3)
+
+    def trace(self, max_error: float, promised: bool, order: OrderName = "keep") -> SequenceHeader:
+        """Return the header of frames that are within `max_error` diagonals of this sequence, with their provenance."""
+        name, checksum = self.header.name, frames_checksum(iterate_blocks(self.points))
+        source = replace(self.header.provenance or Provenance(name), checksum=checksum)
+        diagonal = bounding_diagonal(self.points[:1][0]) or 1.0
+        return replace(self.header, provenance=Provenance(name, source, max_error, diagonal, promised, order=order))
 
 
 def load_frames(frames: Frames, progress: Progress = no_progress) -> FrameStore:
@@ -373,7 +402,9 @@ class UnitConversion:
         surface, origin = header.surface, header.surface.origin
         if self.changes and origin is not None and origin.format in _UNITLESS_FORMATS:
             surface = replace(surface, origin=None)
-        return replace(header, up_axis=self.up_axis, metres_per_unit=self.metres_per_unit, surface=surface)
+        provenance = as_edited(header.provenance) if self.changes else header.provenance
+        up_axis, metres_per_unit = self.up_axis, self.metres_per_unit
+        return replace(header, up_axis=up_axis, metres_per_unit=metres_per_unit, surface=surface, provenance=provenance)
 
     def convert(self, values: FloatArray) -> FloatArray:
         """Rotate and scale points or velocities ``(..., 3)``; keep their precision."""

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.mesh.measures import MIN_DIRECTED_LENGTH, dihedral_angles, edge_lengths, length_weights
+from mixseq.mesh.measures import MIN_DIRECTED_LENGTH, degenerate_faces, dihedral_angles, edge_lengths, length_weights
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells import kernels
@@ -53,8 +53,11 @@ ZERO_AREA_HEIGHT_RATIO = 1e-6
 ROUNDED_HEIGHT = 2.0**-19
 """Height in diagonals below which a triangle is degenerate: twice the rounding step of reference frames."""
 
-DIFFERENCE_STEP = 1e-4
+DIFFERENCE_STEP_EDGES = 1e-4
 """Step of difference quotients, relative to the median edge length."""
+
+MIN_HEIGHT_RATIO = 1e-6
+"""Ratio of height to longest side below which triangles of the initial mesh are collapsed; their angles are noise."""
 
 MIN_HINGE_NEARNESS = 0.5
 """The `hinge_nearness` of errors of a right angle; above this value, zero energy implies zero errors."""
@@ -191,8 +194,9 @@ class Shell(PickledWithoutCaches):
         """Relax a mesh ``(V, 3)`` towards lengths ``(E,)`` and angles ``(H,)``, in a number of steps."""
         targets = _cosines_and_sines(angles)
         nearness = kernels.hinge_nearness(start, self.topology.hinges, targets)
-        nearness = np.where(self.sound_hinge_mask, nearness, 1.0)
-        angle_weights = nearness * self._angle_weights
+        is_collapsed = degenerate_faces(start, self._faces, MIN_HEIGHT_RATIO)[self.topology.hinge_faces].any(axis=1)
+        nearness = np.where(self.sound_hinge_mask & ~is_collapsed, nearness, 1.0)
+        angle_weights = np.where(is_collapsed, 0.0, nearness * self._angle_weights)
         gradient, energy = self._gradient_and_energy(start, lengths, targets, angle_weights)
         if not np.isfinite(energy):
             raise ReconstructionError("lengths, angles or vertices are not finite")
@@ -238,7 +242,7 @@ class Shell(PickledWithoutCaches):
         targets = _cosines_and_sines(dihedral_angles(x, topology.hinges))
         direction, curvature = np.random.default_rng(0).normal(size=x.shape), 0.0
         typical = max(float(np.median(self.typical_lengths)), MIN_DIRECTED_LENGTH)
-        size = DIFFERENCE_STEP * typical * np.sqrt(len(x))
+        size = DIFFERENCE_STEP_EDGES * typical * np.sqrt(len(x))
         for _ in range(POWER_ITERATIONS):
             direction *= size / max(float(np.linalg.norm(direction)), MIN_DIRECTED_LENGTH)
             ahead, behind = (

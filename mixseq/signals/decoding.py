@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
-from typing import Protocol, TypeVar
+from dataclasses import replace
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,10 +13,10 @@ from numpy.typing import ArrayLike
 from mixseq.errors import SettingsError
 from mixseq.runtime.parallel import Executor, serial_executor, thread_executor
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.sequence.frame_rates import format_span, hint_frame_number, snap_to_ntsc
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_span, hint_frame_number, snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader, frame_times
+from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.spaces.base import ShapeSpace
 from mixseq.types import Float
 
 Decoded = TypeVar("Decoded")
@@ -24,22 +25,11 @@ FRAMES_PER_BLOCK = 4
 """Number of frames that a thread decodes at once."""
 
 
-class ResidualLayer(Protocol):
-    """Displacements of vertices over time that are added to decoded frames, in the units of the sequence."""
-
-    def at(self, times: Float) -> Float:
-        """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""
-
-    def rates(self, times: Float) -> Float:
-        """Return the derivatives ``(N, V, 3)`` of `at` by time, per second."""
-
-
 class Decodable(ABC):
-    """A motion in a shape space that can be decoded at any time, with an optional residual layer."""
+    """A motion that can be decoded at any time."""
 
     header: SequenceHeader
-    space: ShapeSpace
-    residual_layer: ResidualLayer | None
+    is_serial = False  # whether blocks are decoded on the caller's thread only
 
     @property
     def times(self) -> Float:
@@ -48,22 +38,26 @@ class Decodable(ABC):
         return times
 
     @property
-    @abstractmethod
     def start(self) -> float:
         """First time in seconds."""
+        return float(self.times[0])
 
     @property
-    @abstractmethod
     def end(self) -> float:
         """Last time in seconds."""
+        return float(self.times[-1])
 
     @abstractmethod
-    def curve(self, times: ArrayLike) -> Float:
-        """Return the vectors ``(N, D)`` of the space at times ``(N,)`` in seconds."""
+    def decode_points(self, times: Float) -> Float:
+        """Return the points ``(N, V, 3)`` at times ``(N,)`` from start to end, on this thread."""
 
     @abstractmethod
-    def rates(self, times: ArrayLike) -> Float:
-        """Return the derivatives ``(N, D)`` of `curve` by time, per second."""
+    def decode_moving(self, times: Float) -> tuple[Float, Float]:
+        """Return points and velocities ``(N, V, 3)`` at times ``(N,)`` from start to end, on this thread."""
+
+    @abstractmethod
+    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
+        """Compute what frames at times ``(N,)`` have in common, before threads decode them."""
 
     def __call__(self, time: float) -> Float:
         """Return the vertex positions ``(V, 3)`` at a time in seconds.
@@ -141,7 +135,10 @@ class Decodable(ABC):
         fps = None if fps is None else snap_to_ntsc(fps, self.header.fps)
         if times is None and fps is not None:
             times = frame_times(self.times[0], self.times[-1], fps)
-        return self.header.with_times(self.times if times is None else self.clip_times(times), fps)
+        if times is None or np.array_equal(times, self.times):
+            return self.header.with_times(self.times, fps)
+        header = self.header.with_times(self.clip_times(times), fps)
+        return replace(header, provenance=as_edited(header.provenance))
 
     def blocks(
         self,
@@ -151,7 +148,7 @@ class Decodable(ABC):
         workers: Executor | None = None,
     ) -> Iterator[Float]:
         """Decode frames at `times` in blocks ``(B, V, 3)``, B <= size; results do not depend on size and workers."""
-        return _decode_blocks(_decode_points, self, self.clip_times(times), size, progress, workers)
+        return self._decode_blocks(type(self).decode_points, times, size, progress, workers)
 
     def moving_blocks(
         self,
@@ -161,13 +158,33 @@ class Decodable(ABC):
         workers: Executor | None = None,
     ) -> Iterator[tuple[Float, Float]]:
         """Decode blocks of points and velocities ``(B, V, 3)``, in units and units per second; see `blocks`."""
-        return _decode_blocks(_decode_moving, self, self.clip_times(times), size, progress, workers)
+        return self._decode_blocks(type(self).decode_moving, times, size, progress, workers)
+
+    def _decode_blocks(
+        self,
+        decode: Callable[[Self, Float], Decoded],
+        times: ArrayLike,
+        size: int,
+        progress: Progress,
+        workers: Executor | None,
+    ) -> Iterator[Decoded]:
+        """Yield results of `decode_points` or `decode_moving` at times ``(N,)`` in blocks of `size` frames."""
+        clipped = self.clip_times(times)
+        blocks = (clipped[start : start + size] for start in range(0, len(clipped), size))
+        threads = thread_executor() if len(clipped) > size else serial_executor
+        executor = serial_executor if self.is_serial else workers or threads
+        self.prepare(clipped, decode is type(self).decode_moving, progress)
+        done = 0
+        for block in executor(decode, self, blocks):
+            yield block
+            done = min(done + size, len(clipped))
+            progress(done, len(clipped), "decoding frames")
 
     def clip_times(self, times: ArrayLike) -> Float:
         """Clip times ``(N,)`` to the model's range; raise `SettingsError` if a time is over 0.001 frames outside."""
         result = np.atleast_1d(np.asarray(times, dtype=np.float64))
         first, last, fps = self.start, self.end, self.header.fps
-        slack = 1e-3 / fps  # tolerance for times that were rounded when typed or printed
+        slack = FRAME_TOLERANCE / fps
         is_outside = ~((result >= first - slack) & (result <= last + slack))
         if is_outside.any():
             time = float(result[is_outside][0])
@@ -176,36 +193,3 @@ class Decodable(ABC):
                 f"{hint_frame_number(time, first, last, fps)}"
             )
         return np.clip(result, first, last)
-
-
-def _decode_blocks(
-    decode: Callable[[Decodable, Float], Decoded],
-    model: Decodable,
-    times: Float,
-    size: int,
-    progress: Progress,
-    workers: Executor | None,
-) -> Iterator[Decoded]:
-    """Yield results of `decode` (`_decode_points` or `_decode_moving`) at times ``(N,)`` in blocks of `size` frames."""
-    blocks = (times[start : start + size] for start in range(0, len(times), size))
-    executor = workers or (thread_executor() if len(times) > size else serial_executor)
-    model.space.precompute()
-    done = 0
-    for block in executor(decode, model, blocks):
-        yield block
-        done = min(done + size, len(times))
-        progress(done, len(times), "decoding frames")
-
-
-def _decode_points(model: Decodable, times: Float) -> Float:
-    """Return the points ``(N, V, 3)`` at times ``(N,)``."""
-    points = model.space.decode(model.curve(times))
-    return points if model.residual_layer is None else points + model.residual_layer.at(times)
-
-
-def _decode_moving(model: Decodable, times: Float) -> tuple[Float, Float]:
-    """Return points and velocities ``(N, V, 3)`` at times ``(N,)``."""
-    points, velocities = model.space.decode_with_velocities(model.curve(times), model.rates(times))
-    if model.residual_layer is None:
-        return points, velocities
-    return points + model.residual_layer.at(times), velocities + model.residual_layer.rates(times)

@@ -140,7 +140,6 @@ class EncodedSequence:
     placement: Float  # (T, P) placements of the frames, with continuous signs of quaternions
     samples: Float  # (T, C) coordinates of sampled vertices, used to select the temporal operator
     pose: PoseForm = "modes"  # form of the key shapes
-    in_body_axes: bool = False  # whether part poses are interpolated in body axes in addition to world axes
 
     @cached_property
     def operator(self) -> TemporalOperator:
@@ -170,7 +169,7 @@ class EncodedSequence:
         """Poses interpolated between the frames."""
         times = insert_midpoints(self.header.times)
         quarter_times = insert_midpoints(times)
-        signals = self.poses, self.placement, quarter_times, self.in_body_axes
+        signals = self.poses, self.placement, quarter_times
         poses = self.space.interpolate_poses(self.operator, *signals)
         return InterpolatedPoses(times, self.operator.weights_at(times), quarter_times, *poses)
 
@@ -258,7 +257,7 @@ def _fit_curves_with_knots(
     time = least_squares_curve(times, scores, inner)
     placement = least_squares_curve(times, encoded.placement, inner)
     signals = encoded.operator, encoded.poses, encoded.placement, times
-    part_poses, _ = encoded.space.interpolate_poses(*signals, in_body_axes=False)
+    part_poses, _ = encoded.space.interpolate_poses(*signals)
     return time, placement, least_squares_curve(times, corrections(time, times, part_poses), inner)
 
 

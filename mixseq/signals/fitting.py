@@ -1,17 +1,17 @@
 r"""Fit models to mesh sequences: shape space, encoding, and signals of a given detail.
 
-Two settings are selected by cross-validation: interpolation of part poses in body axes in addition to world axes, and
-the share of lengths and angles in the projection. Inner frames x are left out and interpolated in time from the other
-frames. Their errors are the root mean squares of errors of positions, edge lengths and dihedral angles,
+The share of lengths and angles in the projection is selected by cross-validation. Inner frames are left out and
+interpolated in time from the other frames. Their errors are the root mean squares of errors of edge lengths and
+dihedral angles,
 
-.. math:: |\hat x_v - x_v|, \qquad \hat l_e / l_e - 1, \qquad \mathrm{wrap}(\hat\theta_h - \theta_h) .
+.. math:: \hat l_e / l_e - 1, \qquad \mathrm{wrap}(\hat\theta_h - \theta_h) .
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Self, Unpack
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,7 @@ from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.sequence import Frames, check_frames, load_frames
+from mixseq.sequence.sequence import Frames, check_frames, load_frames, own_parts
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.signals.detail import (
@@ -36,6 +36,7 @@ from mixseq.signals.detail import (
     build_model,
     encode_sequence,
     fit_within_tolerance,
+    largest_error,
     verify_tolerance,
 )
 from mixseq.signals.model import Model
@@ -43,7 +44,10 @@ from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.making import SPACE_STAGES, MixedSettings, SpaceOptions, make_space, space_settings
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
 from mixseq.spaces.temporal import FrameWeights
-from mixseq.types import Float, Index, evenly_spaced
+from mixseq.types import Float, FloatArray, evenly_spaced
+
+MIN_VALIDATED_FRAMES = 4
+"""Least number of frames of a sequence for cross-validation."""
 
 MIN_VALIDATION_FRAMES, MAX_VALIDATION_FRAMES = 3, 16
 """Least number of left-out frames, also for large meshes, and largest number."""
@@ -61,96 +65,60 @@ ERROR_FLOOR = 1e-12
 """Least error in diagonals or radians; smaller errors are due to rounding."""
 
 
-def tune_interpolation(encoded: EncodedSequence, frames: LargeArray) -> EncodedSequence:
-    """Select the axes for part poses, and the share of lengths and angles, to fit left-out frames of ``(T, V, 3)``."""
+def select_share(encoded: EncodedSequence, frames: LargeArray) -> EncodedSequence:
+    """Select the share of lengths and angles at joints to fit left-out frames of ``(T, V, 3)``.
+
+    It is the smallest share that nearly minimises the larger of the errors of lengths and angles.
+    """
     space = encoded.space
-    if not isinstance(space, MixedSpace) or space.placement == "free" or len(frames) < 4:
+    if not isinstance(space, MixedSpace) or space.placement == "free" or space.projection.steps:
         return encoded
-    validation = CrossValidation.from_sequence(encoded, space, frames)
-    in_body_axes = len(space.decomposition.parts) > 1 and validation.improves_in_body_axes()
-    if space.joint_faces.any() and not space.projection.steps:
-        share = validation.choose_share(in_body_axes)
-        space = replace(space, projection=replace(space.projection, share=share))
-    return replace(encoded, in_body_axes=in_body_axes, space=space)
+    if len(frames) < MIN_VALIDATED_FRAMES or not space.joint_faces.any():
+        return encoded
+    frame_ids, weights = encoded.operator.leave_one_out()
+    limit = MAX_VALIDATION_VERTICES // space.vertex_count
+    sample = evenly_spaced(len(frame_ids), min(max(limit, MIN_VALIDATION_FRAMES), MAX_VALIDATION_FRAMES))
+    expected = [_lengths_and_angles(space, frames[frame] / space.scale) for frame in frame_ids[sample]]
+    blocks = space.split(_interpolated_vectors(encoded, space, weights.select(sample)))
+    skinned = space.skin(space.join(blocks))
+    errors_without = np.maximum(_rms_errors(space, skinned, expected), ERROR_FLOOR)
+    gains = []
+    for share in CANDIDATE_SHARES:
+        vectors = zip(skinned, blocks.lengths, blocks.angles, strict=True)
+        projected = [space.joint_projection.project(*vector, share) for vector in vectors]
+        gains.append(1.0 - float((_rms_errors(space, projected, expected) / errors_without).max()))
+    share = CANDIDATE_SHARES[int(np.argmax(np.array(gains) >= SUFFICIENT_GAIN * max(gains) - 1e-12))]
+    return replace(encoded, space=replace(space, projection=replace(space.projection, share=share)))
 
 
-@dataclass(frozen=True, eq=False)
-class CrossValidation:
-    """Left-out frames, and their interpolation from the other frames."""
+def _interpolated_vectors(encoded: EncodedSequence, space: MixedSpace, weights: FrameWeights) -> Float:
+    """Return vectors ``(n, D)`` interpolated by weights of the frames."""
+    shapes = np.zeros((len(weights.frame_ids), space.shape_dim))
+    for shape, *row in zip(shapes, weights.frame_ids, weights.weights, strict=True):
+        for frame, weight in zip(*row, strict=True):  # one frame is in memory at a time
+            shape += weight * encoded.shapes[frame : frame + 1][0]
+    signals = encoded.operator, encoded.poses, encoded.placement
+    body_poses, part_poses = space.pose_interpolation(*signals).interpolate(weights)
+    blocks = space.split(np.pad(shapes, ((0, 0), (0, space.placement_dim + space.correction_dim))))
+    poses = space.articulation.add_relations(part_poses)
+    return space.join(MixedBlocks(*blocks[:3], *poses, *body_poses, blocks.corrections))
 
-    encoded: EncodedSequence  # the encoded sequence
-    space: MixedSpace  # its shape space
-    frame_ids: Index  # (n,) frames that are left out
-    weights: FrameWeights  # temporal weights of the other frames
-    points: Float  # (n, V, 3) vertices of the left-out frames, in diagonals
 
-    @classmethod
-    def from_sequence(cls, encoded: EncodedSequence, space: MixedSpace, frames: LargeArray) -> Self:
-        """Leave out evenly spread inner frames of a sequence ``(T, V, 3)``."""
-        frame_ids, weights = encoded.operator.leave_one_out()
-        limit = MAX_VALIDATION_VERTICES // space.vertex_count
-        limit = min(max(limit, MIN_VALIDATION_FRAMES), MAX_VALIDATION_FRAMES)
-        sample = evenly_spaced(len(frame_ids), limit)
-        points = frames[frame_ids[sample]].astype(np.float64) / space.scale
-        return cls(encoded, space, frame_ids[sample], weights.select(sample), points)
+def _lengths_and_angles(space: MixedSpace, points: FloatArray) -> tuple[Float, Float]:
+    """Return all edge lengths and dihedral angles of points ``(V, 3)`` in diagonals."""
+    topology = space.topology
+    return lengths_and_angles(np.ascontiguousarray(points, dtype=np.float64), topology.edges, topology.hinges)
 
-    def improves_in_body_axes(self) -> bool:
-        """Whether body axes lower the sum of the logarithms of the three errors."""
-        vectors = map(self._interpolated_vectors, (False, True))
-        world, body = (np.maximum(self._rms_errors(self.space.skin(v)), ERROR_FLOOR) for v in vectors)
-        return bool(np.log(body / world).sum() < 0.0)
 
-    def choose_share(self, in_body_axes: bool) -> float:
-        """Return the smallest share that nearly minimises the larger of the errors of lengths and angles."""
-        blocks = self.space.split(self._interpolated_vectors(in_body_axes))
-        skinned = self.space.skin(self.space.join(blocks))
-        errors_without = np.maximum(self._rms_errors(skinned)[1:], ERROR_FLOOR)
-        ratios = []
-        for share in CANDIDATE_SHARES:
-            frames = zip(skinned, blocks.lengths, blocks.angles, strict=True)
-            projected = np.stack([self.space.joint_projection.project(*frame, share) for frame in frames])
-            ratios.append(float((self._rms_errors(projected)[1:] / errors_without).max()))
-        gains = 1.0 - np.array(ratios)
-        return CANDIDATE_SHARES[int(np.argmax(gains >= SUFFICIENT_GAIN * gains.max() - 1e-12))]
-
-    @cached_property
-    def _interpolated_shapes(self) -> Float:
-        """Shapes ``(n, S)`` interpolated from the other frames; one frame is in memory at a time."""
-        shapes = np.zeros((len(self.frame_ids), self.space.shape_dim))
-        rows = zip(shapes, self.weights.frame_ids, self.weights.weights, strict=True)
-        for shape, frame_ids, weights in rows:
-            for frame, weight in zip(frame_ids, weights, strict=True):
-                shape += weight * self.encoded.shapes[frame : frame + 1][0]
-        return shapes
-
-    def _interpolated_vectors(self, in_body_axes: bool) -> Float:
-        """Vectors ``(n, D)`` interpolated from the other frames."""
-        space, encoded = self.space, self.encoded
-        signals = encoded.operator, encoded.poses, encoded.placement
-        interpolation = space.pose_interpolation(*signals, in_body_axes)
-        body_poses, part_poses = interpolation.interpolate(self.weights)
-        padding = space.placement_dim + space.correction_dim
-        shapes = space.split(np.pad(self._interpolated_shapes, ((0, 0), (0, padding))))
-        corrections = np.zeros((len(self.frame_ids), space.correction_dim))
-        poses = space.articulation.add_relations(part_poses)
-        return space.join(MixedBlocks(*shapes[:3], *poses, *body_poses, corrections))
-
-    def _rms_errors(self, points: Float) -> Float:
-        """Root mean square errors ``(3,)`` of positions, relative lengths and angles in frames ``(n, V, 3)``."""
-        squares = np.zeros(3)
-        topology = self.space.topology
-        for actual, expected in zip(points, self.points, strict=True):
-            (lengths, angles), (expected_lengths, expected_angles) = (
-                lengths_and_angles(np.ascontiguousarray(x, dtype=np.float64), topology.edges, topology.hinges)
-                for x in (actual, expected)
-            )
-            strain = lengths / np.maximum(expected_lengths, 1e-12) - 1.0
-            squares += [
-                float(np.square(actual - expected).sum(axis=1).mean()),
-                float(np.square(strain).mean()) if len(strain) else 0.0,
-                float(np.square(wrap_angles(angles - expected_angles)).mean()) if len(angles) else 0.0,
-            ]
-        return np.sqrt(squares / len(points))
+def _rms_errors(space: MixedSpace, points: Iterable[Float], expected: list[tuple[Float, Float]]) -> Float:
+    """Return root mean square errors ``(2,)`` of relative lengths and of angles in frames ``(n, V, 3)``."""
+    squares = np.zeros(2)
+    for frame, (expected_lengths, expected_angles) in zip(points, expected, strict=True):
+        lengths, angles = _lengths_and_angles(space, frame)
+        strain = lengths / np.maximum(expected_lengths, 1e-12) - 1.0
+        errors = strain, wrap_angles(angles - expected_angles)
+        squares += [float(np.square(each).mean()) if len(each) else 0.0 for each in errors]
+    return np.sqrt(squares / len(expected))
 
 
 FIT_STAGES = 2 + SPACE_STAGES
@@ -211,7 +179,7 @@ def fit(
         Placement of parts by their poses (default), or by lengths, angles and six numbers for every body, as in the
         paper.
     parts : int or (F,) int, optional
-        Number of parts, or the part of every triangle; by default, parts are segmented by motion.
+        Number of parts, or the part of every triangle; by default those of a model, or segmented by motion.
     joint_width : int
         Largest width of joints, in strips of triangles on each side of a boundary.
     space : {"mixed", "vertex", "gradient", "lri", "edge"}
@@ -264,6 +232,8 @@ def fit(
     """
     check_frames(sequence)
     knots, pose = settings.pop("knots", None), settings.pop("pose", "modes")
+    if parts is None and space == "mixed":
+        parts = own_parts(sequence)
     _check_options(exact, tolerance, rank, knots, pose)
     options = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
     max_error = VISUALLY_LOSSLESS_TOLERANCE if tolerance is None else float(tolerance)
@@ -280,14 +250,17 @@ def fit(
         frames = load_frames(sequence, stages.at(0))
         shape_space = make_space(frames, space, options, executor, stages.at(1, SPACE_STAGES))
         encoded = encode_sequence(frames, shape_space, pose, executor, stages.at(1 + SPACE_STAGES))
-        encoded = tune_interpolation(encoded, frames.points)
+        encoded = select_share(encoded, frames.points)
         if exact:
-            model = build_model(encoded, Detail(step=EXACT_ROUNDING_STEP))
-            return verify_tolerance(model, frames, EXACT_TOLERANCE, executor, stages.at(FIT_STAGES))
-        if is_reduced:
-            return build_model(encoded, Detail(rank=rank, knots=knots))
-        search = stages.at(FIT_STAGES, MAX_TRIAL_MODELS)
-        return fit_within_tolerance(encoded, frames, max_error, search, executor)
+            max_error, model = EXACT_TOLERANCE, build_model(encoded, Detail(step=EXACT_ROUNDING_STEP))
+            verify_tolerance(model, frames, max_error, executor, stages.at(FIT_STAGES))
+        elif is_reduced:
+            model = build_model(encoded, Detail(rank=rank, knots=knots))
+            max_error = largest_error(model, frames, workers=executor)
+        else:
+            search = stages.at(FIT_STAGES, MAX_TRIAL_MODELS)
+            model = fit_within_tolerance(encoded, frames, max_error, search, executor)
+        return replace(model, header=frames.trace(max_error, promised=not is_reduced))
 
 
 def _check_options(

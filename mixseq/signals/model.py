@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,12 +22,15 @@ from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import read_only
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread
+from mixseq.runtime.progress import Progress
 from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.provenance import as_edited
+from mixseq.sequence.sequence import LazyFrames
 from mixseq.signals.curve import Curve
-from mixseq.signals.decoding import Decodable, ResidualLayer
+from mixseq.signals.decoding import Decodable
 from mixseq.signals.pose import Plane, PoseMap, fit_plane
 from mixseq.spaces.base import ShapeSpace
-from mixseq.types import Float
+from mixseq.types import Float, IntArray
 
 if TYPE_CHECKING:
     from mixseq.segmentation.joints import Decomposition
@@ -55,9 +58,6 @@ class Model(Decodable, PickledWithoutCaches):
     correction : Curve, optional
         Curve of `ShapeSpace.correction_dim` coordinates that corrects blended shapes between frames, and at frames in a
         model of few modes. By default, there is no correction.
-    residual_layer : ResidualLayer, optional
-        Displacements added to decoded frames to keep a compressed sequence within its error bound. They are specific to
-        this motion: `dataclasses.replace` keeps them, `with_motion` drops them.
 
     Raises
     ------
@@ -72,7 +72,6 @@ class Model(Decodable, PickledWithoutCaches):
     shapes: Float
     placement: Curve
     correction: Curve = None  # type: ignore[assignment]  # set below by default
-    residual_layer: ResidualLayer | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shapes", read_only(np.asarray(self.shapes, dtype=np.float64)))
@@ -100,12 +99,7 @@ class Model(Decodable, PickledWithoutCaches):
         return self.time, self.placement, self.correction
 
     def with_motion(
-        self,
-        time: Curve,
-        placement: Curve,
-        correction: Curve,
-        header: SequenceHeader | None = None,
-        residual_layer: ResidualLayer | None = None,
+        self, time: Curve, placement: Curve, correction: Curve, header: SequenceHeader | None = None
     ) -> Model:
         """Return the model with another motion and the same shapes.
 
@@ -115,17 +109,13 @@ class Model(Decodable, PickledWithoutCaches):
             Signals of the new motion.
         header : SequenceHeader, optional
             Header with the times of the new frames; by default the header of this model.
-        residual_layer : ResidualLayer, optional
-            Residual layer of the new motion; by default none.
         """
-        return replace(
-            self,
-            header=header or self.header,
-            time=time,
-            placement=placement,
-            correction=correction,
-            residual_layer=residual_layer,
-        )
+        return self.edited(header=header or self.header, time=time, placement=placement, correction=correction)
+
+    def edited(self, **changes: Any) -> Model:
+        """Return the model with other fields, and mark it as edited: it is no longer within a bound of its source."""
+        header = changes.pop("header", self.header)
+        return replace(self, header=replace(header, provenance=as_edited(header.provenance)), **changes)
 
     @property
     def start(self) -> float:
@@ -141,6 +131,16 @@ class Model(Decodable, PickledWithoutCaches):
     def decomposition(self) -> Decomposition:
         """Parts and joints of the mesh; raises `SettingsError` if the shape space has none."""
         return self.mixed.decomposition
+
+    @property
+    def parts(self) -> IntArray | None:
+        """Part ``(F,)`` of every triangle; None if the shape space has no parts."""
+        return None if self.space.segmentation is None else self.space.segmentation.part_of_face
+
+    @property
+    def frames(self) -> LazyFrames:
+        """The frames, decoded on demand, with their parts."""
+        return LazyFrames(self.header, lambda size: self.blocks(self.times, size), self.parts)
 
     @property
     def mixed(self) -> MixedSpace:
@@ -168,6 +168,18 @@ class Model(Decodable, PickledWithoutCaches):
         shapes = self._blend_shapes(self.pose.rates(self.time.derivative(clipped)))
         others = self.placement.derivative(clipped), self.correction.derivative(clipped)
         return np.concatenate([shapes, *others], axis=1)
+
+    def decode_points(self, times: Float) -> Float:
+        """Implement `Decodable.decode_points`."""
+        return self.space.decode(self.curve(times))
+
+    def decode_moving(self, times: Float) -> tuple[Float, Float]:
+        """Implement `Decodable.decode_moving`."""
+        return self.space.decode_with_velocities(self.curve(times), self.rates(times))
+
+    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
+        """Precompute the space."""
+        self.space.precompute()
 
     def _blend_shapes(self, weights: Float) -> Float:
         """Return weighted sums ``(N, S)`` of key shapes, row by row, so that each is independent of the others."""

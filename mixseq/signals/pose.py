@@ -105,14 +105,6 @@ class PoseMap:
         return cls(np.eye(count)[0], np.eye(count)[1:] - np.eye(count)[0])
 
 
-def pose_signal_from_modes(scores: Float, mean: Float, directions: Float) -> tuple[PoseMap, Float]:
-    """Make the pose signal and key shapes ``(1 + r, D)`` of ``mean + scores @ directions``; scores ``(T, r)``."""
-    deviations = np.sqrt(np.square(scores).mean(axis=0))
-    deviations = np.where(deviations > 0, deviations, 1.0)
-    shapes = np.concatenate([mean[None], mean + deviations[:, None] * directions])
-    return PoseMap.from_modes(1 / deviations), shapes
-
-
 NEGLIGIBLE_SPREAD = 1e-12
 """Ratio to the largest spread of frames along an axis below which a spread is a rounding error."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -60,10 +60,7 @@ def flatten_blocks(blocks: Iterable[NDArray[Any]]) -> NDArray[Any]:
     return np.concatenate([block.reshape(len(block), -1) for block in blocks], axis=1)
 
 
-ShapeMap = Callable[[Float], Float]
-"""Function that maps shapes ``(K, S)`` of one space to the same shapes in another space."""
-
-DIFFERENCE_STEP = 1e-4
+DIFFERENCE_STEP_DIAGONALS = 1e-4
 """Step of central differences, as a displacement of vertices in diagonals."""
 
 
@@ -157,12 +154,12 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         return flatten_blocks(poses)
 
     def interpolate_poses(
-        self, operator: TemporalOperator, poses: Float, placements: Float, times: Float, in_body_axes: bool
+        self, operator: TemporalOperator, poses: Float, placements: Float, times: Float
     ) -> tuple[Float, Float]:
         """Interpolate part poses ``(T, pose_dim)`` and placements ``(T, P)`` of the frames at times ``(N,)``.
 
         Returns target poses ``(N, ...)`` for `pose_corrections`, and placements ``(N, P)``. Spaces without parts chain
-        rotations and add weighted centres. `in_body_axes` also interpolates parts in body axes.
+        rotations and add weighted centres.
         """
         weights = operator.weights_at(times)
         placed = interpolate_poses(weights, self.unpack_placements(placements))
@@ -179,14 +176,6 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     def pose_corrections(self, poses: Float, targets: Float) -> Float:
         """Return the corrections ``(N, C)`` that move blended part poses ``(N, pose_dim)`` to targets ``(N, ...)``."""
         return np.zeros((len(poses), 0))
-
-    def extend(self, points: Float) -> tuple[ShapeSpace, ShapeMap]:
-        """Return a space that also contains a shape ``(V, 3)``, and the map to it; by default this space."""
-        return self, identity_map
-
-    def merge(self, other: ShapeSpace) -> tuple[ShapeSpace, ShapeMap | None, ShapeMap | None]:
-        """Return a space of the shapes of both spaces, and the maps to it, or None if frames must be encoded again."""
-        return self, identity_map, identity_map if other is self else None
 
     def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
         """Encode frames as vectors.
@@ -285,13 +274,8 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """Decode vectors and their rates ``(T, D)`` to points and velocities ``(T, V, 3)``, by central differences."""
         points = self.decode(vectors)
         size = np.abs(rates * self.weights).max(axis=1, initial=0.0)
-        step = np.divide(DIFFERENCE_STEP, size, out=np.zeros_like(size), where=size > 0)
+        step = np.divide(DIFFERENCE_STEP_DIAGONALS, size, out=np.zeros_like(size), where=size > 0)
         change = step[:, None] * rates
         ahead, behind = (self.decode_for_differences(v) for v in (vectors + change, vectors - change))
         inverse = np.divide(0.5, step, out=np.zeros_like(step), where=step > 0)
         return points, (ahead - behind) * inverse[:, None, None]
-
-
-def identity_map(shapes: Float) -> Float:
-    """Return shapes unchanged: the map between spaces with the same vectors."""
-    return shapes

@@ -174,7 +174,7 @@ class DiscreteShell(PickledWithoutCaches):
         )
 
 
-AVERAGING_ROUNDS = 10
+CHAIN_AVERAGING_ROUNDS = 10
 """Rounds of rotation averaging after chaining."""
 
 MAX_CYCLES = 4
@@ -244,7 +244,7 @@ class RelaxedShell(PickledWithoutCaches):
         rotations = self.shell.hinge_frames.rotations(flat, angles)[self._bridging_hinge_ids]
         known = np.tile([1.0, 0.0, 0.0, 0.0], (int(np.count_nonzero(self.frame_graph.known_mask)), 1))
         frames = self.frame_graph.chain(rotations, known)
-        frames = self.frame_graph.average(frames, rotations, AVERAGING_ROUNDS)
+        frames = self.frame_graph.average(frames, rotations, CHAIN_AVERAGING_ROUNDS)
         best, steps = Relaxed(self.pieces.shapes, np.inf), 0
         for _ in range(MAX_CYCLES):
             start = self.shell.integrate(rotate_sides(frames, flat), best.points)

@@ -16,7 +16,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
-from importlib.resources import files
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -40,18 +39,8 @@ from mixseq.viewer.export_data import (
     encode_mesh,
     encode_text,
 )
+from mixseq.viewer.page import CHART_SCRIPTS, read_script
 from mixseq.web import bundled, minify
-
-CHART_SCRIPTS = (
-    "frame_numbers.js",
-    "chart_pane.js",
-    "chart_axes.js",
-    "chart_marks.js",
-    "chart_layout.js",
-    "chart_coefficients.js",
-    "charts.js",
-)
-"""Scripts of charts, in loading order; the player also needs the first script."""
 
 PLAYER_SCRIPTS = (
     "clock.js",
@@ -68,17 +57,6 @@ PLAYER_SCRIPTS = (
 
 POSE_SCRIPTS = ("normals.js", "topology.js", "measures.js", "poses.js")
 """Scripts that are loaded with the decoder to convert streams to poses."""
-
-
-@cache
-def read_script(name: str) -> str:
-    """Return the text of a file in the folder ``page``, such as ``"charts.js"``."""
-    return files("mixseq.viewer").joinpath("page", name).read_text(encoding="utf-8")
-
-
-def chart_scripts() -> str:
-    """Return the scripts of editable charts as one text."""
-    return "\n".join(map(read_script, (*CHART_SCRIPTS, "chart_retiming.js")))
 
 
 def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
@@ -128,11 +106,6 @@ def _minify(text: str) -> str:
 def _data_element(data: bytes) -> bytes:
     opened, closed = f'<script type="text/plain" data-size="{len(data)}">', "</script>\n"
     return opened.encode(PAGE_ENCODING) + encode_text(data) + closed.encode(PAGE_ENCODING)
-
-
-def script_json(value: Any) -> str:
-    """Return a value as JSON for a script element, with ``<`` escaped because it could end the element."""
-    return json.dumps(value, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
 
 
 MAX_PAGE_FRAMES = 20_000

@@ -27,6 +27,7 @@ from mixseq.compression.encoder.compress import compress
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.surface import Surface
+from mixseq.pictures.chart_data import chart_data
 from mixseq.pictures.colours import MEASURES, Colouring, SceneColours
 from mixseq.pictures.scene import SceneItem, View, resolve_view, to_y_up
 from mixseq.runtime.low_memory import LargeArray, new_large_array
@@ -35,7 +36,6 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import LazyFrames, check_block, iterate_blocks
 from mixseq.types import Float, FloatArray, Index
-from mixseq.viewer.session import chart_data
 from mixseq_io.coded.packing import pack
 
 PAGE_ENCODING = "utf-16-le"
@@ -78,7 +78,7 @@ class PageItem:
 
     mesh: SceneItem  # the moving mesh
     colourings: Mapping[str, Colouring]  # available colourings, the initial one first
-    signals: Mapping[str, Any] | None = None  # chart data of a model (mixseq.viewer.session.chart_data)
+    signals: Mapping[str, Any] | None = None  # chart data of a model (mixseq.pictures.chart_data)
     compressed: CompressedSequence | None = None  # the opened file of the mesh, if compressed
 
 
@@ -211,6 +211,7 @@ class PageItemReport:
     frames: int  # number of poses
     max_error: float  # bound of vertex errors, in diagonals of the first pose
     error: float  # the same bound in units of the mesh
+    history: str  # what the bound refers to, see `mixseq.sequence.provenance`
     positions: int  # bytes of mesh and motion before encoding as text
     colours: int  # bytes of colours before encoding as text
 
@@ -261,8 +262,9 @@ def encode_mesh(
         "colourings": colourings,
         "signals": item.signals,
     }
+    history = str(compressed.header.provenance or "")
     sizes = len(container.streams), sum(map(len, stored))
-    report = PageItemReport(item.mesh.name, len(elapsed), parameters.max_error, error, *sizes)
+    report = PageItemReport(item.mesh.name, len(elapsed), parameters.max_error, error, history, *sizes)
     return description, [container.streams, *stored], report
 
 
@@ -287,7 +289,9 @@ def _compress_poses(
         ),
     )
     frames = numbering.renumber_frames(centred)
-    return compress(frames, max_error=max_error, progress=progress, uvs=False), numbering.vertices
+    one_part = np.zeros(len(geometry_header.faces), dtype=np.int64)
+    coded = compress(frames, max_error=max_error, progress=progress, uvs=False, parts=one_part)
+    return replace(coded, parts=None), numbering.vertices  # players have no use for parts
 
 
 def _regular_times(elapsed: Float, fps: float) -> tuple[Float, float]:

@@ -14,19 +14,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import OutputError
-from mixseq.operations import retime
-from mixseq.operations.sketch import default_reach
-from mixseq.pictures.charts import dense_times, largest_coordinates
+from mixseq.operations.retiming import retime
 from mixseq.pictures.scene import Scene
 from mixseq.signals.model import Model
-from mixseq.signals.pose import Plane
-from mixseq.types import Float, IntArray, evenly_spaced
+from mixseq.types import Float
 from mixseq.viewer.playback import JobQueue, Playback
 
 MAX_MESSAGE_POINTS = 5000
@@ -111,38 +107,6 @@ def _parse_pairs(rows: Any) -> Float:
     return np.array([[_parse_number(value) for value in row] for row in rows])
 
 
-class RayHit(NamedTuple):
-    """First intersection of a ray with a mesh."""
-
-    face: int  # index of the triangle
-    vertex: int  # corner of this triangle nearest to the intersection
-    distance: float  # ray parameter of the intersection
-
-
-def intersect_ray(
-    points: NDArray[np.floating], faces: IntArray, origin: ArrayLike, direction: ArrayLike
-) -> RayHit | None:
-    """Return the first hit of a ray on two-sided triangles ``(F, 3)`` of points ``(V, 3)``, None if there is no hit."""
-    start, ray = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
-    corners = np.asarray(points, dtype=np.float64)[faces]
-    a, b, c = np.moveaxis(corners, 1, 0)
-    first, second = b - a, c - a
-    normal = np.cross(ray, second)
-    volume = np.einsum("fi,fi->f", first, normal)
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # the ray may lie in the plane of a triangle
-        offset = start - a
-        u = np.einsum("fi,fi->f", offset, normal) / volume
-        cross = np.cross(offset, first)
-        v = cross @ ray / volume
-        t = np.einsum("fi,fi->f", second, cross) / volume
-        is_hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & np.isfinite(t)
-    if not is_hit.any():
-        return None
-    face = int(np.where(is_hit, t, np.inf).argmin())
-    nearest = np.linalg.norm(corners[face] - (start + t[face] * ray), axis=1).argmin()
-    return RayHit(face, int(faces[face, nearest]), float(t[face]))
-
-
 @dataclass(frozen=True, eq=False)
 class Step:
     """State of a model after an edit."""
@@ -183,61 +147,6 @@ class UndoHistory(Generic[State]):
 
 EditHistory = UndoHistory[Step]
 HistoryChange = Callable[[EditHistory], EditHistory]
-
-MAX_CHART_POINTS = 800
-"""Largest number of points of a chart line, about two per pixel."""
-
-MAX_CHART_FRAMES = 300
-"""Largest number of frames that are drawn as dots."""
-
-HANDLE_COUNT = 13
-"""Number of draggable points of the time curve, evenly spaced in time; more would crowd a small chart."""
-
-INITIAL_KEY_COUNT = 5
-"""Initial number of keys of a retiming."""
-
-SIGNIFICANT_DIGITS = 5
-"""Significant digits of the largest chart value, sufficient for a screen of 4000 pixels."""
-
-
-def chart_data(model: Model, plane: Plane | None = None) -> dict[str, Any]:
-    """Return the chart data of a model as values that JSON can hold."""
-    start, end = model.start, model.end
-    has_motion = end > start and model.time.dim > 0
-    times = dense_times(model) if end > start else np.array([start])
-    times = times[evenly_spaced(len(times), MAX_CHART_POINTS)]
-    frames = model.times[evenly_spaced(len(model.times), MAX_CHART_FRAMES)]
-    handles = np.linspace(start, end, HANDLE_COUNT) if has_motion else np.zeros(0)
-    coordinate_ids, units = largest_coordinates(model)
-    lines = model.time(times)[:, coordinate_ids] * units
-    keys = np.linspace(start, end, INITIAL_KEY_COUNT).tolist() if end > start else []
-    path = model.embedding(times, plane)
-    extent = float(np.abs(path).max(initial=0.0))
-    positions = _round(model.embedding(handles, plane), extent)
-    return {
-        "start": start,
-        "end": end,
-        "fps": model.header.fps,
-        "times": _round(times, end - start),
-        "path": _round(path, extent),
-        "frames": _round(model.embedding(frames, plane), extent),
-        "frameTimes": _round(frames, end - start),
-        "handles": [{"time": time, "at": at} for time, at in zip(handles.tolist(), positions, strict=True)],
-        "reach": default_reach(model),
-        "coefficients": [
-            {"name": f"coordinate {number + 1}", "values": _round(line, float(np.abs(lines).max()))}
-            for number, line in zip(coordinate_ids.tolist(), lines.T, strict=True)
-        ],
-        "keys": [[time, time] for time in keys],
-    }
-
-
-def _round(values: Float, largest: float) -> list[Any]:
-    """Round values to the decimals that give `largest` `SIGNIFICANT_DIGITS` digits, and return them as lists."""
-    decimals = SIGNIFICANT_DIGITS - int(np.ceil(np.log10(largest))) if largest > 0 else SIGNIFICANT_DIGITS
-    rounded: list[Any] = (np.round(values, min(max(decimals, 0), 15)) + 0.0).tolist()
-    return rounded
-
 
 Edit = Callable[[Model], Model]
 

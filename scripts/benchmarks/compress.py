@@ -1,205 +1,194 @@
 """Rate and distortion: bits per vertex and frame, without connectivity, of `mixseq.compress` and of its peers.
 
 Everything is encoded for real and decoded again; errors are those of the decoded points. NAME is an animation of
-$MIXSEQ_DATA/npz; `NAME xN` repeats it N times with variation. Leaves out/compress.json and out/compress.md. Ends with 1
-if a target is missed or a coder failed.
+$MIXSEQ_DATA/npz; `NAME xN` repeats it N times with variation. Ends with 1 if a coder failed.
 
-Usage: scripts/bench compress [NAME ...] [--only CODER,CODER] [--plots FOLDER] [--json FILE]
+Usage: scripts/bench compress [NAME ...] [--only CODER,CODER]
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import re
 import sys
-import time
 import traceback
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution
-from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 import mixseq
 from mixseq.creature import walk_cycle
-from scripts.benchmarks.common.animations import animation
-from scripts.benchmarks.common.rate_report import Measured, sequence_section, summary
-from scripts.benchmarks.common.rates import Point, errors
-from scripts.benchmarks.common.report import origin
-from scripts.benchmarks.common.timing import repeated
-from scripts.benchmarks.peers.bones import Bones
-from scripts.benchmarks.peers.caches import Cache
-from scripts.benchmarks.peers.coder import Coder
-from scripts.benchmarks.peers.differences import Differences
-from scripts.benchmarks.peers.draco import Draco
-from scripts.benchmarks.peers.ours import Ours
+from scripts.benchmarks.common.harness import animation, markdown_table, repeated
+from scripts.benchmarks.peers.coders import ERROR_TARGETS, KG_TARGETS, Coder, Differences, Draco, Ours
 from scripts.benchmarks.peers.pca import Pca
 
 NAMES = (
-    "horse_gallop",
-    "elephant_gallop",
-    "q_man_run",
-    "q_wolf_gallop",
-    "cat_poses",
-    "fox_survey",
-    "robotexpressive_dance",
-    "q_horse_eating",
-    "abc_dembones_bone",
-    "horse_gallop x10",
-    "q_wolf_gallop x10",
-)
+    "horse_gallop", "elephant_gallop", "q_man_run", "q_wolf_gallop", "cat_poses", "fox_survey",
+    "robotexpressive_dance", "q_horse_eating", "abc_dembones_bone", "horse_gallop x10", "q_wolf_gallop x10",
+)  # fmt: skip
 
-CODERS: tuple[Coder, ...] = (
-    Ours(),
-    Pca("trajectory"),
-    Pca("shape"),
-    Draco(),
-    Differences(),
-    Bones(),
-    Cache("usd", "USD as it is, all bytes", "cache.usdc"),
-    Cache("alembic", "Alembic as it is, all bytes", "cache.abc", ("alembic3d",)),
-)
+CODERS: tuple[Coder, ...] = (Ours(), Pca("trajectory"), Pca("shape"), Draco(), Differences())
+OURS, PEER = "ours", "trajectory"
 
-RUNS, BUDGET = 3, 1.0
-"""How often a setting is run for its seconds, and after how many seconds not once more."""
+Measure = Literal["kg_percent", "max_error"]
+
+TIMED_AT = 0.1
+"""Seconds are those of the setting whose KG error, in percent, is nearest to this."""
+
+SLACK = 1.01
+"""An error up to this many times a target counts as the target."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """A setting of a coder: bits per vertex and frame, errors (KG in percent, the largest in diagonals), seconds."""
+
+    bits: float
+    kg_percent: float
+    max_error: float
+    encode: float
+    decode: float
+
+
+Points = Mapping[str, Sequence[Point]]
+"""Of all coders on one sequence, by their names."""
 
 
 def main() -> int:
-    options = _options()
-    coders = _installed([coder for coder in CODERS if coder.name in options.only])
-    if not os.environ.get("MIXSEQ_DATA"):
-        print("no animations: set MIXSEQ_DATA to the folder that holds npz/", file=sys.stderr)
-        return 2
-    coders, failures = _warmed(coders)
-    titles = {coder.name: coder.title for coder in coders}
-    found: list[Measured] = []
-    sections: list[str] = []
-    for name in _names(options.names):
-        measured, failed = measure(name, coders)
-        failures += failed
-        found.append(measured)
-        sections.append(sequence_section(measured, titles).markdown())
-        print(f"\n{sections[-1]}\n", flush=True)
-        _save(options.json, found, failures)
-    short = summary(found)
-    if short.tables:
-        sections.append(short.markdown())
-        print(f"\n{sections[-1]}\n")
-    options.json.with_suffix(".md").write_text("\n\n".join(sections) + "\n")
-    if options.plots:
-        from scripts.benchmarks.common.curves import draw_curves
-
-        draw_curves(found, titles, options.plots)
+    parser = argparse.ArgumentParser(prog="scripts/bench compress", description=__doc__)
+    parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
+    parser.add_argument("--only", metavar="CODER,CODER", help=f"of {', '.join(coder.name for coder in CODERS)}")
+    options = parser.parse_args()
+    coders = [coder for coder in CODERS if not options.only or coder.name in options.only.split(",")]
+    coders = [coder for coder in coders if is_installed(coder.package) and is_warm(coder)]
+    failures: list[str] = []
+    found: dict[str, Points] = {}
+    for name in join_loops(options.names):
+        sequence = animation(name)
+        found[name] = measure(name, sequence, coders, failures)
+        print(f"\n### {name}: {sequence.vertex_count} vertices, {len(sequence)} frames\n")
+        print(sequence_table(found[name], {coder.name: coder.title for coder in coders}), flush=True)
+    both = {name: points for name, points in found.items() if {OURS, PEER} <= points.keys()}
+    if both:
+        print(f"\nBits of ours over bits of PCA in trajectory space.\n\n{ratio_table(both)}")
     print("\n".join(failures))
-    return 1 if failures or not all(target.met for target in short.targets) else 0
+    return int(bool(failures))
 
 
-def measure(name: str, coders: Iterable[Coder]) -> tuple[Measured, list[str]]:
-    """Run all coders on a sequence; those that fail are named, with the reason."""
-    sequence = animation(name)
+def measure(name: str, sequence: mixseq.MeshSequence, coders: Iterable[Coder], failures: list[str]) -> Points:
+    """Run all coders with all their settings; those that fail are named, with the reason."""
     points: dict[str, list[Point]] = {}
-    failures = []
     for coder in coders:
-        start = time.perf_counter()
         try:
-            points[coder.name] = operating_points(coder, sequence)
+            points[coder.name] = [operating_point(coder, sequence, each) for each in coder.settings(sequence)]
         except Exception as error:
             traceback.print_exc()
             failures.append(f"{coder.name} failed on {name}: {type(error).__name__}: {error}")
-        print(f"{name}, {coder.name}: {time.perf_counter() - start:.1f} s", file=sys.stderr, flush=True)
-    return Measured(name, sequence.vertex_count, len(sequence), points), failures
-
-
-def operating_points(coder: Coder, sequence: mixseq.MeshSequence) -> list[Point]:
-    """Encode and decode with every setting of a coder."""
-    return [operating_point(coder, sequence, setting) for setting in coder.settings(sequence)]
+    return points
 
 
 def operating_point(coder: Coder, sequence: mixseq.MeshSequence, setting: Any) -> Point:
     """Encode, decode, and compare."""
-    encoding, data = repeated(lambda: coder.encode(sequence, setting), RUNS, BUDGET)
+    encoding, data = repeated(lambda: coder.encode(sequence, setting), 3, 1.0)
     # A decoder is given the faces alone: what it works out from them is part of its seconds.
-    decoding, decoded = repeated(lambda: coder.decode(_mesh(sequence), data), RUNS, BUDGET)
-    kg, largest = errors(sequence.points, decoded, sequence.diagonal)
-    signals = coder.signals(_mesh(sequence), data)
-    text = " ".join(map(str, setting)) if isinstance(setting, tuple) else str(setting)
-    bits = 8 * signals / (sequence.vertex_count * len(sequence))
-    return Point(text, signals, len(data), bits, kg, largest, encoding.runs, decoding.runs)
+    decoding, decoded = repeated(lambda: coder.decode(_mesh(sequence), data), 3, 1.0)
+    bits = 8 * coder.signals(_mesh(sequence), data) / (sequence.vertex_count * len(sequence))
+    found = errors(sequence.points, decoded, sequence.diagonal)
+    return Point(bits, *found, float(np.median(encoding)), float(np.median(decoding)))
 
 
-def _mesh(sequence: mixseq.MeshSequence) -> mixseq.Topology:
-    return mixseq.Topology(sequence.faces, sequence.vertex_count)
+def errors(original: NDArray[Any], decoded: NDArray[Any], diagonal: float) -> tuple[float, float]:
+    """Return the KG error in percent, and the largest error of a vertex in diagonals."""
+    x = original.astype(np.float64)
+    away = decoded - x
+    kg = 100 * np.linalg.norm(away) / np.linalg.norm(x - x.mean(axis=1, keepdims=True))
+    return float(kg), float(np.sqrt(np.square(away).sum(axis=2).max()) / diagonal)
 
 
-def _names(words: Sequence[str]) -> list[str]:
+def rate(points: Iterable[Point], measure: Measure, target: float) -> float | None:
+    """Return bits per vertex and frame at an error: between points linear in its logarithm, on their lower staircase.
+
+    With a target larger than all errors it is the rate of the cheapest point, which keeps the target; None if no point
+    reaches it.
+    """
+    stairs: list[tuple[float, float]] = []
+    for error, bits in sorted((getattr(point, measure), point.bits) for point in points):
+        if not stairs or bits < stairs[-1][1]:
+            stairs.append((error, bits))
+    if not stairs or stairs[0][0] > SLACK * target:
+        return None
+    found, bits_at = np.array(stairs).T
+    return float(np.interp(np.log(target), np.log(np.maximum(found, 1e-300)), bits_at))
+
+
+# Tables -----------------------------------------------------------------------------------------------------
+
+TARGETS: tuple[tuple[Measure, float, str], ...] = (
+    *(("kg_percent", kg, f"KG {kg:g} %") for kg in KG_TARGETS),
+    *(("max_error", error, f"max {error:g}") for error in ERROR_TARGETS),
+)
+
+
+def sequence_table(points: Points, titles: Mapping[str, str]) -> str:
+    """Rates of all coders on one sequence, and their seconds."""
+    rows = []
+    for name, each in points.items():
+        rates = (rate(each, kind, target) for kind, target, _ in TARGETS)
+        timed = min(each, key=lambda point: abs(np.log(max(point.kg_percent, 1e-12) / TIMED_AT)))
+        cells = ("-" if bits is None else f"{bits:.3g}" for bits in rates)
+        rows.append((titles[name], *cells, f"{timed.encode:.3g}", f"{timed.decode:.3g}"))
+    return markdown_table(("coder", *(title for *_, title in TARGETS), "encode s", "decode s"), rows)
+
+
+def ratio_table(found: Mapping[str, Points]) -> str:
+    """Bits of ours over those of the strongest peer at every target: NaN where the peer does not reach it."""
+
+    def ratio(points: Points, kind: Measure, target: float) -> float:
+        ours, peer = (rate(points[coder], kind, target) for coder in (OURS, PEER))
+        return np.nan if peer is None else np.inf if ours is None else ours / peer
+
+    ratios = np.array([[ratio(points, kind, target) for kind, target, _ in TARGETS] for points in found.values()])
+    titles = (*found, "**median**", "largest")
+    rows = np.concatenate([ratios, [np.nanmedian(ratios, axis=0), np.nanmax(ratios, axis=0)]])
+    cells = [(title, *(f"{value:.2f}" for value in row)) for title, row in zip(titles, rows, strict=True)]
+    return markdown_table(("sequence", *(title for *_, title in TARGETS)), cells)
+
+
+# What is run ------------------------------------------------------------------------------------------------
+
+
+def join_loops(words: Sequence[str]) -> list[str]:
     """Join `NAME xN`, whether that was one word or two."""
     return re.sub(r"\s+(?!x\d+\b)", "\n", " ".join(words)).split("\n")
 
 
-def _installed(coders: Iterable[Coder]) -> list[Coder]:
-    ready = []
-    for coder in coders:
-        missing = [package for package in coder.packages if not _there(package)]
-        if missing:
-            print(f"{coder.name} is left out: pip install {' '.join(missing)}", file=sys.stderr)
-        else:
-            ready.append(coder)
-    return ready
-
-
-def _there(package: str) -> bool:
+def is_installed(package: str) -> bool:
+    """Whether pip has installed a package; what needs none is there."""
     try:
-        distribution(package)
+        return not package or bool(distribution(package))
     except PackageNotFoundError:
+        print(f"left out: pip install {package}", file=sys.stderr)
+        return False
+
+
+def is_warm(coder: Coder) -> bool:
+    """Run a coder on something small, which compiles and imports; one that cannot even do that is left out."""
+    walk = walk_cycle(frames=6)
+    walk = walk.with_points(walk.points.astype("float32"))
+    try:
+        coder.decode(_mesh(walk), coder.encode(walk, next(iter(coder.settings(walk)))))
+    except Exception as error:
+        print(f"{coder.name} is left out: {type(error).__name__}: {error}", file=sys.stderr)
         return False
     return True
 
 
-def _warmed(coders: Iterable[Coder]) -> tuple[list[Coder], list[str]]:
-    """Run each coder on something small, which compiles and imports; one that cannot even do that is left out."""
-    walk = walk_cycle(frames=6)
-    walk = walk.with_points(walk.points.astype("float32"))
-    ready, failures = [], []
-    for coder in coders:
-        try:
-            setting = next(iter(coder.settings(walk)))
-            coder.decode(_mesh(walk), coder.encode(walk, setting))
-            ready.append(coder)
-        except Exception as error:
-            failures.append(f"{coder.name} is left out: {type(error).__name__}: {error}")
-            print(failures[-1], file=sys.stderr)
-    return ready, failures
-
-
-def _save(path: Path, found: Sequence[Measured], failures: Sequence[str]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    sequences = [
-        {
-            **each._asdict(),
-            "points": {name: [asdict(point) for point in points] for name, points in each.points.items()},
-        }
-        for each in found
-    ]
-    path.write_text(json.dumps({**origin(), "failures": list(failures), "sequences": sequences}, indent=1))
-
-
-def _options() -> argparse.Namespace:
-    known = tuple(coder.name for coder in CODERS)
-
-    def only(text: str) -> tuple[str, ...]:
-        names = tuple(text.split(","))
-        if not set(names) <= set(known):
-            raise argparse.ArgumentTypeError(f"{text}: coders are {', '.join(known)}")
-        return names
-
-    parser = argparse.ArgumentParser(prog="scripts/bench compress", description=__doc__)
-    parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
-    parser.add_argument("--only", type=only, default=known, metavar="CODER,CODER", help=f"of {', '.join(known)}")
-    parser.add_argument("--plots", type=Path, metavar="FOLDER", help="draw the curves into two pictures")
-    parser.add_argument("--json", type=Path, metavar="FILE", default=Path("out", "compress.json"))
-    return parser.parse_args()
+def _mesh(sequence: mixseq.MeshSequence) -> mixseq.Topology:
+    return mixseq.Topology(sequence.faces, sequence.vertex_count)
 
 
 if __name__ == "__main__":

@@ -29,18 +29,12 @@ from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.creature import walk_cycle
 from mixseq.errors import FormatError
 from mixseq.types import Float
-from scripts.benchmarks.common.animations import animation
+from scripts.benchmarks.common.harness import animation, markdown_table
 
 NAMES = (
-    "abc_dembones_bone",
-    "cat_poses",
-    "fox_survey",
-    "horse_gallop",
-    "q_horse_eating",
-    "q_man_run",
-    "q_wolf_gallop",
+    "abc_dembones_bone", "cat_poses", "fox_survey", "horse_gallop", "q_horse_eating", "q_man_run", "q_wolf_gallop",
     "robotexpressive_dance",
-)
+)  # fmt: skip
 
 BINS = (1e-16, 1e-13, 1e-10, 1e-8, 1e-7, 1e-6, 1e-5, 1e-3)
 """Sizes of noise between which decodings are counted together."""
@@ -62,10 +56,12 @@ def main() -> int:
         place = number % len(files)
         with _noise(size, rng):
             found[int(np.searchsorted(BINS, size)), _outcome(files[place], known[place])] += 1
-    print("| noise, relative | exact | refused | silent |\n|---|---|---|---|")
-    for place in range(1, len(BINS)):
-        counts = [str(found[place, kind]) for kind in ("exact", "refused", "silent")]
-        print(f"| {BINS[place - 1]:g} to {BINS[place]:g} | {' | '.join(counts)} |")
+    kinds = ("exact", "refused", "silent")
+    counts = [
+        (f"{BINS[place - 1]:g} to {BINS[place]:g}", *(str(found[place, kind]) for kind in kinds))
+        for place in range(1, len(BINS))
+    ]
+    print(markdown_table(("noise, relative", *kinds), counts))
     silent = sum(count for (_, kind), count in found.items() if kind == "silent")
     print(f"\n{sum(found.values())} decodings of {len(files)} files, {silent} silent")
     return 1 if silent else 0

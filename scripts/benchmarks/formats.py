@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import json
 import os
-import platform
-import subprocess
 import sys
 import tempfile
 import time
@@ -27,6 +25,7 @@ import mixseq
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
+from scripts.benchmarks.common.harness import markdown_table, run
 
 SIDE = 150
 BLOCK = 16
@@ -34,17 +33,15 @@ TARGETS: dict[str, dict[str, Any]] = {
     "walk.usdc": {"flatten": True},
     "walk.usd": {"flatten": True, "clips": 100},
     "walk.usdz": {"flatten": True},
-    "walk.abc": {},
     "walk.glb": {"flatten": True},
-    "walk.h5": {},
-    "walk.npz": {},
-    "walk.pc2": {},
-    "walk.mdd": {},
-    "walk_####.obj": {},
-    "walk_####.ply": {},
-    "walk_####.stl": {},
-    "walk_####.off": {},
-}
+    **{
+        name: {}
+        for name in (
+            "walk.abc", "walk.h5", "walk.npz", "walk.pc2", "walk.mdd", "walk_####.obj", "walk_####.ply",
+            "walk_####.stl", "walk_####.off",
+        )
+    },
+}  # fmt: skip
 
 
 def main() -> int:
@@ -54,28 +51,24 @@ def main() -> int:
         print(json.dumps(writing(name, folder, int(count)) if step == "write" else reading(name, folder)))
         return 0
     frames = int(arguments[0]) if arguments else 100
-    print(f"{platform.platform()}, {os.cpu_count()} cores, Python {platform.python_version()}\n")
     columns = ("file", "bytes per vertex and frame", "write ms/frame", "read ms/frame", "max error/diag")
     memory = [f"{step} MB, {count} frames" for step in ("write", "read") for count in (frames, 4 * frames)]
-    print("| " + " | ".join((*columns, *memory)) + " |\n|" + "---|" * (len(columns) + len(memory)))
-    rows = [measure(name, frames) for name in TARGETS]
-    Path("out").mkdir(exist_ok=True)
-    Path("out", "formats.json").write_text(json.dumps(rows, indent=1))
+    print(markdown_table((*columns, *memory), []))
+    for name in TARGETS:
+        print(f"| {' | '.join(row(name, frames))} |", flush=True)
     return 0
 
 
-def measure(name: str, frames: int) -> dict[str, Any]:
+def row(name: str, frames: int) -> tuple[str, ...]:
     """Write and read one format at both lengths."""
     few, many = (once(name, count) for count in (frames, 4 * frames))
-    row = {"file": name, "frames": frames, "few": few, "many": many}
-    per_frame = [1e3 * many[f"{step}_seconds"] / (4 * frames) for step in ("write", "read")]
-    peaks = [result[f"{step}_megabytes"] for step in ("write", "read") for result in (few, many)]
-    print(
-        f"| {name} | {many['bytes'] / (4 * frames * SIDE**2):.1f} | {per_frame[0]:.1f} | {per_frame[1]:.1f} | "
-        f"{many['error']:.1e} | " + " | ".join(f"{peak:.0f}" for peak in peaks) + " |",
-        flush=True,
+    return (
+        name,
+        f"{many['bytes'] / (4 * frames * SIDE**2):.1f}",
+        *(f"{1e3 * many[f'{step}_seconds'] / (4 * frames):.1f}" for step in ("write", "read")),
+        f"{many['error']:.1e}",
+        *(f"{result[f'{step}_megabytes']:.0f}" for step in ("write", "read") for result in (few, many)),
     )
-    return row
 
 
 def once(name: str, frames: int) -> dict[str, Any]:
@@ -84,10 +77,7 @@ def once(name: str, frames: int) -> dict[str, Any]:
 
 
 def child(*arguments: object) -> dict[str, Any]:
-    run = subprocess.run(
-        [sys.executable, __file__, *map(str, arguments)], stdout=subprocess.PIPE, text=True, check=True
-    )
-    result: dict[str, Any] = json.loads(run.stdout)
+    result: dict[str, Any] = json.loads(run(sys.executable, "-m", "scripts.benchmarks.formats", *arguments).output)
     return result
 
 

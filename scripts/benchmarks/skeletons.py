@@ -7,12 +7,9 @@ Usage: scripts/bench skeletons [FILE[:ANIMATION] ...]   (in $MIXSEQ_DATA; eight 
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
-import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +22,7 @@ from mixseq.mesh.rigid import nearest_rotations
 from mixseq.rigging.rigs import Skin, rotation_matrices
 from mixseq.types import Float
 from mixseq_io.rig_arrays import order_parents_first
+from scripts.benchmarks.common.harness import DATA, compile_skins, cpu_timed, print_table
 
 FILES = (
     "gltf/CesiumMan.glb",
@@ -38,58 +36,36 @@ FILES = (
 )
 
 COLUMNS = (
-    "character",
-    "bones",
-    "KG %",
-    "max error",
-    "joints",
-    "axes (degrees)",
-    "weights",
-    "seconds (processor)",
+    "character", "bones", "KG %", "max error", "joints", "axes (degrees)", "weights", "seconds (processor)",
     "found bones, KG %",
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Rig:
-    """What a file tells of its character, bones in the order of its skeleton.
-
-    Attributes
-    ----------
-    weights : (V, B) float64
-        How much vertices follow the bones.
-    joints : (T, B, 4, 4) float64
-        From the joints to the world, in every frame.
-    """
+    """A character's own: weights ``(V, B)``, and matrices ``(T, B, 4, 4)`` from joints to the world."""
 
     weights: Float
     joints: Float
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("files", nargs="*", default=FILES)
-    _compile()
-    print("| " + " | ".join(COLUMNS) + " |\n|" + len(COLUMNS) * "---|")
-    for file in parser.parse_args().files:
-        name, _, animation = file.partition(":")
-        print(_line(file, Path(os.environ.get("MIXSEQ_DATA", "")) / name, animation or None), flush=True)
-    return 0
-
-
-def _line(label: str, path: Path, animation: str | None) -> str:
+def rows(file: str) -> Iterator[tuple[str, ...]]:
+    """Fit a character to its own skeleton, and to as many bones that are found."""
+    name, _, animation = file.partition(":")
+    path = DATA / name
     options: dict[str, Any] = {"animation": animation} if animation else {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of what else is in a file
         sequence = mixseq.read(path, **options)
         skeleton, bind_pose = mixseq.read_skeleton(path), mixseq.read_bind_pose(path)
         rig = _rig(path, options, sequence.times)
-    skin, seconds = _timed(lambda: mixseq.fit_skin(sequence, skeleton=skeleton, bind_pose=bind_pose))
+    seconds, skin = cpu_timed(lambda: mixseq.fit_skin(sequence, skeleton=skeleton, bind_pose=bind_pose))
     fitted = mixseq.compare(sequence, skin)
     found = mixseq.compare(sequence, mixseq.fit_skin(sequence, skin.bone_count))
     used = rig.weights.max(axis=0) > 0  # where joints are that move nothing cannot be seen
     away = np.linalg.norm(skin.translations - rig.joints[..., :3, 3], axis=2)[:, used] / sequence.diagonal
-    cells = [
+    yield (
+        file,
         f"{used.sum()} of {skin.bone_count}",
         f"{fitted.kg_percent:.2g}",
         f"{fitted.max_error:.2g}",
@@ -98,8 +74,7 @@ def _line(label: str, path: Path, animation: str | None) -> str:
         f"{np.abs(_weights(skin) - rig.weights).sum(axis=1).mean():.2g}",
         f"{seconds:.1f}",
         f"{found.kg_percent:.2g}",
-    ]
-    return f"| {label} | " + " | ".join(cells) + " |"
+    )
 
 
 def _weights(skin: Skin) -> Float:
@@ -164,17 +139,6 @@ def _usd_joints(path: Path, times: Float) -> dict[str, Float]:
     return {path: np.stack(found)[:, number] for number, path in enumerate(paths)}
 
 
-def _timed(fit: Callable[[], Skin]) -> tuple[Skin, float]:
-    start = time.process_time()
-    return fit(), time.process_time() - start
-
-
-def _compile() -> None:
-    """Fit something small, so that no row has the time of the compiler in it."""
-    from mixseq.creature import walk_cycle
-
-    mixseq.fit_skin(walk_cycle(frames=3), 4, rounds=2)
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    compile_skins()
+    sys.exit(print_table(COLUMNS, rows, FILES))

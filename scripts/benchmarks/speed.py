@@ -1,115 +1,65 @@
-"""Speed and scale: everything that is measured about how fast mixseq is, with its targets, in one run.
+"""Fitting a sequence, beside py-dem-bones with the same number of bones, and decoding all its frames.
 
-Each measurement runs in a process of its own; if one fails the others go on. Leaves out/speed.json, out/speed.md and
-out/speed.png. With names, only those are measured, and replaced in what the last run has left. Ends with 1 if a target
-is not met or a measurement failed.
+A fit is timed from the points to the model; of py-dem-bones only the solver is. Decoded frames have the same bits on
+one thread and on two.
 
-Usage: scripts/bench speed [NAME ...]
+Usage: scripts/bench speed [NAME ...]   (animations of $MIXSEQ_DATA/npz; nothing else should run on the machine)
 """
 
 from __future__ import annotations
 
-import json
-import os
-import signal
-import subprocess
 import sys
-import tempfile
-import time
-import traceback
-from importlib import import_module
-from pathlib import Path
+from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
-from scripts.benchmarks.common.report import MARKDOWN, Results, last, origin, save
-from scripts.benchmarks.common.section import Section
+import numpy as np
 
-LIMITS = {
-    "interpolation": 600,
-    "playback": 240,
-    "fit": 420,
-    "scale": 900,
-    "extremes": 1800,
-    "threads": 240,
-    "startup": 180,
-    "cluster": 240,
-}
-"""The measurements, modules of speeds/, and after how many seconds each is given up."""
+import mixseq
+from mixseq.runtime.parallel import thread_executor
+from mixseq.types import Float
+from scripts.benchmarks.common.dembones import fit_peer
+from scripts.benchmarks.common.harness import BROKEN, animation, format_runs, print_table, repeated
 
+NAMES = ("horse_gallop", "q_man_run", "elephant_gallop")
+FITS: dict[str, dict[str, Any]] = {"rank=20": {"rank": 20}, "default": {}}
 
-def main() -> int:
-    names = sys.argv[1:]
-    if len(names) == 3 and names[0] == "--one":
-        return measure(names[1], Path(names[2]))
-    if not set(names) <= set(LIMITS) or not os.environ.get("MIXSEQ_DATA"):
-        print(f"usage: MIXSEQ_DATA=FOLDER scripts/bench speed [{' | '.join(LIMITS)}] ...", file=sys.stderr)
-        return 2
-    results: Results = last() if names else {}
-    for name in names or LIMITS:
-        results[name] = measured(name)
-        save({known: results[known] for known in LIMITS if known in results})
-    targets = [target for result in results.values() for target in Section.from_dict(result).targets]
-    met = sum(target.met for target in targets)
-    broken = [name for name, result in results.items() if "failure" in result]
-    say(f"{met} of {len(targets)} targets met, {len(broken)} measurements failed; see {MARKDOWN}")
-    return 0 if met == len(targets) and not broken else 1
+COLUMNS = (
+    "sequence", "V", "method", "parts or bones", "s", "KG %", "max error/diag", "decode ms/frame, 1 thread",
+    "2 threads", "same bits",
+)  # fmt: skip
 
 
-def measured(name: str) -> dict[str, Any]:
-    """Run one measurement in a process of its own; a failure is a result too."""
-    say(f"{name} ...")
-    start = time.perf_counter()
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "result.json")
-        command = [sys.executable, "-m", "scripts.benchmarks.speed", "--one", name, str(file)]
-        # A session of its own, so that whatever it starts can be ended with it; a folder for whatever it writes.
-        process = subprocess.Popen(command, start_new_session=True, env={**os.environ, "TMPDIR": folder})
-        try:
-            code = process.wait(LIMITS[name])
-            result = failed(name, f"ended with {code}") if code else json.loads(file.read_text())
-        except subprocess.TimeoutExpired:
-            result = failed(name, f"given up after {LIMITS[name]} s")
-        finally:
-            stop(process)
-    if "failure" in result:
-        say(f"{name} FAILED: {result['failure']}")
-    seconds, now = time.perf_counter() - start, time.strftime("%Y-%m-%d %H:%M")
-    return {**result, "seconds": seconds, "measured": now, **origin()}
+def rows(name: str) -> Iterator[tuple[str, ...]]:
+    """Fit an animation with either setting, and decode it."""
+    sequence = animation(name)
+    size = str(sequence.vertex_count)
+    for settings, told in FITS.items():
+        seconds, model = repeated(partial(mixseq.fit, sequence, **told), 3, 40.0, warm=True)
+        error = mixseq.compare(sequence, model.sample())
+        parts = len(model.decomposition.parts)
+        played = [repeated(partial(play, model, threads), 7, 20.0, warm=True) for threads in (1, 2)]
+        same = all(map(np.array_equal, *(frames for _, frames in played)))
+        yield (
+            name,
+            size,
+            f"fit, {settings}",
+            str(parts),
+            format_runs(seconds),
+            f"{error.kg_percent:.3g}",
+            f"{error.max_error:.2g}",
+            *(format_runs(runs, 1e3 / len(sequence)) for runs, _ in played),
+            "yes" if same else BROKEN,
+        )
+    if peer := fit_peer(name, parts):
+        cells = (str(peer.bones), format_runs(peer.seconds), f"{peer.kg_percent:.3g}", f"{peer.max_error:.2g}")
+        yield name, size, "py-dem-bones", *cells, "", "", ""
 
 
-def measure(name: str, file: Path) -> int:
-    """Run one measurement in this process, and leave its result in a file."""
-    module = import_module(f"scripts.benchmarks.speeds.{name}")
-    try:
-        section: Section = module.measure(lambda text: say(f"{name}: {text}"))
-        result = section.as_dict()
-    except Exception as error:
-        traceback.print_exc()
-        result = failed(name, f"{type(error).__name__}: {error}")
-    file.write_text(json.dumps(result))
-    return 0
-
-
-def failed(name: str, why: str) -> dict[str, Any]:
-    """Return what is reported of a measurement that failed."""
-    section = Section(name.capitalize(), notes=[f"This measurement failed: {why}"])
-    return {**section.as_dict(), "failure": why}
-
-
-def stop(process: subprocess.Popen[bytes]) -> None:
-    """End whatever a measurement has started and left running."""
-    try:
-        os.killpg(process.pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass
-    finally:
-        process.wait()
-
-
-def say(text: str) -> None:
-    """Print a line with the time of day."""
-    print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
+def play(model: mixseq.Model, threads: int) -> list[Float]:
+    """Decode all frames, in blocks."""
+    return list(model.blocks(model.times, workers=thread_executor(threads)))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(print_table(COLUMNS, rows, NAMES))

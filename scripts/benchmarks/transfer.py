@@ -1,7 +1,5 @@
 """Deformation transfer: S_m and S_f side by side, and against what others made of the same poses.
 
-Usage: scripts/bench transfer [PAIR ...]   (animations of $MIXSEQ_DATA; pairs: see PAIRS)
-
 For each pair the correspondence is found once, from markers. Then both methods transfer all frames: seconds a frame,
 and strains, smoothness and crossings as `mixseq.retargeting.report` defines them. Where the target has a sequence of as
 many frames it is a reference, which the transfer never sees: distances (root mean square over vertices, in diagonals of
@@ -10,34 +8,31 @@ fixed, if there is one.
 
 Markers of the pairs that end in -picked were set in the viewer (mixseq view --markers), from nothing: what it proposes
 was confirmed, the rest was chosen by eye on what it shows. All were saved before anything was measured with them.
+
+Usage: scripts/bench transfer [PAIR ...]   (animations of $MIXSEQ_DATA; pairs: see PAIRS)
 """
 
 from __future__ import annotations
 
-import os
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import mixseq
 from mixseq.choices import TRANSFERS, TransferName
 from mixseq.retargeting.correspond import correspond_and_assess
 from mixseq.retargeting.markers import Correspondence
-from mixseq.retargeting.matching import CorrespondenceQuality
-from mixseq.retargeting.report import TransferReport, measure_transfer
+from mixseq.retargeting.report import ExpectedTriangles, TransferReport, measure_transfer
 from mixseq.retargeting.transfer import Transfer, TransferSettings, plan_transfer
 from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Float
 from mixseq_io.text.markers import read_markers
+from scripts.benchmarks.common.harness import DATA, markdown_table
 
-Float = NDArray[np.floating]
-
-DATA = Path(os.environ.get("MIXSEQ_DATA", "."))
 OWN = Path(__file__).parent / "markers"
 REST = {"animation": "none"}
 
@@ -97,46 +92,37 @@ def compare(name: str, pair: Pair) -> None:
     source, rest, target = pair.read()
     start = perf_counter()
     mapping, quality = correspond_and_assess(rest, first(target), read_markers(pair.markers))
-    print(f"\n{name}: {_quality(quality)}, {perf_counter() - start:.1f} s\n")
-    columns = "method", "s / frame", "strain", "unlike the source's", "acceleration", "worst frame"
-    print("| " + " | ".join((*columns, "crossings", "turned over")) + " |\n|" + "---|" * 8)
-    posed = target.frame_count == source.frame_count
+    shares = f"{quality.target_coverage:.1%} of the target matched, {quality.source_coverage:.1%} of the source"
+    print(f"\n{name}: {len(quality.markers)} markers, {shares}, {perf_counter() - start:.1f} s\n")
     results = {method: run(source, rest, target, mapping, method) for method in TRANSFERS}
-    if posed:
-        row(
-            "the reference",
-            None,
-            measure_transfer(results["mixed"][0], [target.points]),
-            results["mixed"][0],
-            target.points,
-        )
-    if posed:
-        for method, (transfer, points) in results.items():
-            distances(method, transfer, points, target.points.astype(np.float64))
+    rows = [row(method, *result) for method, result in results.items()]
+    is_posed = target.frame_count == source.frame_count
+    if is_posed:
+        rows.append(row("the reference", results["mixed"][0], target.points.astype(np.float64)))
+    columns = "method", "s / frame", "strain", "unlike the source's", "acceleration", "worst frame"
+    print(markdown_table((*columns, "crossings", "turned over"), rows), flush=True)
+    if is_posed:
+        for method, (transfer, points, _) in results.items():
+            print_distances(method, transfer, points, target.points.astype(np.float64))
 
 
 def run(
-    source: MeshSequence,
-    rest: MeshSequence,
-    target: MeshSequence,
-    mapping: Correspondence,
-    method: TransferName,
-) -> tuple[Transfer, Float]:
-    """Transfer by a method, and print its row."""
+    source: MeshSequence, rest: MeshSequence, target: MeshSequence, mapping: Correspondence, method: TransferName
+) -> tuple[Transfer, Float, float]:
+    """Transfer by a method: the plan, all frames ``(T, V, 3)``, and seconds a frame."""
     settings = TransferSettings(mapping=mapping, method=method, rest=rest)
     planned = plan_transfer(source, first(target), settings)
     next(planned.blocks())  # compiles, and factors
     start = perf_counter()
-    points = np.concatenate(list(planned.blocks()))
-    seconds = (perf_counter() - start) / len(points)
-    row(method, seconds, measure_transfer(planned, [points]), planned, points)
-    return planned, points
+    points = np.concatenate(list(planned.blocks())).astype(np.float64)
+    return planned, points, (perf_counter() - start) / len(points)
 
 
-def row(name: str, seconds: float | None, report: TransferReport, transfer: Transfer, points: Float) -> None:
-    """Print a row of the first table."""
+def row(name: str, transfer: Transfer, points: Float, seconds: float | None = None) -> tuple[str, ...]:
+    """Return a row of the first table."""
+    report: TransferReport = measure_transfer(transfer, [points])
     smooth = report.smoothness
-    cells = (
+    return (
         name,
         "" if seconds is None else f"{seconds:.2f}",
         f"{100 * report.strain.rms:.2f} %",
@@ -146,7 +132,6 @@ def row(name: str, seconds: float | None, report: TransferReport, transfer: Tran
         f"{np.mean(report.intersections.values):.0f}",
         f"{np.mean(report.turned_over.values):.1f}",
     )
-    print("| " + " | ".join(cells) + " |", flush=True)
 
 
 def worst_acceleration(transfer: Transfer, points: Float) -> float:
@@ -154,8 +139,6 @@ def worst_acceleration(transfer: Transfer, points: Float) -> float:
 
     Frames in which the source hardly accelerates, less than half as much as on average, are left out.
     """
-    from mixseq.retargeting.report import ExpectedTriangles
-
     scale = ExpectedTriangles.from_transfer(transfer).gradients.alignment.scale
     carried = scale * transfer.correspondence.interpolate(transfer.source.points[:].astype(np.float64))
     own, other = (np.sqrt(np.square(np.diff(x, 2, axis=0)).sum(axis=2).mean(axis=1)) for x in (points, carried))
@@ -163,32 +146,18 @@ def worst_acceleration(transfer: Transfer, points: Float) -> float:
     return float((own[much] / other[much]).max())
 
 
-def distances(method: str, transfer: Transfer, points: Float, reference: Float) -> None:
-    """Print how far a transfer is from the reference, pose by pose."""
+def print_distances(method: str, transfer: Transfer, points: Float, reference: Float) -> None:
+    """Print how far a transfer is from the reference, mean over poses and largest."""
     diagonal = float(np.linalg.norm(np.ptp(transfer.target, axis=0)))
     moved = np.linalg.norm(reference - reference[0], axis=2).max(axis=0)
     held = int(moved.argmin())
-    rows = {"translated": [], "as placed": []}  # type: dict[str, list[float]]
+    away = points[1:] - reference[1:]
+    shifts = {"translated": away.mean(axis=1, keepdims=True), "as placed": 0.0}
     if moved[held] < 1e-6 * diagonal:
-        rows[f"vertex {held} held"] = []
-    for x, y in zip(points[1:], reference[1:], strict=True):
-        away = x - y
-        for how, shift in zip(rows, (away.mean(axis=0), 0.0, away[held]), strict=False):
-            rows[how].append(100 * float(np.sqrt(np.square(away - shift).sum(axis=1).mean())) / diagonal)
-    for how, values in rows.items():
-        print(f"{method}, {how}: {_listed(values)} %; mean {np.mean(values):.2f} %, largest {max(values):.2f} %")
-
-
-def _listed(values: Sequence[float]) -> str:
-    return " ".join(f"{value:.2f}" for value in values)
-
-
-def _quality(quality: CorrespondenceQuality) -> str:
-    return (
-        f"{len(quality.markers)} markers, {100 * quality.target_coverage:.1f} % of the target matched, "
-        f"{100 * quality.source_coverage:.1f} % of the source, "
-        f"{100 * quality.mean_distance:.2f} % of the diagonal away on average, {quality.flipped_count} flipped"
-    )
+        shifts[f"vertex {held} held"] = away[:, held, None]
+    for how, shift in shifts.items():
+        distances = 100 * np.sqrt(np.square(away - shift).sum(axis=2).mean(axis=1)) / diagonal
+        print(f"{method}, {how}: mean {distances.mean():.2f} %, largest {distances.max():.2f} %")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import redirect_stdout
 from io import StringIO
 
@@ -23,9 +24,10 @@ from mixseq.runtime.parallel import thread_count
 from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.viewer.live.stage import LiveStage
 from mixseq.viewer.playback import Moment, Playback
-from scripts.benchmarks.common.animations import animation
+from scripts.benchmarks.common.harness import animation, print_table
 
-NAMES = ("q_wolf_gallop", "horse_gallop", "elephant_gallop")
+SHEET = "sheet, not a model"
+NAMES = ("q_wolf_gallop", "horse_gallop", "elephant_gallop", SHEET)
 ROUNDS = 3
 COLOURS = ("clay", "strain", "curvature")
 SIDE = 245  # vertices of the side of the sheet: 60 025 in all
@@ -43,20 +45,18 @@ class Watch:
         self.shown.append((time.monotonic(), moment.frame))
 
 
-def main() -> int:
-    columns = (
-        "sequence",
-        "vertices",
-        "frames/s",
-        *(f"round {number + 1}" for number in range(ROUNDS)),
-        *COLOURS,
-    )
-    print("| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
-    for name in sys.argv[1:] or NAMES:
+COLUMNS = ("sequence", "vertices", "frames/s", *(f"round {number + 1}" for number in range(ROUNDS)), *COLOURS)
+
+
+def rows(name: str) -> Iterator[tuple[str, ...]]:
+    """Play an animation or the sheet, and measure what sending takes."""
+    if name == SHEET:
+        item, shares = SceneItem(name, load_frames(sheet())), ROUNDS * [""]
+    else:
         item = SceneItem(name, mixseq.fit(animation(name)))
-        row(item, rounds(Scene((item,))))
-    row(SceneItem("sheet, not a model", load_frames(sheet())), ["", "", ""])
-    return 0
+        shares = rounds(Scene((item,)))
+    times = (f"{1000 * sending(item, colour):.1f} ms" for colour in COLOURS)
+    yield item.name, f"{item.header.vertex_count:,}".replace(",", " "), f"{item.header.fps:g}", *shares, *times
 
 
 def rounds(scene: Scene) -> list[str]:
@@ -69,19 +69,6 @@ def rounds(scene: Scene) -> list[str]:
         time.sleep(ROUNDS * period)
     seen = [{frame for at, frame in watch.shown if 0 <= at - begin - k * period < period} for k in range(ROUNDS)]
     return [f"{len(frames)} of {scene.count}" for frames in seen]
-
-
-def row(item: SceneItem, shares: list[str]) -> None:
-    """Print what was seen, and measure what sending takes."""
-    times = [f"{1000 * sending(item, colour):.1f} ms" for colour in COLOURS]
-    cells = (
-        item.name,
-        f"{item.header.vertex_count:,}".replace(",", " "),
-        f"{item.header.fps:g}",
-        *shares,
-        *times,
-    )
-    print("| " + " | ".join(cells) + " |", flush=True)
 
 
 def sending(item: SceneItem, colour: str) -> float:
@@ -117,4 +104,4 @@ def sheet(frames: int = 24) -> MeshSequence:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(print_table(COLUMNS, rows, NAMES))

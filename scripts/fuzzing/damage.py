@@ -26,41 +26,14 @@ FLOATS = (float("nan"), float("inf"), -1.0, 0.0, 0.5, 1e308, -1e308, 1e-310, 1e1
 INTEGERS = (0, 1, -1, 2, 255, 65536, 2**31 - 1, -(2**31), 2**31, 2**32 - 1, 2**40, 2**62, 2**63 - 1)
 TYPES = ("f2", "f4", "f8", ">f8", "i1", "u1", "i8", "u8", ">i4", "c16", "S3", "?")
 WORDS = (
-    *(
-        "nan",
-        "-inf",
-        "-1",
-        "0",
-        "2147483648",
-        "9" * 25,
-        "9" * 5000,
-        "1e400",
-        "1e308",
-        "1e-310",
-        "0x10",
-        "1_000",
-    ),
-    *("1.5", "true", "null", "", "word", "two words", "\x00", "'", '"', "[", "}", "(", ",", "#", "\\", "\n"),
-    *("\uff11\uff12", "a" * 5000, ESCAPES, "\ufeff", "%s%n", "../../x", "/etc/passwd", "1/2/3/4", "-1//-1"),
-)
+    "nan", "-inf", "-1", "0", "2147483648", "9" * 25, "9" * 5000, "1e400", "1e308", "1e-310", "0x10", "1_000",
+    "1.5", "true", "null", "", "word", "two words", "\x00", "'", '"', "[", "}", "(", ",", "#", "\\", "\n",
+    "\uff11\uff12", "a" * 5000, ESCAPES, "\ufeff", "%s%n", "../../x", "/etc/passwd", "1/2/3/4", "-1//-1",
+)  # fmt: skip
 JSON_VALUES: tuple[Any, ...] = (
-    *(
-        *INTEGERS,
-        *FLOATS,
-        10**30,
-        True,
-        None,
-        "",
-        "word",
-        ESCAPES,
-        "x" * 100_000,
-        "../x",
-        "SCALAR",
-        "MAT4",
-        5120,
-    ),
-    *([], {}, [0], [[]], [None], {"a": 1}, [1e308] * 16, [float("nan")] * 3, [0] * 4),
-)
+    *INTEGERS, *FLOATS, 10**30, True, None, "", "word", ESCAPES, "x" * 100_000, "../x", "SCALAR", "MAT4", 5120,
+    [], {}, [0], [[]], [None], {"a": 1}, [1e308] * 16, [float("nan")] * 3, [0] * 4,
+)  # fmt: skip
 
 
 class NotDamagedError(Exception):
@@ -236,14 +209,7 @@ def _changed(rng: Random, array: NDArray[Any]) -> tuple[str, Any]:
             if kind == "type":
                 other = rng.choice(TYPES)
                 return f"as {other}", array.astype(other)
-            shapes = [
-                array[:0],
-                array[:-1],
-                np.concatenate([array] * 2),
-                array.reshape(-1),
-                array[None],
-                array.T,
-            ]
-            return kind, rng.choice(shapes)
+            double = np.concatenate([array] * 2)
+            return kind, rng.choice([array[:0], array[:-1], double, array.reshape(-1), array[None], array.T])
     except (ValueError, TypeError, IndexError, OverflowError):
         raise NotDamagedError from None

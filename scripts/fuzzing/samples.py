@@ -131,10 +131,7 @@ PAIRS = [(5, 6), (1, 2), (3, 3), (10, 11)]
 MARKERS = (
     text("markers.txt", "".join(f"{a} {b}  # place {a}\n" for a, b in PAIRS)),
     text("markers.json", json.dumps({"markers": [{"source": a, "target": b, "name": "n"} for a, b in PAIRS]})),
-    text(
-        "markers.yaml",
-        "markers:\n" + "".join(f"- source: {a}\n  target: {b}\n  name: n{a}\n" for a, b in PAIRS),
-    ),
+    text("markers.yaml", "markers:\n" + "".join(f"- source: {a}\n  target: {b}\n  name: n{a}\n" for a, b in PAIRS)),
 )
 KEYS = text("keys.csv", "output,source\n0,0\n0.05,0.1\n0.2,0.15\n")
 KEYS_TOML = text("keys.toml", "output = [0.0, 0.1, 0.2]\nsource = [0.0, 0.05, 0.2]\n")

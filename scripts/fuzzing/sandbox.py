@@ -25,19 +25,7 @@ MORE_MEMORY = 4 << 30
 
 @dataclass(frozen=True)
 class Ended:
-    """How a process ended.
-
-    Attributes
-    ----------
-    code : int
-        Exit code; negative for the signal that ended it.
-    is_hung : bool
-        Whether its time was over.
-    text : str
-        What it printed.
-    megabytes : float
-        How much the largest process grew beyond the one that forked.
-    """
+    """Exit code (negative for a signal), whether time was over, what was printed, and by how much the process grew."""
 
     code: int
     is_hung: bool

@@ -16,7 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol, cast
 
-from scripts.benchmarks.common.section import markdown_table
+from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.poses import ALL, Poses
 from scripts.paper_study.common.record import OUT, Json, Results, load, origins, save, stamped
 
@@ -28,13 +28,10 @@ STAGES = {
     "table-3": "joint width 3, 5, 9",
     "table-4": "numbers of parts",
     "figure-1": "what becomes of legs in four shape spaces",
-    "figure-8": "blends by MixIT",
     "figure-9": "six poses",
     "figures-10-12": "errors over the weight",
-    "figure-13": "errors with joints of width 3 and 5",
     "figure-14": "a segmentation with too few parts",
     "figure-15": "segmentation methods",
-    "figure-15-all": "segmentation methods on all articulated animations, skeletons",
     "figure-16": "vertex noise, local self-intersections",
     "figure-17": "two far poses of the cat",
     "local-minima": "random starts",

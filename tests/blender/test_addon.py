@@ -1,21 +1,30 @@
-"""The add-on in Blender, installed from its archive: what `scripts/bench dcc` asks of it, but for the large cache."""
+"""Blender itself: the add-on, installed from its archive, and rigs that Blender imports. ``-s`` shows all rows."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from scripts.benchmarks.blender.live_rows import LiveRow, live_rows
+from tests.blender.environment import needs_blender
+from tests.blender.live_rows import LiveRow, live_rows
+from tests.blender.rig_rows import rig_rows
 
 pytestmark = pytest.mark.slow
 
+DATA = Path(os.environ["MIXSEQ_DATA"]) if "MIXSEQ_DATA" in os.environ else None
 
-@pytest.mark.skipif("MIXSEQ_BLENDER" not in os.environ, reason="MIXSEQ_BLENDER names no Python that has bpy")
-def test_models_live_in_blender(tmp_path: Path) -> None:
-    rows = list(live_rows(tmp_path, None))
-    assert len(rows) > 10
+
+@needs_blender
+@pytest.mark.parametrize("kind", [live_rows, rig_rows])
+def test_blender_shows_what_mixseq_decodes(
+    kind: Callable[[Path, Path | None], Iterator[LiveRow]], tmp_path: Path
+) -> None:
+    rows = list(kind(tmp_path, DATA))
+    print(*rows, sep="\n")
+    assert len(rows) > 5
     assert not [str(row) for row in rows if not row.passed]
 
 

@@ -25,6 +25,7 @@ from mixseq.cli.batch import (
     read_report,
     run,
 )
+from mixseq.cli.group import length_text
 from mixseq.errors import FormatError, MixseqWarning, OutputError
 from mixseq.runtime.parallel import serial_executor
 from mixseq.runtime.progress import no_progress
@@ -92,6 +93,7 @@ def test_report_tells_what_was_measured(bent_bar: MeshSequence) -> None:
     assert entry.kg_percent == pytest.approx(error.kg_percent)
     assert entry.seconds is not None and entry.seconds > 0
     text = Path("models/report.md").read_text()
+    assert length_text(error.max_error, error.diagonal * bent_bar.metres_per_unit, digits=2) in text
     assert "3 assets: 2 done, 1 failed.\n" in text
     assert "| one | 4 | 77 |" in text
 
@@ -109,6 +111,21 @@ def test_what_is_done_is_skipped(bent_bar: MeshSequence) -> None:
     Path("models/three.h5").unlink()
     batch()
     assert {name for name, time in times().items() if after.get(name) != time} == {"one.h5", "three.h5"}
+
+
+@pytest.mark.usefixtures("shots")
+def test_model_of_equal_size_is_not_replaced_unasked() -> None:
+    batch()
+    model = Path("models/one.h5")
+    own = bytes(reversed(model.read_bytes()))
+    model.write_bytes(own)
+    result = batch()
+    assert result.exit_code == 2
+    assert "one.h5" in result.stderr and "--overwrite" in result.stderr
+    assert model.read_bytes() == own
+    batch("--overwrite")
+    assert entry_of("one.npz").is_unchanged(model)
+    assert mixseq.load(model).header.frame_count == 4
 
 
 @pytest.mark.usefixtures("shots")

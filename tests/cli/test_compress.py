@@ -156,13 +156,10 @@ def test_encode_in_an_order_of_our_own(run: Run) -> None:
         ("--max-error 0.1 --exact", "--exact is for models .* leave out --max-error"),
         ("--kg 1 --order any", "'any' is not one of 'keep', 'vertices', 'free'"),
         ("--order free", "--order is for compressed models; give --max-error, --kg or --size, too"),
-        ("--size 1MB --parts 3", "--parts is for models"),
         ("--size 1MB --rank 3", "--rank is for models"),
         ("--size 1MB --space vertex", "--space is for models"),
         ("--size 1MB --knots 3", "--knots is for models"),
         ("--size 1MB --pose keys", "--pose is for models"),
-        ("--size 1MB --labels bar.usdc", "--labels is for models"),
-        ("--size 1MB --source skeleton", "--source is for models"),
         ("--size 1MB --volume 1", "--volume is for"),
     ],
 )
@@ -207,7 +204,7 @@ def test_info(run: Run, small: Path) -> None:
     table = rows(succeed(run("info", "small.h5")))
     assert table["model"] == "bar"
     assert table["max error"].startswith("at most 0.001 diagonals (")
-    assert {"signals", "total", "KG error", "space"} <= set(table)
+    assert {"signals", "total", "KG error", "history"} <= set(table)
     facts = json.loads(succeed(run("info", "small.h5", "--json")))
     sizes, coding = facts["bytes"], facts["coding"]
     assert sizes["total"] == small.stat().st_size
@@ -252,7 +249,8 @@ def test_damaged_files_are_refused(run: Run, folder: Path) -> None:
 def test_verify(run: Run, small: Path) -> None:
     table = rows(succeed(run("verify", "small.h5")))
     assert table["intact"] == "4 frames of 77 vertices"
-    assert re.fullmatch(r"0\.001 diagonals \(\S+ mm\), requested", table["bound"])
+    assert re.fullmatch(r"0\.001 diagonals \(\S+ mm\) from bar\.npz, requested", table["bound"])
+    assert table["history"] == "1e-3 from bar.npz"
     table = rows(succeed(run("verify", "small.h5", "bar.npz")))
     assert table["bound holds"] == "yes"
     assert "), of vertex " in table["max error"]
@@ -287,8 +285,8 @@ def test_verify_finds_damage(run: Run, small: Path) -> None:
     [
         ("verify none.h5", "none.h5 does not exist"),
         ("verify bar.npz", "bar.npz"),
-        ("verify model.h5", "model.h5 is not a compressed model; make one with mixseq encode --max-error"),
-        ("verify bar_sequence.h5", "bar_sequence.h5 is not a compressed model"),
+        ("verify bar_sequence.h5", "bar_sequence.h5 is an HDF5 file, but not a mixseq model"),
+        ("verify small.h5 --script edit.toml", "is applied to ORIGINAL, which is missing"),
         ("verify cut_model.h5", "cut_model.h5"),
         ("verify small.h5 none.npz", "none.npz"),
         ("verify small.h5 other.npz", "the reference has 4 vertices, the other sequence 77"),
@@ -347,11 +345,12 @@ def test_texture_coordinates_are_told_and_left_out(run: Run) -> None:
     mixseq.write("textured.npz", MeshSequence.from_header(replace(walk.header, surface=surface), walk.points))
     encode = ("encode", "textured.npz", "small.h5", "--max-error", "0.01", "--overwrite")
     assert "texture error  at most 0.001 of the square" in run(*encode, "--set", "uv_error=0.001").output
-    told = run("verify", "small.h5", "textured.npz")
-    assert (told.exit_code, "texture        0.001 of the square, requested" in told.output) == (0, True)
+    result = run("verify", "small.h5", "textured.npz")
+    assert (result.exit_code, "texture        0.001 of the square, requested" in result.output) == (0, True)
     assert "texture coordinates" in run("info", "small.h5").output
     for options in (("--no-uvs",), ("--set", "uvs=no")):
-        assert "texture" not in run(*encode, *options).output.replace("texture coordinates and the like", "")
+        told = run(*encode, *options).output.replace("textured.npz", "")
+        assert "texture" not in told.replace("texture coordinates and the like", "")
         assert mixseq.load("small.h5").header.surface.uvs is None
 
 

@@ -13,8 +13,10 @@ from click.testing import Result
 from pxr import Usd, UsdGeom
 
 import mixseq
+from mixseq.operations import resample
 from mixseq.runtime.parallel import serial_executor
 from mixseq.sequence.sequence import MeshSequence
+from tests.formats.gltf_maker import JOINTS, skinned
 
 Run = Callable[..., Result]
 Contents = Callable[[], dict[str, bytes | None]]
@@ -42,7 +44,7 @@ def test_times(run: Run, folder: Path, options: str, times: np.ndarray, sources:
     (folder / "ramp.csv").write_text("output,source\n0,0\n0.1,0.05\n0.2,0.3\n")
     (folder / "ramp.toml").write_text("output = [1, 1.1]\nsource = [0.3, 0]")
     text = succeed(run("resample", "model.h5", "new.npz", *options.split()))
-    assert f"frames  {len(times)} (" in text
+    assert f"frames   {len(times)} (" in text
     assert text.splitlines()[-1].startswith("wrote new.npz (")
     new, model = mixseq.read("new.npz"), mixseq.load("model.h5")
     assert new.times == pytest.approx(np.asarray(times), abs=1e-12)
@@ -73,6 +75,55 @@ def test_sequences_stream_and_are_fitted_by_those_who_work(run: Run, monkeypatch
     assert workers is serial_executor
 
 
+@pytest.fixture
+def arm(run: Run) -> Any:
+    """A triangle on a joint that turns by a quarter in a second, keyed only then and at the start."""
+    return skinned([[1, 0, 0, 0], [0.5, 0.5, 0, 0], [0, 1, 0, 0]], JOINTS).glb(Path("arm.glb"))
+
+
+def test_rigs_are_evaluated(run: Run, arm: Any) -> None:
+    table = succeed(run("resample", "arm.glb", "new.npz", "--fps", "50", "--velocities", "--speed", "0.5"))
+    assert "rig     evaluated at these times; --exact fits its frames instead" in table.splitlines()
+    new = mixseq.read("new.npz")
+    assert (new.frame_count, new.fps) == (101, 50)
+    angle = np.pi / 2 * np.arange(101) / 100
+    turned = np.stack([1 + np.cos(angle), np.sin(angle)], axis=1)
+    np.testing.assert_allclose(new.points[:, 0, :2], turned, atol=2e-7)
+    assert new.velocities is not None
+    speed = np.pi / 4 * np.stack([-np.sin(angle), np.cos(angle)], axis=1)[1:-1]
+    np.testing.assert_allclose(new.velocities[1:-1, 0, :2], speed, atol=1e-5)
+    same = resample(arm, fps=50, speed=0.5, velocities=True)
+    np.testing.assert_array_equal(same.points, new.points)
+    np.testing.assert_array_equal(same.velocities, new.velocities)
+    with mixseq.open_sequence(arm) as reader:
+        np.testing.assert_array_equal(resample(reader, fps=50, speed=0.5).points, new.points)
+
+
+@pytest.mark.parametrize("options", [("--exact",), ("--tolerance", "1e-9")])
+def test_rigs_are_baked_by_choice(run: Run, arm: Any, options: tuple[str, ...]) -> None:
+    assert "rig " not in succeed(run("resample", "arm.glb", "new.npz", "--fps", "50", *options))
+    baked, evaluated = mixseq.read("new.npz").points, resample(arm, fps=50).points
+    assert 1e-7 < np.abs(baked - evaluated).max() < 1e-2
+    frames = resample(mixseq.read(arm), fps=50).points  # points of frames, too
+    np.testing.assert_allclose(baked, frames, atol=1e-8)
+
+
+def test_rigs_in_a_worker_are_evaluated(run: Run) -> None:
+    stage = Usd.Stage.CreateNew("spin.usdc")
+    mesh = UsdGeom.Mesh.Define(stage, "/mesh")
+    mesh.CreateFaceVertexCountsAttr([3])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+    mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+    turn = mesh.AddRotateZOp()
+    turn.Set(0.0, 0)
+    turn.Set(90.0, 6)
+    stage.Save()
+    succeed(run("resample", "spin.usdc", "new.usdc", "--fps", "96", "--flatten"))
+    new = mixseq.read("new.usdc")
+    angle = np.pi / 2 * np.arange(25) / 24
+    np.testing.assert_allclose(new.points[:, 1, :2], np.stack([np.cos(angle), np.sin(angle)], 1), atol=1e-6)
+
+
 def test_numbered_files(run: Run, folder: Path, bent_bar: MeshSequence) -> None:
     (folder / "obj").mkdir()
     assert run("convert", "bar.npz", "obj/bar_####.obj").exit_code == 0
@@ -89,15 +140,17 @@ def test_a_tolerance(run: Run, bent_bar: MeshSequence) -> None:
 
 def test_the_table_tells_of_every_end(run: Run) -> None:
     table = succeed(run("resample", "model.h5", "new.npz", "--fps", "8"))
-    assert table.splitlines()[:4] == [
+    assert table.splitlines()[:5] == [
         "frames     3 (0 to 2)",
         "time       0 to 0.25 s at 8 frames per second",
+        "history    1e-8 from bar",
         "source     0 to 0.25 s (frames 0 to 2.5)",
         "left over  0.05 s after the last frame, at 0.25 s; frames are at whole multiples of 1/8 s",
     ]
     table = succeed(run("resample", "model.h5", "new.npz", "--start", "0.05", "--reverse"))
-    assert table.splitlines()[1:4] == [
+    assert table.splitlines()[1:5] == [
         "time       0.1 to 0.3 s at 10 frames per second",
+        "history    1e-8 from bar",
         "source     0.25 to 0.05 s (frames 2.5 to 0.5)",
         "left over  0.05 s before the first frame, at 0.1 s; frames are at whole multiples of 1/10 s",
     ]
@@ -113,10 +166,11 @@ def test_frames_are_a_section(run: Run) -> None:
 def test_retiming_in_frames_of_the_output_and_of_the_source(run: Run) -> None:
     Path("frames.csv").write_text('unit = "frames"\n0,0\n8,2\n')
     table = succeed(run("resample", "model.h5", "new.npz", "--retime", "frames.csv", "--fps", "20"))
-    assert table.splitlines()[:3] == [
-        "frames  9 (0 to 8)",
-        "time    0 to 0.4 s at 20 frames per second",
-        "source  0 to 0.2 s (frames 0 to 2)",
+    assert table.splitlines()[:4] == [
+        "frames   9 (0 to 8)",
+        "time     0 to 0.4 s at 20 frames per second",
+        "history  1e-8 from bar",
+        "source   0 to 0.2 s (frames 0 to 2)",
     ]
 
 

@@ -170,3 +170,13 @@ def test_names_of_many_pieces() -> None:
 
 def test_methods_are_those_of_the_code() -> None:
     assert tuple(METHODS) == SEGMENTATIONS
+
+
+def test_parts_of_a_model_are_its_own(run: Run) -> None:
+    sequence = mixseq.read("bar.npz")
+    along = sequence.points[0][sequence.faces].mean(axis=1)[:, np.ptp(sequence.points[0], axis=0).argmax()]
+    labels = (along > np.quantile(along, 0.2)).astype(np.int64)
+    mixseq.save("halves.h5", mixseq.fit(sequence, exact=True, parts=labels))
+    text = succeed(run("segment", "halves.h5", "parts.npz", "--no-picture", "--json"))
+    assert json.loads(text)["method"] == "model"
+    np.testing.assert_array_equal(read_labels("parts.npz", sequence).part_of_face, labels)

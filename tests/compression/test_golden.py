@@ -14,7 +14,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
     Chunk,
     CodingParameters,
     CompressedSequence,
-    to_model,
+    decode,
 )
 from mixseq.compression.encoder.compress import compress
 from mixseq.mesh.polygons import Polygons
@@ -92,7 +92,7 @@ def store(name: str, coded: CompressedSequence) -> None:
         groups=len(coded.basis),
         chunks=[(chunk.first, chunk.count) for chunk in coded.chunks],
         frames=frames,
-        points=to_model(coded).sample(frames=frames.tolist()).points,
+        points=decode(coded).sample(frames=frames.tolist()).points,
         **{name: np.frombuffer(stream, dtype=np.uint8) for name, stream in parts.items()},  # type: ignore[arg-type]
     )
 
@@ -100,7 +100,7 @@ def store(name: str, coded: CompressedSequence) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_golden_streams_decode_to_the_same_points(name: str) -> None:
     coded, frames, points = stored(name)
-    found = to_model(coded).sample(frames=frames.tolist()).points
+    found = decode(coded).sample(frames=frames.tolist()).points
     np.testing.assert_allclose(found, points, rtol=0, atol=1e-9)
 
 

@@ -14,22 +14,22 @@ import numpy as np
 from mixseq.errors import InvalidSequenceError, MixseqWarning
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import FloatArray
+from mixseq.types import Float, FloatArray
 from mixseq_io.reader import SequenceReader
 
 HEADER = SequenceHeader(polygons=Polygons(np.array([3]), np.array([0, 1, 2])), vertex_count=3, times=np.arange(4.0))
 
 
 def open_file(path: Path, how: str = "well", when: str = "opening") -> SequenceReader:
-    """Open a file; do something `how` when `opening` or `reading`."""
+    """Open a file; do something `how` when `opening` or `reading`; let it be evaluated when `evaluating`."""
     if when == "opening":
         misbehave(how, path)
-    return _Reader(path, how if when == "reading" else "well")
+    return _Reader(path, how if when == "reading" else "well", when == "evaluating")
 
 
 class _Reader(SequenceReader):
-    def __init__(self, path: Path, how: str) -> None:
-        super().__init__(path, HEADER, has_velocities=True)
+    def __init__(self, path: Path, how: str, can_evaluate: bool) -> None:
+        super().__init__(path, HEADER, has_velocities=True, can_evaluate=can_evaluate)
         self._how = how
 
     def _read(self, what: str, size: int) -> Iterator[FloatArray]:
@@ -38,6 +38,10 @@ class _Reader(SequenceReader):
                 misbehave(self._how, self.path)
             value = start if what == "points" else -start
             yield np.full((min(size, 4 - start), 3, 3), value, dtype=np.float32)
+
+    def _evaluate(self, quantity: str, frames: Float, size: int) -> Iterator[FloatArray]:
+        for start in range(0, len(frames), size):
+            yield np.tile(frames[start : start + size, None, None], (3, 3))
 
 
 def misbehave(how: str, path: Path) -> None:

@@ -450,6 +450,14 @@ def test_what_is_hardly_larger_than_zero_is_off() -> None:
     assert rounding.error == pytest.approx(largest)
 
 
+def test_frames_are_counted_over_blocks_of_both_precisions() -> None:
+    rounding = RoundingMonitor()
+    exact = CLOUD.points.astype(np.float32)
+    far = CLOUD.points + np.array([0, 0, 0, 1e6, 1e4])[:, None, None]
+    list(rounding.measure([exact, far, exact]))
+    assert rounding.frame == len(exact) + 3
+
+
 def test_a_first_frame_that_is_one_point_has_the_diagonal_one() -> None:
     rounding = RoundingMonitor()
     list(rounding.measure([np.full((1, 4, 3), 1.0), np.full((1, 4, 3), 2.0**24 + 1)]))

@@ -114,7 +114,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="is a folder, not markers"):
         read_markers(tmp_path)
     (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00\x01")
-    with pytest.raises(FormatError, match="cannot be read as markers"):
+    with pytest.raises(FormatError, match="cannot be read as markers: its text is UTF-16"):
         read_markers(tmp_path / "binary.txt")
     with pytest.raises(OutputError, match="does not exist"):
         write_markers(tmp_path / "no" / "markers.txt", Markers.from_pairs([[1, 2]]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 
 import mixseq
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
-from mixseq.errors import FormatError, InvalidSequenceError
+from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.verification import compressed_sizes, read_compressed
 
@@ -164,3 +165,67 @@ def test_bounds_of_real_animations_hold(name: str, data: Path, tmp_path: Path) -
     mixseq.save(file, mixseq.compress(original, max_error=BOUND))
     assert mixseq.verify(file, original).holds
     assert compressed_sizes(file)["container"] < 1200
+
+
+# Models of models ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def chain(bent_bar: MeshSequence, tmp_path: Path) -> Path:
+    """Files of a sequence, of its model with one mode, of that compressed twice, and of an edit."""
+    mixseq.write(tmp_path / "bar.npz", bent_bar)
+    with mixseq.open_sequence(tmp_path / "bar.npz") as reader:
+        mixseq.save(tmp_path / "rank.h5", mixseq.fit(reader, space="vertex", rank=1))
+    for source, target in (("rank.h5", "small.h5"), ("small.h5", "twice.glb")):
+        with mixseq.open_sequence(tmp_path / source) as reader:
+            mixseq.save(tmp_path / target, mixseq.compress(reader, max_error=BOUND, order="free"), still="plain")
+    mixseq.save(tmp_path / "edit.h5", mixseq.operations.cut(mixseq.load(tmp_path / "small.h5"), 0.1, 0.3))
+    (tmp_path / "cut.toml").write_text('[[edit]]\noperation = "cut"\nstart = 0.1\nend = 0.3\n')
+    return tmp_path
+
+
+def test_bounds_are_of_the_file_that_is_given(chain: Path) -> None:
+    """Also if it has another name."""
+    (chain / "rank.h5").rename(chain / "other.h5")
+    names = {"small.h5": ("small.h5", BOUND), "other.h5": ("rank.h5", 2 * BOUND)}
+    for file, (name, bound) in names.items():
+        with mixseq.open_sequence(chain / file) as reader:
+            found = mixseq.verify(chain / "twice.glb", reader)
+        assert (found.source, found.holds) == (name, True)
+        assert found.bound == pytest.approx(bound, rel=0.01)
+    original = mixseq.read(chain / "bar.npz")
+    rank, found = mixseq.verify(chain / "other.h5", original), mixseq.verify(chain / "twice.glb", original)
+    assert rank.bound == rank.max_error
+    assert rank.bound is not None
+    assert rank.bound > 3 * BOUND  # else there were nothing to add up
+    assert found.bound == pytest.approx(rank.bound + 2 * BOUND, rel=0.01)
+    assert (found.source, found.holds) == ("bar.npz", True)
+    assert found.max_error is not None
+    assert found.max_error > 2 * BOUND
+    text = r"1e-3 from small\.h5, which is 1e-3 from rank\.h5, which is \S+ from bar\.npz"
+    assert re.fullmatch(text, found.provenance)
+
+
+def test_what_is_made_of_a_sample_in_memory_says_so(chain: Path) -> None:
+    sample = mixseq.load(chain / "rank.h5").sample()
+    provenance = mixseq.compress(sample, max_error=BOUND).header.provenance
+    assert provenance is not None
+    assert re.fullmatch(r"1e-3 from rank\.h5, which is \S+ from bar\.npz", str(provenance))
+    doubled = mixseq.compress(sample.with_points(2 * sample.points), max_error=BOUND).header.provenance
+    assert doubled is not None
+    assert [bound for _, bound in doubled.bounds] == [pytest.approx(BOUND), None]
+
+
+def test_edits_are_compared_with_the_same_edit(chain: Path) -> None:
+    original = mixseq.read(chain / "bar.npz")
+    alone = mixseq.verify(chain / "edit.h5")
+    assert (alone.bound, alone.holds) == (None, True)
+    assert alone.provenance.startswith("an edit of what is 1e-3 from rank.h5, which is ")
+    with pytest.raises(SettingsError, match=r"edit\.h5 is an edit of what is .*; give the edit script"):
+        mixseq.verify(chain / "edit.h5", original)
+    small = mixseq.verify(chain / "small.h5", original)
+    found = mixseq.verify(chain / "edit.h5", original, script=chain / "cut.toml")
+    assert found.bound is None
+    assert found.max_error is not None
+    assert small.max_error is not None
+    assert 0 < found.max_error < 2 * small.max_error

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.polygons import Polygons, describe_difference, match_polygons, match_triangles
+from mixseq.mesh.polygons import Polygons, count_common_polygons, describe_difference, match_polygons, match_triangles
 
 NAMES = ("A", "B")
 
@@ -59,6 +59,11 @@ def test_what_differs_first_is_named(theirs: Polygons, message: str) -> None:
     with pytest.raises(InvalidSequenceError) as caught:
         match_triangles(ours, theirs, NAMES)
     assert str(caught.value) == message
+
+
+def test_count_of_common_polygons() -> None:
+    assert count_common_polygons(OURS, SHUFFLED) == 4
+    assert count_common_polygons(OURS, of([2, 3, 0, 1], [2, 3, 4], [2, 5, 4], [2, 5, 4])) == 2
 
 
 @pytest.mark.parametrize(

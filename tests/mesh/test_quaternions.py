@@ -10,7 +10,6 @@ from hypothesis.extra import numpy as arrays
 
 from mixseq.mesh.rotations import (
     align_quat_signs,
-    angular_velocities,
     matrix_to_quat,
     normalise_quat,
     quat_conjugate,
@@ -158,27 +157,3 @@ def test_block_by_block_is_the_same() -> None:
     first = align_quat_signs(path[:17])
     np.testing.assert_array_equal(np.concatenate([first, align_quat_signs(path[17:], first[-1])]), whole)
     assert align_quat_signs(path[:0]).shape == (0, 2, 4)
-
-
-@pytest.mark.parametrize("size", [1.0, 0.4, 7.0])
-def test_an_even_turn_has_its_speed_as_spin(size: float) -> None:
-    """Quaternions that are too long, or too short, are rotations as well."""
-    rate = 0.5 * 3.0 * np.concatenate([[-np.sin(0.35)], np.cos(0.35) * AXIS])
-    np.testing.assert_allclose(angular_velocities(size * turn(0.7), size * rate), 3.0 * AXIS, atol=1e-14)
-    np.testing.assert_allclose(angular_velocities(turn(0.7), size * turn(0.7)), 0.0, atol=1e-14)
-
-
-@settings(max_examples=20, deadline=None)
-@given(seed=seeds)
-def test_spins_are_difference_quotients(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    q = random(seed, 3) * rng.uniform(0.5, 2.0, (3, 1))
-    rates, step = rng.normal(size=(3, 4)), 1e-5
-    ahead, behind = (quat_to_matrix(q + sign * step * rates) for sign in (1, -1))
-    turning = (ahead - behind) / (2 * step) @ np.swapaxes(quat_to_matrix(q), 1, 2)
-    measured = np.stack([turning[:, 2, 1], turning[:, 0, 2], turning[:, 1, 0]], axis=1)
-    np.testing.assert_allclose(angular_velocities(q, rates), measured, atol=1e-6)
-
-
-def test_what_has_no_rotation_has_no_spin() -> None:
-    np.testing.assert_array_equal(angular_velocities(np.zeros((2, 4)), np.ones((2, 4))), 0.0)

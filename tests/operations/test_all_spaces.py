@@ -51,6 +51,9 @@ EDITS: dict[str, Callable[[Model, Model], Model]] = {
 def test_edits_stay_in_the_space(name: str, space: SpaceName, tmp_path: Path) -> None:
     edited = EDITS[name](*models(space))
     assert edited.space.name == space
+    provenance = edited.header.provenance
+    assert provenance is not None
+    assert provenance.edited is (name != "in_place" or space != "vertex")
     points = edited.sample().points
     assert np.isfinite(points).all()
     mixseq.save(tmp_path / "edited.h5", edited)

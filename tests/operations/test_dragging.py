@@ -182,18 +182,6 @@ def test_models_with_many_kinds_of_coordinates() -> None:
         assert np.abs(pulled(0.31) - model(0.31)).max() < 0.3 * np.ptp(points)
 
 
-def test_residual_layers_stay() -> None:
-    model = replace(bar_motion(), residual_layer=Still())
-    assert drag(model, 0.4, [0.0, 0.0]).residual_layer is model.residual_layer
-
-
-class Still:
-    def at(self, times: Float) -> Float:
-        return np.zeros((len(times), 1, 3))
-
-    rates = at
-
-
 @pytest.mark.parametrize(
     ("time", "to", "reach", "message"),
     [

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.choices import SpaceName
+from mixseq.creature import walk_cycle
 from mixseq.mesh.rotations import matrix_to_rotvec, quat_to_matrix, rotvec_to_matrix
 from mixseq.operations.sections import (
     MAX_BISECTIONS,
@@ -26,7 +27,10 @@ from mixseq.operations.sections import (
     shape_norm,
     subdivide,
 )
+from mixseq.operations.transitions import concatenate
+from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
+from mixseq.signals.detail import VISUALLY_LOSSLESS_TOLERANCE
 from mixseq.signals.fitting import fit
 from mixseq.types import Float
 from tests.meshes import bar, seeds
@@ -231,3 +235,28 @@ def test_the_size_of_a_correction_is_its_largest_number() -> None:
     changes[1, 3 * 2] = -0.25  # of a shift, after the turns of both parts
     np.testing.assert_allclose(correction_norm(model)(changes), [0.0, 0.25])
     assert correction_norm(fit(bar(sides=5, rings=15, frames=2), space="lri"))(np.zeros((1, 0))) == [0.0]
+
+
+def test_slopes_and_curvatures_may_have_windows_of_their_own() -> None:
+    times = np.arange(9.0)
+    before, after = Curve(times, times[:, None] ** 2), Curve(times + 8, 64.0 - 3 * times[:, None])
+    sections = [CurveSection(before, 0.0, 8.0), CurveSection(after, 8.0, 16.0)]
+    joined = join_curves(sections, [Seam(4.0, slope_fade=1.0)])
+    np.testing.assert_allclose(joined(np.arange(9.0)), before(times), atol=1e-9)
+    np.testing.assert_allclose(joined(np.arange(8.0, 17.0)), after(times + 8), atol=1e-9)
+    for order in (1, 2):
+        left, right = (joined.derivative([8.0 + step], order) for step in (-1e-9, 1e-9))
+        np.testing.assert_allclose(left, right, atol=1e-5)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_halves_of_a_motion_make_the_motion(exact: bool) -> None:
+    """Frames of halves that are fitted separately stay within the tolerance when they are joined."""
+    sequence = walk_cycle(frames=13)
+    first, second = (
+        MeshSequence.from_header(sequence.header.with_times(sequence.times[ids]), sequence.points[ids])
+        for ids in (slice(0, 7), slice(6, 13))
+    )
+    joined = concatenate(fit(first, exact=exact), fit(second, exact=exact)).sample()
+    error = np.linalg.norm(joined.points - sequence.points, axis=2).max() / sequence.diagonal
+    assert error < (1e-8 if exact else 1.5 * VISUALLY_LOSSLESS_TOLERANCE)

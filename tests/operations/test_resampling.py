@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,52 @@ def model_at(times: ArrayLike, fps: float = 10.0) -> Model:
     """The spline through the frames, which are its only knots: so it is the parabola."""
     sequence = MeshSequence.from_arrays(place(times), [[0, 1, 2]], times, fps)
     return fit(sequence, knots=max(sequence.frame_count - 4, 0), space="vertex")
+
+
+class Wheel:
+    """A rig, open only while its file is: the triangle turns about z by one radian per second, from 1 to 3 s."""
+
+    header = MeshSequence.from_arrays([TRIANGLE] * 3, [[0, 1, 2]], [1, 2, 3], 1.0).header
+    can_evaluate = True
+
+    def blocks(self, size: int = 16) -> Iterator[Float]:
+        return self.blocks_at(self.header.times, size)
+
+    def blocks_at(self, times: ArrayLike, size: int = 16) -> Iterator[Float]:
+        for start in range(0, len(turned := self.turned(times)), size):
+            yield turned[start : start + size]
+
+    def velocity_blocks_at(self, times: ArrayLike, size: int = 16) -> Iterator[Float]:
+        yield from self.blocks_at(np.add(times, np.pi / 2), size)
+
+    @staticmethod
+    def turned(times: ArrayLike) -> Float:
+        c, s = np.cos(times), np.sin(times)
+        turns = np.moveaxis(np.array([[c, -s, 0 * c], [s, c, 0 * c], [0 * c, 0 * c, 0 * c]]), 2, 0)
+        return np.asarray(TRIANGLE @ turns.swapaxes(1, 2))
+
+
+@pytest.mark.parametrize(
+    ("settings", "sources", "slope"),
+    [
+        ({"fps": 4}, 1 + np.arange(9) / 4, 1),
+        ({"fps": 3, "speed": 0.5, "reverse": True}, 3 - np.arange(13) / 6, -0.5),
+        ({"start": 1.5, "end": 1.75, "fps": 8}, [1.5, 1.625, 1.75], 1),
+        ({"retiming": Retiming.through([0, 2], [2, 1.5]), "fps": 2}, 2 - np.arange(5) / 8, -0.25),
+    ],
+)
+def test_rigs_are_evaluated(settings: dict[str, Any], sources: ArrayLike, slope: float) -> None:
+    """A model of three frames, a radian apart, would be far from the arc."""
+    got = resample(Wheel(), velocities=True, **settings)
+    np.testing.assert_allclose(got.points, Wheel.turned(sources), atol=1e-12)
+    assert got.velocities is not None
+    np.testing.assert_allclose(got.velocities, slope * Wheel.turned(np.add(sources, np.pi / 2)), atol=1e-12)
+    np.testing.assert_array_equal(resample(Wheel(), **settings).points, got.points)
+
+
+def test_rigs_have_a_first_and_a_last_frame() -> None:
+    with pytest.raises(SettingsError, match=r"the retiming goes beyond the source: time 3.5 s is outside the sequence"):
+        resample(Wheel(), retiming=Retiming.through([0, 1], [3, 3.5]))
 
 
 @pytest.fixture(scope="module")

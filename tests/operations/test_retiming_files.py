@@ -84,7 +84,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="cannot be read: Is a directory"):
         read_retiming(tmp_path)
     (tmp_path / "a.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(FormatError, match="is not text; a CSV or TOML file"):
+    with pytest.raises(FormatError, match="cannot be read as a CSV or TOML file: its text is UTF-16; save it as UTF-8"):
         read_retiming(tmp_path / "a.csv")
 
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from mixseq import operations
 from mixseq.errors import FormatError, SettingsError
 from mixseq.operations import blend, drag, exaggerate, repeat, retime, reverse, script, shift, transition
-from mixseq.operations.script import OPERATIONS, Edit, Readers, load_operation, read_script, script_keys
+from mixseq.operations.script import OPERATIONS, Edit, Readers, load_operation, read_pairs, read_script, script_keys
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -288,11 +288,19 @@ def test_a_unit_that_is_none(edits: Edits) -> None:
         edits('unit = "hours"\n' + table('operation = "reverse"'))
 
 
+def test_script_and_curve_with_byte_order_marks(edits: Edits, tmp_path: Path) -> None:
+    (tmp_path / "speed.csv").write_text("\ufeff0,1\n0.5,2\n", encoding="utf-8")
+    plain = edits(table('operation = "shift"\nseconds = 0.25'))
+    marked = edits("\ufeff" + table('operation = "shift"\nseconds = 0.25'))
+    assert plain == marked
+    assert read_pairs(tmp_path / "speed.csv").tolist() == [[0, 1], [0.5, 2]]
+
+
 def test_scripts_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"none.toml cannot be read: No such file"):
         read_script(tmp_path / "none.toml", Readers(load, read))
     (tmp_path / "bad.toml").write_bytes(b"\xff\xfe")
-    with pytest.raises(FormatError, match=r"bad.toml is not a TOML file"):
+    with pytest.raises(FormatError, match=r"bad.toml cannot be read as a TOML file: its text is UTF-16"):
         read_script(tmp_path / "bad.toml", Readers(load, read))
 
 

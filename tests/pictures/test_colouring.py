@@ -19,7 +19,6 @@ from mixseq.mesh.measures import dihedral_angles, wrap_angles
 from mixseq.mesh.surface import CornerValues, Surface
 from mixseq.mesh.topology import Topology
 from mixseq.pictures.colours import (
-    CLAY_COLOUR,
     JOINT_ENTRY,
     JOINT_RED,
     MAX_PALETTE_COLOURS,
@@ -40,7 +39,7 @@ from mixseq.pictures.colours import (
 )
 from mixseq.pictures.film import FilmSettings, film
 from mixseq.pictures.raster import shade
-from mixseq.pictures.scene import SceneItem
+from mixseq.pictures.scene import CLAY_COLOUR, SceneItem
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray

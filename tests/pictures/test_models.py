@@ -111,28 +111,32 @@ def test_summary_counts(vertex_model: Model) -> None:
 @pytest.mark.parametrize(
     ("kind", "against", "frames", "tolerance", "message"),
     [
-        ("pie", False, None, None, "kind is 'pie'; one of embedding, coefficients"),
-        ("error-frames", False, None, None, "error-frames needs the original"),
-        ("error-vertices", False, None, None, "error-vertices needs the original"),
-        (None, False, None, 0.1, "tolerance needs the original"),
-        ("embedding", True, None, None, "against is for error-frames and error-vertices, not for embedding"),
+        ("pie", False, None, False, "kind is 'pie'; one of embedding, coefficients"),
+        ("error-frames", False, None, False, "error-frames needs the original"),
+        ("error-vertices", False, None, False, "error-vertices needs the original"),
+        (None, False, None, True, "tolerance needs the original"),
+        ("embedding", True, None, False, "against is for error-frames and error-vertices, not for embedding"),
         (
             "coefficients",
             False,
             [1],
-            None,
+            False,
             "frames is for embedding and error-vertices, not for coefficients",
         ),
-        ("error-vertices", True, None, 0.1, "tolerance is for error-frames, not for error-vertices"),
-        (None, True, None, 0.0, "tolerance is 0.0; a positive number"),
-        (None, True, None, np.nan, "tolerance is nan; a positive number"),
-        ("error-vertices", True, range(MAX_ERROR_FRAMES + 1), None, "do not fit; choose 1 to 12 frames"),
-        ("error-vertices", True, [], None, "do not fit; choose 1 to 12 frames"),
+        ("error-vertices", True, None, True, "tolerance is for error-frames, not for error-vertices"),
+        ("error-vertices", True, range(MAX_ERROR_FRAMES + 1), False, "do not fit; choose 1 to 12 frames"),
+        ("error-vertices", True, [], False, "do not fit; choose 1 to 12 frames"),
     ],
 )
-def test_settings_that_contradict(kind: Any, against: bool, frames: Any, tolerance: Any, message: str) -> None:
+def test_settings_that_contradict(kind: Any, against: bool, frames: Any, tolerance: bool, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         check_settings(kind, against, frames, tolerance)
+
+
+@pytest.mark.parametrize("tolerance", [0.0, np.nan])
+def test_tolerance_is_positive(bar_model: Model, bent_bar: MeshSequence, tolerance: float) -> None:
+    with pytest.raises(SettingsError, match=f"tolerance is {tolerance}; a positive number"):
+        plot_model(io.BytesIO(), bar_model, "error-frames", file_format="png", against=bent_bar, tolerance=tolerance)
 
 
 def test_meshes_are_seen_from_the_camera_and_its_other_side(bar_model: Model) -> None:

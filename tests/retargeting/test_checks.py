@@ -20,6 +20,7 @@ from mixseq.retargeting.checks import (
     check_markers,
     check_orientation,
     find_orientation,
+    find_wrong_markers,
 )
 from mixseq.retargeting.markers import Markers
 from mixseq.types import Float, Index
@@ -151,6 +152,23 @@ def test_a_marker_far_away_is_named() -> None:
     assert named(messages) == {17}
     assert "seems wrong" in messages[0]
     assert "% of the diagonal" in messages[0]
+
+
+def test_wrong_markers_are_sorted_by_surprise() -> None:
+    """Removal of the first wrong marker sharpens the predictions of its neighbours, which then surprise more."""
+    source = creature()
+    target = other(source)
+    target[17] += [6.0, 0, 0]
+    target[18] += [0, 8.0, 0]
+    target[25] += [0, 0, 7.0]
+    source, target = (
+        (points - points.mean(axis=0)) / np.linalg.norm(points - points.mean(axis=0), axis=1).mean()
+        for points in (source, target)
+    )
+    found = find_wrong_markers(source, target)
+    surprises = [surprise for _, _, surprise in found]
+    assert {17, 18, 25} <= {marker for marker, _, _ in found}
+    assert surprises == sorted(surprises, reverse=True)
 
 
 # Markers that cannot be used ----------------------------------------------------------------------------------

@@ -179,6 +179,14 @@ def test_distances_are_in_diagonals_of_the_target() -> None:
     assert found.marker_distances == pytest.approx([0.02])
 
 
+def test_distances_without_matches_are_infinite() -> None:
+    sheet = grid(3, 4)
+    away = sheet[0] + [0, 0, 50.0]
+    found = quality((away, sheet[1]), sheet, Markers.from_pairs([(0, 0)]))
+    assert (found.source_coverage, found.target_coverage) == (0, 0)
+    assert (found.mean_distance, found.p99_distance, found.largest_distance) == (np.inf, np.inf, np.inf)
+
+
 def test_half_a_source_covers_half() -> None:
     sheet = grid(10, 10)
     half = sheet[0][:, 0].max() / 2

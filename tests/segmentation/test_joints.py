@@ -13,7 +13,7 @@ from mixseq.errors import SegmentationError, SettingsError
 from mixseq.mesh.measures import degenerate_faces
 from mixseq.mesh.topology import Topology, face_patches
 from mixseq.segmentation.joints import (
-    DEGENERATE_HEIGHT_RATIO,
+    MIN_MOTION_HEIGHT_RATIO,
     Decomposition,
     PartShapes,
     decompose,
@@ -328,7 +328,7 @@ def test_flat_faces_are_those_of_any_frame() -> None:
     seen = measure_part_motion(
         PartShapes.from_labels(topology, np.zeros(len(topology.faces), int), sequence.points), sequence.points
     )
-    expected = degenerate_faces(sequence.points.astype(np.float64), topology.faces, DEGENERATE_HEIGHT_RATIO).any(axis=0)
+    expected = degenerate_faces(sequence.points.astype(np.float64), topology.faces, MIN_MOTION_HEIGHT_RATIO).any(axis=0)
     assert expected.any()
     np.testing.assert_array_equal(seen.degenerate_mask, expected)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -48,8 +47,8 @@ def walk() -> MeshSequence:
 
 
 @cache
-def encoded(in_body: bool = False, name: SpaceName = "mixed") -> EncodedSequence:
-    return replace(encode_sequence(LONG, make_space(LONG, name)), in_body_axes=in_body)
+def encoded(name: SpaceName = "mixed") -> EncodedSequence:
+    return encode_sequence(LONG, make_space(LONG, name))
 
 
 def poses_of(model: Model, times: Float) -> tuple[Float, Float]:
@@ -71,10 +70,9 @@ def without_correction(model: Model) -> Model:
     return Model(model.header, model.space, model.time, model.pose, model.shapes, model.placement)
 
 
-@pytest.mark.parametrize("in_body", [False, True])
-def test_parts_go_where_they_are_predicted_to_be(in_body: bool) -> None:
+def test_parts_go_where_they_are_predicted_to_be() -> None:
     """At frames and at quarters between them, whatever blends of key shapes say."""
-    model, between = build_model(encoded(in_body), Detail()), encoded(in_body).interpolated
+    model, between = build_model(encoded(), Detail()), encoded().interpolated
     np.testing.assert_array_equal(between.times, insert_midpoints(LONG.times))
     np.testing.assert_array_equal(between.quarter_times, insert_midpoints(between.times))
     np.testing.assert_allclose(model.placement(between.quarter_times), between.placement, atol=1e-12)
@@ -139,7 +137,6 @@ def test_another_motion_through_the_same_shapes() -> None:
     moved = model.with_motion(time, placement, correction, header=header)
     assert moved.header is header and moved.space is model.space
     np.testing.assert_array_equal(moved.shapes, model.shapes)
-    assert moved.residual_layer is None
     assert moved.curves == (time, placement, correction)
     np.testing.assert_allclose(moved.sample().points, LONG.points[::-1], atol=1e-8)
     assert model.with_motion(*model.curves).header is model.header

@@ -21,14 +21,16 @@ from mixseq.signals.detail import EncodedSequence, encode_sequence
 from mixseq.signals.fitting import (
     CANDIDATE_SHARES,
     MIN_VALIDATION_FRAMES,
-    CrossValidation,
+    _interpolated_vectors,
     fit,
-    tune_interpolation,
+    select_share,
 )
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.making import MixedSettings, make_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
-from tests.meshes import bar, rotation, tube
+from mixseq.spaces.temporal import FrameWeights
+from mixseq.types import Float
+from tests.meshes import bar, tube
 
 SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
 
@@ -188,7 +190,7 @@ def share_of(encoded: EncodedSequence) -> float:
 
 def test_lengths_and_angles_count_where_they_are_right_between_frames() -> None:
     sequence = curling()
-    assert share_of(tune_interpolation(encoded_of(sequence, 1), sequence.points)) >= 0.75
+    assert share_of(select_share(encoded_of(sequence, 1), sequence.points)) >= 0.75
 
 
 @pytest.mark.parametrize("block", ["lengths", "angles"])
@@ -202,13 +204,13 @@ def test_lengths_and_angles_do_not_count_where_they_are_noise(block: str) -> Non
     columns = slice(0, edges) if block == "lengths" else slice(edges, edges + hinges)
     size = shapes[:, columns].mean() if block == "lengths" else 1.0
     shapes[:, columns] += 0.5 * size * rng.normal(size=shapes[:, columns].shape)
-    assert share_of(tune_interpolation(replace(encoded, shapes=shapes), sequence.points)) == 0.0
+    assert share_of(select_share(replace(encoded, shapes=shapes), sequence.points)) == 0.0
 
 
 def test_nothing_else_of_the_space_changes() -> None:
     sequence = curling()
     encoded = encoded_of(sequence, 1)
-    found = tune_interpolation(encoded, sequence.points)
+    found = select_share(encoded, sequence.points)
     assert share_of(found) in CANDIDATE_SHARES
     assert isinstance(found.space, MixedSpace) and isinstance(encoded.space, MixedSpace)
     assert replace(found.space.projection, share=0.0) == encoded.space.projection
@@ -216,29 +218,10 @@ def test_nothing_else_of_the_space_changes() -> None:
     assert found.space.dim == encoded.space.dim
 
 
-def spinning() -> MeshSequence:
-    """A bar that bends a little, and spins by 70 degrees a frame."""
-    still = bar(frames=9)
-    turns = np.radians(70.0) * np.arange(9)
-    centred = still.points - still.points.mean(axis=1, keepdims=True)
-    points = np.stack([x @ rotation((0.0, turn, 0.0)).T for x, turn in zip(centred, turns, strict=True)])
-    return MeshSequence.from_arrays(points, still.faces)
-
-
-def test_parts_of_bodies_that_spin_are_predicted_in_them() -> None:
-    sequence = spinning()
-    assert tune_interpolation(encoded_of(sequence, 2, everywhere=False), sequence.points).in_body_axes
-
-
-def test_a_single_part_is_its_body() -> None:
-    sequence = spinning()
-    assert not tune_interpolation(encoded_of(sequence, 1, everywhere=False), sequence.points).in_body_axes
-
-
 def test_where_there_are_no_joints_no_share_is_chosen() -> None:
     sequence = bar(frames=9)
     encoded = encoded_of(sequence, 2, everywhere=False)
-    assert tune_interpolation(encoded, sequence.points).space is encoded.space
+    assert select_share(encoded, sequence.points).space is encoded.space
 
 
 def test_where_steps_are_taken_no_share_is_chosen() -> None:
@@ -246,7 +229,7 @@ def test_where_steps_are_taken_no_share_is_chosen() -> None:
     space = encoded_of(sequence, 2).space
     assert isinstance(space, MixedSpace)
     stepping = replace(space, projection=Projection(share=1.0, steps=6))
-    assert tune_interpolation(encode_sequence(sequence, stepping), sequence.points).space is stepping
+    assert select_share(encode_sequence(sequence, stepping), sequence.points).space is stepping
 
 
 def test_other_spaces_placements_and_short_sequences_stay_as_they_are() -> None:
@@ -258,29 +241,25 @@ def test_other_spaces_placements_and_short_sequences_stay_as_they_are() -> None:
         (short, "mixed", None),
     ):
         encoded = encode_sequence(frames, make_space(frames, name, settings))  # type: ignore[arg-type]
-        assert tune_interpolation(encoded, frames.points) is encoded
+        assert select_share(encoded, frames.points) is encoded
 
 
 def test_few_frames_of_large_meshes_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evenly spread inner frames, interpolated from other frames only."""
+    found: list[FrameWeights] = []
+
+    def spy(encoded: EncodedSequence, space: MixedSpace, weights: FrameWeights) -> Float:
+        found.append(weights)
+        return _interpolated_vectors(encoded, space, weights)
+
+    monkeypatch.setattr("mixseq.signals.fitting._interpolated_vectors", spy)
     sequence = curling(25)
     encoded = encoded_of(sequence, 1)
-    assert isinstance(encoded.space, MixedSpace)
-    many = CrossValidation.from_sequence(encoded, encoded.space, sequence.points)
-    assert len(many.frame_ids) == len(many.points) == len(many.weights.frame_ids) == 16
-    assert 0 not in many.frame_ids and 24 not in many.frame_ids
-    np.testing.assert_array_equal(many.points, sequence.points[many.frame_ids] / encoded.space.scale)
+    select_share(encoded, sequence.points)
     monkeypatch.setattr("mixseq.signals.fitting.MAX_VALIDATION_VERTICES", 100)
-    assert (
-        len(CrossValidation.from_sequence(encoded, encoded.space, sequence.points).frame_ids) == MIN_VALIDATION_FRAMES
-    )
-
-
-def test_frames_that_are_left_out_are_made_of_the_others() -> None:
-    """Weights of the frame itself are none, and add up to one."""
-    sequence = curling()
-    encoded = encoded_of(sequence, 1)
-    assert isinstance(encoded.space, MixedSpace)
-    trial = CrossValidation.from_sequence(encoded, encoded.space, sequence.points)
-    for frame, used, weights in zip(trial.frame_ids, trial.weights.frame_ids, trial.weights.weights, strict=True):
-        assert not weights[used == frame].any()
-        assert weights.sum() == pytest.approx(1.0)
+    select_share(encoded, sequence.points)
+    assert [len(weights.frame_ids) for weights in found] == [16, MIN_VALIDATION_FRAMES]
+    left_out = [np.setdiff1d(np.arange(25), frame_ids) for frame_ids in found[0].frame_ids]
+    assert all(len(frames) == 1 and 0 < frames[0] < 24 for frames in left_out)
+    assert len(np.unique(left_out)) == 16
+    np.testing.assert_allclose(found[0].weights.sum(axis=1), 1.0)

@@ -117,9 +117,7 @@ def test_predicted_poses_pass_through_the_frames(name: SpaceName) -> None:
         vectors[:, size - space.pose_dim : size],
         vectors[:, size : size + space.placement_dim],
     )
-    targets, placed = space.interpolate_poses(
-        TemporalOperator(times, 2.0), poses, placements, insert_midpoints(times), True
-    )
+    targets, placed = space.interpolate_poses(TemporalOperator(times, 2.0), poses, placements, insert_midpoints(times))
     assert placed.shape == (2 * len(times) - 1, space.placement_dim)
     np.testing.assert_allclose(placed[::2], placements, atol=1e-12)
     corrections = space.pose_corrections(poses, targets[::2])

@@ -168,9 +168,7 @@ def test_between_frames_a_body_turns_as_evenly_as_at_them() -> None:
     points = np.stack([POINTS @ rotation((0.0, a, 0.0)).T + p for a, p in zip(angles, path, strict=True)])
     vectors = SPACE.encode(points)
     operator, at = TemporalOperator(times), np.array([0.0, 0.01, 0.1, 0.2])
-    _, placements = SPACE.interpolate_poses(
-        operator, vectors[:, :0], vectors[:, SPACE.shape_dim :], at, in_body_axes=False
-    )
+    _, placements = SPACE.interpolate_poses(operator, vectors[:, :0], vectors[:, SPACE.shape_dim :], at)
     found = SPACE.decode(np.concatenate([np.repeat(vectors[:1, : SPACE.shape_dim], 4, axis=0), placements], axis=1))
     centres = operator.weights_at(at).interpolate(path)
     expected = [POINTS @ rotation((0.0, np.radians(150.0) * 24 * t, 0.0)).T for t in at]

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compression.bitstream.compressed_sequence import to_model
+from mixseq.compression.bitstream.compressed_sequence import Playback, decode
 from mixseq.pictures.scene import to_y_up
-from mixseq.signals.model import Model
 from mixseq.types import Float
 from mixseq.viewer.export_data import BYTE_ORDER_MARK, ESCAPE_UNIT, PAGE_ENCODING
 from mixseq_io.coded.streams import Container, read_sequence
@@ -53,7 +52,7 @@ class OpenedItem:
     """A mesh of a page: what is said of it, its model, and colours that are stored."""
 
     description: dict[str, Any]
-    model: Model
+    model: Playback
     colours: dict[str, NDArray[np.uint8]]
 
     @property
@@ -87,7 +86,7 @@ class Opened:
 
 def _item(description: dict[str, Any], streams: Any) -> OpenedItem:
     container = Container(description["coding"].encode(), next(streams))
-    model = to_model(read_sequence(Path(description["name"]), container))
+    model = decode(read_sequence(Path(description["name"]), container))
     colours = {
         each["name"]: rows_of(next(streams), model.header.vertex_count)
         for each in description["colourings"]

@@ -10,11 +10,11 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 
 from mixseq.operations.sketch import drag
+from mixseq.pictures.chart_data import chart_data
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
-from mixseq.viewer.export import CHART_SCRIPTS, chart_scripts
-from mixseq.viewer.session import chart_data
+from mixseq.viewer.page import CHART_SCRIPTS, chart_scripts
 from tests.meshes import bar
 from tests.viewer.conftest import Keep, NewPage, Watched
 

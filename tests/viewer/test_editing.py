@@ -11,9 +11,9 @@ from mixseq.operations import shift, sketch, speed
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.model import Model
-from mixseq.viewer.export import script_json
 from mixseq.viewer.live.controls import MIN_DURATION, TimeBase, duration, reach_of, span
 from mixseq.viewer.live.stage import srgb_to_linear
+from mixseq.viewer.page import script_json
 from tests.meshes import bar
 
 

@@ -18,11 +18,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from mixseq.compression.bitstream.compressed_sequence import to_model
+from mixseq.compression.bitstream.compressed_sequence import decode
+from mixseq.compression.compressed_model import CompressedModel
 from mixseq.compression.encoder.compress import compress
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.surface import CornerValues, Surface
+from mixseq.pictures.chart_data import chart_data
 from mixseq.pictures.colours import Colouring, SceneColours, available_colourings
 from mixseq.pictures.scene import Scene, SceneItem, View, shared_limits, three_quarter_view, to_y_up
 from mixseq.runtime import low_memory
@@ -39,7 +41,6 @@ from mixseq.viewer.export_data import (
     measure_extent,
     page_items,
 )
-from mixseq.viewer.session import chart_data
 from tests.meshes import SEQUENCES, bar
 from tests.viewer.pages import Opened, bytes_of, rows_of
 
@@ -163,17 +164,19 @@ def test_the_error_can_be_chosen(tmp_path: Path) -> None:
 def test_models_that_are_compressed_are_taken_as_they_are(tmp_path: Path) -> None:
     sequence = bar(frames=9)
     coded = compress(sequence, max_error=2e-3)
-    item = replace(exported(sequence), mesh=SceneItem("bar", to_model(coded)), compressed=coded)
+    item = replace(exported(sequence), mesh=SceneItem("bar", CompressedModel.from_sequence(coded)), compressed=coded)
     report = export_page(tmp_path / "a.html", [item], ExportSettings(max_error=1e-5)).items[0]
     page = Opened(tmp_path / "a.html").items[0]
     assert report.max_error == 2e-3
     for time in (0.0, 0.13, 0.8):
-        assert np.array_equal(page.model(time), to_model(coded)(time))
+        assert np.array_equal(page.model(time), decode(coded)(time))
 
 
 def test_compressed_models_are_shown_at_any_rate(tmp_path: Path) -> None:
     coded = compress(bar(frames=9), max_error=1e-3)
-    item = replace(exported(bar(frames=9)), mesh=SceneItem("bar", to_model(coded)), compressed=coded)
+    item = replace(
+        exported(bar(frames=9)), mesh=SceneItem("bar", CompressedModel.from_sequence(coded)), compressed=coded
+    )
     for options, times in (({"fps": 25.0}, np.arange(21) / 25), ({"every": 4}, [0, 0.4, 0.8])):
         export_page(tmp_path / "a.html", [item], ExportSettings(**options))
         page = Opened(tmp_path / "a.html").items[0]

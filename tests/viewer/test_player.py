@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.mesh.surface import CornerValues, Surface
+from mixseq.pictures.chart_data import chart_data
 from mixseq.pictures.colours import MEASURES, available_colourings
 from mixseq.pictures.scene import SceneItem
 from mixseq.sequence.sequence import MeshSequence
@@ -21,7 +22,6 @@ from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.viewer.export import ExportSettings, export_page
 from mixseq.viewer.export_data import PageItem
-from mixseq.viewer.session import chart_data
 from tests.meshes import bar, coarse_walk
 from tests.viewer.conftest import SCREENSHOTS, Keep, NewPage, Watched
 from tests.viewer.pages import Opened

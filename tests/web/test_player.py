@@ -13,7 +13,7 @@ import pytest
 from mixseq.compression.bitstream.compressed_sequence import (
     CompressedSequence,
     TemporalInterpolation,
-    to_model,
+    decode,
 )
 from mixseq.compression.encoder.compress import compress
 from mixseq.types import Float, FloatArray, IntArray
@@ -113,7 +113,7 @@ def normals_of(points: FloatArray, faces: IntArray) -> Any:
 
 
 def frames_of(coded: CompressedSequence, times: Float) -> Float:
-    return np.concatenate(list(to_model(coded).blocks(times)))
+    return np.concatenate(list(decode(coded).blocks(times)))
 
 
 @pytest.mark.parametrize("name", ["bounded", "shapes", "long", "parts"])

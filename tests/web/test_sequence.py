@@ -13,8 +13,8 @@ import mixseq
 from mixseq.compression.bitstream.compressed_sequence import (
     CompressedSequence,
     TemporalInterpolation,
+    decode,
     decode_basis,
-    to_model,
 )
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.encoder.compress import compress
@@ -39,7 +39,7 @@ NEAR = 1e-6
 
 def plays_as_in_python(node: Node, folder: Path, coded: CompressedSequence) -> Played:
     """Compare a sequence at frames and between them."""
-    model, header = to_model(coded), coded.header
+    model, header = decode(coded), coded.header
     rng = np.random.default_rng(0)
     times = np.unique(np.append(header.times, rng.uniform(header.times[0], header.times[-1], 20)))
     found = played(node, folder, coded, times)

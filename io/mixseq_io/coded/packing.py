@@ -13,21 +13,26 @@ from mixseq.choices import OrderName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.compression.bitstream.connectivity import encode_polygons
 from mixseq.compression.bitstream.corner_values import to_grid
+from mixseq.compression.bitstream.spatial_basis import encode_face_labels
 from mixseq.compression.encoder.uvs import UV_ERROR, encode_uvs, with_quantised_uvs
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.sequence.header import SequenceHeader
-from mixseq_io.coded.streams import INDEX_HEAD, MAGIC, Container, pack_leb128, pack_surface, pack_times
+from mixseq.sequence.provenance import Provenance
+from mixseq_io.coded.streams import INDEX_HEAD, LABEL_COUNT, MAGIC, Container, pack_leb128, pack_surface, pack_times
 
-_HDF5_SIZE, _INDEX_SIZE_PER_64_FRAMES = 1200, 64
-"""Largest size in bytes of HDF5 structures with attributes, and of the part of the index for 64 frames."""
+_HDF5_SIZE, _INDEX_SIZE_PER_64_FRAMES, _SOURCE_SIZE = 1200, 64, 32
+"""Largest sizes in bytes: HDF5 structures with attributes, part of the index for 64 frames, checksum of the source."""
 
 
 def pack(coded: CompressedSequence) -> Container:
     """Return the text of a compressed sequence, and its index and streams concatenated."""
     text = _facts_json(coded)
     chunk_streams = [stream for chunk in coded.chunks for stream in (chunk.coefficients, chunk.residuals)]
-    streams = [*_header_streams(coded.header, coded.parameters.uv_steps), *coded.basis, *chunk_streams]
+    header_streams = _header_streams(coded.header, coded.parameters.uv_steps)
+    if coded.parts is not None:
+        header_streams.append(encode_face_labels(coded.parts, coded.header.faces))
+    streams = [*header_streams, *coded.basis, *chunk_streams]
     counts = [chunk.count for chunk in coded.chunks]
     lengths = pack_leb128([len(coded.basis), len(counts), *counts, *map(len, streams)])
     crcs = [crc32(text), *(crc32(stream) for stream in streams if stream)]
@@ -54,6 +59,8 @@ def room_for_signals(
     streams = _header_streams(*with_quantised_uvs(header, uv_error, uvs))
     connectivity, surface, times, *uv_sizes = map(len, streams)
     surface += sum(uv_sizes)
+    source = header.provenance or Provenance(header.name)
+    container += len(json.dumps(source.to_plain())) + _SOURCE_SIZE
     container += times + _INDEX_SIZE_PER_64_FRAMES * (1 + header.frame_count // 64)
     static = connectivity + surface + container
     if size <= static:
@@ -81,6 +88,8 @@ def _header_streams(header: SequenceHeader, uv_steps: int | None) -> list[bytes]
 
 def _facts_json(coded: CompressedSequence) -> bytes:
     header, parameters = coded.header, asdict(coded.parameters)
+    if coded.parts is not None:
+        parameters[LABEL_COUNT] = int(coded.parts.max()) + 1
     facts = {
         "coding": {name: value for name, value in parameters.items() if value not in ((), None)},
         "name": header.name,
@@ -93,6 +102,8 @@ def _facts_json(coded: CompressedSequence) -> bytes:
         "first_time": float(header.times[0]),
         "frame_count": header.frame_count,
     }
+    if header.provenance is not None and header.provenance.source is not None:
+        facts["source"] = header.provenance.source.to_plain()
     if coded.order != "keep":
         facts["order"] = coded.order
     if coded.between is not None:

@@ -1,8 +1,9 @@
 """Read compressed models, which have a text that describes the streams, and one dataset with all streams.
 
-The text is JSON with parameters, name, fps, up_axis, metres_per_unit, counts and first time. The order of the streams
-is connectivity, surface, times, texture coordinates if any; every group of the spatial basis; coefficients and residual
-layer of every chunk. The dataset begins with an index of the lengths and CRC-32 checksums of all streams:
+The text is JSON with parameters, source, name, fps, up_axis, metres_per_unit, counts and first time. The order of the
+streams is connectivity, surface, times, texture coordinates and labels if any; every group of the spatial basis;
+coefficients and residual layer of every chunk. The dataset begins with an index of the lengths and CRC-32 checksums of
+all streams:
 
 ==========  =====================================================================================================
 bytes       meaning, all numbers little-endian
@@ -43,15 +44,16 @@ from mixseq.compression.bitstream.compressed_sequence import (
     CodingParameters,
     CompressedSequence,
     TemporalInterpolation,
-    to_model,
 )
 from mixseq.compression.bitstream.connectivity import decode_polygons
 from mixseq.compression.bitstream.corner_values import decode_hard_edges, decode_uvs, encode_hard_edges
+from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, decode_face_labels
+from mixseq.compression.compressed_model import CompressedModel
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, Surface
 from mixseq.sequence.header import SequenceHeader
-from mixseq.signals.model import Model
+from mixseq.sequence.provenance import Provenance
 from mixseq.types import Float, Index
 from mixseq_io.files import check_memory, format_gigabytes, max_memory
 from mixseq_io.surfaces import surface_from_arrays, surface_to_arrays
@@ -70,8 +72,15 @@ _HEADER_STREAMS = {
     "surface": "the surface's bytes",
     "times": "the times",
     "uvs": "the texture coordinates",
+    "labels": "the labels of parts",
 }
 """Streams of the header, and their names in error messages."""
+
+LABEL_COUNT = "label_count"
+"""Parameter with the number of parts that label triangles. Frozen: breaks old files."""
+
+_OPTIONAL_STREAMS = {"uvs": "uv_steps", "labels": LABEL_COUNT}
+"""Streams of the header that not all files have, and the parameters that they come with."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +119,7 @@ class ChunkStreams:
 
 @dataclass(frozen=True)
 class StreamIndex:
-    """The size of the index, and all streams of a file; `header` has connectivity, surface, times, and any uvs."""
+    """The size of the index, and all streams of a file; `header` has those of `_HEADER_STREAMS`."""
 
     size: int
     header: Mapping[str, Stream]
@@ -137,17 +146,18 @@ def read_index(path: Path, container: Container) -> StreamIndex:
     checksums = np.frombuffer(body[lengths_size:], dtype="<u4").tolist()
     if not checksums or crc32(container.text) != checksums[0]:
         raise damaged
-    has_uvs = read_facts(path, container)["coding"].get("uv_steps") is not None
+    coding = read_facts(path, container)["coding"]
+    absent = {name for name, parameter in _OPTIONAL_STREAMS.items() if coding.get(parameter) is None}
+    header = [name for name in _HEADER_STREAMS if name not in absent]
     try:
-        return _index_streams(size, numbers, checksums[1:], has_uvs)
+        return _index_streams(size, numbers, checksums[1:], header)
     except (IndexError, ValueError, StopIteration) as error:  # checksum right: written with this error
         raise damaged from error
 
 
-def _index_streams(size: int, numbers: list[int], checksums: list[int], has_uvs: bool) -> StreamIndex:
+def _index_streams(size: int, numbers: list[int], checksums: list[int], header: list[str]) -> StreamIndex:
     group_count, chunk_count, *rest = numbers
     counts, lengths = rest[:chunk_count], rest[chunk_count:]
-    header = list(_HEADER_STREAMS)[: 3 + has_uvs]
     if len(lengths) != len(header) + group_count + 2 * chunk_count:
         raise ValueError("the number of streams is not that of the parts of the file")
     if 0 in counts or max(lengths) >= 1 << 63:
@@ -369,12 +379,26 @@ def read_sequence(path: Path, container: Container) -> CompressedSequence:
     order: OrderName = facts.get("order", "keep")
     if order not in ORDERS:
         raise FormatError(f"{path}: the order {order!r} is unknown to this mixseq; upgrade it")
-    return CompressedSequence(header, parameters, basis, chunks, order, _between(path, facts))
+    header = replace(header, provenance=_provenance(path, facts, parameters, order))
+    parts = _face_labels(path, facts["coding"].get(LABEL_COUNT), header_data.get("labels", b""), header)
+    return CompressedSequence(header, parameters, basis, chunks, order, _between(path, facts), parts)
+
+
+def _face_labels(path: Path, count: object, data: bytes, header: SequenceHeader) -> Index | None:
+    """Decode the part ``(F,)`` of every triangle; None if the file has none."""
+    if count is None:
+        return None
+    if not (type(count) is int and 0 < count <= MAX_PARTS):
+        raise FormatError(f"{path}: {LABEL_COUNT} is {count!r}; a whole number from 1 to {MAX_PARTS} is expected")
+    try:
+        return decode_face_labels(data, count, header.faces)
+    except FormatError as error:
+        raise FormatError(f"{path}: {error}") from error
 
 
 def _parameters(path: Path, facts: Mapping[str, Any]) -> CodingParameters:
     """Return the decoding parameters; raise `FormatError` if one is unknown, missing or out of range."""
-    coding: dict[str, Any] = facts["coding"]
+    coding: dict[str, Any] = {name: value for name, value in facts["coding"].items() if name != LABEL_COUNT}
     unknown = sorted(set(coding) - {field.name for field in fields(CodingParameters)})
     if unknown:
         raise FormatError(f"{path}: the parameter {unknown[0]!r} is unknown to this mixseq; upgrade it")
@@ -387,6 +411,16 @@ def _parameters(path: Path, facts: Mapping[str, Any]) -> CodingParameters:
     if parameters.frame_count != facts.get("frame_count"):
         raise FormatError(f"{path}: its two numbers of frames differ; it is damaged")
     return parameters
+
+
+def _provenance(path: Path, facts: Mapping[str, Any], parameters: CodingParameters, order: OrderName) -> Provenance:
+    """Return the provenance of the decoded frames; raise `FormatError` if that of their source is invalid."""
+    try:
+        source = Provenance.from_plain(facts.get("source", {}))
+    except (SettingsError, TypeError) as error:
+        raise FormatError(f"{path}: source: {error}; it is damaged") from error
+    bound = parameters.max_error, parameters.diagonal, parameters.promised
+    return Provenance(path.name, source, *bound, order=order)
 
 
 def _between(path: Path, facts: Mapping[str, Any]) -> TemporalInterpolation | None:
@@ -445,12 +479,12 @@ def _header(
         raise FormatError(f"{path}: {error}; it is damaged, or there is too little memory") from error
 
 
-def decode_model(path: Path, coded: CompressedSequence) -> Model:
+def decode_model(path: Path, coded: CompressedSequence) -> CompressedModel:
     """Decode a sequence read from a file; raise `FormatError` if it is contradictory or takes too much memory."""
     width, frames = 3 if coded.parameters.factors == "shapes" else 1, coded.header.frame_count
     numbers = coded.parameters.rank * (width * coded.header.vertex_count + 3 * frames)
     check_memory(path, _BYTES_PER_NUMBER * numbers, "its basis and coefficients")
     try:
-        return to_model(coded)
+        return CompressedModel.from_sequence(coded)
     except (FormatError, MemoryError) as error:
         raise FormatError(f"{path}: {error}") from error

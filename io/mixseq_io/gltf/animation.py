@@ -178,6 +178,14 @@ class Channel:
         """Whether points moved by this channel alone move linearly in time between keys."""
         return self.interpolation == "LINEAR" and self.name in ("translation", "weights")
 
+    @property
+    def is_cache(self) -> bool:
+        """Whether every key shows another morph target alone: a shape per frame, as mixseq and others store caches."""
+        if self.name != "weights" or self.interpolation != "LINEAR" or min(self.values.shape) < 2:
+            return False
+        shows_one = ((self.values == 0) | (self.values == 1)).all() and (self.values.sum(axis=1) <= 1).all()
+        return bool(shows_one) and len(np.unique(self.values, axis=0)) >= max(len(self.values) - 1, 3)
+
     def evaluate(self, times: Float) -> Float:
         """Return the values ``(B, k)`` at times ``(B,)`` in s, constant before the first key and after the last."""
         after = np.clip(np.searchsorted(self.times, times, side="right"), 1, max(len(self.times) - 1, 1))
@@ -222,9 +230,14 @@ def slerp(a: Float, b: Float, s: Float) -> Float:
     return first * a + np.where(cosine < 0, -second, second) * b
 
 
-def evaluate_pose(channels: Collection[Channel], times: Float) -> Pose:
-    """Return the animated values of all channels at times ``(B,)`` in seconds."""
-    return {(channel.node, channel.name): channel.evaluate(times) for channel in channels}
+def evaluate_pose(channels: Collection[Channel], times: Float, step_times: Float | None = None) -> Pose:
+    """Return the animated values at times ``(B,)`` in s, of stepped channels at `step_times` if given."""
+    return {
+        (channel.node, channel.name): channel.evaluate(
+            times if step_times is None or channel.interpolation != "STEP" else step_times
+        )
+        for channel in channels
+    }
 
 
 def choose_animation(document: Document, choice: str | int | None) -> Fields | None:

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.choices import StillName
-from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, to_model
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
 from mixseq.errors import AmbiguousError, FormatError, OutputError
 from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.surface import Origin
@@ -326,7 +326,7 @@ _STILL_SIZE_MARGIN = 1.02
 
 def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> None:
     """Write a compressed sequence as a .glb."""
-    write_container(path, pack(coded), coded.header, to_model(coded)(coded.header.times[0]), still)
+    write_container(path, pack(coded), coded.header, decode(coded)(coded.header.times[0]), still)
 
 
 def write_container(

@@ -54,7 +54,7 @@ from mixseq_io.gltf.codecs import decompress_document
 from mixseq_io.gltf.document import Document, Fields, load_document
 from mixseq_io.gltf.primitives import Primitive, Weld, texture_transform, weld_vertices
 from mixseq_io.gltf.scene import Pose, Scene, read_scene
-from mixseq_io.reader import SequenceReader, prefix_errors, warn
+from mixseq_io.reader import AnimationReader, SequenceReader, prefix_errors, warn
 from mixseq_io.rig_arrays import build_skeleton, choose_skeleton
 from mixseq_io.scene_meshes import (
     SceneMesh,
@@ -387,7 +387,7 @@ def _world_matrices(mesh_nodes: Sequence[MeshNode], pose: Pose) -> Mapping[int, 
     return mesh_nodes[0].scene.world_matrices(nodes, pose)
 
 
-class _GltfReader(SequenceReader):
+class _GltfReader(AnimationReader):
     """Reader of mesh points at animation times ``(T,)`` in s; the header's times are these plus `start`."""
 
     def __init__(
@@ -417,9 +417,12 @@ class _GltfReader(SequenceReader):
             name=common_name([scene.objects[each.node] for each in mesh_nodes]) or path.stem,
             surface=surface,
         )
-        super().__init__(path, header)
+        animated = [channel for channel in channels if channel.is_animated]
+        # Shapes that are stored frame by frame are samples, between which weights are not meant to be linear.
+        can_evaluate = bool(animated) and not any(channel.is_cache for channel in animated)
+        super().__init__(path, header, can_evaluate=can_evaluate)
+        self._frame_times = times  # not snapped to frames
         self._mesh_nodes, self._is_mirrored, self._channels = mesh_nodes, is_mirrored, channels
-        self._times = times  # animation times, not snapped to frames
 
     def markings(self) -> Markings:
         """Return the sets of polygons and the joints of the meshes."""
@@ -429,21 +432,22 @@ class _GltfReader(SequenceReader):
         return replace(super().markings(), skinning=skinning)
 
     def _read(self, what: str, size: int) -> Iterator[FloatArray]:
-        for start in range(0, self.header.frame_count, size):
-            times = self._times[start : start + size]
-            with np.errstate(all="ignore"):
-                pose = evaluate_pose(self._channels, times)
-                world = _world_matrices(self._mesh_nodes, pose)
-                self._check_orientation(world, start)
-                points = [each.world_points(pose, world, len(times)).astype(np.float32) for each in self._mesh_nodes]
-            yield np.concatenate(points, axis=1)
+        return self._evaluate(what, np.arange(float(self.header.frame_count)), size)
 
-    def _check_orientation(self, world: Mapping[int, Float], first: int) -> None:
+    def _points_at(self, times: Float, step_times: Float) -> FloatArray:
+        with np.errstate(all="ignore"):
+            pose = evaluate_pose(self._channels, times, step_times)
+            world = _world_matrices(self._mesh_nodes, pose)
+            self._check_orientation(world, times)
+            return np.concatenate([each.world_points(pose, world, len(times)) for each in self._mesh_nodes], axis=1)
+
+    def _check_orientation(self, world: Mapping[int, Float], times: Float) -> None:
         for each, mirrored in zip(self._mesh_nodes, self._is_mirrored, strict=True):
             is_flipped = each.orientation(world) * (-1 if mirrored else 1) < 0
             if is_flipped.any() and each.skin is None:
+                frame = int(np.searchsorted(self._frame_times, times[int(np.argmax(is_flipped))]))
                 raise InvalidSequenceError(
-                    f"{self.path}: {self.header.frame_name(first + int(np.argmax(is_flipped)))}: "
+                    f"{self.path}: {self.header.frame_name(frame)}: "
                     f"{each.scene.paths[each.node]!r} is mirrored relative to the first frame, which turns its faces "
                     "inside out; animate its scale without a change of sign"
                 )

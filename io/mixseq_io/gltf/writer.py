@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mixseq.mesh.polygons import Polygons, describe_difference
+from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, Index
 from mixseq_io.files import atomic_file
@@ -62,7 +62,7 @@ from mixseq_io.gltf.new_document import (
 )
 from mixseq_io.gltf.primitives import TRIANGLES_MODE, Primitive, Weld, weld_vertices
 from mixseq_io.gltf.scene import WORLD_SPACE_MARK, Scene, invert_transform, read_scene
-from mixseq_io.originals import match_meshes, open_original_file
+from mixseq_io.originals import describe_difference_up_to_winding, match_meshes, open_original_file
 from mixseq_io.reader import as_float32, translate_read_errors, validate_blocks, warn
 from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
 from mixseq_io.surfaces import lost_colours, lost_subdivision, warn_of_losses
@@ -121,8 +121,7 @@ def _match(scene_mesh: SceneMesh, node: int, weld: Weld) -> MeshMatch | None:
 def _describe_difference(scene_mesh: SceneMesh, weld: Weld) -> str:
     if weld.vertex_count != scene_mesh.vertex_count or not weld.primitives:
         return f"it has {weld.vertex_count} vertices, the sequence {scene_mesh.vertex_count}"
-    polygons = Polygons.from_triangles(weld.triangles)
-    return describe_difference(scene_mesh.polygons, polygons, ("the sequence", "the file"))
+    return describe_difference_up_to_winding(scene_mesh.polygons, Polygons.from_triangles(weld.triangles), "the file")
 
 
 def _orient(triangles: NDArray[Any], mirrored: bool) -> NDArray[Any]:

@@ -3,7 +3,7 @@
 ::
 
     /                          format = "mixseq-model", version = 1, created_by, settings (JSON), space,
-                               name, fps, up_axis, metres_per_unit, vertex_count
+                               provenance (JSON), name, fps, up_axis, metres_per_unit, vertex_count
     /polygons/                 counts, indices
     /segmentation/             part_of_face, widths                         (mixed space)
     /segmentation/parts/       vertices, sizes                              (mixed space)
@@ -24,11 +24,10 @@ See ``docs/file-format.md``. `mixseq_io.hdf5.coded_files` describes the layout o
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from mixseq.choices import PLACEMENTS, SPACES
@@ -36,6 +35,7 @@ from mixseq.errors import FormatError, InvalidSequenceError, OutputError, Recons
 from mixseq.mesh.topology import Topology
 from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.provenance import Provenance
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -45,8 +45,8 @@ from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mixed.articulation import STEADINESS_RANGE, Steadiness
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
-from mixseq.spaces.vertex import BasisSpace, VertexSpace
-from mixseq.types import Float, Index
+from mixseq.spaces.vertex import VertexSpace
+from mixseq.types import Float, index_mask
 from mixseq.version import __version__
 from mixseq_io.hdf5.contents import MODEL_FORMAT, Contents, check_version, read_header
 from mixseq_io.hdf5.datasets import (
@@ -106,7 +106,7 @@ def read_mixed_space(file: Contents, header: SequenceHeader) -> MixedSpace:
         reference=read_floats(file, "space/reference", (header.vertex_count, 3), MAX_LENGTH_DIAGONALS),
         skinning_weights=_read_skinning(file, header.vertex_count, len(decomposition.parts)),
         steadiness=steadiness,
-        joint_faces=_mask_of(read_integers(file, "space/joint_faces", (None,), 0, face_count), face_count),
+        joint_faces=index_mask(read_integers(file, "space/joint_faces", (None,), 0, face_count), face_count),
         projection=Projection(**projection),
     )
     counts = len(decomposition.parts), len(space.articulation.pairs)
@@ -124,13 +124,6 @@ def _read_steadiness(file: Contents, name: str) -> Float:
             f"{file.path}: space/steadiness/{name} has numbers outside {low:g} to {high:g}; it is damaged"
         )
     return values
-
-
-def _mask_of(indices: Index, count: int) -> NDArray[np.bool_]:
-    """Return the mask ``(count,)`` that is true at the given indices."""
-    mask = np.zeros(count, dtype=bool)
-    mask[indices] = True
-    return mask
 
 
 def _read_skinning(file: Contents, vertex_count: int, part_count: int) -> sparse.csr_array:
@@ -152,25 +145,22 @@ def _read_segmentation(file: Contents, topology: Topology) -> Decomposition:
     parts = read_index_lists(file, "segmentation/parts", "vertices", vertex_count)
     if not parts:
         raise FormatError(f"{file.path}: the segmentation has no parts; it is damaged")
-    in_parts = _mask_of(np.concatenate(parts), vertex_count)
+    in_parts = index_mask(np.concatenate(parts), vertex_count)
     joint_faces = read_index_lists(file, "segmentation/joints", "faces", face_count)
     return Decomposition(
         part_of_face=read_integers(file, "segmentation/part_of_face", (face_count,), 0, len(parts)),
         parts=tuple(parts),
-        joints=tuple(make_joint(topology, _mask_of(ids, face_count), in_parts) for ids in joint_faces),
+        joints=tuple(make_joint(topology, index_mask(ids, face_count), in_parts) for ids in joint_faces),
         widths=read_integers(file, "segmentation/widths", (len(parts),), 1),
     )
 
 
-StoredSpace = MixedSpace | VertexSpace | GradientSpace | LRISpace | EdgeSpace | BasisSpace
+StoredSpace = MixedSpace | VertexSpace | GradientSpace | LRISpace | EdgeSpace
 Blocks = dict[str, tuple[int, ...]]
 """Shape of each dataset by name, in the order of the corresponding blocks in a vector."""
 
 EDGE_SETTINGS = ("projection", "volume")
 """Settings of the edge space that are stored in the group "edge"; the group "shell" has those of its shell fits."""
-
-SPACE_NAMES = (*SPACES, BasisSpace.name)
-"""Names of the shape spaces that files can store."""
 
 
 def shape_blocks(space: StoredSpace) -> Blocks:
@@ -178,8 +168,6 @@ def shape_blocks(space: StoredSpace) -> Blocks:
     match space:
         case VertexSpace():
             return {"positions": (space.vertex_count, 3)}
-        case BasisSpace():
-            return {"coefficients": (len(space.basis), 3)}
         case GradientSpace():
             return {"turns": (len(space.topology.faces), 3), "stretches": (len(space.topology.faces), 6)}
         case LRISpace():
@@ -227,8 +215,6 @@ def write_space(file: h5py.File, space: StoredSpace) -> None:
     match space:
         case MixedSpace():
             write_mixed_space(file, space)
-        case BasisSpace():
-            write_compact(file, "space/fields", space.basis)
         case GradientSpace() | LRISpace():
             write_compact(file, "space/reference", space.reference)
         case EdgeSpace():
@@ -239,15 +225,13 @@ def write_space(file: h5py.File, space: StoredSpace) -> None:
 def read_space(file: Contents, header: SequenceHeader) -> StoredSpace:
     """Read a shape space."""
     kind = file.text("space")
-    if kind not in SPACE_NAMES:
-        raise FormatError(f"{file.path}: the space {kind!r} is not known; {', '.join(SPACE_NAMES)} are")
+    if kind not in SPACES:
+        raise FormatError(f"{file.path}: the space {kind!r} is not known; {', '.join(SPACES)} are")
     if kind == MixedSpace.name:
         return read_mixed_space(file, header)
     scale = read_scale(file)
     if kind == VertexSpace.name:
         return VertexSpace(header.vertex_count, scale)
-    if kind == BasisSpace.name:
-        return _read_basis_space(file, header.vertex_count, scale)
     topology = Topology(header.faces, header.vertex_count)
     reference = read_floats(file, "space/reference", (header.vertex_count, 3), MAX_LENGTH_DIAGONALS)
     if kind == GradientSpace.name:
@@ -255,14 +239,6 @@ def read_space(file: Contents, header: SequenceHeader) -> StoredSpace:
     if kind == LRISpace.name:
         return LRISpace(topology, scale, reference)
     return _read_edge_space(file, topology, scale, reference)
-
-
-def _read_basis_space(file: Contents, vertex_count: int, scale: float) -> BasisSpace:
-    fields = read_floats(file, "space/fields", (None, vertex_count))
-    is_zero = ~fields.any(axis=1)
-    if is_zero.any():
-        raise FormatError(f"{file.path}: space/fields is zero everywhere in row {int(is_zero.argmax())}")
-    return BasisSpace(fields, scale)
 
 
 def _read_edge_space(file: Contents, topology: Topology, scale: float, reference: Float) -> EdgeSpace:
@@ -357,12 +333,14 @@ def write_model(file: h5py.File, model: Model) -> None:
     """Store a model in a new file; raise `OutputError` if its shape space cannot be stored."""
     space = model.space
     if not isinstance(space, StoredSpace):
-        raise OutputError(f"files hold models in the spaces {', '.join(SPACE_NAMES)}, not in {type(space).__name__}")
+        raise OutputError(f"files hold models in the spaces {', '.join(SPACES)}, not in {type(space).__name__}")
     write_text(file, "format", MODEL_FORMAT)
     file.attrs["version"] = MODEL_VERSION
     write_text(file, "created_by", f"mixseq {__version__}")
     file.attrs["vertex_count"] = model.header.vertex_count
     write_header(file, model.header)
+    provenance = replace(model.header.provenance or Provenance(""), name="")
+    write_text(file, "provenance", json.dumps(provenance.to_plain()))
     write_space(file, space)
     write_signals(file, model, space)
 
@@ -373,6 +351,8 @@ def read_model(file: Contents) -> Model:
     try:
         frames = read_increasing_times(file, "signals/time/frames")
         header = read_header(file, int(file.attrs["vertex_count"]), frames)
+        provenance = Provenance.from_plain(json.loads(file.text("provenance") if "provenance" in file.attrs else "{}"))
+        header = replace(header, provenance=replace(provenance, name=file.path.name))
         return read_signals(file, header, read_space(file, header))
     except (InvalidSequenceError, SettingsError, ReconstructionError, IndexError) as error:
         raise FormatError(f"{file.path}: {error}; it is damaged") from error

@@ -30,6 +30,7 @@ from typing import Any
 from mixseq.errors import FormatError, MissingExtraError
 from mixseq.retargeting.markers import Markers
 from mixseq.runtime.public import public
+from mixseq.runtime.text_files import decode_text
 from mixseq.types import PathLike
 from mixseq_io.files import atomic_file
 from mixseq_io.reader import read_bytes, summarize_error, translate_read_errors
@@ -37,8 +38,8 @@ from mixseq_io.reader import read_bytes, summarize_error, translate_read_errors
 
 def read_text(file: Path, what: str) -> str:
     """Read a UTF-8 file, with or without a byte order mark; `what` names the expected contents in messages."""
-    with translate_read_errors(file, what, UnicodeDecodeError):
-        return read_bytes(file, text=True).decode("utf-8-sig")
+    with translate_read_errors(file, what):
+        return decode_text(file, read_bytes(file, text=True), what)
 
 
 def parse_json(file: Path, text: str) -> Any:

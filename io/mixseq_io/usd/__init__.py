@@ -1,5 +1,6 @@
 """Pixar's Universal Scene Description.
 
-`stage` handles diagnostics, prims and transforms, `motion` skinning and frames, `surface` faces and their attributes.
-`layers` writes samples, clips and packages; `overlay` layers over an original; `rigs` reads and writes skins.
+`reader` opens files; `stage` handles diagnostics, prims and transforms, `motion` skinning and frames, `surface` faces
+and their attributes. `writer` makes files; `layers` writes samples, clips and packages; `overlay` layers over an
+original; `rigs` reads and writes skins.
 """

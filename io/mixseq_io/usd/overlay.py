@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from mixseq.errors import FormatError, OutputError
-from mixseq.mesh.polygons import PolygonMatch, Polygons, describe_difference, reversed_winding
+from mixseq.mesh.polygons import PolygonMatch, Polygons, reversed_winding
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
-from mixseq_io.originals import is_retimed, match_meshes
+from mixseq_io.originals import describe_difference_up_to_winding, is_retimed, match_meshes
 from mixseq_io.reader import warn
 from mixseq_io.scene_meshes import SceneMesh, format_names
 from mixseq_io.surfaces import are_valid_indices
@@ -197,8 +197,8 @@ def _describe_difference(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> str:
         return ""
     for weld in (Weld.from_mesh(mesh, points), Weld.identity(len(points))):
         if weld.vertex_count == scene_mesh.vertex_count:
-            names = "the sequence", str(mesh.GetPath())
-            return describe_difference(scene_mesh.polygons, weld.weld_polygons(point_polygons), names)
+            stored = weld.weld_polygons(point_polygons)
+            return describe_difference_up_to_winding(scene_mesh.polygons, stored, str(mesh.GetPath()))
     return f"it has {len(points)} points, the sequence {scene_mesh.vertex_count} vertices"
 
 

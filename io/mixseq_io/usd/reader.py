@@ -21,9 +21,10 @@ from scipy.sparse import csr_array
 
 from mixseq.errors import FormatError, InvalidSequenceError, NoMeshError
 from mixseq.mesh.surface import FaceSet, Origin
+from mixseq.sequence.frame_rates import format_frame
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import FloatArray
-from mixseq_io.reader import SequenceReader, prefix_errors, warn
+from mixseq.types import Float, FloatArray
+from mixseq_io.reader import AnimationReader, SequenceReader, prefix_errors, warn
 from mixseq_io.scene_meshes import (
     MAX_INSERTED_FRAMES,
     TIME_TOLERANCE,
@@ -52,6 +53,7 @@ from mixseq_io.usd.stage import (
     capture_diagnostics,
     display_name,
     find_meshes,
+    is_animated,
     is_spline,
     open_stage,
     scene_objects_of,
@@ -115,9 +117,12 @@ class _Animation:
             yield mesh.velocities(code)
 
 
-class _UsdReader(SequenceReader):
+class _UsdReader(AnimationReader):
     def __init__(self, path: Path, header: SequenceHeader, animation: _Animation, has_velocities: bool) -> None:
-        super().__init__(path, header, has_velocities=has_velocities)
+        moves = any(mesh.motion.animated_attributes for mesh in animation.meshes)
+        is_cache = any(is_animated(mesh.mesh.GetPointsAttr()) for mesh in animation.meshes)
+        super().__init__(path, header, has_velocities=has_velocities, can_evaluate=moves and not is_cache)
+        self._frame_times = animation.codes
         self._animation: _Animation | None = animation
 
     def markings(self) -> Markings:
@@ -132,21 +137,25 @@ class _UsdReader(SequenceReader):
         self._animation = None
 
     def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
+        for start in range(0, self.header.frame_count, size):
+            yield self._sample(quantity, self._frame_times[start : start + size])
+
+    def _points_at(self, times: Float, step_times: Float) -> FloatArray:
+        return self._sample("points", times)
+
+    def _sample(self, quantity: str, codes: Float) -> FloatArray:
         animation = self._animation
-        if animation is None:
-            return
+        assert animation is not None, "the file is open"
         values_at = animation.points if quantity == "points" else animation.velocities
         ends = np.cumsum([mesh.vertex_count for mesh in animation.meshes])
-        for start in range(0, self.header.frame_count, size):
-            stop = min(start + size, self.header.frame_count)
-            block = np.empty((stop - start, self.header.vertex_count, 3), np.float32)
-            with capture_diagnostics(), translate_usd_read_errors(self.path):
-                for frame, code in enumerate(animation.codes[start:stop].tolist(), start):
-                    number = self.header.frame_number(frame)
-                    with prefix_errors(f"{self.path}: frame {number} (time code {code:g})"):
-                        for end, values in zip(ends, values_at(code), strict=True):
-                            block[frame - start, end - len(values) : end] = values
-            yield block
+        block = np.empty((len(codes), self.header.vertex_count, 3), np.float32)
+        with capture_diagnostics(), translate_usd_read_errors(self.path):
+            for row, code in enumerate(codes.tolist()):
+                number = format_frame(code / self.header.fps, self.header.fps)
+                with prefix_errors(f"{self.path}: frame {number} (time code {code:g})"):
+                    for end, values in zip(ends, values_at(code), strict=True):
+                        block[row, end - len(values) : end] = values
+        return block
 
 
 def _mesh_motions(path: Path, stage: Usd.Stage, prim: str | None, warnings: PrimWarnings) -> list[MeshMotion]:

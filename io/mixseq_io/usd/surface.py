@@ -69,6 +69,7 @@ def read_scene_mesh(animated: AnimatedMesh, first_vertex: int, warnings: PrimWar
 
 
 def _reverse_corners(scene_mesh: SceneMesh) -> SceneMesh:
+    """Reverse the corners of every polygon, and all attributes of corners with them."""
     order = reversed_winding(scene_mesh.polygons.counts, keep_first=True)
     return replace(
         scene_mesh,

@@ -55,6 +55,10 @@ def append_checksum(data: bytes, checksum: int) -> bytes:
     return data + checksum.to_bytes(CHECKSUM_SIZE, "little")
 
 
+DAMAGE_CURE = "restore the file, or compress the original again"
+"""Cure in the messages about damaged streams."""
+
+
 def split_checksum(data: bytes) -> tuple[bytes, int]:
     """Split a stream into its data and the CRC-32 of the decoded numbers."""
     return data[:-CHECKSUM_SIZE], int.from_bytes(data[-CHECKSUM_SIZE:], "little")

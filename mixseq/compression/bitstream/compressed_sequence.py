@@ -1,4 +1,4 @@
-"""Hold the streams and parameters of a compressed sequence, and decode them to a model.
+"""Hold the streams and parameters of a compressed sequence, and decode them as players do.
 
 Frozen: the JSON text in files has the same parameter names and meanings; changing them breaks old files
 (golden: ``tests/formats/golden/compressed-v1.h5``).
@@ -7,12 +7,14 @@ Frozen: the JSON text in files has the same parameter names and meanings; changi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import inf
 from typing import get_args
 
 import numpy as np
 
 from mixseq.choices import OrderName
+from mixseq.compression.bitstream.arithmetic import DAMAGE_CURE
 from mixseq.compression.bitstream.residual_layer import CodedResidualLayer
 from mixseq.compression.bitstream.signal_graph import SignalGraph, mesh_graph
 from mixseq.compression.bitstream.spatial_basis import (
@@ -26,16 +28,14 @@ from mixseq.compression.bitstream.spatial_basis import (
 )
 from mixseq.compression.bitstream.uv_values import MAX_COORDINATE
 from mixseq.errors import FormatError, SettingsError
+from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread
+from mixseq.runtime.progress import Progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.signals.curve import Curve
-from mixseq.signals.model import Model
-from mixseq.signals.modes import NEGLIGIBLE_MODE
-from mixseq.signals.pose import pose_signal_from_modes
-from mixseq.spaces.base import ShapeSpace
+from mixseq.signals.decoding import Decodable
 from mixseq.spaces.temporal import TemporalOperator, insert_midpoints, select_operator
-from mixseq.spaces.vertex import BasisSpace, VertexSpace
-from mixseq.types import Float
+from mixseq.types import Float, Index
 
 MIN_COVARIANCE_LENGTH, MAX_COVARIANCE_LENGTH = 0.5, 64.0
 """Range of covariance lengths in files, in mean steps between frames. Frozen: part of the format."""
@@ -139,40 +139,76 @@ class CompressedSequence:
     order: OrderName = "keep"
     # Interpolation of coefficients between frames. None if the decoder chooses it.
     between: TemporalInterpolation | None = None
+    # Part (F,) of every triangle, used by `CompressedModel` between frames. None if found from the decoded frames.
+    parts: Index | None = None
 
 
-def to_model(coded: CompressedSequence) -> Model:
-    """Decode a compressed sequence to a model."""
-    return decode(coded)[0]
+@dataclass(frozen=True, eq=False)
+class Playback(Decodable, PickledWithoutCaches):
+    """A compressed sequence as players in browsers show it: cubic splines of vertex positions between frames."""
+
+    header: SequenceHeader  # mesh and times
+    basis: SpatialBasis  # spatial basis of K varying vectors
+    coefficients: Float  # (T, K, d) coefficients of all frames
+    between: TemporalInterpolation  # interpolation of coefficients between frames
+    residual_layer: CodedResidualLayer | None  # displacements added to bring vertices within the bound
+
+    @cached_property
+    def curve(self) -> Curve:
+        """The coefficients over time, K d coordinates."""
+        times = insert_midpoints(self.header.times)
+        operator = TemporalOperator(self.header.times, self.between.length, self.between.cubic)
+        frames = self.coefficients.reshape(len(self.coefficients), -1)
+        return Curve(times, operator.weights_at(times).interpolate(frames))
+
+    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
+        """Make the curve, before threads use it."""
+        _ = self.curve
+
+    def decode_points(self, times: Float) -> Float:
+        """Implement `Decodable.decode_points`."""
+        points = self._decode_coefficients(self.curve(times))
+        return points if self.residual_layer is None else points + self.residual_layer.at(times)
+
+    def decode_moving(self, times: Float) -> tuple[Float, Float]:
+        """Implement `Decodable.decode_moving`."""
+        rates = self.curve.derivative(times)
+        velocities = self._decode_coefficients(rates) - self._decode_coefficients(0 * rates)  # without the mean shape
+        if self.residual_layer is not None:
+            velocities += self.residual_layer.rates(times)
+        return self.decode_points(times), velocities
+
+    def _decode_coefficients(self, values: Float) -> Float:
+        """Return the points ``(N, V, 3)`` of coefficients ``(N, K d)``."""
+        points = np.empty((len(values), self.header.vertex_count, 3))
+        with one_blas_thread():
+            for row, value in zip(points, values, strict=True):  # row by row, so that each is independent of the others
+                row[:] = self.basis.frames(value.reshape(1, *self.coefficients.shape[1:]))[0]
+        return points
 
 
-def decode(coded: CompressedSequence) -> tuple[Model, TemporalInterpolation]:
-    """Decode a compressed sequence to a model; also return the interpolation of coefficients between frames."""
-    parameters, header = coded.parameters, coded.header
+def decode(coded: CompressedSequence) -> Playback:
+    """Decode the streams of a compressed sequence."""
+    header = coded.header
     graph = mesh_graph(header.faces, header.vertex_count)
     # Damaged files may have numbers that are not finite.
     with one_blas_thread(), np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         basis = decode_basis(coded, graph)
         coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
         if not (np.isfinite(basis.norms).all() and np.isfinite(coefficients).all()):
-            raise FormatError("coded signals are not finite; the file is damaged")
-        space, scores, mean, directions = _principal_frames(basis, coefficients, parameters.diagonal)
-        pose, shapes = pose_signal_from_modes(scores, mean, directions)
+            raise FormatError(f"the coded signals are damaged, they are not finite; {DAMAGE_CURE}")
     residual_layer = None
     if any(chunk.residuals for chunk in coded.chunks):
         chunks = tuple((chunk.count, chunk.residuals) for chunk in coded.chunks)
         residual_layer = CodedResidualLayer(
-            header.times, chunks, header.faces, header.vertex_count, parameters.correction, graph
+            header.times, chunks, header.faces, header.vertex_count, coded.parameters.correction, graph
         )
     between = coded.between
     if between is None:
-        operator = select_operator(header.times, scores)
+        displacements = coefficients * basis.norms[basis.varying, None]
+        operator = select_operator(header.times, displacements.reshape(len(displacements), -1))
         between = TemporalInterpolation(operator.length_scale, operator.cubic_shares)
-    times = insert_midpoints(header.times)
-    operator = TemporalOperator(header.times, between.length, between.cubic)
-    time = Curve(times, operator.weights_at(times).interpolate(scores))
-    placement = Curve(times, np.zeros((len(times), 0)))
-    return Model(header, space, time, pose, shapes, placement, residual_layer=residual_layer), between
+    return Playback(header, basis, coefficients, between, residual_layer)
 
 
 def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
@@ -182,12 +218,12 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
     max_rank = 3 * min(len(ranks) * parameters.frame_count, graph.size) + len(ranks)
     if parameters.rank > max_rank:
         raise FormatError(
-            f"{parameters.rank} basis vectors are more than the {max_rank} that such a sequence can have; "
-            "the file is damaged"
+            f"the parameters are damaged: {parameters.rank} basis vectors, and such a sequence has {max_rank} at most; "
+            f"{DAMAGE_CURE}"
         )
     count, expected = len(coded.basis), len(part_groups(ranks))
     if count != expected:
-        raise FormatError(f"the spatial basis has {count} groups, {expected} are expected; the file is damaged")
+        raise FormatError(f"the spatial basis is damaged, it has {count} groups of {expected}; {DAMAGE_CURE}")
     coordinates, step = 1 if parameters.factors == "trajectories" else 3, parameters.step
     vectors, vertices = read_basis(coded.basis, ranks, coordinates, step, coded.header.faces, graph)
     return assemble_basis(parameters.factors, vectors, vertices, parameters.frame_count)
@@ -196,18 +232,3 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
 def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialBasis) -> Float:
     """Decode the coefficients ``(n, K, d)`` of a chunk of n frames, for the K varying vectors of the basis."""
     return read_coefficients(basis, chunk.coefficients, chunk.count, coded.parameters.step)
-
-
-def _principal_frames(basis: SpatialBasis, coefficients: Float, unit: float) -> tuple[ShapeSpace, Float, Float, Float]:
-    """Return a shape space, and its frames as scores ``(T, r)``, a mean ``(D,)``, and directions ``(r, D)``."""
-    if basis.kind == "shapes":
-        vectors = basis.vectors.transpose(0, 2, 1).reshape(len(basis.vectors), -1) / unit
-        mean = vectors[0] / np.sqrt(basis.frame_count)
-        return VertexSpace(basis.vertex_count, unit), coefficients[..., 0], mean, vectors[1:]
-    space = BasisSpace(basis.vectors[:, 0], unit)
-    frames = coefficients.reshape(len(coefficients), -1) / unit
-    mean = frames.mean(axis=0)
-    # PCA: the pose space has the directions of most motion.
-    left, values, right = np.linalg.svd((frames - mean) * space.weights, full_matrices=False)
-    kept = values > NEGLIGIBLE_MODE * values.max(initial=0.0)
-    return space, left[:, kept] * values[kept], mean, right[kept] / space.weights

@@ -31,6 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.compression.bitstream.arithmetic import (
+    DAMAGE_CURE,
     HashedBits,
     append_checksum,
     checksum_of,
@@ -235,15 +236,15 @@ def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_c
     described = f"{polygon_count} polygons with {corner_count} corners and {vertex_count} vertices"
     in_range = polygon_count >= 0 and corner_count < 1 << 31 and 0 <= vertex_count < 1 << 31
     if not in_range or corner_count < 3 * polygon_count:
-        raise FormatError(f"a mesh cannot have {described}; the file is damaged")
+        raise FormatError(f"the mesh is damaged, as it cannot have {described}; {DAMAGE_CURE}")
     if not polygon_count or not vertex_count:
         if data or corner_count:
-            raise FormatError(f"a mesh with {described} has no coded corners; the file is damaged")
+            raise FormatError(f"the coded polygons are damaged, as a mesh with {described} has none; {DAMAGE_CURE}")
         return Polygons(np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int32))
     stream, expected = split_checksum(data)
     bits = new_hashed_bits(new_input_stream(stream), BIT_KINDS)
     counts, indices = np.zeros(polygon_count, dtype=np.int64), np.zeros(corner_count, dtype=np.int64)
     checksum = _code_polygons(bits, vertex_count, counts, indices)
     if bits.failed[0] or checksum != expected:
-        raise FormatError(f"coded polygons are damaged, or those of another mesh than one of {described}")
+        raise FormatError(f"the coded polygons ({described}) are damaged; {DAMAGE_CURE}")
     return Polygons(counts, indices)

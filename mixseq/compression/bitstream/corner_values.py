@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mixseq.compression.bitstream.arithmetic import (
+    DAMAGE_CURE,
     HashedBits,
     append_checksum,
     checksum_of,
@@ -96,9 +97,7 @@ def decode_uvs(data: bytes, polygons: Polygons, vertex_count: int, steps: int) -
     if not bits.failed[0]:
         _code_values(bits, corners, values, None)
     if bits.failed[0] or checksum_of(values[corners.node]) != expected:
-        raise FormatError(
-            f"texture coordinates at {polygons.indices.size} corners are damaged, or those of another mesh"
-        )
+        raise FormatError(f"coded texture coordinates at {polygons.indices.size} corners are damaged; {DAMAGE_CURE}")
     return CornerValues(from_grid(values, steps), corners.node)
 
 
@@ -142,5 +141,5 @@ def decode_hard_edges(data: bytes, polygons: Polygons, vertex_count: int) -> Ind
     nodes = _code_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, dtype=np.int64))
     numbers = renumber_by_first_use(nodes)
     if bits.failed[0] or checksum_of(numbers) != expected:
-        raise FormatError(f"hard edges at {polygons.indices.size} corners are damaged, or those of another mesh")
+        raise FormatError(f"coded hard edges at {polygons.indices.size} corners are damaged; {DAMAGE_CURE}")
     return numbers

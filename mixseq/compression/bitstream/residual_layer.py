@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.compression.bitstream.arithmetic import (
+    DAMAGE_CURE,
     BitModels,
     BitStream,
     bit_length,
@@ -232,7 +233,7 @@ def read_residuals(stream: bytes, frame_count: int, run: int, graph: SignalGraph
         head, size = stream[: 4 * run_count], len(stream) - 4 * run_count
         lengths = np.frombuffer(head if size >= 0 else b"", dtype="<u4").astype(np.int64)
         if size < 0 or lengths.sum() != size:
-            raise FormatError("a coded residual layer has another length than stated; the file is damaged")
+            raise FormatError(f"the residual layer is damaged, its length is not the stated one; {DAMAGE_CURE}")
         start = 4 * run_count + int(lengths[:run].sum())
         data = stream[start : start + int(lengths[run])]
     return _read_run(data, frames, graph) if data else [_NO_RESIDUALS] * frames

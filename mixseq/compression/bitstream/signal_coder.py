@@ -30,6 +30,7 @@ import numpy as np
 
 from mixseq.compression.bitstream import arithmetic
 from mixseq.compression.bitstream.arithmetic import (
+    DAMAGE_CURE,
     BitModels,
     BitStream,
     append_checksum,
@@ -289,7 +290,7 @@ class Reader:
     def stream(self) -> BitStream:
         """Return the stream; raise `FormatError` if it ended early."""
         if arithmetic.is_past_end(self._stream):
-            raise FormatError("coded numbers end early; the file is damaged")
+            raise FormatError(f"the coded signals are damaged, they end early; {DAMAGE_CURE}")
         return self._stream
 
     def add_to_checksum(self, values: Index) -> None:
@@ -301,8 +302,8 @@ class Reader:
         self.queue.wait()
         if self._checksum != self._expected_checksum:
             raise FormatError(
-                "the decoded numbers are not those that were coded: the file is damaged, or this machine or a library "
-                "on it does not compute as IEEE 754 prescribes"
+                f"the decoded signals differ from the coded ones: the file is damaged; {DAMAGE_CURE}. If intact files "
+                "fail on this machine only, it or a library does not compute as IEEE 754 prescribes"
             )
 
 

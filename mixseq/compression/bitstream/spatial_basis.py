@@ -34,7 +34,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compression.bitstream.arithmetic import BitModels, BitStream, code_modelled_bit, new_bit_models
+from mixseq.compression.bitstream.arithmetic import (
+    DAMAGE_CURE,
+    BitModels,
+    BitStream,
+    code_modelled_bit,
+    new_bit_models,
+)
 from mixseq.compression.bitstream.signal_coder import NumberModels, Reader, SignalCoder, Writer
 from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
@@ -53,22 +59,47 @@ _LABEL_BITS = 7
 
 
 def write_labels(writer: Writer, labels: Index, graph: SignalGraph) -> None:
-    """Write the part labels ``(V,)`` of vertices; `graph` is the graph of the whole mesh."""
+    """Write the part labels ``(N,)`` of the nodes of a graph."""
     node_labels = labels[graph.order]
     _code_labels(writer.reserve(graph.size), _new_label_models(), node_labels, graph.neighbours, graph.counts)
     writer.add_to_checksum(node_labels)
 
 
 def read_labels(reader: Reader, part_count: int, graph: SignalGraph) -> Index:
-    """Read the part labels ``(V,)`` written by `write_labels` for `part_count` parts."""
+    """Read the part labels ``(N,)`` written by `write_labels` for `part_count` parts."""
     node_labels = np.zeros(graph.size, dtype=np.int64)
     _code_labels(reader.stream(), _new_label_models(), node_labels, graph.neighbours, graph.counts)
     reader.add_to_checksum(node_labels)
     if not np.array_equal(np.unique(node_labels), np.arange(part_count)):
-        raise FormatError(f"the labels of vertices are not those of {part_count} parts; the file is damaged")
+        raise FormatError(f"the labels of the mesh are damaged: {part_count} parts are expected; {DAMAGE_CURE}")
     labels = np.empty_like(node_labels)
     labels[graph.order] = node_labels
     return labels
+
+
+def encode_face_labels(labels: Index, faces: NDArray[np.integer]) -> bytes:
+    """Code the labels ``(F,)``, below `MAX_PARTS`, of triangles ``(F, 3)``."""
+    writer = Writer()
+    write_labels(writer, labels, _face_graph(faces))
+    return writer.finish()
+
+
+def decode_face_labels(data: bytes, part_count: int, faces: NDArray[np.integer]) -> Index:
+    """Decode the labels ``(F,)`` of triangles ``(F, 3)`` in `part_count` parts."""
+    reader = Reader(data)
+    labels = read_labels(reader, part_count, _face_graph(faces))
+    reader.finish()
+    return labels
+
+
+def _face_graph(faces: NDArray[np.integer]) -> SignalGraph:
+    """Return the graph of triangles ``(F, 3)`` that share an edge with exactly one other triangle."""
+    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    _, edge_ids, counts = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
+    edge_ids = edge_ids.reshape(-1)
+    by_edge = np.argsort(edge_ids, kind="stable")
+    pairs = by_edge[counts[edge_ids[by_edge]] == 2].reshape(-1, 2) // 3
+    return mesh_graph(pairs[:, [0, 1, 1]], len(faces))
 
 
 def _new_label_models() -> BitModels:

@@ -5,18 +5,22 @@ Guaranteed errors are verified on the decoded frames. `mixseq.compression.encode
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mixseq.choices import OrderName
 from mixseq.compression.bitstream.compressed_sequence import CodingParameters, CompressedSequence, decode
 from mixseq.compression.bitstream.signal_graph import mesh_graph
+from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, encode_face_labels
 from mixseq.compression.encoder.search import MAX_ROUNDS, Search
 from mixseq.compression.encoder.trial import DEFAULT_CHUNK_FRAMES, MIN_CHUNK_FRAMES, residual_unit
 from mixseq.compression.encoder.uvs import UV_ERROR, with_quantised_uvs
 from mixseq.compression.numbering import cheapest_numbering
-from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.errors import MixseqWarning, ReconstructionError, SettingsError
+from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
@@ -29,8 +33,11 @@ from mixseq.sequence.sequence import (
     largest_coordinate,
     largest_offset,
     load_frames,
+    own_parts,
     rounding_error,
 )
+from mixseq.spaces.making import MixedSettings, segment_faces
+from mixseq.types import Index
 
 
 @public
@@ -45,6 +52,7 @@ def compress(
     uvs: bool = True,
     order: OrderName = "keep",
     chunk: int = DEFAULT_CHUNK_FRAMES,
+    parts: int | ArrayLike | None = None,
 ) -> CompressedSequence:
     """Compress a sequence.
 
@@ -74,6 +82,9 @@ def compress(
     chunk : int
         Approximate number of frames per chunk, 16 or more. A chunk is decoded as a whole, and lost as a whole if it is
         damaged. Small chunks take more bytes.
+    parts : int or (F,) int, optional
+        Near-rigid parts for frames between the stored ones, as in `mixseq.fit`: their number, or the part of every
+        triangle. By default those of a model, or segmented by motion.
 
     Returns
     -------
@@ -86,6 +97,8 @@ def compress(
         If not exactly one of `max_error`, `kg` and `size` is given, or its value is out of range; if `size` is too
         small; if `max_error` is below the precision of the coordinates; if `uv_error` is not from 0 to 0.25; if `order`
         is unknown; or if `chunk` is below 16.
+    SegmentationError
+        If `parts` does not fit the mesh.
     FormatError, InvalidSequenceError
         If the sequence is damaged or invalid, or its coordinates are too small or too large for double precision.
     """
@@ -94,19 +107,43 @@ def compress(
     if not chunk >= MIN_CHUNK_FRAMES:
         raise SettingsError(f"chunk is {chunk}; {MIN_CHUNK_FRAMES} frames or more are expected")
     numbering = cheapest_numbering(sequence.header, order)
+    parts = own_parts(sequence) if parts is None else parts
+    if not (parts is None or isinstance(parts, int | np.integer)):
+        parts = numbering.renumber_labels(np.asarray(parts), sequence.header.polygons)
     sequence = numbering.renumber_frames(sequence)
     header, uv_steps = with_quantised_uvs(sequence.header, uv_error, uvs)
     stages = StagedProgress(progress, 2 + MAX_ROUNDS, sequence.header.frame_count)
     with one_blas_thread():
         frames = load_frames(sequence, stages.at(0))
         unit = bounding_diagonal(frames.points[:1][0]) or 1.0
+        labels = _segment(frames, parts)
+        label_size = 0 if labels is None else len(encode_face_labels(labels, header.faces))
+        if size is not None and size > label_size:
+            size -= label_size
         coded = _search_streams(frames, stages, chunk, unit, max_error, kg, size)
         stages.at(1 + MAX_ROUNDS)(0, 1, "checking")
         coded = replace(_measure_errors(frames, coded, max_error, kg), order=numbering.order)
     parameters = coded.parameters
+    header = replace(header, provenance=frames.trace(parameters.max_error, parameters.promised, coded.order).provenance)
     if uv_steps is not None:
         parameters = replace(parameters, uv_steps=uv_steps, uv_error=float(uv_error))
-    return replace(coded, header=replace(coded.header, surface=header.surface), parameters=parameters)
+    return replace(coded, header=header, parameters=parameters, parts=labels)
+
+
+def _segment(frames: FrameStore, parts: int | ArrayLike | None) -> Index | None:
+    """Return the part ``(F,)`` of every triangle; None if there are too many parts to be stored."""
+    topology = Topology(frames.header.faces, frames.header.vertex_count)
+    labels = segment_faces(frames, MixedSettings(parts=parts), topology)
+    count = int(labels.max()) + 1
+    if count <= MAX_PARTS:
+        return labels
+    if parts is not None:
+        warnings.warn(
+            f"{frames.header.name!r}: there are {count} parts; {MAX_PARTS} can be stored, so decoders find parts again",
+            MixseqWarning,
+            stacklevel=4,
+        )
+    return None
 
 
 def _check_target(max_error: float | None, kg: float | None, size: int | None) -> None:
@@ -184,11 +221,11 @@ def _measure_errors(
     sequence: FrameStore, coded: CompressedSequence, bound: float | None, kg: float | None
 ) -> CompressedSequence:
     """Decode a compressed sequence, and return it with its measured errors."""
-    model, between = decode(coded)
+    playback = decode(coded)
     unit = coded.parameters.diagonal
     squares = variation = largest = 0.0
     frame_count = 0
-    for block in model.blocks(model.times):
+    for block in playback.blocks(playback.times):
         points = sequence.points[frame_count : frame_count + len(block)].astype(np.float64)
         distances = np.square(points - block).sum(axis=2)
         squares, largest = squares + float(distances.sum()), max(largest, float(distances.max()))
@@ -206,4 +243,4 @@ def _measure_errors(
             f"the KG error of the decoded frames is {kg_percent:.6g} %, more than {kg:g}; please report this"
         )
     parameters = replace(coded.parameters, max_error=error if bound is None else bound, kg_percent=kg_percent)
-    return replace(coded, parameters=parameters, between=between)
+    return replace(coded, parameters=parameters, between=playback.between)

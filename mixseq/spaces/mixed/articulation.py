@@ -3,10 +3,11 @@ r"""Part poses relative to their bodies, and relations of neighbouring parts.
 Adjacent parts form a *body*. Parts are adjacent if they share a boundary, or if their components touch in the reference
 frame, as eyes and shoes do. The pose of a body is the rigid motion from the reference frame that fits its parts best,
 
-.. math:: \min_{Q, C} \sum_i m_i\, |Q\, (\bar c_i - \bar C) + C - c_i|^2 + m_i r_i^2\, |Q - T_i|^2 ,
+.. math:: \min_{Q, C} \sum_i m_i s_i\, |Q\, (\bar c_i - \bar C) + C - c_i|^2 + m_i r_i^2 s'_i\, |Q - T_i|^2 ,
 
 with the rotations :math:`T_i` of parts since the reference frame, their centres :math:`c_i`, numbers of vertices
-:math:`m_i` and radii of gyration :math:`r_i`. Relative to their body, parts have rotations :math:`t_i = Q^T T_i` and
+:math:`m_i`, radii of gyration :math:`r_i`, and their `Steadiness`, without which a body jumps where heavy limbs turn
+past a quarter turn. Relative to their body, parts have rotations :math:`t_i = Q^T T_i` and
 centres :math:`Q^T (c_i - C)`. The *relation* of a part j to its neighbour i is the rotation :math:`t_i^T t_j` and the
 position of the pivot of j, the middle of their boundary, in the axes of i. Relations are invariant under rigid motions.
 
@@ -96,7 +97,7 @@ class Articulation:
     @cached_property
     def body_radii(self) -> Float:
         """Radii of gyration ``(B,)`` of the bodies in the reference frame, in diagonals."""
-        offsets = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.body_of_part]
+        offsets = self.rest_centres - self._body_means(self.rest_centres[None], self.masses)[0][self.body_of_part]
         squares = self.masses * (np.square(self.radii) + np.square(offsets).sum(axis=1))
         return np.sqrt(np.bincount(self.body_of_part, squares) / np.bincount(self.body_of_part, self.masses))
 
@@ -157,19 +158,20 @@ class Articulation:
 
     def fit_bodies(self, poses: Poses) -> Poses:
         """Fit poses ``(T, B)`` of bodies, with rotations since the reference, to part poses ``(T, p)``."""
-        centres = self._body_means(poses.centres)
-        rest_offsets = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.body_of_part]
+        weights = self.masses * self.steadiness.centres
+        centres, rest_centres = (self._body_means(each, weights) for each in (poses.centres, self.rest_centres[None]))
         offsets = poses.centres - centres[:, self.body_of_part]
-        moments = np.einsum("p,tpa,pb->tpab", self.masses, offsets, rest_offsets)
-        moments += (self.masses * np.square(self.radii))[:, None, None] * quat_to_matrix(poses.rotations)
-        return Poses(matrix_to_quat(nearest_rotations(self._body_sums(moments))), centres)
+        rest_offsets = self.rest_centres - rest_centres[0][self.body_of_part]
+        moments = np.einsum("p,tpa,pb->tpab", weights, offsets, rest_offsets)
+        turn_weights = self.masses * np.square(self.radii) * self.steadiness.turns
+        moments += turn_weights[:, None, None] * quat_to_matrix(poses.rotations)
+        return Poses(matrix_to_quat(nearest_rotations(self.body_sums(moments))), centres)
 
-    def _body_means(self, centres: Float) -> Float:
-        """Means ``(T, B, 3)`` of the centres ``(T, p, 3)`` of parts, weighted by mass."""
-        masses = np.bincount(self.body_of_part, self.masses)
-        return self._body_sums(self.masses[:, None] * centres) / masses[:, None]
+    def _body_means(self, centres: Float, weights: Float) -> Float:
+        """Weighted means ``(T, B, 3)`` of the centres ``(T, p, 3)`` of parts."""
+        return self.body_sums(weights[:, None] * centres) / np.bincount(self.body_of_part, weights)[:, None]
 
-    def _body_sums(self, values: Float) -> Float:
+    def body_sums(self, values: Float) -> Float:
         """Sums ``(T, B, ...)`` of values ``(T, p, ...)`` of parts."""
         sums = np.zeros((len(values), self.body_count, *values.shape[2:]))
         for part, body in enumerate(self.body_of_part):

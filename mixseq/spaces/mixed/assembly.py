@@ -29,7 +29,7 @@ from mixseq.shells.kernels import lengths_and_angles
 from mixseq.shells.shell import ZERO_AREA_HEIGHT_RATIO, Relaxation, Relaxed, Shell
 from mixseq.types import Float, Index, Mask
 
-AVERAGING_ROUNDS = 3
+ASSEMBLY_AVERAGING_ROUNDS = 3
 """Rounds of rotation averaging over parts and faces."""
 
 NOISE_HEIGHT_RATIO = 1e-4
@@ -175,7 +175,7 @@ class Assembly(PickledWithoutCaches):
         across = self.shell.hinge_frames.rotations(flat, angles)[hinge_ids]
         rotations = quat_multiply(quat_multiply(first, across), quat_conjugate(second))
         frames = self.frame_graph.chain(rotations, self._seed_frames(frame))
-        frames = self.frame_graph.average(frames, rotations, AVERAGING_ROUNDS)
+        frames = self.frame_graph.average(frames, rotations, ASSEMBLY_AVERAGING_ROUNDS)
         sides = np.empty((len(t.faces), 3, 3))
         sides[joint] = rotate_sides(frames[self._node_of_face[joint]], flat[joint])
         matrices = quat_to_matrix(frames[: len(self._rigid_parts)])

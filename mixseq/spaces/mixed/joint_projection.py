@@ -308,7 +308,7 @@ def displacement_right_side(
     return right
 
 
-AVERAGING_ROUNDS = 2
+FACE_AVERAGING_ROUNDS = 2
 """Rounds of rotation averaging over faces."""
 
 MOVING_RINGS = 1
@@ -469,7 +469,7 @@ class JointProjection(PickledWithoutCaches):
         rotations = target_rotations(*arguments)
         target_frames, moving_count = frames, len(self._moving_face_ids)
         hinges = self._pairs, rotations, self._angle_weights
-        for _ in range(AVERAGING_ROUNDS):
+        for _ in range(FACE_AVERAGING_ROUNDS):
             right = averaging_right_side(target_frames, *hinges, moving_count)
             target_frames = apply_small_rotations(target_frames, solve_columns(self.frame_factor, right))
         moving = self._faces[:moving_count], self._side_weights, self._moving_index

@@ -461,23 +461,21 @@ class MixedSpace(ShapeSpace):
         return np.concatenate([*changes, np.zeros(self.pose_dim)])
 
     def interpolate_poses(
-        self, operator: TemporalOperator, poses: Float, placements: Float, times: Float, in_body_axes: bool
+        self, operator: TemporalOperator, poses: Float, placements: Float, times: Float
     ) -> tuple[Float, Float]:
-        """Implement `ShapeSpace.interpolate_poses`: in world axes, optionally in body axes, and by relations."""
-        bodies, parts = self.pose_interpolation(operator, poses, placements, in_body_axes).at(times)
+        """Implement `ShapeSpace.interpolate_poses`: in root axes, by relations and in world axes."""
+        bodies, parts = self.pose_interpolation(operator, poses, placements).at(times)
         first = self.unpack_placements(placements[:1]).rotations[0]
         bodies = bodies._replace(rotations=align_quat_signs(bodies.rotations, first))
         return flatten_blocks(parts), self.pack_placements(bodies)
 
-    def pose_interpolation(
-        self, operator: TemporalOperator, poses: Float, placements: Float, in_body_axes: bool
-    ) -> PoseInterpolation:
+    def pose_interpolation(self, operator: TemporalOperator, poses: Float, placements: Float) -> PoseInterpolation:
         """Return the interpolation of part poses ``(T, pose_dim)`` and placements ``(T, P)`` of the frames."""
         parts = self.split_poses(poses)
         bodies = self.unpack_placements(placements)
         world = self.articulation.to_world_axes(Poses(parts.rotations, parts.centres), bodies)
         world = world._replace(rotations=align_quat_signs(world.rotations))
-        return PoseInterpolation(self.articulation, operator, world, in_body_axes)
+        return PoseInterpolation(self.articulation, operator, world)
 
     def to_body_axes(self, points: Float, vertex_ids: Index, placements: Float) -> Float:
         """Implement `ShapeSpace.to_body_axes`, with the body of each vertex's main part."""

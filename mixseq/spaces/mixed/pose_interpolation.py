@@ -1,20 +1,25 @@
-r"""Interpolation of part poses in time: in world axes, in body axes, and by relations to neighbours.
+r"""Interpolation of part poses in time: in the axes of a root part, by relations to neighbours, and in world axes.
 
-Rotations are chained and centres are weighted sums (`mixseq.spaces.temporal`), in world axes, where standing feet are
-at rest, and in body axes, where the rotation of the body is removed. Bodies are fitted to part poses interpolated in
-world axes; relative to bodies, part poses are interpolated independently of body rotations. With the matrix
-:math:`X = (R^T; t)` of four rows for a pose, and relations :math:`X_j = G_{ij} X_i` to neighbours, the interpolated
-poses minimise
+Rotations are chained and centres are weighted sums (`mixseq.spaces.temporal`). The shape of a body follows from part
+poses in the axes of its root and from relations to neighbours, and is invariant to rotations of the body. With the
+matrix :math:`X = (R^T; t)` of four rows for a pose, and relations :math:`X_j = G_{ij} X_i` to neighbours, the
+interpolated poses minimise
 
 .. math:: \sum_i |X_i - \hat X_i|^2_{P_i} + \lambda \sum_{ij} |X_j - \hat G_{ij} X_i|^2_{P_{ij}} ,
 
-where :math:`\hat X_i` is the mean of the estimates in world and body axes, weighted by their precisions. The minimum
-solves a linear system; polar decomposition then projects matrices to rotations. Every precision P is the inverse of a 4
-x 4 covariance of the errors :math:`\delta` of leave-one-out cross-validation over F frames,
+where :math:`\hat X_i` is interpolated in root axes. The minimum solves a linear system; polar decomposition then
+projects matrices to rotations. The root axes (Q, C) are placed by part poses :math:`\hat Y_i` interpolated in world
+axes, where standing feet are at rest:
+
+.. math:: \min_{Q, C} \sum_i |X_i Q^T + (0; C^T) - \hat Y_i|^2_{P'_i} .
+
+Every precision P is the inverse of a 4 x 4 covariance of the errors :math:`\delta` of leave-one-out cross-validation
+over F frames,
 
 .. math:: P = \Bigl(\frac{\sum \delta \delta^T + n\, S}{3 F + n} + \varepsilon^2\Bigr)^{-1} ,
 
-with an isotropic prior S of the same mean squares, because few frames leave the covariance underdetermined.
+with an isotropic prior S of the same mean squares, because few frames leave the covariance underdetermined. The root of
+a body is the large part in whose axes these errors are least.
 """
 
 from __future__ import annotations
@@ -33,8 +38,8 @@ from mixseq.types import Float, Index, Mask
 RELATION_WEIGHT = 2.0
 r"""Weight :math:`\lambda` of a relation relative to a pose, chosen empirically on half of the benchmark animations."""
 
-MAX_WORLD_ERROR_RATIO = 2.0
-"""Largest ratio of errors in world axes to errors in body axes; above it, only body axes are used."""
+MAX_ROOT_CANDIDATES = 4
+"""Number of parts with the largest areas, in every body, from which the root is selected."""
 
 PRIOR_SAMPLES = 6.0
 """Number n of error samples to which the isotropic prior is equivalent."""
@@ -53,12 +58,11 @@ class PoseInterpolation:
     articulation: Articulation  # bodies and relations of the parts
     operator: TemporalOperator  # weights of the frames
     poses: Poses  # (T, p) part poses at the frames in world axes, rotations since the reference frame
-    in_body_axes: bool  # whether poses are interpolated in body axes in addition to world axes
 
     def at(self, times: Float) -> tuple[Poses, Poses]:
         """Return body poses ``(N, B)`` and part poses in body axes ``(N, p)`` at times ``(N,)``; exact at frames."""
         weights = self.operator.weights_at(times)
-        bodies, parts = (interpolate_poses(weights, poses) for poses in self._frame_poses)
+        bodies, parts = (interpolate_poses(weights, poses) for poses in self._split(self.poses))
         if len(self.operator.times) < 3:
             return bodies, parts
         is_frame = np.isin(times, self.operator.times)[:, None, None]
@@ -69,62 +73,77 @@ class PoseInterpolation:
         """Return body poses and part poses in body axes by weights of frames; quaternions have any sign."""
         starts = range(0, len(weights.frame_ids), TIMES_PER_BLOCK)
         blocks = [self._interpolate_block(weights.select(slice(k, k + TIMES_PER_BLOCK))) for k in starts]
-        bodies, parts = (
-            Poses(*(np.concatenate(arrays) for arrays in zip(*poses, strict=True)))
-            for poses in zip(*blocks, strict=True)
-        )
-        return bodies, parts
+        return self._split(Poses(*(np.concatenate(arrays) for arrays in zip(*blocks, strict=True))))
 
-    def _interpolate_block(self, weights: FrameWeights) -> tuple[Poses, Poses]:
-        bodies, from_world = self._interpolate_in_world(weights)
-        world_precision, body_precision = self._precisions
-        estimates = [] if world_precision is None else [(from_world, world_precision)]
-        if body_precision is not None:
-            estimates.append((interpolate_poses(weights, self._frame_poses[1]), body_precision))
-        precision: Float = np.sum([each for _, each in estimates], axis=0)
-        weighted = [each @ _pose_matrices(poses) for poses, each in estimates]
-        mean = np.asarray(np.linalg.solve(precision, np.sum(weighted, axis=0)), dtype=np.float64)
-        precision = precision / len(estimates)
-        pairs = self.articulation.pairs
-        if not len(pairs):
-            return bodies, _nearest_poses(mean)
-        relations = _interpolate_relations(weights, self._frame_relations, self.articulation.pivots)
-        return bodies, _fuse(mean, precision, relations, RELATION_WEIGHT * self._relation_precisions, pairs)
-
-    def _interpolate_in_world(self, weights: FrameWeights) -> tuple[Poses, Poses]:
-        """Interpolate part poses in world axes; return body poses, and the part poses in body axes."""
-        world = interpolate_poses(weights, self.poses)
+    def _split(self, world: Poses) -> tuple[Poses, Poses]:
+        """Split part poses in world axes into body poses and part poses in body axes, with continuous signs."""
         bodies = self.articulation.fit_bodies(world)
-        return bodies, self.articulation.to_body_axes(world, bodies)
-
-    @cached_property
-    def _frame_poses(self) -> tuple[Poses, Poses]:
-        """Body poses and part poses in body axes at the frames."""
-        bodies = self.articulation.fit_bodies(self.poses)
         bodies = bodies._replace(rotations=align_quat_signs(bodies.rotations))
-        parts = self.articulation.to_body_axes(self.poses, bodies)
+        parts = self.articulation.to_body_axes(world, bodies)
         return bodies, parts._replace(rotations=align_quat_signs(parts.rotations))
+
+    def _interpolate_block(self, weights: FrameWeights) -> Poses:
+        """Return part poses ``(N, p)`` in world axes."""
+        in_root_axes, root_precisions = self._root_axes
+        parts, pairs = interpolate_poses(weights, in_root_axes), self.articulation.pairs
+        if len(pairs):
+            relations = _interpolate_relations(weights, self._frame_relations, self.articulation.pivots)
+            relation_precisions = RELATION_WEIGHT * self._relation_precisions
+            parts = _fuse(_pose_matrices(parts), root_precisions, relations, relation_precisions, pairs)
+        return self._place(parts, interpolate_poses(weights, self.poses))
+
+    def _place(self, parts: Poses, world: Poses) -> Poses:
+        """Move parts ``(N, p)`` of each body rigidly to the poses in world axes; return poses in world axes."""
+        sums, body = self.articulation.body_sums, self.articulation.body_of_part
+        precisions, x, y = self._world_precisions, _pose_matrices(parts), _pose_matrices(world)
+        offset = np.broadcast_to(np.eye(4)[:, 3:], (*x.shape[:2], 4, 1))
+        with_offset = np.concatenate([x, offset], axis=3)
+        weighted = np.swapaxes(with_offset, 2, 3) @ precisions
+        solution = np.linalg.solve(sums(weighted @ with_offset), sums(weighted @ y))
+        rotations = nearest_rotations(np.swapaxes(solution[:, :, :3], 2, 3))
+        residuals = y - x @ np.swapaxes(rotations, 2, 3)[:, body]
+        centres = sums(precisions[:, 3:] @ residuals) / sums(precisions[None, :, 3:, 3:])
+        return self.articulation.to_world_axes(parts, Poses(matrix_to_quat(rotations), centres[:, :, 0]))
 
     @cached_property
     def _left_out(self) -> tuple[Index, FrameWeights]:
         return self.operator.leave_one_out()
 
     @cached_property
-    def _precisions(self) -> tuple[Float | None, Float | None]:
-        """Precisions ``(p, 4, 4)`` in world axes and in body axes; None for unused axes.
+    def _world_precisions(self) -> Float:
+        """Precisions ``(p, 4, 4)`` of part poses in world axes."""
+        return _error_precisions(self._left_out_errors(self.poses), self.articulation.radii)
 
-        Errors in world axes are measured there, where standing feet are exact. Precisions are invariant to rotations.
-        """
+    @cached_property
+    def _root_axes(self) -> tuple[Poses, Float]:
+        """Part poses ``(T, p)`` in the axes of the root of their body, and their precisions ``(p, 4, 4)``."""
+        poses = self._in_axes_of(self._roots)
+        return poses, _error_precisions(self._left_out_errors(poses), self.articulation.radii)
+
+    @cached_property
+    def _roots(self) -> Index:
+        """Roots ``(B,)`` of the bodies."""
+        masses, radii = self.articulation.masses, self.articulation.radii
+        row_masses = masses[:, None] * np.append(np.square([radii] * 3), np.ones((1, len(radii))), axis=0).T
+        parts = np.argsort(-self.articulation.areas, kind="stable")
+        members = [parts[self.articulation.body_of_part[parts] == body] for body in range(self.articulation.body_count)]
+        roots, least = np.zeros(len(members), dtype=np.int64), np.full(len(members), np.inf)
+        for rank in range(min(MAX_ROOT_CANDIDATES, max(map(len, members)))):
+            candidates = np.array([ids[min(rank, len(ids) - 1)] for ids in members])
+            errors = self._left_out_errors(self._in_axes_of(candidates))
+            squares = self.articulation.body_sums(np.einsum("fpac,pa->p", np.square(errors), row_masses)[None])[0]
+            roots, least = np.where(squares < least, candidates, roots), np.minimum(squares, least)
+        return roots
+
+    def _in_axes_of(self, roots: Index) -> Poses:
+        """Return part poses ``(T, p)`` at the frames in the axes of the roots ``(B,)`` of their bodies."""
+        poses = self.articulation.to_body_axes(self.poses, Poses(*(block[:, roots] for block in self.poses)))
+        return poses._replace(rotations=align_quat_signs(poses.rotations))
+
+    def _left_out_errors(self, poses: Poses) -> Float:
+        """Return the errors ``(F, p, 4, 3)`` of left-out frames of poses ``(T, p)``."""
         frame_ids, weights = self._left_out
-        world = _pose_matrices(interpolate_poses(weights, self.poses)) - _pose_matrices(self.poses)[frame_ids]
-        world_precision = _error_precisions(world, self.articulation.radii)
-        if not self.in_body_axes:
-            return world_precision, None
-        expected = _pose_matrices(self._frame_poses[1])[frame_ids]
-        from_world = _pose_matrices(self._interpolate_in_world(weights)[1]) - expected
-        body = _pose_matrices(interpolate_poses(weights, self._frame_poses[1])) - expected
-        is_useless = np.linalg.norm(from_world) > MAX_WORLD_ERROR_RATIO * np.linalg.norm(body)
-        return None if is_useless else world_precision, _error_precisions(body, self.articulation.radii)
+        return _pose_matrices(interpolate_poses(weights, poses)) - _pose_matrices(poses)[frame_ids]
 
     @cached_property
     def _frame_relations(self) -> Poses:

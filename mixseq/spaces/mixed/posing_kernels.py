@@ -13,7 +13,7 @@ from mixseq.runtime.jit import compiled, inlined
 from mixseq.shells.face_frames import multiply, multiply_by_inverse
 from mixseq.types import Float, Index
 
-AVERAGING_ROUNDS = 2
+PART_AVERAGING_ROUNDS = 2
 """Rounds of rotation averaging over parts."""
 
 SERIES_SQUARED_ANGLE = 1e-6
@@ -84,7 +84,7 @@ def reconcile_poses(
         for a in range(4):
             q[children[k], a] = expected[a]
     right = np.empty((count, 3), q.dtype)
-    for _ in range(AVERAGING_ROUNDS):
+    for _ in range(PART_AVERAGING_ROUNDS):
         # Misfits are weighted by their sines, which are smooth at 180 degrees. Blends of distant rotations are short
         # quaternions, with less weight.
         for part in range(count):

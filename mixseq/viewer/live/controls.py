@@ -15,18 +15,22 @@ from typing import Any
 import numpy as np
 
 from mixseq.errors import SettingsError
-from mixseq.operations import cut, drag, exaggerate, exaggerate_part, hold, loop, repeat, reverse, sketch
-from mixseq.operations.sketch import default_reach
+from mixseq.mesh.nearest import RayHit
+from mixseq.operations.filters import exaggerate
+from mixseq.operations.limbs import exaggerate_part, hold
+from mixseq.operations.sketch import default_reach, drag, sketch
+from mixseq.operations.timeline import cut, loop, repeat, reverse
+from mixseq.pictures.chart_data import chart_data
 from mixseq.pictures.colours import Colouring, SceneColours
 from mixseq.pictures.scene import Scene
 from mixseq.sequence.frame_rates import format_frame, number_to_time, time_to_number
 from mixseq.signals.model import Model
 from mixseq.signals.pose import Plane
 from mixseq.spaces.mixed.mixed_space import MixedSpace
-from mixseq.viewer.export import script_json
 from mixseq.viewer.live.stage import LiveStage
+from mixseq.viewer.page import script_json
 from mixseq.viewer.playback import Moment, Playback
-from mixseq.viewer.session import Drag, Edit, Message, RayHit, Retime, Seek, Session, Sketch, chart_data
+from mixseq.viewer.session import Drag, Edit, Message, Retime, Seek, Session, Sketch
 
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 SLIDER_HOLD_SECONDS = 0.5

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.pictures.colours import ByteArray, Colouring, SceneColours
+from mixseq.mesh.nearest import RayHit, intersect_ray
+from mixseq.pictures.colours import Colouring, SceneColours
 from mixseq.pictures.scene import FIELD_OF_VIEW_DEGREES, SCENE_SIZE, Arrangement, Scene, arrange_meshes
-from mixseq.types import Float, Single
+from mixseq.types import ByteArray, Float, Single
 from mixseq.viewer.playback import Moment
-from mixseq.viewer.session import RayHit, intersect_ray
 
 GROUND_COLOUR = (243, 243, 240)
 GRID_COLOUR = (222, 222, 218)
@@ -235,8 +235,8 @@ class LiveStage:
         self._client_views.pop(client.client_id, None)
 
     def _update_camera(self, client: Any) -> None:
-        aspect = client.camera.aspect
-        position, centre = self._arrangement.camera(aspect)
+        aspect = client.camera.aspect  # width/height
+        position, centre = self._arrangement.camera(1 / aspect)
         self._client_views[client.client_id] = position, aspect
         with client.atomic():
             client.camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))

@@ -17,13 +17,14 @@ from pathlib import Path
 from typing import Any
 
 from mixseq.errors import MissingExtraError, SettingsError
+from mixseq.mesh.nearest import RayHit
 from mixseq.pictures.colours import SceneColours
 from mixseq.runtime.progress import forward_warnings
-from mixseq.viewer.export import chart_scripts, read_script, script_json
 from mixseq.viewer.live.controls import DisplayControls, Editor, PlayControls, notify_all
 from mixseq.viewer.live.stage import LiveStage
+from mixseq.viewer.page import chart_scripts, read_script, script_json
 from mixseq.viewer.playback import Moment, Playback
-from mixseq.viewer.session import Drawn, Message, RayHit, Save, Session, parse_message
+from mixseq.viewer.session import Drawn, Message, Save, Session, parse_message
 
 
 def add_bridge(server: Any, on_message: Callable[[Message], None]) -> None:

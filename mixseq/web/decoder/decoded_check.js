@@ -17,5 +17,5 @@ export function splitChecksum(bytes) {
 
 /** Verify that the decoded numbers are those that were coded. */
 export function verifyChecksum(found, expected) {
-  if (found !== expected) throw new MixseqError("the decoded numbers are not those that were coded; it is damaged");
+  if (found !== expected) throw new MixseqError("the decoded numbers differ from the coded ones; it is damaged");
 }

@@ -21,7 +21,7 @@ export function hashedBits(data, kinds) {
   function next(kind) {
     for (let i = 0; i < CONTEXTS_PER_BIT; i++) slots[i] = hashContext(contexts[i], above[i]) >>> 16;
     const bit = models.read(stream, 0, kind);
-    if (stream.isPastEnd()) throw new MixseqError("coded bits end early; the file is damaged");
+    if (stream.isPastEnd()) throw new MixseqError("the coded bits end early; it is damaged");
     return bit;
   }
 

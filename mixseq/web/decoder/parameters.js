@@ -7,7 +7,7 @@ const MAX_UV_STEPS = 2 ** 26;
 const MAX_MEMORY = 2 ** 32; // bytes that a sequence may take
 const PARAMETERS = [
   "factors", "rank", "frame_count", "step", "diagonal", "max_error", "kg_percent", "promised", "correction", "ranks", "uv_steps",
-  "uv_error",
+  "uv_error", "label_count",
 ];
 
 const isCount = (value) => Number.isInteger(value) && value > 0;
@@ -18,7 +18,7 @@ export function readFacts(text) {
   const facts = parseText(text), given = facts.coding, unknown = Object.keys(given).find((name) => !PARAMETERS.includes(name));
   if (unknown !== undefined) throw new MixseqError(`the parameter ${unknown} is unknown to this decoder; take a newer one`);
   const { vertex_count: vertices, polygon_count: polygons, corner_count: corners, frame_count: frames, fps } = facts;
-  const { factors, rank, ranks = [], uv_steps: steps = null, uv_error: error = null } = given, shapes = factors === "shapes";
+  const { factors, rank, ranks = [], uv_steps: steps = null, uv_error: error = null, label_count: labels = null } = given, shapes = factors === "shapes";
   const parts = Array.isArray(ranks) ? ranks : [0];
   const checks = {
     vertex_count: isCount(vertices),
@@ -35,6 +35,7 @@ export function readFacts(text) {
     promised: typeof given.promised === "boolean",
     correction: isNonNegative(given.correction ?? 0),
     uv_steps: steps === null ? error === null : isCount(steps) && steps <= MAX_UV_STEPS && isNonNegative(error),
+    label_count: labels === null || (isCount(labels) && labels <= MAX_PARTS),
     fps: isNonNegative(fps) && fps > 0,
     first_time: Number.isFinite(facts.first_time),
   };
@@ -49,6 +50,7 @@ export function readFacts(text) {
     parameters: {
       factors, rank, ranks: parts.length ? parts : [rank], step: given.step, diagonal: given.diagonal, maxError: given.max_error,
       kgPercent: given.kg_percent, promised: given.promised, correction: given.correction ?? 0, uvSteps: steps, uvError: error,
+      labelCount: labels,
     },
   };
 }

@@ -21,7 +21,7 @@ const SURFACE_BYTES_PER_CORNER = 64, TEXT_BYTES = 1 << 24; // limits of the size
  */
 export async function open(text, bytes) {
   const facts = guarded("the sequence", () => readFacts(text)), { parameters, cornerCount, frameCount } = facts;
-  const streams = guarded("the sequence", () => readIndex(text, bytes, parameters.uvSteps !== null));
+  const streams = guarded("the sequence", () => readIndex(text, bytes, parameters));
   const surface = await decompressed(streams.surface, SURFACE_BYTES_PER_CORNER * cornerCount + TEXT_BYTES, "the surface's bytes");
   const times = await decompressed(streams.times, 8 * frameCount, "the times");
   return guarded("the sequence", () => new Sequence(facts, streams, surface, times));

@@ -20,7 +20,7 @@ export class Reader {
 
   /** The stream; it must not have ended. */
   stream() {
-    if (this.#stream.isPastEnd()) throw new MixseqError("coded numbers end early; it is damaged");
+    if (this.#stream.isPastEnd()) throw new MixseqError("the coded signals are damaged, they end early");
     return this.#stream;
   }
 

@@ -6,10 +6,11 @@ const MAGIC = 0x3171736d; // msq1
 const HEAD_SIZE = 16; // bytes
 
 /**
- * The streams of `bytes`, each checked: `connectivity`, `surface`, `times` and, if `hasUvs`, `uvs`; a list for the `basis`;
+ * The streams of `bytes`, each checked: `connectivity`, `surface`, `times` and, if `parameters` tell so, `uvs`; a list for the `basis`;
  * and `chunks` with their `first` frame, `count` of frames, `coefficients` and `residuals`.
  */
-export function readIndex(text, bytes, hasUvs) {
+export function readIndex(text, bytes, parameters) {
+  const hasUvs = parameters.uvSteps !== null, hasLabels = parameters.labelCount !== null;
   const damaged = new MixseqError("the index is damaged, so nothing can be read");
   if (bytes.length < HEAD_SIZE) throw damaged;
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.length), word = (at) => view.getUint32(at, true);
@@ -19,7 +20,7 @@ export function readIndex(text, bytes, hasUvs) {
   const numbers = readLeb128(bytes.subarray(HEAD_SIZE, middle)), [groups, chunks] = numbers;
   const counts = numbers.slice(2, 2 + chunks), lengths = numbers.slice(2 + chunks);
   const checksumCount = (end - middle) / 4 - 1, nonemptyCount = lengths.filter((length) => length > 0).length;
-  if (lengths.length !== 3 + hasUvs + groups + 2 * chunks || counts.includes(0) || checksumCount !== nonemptyCount) throw damaged;
+  if (lengths.length !== 3 + hasUvs + hasLabels + groups + 2 * chunks || counts.includes(0) || checksumCount !== nonemptyCount) throw damaged;
 
   let start = end, checksum = middle, next = 0;
   const stream = (name) => {
@@ -29,6 +30,7 @@ export function readIndex(text, bytes, hasUvs) {
   };
   const connectivity = stream("the connectivity's bytes"), surface = stream("the surface's bytes");
   const times = stream("the times"), uvs = hasUvs ? stream("the texture coordinates") : null, basis = [];
+  if (hasLabels) stream("the labels of parts"); // of triangles, which players have no use for
   for (let group = 0; group < groups; group++) basis.push(stream(`the basis vectors of group ${group}`));
   let first = 0;
   return {

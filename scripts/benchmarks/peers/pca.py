@@ -1,27 +1,77 @@
 r"""Principal components, spatially predicted: the peer to beat.
 
-Basis vectors and coefficients (`components`) are quantised with one step s, coefficients in units of singular values,
+Basis vectors and coefficients are quantised with one step s, coefficients in units of singular values,
 which is the optimum of rate and distortion (reverse water-filling). The decoder gives the coefficients their length, 1,
 again. A component is kept if it is worth its bits, :math:`D_i > \lambda R_i` with the slope of uniform quantisation
 :math:`\lambda = s^2 \ln 2 / 6`. Basis vectors are predicted over the connectivity (`prediction`), coefficients by their
 differences in time, each by what makes it smallest; then lzma. Rates are those of real bytes, errors those of decoded
 points.
+
+A sequence about its mean point is a matrix of rank K, coefficients in time times basis vectors over the mesh, from the
+singular vectors of what is left without the mean:
+
+- *shape space* (Alexa and Mueller 2000): ``(T, 3V)``; a vector is a shape, the mean shape is one more of them
+- *trajectory space* (as in CoDDyAC, Vasa and Skala 2007): ``(3T, V)``; a vector is one number a vertex, the mean is a
+  number for each row
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 import mixseq
-from mixseq.types import Float, Index
-from scripts.benchmarks.peers.coder import KG_SWEEP, spread
-from scripts.benchmarks.peers.components import Space, components, to_points
+from mixseq.types import Float, FloatArray, Index
+from scripts.benchmarks.peers.coders import KG_SWEEP, spread
 from scripts.benchmarks.peers.packing import from_lzma, numbers, planes, to_lzma, width
 from scripts.benchmarks.peers.prediction import prediction
+
+Space = Literal["shape", "trajectory"]
+
+
+class Components(NamedTuple):
+    """Mean of the rows ``(R,)``, coefficients ``(R, K)`` as long as their singular values, basis vectors ``(K, N)``."""
+
+    mean: Float
+    coefficients: Float
+    vectors: Float
+
+
+def components(points: FloatArray, space: Space) -> Components:
+    """Return all components of points ``(T, V, 3)``, those with the largest singular values first."""
+    matrix = to_matrix(points.astype(np.float64), space)
+    if space == "shape":
+        mean, shape = np.zeros(len(matrix)), matrix.mean(axis=0)
+        rest = matrix - shape
+    else:
+        mean = matrix.mean(axis=1)
+        rest = matrix - mean[:, None]
+    _, eigenvectors = np.linalg.eigh(rest @ rest.T)
+    eigenvectors = eigenvectors[:, ::-1]
+    vectors = eigenvectors.T @ rest
+    if space == "shape":
+        constant = np.full((len(matrix), 1), len(matrix) ** -0.5)
+        eigenvectors = np.concatenate([constant, eigenvectors], axis=1)
+        vectors = np.concatenate([shape[None] * len(matrix) ** 0.5, vectors])
+    return Components(mean, eigenvectors * np.linalg.norm(vectors, axis=1), vectors)
+
+
+def to_matrix(points: Float, space: Space) -> Float:
+    """Lay out points ``(T, V, 3)`` as a matrix of a space."""
+    if space == "shape":
+        return points.transpose(0, 2, 1).reshape(len(points), -1)
+    return points.transpose(2, 0, 1).reshape(3 * len(points), -1)
+
+
+def to_points(matrix: Float, space: Space, frames: int) -> Float:
+    """Undo `to_matrix`."""
+    if space == "shape":
+        return matrix.reshape(frames, 3, -1).transpose(0, 2, 1)
+    return matrix.reshape(3, frames, -1).transpose(1, 2, 0)
+
 
 STEPS = 16
 SLOPE = np.log(2) / 6
@@ -33,7 +83,7 @@ _ORDERS = 3  # differences in time of order 0, 1 and 2
 class Pca:
     """PCA in one of the two spaces."""
 
-    packages: tuple[str, ...] = ()
+    package = ""
 
     def __init__(self, space: Space) -> None:
         self.name: str = space

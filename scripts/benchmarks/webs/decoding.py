@@ -18,22 +18,13 @@ from statistics import median
 import h5py
 
 import mixseq
-from scripts.benchmarks.common.animations import animation
+from scripts.benchmarks.common.harness import animation
 from scripts.benchmarks.common.node import node_executable
 
 COLUMNS = (
-    "sequence",
-    "vertices",
-    "frames",
-    "kB",
-    "Python",
-    "JavaScript, first",
-    "JavaScript",
-    "ratio",
-    "ms a frame, Python",
-    "JavaScript",
-    "ratio",
-)
+    "sequence", "vertices", "frames", "kB", "Python", "JavaScript, first", "JavaScript", "ratio", "ms a frame, Python",
+    "JavaScript", "ratio",
+)  # fmt: skip
 
 MAX_ERROR = 1e-3
 ROUNDS = 3

@@ -18,7 +18,7 @@ import h5py
 
 import mixseq
 from mixseq.web import bundled
-from scripts.benchmarks.common.animations import animation, subdivided
+from scripts.benchmarks.common.harness import animation, subdivided
 
 NAMES = ("horse_gallop", "elephant_gallop", "q_man_run*16")
 
@@ -27,8 +27,6 @@ COLUMNS = ("sequence", "vertices", "fields of a vertex", "frames a second, proce
 MAX_ERROR = 1e-3
 
 _ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
-
-_MODULES = ("decoder/sequence.js", "player/field_textures.js")
 
 _SCRIPT = """
 async ([module, text, streams]) => {
@@ -93,12 +91,11 @@ def _split(name: str) -> mixseq.MeshSequence:
 def _in_chromium(text: str, streams: bytes) -> dict[str, float | str]:
     from playwright.sync_api import sync_playwright
 
-    names = ("chromium", "chromium-browser", "google-chrome")
-    executable = next(filter(None, map(shutil.which, names)), None)
+    executable = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=executable, args=_ARGUMENTS)
         page = browser.new_page()
-        given = [bundled(*_MODULES), text, base64.b64encode(streams).decode()]
+        given = [bundled("decoder/sequence.js", "player/field_textures.js"), text, base64.b64encode(streams).decode()]
         told: dict[str, float | str] = page.evaluate(_SCRIPT, given)
         browser.close()
     return told

@@ -14,7 +14,7 @@ import numpy as np
 
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.types import Float
-from scripts.benchmarks.common.section import markdown_table
+from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.poses import Poses
 
 LENGTH_SHARES = (1.0, 0.999, 0.99)

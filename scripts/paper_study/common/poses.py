@@ -16,18 +16,13 @@ from mixseq.mesh.topology import Topology
 from mixseq.segmentation.motion import MotionSettings, segment_by_motion
 from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.types import Float, Index
-from scripts.benchmarks.common.animations import animation, subdivided
+from scripts.benchmarks.common.harness import animation, subdivided
 
 
 class Source(NamedTuple):
     """Which animation a mesh is from, the pair and the six frames that are blended, how many weights are tried.
 
-    Attributes
-    ----------
-    printed : str
-        What the paper calls the mesh, or one with as many vertices; empty if it has no such mesh.
-    fine : bool
-        Every triangle is split into four.
+    `printed` is what the paper calls the mesh, or one with as many vertices. If `fine`, triangles are split into four.
     """
 
     animation: str
@@ -53,13 +48,6 @@ FINE = {"elephant_fine": Source("elephant_gallop", (0, 5), (0, 4, 8, 12, 16, 20)
 
 ALL = MESHES | FINE
 
-ARTICULATED = (
-    "horse_poses", "cat_poses", "lion_poses", "camel_poses", "cheburashka", "cow", "fox_run", "fox_survey",
-    "q_horse_gallop", "q_horse_eating", "q_wolf_gallop", "q_wolf_attack", "q_fox_gallopjump", "q_trex_run",
-    "q_alpaca_gallop", "q_man_run", "q_man_swordslash", "q_woman_run", "robotexpressive_dance", "abc_dembones_bone",
-)  # fmt: skip
-"""All other animations of articulated meshes that there are data of."""
-
 RANKED = 3
 """One in so many vertices tells which pairs of frames are far apart."""
 
@@ -69,17 +57,7 @@ FRAMES = 24
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Some poses of a mesh.
-
-    Attributes
-    ----------
-    mesh : str
-        A key of `ALL`, or the name of an animation.
-    frames : tuple of int
-        Frames of the animation.
-    points : (n, V, 3) float64
-        Their vertices, in units of the file.
-    """
+    """Some poses of a mesh of `ALL`: frames of its animation, and their vertices ``(n, V, 3)`` in units of the file."""
 
     mesh: str
     frames: tuple[int, ...]
@@ -97,15 +75,6 @@ class Poses:
         frames = source.pair if frames is None else frames
         points = sequence.points[list(frames)].astype(np.float64)
         return cls(mesh, frames, points, sequence, Topology(sequence.faces, sequence.vertex_count))
-
-    @classmethod
-    def farthest(cls, name: str) -> Poses:
-        """Take the first frame of an animation and the one that is farthest from it, up to rigid motions."""
-        sequence = animation(name)
-        first = sequence.points[0].astype(np.float64)
-        frames = (0, int(np.argmax([_apart(first, frame.astype(np.float64)) for frame in sequence.points])))
-        topology = Topology(sequence.faces, sequence.vertex_count)
-        return cls(name, frames, sequence.points[list(frames)].astype(np.float64), sequence, topology)
 
     @property
     def rank(self) -> tuple[int, int]:
@@ -127,8 +96,7 @@ class Poses:
     @property
     def title(self) -> str:
         """Name of the animation and frames."""
-        name = ALL[self.mesh].animation if self.mesh in MESHES else self.mesh
-        return f"{name} {'-'.join(map(str, self.frames))}"
+        return f"{ALL[self.mesh].animation} {'-'.join(map(str, self.frames))}"
 
     @property
     def diagonal(self) -> float:

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from scripts.benchmarks.common.report import origin
-from scripts.benchmarks.common.section import markdown_table
+from scripts.benchmarks.common.harness import markdown_table
+from scripts.benchmarks.common.origin import origin
 
 OUT = Path("docs/paper")
 Json = dict[str, Any]

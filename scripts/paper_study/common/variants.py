@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from scripts.benchmarks.common.section import markdown_table
+from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import Clock, Mixed
 from scripts.paper_study.common.poses import between

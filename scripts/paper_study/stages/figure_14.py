@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mixseq.types import Float
-from scripts.benchmarks.common.section import markdown_table
+from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import Free, Strips, strips
 from scripts.paper_study.common.pictures import Panel, gallery, heat, held

@@ -10,7 +10,7 @@ import numpy as np
 from mixseq.mesh.topology import split_labels
 from mixseq.segmentation.methods import METHODS, adjusted_rand_index, segment
 from mixseq.types import Index
-from scripts.benchmarks.common.section import markdown_table
+from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import Clock, Free, Strips, strips
 from scripts.paper_study.common.pictures import Panel, gallery, held

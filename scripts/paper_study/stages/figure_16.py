@@ -10,7 +10,7 @@ import numpy as np
 from mixseq.pictures.scene import three_quarter_view
 from mixseq.spaces.edge import EdgeSettings
 from mixseq.types import Float, Index
-from scripts.benchmarks.common.section import markdown_table
+from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.damage import BEYOND, SIZE, Pushed, apart, noisy, pushed
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import METHODS, Edge, Method, strips

@@ -10,7 +10,7 @@ import numpy as np
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.types import Float
-from scripts.benchmarks.common.section import markdown_table
+from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery, heat

@@ -15,7 +15,7 @@ from mixseq.pictures.page import draw_mesh
 from mixseq.pictures.scene import shared_limits, three_quarter_view, to_y_up
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
-from scripts.benchmarks.common.section import markdown_table
+from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.pictures import CLOSE, DPI, Panel, gallery, heat
 from scripts.paper_study.common.poses import Poses, between

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from scripts.benchmarks.common.section import markdown_table
-from scripts.paper_study.common.along import along, weights_of
-from scripts.paper_study.common.errors import text
-from scripts.paper_study.common.methods import METHODS, Mixed
+from mixseq.types import Float
+from scripts.benchmarks.common.harness import markdown_table
+from scripts.paper_study.common.errors import errors, text
+from scripts.paper_study.common.methods import METHODS, Method, Mixed
 from scripts.paper_study.common.pictures import Panel, envelopes, gallery, held
 from scripts.paper_study.common.poses import MESHES as ALL
-from scripts.paper_study.common.poses import Poses
+from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.record import Json, Results
 
 MESHES = tuple(ALL)
@@ -28,15 +28,15 @@ ROUNDING = 0.005
 
 def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     labels = poses.segmented()
+    weights: list[float] = np.linspace(0, 1, ALL[poses.mesh].steps + 1).tolist()
     bands: dict[str, Json] = {}
     found: dict[str, Json] = {}
     top = [Panel("first pose", poses.points[0]), Panel("second pose", poses.points[1])]
     middles = []
     for name, make in METHODS.items():
         method = make(poses, labels)
-        result = along(poses, method)
-        bands[name], found[name] = result.bands, result.found
-        middles.append(Panel(name, result.middle))
+        middle, bands[name], found[name] = along(poses, method, weights)
+        middles.append(Panel(name, middle))
         if isinstance(method, Mixed):
             found[name]["rigid"] = rigid_share(method)
         if isinstance(method, Mixed) and name != "MixIT, printed":
@@ -48,11 +48,29 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
                 )
             )
         say(f"{name}: 99.9 % {text([found[name]['worst'][kind][1] for kind in ('lengths', 'degrees')])}")
-    weights = weights_of(poses)
     rows = [top, middles[:3], middles[3:]]
     envelopes(folder / f"figures-10-12-{poses.mesh}.png", f"Errors, {poses.title}", weights, bands)
     gallery(folder / f"figures-10-12-{poses.mesh}-middle.png", poses, rows, f"{poses.title}, w = 0.5")
     return {"title": poses.title, "weights": len(weights), "rank": poses.rank, "methods": found}
+
+
+def along(poses: Poses, method: Method, weights: list[float]) -> tuple[Float, Json, Json]:
+    """Blend two poses with all weights.
+
+    Return the blend at w = 0.5, the bands of lengths and degrees, and errors at 99, 99.9 and 100 %: at w = 0.5
+    (``middle``) and the largest of all weights (``worst``), and how many fits did not converge.
+    """
+    method.prepare()
+    blends = [method.at(between(w)) for w in weights]
+    away = [errors(poses, between(w), blend.points) for w, blend in zip(weights, blends, strict=True)]
+    lengths, degrees = zip(*(each.bands() for each in away), strict=True)
+    summaries, half = [each.summary() for each in away], len(weights) // 2
+    found = {
+        "middle": summaries[half],
+        "worst": {kind: np.max([s[kind] for s in summaries], axis=0).tolist() for kind in summaries[0]},
+        "unconverged": sum(not report.converged for blend in blends for report in blend.reports),
+    }
+    return blends[half].points, {"lengths": lengths, "degrees": degrees}, found
 
 
 def rigid_share(method: Mixed) -> float:

@@ -16,7 +16,7 @@ from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.spaces.edge import DiscreteShell, EdgeSettings
 from mixseq.types import Float, Index
-from scripts.benchmarks.common.section import markdown_table
+from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.methods import Anchored, Edge, Printed, strips
 from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.record import Json, Results

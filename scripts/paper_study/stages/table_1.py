@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mixseq.types import Index
-from scripts.benchmarks.common.section import markdown_table
+from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.methods import METHODS, Clock, Method, Mixed
 from scripts.paper_study.common.poses import ALL, Poses, between
 from scripts.paper_study.common.printed import TABLE_1

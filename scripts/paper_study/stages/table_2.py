@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from scripts.benchmarks.common.section import markdown_table
+from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.methods import METHODS, Anchored, Edge
 from scripts.paper_study.common.poses import MESHES as ALL
 from scripts.paper_study.common.poses import Poses

@@ -43,7 +43,7 @@ def page(results: Results) -> list[str]:
         "- Our width counts the strips on each side of a boundary, the paper's those of a joint. So ours at "
         "5 is about as wide as the paper's at 9; and a part keeps a third of its vertices whatever the "
         "width, so where parts are small joints stop growing.\n"
-        "- The paper finds the errors insensitive to the width (Figure 13). Ours get smaller with it at 99.9 "
+        "- The paper finds the errors insensitive to the width (its Figure 13). Ours get smaller with it at 99.9 "
         "%, but little.",
     ]
 

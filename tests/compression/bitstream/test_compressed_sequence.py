@@ -14,18 +14,16 @@ from mixseq.compression.bitstream import compressed_sequence, residual_layer
 from mixseq.compression.bitstream.compressed_sequence import (
     CompressedSequence,
     TemporalInterpolation,
+    decode,
     decode_basis,
     decode_coefficients,
-    to_model,
 )
 from mixseq.compression.bitstream.residual_layer import FRAMES_PER_RUN, CodedResidualLayer, read_residuals
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.encoder.compress import compress
 from mixseq.errors import FormatError
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.signals.model import Model
 from mixseq.spaces.temporal import TemporalOperator, insert_midpoints
-from mixseq.spaces.vertex import BasisSpace, VertexSpace
 from mixseq.types import Float
 from tests.meshes import bar, tetrahedron, tube
 
@@ -83,26 +81,17 @@ def frames_of(coded: CompressedSequence) -> Float:
 @pytest.mark.parametrize("coded", [bounded, noisy], ids=["trajectories", "shapes"])
 def test_frames_are_those_of_the_streams(coded: object) -> None:
     made = coded()  # type: ignore[operator]
-    model = to_model(made)
+    model = decode(made)
     assert model.header is made.header
     np.testing.assert_allclose(model.sample().points, frames_of(made), atol=1e-11)
 
 
-def test_models_are_of_the_space_of_their_factors() -> None:
-    trajectories, shapes = to_model(bounded()), to_model(noisy())
-    assert isinstance(trajectories.space, BasisSpace)
-    assert isinstance(shapes.space, VertexSpace)
-    assert trajectories.residual_layer is not None
-    assert shapes.residual_layer is None
-    assert trajectories.space.scale == bounded().parameters.diagonal
-
-
 def test_frames_are_the_same_bits_however_they_are_asked_for() -> None:
-    model = to_model(bounded())
+    model = decode(bounded())
     whole = model.sample().points
     np.testing.assert_array_equal(model.sample(frames=[3, 77, 199]).points, whole[[3, 77, 199]])
     np.testing.assert_array_equal(model(model.times[130]), whole[130])
-    blocks = to_model(bounded()).blocks(model.times[::-1], size=7)
+    blocks = decode(bounded()).blocks(model.times[::-1], size=7)
     np.testing.assert_array_equal(np.concatenate(list(blocks)), whole[::-1])
 
 
@@ -114,9 +103,9 @@ def test_what_encoders_choose_between_frames_is_what_decoders_would(
     coded: object, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = coded()  # type: ignore[operator]
-    expected = to_model(replace(made, between=None)).time
+    expected = decode(replace(made, between=None)).curve
     monkeypatch.setattr(compressed_sequence, "select_operator", None)  # nobody asks for it
-    found = to_model(made).time
+    found = decode(made).curve
     np.testing.assert_array_equal(found.times, expected.times)
     np.testing.assert_array_equal(found.values, expected.values)
 
@@ -124,15 +113,15 @@ def test_what_encoders_choose_between_frames_is_what_decoders_would(
 def test_what_a_file_says_is_between_frames_is_there() -> None:
     made = noisy()
     for between in (TemporalInterpolation(inf, (0.25, 1.0)), TemporalInterpolation(1.0, (0.0, 0.0))):
-        model = to_model(replace(made, between=between))
-        scores = model.time(model.times)
-        operator = TemporalOperator(model.times, between.length, between.cubic)
-        expected = operator.weights_at(insert_midpoints(model.times)).interpolate(scores)
-        np.testing.assert_allclose(model.time.values, expected, atol=1e-12)
+        playback = decode(replace(made, between=between))
+        operator = TemporalOperator(playback.times, between.length, between.cubic)
+        coefficients = playback.coefficients.reshape(len(playback.times), -1)
+        expected = operator.weights_at(insert_midpoints(playback.times)).interpolate(coefficients)
+        np.testing.assert_allclose(playback.curve.values, expected, atol=1e-12)
 
 
 def test_residuals_are_linear_between_frames() -> None:
-    model = to_model(bounded())
+    model = decode(bounded())
     residuals = model.residual_layer
     assert residuals is not None
     frames = residuals.at(model.times)
@@ -146,14 +135,14 @@ def test_residuals_are_linear_between_frames() -> None:
 
 
 def test_times_that_are_nearly_frames_are_frames() -> None:
-    residuals = to_model(bounded()).residual_layer
+    residuals = decode(bounded()).residual_layer
     assert residuals is not None
     times = bounded().header.times
     np.testing.assert_array_equal(residuals.at(times * (1 + 1e-15)), residuals.at(times))
 
 
 def test_velocities_are_derivatives() -> None:
-    model = to_model(bounded())
+    model = decode(bounded())
     step = 1e-6
     times = model.times[:-1] + 0.3 * np.diff(model.times)
     _, velocities = zip(*model.moving_blocks(times), strict=True)
@@ -164,7 +153,7 @@ def test_velocities_are_derivatives() -> None:
 def test_one_frame_stands_still() -> None:
     sequence = bar(sides=4, rings=6, frames=1)
     noise = np.random.default_rng(0).laplace(scale=0.3, size=sequence.points.shape)
-    model = to_model(compress(sequence.with_points(sequence.points + noise), max_error=0.1))
+    model = decode(compress(sequence.with_points(sequence.points + noise), max_error=0.1))
     points, velocities = next(model.moving_blocks(model.times))
     assert not velocities.any()
     np.testing.assert_array_equal(points, model.sample().points)
@@ -174,10 +163,10 @@ def test_one_frame_stands_still() -> None:
 
 
 def test_the_graph_of_a_mesh_is_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    model = to_model(bounded())
+    model = decode(bounded())
     expected = model.sample().points
     monkeypatch.setattr(residual_layer, "mesh_graph", None)
-    np.testing.assert_array_equal(to_model(bounded()).sample().points, expected)
+    np.testing.assert_array_equal(decode(bounded()).sample().points, expected)
 
 
 # Pickles ----------------------------------------------------------------------------------------------------
@@ -185,10 +174,9 @@ def test_the_graph_of_a_mesh_is_found_once(monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.mark.parametrize("coded", [bounded, noisy], ids=["trajectories", "shapes"])
 def test_pickled_models_decode_to_the_same_bits(coded: object) -> None:
-    model = to_model(coded())  # type: ignore[operator]
+    model = decode(coded())  # type: ignore[operator]
     expected = model.sample(model.times[:5], velocities=True)  # decodes, and remembers what it decoded
-    copy: Model = pickle.loads(pickle.dumps(model))
-    found = copy.sample(model.times[:5], velocities=True)
+    found = pickle.loads(pickle.dumps(model)).sample(model.times[:5], velocities=True)
     np.testing.assert_array_equal(found.points, expected.points)
     np.testing.assert_array_equal(found.velocities, expected.velocities)
 
@@ -201,15 +189,15 @@ def test_missing_groups_are_refused(kept: int) -> None:
     _, coded = grouped()
     groups = len(coded.basis)
     assert groups >= 2
-    with pytest.raises(FormatError, match=f"has {kept} groups, {groups} are expected; the file is damaged"):
-        to_model(replace(coded, basis=coded.basis[:kept]))
+    with pytest.raises(FormatError, match=f"is damaged, it has {kept} groups of {groups}; restore the file"):
+        decode(replace(coded, basis=coded.basis[:kept]))
 
 
 def test_more_vectors_than_a_sequence_can_have_are_refused() -> None:
     coded = bounded()
     many = replace(coded, parameters=replace(coded.parameters, rank=10**9))
-    with pytest.raises(FormatError, match="1000000000 basis vectors are more than"):
-        to_model(many)
+    with pytest.raises(FormatError, match="the parameters are damaged: 1000000000 basis vectors"):
+        decode(many)
 
 
 @pytest.mark.parametrize("which", [0, 1])
@@ -218,7 +206,7 @@ def test_chunks_decode_without_each_other(which: int) -> None:
     chunk = coded.chunks[which]
     frames = slice(chunk.first, chunk.first + chunk.count)
     some = replace(coded, header=coded.header.with_times(coded.header.times[frames]), chunks=(chunk,))
-    np.testing.assert_allclose(to_model(some).sample().points, frames_of(coded)[frames], atol=1e-11)
+    np.testing.assert_allclose(decode(some).sample().points, frames_of(coded)[frames], atol=1e-11)
 
 
 def test_damaged_streams_give_another_model_or_an_error() -> None:
@@ -234,6 +222,6 @@ def test_damaged_streams_give_another_model_or_an_error() -> None:
             else:
                 coded = replace(small, chunks=(replace(small.chunks[0], coefficients=bytes(damaged)),))
             try:
-                assert np.isfinite(to_model(coded).sample().points).all()
+                assert np.isfinite(decode(coded).sample().points).all()
             except FormatError as error:
                 assert "damaged" in str(error)

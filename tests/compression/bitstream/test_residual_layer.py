@@ -117,7 +117,7 @@ def test_residuals_that_last_are_cheap() -> None:
 @pytest.mark.parametrize("length", [1, 2, 3, 4, 7, 8, 11, 12, 20])
 def test_cut_streams_are_refused(length: int) -> None:
     stream = written(quantise_residuals(errors(3 * FRAMES_PER_RUN), 1.0))
-    with pytest.raises(FormatError, match="another length"):
+    with pytest.raises(FormatError, match="its length is not the stated one"):
         read_residuals(stream[:length], 3 * FRAMES_PER_RUN, 0, GRAPH)
 
 

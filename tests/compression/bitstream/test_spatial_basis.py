@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.compression.bitstream.spatial_basis import SpatialBasis
+from mixseq.compression.bitstream.spatial_basis import SpatialBasis, decode_face_labels, encode_face_labels
 from mixseq.compression.encoder.trial import decode_blocks
+from mixseq.errors import FormatError
 from mixseq.sequence.sequence import FrameStore, MeshSequence, block_size, load_frames
 from tests.compression.one_part import basis_of, least_squares
-from tests.meshes import bar, tube
+from tests.meshes import Mesh, bar, grid, torus, tube
 
 RNG = np.random.default_rng(4)
 VERTICES = len(tube(5, 6)[0])
@@ -133,3 +134,30 @@ def test_a_sequence_of_single_precision_is_fitted_in_double() -> None:
     single = load_frames(sequence.with_points(sequence.points.astype(np.float32)))
     basis = basis_of("trajectories", RNG.normal(size=(2, 1, sequence.vertex_count)), 5)
     assert least_squares(basis, single).dtype == np.float64
+
+
+# Labels of triangles ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", [tube(5, 9), grid(6, 4), torus(7, 5)], ids=["tube", "grid", "torus"])
+def test_labels_of_triangles_come_back(shape: Mesh) -> None:
+    faces = np.asarray(shape[1])
+    for count in (1, 2, 7):
+        labels = np.arange(len(faces)) * count // len(faces)
+        data = encode_face_labels(labels, faces)
+        np.testing.assert_array_equal(decode_face_labels(data, count, faces), labels)
+        with pytest.raises(FormatError):
+            decode_face_labels(data, count + 1, faces)
+
+
+def test_labels_of_triangles_at_an_edge_of_three() -> None:
+    faces = np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4], [2, 1, 5]])
+    labels = np.array([0, 1, 2, 1])
+    np.testing.assert_array_equal(decode_face_labels(encode_face_labels(labels, faces), 3, faces), labels)
+
+
+def test_labels_of_triangles_are_the_same_bytes_for_ever() -> None:
+    faces = np.asarray(torus(12, 9)[1])
+    labels = np.arange(len(faces)) * 5 // len(faces)
+    expected = "fcf1ae7f4c6de9d11e78238316e551d55c7796f5c593cac53117e6ae9de144c9357d"
+    assert encode_face_labels(labels, faces).hex() == expected

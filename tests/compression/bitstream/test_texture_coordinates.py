@@ -201,7 +201,7 @@ def test_truncated_data_are_refused_or_harmless(kept: int) -> None:
 def test_bits_of_another_mesh_are_refused() -> None:
     polygons, numbers = golden_uvs()
     data = encode_uvs(polygons, int(polygons.indices.max()) + 1, numbers)
-    with pytest.raises(FormatError, match="are damaged, or those of another mesh"):
+    with pytest.raises(FormatError, match="are damaged; restore the file"):
         decode_uvs(data, Polygons(polygons.counts, np.roll(polygons.indices, 5)), len(data), 10)
 
 

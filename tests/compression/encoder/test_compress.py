@@ -23,10 +23,10 @@ from hypothesis import strategies as st
 import mixseq
 import mixseq.errors
 from mixseq.compression.bitstream import signal_coder, spatial_basis
-from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, to_model
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
 from mixseq.compression.bitstream.signal_coder import Reader, Writer
 from mixseq.compression.bitstream.signal_graph import mesh_graph
-from mixseq.compression.bitstream.spatial_basis import read_labels, split_parts, write_labels
+from mixseq.compression.bitstream.spatial_basis import encode_face_labels, read_labels, split_parts, write_labels
 from mixseq.compression.encoder import parts, trial
 from mixseq.compression.encoder.compress import compress
 from mixseq.compression.encoder.parts import initial_parts, merge_parts
@@ -41,7 +41,8 @@ pytestmark = pytest.mark.slow
 
 
 def size_of(coded: CompressedSequence) -> int:
-    return sum(map(len, coded.basis)) + sum(len(c.coefficients) + len(c.residuals) for c in coded.chunks)
+    labels = 0 if coded.parts is None else len(encode_face_labels(coded.parts, coded.header.faces))
+    return labels + sum(map(len, coded.basis)) + sum(len(c.coefficients) + len(c.residuals) for c in coded.chunks)
 
 
 def largest(sequence: MeshSequence, points: FloatArray) -> float:
@@ -57,7 +58,7 @@ def kg_of(sequence: MeshSequence, points: FloatArray) -> float:
 
 def check(sequence: MeshSequence, coded: CompressedSequence) -> Float:
     """Check what a compressed sequence says about itself, and return its points."""
-    points = np.asarray(to_model(coded).sample().points)
+    points = np.asarray(decode(coded).sample().points)
     assert np.isfinite(points).all()
     assert points.shape == sequence.points.shape
     error = largest(sequence, points)
@@ -263,7 +264,7 @@ def digest(sequence: MeshSequence) -> str:
         coded = compress(sequence, **asked)  # type: ignore[arg-type]
         for stream in (*coded.basis, *(part for c in coded.chunks for part in (c.coefficients, c.residuals))):
             hashed.update(stream)
-        hashed.update(to_model(coded).sample().points.tobytes())
+        hashed.update(decode(coded).sample().points.tobytes())
         hashed.update(repr(coded.parameters).encode())
     return hashed.hexdigest()
 
@@ -526,7 +527,7 @@ def test_bodies_get_bases_of_their_own(flying: tuple[MeshSequence, CompressedSeq
     sequence, coded = flying
     assert len(coded.parameters.ranks) == 6
     assert sum(coded.parameters.ranks) == coded.parameters.rank
-    assert mixseq.compare(sequence, to_model(coded).sample()).kg_percent <= 0.1
+    assert mixseq.compare(sequence, decode(coded).sample()).kg_percent <= 0.1
     # A rigid motion has a constant vector, and three that are affine; a little noise of rounding.
     assert max(coded.parameters.ranks) <= 6
 
@@ -546,14 +547,14 @@ def test_parts_are_chosen_only_if_they_pay(
 def test_bounds_are_kept_by_parts(bound: float) -> None:
     sequence = bodies(12, noise=1e-3)
     coded = compress(sequence, max_error=bound)
-    assert mixseq.compare(sequence, to_model(coded).sample()).max_error <= bound
+    assert mixseq.compare(sequence, decode(coded).sample()).max_error <= bound
 
 
 def test_the_file_holds_parts(flying: tuple[MeshSequence, CompressedSequence], tmp_path: object) -> None:
     sequence, coded = flying
     path = f"{tmp_path}/bodies.h5"
     mixseq.save(path, coded)
-    np.testing.assert_array_equal(mixseq.load(path).sample().points, to_model(coded).sample().points)
+    np.testing.assert_array_equal(mixseq.load(path).sample().points, decode(coded).sample().points)
     assert mixseq.verify(path, sequence).holds
 
 

@@ -8,15 +8,11 @@ from math import inf
 from pathlib import Path
 
 import h5py
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import mixseq
 from mixseq.compression.bitstream.compressed_sequence import Chunk, CompressedSequence, TemporalInterpolation
-from mixseq.errors import FormatError, MixseqWarning, OutputError
-from mixseq.sequence.sequence import MeshSequence
-from mixseq.spaces.vertex import BasisSpace
+from mixseq.errors import OutputError
 from mixseq_io.coded.streams import COMPRESSED_VERSION
 from mixseq_io.verification import compressed_sizes, is_compressed, read_compressed
 from tests.formats.compressed.stream_cases import PARAMETERS, any_bytes, assert_same
@@ -82,39 +78,3 @@ def test_any_number_of_streams(tmp_path: Path, groups: int, chunks: int) -> None
 def test_only_h5(tmp_path: Path, coded: CompressedSequence) -> None:
     with pytest.raises(OutputError, match=r"end the name in \.h5"):
         mixseq.save(tmp_path / "small.usdc", coded)
-
-
-def test_models_in_the_basis_space_are_kept(tmp_path: Path) -> None:
-    sequence = bar(5, 9, 4)
-    fields = np.concatenate([np.ones((1, 47)), sequence.points[0].T, sequence.points[3].T[:2]])
-    space = BasisSpace(fields, sequence.diagonal)
-    vectors = space.encode(sequence.points)
-    flat = mixseq.fit(sequence, space="vertex", exact=True)
-    model = replace(flat, space=space, shapes=vectors[: len(flat.shapes)])
-    mixseq.save(tmp_path / "basis.h5", model)
-    got = mixseq.load(tmp_path / "basis.h5")
-    assert isinstance(got.space, BasisSpace)
-    np.testing.assert_array_equal(got.space.basis, space.basis)
-    np.testing.assert_array_equal(got.shapes, model.shapes)
-    np.testing.assert_array_equal(got.sample().points, model.sample().points)
-    with h5py.File(tmp_path / "basis.h5", "r+") as file:
-        assert file.attrs["version"] == 1
-        file["space/fields"][1] = 0.0
-    with pytest.raises(FormatError, match=r"basis\.h5: space/fields is zero everywhere in row 1"):
-        mixseq.load(tmp_path / "basis.h5")
-
-
-def test_residual_layers_that_are_not_stored_are_told(tmp_path: Path, bent_bar: MeshSequence) -> None:
-    model = mixseq.fit(bent_bar, space="vertex", exact=True)
-
-    class Lift:
-        def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-            return np.ones((len(times), bent_bar.vertex_count, 3))
-
-        rates = at
-
-    lifted = replace(model, residual_layer=Lift())
-    with pytest.warns(MixseqWarning, match=r"lifted\.h5: the residual layer .* is not stored with signals"):
-        mixseq.save(tmp_path / "lifted.h5", lifted)
-    got = mixseq.load(tmp_path / "lifted.h5").sample().points
-    np.testing.assert_allclose(got, bent_bar.points, atol=1e-10)

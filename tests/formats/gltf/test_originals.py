@@ -11,13 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+import mixseq
 from mixseq.errors import MixseqError, MixseqWarning, OutputError, SettingsError
+from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import Surface
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.gltf.writer import write_gltf
 from tests.formats.conftest import lossy
 from tests.formats.gltf.test_carry import change
 from tests.formats.gltf_files import Gltf, Json, read, rigged, validate, write_glb, written
+from tests.meshes import grid
 
 pytestmark = pytest.mark.slow
 
@@ -39,6 +42,21 @@ def test_a_file_that_is_gone_or_another_is_done_without(rig: Path, lifted: MeshS
     rig.write_bytes(b"glTF")
     with pytest.warns(MixseqWarning, match="the result is a stand-alone file"):
         written(tmp_path / "new.glb", lifted)
+
+
+def test_difference_from_a_mirrored_mesh(tmp_path: Path) -> None:
+    """Of a mesh whose triangles are all reversed in the file, only the flipped triangle is a difference."""
+    points, faces = grid(3, 4)
+    mixseq.write(tmp_path / "strip.glb", MeshSequence.from_arrays(points[None], faces, name="strip"))
+    file = Gltf(tmp_path / "strip.glb")
+    file.node("strip")["scale"] = [-1, 1, 1]
+    write_glb(tmp_path / "strip.glb", file.json, file.buffer)
+    strip = mixseq.read(tmp_path / "strip.glb")
+    changed = strip.faces.copy()
+    changed[2] = changed[2, ::-1]
+    flipped = replace(strip, polygons=Polygons.from_triangles(changed))
+    with pytest.raises(OutputError, match=r"polygon 2 of the sequence \(.*\) is flipped in the file"):
+        mixseq.write(tmp_path / "new.glb", flipped, onto=tmp_path / "strip.glb")
 
 
 @pytest.mark.parametrize(

@@ -127,6 +127,7 @@ ATTRIBUTES = {
     "version",
     "created_by",
     "settings",
+    "provenance",
     "space",
     "name",
     "fps",

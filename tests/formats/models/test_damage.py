@@ -171,7 +171,7 @@ def test_missing_datasets_are_refused(files: Path, tmp_path: Path, space: str, n
         mixseq.load(copy)
 
 
-@pytest.mark.parametrize("name", sorted(ATTRIBUTES - {"created_by"}))
+@pytest.mark.parametrize("name", sorted(ATTRIBUTES - {"created_by", "provenance"}))
 def test_missing_attributes_are_refused(free: Path, name: str) -> None:
     with h5py.File(free, "r+") as file:
         del file.attrs[name]

@@ -16,6 +16,8 @@ from tests.formats.usd.stage_maker import INDICES, Make, plain, saved
 UVS = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0.5, 0.25), (0.75, 0.5), (0.25, 0)], dtype=np.float32)
 COLOURS = np.array([(n / 8, 0.25, 1 - n / 8) for n in range(7)], dtype=np.float32)
 
+REVERSED = [0, 3, 2, 1, 4, 6, 5]  # corners of the quad and the triangle, clockwise
+
 INTERPOLATIONS = {
     "constant": [0] * 7,
     "uniform": [0, 0, 0, 0, 1, 1, 1],
@@ -40,7 +42,7 @@ def give_uvs(
 class TestSurface:
     @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
     @pytest.mark.parametrize("indexed", [False, True])
-    @pytest.mark.parametrize("left_handed", [False, True])
+    @pytest.mark.parametrize("left_handed", [False, True], ids=["right-handed", "left-handed"])
     def test_texture_coordinates(
         self, stage: Usd.Stage, make: Make, interpolation: str, indexed: bool, left_handed: bool
     ) -> None:
@@ -53,12 +55,36 @@ class TestSurface:
             rows = 6 - rows
         if left_handed:
             mesh.CreateOrientationAttr("leftHanded")
-            rows = rows[[0, 3, 2, 1, 4, 6, 5]]
+            rows = rows[REVERSED]
         sequence = saved(stage)
         assert sequence.surface.uvs is not None
         np.testing.assert_array_equal(sequence.surface.uvs.at_corners, UVS[rows])
-        corners = np.array(INDICES)[[0, 3, 2, 1, 4, 6, 5]] if left_handed else INDICES
+        corners = np.array(INDICES)[REVERSED] if left_handed else INDICES
         np.testing.assert_array_equal(sequence.polygons.indices, corners)
+
+    @pytest.mark.parametrize("left_handed", [False, True], ids=["right-handed", "left-handed"])
+    @pytest.mark.parametrize("mirrored", [False, True], ids=["unmirrored", "mirrored"])
+    def test_attributes_of_corners_follow_the_winding(
+        self, stage: Usd.Stage, make: Make, left_handed: bool, mirrored: bool
+    ) -> None:
+        mesh = make("/mesh")
+        give_uvs(mesh, UVS, "faceVarying")
+        mesh.CreateDisplayColorPrimvar("faceVarying").Set(COLOURS.tolist())
+        mesh.CreateNormalsAttr([Gf.Vec3f(0, 0, 1)] * 4 + [Gf.Vec3f(0, 1, 0)] * 3)
+        mesh.SetNormalsInterpolation("faceVarying")
+        unreversed_edges = saved(stage).surface.hard_edges
+        if left_handed:
+            mesh.CreateOrientationAttr("leftHanded")
+        if mirrored:
+            mesh.AddScaleOp().Set(Gf.Vec3f(-1, 1, 1))
+        order = REVERSED if left_handed != mirrored else list(range(7))
+        sequence = saved(stage)
+        uvs, colours, hard_edges = sequence.surface.uvs, sequence.surface.colours, sequence.surface.hard_edges
+        assert uvs is not None and colours is not None and hard_edges is not None and unreversed_edges is not None
+        np.testing.assert_array_equal(sequence.polygons.indices, np.array(INDICES)[order])
+        np.testing.assert_array_equal(uvs.at_corners, UVS[order])
+        np.testing.assert_array_equal(colours.at_corners[:, :3], COLOURS[order])
+        np.testing.assert_array_equal(hard_edges, unreversed_edges[order])
 
     @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
     @pytest.mark.parametrize("opacity", ["none", "alike", "constant"])

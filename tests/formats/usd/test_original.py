@@ -10,14 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pxr import Sdf, UsdUtils, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils, Vt
 
+import mixseq
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import Origin, Surface
 from mixseq.sequence.header import header_fields
 from mixseq.sequence.sequence import MeshSequence
 from tests.formats.usd_maker import CORNERS, FACES, Asset, lift, load, mesh_at, paint, points_at, save, shot
+from tests.meshes import grid
 
 
 @pytest.fixture
@@ -92,6 +94,26 @@ def test_onto_a_file_that_does_not_fit(asset: Asset, path: Path, change: dict[st
     with pytest.raises(OutputError, match=message):
         save(path, MeshSequence(**{**header_fields(sound), **change, "points": points}), onto=asset.path)
     assert not path.exists()
+
+
+@pytest.mark.parametrize("orientation", ["leftHanded", "rightHanded"])
+def test_difference_from_a_mirrored_mesh(path: Path, orientation: str) -> None:
+    """Of a mesh whose polygons are all reversed in the file, only the flipped polygon is a difference."""
+    stage = Usd.Stage.CreateNew(str(path.with_name("strip.usda")))
+    mesh = UsdGeom.Mesh.Define(stage, "/strip")
+    mesh.AddScaleOp().Set(Gf.Vec3f(1 if orientation == "leftHanded" else -1, 1, 1))
+    mesh.CreateOrientationAttr(orientation)
+    points, faces = grid(3, 4)
+    mesh.CreatePointsAttr(points)
+    mesh.CreateFaceVertexCountsAttr([3] * len(faces))
+    mesh.CreateFaceVertexIndicesAttr(faces.reshape(-1))
+    stage.Save()
+    strip = mixseq.read(path.with_name("strip.usda"))
+    changed = strip.faces.copy()
+    changed[2] = changed[2, ::-1]
+    flipped = replace(strip, polygons=Polygons.from_triangles(changed))
+    with pytest.raises(OutputError, match=r"polygon 2 of the sequence \(.*\) is flipped in /strip"):
+        save(path, flipped, onto=path.with_name("strip.usda"))
 
 
 def test_onto_a_file_that_is_none(path: Path) -> None:

@@ -128,8 +128,8 @@ def test_a_single_sample_of_a_transform_is_not_a_frame(path: Path) -> None:
     assert sequence.points[0, 0].tolist() == [1, 0, 1]
 
 
-@pytest.mark.parametrize("left_handed", [False, True])
-@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("left_handed", [False, True], ids=["right-handed", "left-handed"])
+@pytest.mark.parametrize("mirrored", [False, True], ids=["unmirrored", "mirrored"])
 def test_faces_are_counter_clockwise_whatever_the_handedness(path: Path, left_handed: bool, mirrored: bool) -> None:
     stage = make_stage(path)
     mesh = add_mesh(stage, "/mesh")

@@ -17,6 +17,7 @@ from mixseq.mesh.rotations import (
     quat_to_matrix,
     rotate_vectors,
 )
+from mixseq.mesh.topology import connected_components
 from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import decompose
 from mixseq.spaces.base import radii_of_gyration
@@ -462,14 +463,14 @@ def test_small_corrections_have_the_rates_of_large_ones() -> None:
 
 
 def related(pairs: Index, pivots: Float, radii: Float, rest: Float) -> Articulation:
-    """Parts of one body, whose neighbours see each other at pivots."""
+    """Parts whose neighbours see each other at pivots; those without neighbours are bodies of their own."""
     count = len(radii)
     return Articulation(
         rest_centres=rest,
         radii=radii,
         masses=np.ones(count),
         areas=np.ones(count),
-        body_of_part=np.zeros(count, dtype=np.int64),
+        body_of_part=connected_components(count, pairs),
         pairs=pairs,
         pivots=pivots,
         steadiness=Steadiness(*np.ones((2, count)), *np.ones((2, len(pairs)))),
@@ -510,10 +511,8 @@ def gaps(poses: Poses, parts: Articulation) -> Float:
     return np.asarray(np.linalg.norm(places[:, :half] - places[:, half:], axis=2))
 
 
-def predicted(
-    operator: TemporalOperator, poses: Poses, parts: Articulation, times: Float, in_body: bool = False
-) -> Poses:
-    bodies, seen = PoseInterpolation(parts, operator, poses, in_body).at(times)
+def predicted(operator: TemporalOperator, poses: Poses, parts: Articulation, times: Float) -> Poses:
+    bodies, seen = PoseInterpolation(parts, operator, poses).at(times)
     placed = parts.to_world_axes(seen, bodies)
     return placed._replace(rotations=align_quat_signs(placed.rotations))
 
@@ -523,38 +522,34 @@ def predicted(
     seed=seeds,
     length=st.sampled_from(CANDIDATE_LENGTH_SCALES),
     frames=st.sampled_from([2, 3, 12, 60]),
-    in_body=st.booleans(),
 )
-def test_frames_are_passed(seed: int, length: float, frames: int, in_body: bool) -> None:
+def test_frames_are_passed(seed: int, length: float, frames: int) -> None:
     poses = wandering(seed, 3, frames)
     times = np.cumsum(np.random.default_rng(seed).uniform(0.5, 1.5, frames))
-    found = predicted(TemporalOperator(times, length), poses, ring(3), insert_midpoints(times), in_body)
+    found = predicted(TemporalOperator(times, length), poses, ring(3), insert_midpoints(times))
     np.testing.assert_allclose(found.centres[::2], poses.centres, atol=1e-12)
     np.testing.assert_allclose(quat_to_matrix(found.rotations)[::2], quat_to_matrix(poses.rotations), atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(found.rotations, axis=2), 1.0, atol=1e-14)
     assert (np.einsum("tpi,tpi->tp", found.rotations[1:], found.rotations[:-1]) > 0).all()
 
 
-@pytest.mark.parametrize("in_body", [False, True])
-def test_fused_poses_come_near_frames_without_a_jump(in_body: bool) -> None:
+def test_fused_poses_come_near_frames_without_a_jump() -> None:
     """What is solved for near a frame goes to what is taken over at the frame."""
     poses, operator = wandering(3, 4), TemporalOperator(np.arange(12.0), 2.0)
-    near = predicted(operator, poses, ring(4), np.array([4.0, 4.0 + 1e-7, 5.0 - 1e-7, 5.0]), in_body)
+    near = predicted(operator, poses, ring(4), np.array([4.0, 4.0 + 1e-7, 5.0 - 1e-7, 5.0]))
     for block in near:
         np.testing.assert_allclose(block[1], block[0], atol=1e-6)
         np.testing.assert_allclose(block[2], block[3], atol=1e-6)
 
 
 @settings(max_examples=15, deadline=None)
-@given(seed=seeds, motion=rigid_motions, parts=st.integers(1, 5), in_body=st.booleans())
-def test_rigid_motions_of_everything_go_through(
-    seed: int, motion: tuple[Float, Float], parts: int, in_body: bool
-) -> None:
+@given(seed=seeds, motion=rigid_motions, parts=st.integers(1, 5))
+def test_rigid_motions_of_everything_go_through(seed: int, motion: tuple[Float, Float], parts: int) -> None:
     poses, articulation = wandering(seed, parts), ring(parts) if parts > 1 else strangers(1)
     operator = TemporalOperator(np.arange(12.0), 4.0)
     times = insert_midpoints(operator.times)
-    here = moved(predicted(operator, poses, articulation, times, in_body), *motion)
-    there = predicted(operator, moved(poses, *motion), articulation, times, in_body)
+    here = moved(predicted(operator, poses, articulation, times), *motion)
+    there = predicted(operator, moved(poses, *motion), articulation, times)
     np.testing.assert_allclose(quat_to_matrix(there.rotations), quat_to_matrix(here.rotations), atol=1e-9)
     np.testing.assert_allclose(there.centres, here.centres, atol=1e-9)
 
@@ -568,11 +563,63 @@ def test_in_the_body_a_turn_of_all_is_no_motion_of_parts(frames: int) -> None:
     turns = np.repeat(turns, 3, axis=1)
     poses = Poses(turns, rotate_vectors(quat_to_matrix(turns), rest))
     operator, middles = TemporalOperator(np.arange(float(frames))), np.arange(frames - 1.0) + 0.5
-    _, seen = PoseInterpolation(chain, operator, poses, in_body_axes=True).at(middles)
+    _, seen = PoseInterpolation(chain, operator, poses).at(middles)
     np.testing.assert_allclose(seen.centres, np.broadcast_to(rest, seen.centres.shape), atol=1e-6)
     back = quat_to_matrix(turns_of(np.radians(80.0) * middles)).swapaxes(2, 3)
     alone = interpolate_poses(operator.weights_at(middles), poses)
     assert np.abs(rotate_vectors(back, alone.centres) - rest).max() > 1e-2
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=seeds, frames=st.sampled_from([4, 12, 60]))
+def test_turns_of_whole_frames_do_not_change_how_parts_stand_to_each_other(seed: int, frames: int) -> None:
+    """Every frame is turned on its own, by any angle."""
+    poses, parts, operator = wandering(seed, 4, frames), ring(4), TemporalOperator(np.arange(float(frames)), 4.0)
+    rng = np.random.default_rng(seed)
+    turns = normalise_quat(rng.normal(size=(frames, 1, 4)))
+    turned = Poses(
+        align_quat_signs(quat_multiply(turns, poses.rotations)),
+        rotate_vectors(quat_to_matrix(turns), poses.centres) + rng.normal(size=(frames, 1, 3)),
+    )
+    times = np.arange(frames - 1.0) + 0.3
+    here, there = (parts.add_relations(predicted(operator, each, parts, times)) for each in (poses, turned))
+    np.testing.assert_allclose(
+        quat_to_matrix(there.relation_rotations), quat_to_matrix(here.relation_rotations), atol=1e-8
+    )
+    np.testing.assert_allclose(there.relation_points, here.relation_points, atol=1e-8)
+
+
+def test_parts_are_interpolated_in_the_axes_of_the_part_around_which_they_turn_evenly() -> None:
+    """A hub that reels, and wheels that turn evenly around it; a wheel is the largest part, a hub the third."""
+    rng, count = np.random.default_rng(0), 16
+    hub = turns_of(np.cumsum(rng.uniform(-2.0, 2.0, count)))[:, 0]
+    axis = np.array([0.0, 0.0, 1.0])
+    evenly = np.stack([turns_of(np.linspace(0.0, last, count), axis)[:, 0] for last in (13.5, -10.5, 0.0)], axis=1)
+    turns = align_quat_signs(quat_multiply(hub[:, None], evenly))
+    offsets = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 0, 0]])
+    poses = Poses(turns, rotate_vectors(quat_to_matrix(hub[:, None]), offsets))
+    pairs = np.array([[2, 0], [2, 1], [0, 2], [1, 2]])
+    wheels = replace(related(pairs, np.zeros((4, 3)), np.full(3, 0.5), offsets), areas=np.array([3.0, 2.0, 1.0]))
+    interpolation = PoseInterpolation(wheels, TemporalOperator(np.arange(float(count))), poses)
+    assert interpolation._roots.tolist() == [2]
+
+
+def test_a_heavy_limb_that_turns_over_does_not_turn_its_body_over() -> None:
+    """Its mean with a light torso would jump past a quarter turn; the torso is steadier."""
+    angles = np.radians(np.linspace(0.0, 180.0, 10))
+    limb = turns_of(angles, np.eye(3)[0])
+    poses = Poses(np.concatenate([np.tile([1.0, 0, 0, 0], (10, 1, 1)), limb], axis=1), np.zeros((10, 2, 3)))
+    body = related(np.array([[0, 1], [1, 0]]), np.zeros((2, 3)), np.full(2, 0.5), np.zeros((2, 3)))
+    body = replace(body, masses=np.array([1.0, 2.0]))
+
+    def largest_step(parts: Articulation) -> float:
+        turns = quat_to_matrix(parts.fit_bodies(poses).rotations[:, 0])
+        cosines = (np.einsum("tij,tij->t", turns[1:], turns[:-1]) - 1.0) / 2.0
+        return float(np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))).max())
+
+    steadiness = body.measure_steadiness(body.add_relations(poses))
+    assert largest_step(replace(body, steadiness=steadiness)) < 5.0
+    assert largest_step(body) > 15.0
 
 
 def test_units_of_length_matter_only_where_errors_are_small() -> None:
@@ -587,8 +634,7 @@ def test_units_of_length_matter_only_where_errors_are_small() -> None:
 
 
 @pytest.mark.parametrize("frames", [4, 12])
-@pytest.mark.parametrize("in_body", [False, True])
-def test_joints_stay_closed(frames: int, in_body: bool) -> None:
+def test_joints_stay_closed(frames: int) -> None:
     """Each on its own the bones come apart; what they see of each other keeps them together."""
     rng = np.random.default_rng(frames)
     bends, turns = np.cumsum(rng.uniform(-1.5, 1.5, (2, frames)), axis=1)
@@ -597,7 +643,7 @@ def test_joints_stay_closed(frames: int, in_body: bool) -> None:
     times = np.arange(frames) / 24
     operator, middles = TemporalOperator(times), (times[1:] + times[:-1]) / 2
     alone = gaps(interpolate_poses(operator.weights_at(middles), poses), bones)
-    together = gaps(predicted(operator, poses, bones, middles, in_body), bones)
+    together = gaps(predicted(operator, poses, bones, middles), bones)
     assert alone.mean() > 0.05
     assert together.mean() < 0.6 * alone.mean()
     assert together.max() < alone.max()
@@ -635,11 +681,10 @@ def test_parts_that_move_as_one_nearly_stay_as_they_are_to_each_other() -> None:
     assert cosines.min() > 1 - 1e-8
 
 
-@pytest.mark.parametrize("in_body", [False, True])
-def test_what_is_still_stays(in_body: bool) -> None:
+def test_what_is_still_stays() -> None:
     poses = Poses(*(np.repeat(block[:1], 6, axis=0) for block in wandering(8, 4)))
     times = np.arange(6.0)
-    found = predicted(select_operator(times, np.zeros((6, 3))), poses, ring(4), insert_midpoints(times), in_body)
+    found = predicted(select_operator(times, np.zeros((6, 3))), poses, ring(4), insert_midpoints(times))
     for block, own in zip(found, poses, strict=True):
         np.testing.assert_allclose(block, np.broadcast_to(own[0], block.shape), atol=1e-9)
 
@@ -654,10 +699,9 @@ def test_who_has_no_neighbours_is_alone() -> None:
         np.testing.assert_allclose(found.centres[:, some], alone.centres[:, some], atol=1e-12)
 
 
-@pytest.mark.parametrize("in_body", [False, True])
-def test_one_frame_is_everywhere(in_body: bool) -> None:
+def test_one_frame_is_everywhere() -> None:
     poses = wandering(11, 3, 1)
-    found = predicted(TemporalOperator(np.array([0.5])), poses, ring(3), np.array([0.0, 0.5, 2.0]), in_body)
+    found = predicted(TemporalOperator(np.array([0.5])), poses, ring(3), np.array([0.0, 0.5, 2.0]))
     turns = quat_to_matrix(found.rotations)
     np.testing.assert_allclose(turns, np.repeat(quat_to_matrix(poses.rotations), 3, axis=0), atol=1e-12)
     np.testing.assert_allclose(found.centres, np.repeat(poses.centres, 3, axis=0), atol=1e-12)
@@ -674,9 +718,9 @@ def test_between_two_frames_bones_bend_by_half() -> None:
 def test_many_times_are_predicted_in_blocks() -> None:
     poses, operator = wandering(4, 3), TemporalOperator(np.arange(12.0))
     times = np.linspace(0.01, 10.99, 150)
-    whole = predicted(operator, poses, ring(3), times, True)
+    whole = predicted(operator, poses, ring(3), times)
     for number in (0, 63, 64, 149):
-        single = predicted(operator, poses, ring(3), times[number : number + 1], True)
+        single = predicted(operator, poses, ring(3), times[number : number + 1])
         turns, expected = (quat_to_matrix(each) for each in (single.rotations[0], whole.rotations[number]))
         np.testing.assert_allclose(turns, expected, atol=1e-12)
         np.testing.assert_allclose(single.centres[0], whole.centres[number], atol=1e-12)

@@ -62,7 +62,7 @@ def at(space: MixedSpace, vectors: Float, operator: TemporalOperator, times: Flo
     """Vectors at times, as an exact model has them."""
     size, end = space.shape_dim, space.shape_dim + space.placement_dim
     poses = vectors[:, size - space.pose_dim : size]
-    targets, placed = space.interpolate_poses(operator, poses, vectors[:, size:end], times, False)
+    targets, placed = space.interpolate_poses(operator, poses, vectors[:, size:end], times)
     shapes = operator.weights_at(times).interpolate(vectors[:, :size])
     corrections = space.pose_corrections(shapes[:, size - space.pose_dim :], targets)
     return np.concatenate([shapes, placed, corrections], axis=1)
@@ -124,13 +124,15 @@ def test_frames_come_back_whatever_the_parts(seed: int, mesh: Mesh, parts: int, 
 
 
 @pytest.mark.parametrize("place", ["middle", "corner"])
-def test_frames_come_back_in_which_triangles_lose_their_area(place: str) -> None:
-    """As eyelids do that close."""
+@pytest.mark.parametrize("shift", [0.0, 0.1])
+def test_frames_come_back_in_which_triangles_lose_their_area(place: str, shift: float) -> None:
+    """As eyelids do that close; rounding determines their normals."""
     mesh = tube(6, 17)
     points, topology = bending(mesh), topology_of(mesh)
     for face in (90, 95, 102, 120):
         a, b, c = mesh[1][face]
         points[2, c] = points[2, a] if place == "corner" else (points[2, a] + points[2, b]) / 2
+    points += shift * np.arange(1, 4)
     labels = segment_by_labels((mesh[0][mesh[1]].mean(axis=1)[:, 2] > 2).astype(int), topology)
     space = mixed_space(points, topology, decompose(topology, labels, 3, points), purpose="blends")
     for faces in (space.joint_faces, np.ones_like(space.joint_faces)):
@@ -466,7 +468,7 @@ def test_half_way_a_joint_bends_by_half() -> None:
     middle = space.decode(at(space, space.encode(points), operator, np.array([1.5])))[0]
     expected = bent(mesh[0], np.radians(45))
     splined = operator.weights_at(np.array([1.5])).interpolate(points)[0]
-    assert np.abs(middle - expected).max() < 0.25 * np.abs(splined - expected).max()
+    assert np.abs(middle - expected).max() < 0.15 * np.abs(splined - expected).max()
     rigid = np.abs(mesh[0][:, 2] - 2) > 1
     assert np.abs(middle - expected)[rigid].max() < 0.1 * np.abs(splined - expected)[rigid].max()
 
@@ -500,7 +502,7 @@ def test_nothing_jumps_when_parts_far_apart_turn_past_half_a_turn(links: int, de
     splined = TemporalOperator(frames).weights_at(times).interpolate(points)
     steps, true_steps = (np.linalg.norm(np.diff(x, axis=0), axis=2).max() for x in (decoded, truth))
     assert steps < 1.05 * true_steps
-    assert np.abs(decoded - truth).max() < 0.5 * np.abs(splined - truth).max()
+    assert np.abs(decoded - truth).max() < 0.3 * np.abs(splined - truth).max()
 
 
 def test_signs_go_on_when_a_body_turns_twice() -> None:
@@ -650,8 +652,7 @@ def test_points_that_are_not_finite_are_refused_by_steps() -> None:
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
-@pytest.mark.parametrize("in_body", [False, True])
-def test_predictions_pass_through_the_frames(name: str, in_body: bool) -> None:
+def test_predictions_pass_through_the_frames(name: str) -> None:
     points = sequence_of(name).points
     space = space_of(name)
     vectors = space.encode(points)
@@ -662,7 +663,6 @@ def test_predictions_pass_through_the_frames(name: str, in_body: bool) -> None:
         vectors[:, size - space.pose_dim : size],
         vectors[:, size:end],
         insert_midpoints(times),
-        in_body,
     )
     assert len(targets) == len(placed) == 2 * len(points) - 1
     np.testing.assert_allclose(placed[::2], vectors[:, size:end], atol=1e-12)
@@ -682,7 +682,7 @@ def test_bodies_that_do_not_touch_are_predicted_alone() -> None:
     vectors = space.encode(points)
     placements = vectors[:, size : size + space.placement_dim]
     operator, middles = TemporalOperator(np.arange(5.0)), np.arange(4.0) + 0.5
-    _, placed = space.interpolate_poses(operator, vectors[:, size - space.pose_dim : size], placements, middles, False)
+    _, placed = space.interpolate_poses(operator, vectors[:, size - space.pose_dim : size], placements, middles)
     found, alone = (
         space.unpack_placements(placed),
         interpolate_poses(operator.weights_at(middles), space.unpack_placements(placements)),

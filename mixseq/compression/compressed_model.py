@@ -1,0 +1,135 @@
+"""The model of a compressed sequence: its streams at the frames, and a fitted model between them and in edits.
+
+A compressed sequence stores vertex positions at frames. Interpolated in time, they shrink parts that rotate. So between
+frames, and for every edit, the frames are fitted exactly in S_m, as those of any other file, when this is first needed.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, Playback, decode
+from mixseq.runtime.progress import Progress, no_progress
+from mixseq.sequence.sequence import LazyFrames
+from mixseq.signals.curve import Curve
+from mixseq.signals.decoding import Decodable
+from mixseq.signals.model import Model
+from mixseq.signals.pose import PoseMap
+from mixseq.spaces.base import ShapeSpace
+from mixseq.types import Float, Index
+
+FRAME_ROUNDING = 1e-9
+"""Largest distance of a time from a frame that is a rounding error, in frames."""
+
+
+def _signal(name: str) -> Any:
+    return property(attrgetter(f"fitted.{name}"), doc=f"`Model.{name}`, fitted at first use.")
+
+
+class CompressedModel(Model):
+    """A compressed sequence as a model. Make it with `mixseq.load`.
+
+    At its frames, it is what the streams decode to. Between frames it is `fitted`, which has all signals and is thus
+    what operations edit. It is a subclass of `Model`, so that it is one everywhere, without a case for it.
+
+    Attributes
+    ----------
+    playback : Playback
+        The streams, with splines of vertices between frames, as players in browsers show them.
+    """
+
+    playback: Playback
+    _parts: Index | None
+    _fitted: Model | None
+    _lock: threading.Lock
+
+    space: ShapeSpace = _signal("space")
+    time: Curve = _signal("time")
+    pose: PoseMap = _signal("pose")
+    shapes: Float = _signal("shapes")
+    placement: Curve = _signal("placement")
+    correction: Curve = _signal("correction")
+
+    def __new__(cls, *signals: Any, **named_signals: Any) -> Any:
+        """Return a plain model of signals: `dataclasses.replace` edits, and an edit has no streams."""
+        return Model(*signals, **named_signals)
+
+    @classmethod
+    def from_sequence(cls, coded: CompressedSequence) -> CompressedModel:
+        """Decode the streams of a compressed sequence."""
+        return _from_playback(decode(coded), coded.parts)
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        return _from_playback, (self.playback, self.parts, self._fitted)
+
+    def __repr__(self) -> str:
+        return f"CompressedModel({self.header.name!r}: {self.start:g} to {self.end:g} s, {len(self.times)} frames)"
+
+    @property
+    def fitted(self) -> Model:
+        """The exact model of the decoded frames in S_m."""
+        return self.fit()
+
+    def fit(self, progress: Progress = no_progress) -> Model:
+        """Return `fitted`, and report the progress of the first call."""
+        from mixseq.signals.fitting import fit  # slow import, unused at frames
+
+        with self._lock:
+            fitted = self._fitted
+            if fitted is None:
+                frames = LazyFrames(self.header, lambda size: self.playback.blocks(self.times, size))
+                fitted = self.__dict__["_fitted"] = fit(frames, exact=True, parts=self.parts, progress=progress)
+            return fitted
+
+    @property
+    def parts(self) -> Index | None:
+        """Part ``(F,)`` of every triangle, stored in the file; None if they are found when the model is fitted."""
+        return self._parts
+
+    start = Decodable.start
+    end = Decodable.end
+
+    def frame_ids(self, times: Float) -> Index:
+        """Return the frames ``(N,)`` at times, -1 between; a tolerance above rounding would stop motion there."""
+        positions = np.interp(times, self.times, np.arange(len(self.times)))
+        nearest = np.rint(positions).astype(np.int64)
+        return np.where(np.abs(positions - nearest) <= FRAME_ROUNDING, nearest, -1)
+
+    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
+        """Fit the model if times ``(N,)`` need it."""
+        if velocities or (self.frame_ids(times) < 0).any():
+            self.fit(progress).prepare(times, velocities, progress)
+        self.playback.prepare(times, velocities, progress)
+
+    def decode_points(self, times: Float) -> Float:
+        """Implement `Decodable.decode_points`: streams at frames, and the fitted model elsewhere."""
+        between_mask = self.frame_ids(times) < 0
+        points = np.empty((len(times), self.header.vertex_count, 3))
+        if between_mask.any():
+            points[between_mask] = self.fitted.decode_points(times[between_mask])
+        return self._with_frames(points, times)
+
+    def decode_moving(self, times: Float) -> tuple[Float, Float]:
+        """Implement `Decodable.decode_moving`, with velocities of the fitted model also at frames."""
+        points, velocities = self.fitted.decode_moving(times)
+        return self._with_frames(points, times), velocities
+
+    def _with_frames(self, points: Float, times: Float) -> Float:
+        """Set points ``(N, V, 3)`` at times that are frames to what the streams decode to, and return them."""
+        frame_ids = self.frame_ids(times)
+        rows = np.flatnonzero(frame_ids >= 0)
+        if len(rows):
+            points[rows] = self.playback.decode_points(self.times[frame_ids[rows]])
+        return points
+
+
+def _from_playback(playback: Playback, parts: Index | None, fitted: Model | None = None) -> CompressedModel:
+    model: CompressedModel = object.__new__(CompressedModel)
+    signals = {"header": playback.header, "playback": playback, "_parts": parts, "_fitted": fitted}
+    model.__dict__.update(signals, _lock=threading.Lock())
+    return model

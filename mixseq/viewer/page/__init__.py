@@ -1,0 +1,35 @@
+"""Read the scripts of pages, which exported pages and the live viewer share."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+CHART_SCRIPTS = (
+    "frame_numbers.js",
+    "chart_pane.js",
+    "chart_axes.js",
+    "chart_marks.js",
+    "chart_layout.js",
+    "chart_coefficients.js",
+    "charts.js",
+)
+"""Scripts of charts, in loading order; the player also needs the first script."""
+
+
+@cache
+def read_script(name: str) -> str:
+    """Return the text of a file in the folder ``page``, such as ``"charts.js"``."""
+    return files("mixseq.viewer.page").joinpath(name).read_text(encoding="utf-8")
+
+
+def chart_scripts() -> str:
+    """Return the scripts of editable charts as one text."""
+    return "\n".join(map(read_script, (*CHART_SCRIPTS, "chart_retiming.js")))
+
+
+def script_json(value: Any) -> str:
+    """Return a value as JSON for a script element, with ``<`` escaped because it could end the element."""
+    return json.dumps(value, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
