@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 import mixseq
 from mixseq.choices import TRANSFERS, TransferName
+from mixseq.compression.numbering import walk_numbering
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SegmentationError, SettingsError
 from mixseq.retargeting.gradient_transfer import GradientTransfer
 from mixseq.retargeting.markers import Correspondence, Markers
@@ -20,7 +21,7 @@ from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.sources import prepare_source
 from mixseq.retargeting.transfer import TransferSettings, plan_transfer
 from mixseq.runtime.parallel import serial_executor, thread_executor
-from mixseq.sequence.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.signals.model import Model
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.types import Float, FloatArray, Index
@@ -362,9 +363,27 @@ def test_other_triangles_need_a_correspondence() -> None:
         match=r"the source has 77 vertices and 150 triangles, the target 92 and 180.*give markers or a map",
     ):
         mixseq.transfer(SOURCE, OTHER)
+
+
+def test_the_same_mesh_may_have_other_numbers() -> None:
+    """As compressed files of order="free" have them, and faces in another order."""
+    expected = mixseq.transfer(SOURCE, TARGET, method="gradients").points
     swapped = MeshSequence.from_arrays(TARGET.points, TARGET.faces[::-1])
-    with pytest.raises(SettingsError, match="in another order; give markers or a map"):
-        mixseq.transfer(SOURCE, swapped)
+    np.testing.assert_allclose(mixseq.transfer(SOURCE, swapped, method="gradients").points, expected, atol=1e-6)
+    numbering = walk_numbering(SOURCE.polygons, [SOURCE.vertex_count], vertices=True)
+    free = numbering.renumber_frames(SOURCE)
+    assert isinstance(free, MeshSequence)
+    np.testing.assert_allclose(mixseq.transfer(free, TARGET, method="gradients").points, expected, atol=1e-6)
+
+
+def test_markers_of_a_mesh_with_other_numbers_are_refused() -> None:
+    walk = MeshSequence.from_arrays(SOURCE.points[:, ::-1], SOURCE.vertex_count - 1 - SOURCE.faces)
+    small = load_frames(walk).trace(1e-3, promised=True, order="free")
+    free = MeshSequence.from_header(small, walk.points)
+    pairs = [[vertex, vertex] for vertex in (0, 10, 20, 30, 40)]
+    for arguments in ((free, TARGET), (TARGET, free)):
+        with pytest.raises(SettingsError, match=r"markers are numbers of vertices, and those of the (source|target)"):
+            mixseq.transfer(*arguments, markers=pairs)
 
 
 def test_a_rest_of_another_mesh_is_refused() -> None:
