@@ -44,7 +44,7 @@ def test_times(run: Run, folder: Path, options: str, times: np.ndarray, sources:
     (folder / "ramp.csv").write_text("output,source\n0,0\n0.1,0.05\n0.2,0.3\n")
     (folder / "ramp.toml").write_text("output = [1, 1.1]\nsource = [0.3, 0]")
     text = succeed(run("resample", "model.h5", "new.npz", *options.split()))
-    assert f"frames  {len(times)} (" in text
+    assert f"frames   {len(times)} (" in text
     assert text.splitlines()[-1].startswith("wrote new.npz (")
     new, model = mixseq.read("new.npz"), mixseq.load("model.h5")
     assert new.times == pytest.approx(np.asarray(times), abs=1e-12)
@@ -140,15 +140,17 @@ def test_a_tolerance(run: Run, bent_bar: MeshSequence) -> None:
 
 def test_the_table_tells_of_every_end(run: Run) -> None:
     table = succeed(run("resample", "model.h5", "new.npz", "--fps", "8"))
-    assert table.splitlines()[:4] == [
+    assert table.splitlines()[:5] == [
         "frames     3 (0 to 2)",
         "time       0 to 0.25 s at 8 frames per second",
+        "history    1e-8 from bar",
         "source     0 to 0.25 s (frames 0 to 2.5)",
         "left over  0.05 s after the last frame, at 0.25 s; frames are at whole multiples of 1/8 s",
     ]
     table = succeed(run("resample", "model.h5", "new.npz", "--start", "0.05", "--reverse"))
-    assert table.splitlines()[1:4] == [
+    assert table.splitlines()[1:5] == [
         "time       0.1 to 0.3 s at 10 frames per second",
+        "history    1e-8 from bar",
         "source     0.25 to 0.05 s (frames 2.5 to 0.5)",
         "left over  0.05 s before the first frame, at 0.1 s; frames are at whole multiples of 1/10 s",
     ]
@@ -164,10 +166,11 @@ def test_frames_are_a_section(run: Run) -> None:
 def test_retiming_in_frames_of_the_output_and_of_the_source(run: Run) -> None:
     Path("frames.csv").write_text('unit = "frames"\n0,0\n8,2\n')
     table = succeed(run("resample", "model.h5", "new.npz", "--retime", "frames.csv", "--fps", "20"))
-    assert table.splitlines()[:3] == [
-        "frames  9 (0 to 8)",
-        "time    0 to 0.4 s at 20 frames per second",
-        "source  0 to 0.2 s (frames 0 to 2)",
+    assert table.splitlines()[:4] == [
+        "frames   9 (0 to 8)",
+        "time     0 to 0.4 s at 20 frames per second",
+        "history  1e-8 from bar",
+        "source   0 to 0.2 s (frames 0 to 2)",
     ]
 
 
