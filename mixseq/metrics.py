@@ -17,14 +17,14 @@ largest thousandth of all values is stored.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import chain, islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compression.numbering import Renumbering, find_numbering, identity_numbering, object_vertex_counts
+from mixseq.compression.numbering import Renumbering, identity_numbering, match_meshes, mesh_of
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.measures import Diagonal, degenerate_faces, dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.polygons import match_triangles
@@ -207,7 +207,7 @@ def match_reference(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
     ):
         if count != other_count:
             raise InvalidSequenceError(f"the reference has {count} {what}, the other sequence {other_count}")
-    renumbering = _find_renumbering(header, b)
+    renumbering = match_meshes(mesh_of(header), mesh_of(b))
     if renumbering is None:
         renumbering = identity_numbering(header.polygons, header.vertex_count)
         try:
@@ -221,17 +221,6 @@ def match_reference(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
             f"{b.times[frame]:.9g} s in the other sequence; give sequences with the same times"
         )
     return (a if renumbering.order != "free" else renumbering.renumber_frames(a)), renumbering
-
-
-def _find_renumbering(a: SequenceHeader, b: SequenceHeader) -> Renumbering | None:
-    """Return the renumbering from vertices of `a` to vertices of `b`; return None if the meshes differ."""
-    renumbering = find_numbering(b.polygons, a.polygons, object_vertex_counts(a))
-    if renumbering is not None:
-        return renumbering
-    inverse = find_numbering(a.polygons, b.polygons, object_vertex_counts(b))
-    if inverse is None:
-        return None
-    return replace(identity_numbering(a.polygons, a.vertex_count), vertices=inverse.inverse.vertices)
 
 
 def paired_blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Float]]:

@@ -109,7 +109,7 @@ def compress(
     numbering = cheapest_numbering(sequence.header, order)
     parts = own_parts(sequence) if parts is None else parts
     if not (parts is None or isinstance(parts, int | np.integer)):
-        parts = numbering.renumber_labels(np.asarray(parts), sequence.header)
+        parts = numbering.renumber_labels(np.asarray(parts), sequence.header.polygons)
     sequence = numbering.renumber_frames(sequence)
     header, uv_steps = with_quantised_uvs(sequence.header, uv_error, uvs)
     stages = StagedProgress(progress, 2 + MAX_ROUNDS, sequence.header.frame_count)
