@@ -69,9 +69,10 @@ MIN_HEIGHT_RATIO = 1e-12
 """Least ratio of height to side of triangles; lower triangles are degenerate, with the unit quaternion as frame."""
 
 SLIVER_AREA_RATIO = 0.06
-"""Ratio of doubled area to squared sides below which lengths and angles of a triangle have less weight; 0.29 is the largest.
+"""Ratio of doubled area to squared sides, at most 0.29, below which a triangle's lengths and angles have less weight.
 
-Slimmer triangles may turn over between frames. The value was chosen on fox_run, whose vertices accelerated."""
+Slimmer skinned triangles may turn over between frames. Chosen by the accelerations of fox_run.
+"""
 
 
 @compiled
