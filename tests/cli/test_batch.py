@@ -15,7 +15,6 @@ from click.testing import CliRunner, Result
 import mixseq
 from mixseq.cli import main
 from mixseq.cli.batch import (
-    Asset,
     Entry,
     Report,
     encode_asset,
@@ -415,34 +414,6 @@ def test_assets_on_a_cluster_of_which_a_worker_dies(tmp_path: Path, bent_bar: Me
     assert report.finished and report.count("done") == 6
     for one, other in zip(here, there, strict=True):
         assert one.target.read_bytes() == other.target.read_bytes()
-
-
-def encode_or_die(settings: Any, asset: Asset) -> Entry:
-    if asset.source.stem == "killer":
-        os.kill(os.getpid(), signal.SIGKILL)
-    return encode_asset(settings, asset)
-
-
-def test_only_the_asset_that_kills_workers_fails(
-    tmp_path: Path, bent_bar: MeshSequence, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    dask = pytest.importorskip("dask")
-    pytest.importorskip("distributed")
-    from mixseq.runtime.cluster import connect_to_cluster
-
-    for name in ("a", "killer", "x", "y"):
-        mixseq.write(tmp_path / f"{name}.npz", bent_bar)
-    (tmp_path / "models").mkdir()
-    assets = plan(find_sources([tmp_path]), tmp_path / "models", {})
-    monkeypatch.setattr("mixseq.cli.batch.encode_asset", encode_or_die)
-    with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
-        connect_to_cluster("local:2") as workers,
-    ):
-        report = run(assets, SETTINGS, Report({}), tmp_path / "models", on_cluster(workers, no_progress), force=False)
-    found = {Path(entry.source).stem: entry.state for entry in report.entries.values()}
-    assert found == {"a": "done", "killer": "failed", "x": "done", "y": "done"}
-    assert report.finished
 
 
 def test_work_that_was_given_up_is_a_failure(tmp_path: Path, bent_bar: MeshSequence) -> None:

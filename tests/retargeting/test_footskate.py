@@ -477,15 +477,15 @@ def test_two_limbs_share_a_part() -> None:
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-6, 1e-3, 0.03, 0.1, 0.2, 0.3, 0.5])
-@pytest.mark.parametrize("move", [[0, 0.1, 0], [0, -0.1, 0], [0, 0.03, 0], [0, -0.03, 0], [0.2, 0, 0]], ids=str)
-def test_knees_do_not_pop(bend: float, move: list[float]) -> None:
+def test_knees_do_not_pop(bend: float) -> None:
     """However straight the leg is: the knee accelerates at most four times as much as the foot is asked to."""
-    levers, moves = leg(bend, len(FADE)), FADE[:, None, None] * np.array(move)
-    turns, left = rotate_limbs(levers, moves, ANKLE)
-    knees = np.einsum("nij,nj->ni", turns[:, 0], levers[:, 0, 0])
-    asked = np.linalg.norm(np.diff(moves[:, 0], 2, axis=0), axis=1).max()
-    assert np.linalg.norm(np.diff(knees, 2, axis=0), axis=1).max() < 4.0 * asked
-    assert np.linalg.norm(np.diff(left[:, 0], 2, axis=0), axis=1).max() < 4.0 * asked
+    for move in [[0, 0.1, 0], [0, -0.1, 0], [0, 0.03, 0], [0, -0.03, 0], [0.2, 0, 0]]:
+        levers, moves = leg(bend, len(FADE)), FADE[:, None, None] * np.array(move)
+        turns, left = rotate_limbs(levers, moves, ANKLE)
+        knees = np.einsum("nij,nj->ni", turns[:, 0], levers[:, 0, 0])
+        asked = np.linalg.norm(np.diff(moves[:, 0], 2, axis=0), axis=1).max()
+        assert np.linalg.norm(np.diff(knees, 2, axis=0), axis=1).max() < 4.0 * asked
+        assert np.linalg.norm(np.diff(left[:, 0], 2, axis=0), axis=1).max() < 4.0 * asked
 
 
 def test_legs_that_are_too_short_stretch_out() -> None:
