@@ -1,7 +1,7 @@
 r"""Distances between two mesh sequences: positions, lengths, angles, volume.
 
-:math:`A, B` are the points ``(T, V, 3)`` of the reference and of the other sequence, and d is the diagonal of the
-bounding box of A's first frame:
+:math:`A, B` are the points ``(T, V, 3)`` of the reference and of the other sequence, and d is the unit of errors, by
+default the diagonal of the bounding box of A's first frame (`mixseq.sequence.sequence.reference_diagonal`):
 
 - *KG error* (Karni and Gotsman 2004): :math:`100\,\|A - B\|_F / \|A - \bar A\|_F` percent, where
   :math:`\bar A` holds the centroid of every frame of A
@@ -17,14 +17,14 @@ largest thousandth of all values is stored.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import chain, islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compression.numbering import Renumbering, find_numbering, identity_numbering, object_vertex_counts
+from mixseq.compression.numbering import Renumbering, identity_numbering, match_meshes, mesh_of
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.measures import Diagonal, degenerate_faces, dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.polygons import match_triangles
@@ -33,7 +33,7 @@ from mixseq.runtime.low_memory import RunningStatistics, Statistics
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames
+from mixseq.sequence.sequence import Frames, reference_diagonal
 from mixseq.types import Float
 
 MIN_NORMAL_HEIGHT_RATIO = 1e-6
@@ -144,7 +144,7 @@ def compare(a: Frames, b: Frames) -> Comparison:
     volumes: list[Float] = []
     for x, y in paired_blocks(a, b, max(1, _MAX_BLOCK_VERTICES // header.vertex_count)):
         if not largest:
-            unit = Diagonal.from_points(x[0])
+            unit = reference_diagonal(chain([x], a.blocks()))
         difference, x, y = (unit.rescale(lengths) for lengths in (x - y, x, y))
         squares = np.einsum("tvi,tvi->tv", difference, difference)
         error_squares += float(squares.sum())
@@ -207,7 +207,7 @@ def match_reference(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
     ):
         if count != other_count:
             raise InvalidSequenceError(f"the reference has {count} {what}, the other sequence {other_count}")
-    renumbering = _find_renumbering(header, b)
+    renumbering = match_meshes(mesh_of(header), mesh_of(b))
     if renumbering is None:
         renumbering = identity_numbering(header.polygons, header.vertex_count)
         try:
@@ -221,17 +221,6 @@ def match_reference(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
             f"{b.times[frame]:.9g} s in the other sequence; give sequences with the same times"
         )
     return (a if renumbering.order != "free" else renumbering.renumber_frames(a)), renumbering
-
-
-def _find_renumbering(a: SequenceHeader, b: SequenceHeader) -> Renumbering | None:
-    """Return the renumbering from vertices of `a` to vertices of `b`; return None if the meshes differ."""
-    renumbering = find_numbering(b.polygons, a.polygons, object_vertex_counts(a))
-    if renumbering is not None:
-        return renumbering
-    inverse = find_numbering(a.polygons, b.polygons, object_vertex_counts(b))
-    if inverse is None:
-        return None
-    return replace(identity_numbering(a.polygons, a.vertex_count), vertices=inverse.inverse.vertices)
 
 
 def paired_blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Float]]:

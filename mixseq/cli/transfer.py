@@ -355,7 +355,7 @@ def command(
         source_parts = _parts_of_source(source_motion, parts, labels, reading)
         model: Any = source_motion
         if as_model:
-            source_parts = None if model.space.segmentation is None else model.space.segmentation.part_of_face
+            source_parts = model.parts
             if isinstance(rest_shape, int):
                 rest_shape = model.sample(frames=[rest_shape])
         moving = key_poses(model) if as_model else source_motion

@@ -20,11 +20,14 @@ import numpy as np
 from mixseq.choices import ORDERS, OrderName
 from mixseq.compression.bitstream.connectivity import encode_polygons, walk_polygons
 from mixseq.errors import SettingsError
-from mixseq.mesh.polygons import Polygons, match_polygons, match_triangles
+from mixseq.mesh.polygons import Polygons, match_polygons
 from mixseq.mesh.surface import FaceSet, Surface, renumber_by_first_use
 from mixseq.sequence.header import SequenceHeader, header_fields
 from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence
 from mixseq.types import FloatArray, Index, IntArray
+
+Mesh = tuple[Polygons, Sequence[int]]
+"""Polygons of a mesh, and the number of vertices of every object that is joined in it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +55,17 @@ class Renumbering:
         new_ids = np.argsort(self.vertices)
         return Polygons(polygons.counts[self.polygons], new_ids[polygons.indices[self.corners]])
 
-    def renumber_labels(self, labels: IntArray, header: SequenceHeader) -> IntArray:
-        """Return labels ``(F,)`` of the triangles of a header in the order of the renumbered header."""
-        if labels.shape != (len(header.faces),) or self.order == "keep":
+    def renumber_labels(self, labels: IntArray, polygons: Polygons) -> IntArray:
+        """Return labels ``(F,)`` of the triangles of polygons in the order of the renumbered polygons."""
+        if labels.shape != (len(polygons.triangles),) or self.order == "keep":
             return labels  # another shape is refused where labels are used
-        old = Polygons.from_triangles(np.argsort(self.vertices)[header.faces])
-        new = Polygons.from_triangles(self.renumber_polygons(header.polygons).triangles)
-        return labels[match_triangles(new, old, ("the renumbered mesh", "the mesh"))]
+        old = Polygons.from_triangles(np.argsort(self.vertices)[polygons.triangles])
+        new = Polygons.from_triangles(self.renumber_polygons(polygons).triangles)
+        match = match_polygons(new, old)
+        if match is not None:
+            return labels[match.polygons]
+        counts = polygons.counts.astype(np.int64) - 2  # fans about other corners: keep the order within polygons
+        return labels[_corners((np.cumsum(counts) - counts)[self.polygons], counts[self.polygons], 0 * counts)]
 
     def renumber_header(self, header: SequenceHeader) -> SequenceHeader:
         """Return the header with its mesh and all attributes renumbered."""
@@ -139,6 +146,29 @@ def find_numbering(other: Polygons, polygons: Polygons, sizes: Sequence[int]) ->
         return identity_numbering(polygons, sum(sizes))
     walked = walk_numbering(polygons, sizes, vertices=True)
     return None if match_polygons(walked.renumber_polygons(polygons), other) is None else walked
+
+
+def match_meshes(a: Mesh, b: Mesh) -> Renumbering | None:
+    """Return the renumbering of mesh `a` that gives mesh `b`; return None if they are different meshes.
+
+    Polygons may be in any order. Vertices have the same numbers, or a compressed file has renumbered those of a mesh.
+    """
+    numbering = find_numbering(b[0], *a)
+    if numbering is None:
+        inverse = find_numbering(a[0], *b)
+        if inverse is None:
+            return None
+        numbering = replace(identity_numbering(a[0], sum(a[1])), vertices=inverse.inverse.vertices)
+    match = match_polygons(b[0], numbering.renumber_polygons(a[0]))
+    if match is None:
+        return None
+    polygons, corners = numbering.polygons[match.polygons], numbering.corners[match.corners]
+    return Renumbering(numbering.vertices, polygons, corners)
+
+
+def mesh_of(header: SequenceHeader) -> Mesh:
+    """Return the polygons of a header, and the number of vertices of every object, for `match_meshes`."""
+    return header.polygons, object_vertex_counts(header)
 
 
 def object_vertex_counts(header: SequenceHeader) -> list[int]:

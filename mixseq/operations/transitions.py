@@ -16,6 +16,7 @@ from functools import partial
 
 import numpy as np
 
+from mixseq.compression.numbering import match_meshes, mesh_of
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.operations.sections import (
     ModelSection,
@@ -39,6 +40,7 @@ from mixseq.operations.timeline import ground_drift, ground_position, translate
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, Seconds
+from mixseq.sequence.sequence import load_frames
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import Detail, build_model, encode_sequence
 from mixseq.signals.model import Model
@@ -70,11 +72,11 @@ def into(model: Model, space: ShapeSpace) -> Model:
 def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
     """Bring two models of one mesh into one space, with the same pose and shape signals.
 
-    The common space is the space of the first model. If key shapes differ, both models get all key shapes, with weights
+    The common space is the space of the first model, with its numbers of vertices if those of the second model differ,
+    as in compressed files of another order. If key shapes differ, both models get all key shapes, with weights
     as pose space.
     """
-    _check_meshes(first, second)
-    second = into(second, first.space)
+    second = _encode_like(second, first)
     if _same_shapes(first, second):
         return first, replace(second, pose=first.pose, shapes=first.shapes)
     shapes = np.concatenate([first.shapes, second.shapes])
@@ -98,17 +100,20 @@ def _same_shapes(first: Model, second: Model) -> bool:
     return all(a is b or np.array_equal(a, b) for a, b in zip(*arrays, strict=True))
 
 
-def _check_meshes(first: Model, second: Model) -> None:
-    a, b = first.header, second.header
-    if a.vertex_count != b.vertex_count:
+def _encode_like(model: Model, first: Model) -> Model:
+    """Return a model in the space of another one, and with its numbers of vertices if those of the mesh differ."""
+    a, b = first.header, model.header
+    if a.vertex_count == b.vertex_count and np.array_equal(a.faces, b.faces):
+        return into(model, first.space)
+    numbering = match_meshes(mesh_of(b), mesh_of(a))
+    if numbering is None:
         raise InvalidSequenceError(
-            f"{a.name!r} has {a.vertex_count} vertices, {b.name!r} {b.vertex_count}; two models of one mesh are needed"
+            f"{a.name!r} has {a.vertex_count} vertices, {b.name!r} {b.vertex_count}, or other faces; two models of one "
+            "mesh are needed"
         )
-    if not np.array_equal(a.faces, b.faces):
-        raise InvalidSequenceError(
-            f"the faces of {a.name!r} and {b.name!r} differ; two models of one mesh, with the same order of vertices "
-            "and faces, are needed"
-        )
+    frames = numbering.renumber_frames(model.sample())
+    with one_blas_thread():
+        return build_model(encode_sequence(load_frames(frames), first.space), Detail())
 
 
 SITES_PER_BLENDED_KNOT = 8

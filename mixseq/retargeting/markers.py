@@ -14,7 +14,7 @@ target, their *leader*.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
 
@@ -175,6 +175,12 @@ class Correspondence:
         weights = np.tile([1.0, 0.0, 0.0], (vertex_count, 1))
         corners = np.repeat(vertices[:, None], 3, axis=1)
         return cls(size, size, corners, weights, np.arange(face_count), vertices)
+
+    def renumbered(self, vertices: Index, faces: Index) -> Correspondence:
+        """Return the correspondence with rows of target vertices ``(V',)`` and triangles ``(F',)`` in another order."""
+        leaders = np.argsort(vertices)[self.leaders[vertices]]
+        corners, weights = self.corners[vertices], self.weights[vertices]
+        return replace(self, corners=corners, weights=weights, faces=self.faces[faces], leaders=leaders)
 
     @cached_property
     def matched(self) -> Mask:

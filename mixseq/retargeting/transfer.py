@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.choices import TRANSFERS, TransferName
+from mixseq.compression.numbering import match_meshes, mesh_of
 from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.contacts import ContactReport, PlantedMotion, plant_contacts
@@ -157,17 +158,28 @@ def _find_correspondence(
     if markers is not None:
         from mixseq.retargeting.correspond import correspond_and_assess
 
+        for side, provenance in (("source", source.header.provenance), ("target", header.provenance)):
+            if provenance is not None and provenance.kept_order == "free":
+                raise SettingsError(
+                    f"markers are numbers of vertices, and those of the {side} differ from its original's "
+                    f"({provenance}, order 'free'); give the original, or compress it with order='vertices'"
+                )
+
         pairs = markers if isinstance(markers, Markers) else Markers.from_pairs(markers)
         source_mesh = MeshSequence.from_header(source.header.with_times([0.0]), source.rest[None])
         target_mesh = MeshSequence.from_header(header.with_times([0.0]), rest[None])
         return correspond_and_assess(source_mesh, target_mesh, pairs, progress=progress)
-    if not np.array_equal(source.topology.faces, header.faces):
+    if np.array_equal(source.topology.faces, header.faces):
+        return Correspondence.identity(*sizes[0]), None
+    numbering = match_meshes(mesh_of(source.header), mesh_of(header))
+    if numbering is None:
         (vertices, faces), (target_vertices, target_faces) = sizes
         raise SettingsError(
             f"the source has {vertices} vertices and {faces} triangles, the target {target_vertices} and "
             f"{target_faces}, or they are in another order; give markers or a map"
         )
-    return Correspondence.identity(*sizes[0]), None
+    face_ids = np.asarray(numbering.renumber_labels(np.arange(sizes[0][1]), source.header.polygons), dtype=np.int64)
+    return Correspondence.identity(*sizes[0]).renumbered(numbering.vertices, face_ids), None
 
 
 @public

@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 
 import mixseq
-from mixseq.creature import walk_cycle
 from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.signals.model import Model
+from tests.meshes import coarse_walk
 from tests.viewer.pages import eventually
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
@@ -49,7 +49,7 @@ CAMERA = {
 
 @pytest.fixture(scope="module")
 def model() -> Model:
-    return mixseq.fit(walk_cycle(8), rank=3)
+    return mixseq.fit(coarse_walk(8), rank=3)
 
 
 def save(path: Path, model: Model, replace: bool) -> str:

@@ -56,6 +56,9 @@ Sources = dict[str, Callable[[], Labels]]
 LABEL_ARRAY_NAMES = ("part_of_face", "labels")
 """Possible names of the label array in npz files; the first existing array is read."""
 
+_MESH_ARRAYS = ("polygon_counts", "polygon_indices", "object_vertices")
+"""Names of the arrays that store the mesh of labels in npz files."""
+
 
 def read_labels(
     path: PathLike,
@@ -139,8 +142,21 @@ def _read_array(file: Path, header: SequenceHeader) -> tuple[Sources, bool]:
         name = next((name for name in LABEL_ARRAY_NAMES if name in members), "")
         values = archive.read(name) if name else None
         names = archive.read("names") if "names" in members else None
+        mesh = [archive.read(each) for each in _MESH_ARRAYS if each in members]
     if values is not None:
-        labels = _labels_from_array(file, name, values, names, header.polygons)
+        polygons, sizes = header.polygons, _object_sizes(header)
+        if len(mesh) == len(_MESH_ARRAYS):
+            polygons, sizes = Polygons(mesh[0], mesh[1]), mesh[2].tolist()
+        provenance = header.provenance
+        if not mesh and provenance is not None and provenance.kept_order != "keep":
+            raise FormatError(
+                f"{file} has labels without a mesh, and faces of {provenance.name} have other numbers than in the "
+                f"original (order {provenance.kept_order!r}); give labels that mixseq segment wrote, or compress the "
+                "original with order='keep'"
+            )
+        labels = _labels_from_array(file, name, values, names, polygons)
+        face_ids = _match_faces(file, header, polygons, sizes)
+        labels = labels if face_ids is None else _reorder_labels(labels, face_ids)
         return {LABELS_SOURCE: lambda: labels}, "points" in members
     if "points" not in members:
         raise FormatError(
@@ -183,7 +199,7 @@ def _markings_sources(reader: SequenceReader, header: SequenceHeader, min_ratio:
     if not 0 <= min_ratio <= 1:
         raise SettingsError(f"smallest_joint is {min_ratio}; a fraction of the faces is expected, 0 to 1")
     file, polygons = reader.path, reader.header.polygons
-    face_ids = _match_faces(file, header, reader.header)
+    face_ids = _match_faces(file, header, polygons, _object_sizes(reader.header))
     markings = reader.markings()
     sets = markings.sets.items()
     sources: Sources = {name: partial(labels_from_sets, own, polygons) for name, own in sets}
@@ -194,12 +210,15 @@ def _markings_sources(reader: SequenceReader, header: SequenceHeader, min_ratio:
         sources[SKELETON_SOURCE] = partial(labels_from_skinning, markings.skinning, polygons, min_ratio)
     if face_ids is None:
         return sources
-    return {name: partial(_reorder_labels, make, face_ids) for name, make in sources.items()}
+    return {name: partial(lambda make: _reorder_labels(make(), face_ids), make) for name, make in sources.items()}
 
 
-def _reorder_labels(make: Callable[[], Labels], face_ids: Index) -> Labels:
-    """Compute labels by `make`, and reorder them by face ids ``(F,)``."""
-    labels = make()
+def _object_sizes(header: SequenceHeader) -> list[int]:
+    return [each.vertex_count for each in header.objects]
+
+
+def _reorder_labels(labels: Labels, face_ids: Index) -> Labels:
+    """Reorder labels by face ids ``(F,)``."""
     return replace(labels, part_of_face=labels.part_of_face[face_ids])
 
 
@@ -212,20 +231,26 @@ def _labels_from_colours(file: Path, colours: FloatArray, polygons: Polygons) ->
         raise FormatError(f"{file} {error}") from None
 
 
-def _match_faces(file: Path, header: SequenceHeader, stored: SequenceHeader) -> Index | None:
+def _match_faces(file: Path, header: SequenceHeader, polygons: Polygons, sizes: Sequence[int]) -> Index | None:
     """Return the file's triangle for each triangle ``(F,)`` of the sequence, or None if the order is the same.
 
-    Triangles in the same order may have differently split vertices. Another order needs equal vertices.
+    Triangles in the same order may have differently split vertices. Another order needs equal vertices, or vertices
+    that were renumbered by a compressed file. `sizes` are the numbers of vertices of the objects in the file.
     """
-    a, b = header.faces.reshape(-1), stored.faces.reshape(-1)
+    from mixseq.compression.numbering import match_meshes, mesh_of  # imports numba
+
+    a, b = header.faces.reshape(-1), polygons.triangles.reshape(-1)
     if len(a) != len(b):
         raise FormatError(
             f"{file} has {len(b) // 3} triangles, the sequence {len(a) // 3}; labels need a file of the same mesh"
         )
     if np.array_equal(a, b) or _is_welded(a, b) or _is_welded(b, a):
         return None
+    numbering = match_meshes((polygons, sizes), mesh_of(header))
+    if numbering is not None:
+        return np.asarray(numbering.renumber_labels(np.arange(len(b) // 3), polygons))
     try:
-        return match_triangles(header.polygons, stored.polygons, ("the sequence", str(file)))
+        return match_triangles(header.polygons, polygons, ("the sequence", str(file)))
     except InvalidSequenceError as error:
         raise FormatError(f"{error}; labels need a file of the same mesh") from None
 
@@ -245,7 +270,8 @@ def write_labels(
 ) -> None:
     """Write the parts of a mesh; in all formats except npz the file also contains the animation.
 
-    - ``.npz``: only the arrays ``part_of_face`` (triangles), ``part_of_polygon`` and ``names``.
+    - ``.npz``: only the arrays ``part_of_face`` (triangles), ``part_of_polygon`` and ``names``, and the mesh's polygons
+      (``polygon_counts``, ``polygon_indices``, ``object_vertices``), by which labels find their faces in other orders.
     - USD: a subset of the family ``mixseq`` for every part. If `sequence` is a reader of a USD file, the output is a
       layer that adds only these subsets to the file.
     - OBJ, Alembic and HDF5 sequences: a face set for every part; other face sets without material are removed.
@@ -255,8 +281,10 @@ def write_labels(
     of_polygon = polygon_labels(labels.part_of_face, header.polygons)
     if format_name == _ARRAY_FORMAT:
         faces, names = labels.part_of_face, np.array(labels.names)
+        mesh_arrays = header.polygons.counts, header.polygons.indices, np.array(_object_sizes(header))
         with atomic_file(file) as temporary:
-            np.savez(temporary, part_of_face=faces, part_of_polygon=of_polygon, names=names)
+            arrays: dict[str, Any] = dict(zip(_MESH_ARRAYS, mesh_arrays, strict=True))
+            np.savez(temporary, part_of_face=faces, part_of_polygon=of_polygon, names=names, **arrays)
         return
     _warn_of_cut_polygons(file, header, labels, of_polygon)
     if format_name == _SUBSET_FORMAT:

@@ -386,7 +386,7 @@ class ClipFolder:
 
     def make(self) -> None:
         """Create an empty temporary folder."""
-        if self.target.exists() and not _holds_only_clips(self.target, self._stem):
+        if os.path.lexists(self.target) and not _holds_only_clips(self.target, self._stem):
             raise OutputError(
                 f"{self.target} has other files than clips, which are not deleted; move it away, or write to another "
                 "name"
@@ -437,5 +437,5 @@ def open_clip_folder(owner: Path) -> Iterator[ClipFolder]:
 
 def _holds_only_clips(folder: Path, stem: str) -> bool:
     return folder.is_dir() and all(
-        file.name.startswith(f"{stem}.") and file.suffix == ".usdc" for file in folder.iterdir()
+        file.name.startswith(f"{stem}.") and file.suffix == ".usdc" and file.is_file() for file in folder.iterdir()
     )

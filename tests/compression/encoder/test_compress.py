@@ -471,7 +471,7 @@ def test_missing_parts_are_refused() -> None:
     graph = mesh_graph(faces, len(points))
     writer = Writer()
     write_labels(writer, np.zeros(len(points), dtype=np.int64), graph)
-    with pytest.raises(FormatError, match="not those of 2 parts"):
+    with pytest.raises(FormatError, match="2 parts are expected"):
         read_labels(Reader(writer.finish()), 2, graph)
 
 

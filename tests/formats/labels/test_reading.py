@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from mixseq.errors import FormatError, MixseqWarning, OutputError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.topology import Topology
 from mixseq.segmentation.methods import segment_by_labels
+from mixseq.sequence.provenance import Provenance
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import Labels, open_sequence, read, read_labels, write
 from mixseq_io.text.label_files import extract_labels, write_labels
@@ -326,3 +328,15 @@ def test_polygons_in_several_parts_are_told(tmp_path: Path) -> None:
 def test_formats_without_a_place_for_parts(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"\.ply has no place for parts; write one of \.usd, .*\.npz, \.obj"):
         write_labels(tmp_path / "out.ply", mesh(), Labels(np.zeros(3, dtype=np.int64), ("a",)))
+
+
+def test_arrays_find_faces_that_a_compressed_file_has_renumbered(tmp_path: Path) -> None:
+    one = mesh()
+    labels = Labels(np.array([0, 0, 1]), ("a", "b"))
+    write_labels(tmp_path / "parts.npz", one, labels)
+    np.savez(tmp_path / "bare.npz", labels=labels.part_of_face)
+    renumbered = replace(one.header, polygons=Polygons(one.polygons.counts[::-1], np.roll(one.polygons.indices, 3)))
+    header = replace(renumbered, provenance=Provenance("small.h5", Provenance("one.npz"), 1e-3, order="vertices"))
+    assert read_labels(tmp_path / "parts.npz", header).part_of_face.tolist() == [1, 0, 0]
+    with pytest.raises(FormatError, match=r"bare\.npz has labels without a mesh, and faces of small\.h5 have other"):
+        read_labels(tmp_path / "bare.npz", header)
