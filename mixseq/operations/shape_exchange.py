@@ -150,21 +150,23 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
     poses = first.unpack_placements(model.placement.values)
     rotations = quat_multiply(normalise_quat(poses.rotations), rotation)
     moved_poses = Poses(align_quat_signs(rotations), poses.centres + shift)
-    return Model(
+    played = Model(
         replace(header, times=model.header.times, fps=model.header.fps, provenance=None),
         second,
         model.time,
         model.pose,
         shapes,
         Curve(model.placement.times, second.pack_placements(moved_poses)),
-        _turn_correction(model, second, shapes, rotation),
     )
+    correction = _turn_correction(model, second, shapes, rotation)
+    return played if correction is None else replace(played, correction=correction)
 
 
 def _has_same_parts(first: MixedSpace, second: MixedSpace) -> bool:
     """Return whether two spaces have the same triangles and parts."""
-    labels = (space.segmentation.part_of_face for space in (first, second))
-    return np.array_equal(first.topology.faces, second.topology.faces) and np.array_equal(*labels)
+    return np.array_equal(first.topology.faces, second.topology.faces) and np.array_equal(
+        first.segmentation.part_of_face, second.segmentation.part_of_face
+    )
 
 
 def _part_rotations(space: MixedSpace, shapes: Float) -> Float:
