@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from hashlib import sha256
+from html import escape
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
@@ -313,7 +314,7 @@ def in_markdown(report: Report) -> str:
     """Return the report in Markdown."""
     entries = list(report.entries.values())
     again = "" if report.finished else " Not finished: the same command goes on with what is left."
-    cells = [[printable(cell).replace("|", "\\|") for cell in row] for row in rows(entries)]
+    cells = [[_plain(cell).replace("|", "\\|") for cell in row] for row in rows(entries)]
     lines = [
         "# Batch",
         "",
@@ -324,9 +325,14 @@ def in_markdown(report: Report) -> str:
         "Times are those of encoding. Errors are of all decoded frames: the largest of a vertex, and the one of Karni",
         "and Gotsman. Bits are per vertex and frame.",
     ]
-    lines += [printable(f"- {Path(each.target).stem}: {each.history}") for each in entries if ", which" in each.history]
-    messages = [printable(f"- {Path(entry.target).stem}: {each}") for entry in entries for each in entry.warnings]
+    lines += [_plain(f"- {Path(each.target).stem}: {each.history}") for each in entries if ", which" in each.history]
+    messages = [_plain(f"- {Path(entry.target).stem}: {each}") for entry in entries for each in entry.warnings]
     return "\n".join([*lines, *(["", "## Warnings", "", *messages] if messages else [])]) + "\n"
+
+
+def _plain(text: str) -> str:
+    """Escape control characters, and HTML, which Markdown passes through."""
+    return escape(printable(text), quote=False)
 
 
 Settings = Mapping[str, Any]

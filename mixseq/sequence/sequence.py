@@ -198,17 +198,6 @@ def own_parts(frames: Frames) -> IntArray | None:
     return getattr(frames, "parts", None)
 
 
-def warn_of_velocities(frames: Frames) -> None:
-    """Warn the caller of a public function if frames have velocities, which are not kept; the values are not read."""
-    if getattr(frames, "velocities", None) is not None or getattr(frames, "has_velocities", False):
-        warnings.warn(
-            f"{frames.header.name!r}: its velocities are not kept; models compute them again, "
-            "with --velocities or sample(velocities=True)",
-            MixseqWarning,
-            stacklevel=4,
-        )
-
-
 def without_velocities(frames: Frames) -> Frames:
     """Return the same frames without their velocities."""
     check_frames(frames)
@@ -254,6 +243,18 @@ def check_frames(frames: object) -> None:
             f"a MeshSequence or an open sequence is expected, not {type(frames).__name__}; read files "
             "with mixseq.read, make sequences of arrays with MeshSequence.from_arrays"
         )
+
+
+def check_motion(frames: Frames) -> None:
+    """Check that frames are a sequence whose motion is computed from its points, and warn of its own velocities."""
+    check_frames(frames)
+    if getattr(frames, "has_velocities", getattr(frames, "velocities", None) is not None):
+        warn_of_loss(frames.header, "velocities are left out", "models compute them: velocities=True, --velocities")
+
+
+def warn_of_loss(header: SequenceHeader, loss: str, cure: str) -> None:
+    """Warn of what an operation leaves out of a sequence or model."""
+    warnings.warn(f"{header.name!r}: {loss}; {cure}", MixseqWarning, stacklevel=5)
 
 
 def check_block(header: SequenceHeader, points: FloatArray, first_frame: int) -> None:

@@ -329,7 +329,7 @@ def test_a_warning_says_that_they_are_lost(tmp_path: Path, use: Callable[[Any], 
     path = tmp_path / "walk.npz"
     write(path, moving())
     for source in (read(path), path):
-        with pytest.warns(MixseqWarning, match="'.*': its velocities are not kept") as caught:
+        with pytest.warns(MixseqWarning, match="'.*': velocities are left out") as caught:
             use(source)
         assert len(caught) == 1
     use(moving().with_points(moving().points))  # no warning

@@ -260,9 +260,14 @@ def write_package(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[
     left_out: dict[str, None] = {}
 
     def rewrite(asset: str) -> str:
-        files = _resolve_files(layer, asset)
-        # USD would pack all files that a referenced scene refers to, from any folder.
-        rejected = files if _is_scene(asset) else [file for file in files if not _is_inside(file, folders)]
+        # USD refuses to pack a layer that names a missing file, or one without an extension.
+        files = _resolve_files(layer, asset) if Path(asset).suffix else []
+        if not files:
+            rejected = [asset] if asset else []
+        elif _is_scene(asset):  # USD would pack all files that it refers to, from any folder
+            rejected = files
+        else:
+            rejected = [file for file in files if not _is_inside(file, folders)]
         left_out.update(dict.fromkeys(rejected))
         return "" if rejected else _extract_texture(layer, asset, textures)
 

@@ -27,14 +27,13 @@ from mixseq.runtime.public import public
 from mixseq.sequence.sequence import (
     Frames,
     FrameStore,
-    check_frames,
+    check_motion,
     iterate_blocks,
     largest_coordinate,
     largest_offset,
     load_frames,
     own_parts,
     rounding_error,
-    warn_of_velocities,
 )
 from mixseq.spaces.making import MixedSettings, segment_faces
 from mixseq.types import Index
@@ -102,8 +101,7 @@ def compress(
     FormatError, InvalidSequenceError
         If the sequence is damaged or invalid, or its coordinates are too small or too large for double precision.
     """
-    check_frames(sequence)
-    warn_of_velocities(sequence)
+    check_motion(sequence)
     _check_target(max_error, kg, size)
     if not chunk >= MIN_CHUNK_FRAMES:
         raise SettingsError(f"chunk is {chunk}; {MIN_CHUNK_FRAMES} frames or more are expected")
