@@ -166,6 +166,16 @@ def match_meshes(a: Mesh, b: Mesh) -> Renumbering | None:
     return Renumbering(numbering.vertices, polygons, corners)
 
 
+def match_vertices(a: SequenceHeader, b: SequenceHeader) -> Index | None:
+    """Return the vertex ``(V,)`` of mesh `a` for every vertex of mesh `b`; return None if they are different meshes."""
+    if a.vertex_count != b.vertex_count:
+        return None
+    if np.array_equal(a.faces, b.faces):
+        return np.arange(a.vertex_count)
+    numbering = match_meshes(mesh_of(a), mesh_of(b))
+    return None if numbering is None else numbering.vertices
+
+
 def mesh_of(header: SequenceHeader) -> Mesh:
     """Return the polygons of a header, and the number of vertices of every object, for `match_meshes`."""
     return header.polygons, object_vertex_counts(header)

@@ -25,6 +25,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mixseq.compression.numbering import match_meshes, mesh_of
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.mesh.polygons import Polygons, describe_difference
 from mixseq.operations.sections import (
@@ -103,14 +104,17 @@ def check_edited_points(points: ArrayLike | MeshSequence, header: SequenceHeader
             raise SettingsError(f"the edited mesh has {points.frame_count} frames; one is expected")
         if points.vertex_count == header.vertex_count:
             edges, expected = _edges(points.polygons), _edges(header.polygons)
-            if not (edges <= expected or expected <= edges):  # either mesh may be triangulated
+            numbering = match_meshes(mesh_of(points), mesh_of(header))
+            if numbering is not None:
+                points = numbering.renumber_frames(points)
+            elif not (edges <= expected or expected <= edges):  # either mesh may be triangulated
                 names = ("the edited mesh", "the model")
                 details = describe_difference(points.polygons, header.polygons, names)
                 raise InvalidSequenceError(
                     f"the edited mesh has other edges than the model, {details}; export it again with the vertex "
                     "order kept"
                 )
-        points = points.points[0]
+        points = next(points.blocks(1))[0]
     edited = np.asarray(points, dtype=np.float64)
     if edited.shape != (header.vertex_count, 3):
         raise InvalidSequenceError(

@@ -32,12 +32,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.choices import COLOURS, Colour
+from mixseq.compression.numbering import match_vertices
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import edge_lengths, wrap_angles
 from mixseq.mesh.surface import DEFAULT_COLOUR
 from mixseq.mesh.topology import Topology
 from mixseq.metrics import MIN_NORMAL_HEIGHT_RATIO
-from mixseq.pictures.scene import CLAY_COLOUR, Scene, SceneItem, check_start_times, is_same_mesh
+from mixseq.pictures.scene import CLAY_COLOUR, Scene, SceneItem, check_start_times
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import FrameStore, bounding_diagonal
@@ -472,15 +473,19 @@ class SceneColours:
 
     def _original_of(self, item: SceneItem) -> ReferencePose | None:
         """Return a function that gives the original's pose, or None if the original is a different mesh."""
-        if self.original is None or not is_same_mesh(self.original.header, item.header):
+        if self.original is None:
             return None
-        return SceneItem("the original", self.original).pose
+        vertex_ids = match_vertices(self.original.header, item.header)
+        if vertex_ids is None:
+            return None
+        pose = SceneItem("the original", self.original).pose
+        return lambda elapsed: pose(elapsed)[vertex_ids]
 
 
 def check_original(scene: Scene, original: FrameStore) -> None:
     """Raise SettingsError if no mesh of the scene has the vertices and triangles of the original."""
     header = original.header
-    items = [item for item in scene.items if is_same_mesh(item.header, header)]
+    items = [item for item in scene.items if match_vertices(header, item.header) is not None]
     if not items:
         raise SettingsError(
             f"none of the meshes has the {header.vertex_count} vertices and {len(header.faces)} triangles of the "

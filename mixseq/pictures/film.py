@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
 from mixseq.choices import COLOURS, Colour
+from mixseq.compression.numbering import match_vertices
 from mixseq.errors import SettingsError
-from mixseq.pictures.colours import Colouring, format_two_digits, make_colouring
+from mixseq.pictures.colours import Colouring, ReferencePose, format_two_digits, make_colouring
 from mixseq.pictures.film_encoding import check_film, encode_film, film_format, import_pillow
 from mixseq.pictures.page import import_matplotlib
 from mixseq.pictures.raster import Picture, blank_picture, render_mesh
@@ -28,7 +29,6 @@ from mixseq.pictures.scene import (
     Scene,
     SceneItem,
     check_start_times,
-    is_same_mesh,
     nearest_frames,
     resolve_view,
     shared_limits,
@@ -158,22 +158,23 @@ def _colourings(
     for item in items:
         if colour == "own" and item.header.surface.colours is None:
             raise SettingsError(f"{item} has no vertex colours; choose another colour")
-        if original is not None:
-            _check_mesh(item, original.header)
-    reference = None if original is None else original.exact_pose
+    references = [None if original is None else _reference_pose(item, original) for item in items]
     return [
         make_colouring(colour, item.header, item.pose(0), item_parts, reference)
-        for item, item_parts in zip(decoded, parts, strict=True)
+        for item, item_parts, reference in zip(decoded, parts, references, strict=True)
     ]
 
 
-def _check_mesh(item: SceneItem, original: SequenceHeader) -> None:
-    header = item.header
-    if not is_same_mesh(header, original):
+def _reference_pose(item: SceneItem, original: SceneItem) -> ReferencePose:
+    """Return the pose of the original in the numbers of an item; raise SettingsError if it is another mesh."""
+    header, reference = item.header, original.header
+    vertex_ids = match_vertices(reference, header)
+    if vertex_ids is None:
         raise SettingsError(
             f"{item} has {len(header.faces)} triangles of {header.vertex_count} vertices, the original "
-            f"{len(original.faces)} of {original.vertex_count}, or in another order; errors need the same topology"
+            f"{len(reference.faces)} of {reference.vertex_count}, or in another order; errors need the same topology"
         )
+    return lambda elapsed: original.exact_pose(elapsed)[vertex_ids]
 
 
 def _with_common_scale(

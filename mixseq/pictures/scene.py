@@ -336,11 +336,6 @@ class Scene:
         return [int(frame) for frame in evenly_spaced(self.count, max_count)]
 
 
-def is_same_mesh(one: SequenceHeader, other: SequenceHeader) -> bool:
-    """Return whether two headers have the same number of vertices, and the same triangles in the same order."""
-    return one.vertex_count == other.vertex_count and np.array_equal(one.faces, other.faces)
-
-
 def check_start_times(items: Sequence[SceneItem], original: SequenceHeader) -> None:
     """Raise SettingsError if a mesh and the original it is compared with start at different times."""
     for item in items:

@@ -16,6 +16,7 @@ from itertools import permutations, product
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mixseq.compression.numbering import match_vertices
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.measures import edge_lengths
 from mixseq.mesh.polygons import match_triangles
@@ -84,11 +85,14 @@ def _scaled_rest_shape(rest: MeshSequence, header: SequenceHeader, topology: Top
         raise InvalidSequenceError(
             f"the mesh at rest has {rest.vertex_count} vertices, the motion {header.vertex_count}; give the same mesh"
         )
-    try:
-        match_triangles(header.polygons, rest.polygons, ("the motion", "the mesh at rest"))
-    except InvalidSequenceError as error:
-        raise InvalidSequenceError(f"{error}; give the same mesh, with its vertices in the same order") from None
-    shape = rest.points[0].astype(np.float64)
+    vertex_ids: Index | None = match_vertices(rest, header)
+    if vertex_ids is None:
+        try:
+            match_triangles(header.polygons, rest.polygons, ("the motion", "the mesh at rest"))
+        except InvalidSequenceError as error:
+            raise InvalidSequenceError(f"{error}; give the same mesh, with its vertices in the same order") from None
+        vertex_ids = np.arange(rest.vertex_count)
+    shape = rest.points[0, vertex_ids].astype(np.float64)
     samples = points[sample_frame_ids(len(points))].astype(np.float64)
     rest_lengths, lengths = edge_lengths(shape, topology.edges), edge_lengths(samples, topology.edges)
     has_length = rest_lengths > 0

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 import mixseq
+from mixseq.compression.numbering import walk_numbering
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.mesh.measures import dihedral_angles, wrap_angles
 from mixseq.mesh.rigid import kabsch
-from mixseq.operations.sculpt import Where, sculpt
+from mixseq.operations.sculpt import Where, check_edited_points, sculpt
 from mixseq.operations.sections import smoothstep
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.detail import Detail, build_model, encode_sequence
@@ -292,12 +293,17 @@ def test_a_bump_on_the_flank_of_the_horse(data: Path) -> None:
 
 
 def test_meshes_with_other_edges_are_refused() -> None:
-    """Renumbered vertices are told by the faces; triangulated polygons are fine."""
+    """Renumbered vertices are told by the faces; triangulated polygons and numbers of compressed files are fine."""
     sequence = bar(sides=5, rings=15, frames=4)
     model = fit(sequence, exact=True, space="vertex")
     frame = MeshSequence.from_arrays(sequence.points[:1], sequence.polygons)
     same = sculpt(model, float(model.times[0]), frame)
     np.testing.assert_allclose(same.sample().points, sequence.points, atol=1e-9)
+    free = walk_numbering(sequence.polygons, [sequence.vertex_count], vertices=True)
+    assert free.order == "free"
+    moved = sequence.points[:1] + 0.1 * np.random.default_rng(0).normal(size=sequence.points[:1].shape)
+    edited = MeshSequence.from_arrays(moved, sequence.polygons)
+    np.testing.assert_array_equal(check_edited_points(free.renumber_frames(edited), model.header), moved[0])
     order = np.random.default_rng(0).permutation(sequence.vertex_count)
     place = np.argsort(order)
     renumbered = MeshSequence.from_arrays(sequence.points[:1, order], place[sequence.faces])

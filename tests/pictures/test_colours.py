@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import mixseq
+from mixseq.compression.numbering import walk_numbering
 from mixseq.errors import SettingsError
 from mixseq.mesh.surface import CornerValues, Surface
 from mixseq.pictures.colours import SceneColours, check_original
@@ -122,6 +123,17 @@ def test_an_edited_model_has_the_scale_that_it_had(bar_model: Model) -> None:
 def test_an_original_of_some_of_the_meshes(bent_bar: MeshSequence) -> None:
     scene = Scene((item_of(grown(2)), item_of(bent_bar)))
     check_original(scene, original_of(bent_bar))
+
+
+def test_errors_from_an_original_with_the_numbers_of_a_compressed_file(bent_bar: MeshSequence) -> None:
+    free = walk_numbering(bent_bar.polygons, [bent_bar.vertex_count], vertices=True)
+    assert free.order == "free"
+    scene = Scene((item_of(bent_bar),))
+    renumbered = load_frames(free.renumber_frames(bent_bar))
+    check_original(scene, renumbered)
+    error = SceneColours(scene, renumbered).of_mesh(0)["error"]
+    assert error.measure is not None
+    assert np.max(error.measure(bent_bar.points[0], 0.0)) < 1e-7  # single precision
 
 
 def test_another_mesh_is_no_original(bent_bar: MeshSequence) -> None:

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mixseq
+from mixseq.compression.numbering import walk_numbering
 from mixseq.errors import InvalidSequenceError, SegmentationError, SettingsError
 from mixseq.mesh.rigid import kabsch
 from mixseq.retargeting.sources import Alignment, _quarter_turns, fit_alignment, prepare_source
@@ -230,3 +231,13 @@ def test_points_in_one_place_are_refused() -> None:
         fit_alignment(points, place, np.ones(40))
     with pytest.raises(InvalidSequenceError, match="no area at rest"):
         fit_alignment(points, points, np.zeros(40))
+
+
+def test_a_rest_may_have_the_numbers_of_a_compressed_file() -> None:
+    rest = MeshSequence.from_arrays(WALK.points[2:3], WALK.faces)
+    free = walk_numbering(WALK.polygons, [WALK.vertex_count], vertices=True)
+    assert free.order == "free"
+    renumbered = free.renumber_frames(rest)
+    assert isinstance(renumbered, MeshSequence)
+    np.testing.assert_array_equal(prepare_source(WALK, renumbered).rest, WALK.points[2])
+    np.testing.assert_array_equal(prepare_source(free.renumber_frames(WALK), rest).rest, renumbered.points[0])
