@@ -19,6 +19,7 @@ from mixseq.cli.batch import (
     Report,
     encode_asset,
     find_sources,
+    in_markdown,
     in_turn,
     on_cluster,
     plan,
@@ -216,6 +217,15 @@ def test_warnings_are_in_the_report(bent_bar: MeshSequence) -> None:
         patch.setattr(mixseq, "fit", warning)
         assert batch().stderr == ""
     assert "- four: a loss\n- one: a loss\n" in Path("models/report.md").read_text()
+
+
+def test_names_and_messages_are_no_html_in_the_report() -> None:
+    name = "<script>alert(1)<"
+    entry = Entry(name, name, 0, "", {}, "failed", message="<b>|&</b>", warnings=("<i>lost</i>",))
+    text = in_markdown(Report({name: entry}))
+    assert "<" not in text
+    assert "failed: &lt;b&gt;\\|&amp;&lt;/b&gt; |" in text
+    assert "- &lt;script&gt;alert(1)&lt;: &lt;i&gt;lost&lt;/i&gt;\n" in text
 
 
 def entry_of(name: str) -> Entry:
