@@ -23,7 +23,7 @@ from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.sequence import Frames, check_frames, load_frames, own_parts
+from mixseq.sequence.sequence import Frames, check_motion, load_frames, own_parts
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.signals.detail import (
@@ -172,7 +172,8 @@ def fit(
         frames to verify that no vertex is off by more than 1e-8 of the diagonal.
     tolerance : float, optional
         Largest distance of a vertex from the original, as a fraction of the bounding box's diagonal in the first
-        frame, verified at all frames. The tolerance determines the numbers of modes and knots.
+        frame (in the largest frame if the first is a point), verified at all frames. The tolerance determines the
+        numbers of modes and knots.
     rank : int, optional
         Number of shape modes; placements of parts stay exact.
     placement : {"anchored", "free"}
@@ -231,7 +232,7 @@ def fit(
     >>> mixseq.compare(walk, mixseq.fit(walk, exact=True).sample()).max_error < 1e-9
     True
     """
-    check_frames(sequence)
+    check_motion(sequence)
     knots, pose = settings.pop("knots", None), settings.pop("pose", "modes")
     if parts is None and space == "mixed":
         parts = own_parts(sequence)

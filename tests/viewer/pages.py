@@ -23,11 +23,10 @@ from mixseq_io.coded.streams import Container, read_sequence
 
 def eventually(holds: Callable[[], Any], seconds: float = 60.0) -> Any:
     """Wait until something holds, and return it."""
-    until, pause = time.monotonic() + seconds, 0.02
+    until = time.monotonic() + seconds
     while not (found := holds()):
         assert time.monotonic() < until, "it never came"
-        time.sleep(pause)
-        pause = min(1.5 * pause, 0.2)  # to ask a page takes the processor that it waits for
+        time.sleep(0.02)
     return found
 
 

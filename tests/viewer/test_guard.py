@@ -124,6 +124,11 @@ def check_it_hears(page: Page, line: Connection) -> None:
     eventually(lambda: box.value == wanted)
 
 
+def test_a_path_that_is_too_long_for_a_file_is_not_found(page: Page) -> None:
+    assert page.get("/" + 7000 * "a", Cookie=page.cookie).status == 404
+    assert page.get("/", Cookie=page.cookie).status == 200
+
+
 # Who is let in --------------------------------------------------------------------------------------------
 
 
