@@ -213,7 +213,8 @@ def fit(
         If a setting is out of range, contradicts another setting, or is unused by the space. Also if double precision
         cannot resolve the tolerance, because the sequence is far from the origin relative to its size.
     ReconstructionError
-        If the most accurate model exceeds the tolerance for another reason.
+        If the most accurate model exceeds the tolerance for another reason, such as triangles that lose their area in
+        the free placement.
     SegmentationError
         If `parts` does not fit the mesh.
     FormatError, InvalidSequenceError
