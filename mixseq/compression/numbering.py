@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import overload
 
 import numpy as np
 
@@ -72,6 +73,12 @@ class Renumbering:
         polygons = self.renumber_polygons(header.polygons)
         surface = self._renumber_surface(header.surface)
         return SequenceHeader(**{**header_fields(header), "polygons": polygons, "surface": surface})
+
+    @overload
+    def renumber_frames(self, frames: MeshSequence) -> MeshSequence: ...
+
+    @overload
+    def renumber_frames(self, frames: Frames) -> Frames: ...
 
     def renumber_frames(self, frames: Frames) -> Frames:
         """Return the frames with renumbered vertices: in memory if `frames` are, otherwise read on demand."""

@@ -187,8 +187,10 @@ def resample(
     >>> slow.frame_count, slow.points[1, 0].round(9).tolist(), slow.velocities[1, 0].round(6).tolist()
     (9, [0.5, 0.5, 0.5], [12.0, 12.0, 12.0])
     """
-    motion = source
-    if not (isinstance(source, Model) or is_rig(source)):
+    motion: Model | Rig
+    if isinstance(source, Model) or is_rig(source):
+        motion = source
+    else:
         frames = without_velocities(source) if velocities else source  # the model's replace them
         motion = fit(frames, exact=True, progress=progress)
     planned = plan(motion, fps, start, end, speed, reverse, retiming)

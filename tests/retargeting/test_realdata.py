@@ -58,7 +58,7 @@ def test_noise_of_the_source_is_hardly_amplified(data: Path, seed: int) -> None:
     noise = np.random.default_rng(seed).normal(size=wolf.points.shape)
     noise *= 1e-4 * wolf.diagonal / np.linalg.norm(noise, axis=2).max()
     parts = prepare_source(wolf).part_of_face()
-    target = still(wolf.points[0] * np.float32([1, 1.5, 1]), wolf)
+    target = still(wolf.points[0] * np.array([1, 1.5, 1], dtype=np.float32), wolf)
     exact, noisy = (
         np.stack([planned.method.transfer_frame(points) for points in source.points[8:13]])
         for source in (wolf, wolf.with_points(wolf.points + noise))
