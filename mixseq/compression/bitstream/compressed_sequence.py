@@ -79,6 +79,8 @@ class CodingParameters:
     uv_error: float | None = None
     # Levels of in-betweens: 1 for the middles between frames, 2 for the quarters as well, and so on. None without.
     inbetween_levels: int | None = None
+    # Quantisation step of in-betweens, in the units of the sequence. None if there are none.
+    inbetween_step: float | None = None
     # Largest measured distance between frames from the fitted model, in diagonals. None if it was not fitted.
     inbetween_error: float | None = None
 
@@ -110,11 +112,15 @@ class CodingParameters:
             raise SettingsError(f"uv_steps is {steps!r}; a whole number from 1 to {most} is expected")
         if error is not None and not (isinstance(error, int | float) and 0 <= error < inf):
             raise SettingsError(f"uv_error is {error!r}; a non-negative number is expected")
-        levels, error = self.inbetween_levels, self.inbetween_error
+        levels, step, error = self.inbetween_levels, self.inbetween_step, self.inbetween_error
+        if (levels is None) != (step is None):
+            raise SettingsError("inbetween_levels and inbetween_step come together")
         if levels is not None and not (type(levels) is int and 0 < levels <= MAX_INBETWEEN_LEVELS):
             raise SettingsError(
                 f"inbetween_levels is {levels!r}; a whole number from 1 to {MAX_INBETWEEN_LEVELS} is expected"
             )
+        if step is not None and not (_is_number(step) and 0 < step < inf):
+            raise SettingsError(f"inbetween_step is {step!r}; a positive number is expected")
         if error is not None and not (_is_number(error) and 0 <= error < inf):
             raise SettingsError(f"inbetween_error is {error!r}; a non-negative number is expected")
         if not isinstance(self.promised, bool):
@@ -264,7 +270,7 @@ def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialB
 
 def _decode_inbetweens(coded: CompressedSequence, basis: SpatialBasis, shape: tuple[int, ...]) -> tuple[Float, ...]:
     """Decode the in-betweens ``((T - 1) 2^l, K, d)`` of every level l; `shape` is ``(K, d)``."""
-    levels, step = range(coded.parameters.inbetween_levels or 0), coded.parameters.step
+    levels, step = range(coded.parameters.inbetween_levels or 0), coded.parameters.inbetween_step or 0.0
     chunks = []
     for chunk in coded.chunks if levels else ():
         intervals = inbetween_intervals(chunk.first, chunk.count, coded.parameters.frame_count)

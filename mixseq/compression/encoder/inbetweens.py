@@ -37,6 +37,12 @@ MAX_SIZE_RATIO = 0.15
 MAX_ERROR_RATIO = 0.8
 """Largest ratio of root mean square errors, after to before a level, at which the level is kept."""
 
+ROUNDING_RATIO = 0.2
+"""Ratio of the mean square rounding error of in-betweens to the mean square distance of the basis from the model."""
+
+MAX_STEPS = 6
+"""Number of steps that are tried, each twice as large, until the bytes suffice."""
+
 
 def add_inbetweens(
     coded: CompressedSequence, playback: Playback, size: int | None, progress: Progress
@@ -50,9 +56,9 @@ def add_inbetweens(
     max_bytes = MAX_SIZE_RATIO * bytes_at_frames if size is None else size - bytes_at_frames
     intervals = [inbetween_intervals(c.first, c.count, parameters.frame_count) for c in coded.chunks]
     model = CompressedModel.from_playback(playback, coded.parts).fit(progress)
-    signals: list[list[Signal]] = [[] for _ in coded.chunks]
+    known: list[list[Signal]] = [[] for _ in coded.chunks]
     streams = [b"" for _ in coded.chunks]
-    times, error = insert_midpoints(playback.times)[1::2], 0.0
+    times, error, step = insert_midpoints(playback.times)[1::2], 0.0, 0.0
     while True:
         level = len(playback.inbetweens)
         points = _decode(model, times)
@@ -60,24 +66,36 @@ def add_inbetweens(
         if largest <= parameters.max_error * parameters.diagonal or level == MAX_INBETWEEN_LEVELS:
             break
         exact = _project(playback, points, times)
+        offsets = exact - playback.curve(times).reshape(exact.shape)
+        if not level:
+            least = _distances(_with_level(playback, offsets), points, times)[1]
+            step = max(parameters.step, float(np.sqrt(12 * ROUNDING_RATIO * least / offsets.size)))
         spans = [range(chunk.start << level, chunk.stop << level) for chunk in intervals]
-        offsets, of_level = round_coefficients(
-            playback.basis, exact - playback.curve(times).reshape(exact.shape), parameters.step, spans
-        )
-        longer = [[*known, *new] for known, new in zip(signals, of_level, strict=True)]
-        coded_levels = [code_coefficients(chunk) if _has_numbers(chunk) else b"" for chunk in longer]
-        finer = replace(playback, inbetweens=(*playback.inbetweens, offsets))
+        for _ in range(1 if level else MAX_STEPS):
+            rounded, signals = round_coefficients(playback.basis, offsets, step, spans)
+            signals = [[*earlier, *of_level] for earlier, of_level in zip(known, signals, strict=True)]
+            longer = [code_coefficients(chunk) if _has_numbers(chunk) else b"" for chunk in signals]
+            is_small = sum(map(len, longer)) <= max_bytes
+            if is_small:
+                break
+            step *= 2
+        finer = _with_level(playback, rounded)
         largest_left, squares_left = _distances(finer, points, times)
-        if sum(map(len, coded_levels)) > max_bytes or squares_left > MAX_ERROR_RATIO**2 * squares:
+        if not is_small or squares_left > MAX_ERROR_RATIO**2 * squares:
             break
-        playback, signals, streams, error = finer, longer, coded_levels, max(error, largest_left)
+        playback, known, streams, error = finer, signals, longer, max(error, largest_left)
         times = insert_midpoints(playback.curve.times)[1::2]
     error = max(error, largest) / parameters.diagonal
-    parameters = replace(
-        parameters, inbetween_levels=len(playback.inbetweens) or None, inbetween_error=float(f"{error:.3g}")
-    )
+    parameters = replace(parameters, inbetween_error=float(f"{error:.3g}"))
+    if playback.inbetweens:
+        parameters = replace(parameters, inbetween_levels=len(playback.inbetweens), inbetween_step=step)
     chunks = tuple(replace(chunk, inbetweens=stream) for chunk, stream in zip(coded.chunks, streams, strict=True))
     return replace(coded, parameters=parameters, chunks=chunks)
+
+
+def _with_level(playback: Playback, offsets: Float) -> Playback:
+    """Return a playback with one more level of in-betweens ``(N, K, d)``."""
+    return replace(playback, inbetweens=(*playback.inbetweens, offsets))
 
 
 def _decode(model: Model, times: Float) -> LargeArray:

@@ -8,7 +8,7 @@ const MAX_INBETWEEN_LEVELS = 3;
 const MAX_MEMORY = 2 ** 32; // bytes that a sequence may take
 const PARAMETERS = [
   "factors", "rank", "frame_count", "step", "diagonal", "max_error", "kg_percent", "promised", "correction", "ranks", "uv_steps",
-  "uv_error", "label_count", "inbetween_levels", "inbetween_error",
+  "uv_error", "label_count", "inbetween_levels", "inbetween_step", "inbetween_error",
 ];
 
 const isCount = (value) => Number.isInteger(value) && value > 0;
@@ -20,7 +20,7 @@ export function readFacts(text) {
   if (unknown !== undefined) throw new MixseqError(`the parameter ${unknown} is unknown to this decoder; take a newer one`);
   const { vertex_count: vertices, polygon_count: polygons, corner_count: corners, frame_count: frames, fps } = facts;
   const { factors, rank, ranks = [], uv_steps: steps = null, uv_error: error = null, label_count: labels = null } = given, shapes = factors === "shapes";
-  const { inbetween_levels: levels = null, inbetween_error: between = null } = given;
+  const { inbetween_levels: levels = null, inbetween_step: betweenStep = null, inbetween_error: betweenError = null } = given;
   const parts = Array.isArray(ranks) ? ranks : [0];
   const checks = {
     vertex_count: isCount(vertices),
@@ -39,7 +39,8 @@ export function readFacts(text) {
     uv_steps: steps === null ? error === null : isCount(steps) && steps <= MAX_UV_STEPS && isNonNegative(error),
     label_count: labels === null || (isCount(labels) && labels <= MAX_PARTS),
     inbetween_levels: levels === null || (isCount(levels) && levels <= MAX_INBETWEEN_LEVELS),
-    inbetween_error: between === null || isNonNegative(between),
+    inbetween_step: levels === null ? betweenStep === null : isNonNegative(betweenStep) && betweenStep > 0,
+    inbetween_error: betweenError === null || isNonNegative(betweenError),
     fps: isNonNegative(fps) && fps > 0,
     first_time: Number.isFinite(facts.first_time),
   };
@@ -54,7 +55,7 @@ export function readFacts(text) {
     parameters: {
       factors, rank, ranks: parts.length ? parts : [rank], step: given.step, diagonal: given.diagonal, maxError: given.max_error,
       kgPercent: given.kg_percent, promised: given.promised, correction: given.correction ?? 0, uvSteps: steps, uvError: error,
-      labelCount: labels, inbetweenLevels: levels ?? 0, inbetweenError: between,
+      labelCount: labels, inbetweenLevels: levels ?? 0, inbetweenStep: betweenStep, inbetweenError: betweenError,
     },
   };
 }

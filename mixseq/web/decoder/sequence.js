@@ -154,7 +154,7 @@ export class Sequence {
   #readInbetweens(number, basis) {
     const { first, count, inbetweens } = this.streams.chunks[number], intervals = Math.min(count, this.frameCount - 1 - first);
     const counts = Array.from({ length: this.parameters.inbetweenLevels }, (_, level) => intervals << level);
-    return inbetweens.length ? readLevels(inbetweens, basis, counts, this.parameters.step) : null;
+    return inbetweens.length ? readLevels(inbetweens, basis, counts, this.parameters.inbetweenStep) : null;
   }
 
   /** The offsets of weights at a middle between knots, of a level from 0 on; null if they are zero. */

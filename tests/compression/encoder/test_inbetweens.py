@@ -25,23 +25,23 @@ from tests.meshes import bar, rotation, tube
 
 
 def with_random_inbetweens(coded: CompressedSequence, levels: int) -> CompressedSequence:
-    """Return a sequence with in-betweens of up to nine steps; those of the last chunk are zero if there are several."""
+    """Return a sequence with in-betweens of up to nine steps, twice those of frames; those of the last chunk are zero if there are several."""
     playback, rng = decode(coded), np.random.default_rng(0)
     norms = playback.basis.norms[playback.basis.varying]
     intervals = [inbetween_intervals(c.first, c.count, coded.parameters.frame_count) for c in coded.chunks]
     signals: list[list[Signal]] = [[] for _ in coded.chunks]
+    step = 2 * coded.parameters.step
     for level in range(levels):
         spans = [range(chunk.start << level, chunk.stop << level) for chunk in intervals]
         numbers = rng.integers(-9, 10, (spans[-1].stop, *playback.coefficients.shape[1:]))
-        offsets = coded.parameters.step * numbers / norms[:, None]
-        _, of_level = round_coefficients(playback.basis, offsets, coded.parameters.step, spans)
+        _, of_level = round_coefficients(playback.basis, step * numbers / norms[:, None], step, spans)
         for known, new in zip(signals, of_level, strict=True):
             known += new
     streams = [code_coefficients(chunk) for chunk in signals]
     if len(streams) > 1:
         streams[-1] = b""
     chunks = tuple(replace(chunk, inbetweens=stream) for chunk, stream in zip(coded.chunks, streams, strict=True))
-    return replace(coded, chunks=chunks, parameters=replace(coded.parameters, inbetween_levels=levels))
+    return replace(coded, chunks=chunks, parameters=replace(coded.parameters, inbetween_levels=levels, inbetween_step=step))
 
 
 def bending_tube() -> MeshSequence:
@@ -136,7 +136,7 @@ def test_files(tmp_path: Path, name: str, levels: int) -> None:
     lower = replace(playback, inbetweens=playback.inbetweens[:-1]).curve
     middles = insert_midpoints(playback.times) if levels == 1 else insert_midpoints(lower.times)
     offsets = (playback.curve.values - lower(middles))[1::2].reshape(-1, *playback.coefficients.shape[1:])
-    steps = offsets * playback.basis.norms[playback.basis.varying, None] / coded.parameters.step
+    steps = offsets * playback.basis.norms[playback.basis.varying, None] / (2 * coded.parameters.step)
     assert np.abs(steps).max() == pytest.approx(9, abs=1)
     np.testing.assert_allclose(64 * steps, np.rint(64 * steps), atol=1e-3)
 
@@ -145,6 +145,13 @@ def test_files(tmp_path: Path, name: str, levels: int) -> None:
 def test_levels_out_of_range_are_refused(coded: CompressedSequence, levels: int) -> None:
     with pytest.raises(SettingsError, match="inbetween_levels"):
         replace(coded.parameters, inbetween_levels=levels)
+
+
+def test_levels_and_step_come_together(coded: CompressedSequence) -> None:
+    with pytest.raises(SettingsError, match="come together"):
+        replace(coded.parameters, inbetween_step=None)
+    with pytest.raises(SettingsError, match="inbetween_step"):
+        replace(coded.parameters, inbetween_step=0.0)
 
 
 @pytest.mark.parametrize("error", [-1.0, np.inf, "1"])
