@@ -21,7 +21,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
 from mixseq_io.coded.streams import INDEX_HEAD, LABEL_COUNT, MAGIC, Container, pack_leb128, pack_surface, pack_times
 
-_HDF5_SIZE, _INDEX_SIZE_PER_64_FRAMES, _SOURCE_SIZE = 1200, 64, 32
+_HDF5_SIZE, _INDEX_SIZE_PER_64_FRAMES, _SOURCE_SIZE = 1300, 96, 32
 """Largest sizes in bytes: HDF5 structures with attributes, part of the index for 64 frames, checksum of the source."""
 
 

@@ -40,8 +40,8 @@ MAX_ERROR_RATIO = 0.8
 ROUNDING_RATIO = 0.2
 """Ratio of the mean square rounding error of in-betweens to the mean square distance of the basis from the model."""
 
-MAX_STEPS = 6
-"""Number of steps that are tried, each twice as large, until the bytes suffice."""
+STEP_FACTORS = (1, 2, 4, 8, 16, 32)
+"""Multiples of the step that are tried for the middles between frames, until the bytes suffice."""
 
 
 def add_inbetweens(
@@ -71,19 +71,18 @@ def add_inbetweens(
             least = _distances(_with_level(playback, offsets), points, times)[1]
             step = max(parameters.step, float(np.sqrt(12 * ROUNDING_RATIO * least / offsets.size)))
         spans = [range(chunk.start << level, chunk.stop << level) for chunk in intervals]
-        for _ in range(1 if level else MAX_STEPS):
-            rounded, signals = round_coefficients(playback.basis, offsets, step, spans)
+        for factor in (1,) if level else STEP_FACTORS:
+            rounded, signals = round_coefficients(playback.basis, offsets, factor * step, spans)
             signals = [[*earlier, *of_level] for earlier, of_level in zip(known, signals, strict=True)]
             longer = [code_coefficients(chunk) if _has_numbers(chunk) else b"" for chunk in signals]
             is_small = sum(map(len, longer)) <= max_bytes
             if is_small:
                 break
-            step *= 2
         finer = _with_level(playback, rounded)
         largest_left, squares_left = _distances(finer, points, times)
         if not is_small or squares_left > MAX_ERROR_RATIO**2 * squares:
             break
-        playback, known, streams, error = finer, signals, longer, max(error, largest_left)
+        playback, known, streams, step, error = finer, signals, longer, factor * step, max(error, largest_left)
         times = insert_midpoints(playback.curve.times)[1::2]
     error = max(error, largest) / parameters.diagonal
     parameters = replace(parameters, inbetween_error=float(f"{error:.3g}"))
