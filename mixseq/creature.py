@@ -396,7 +396,7 @@ def walk_cycle(frames: int = 48, fps: float = 24.0) -> MeshSequence:
     True
     """
     with one_blas_thread():
-        rest, faces, weights = _rest_mesh()
+        rest, faces, weights = _rest_mesh(CELL_METRES)
         rotations, heads = pose_skeleton(np.arange(frames) / frames)
         # Linear blend skinning: bone b maps a point x to rotation x + (head - rotation rest_head).
         translations = heads - np.einsum("tbij,bj->tbi", rotations, BONE_HEADS)
@@ -418,14 +418,14 @@ def part_of_vertex() -> tuple[NDArray[np.int64], tuple[str, ...]]:
         Names of the bones.
     """
     with one_blas_thread():
-        return np.argmax(_rest_mesh()[2], axis=1), BONE_NAMES
+        return np.argmax(_rest_mesh(CELL_METRES)[2], axis=1), BONE_NAMES
 
 
 @cache
-def _rest_mesh() -> tuple[Float, Index, Float]:
+def _rest_mesh(cell: float) -> tuple[Float, Index, Float]:
     """Return rest pose ``(V, 3)``, faces ``(F, 3)`` and skinning weights ``(V, B)``, cached and read-only."""
     low, high = np.array([-1.05, -0.05, -0.24]), np.array([0.70, 1.08, 0.24])
-    points, faces = polygonise(body_distance, low, high, CELL_METRES)
+    points, faces = polygonise(body_distance, low, high, cell)
     arrays = points, faces, skin_weights(points, faces)
     for array in arrays:
         array.flags.writeable = False

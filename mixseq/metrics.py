@@ -1,7 +1,7 @@
 r"""Distances between two mesh sequences: positions, lengths, angles, volume.
 
-:math:`A, B` are the points ``(T, V, 3)`` of the reference and of the other sequence, and d is the diagonal of the
-bounding box of A's first frame:
+:math:`A, B` are the points ``(T, V, 3)`` of the reference and of the other sequence, and d is the unit of errors, by
+default the diagonal of the bounding box of A's first frame (`mixseq.sequence.sequence.reference_diagonal`):
 
 - *KG error* (Karni and Gotsman 2004): :math:`100\,\|A - B\|_F / \|A - \bar A\|_F` percent, where
   :math:`\bar A` holds the centroid of every frame of A
@@ -33,7 +33,7 @@ from mixseq.runtime.low_memory import RunningStatistics, Statistics
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames
+from mixseq.sequence.sequence import Frames, reference_diagonal
 from mixseq.types import Float
 
 MIN_NORMAL_HEIGHT_RATIO = 1e-6
@@ -144,7 +144,7 @@ def compare(a: Frames, b: Frames) -> Comparison:
     volumes: list[Float] = []
     for x, y in paired_blocks(a, b, max(1, _MAX_BLOCK_VERTICES // header.vertex_count)):
         if not largest:
-            unit = Diagonal.from_points(x[0])
+            unit = reference_diagonal(chain([x], a.blocks()))
         difference, x, y = (unit.rescale(lengths) for lengths in (x - y, x, y))
         squares = np.einsum("tvi,tvi->tv", difference, difference)
         error_squares += float(squares.sum())

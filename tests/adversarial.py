@@ -155,6 +155,8 @@ SEQUENCES: dict[str, Callable[[], Made]] = {
     "growth 1e-6 to 1e6": _changed(lambda points, time: points * 10 ** (12 * time - 6)),
     "growth 1e-3 to 1e3": _changed(lambda points, time: points * 10 ** (6 * time - 3)),
     "growth from a point": _changed(lambda points, time: points * time),
+    "growth from a point, 1e-6": _changed(lambda points, time: 1e-6 * (points * time + 3)),
+    "growth from a point, 1e6": _changed(lambda points, time: 1e6 * points * time),
     "shrinking to a point": _changed(lambda points, time: points * (1 - time)),
     # motions
     "single frame": lambda: (waving(1), sheet()[1]),

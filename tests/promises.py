@@ -70,10 +70,10 @@ def _attempt(points: FloatArray, faces: Index, way: Way, bound: float) -> tuple[
 
 
 def distance(points: FloatArray, others: FloatArray) -> float:
-    """Return the largest distance of a vertex, in diagonals of the first frame, or in units if that is one point."""
+    """Return the largest distance of a vertex, in diagonals: of the first frame, or the largest if it is a point."""
     x, y = points.astype(np.longdouble), others.astype(np.longdouble)
-    diagonal = np.sqrt(np.square(x[0].max(axis=0) - x[0].min(axis=0)).sum())
-    return float(np.sqrt(np.square(x - y).sum(axis=2).max()) / (diagonal or 1))
+    diagonals = np.sqrt(np.square(x.max(axis=1) - x.min(axis=1)).sum(axis=1))
+    return float(np.sqrt(np.square(x - y).sum(axis=2).max()) / (diagonals[0] or diagonals.max() or 1))
 
 
 def _lies(file: Path, sequence: MeshSequence, bound: float) -> Iterator[str]:

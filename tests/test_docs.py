@@ -23,7 +23,7 @@ import pytest
 from click.testing import CliRunner
 
 import mixseq
-from mixseq import operations
+from mixseq import creature, operations
 from mixseq.cli import main
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.options import Setting
@@ -42,7 +42,7 @@ from mixseq_io.registry import capability_table, motion_table
 from mixseq_io.surfaces import SURFACE_ARRAY_NAMES
 from scripts.paper_study.main import STAGES
 from tests import given
-from tests.meshes import bar
+from tests.meshes import COARSE_CELL_METRES, bar
 
 pytestmark = pytest.mark.slow
 
@@ -124,6 +124,7 @@ NOT_RUN = {
     r"mixseq decode .* --cluster local:4": "starts processes; tests/runtime/test_cluster.py does that",
     r"mixseq plot --video (\w+\.\w+) walk": "large; docs/how-to/film.md makes the same in small",
     r"mixseq blender ": "downloads 100 MB; tests/blender packs what it would",
+    r"mixseq warm-up": "tests/cli/test_warm_up.py does that",
     r"mixseq view (?!.*--export)": "waits for a browser; tests/viewer has one",
 }
 """Commands that are shown and not run, and why."""
@@ -145,6 +146,7 @@ def test_code_and_commands_run_from_top_to_bottom(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MIXSEQ_DATA", str(tmp_path))
+    monkeypatch.setattr(creature, "CELL_METRES", COARSE_CELL_METRES)  # a fox of 1,614 vertices is enough to run a page
     for file in BROUGHT.get(name, "").split():
         given.make(file)
     names: dict[str, Any] = given.names() if blocks(name, PART) else {}
@@ -157,14 +159,14 @@ def test_code_and_commands_run_from_top_to_bottom(
             write_text(text, Path(f"block{number}.{language}"))
 
 
-@pytest.mark.parametrize("name", EVERY_PAGE)
-def test_every_block_is_of_a_language_that_runs(name: str) -> None:
-    found = blocks(name, *RUN, "math", "text", "js")  # tests/web runs scripts
-    assert len(re.findall(r"^ *(?:```|~~~)", page(name), re.MULTILINE)) == 2 * len(found)
-    plain = [text for language, text in found if language == "text"]
-    assert len(plain) == NO_CODE.get(name, 0)
-    for text in plain:
-        assert not re.search(r"^\$ |^(mixseq [a-z]+ |pip |python |scripts/\w)", text, re.MULTILINE), text
+def test_every_block_is_of_a_language_that_runs() -> None:
+    for name in EVERY_PAGE:
+        found = blocks(name, *RUN, "math", "text", "js")  # tests/web runs scripts
+        assert len(re.findall(r"^ *(?:```|~~~)", page(name), re.MULTILINE)) == 2 * len(found)
+        plain = [text for language, text in found if language == "text"]
+        assert len(plain) == NO_CODE.get(name, 0)
+        for text in plain:
+            assert not re.search(r"^\$ |^(mixseq [a-z]+ |pip |python |scripts/\w)", text, re.MULTILINE), text
 
 
 def test_what_is_not_run_is_shown() -> None:
@@ -262,16 +264,16 @@ def run_commands(text: str) -> None:
         assert result.stderr.splitlines() == warned, line
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
-def test_links_and_pictures_exist(path: Path) -> None:
-    for target in LINK.findall(prose(str(path.relative_to(ROOT)))):
-        if target.startswith(("http://", "https://")):
-            continue
-        file, _, anchor = target.partition("#")
-        linked = (path.parent / file) if file else path
-        assert linked.exists(), f"{path.name}: {target}"
-        if anchor:
-            assert anchor in anchors(linked), f"{path.name}: {target}"
+def test_links_and_pictures_exist() -> None:
+    for path in PAGES:
+        for target in LINK.findall(prose(str(path.relative_to(ROOT)))):
+            if target.startswith(("http://", "https://")):
+                continue
+            file, _, anchor = target.partition("#")
+            linked = (path.parent / file) if file else path
+            assert linked.exists(), f"{path.name}: {target}"
+            if anchor:
+                assert anchor in anchors(linked), f"{path.name}: {target}"
 
 
 @cache

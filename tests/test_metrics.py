@@ -10,7 +10,7 @@ from mixseq import metrics
 from mixseq.errors import InvalidSequenceError
 from mixseq.metrics import compare, match_frames
 from mixseq.runtime.low_memory import Statistics
-from mixseq.sequence.sequence import MeshSequence
+from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence
 from mixseq.types import Float
 from tests.meshes import SEQUENCES, bar, grid, rotation, tetrahedron, topology_of, tube
 
@@ -212,6 +212,18 @@ def test_a_mesh_in_one_point() -> None:
     plain = moved.as_dict()
     assert (plain["kg_percent"], plain["rms_error"], plain["max_error"]) == (None, None, None)
     json.dumps(plain, allow_nan=False)
+
+
+@pytest.mark.parametrize("streams", [False, True])
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_a_mesh_that_grows_from_a_point(scale: float, streams: bool) -> None:
+    points, faces = tetrahedron()
+    a = MeshSequence.from_arrays(scale * np.stack([0 * points, 2 * points, points]) + 3 * scale, faces)
+    b = a.with_points(a.points + np.array([0.01 * scale, 0, 0]))
+    reference: Frames = LazyFrames(a.header, lambda _: iter(a.points[:, None])) if streams else a
+    result = compare(reference, b)
+    assert result.diagonal == a.diagonal == pytest.approx(2 * scale * np.linalg.norm(np.ptp(points, axis=0)))
+    assert result.per_frame_max == pytest.approx(np.full(3, 0.01 * scale / a.diagonal))
 
 
 @pytest.mark.parametrize("exponent", [-1000, -600, 600, 1000])

@@ -29,6 +29,8 @@ KEPT = {"fit": "kept", "compress": "kept", "exact": "kept"}
         ("growth 1e-6 to 1e6", REFUSED, "beyond the digits|double precision cannot resolve"),
         ("not a number", REFUSED, "coordinates must be finite"),
         ("collapsed part", KEPT, ""),
+        ("growth from a point, 1e-6", KEPT, ""),
+        ("growth from a point, 1e6", KEPT, ""),
     ],
 )
 def test_promises_are_kept_or_refused(name: str, expected: dict[str, str], reason: str) -> None:

@@ -6,7 +6,9 @@ parsers are also limited by the system, see `mixseq_io.isolation`. The limit is 
 
 Output is written to a temporary file beside the target and flushed to disk, then renamed to the target, which is atomic
 (https://pubs.opengroup.org/onlinepubs/9799919799/functions/rename.html). Readers find the old file or the new
-file. After an error, a full disk, Ctrl-C or a power cut, the old file is unchanged. Renaming defers signals.
+file. After an error, a full disk, Ctrl-C or a power cut, the old file is unchanged. Renaming defers signals. The file
+that a link leads to is replaced, not the link; of several files in a folder, links are. Devices, pipes and sockets are
+refused, directly or through links, as renaming would remove them.
 
 Temporary names start with a prefix ``.mixseq.HOST.RANDOM``. The writer holds a lock on the file ``PREFIX.lock``, which
 the operating system releases when the process ends. The next writer in the folder deletes unlocked temporary files.
@@ -217,7 +219,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path; its file replaces `path` if the block ends without an exception."""
     target = Path(os.path.realpath(path))
     with _translate_write_errors(target):
-        _check_target(target)
+        check_target(path)
         with temporary_prefix(target.parent) as prefix:
             temporary = Path(f"{prefix}{target.suffix}")
             yield temporary
@@ -239,13 +241,13 @@ def atomic_files(pattern: str | os.PathLike[str]) -> Iterator[Path]:
     target = Path(os.path.realpath(pattern))
     folder = target.parent
     with _translate_write_errors(target):
-        _check_target(target)
+        check_target(pattern)
         with temporary_prefix(folder) as temporary:
             temporary.mkdir()
             yield temporary
             files = sorted(temporary.iterdir())
             for file in files:
-                _check_target(folder / file.name)
+                check_target(folder / file.name)
                 _flush(file)
             raise_pending_signal()
             with deferred_signals():
@@ -263,7 +265,7 @@ def atomic_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator
     """
     target = Path(os.path.realpath(path))
     with _translate_write_errors(target):
-        _check_target(target, is_folder=True)
+        check_target(path, is_folder=True)
         with temporary_prefix(target.parent) as prefix:
             temporary = Path(f"{prefix}.new")
             temporary.mkdir()
@@ -271,6 +273,9 @@ def atomic_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator
             for file in temporary.iterdir():
                 _flush(file)
             _flush_folder(temporary)
+            for file in target.iterdir() if target.exists() else ():
+                if file.name in own:
+                    check_target(file)
             raise_pending_signal()
             with deferred_signals():
                 if target.exists():
@@ -300,12 +305,18 @@ def _exchange(source: Path, target: Path, own: Container[str], old: Path) -> Non
         raise
 
 
-def _check_target(target: Path, is_folder: bool = False) -> None:
-    """Raise an error for a target that cannot be replaced."""
-    if target.is_dir() and not is_folder:
-        raise OutputError(f"{target} is a folder; give the name of a file")
+def check_target(path: str | os.PathLike[str], is_folder: bool = False) -> None:
+    """Raise an error for a path that cannot be replaced by a file, or into which a folder's files cannot be moved."""
+    given, target = Path(path), Path(os.path.realpath(path))
+    if given.is_dir() and not is_folder:
+        raise OutputError(f"{given} is a folder; give the name of a file")
+    if is_folder and given.is_file():
+        raise OutputError(f"{given} is a file; give the name of a folder")
+    if given.exists() and not (given.is_file() or given.is_dir()):
+        link = f", through a link to {target}" if given.is_symlink() else ""
+        raise OutputError(f"{given} is a device, a pipe or a socket{link}, which would be replaced; give another name")
     if not target.parent.is_dir():
-        raise OutputError(f"{target}: the folder {target.parent} does not exist; make it first")
+        raise OutputError(f"{given}: the folder {target.parent} does not exist; make it first")
 
 
 def _flush(file: Path, mode: int = os.O_RDWR) -> None:

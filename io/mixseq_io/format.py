@@ -84,7 +84,7 @@ class Format:
     ) -> None:
         """Write a file; see `mixseq_io.write_blocks`."""
         self._check_options("written", self.write_options, options)
-        rounding = RoundingMonitor()
+        rounding = RoundingMonitor(header.provenance)
         if self.capabilities.points == SINGLE_PRECISION:
             blocks = rounding.measure(blocks)
         import_function(self.writer)(path, header, blocks, velocities, **options)

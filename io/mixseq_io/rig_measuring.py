@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mixseq.metrics import error_ratio
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
+from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import IntArray
 from mixseq_io.gltf.codecs import compute_glb_size
 from mixseq_io.gltf.new_document import MorphFrameWriter, axis_conversion, create_scene
@@ -53,10 +53,9 @@ def measure_rig_file(path: Path, sequence: MeshSequence) -> RigErrors:
         largest = max(largest, float(squared_distances.max()))
         squares += float(squared_distances.sum())
         spread += float(np.square(expected - expected.mean(axis=0)).sum())
-    diagonal = bounding_diagonal(sequence.points[0][vertex_ids].astype(np.float64) @ rotation)
     return RigErrors(
-        max_error=error_ratio(np.sqrt(largest), diagonal),
-        rms_error=error_ratio(np.sqrt(squares / (sequence.frame_count * len(vertex_ids))), diagonal),
+        max_error=error_ratio(np.sqrt(largest), sequence.diagonal),
+        rms_error=error_ratio(np.sqrt(squares / (sequence.frame_count * len(vertex_ids))), sequence.diagonal),
         kg_percent=100 * error_ratio(np.sqrt(squares), np.sqrt(spread)),
     )
 

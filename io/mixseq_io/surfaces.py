@@ -41,11 +41,16 @@ from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
+from mixseq.sequence.provenance import Provenance
+from mixseq.sequence.sequence import reference_diagonal
 from mixseq.types import Float, FloatArray, Index, IntArray, Single
 from mixseq_io.reader import warn
 
 VISIBLE_ERROR_DIAGONALS = 1e-4
 """Smallest reported displacement in diagonals, a fifth of the visually lossless displacement."""
+
+MAX_SILENT_BOUND_SHARE = 0.1
+"""Largest displacement by rounding that is not reported, as a share of the bound that a model promises."""
 
 _FRAMES_PER_MEASUREMENT = 8
 _RELATIVE_ROUNDING, _SMALLEST_ROUNDING = 2.0**-24, 2.0**-150
@@ -53,10 +58,15 @@ _RELATIVE_ROUNDING, _SMALLEST_ROUNDING = 2.0**-24, 2.0**-150
 
 
 class RoundingMonitor:
-    """Measurement of the largest displacement of points in a float32 file, in diagonals, and of its frame index."""
+    """Measurement of the largest displacement of points in a float32 file, in diagonals, and of its frame index.
 
-    def __init__(self) -> None:
+    Visible displacements are reported, and those that matter for the bound promised by the model the points are from.
+    """
+
+    def __init__(self, provenance: Provenance | None = None) -> None:
         self.error, self.frame = 0.0, 0
+        self._promise = None if provenance is None else _promised_bound(provenance)
+        self._silent = min(VISIBLE_ERROR_DIAGONALS, MAX_SILENT_BOUND_SHARE * (self._promise or 1.0))
 
     def measure(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
         """Yield blocks ``(B, V, 3)``, and measure each block after the writer has checked it."""
@@ -65,7 +75,8 @@ class RoundingMonitor:
             yield block
             points = np.asarray(block)
             if points.size:
-                diagonal = diagonal or Diagonal.from_points(points[0])
+                if diagonal is None or not diagonal.fraction:
+                    diagonal = reference_diagonal([points])
                 if points.dtype != np.float32:
                     for start in range(0, len(points), _FRAMES_PER_MEASUREMENT):
                         self._update(points[start : start + _FRAMES_PER_MEASUREMENT], first + start, diagonal)
@@ -74,7 +85,7 @@ class RoundingMonitor:
     def _update(self, points: FloatArray, first: int, diagonal: Diagonal) -> None:
         largest = max(float(points.max()), -float(points.min()))
         bound = 2 * max(_RELATIVE_ROUNDING * largest, _SMALLEST_ROUNDING)
-        if bound < VISIBLE_ERROR_DIAGONALS * diagonal.length:
+        if bound < self._silent * diagonal.length:
             return
         with np.errstate(over="ignore", under="ignore"):
             errors: Float = diagonal.rescale(points - points.astype(np.float32))
@@ -83,13 +94,25 @@ class RoundingMonitor:
             self.error, self.frame = float(errors.max()), first + int(errors.argmax())
 
     def warn(self, path: Path, format_name: str, header: SequenceHeader) -> None:
-        """Warn of visible rounding, if any; `format_name` is a name such as "USD"."""
-        if self.error > VISIBLE_ERROR_DIAGONALS:
-            warn(
-                f"{path}: {format_name} holds points in single precision, and vertices are off by up to "
-                f"{self.error:.2g} of the diagonal, most in {header.frame_name(self.frame)}; write .npz, .h5 "
-                "or .ply, which hold doubles, or move the sequence to the origin"
-            )
+        """Warn of visible rounding, and of a promised bound that may be exceeded; `format_name` is such as "USD"."""
+        if self.error <= self._silent:
+            return
+        bound = ""
+        if self._promise is not None:
+            bound = f" (by {self._promise + self.error:.2g} from the original, of which {self._promise:g} is promised)"
+        warn(
+            f"{path}: {format_name} holds points in single precision, and vertices are off by up to {self.error:.2g} "
+            f"of the diagonal{bound}, most in {header.frame_name(self.frame)}; write .npz, .h5 or .ply, which hold "
+            "doubles, or move the sequence to the origin"
+        )
+
+
+def _promised_bound(provenance: Provenance) -> float | None:
+    """Return the bound that the last step promises in diagonals; None if it has none, or promises exact frames."""
+    from mixseq.signals.detail import EXACT_TOLERANCE
+
+    bound = provenance.bounds[0][1] if provenance.promised and provenance.source else None
+    return None if bound is None or bound <= EXACT_TOLERANCE else bound
 
 
 LARGEST_BYTE = 255

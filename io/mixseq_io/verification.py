@@ -1,15 +1,17 @@
 r"""Verify a model by comparison with its original, or with the same edit of it, and verify its stated error bound.
 
-:math:`A, B` are points of original and decoded frames. d is the bounding box diagonal of the first original frame, or
-1 if this frame is a single point. The bound is :math:`|A_{tv} - B_{tv}| \le \epsilon\, d`, a sum for models that were
-made of models (`mixseq.sequence.provenance`). `mixseq.metrics` defines the KG error. Frames are decoded in small
-blocks; `mixseq.mesh.measures` avoids overflow at any scale.
+:math:`A, B` are points of original and decoded frames. d is the unit of errors of the original
+(`mixseq.sequence.sequence.reference_diagonal`), or 1 if all frames are points. The bound is
+:math:`|A_{tv} - B_{tv}| \le \epsilon\, d`, a sum for models that were made of models (`mixseq.sequence.provenance`).
+`mixseq.metrics` defines the KG error. Frames are decoded in small blocks; `mixseq.mesh.measures` avoids overflow at any
+scale.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,7 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance, frames_checksum
-from mixseq.sequence.sequence import Frames, LazyFrames, check_frames
+from mixseq.sequence.sequence import Frames, LazyFrames, check_frames, reference_diagonal
 from mixseq.signals.decoding import FRAMES_PER_BLOCK
 from mixseq.signals.model import Model
 from mixseq.types import FloatArray, PathLike
@@ -94,7 +96,7 @@ class Verification:
     source : str
         Name of the original to which the bound refers.
     diagonal : float
-        Diagonal of the original's first frame in metres, the unit of errors.
+        Diagonal of the original's first frame (of the largest if that is a point) in metres, the unit of errors.
     provenance : str
         All steps from the original to the file, such as "1e-4 from r10.h5, which is 6e-4 from walk.usdc".
     max_error : float or None
@@ -255,7 +257,7 @@ def _measure_errors(original: Frames, frames: Frames, renumbering: Renumbering) 
     for x, y in paired_blocks(original, frames, FRAMES_PER_BLOCK):
         checksum = frames_checksum([x], checksum)
         if first_frame == 0:
-            unit = Diagonal.from_points(x[0])
+            unit = reference_diagonal(chain([x], original.blocks()))
         with np.errstate(over="ignore"):  # an overflow gives an infinite distance
             squared = np.square(unit.rescale(x - y)).sum(axis=2)
             squared_sum += float(squared.sum())

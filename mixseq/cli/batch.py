@@ -8,15 +8,14 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import warnings
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from hashlib import sha256
+from html import escape
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -315,7 +314,7 @@ def in_markdown(report: Report) -> str:
     """Return the report in Markdown."""
     entries = list(report.entries.values())
     again = "" if report.finished else " Not finished: the same command goes on with what is left."
-    cells = [[printable(cell).replace("|", "\\|") for cell in row] for row in rows(entries)]
+    cells = [[_plain(cell).replace("|", "\\|") for cell in row] for row in rows(entries)]
     lines = [
         "# Batch",
         "",
@@ -326,9 +325,14 @@ def in_markdown(report: Report) -> str:
         "Times are those of encoding. Errors are of all decoded frames: the largest of a vertex, and the one of Karni",
         "and Gotsman. Bits are per vertex and frame.",
     ]
-    lines += [printable(f"- {Path(each.target).stem}: {each.history}") for each in entries if ", which" in each.history]
-    messages = [printable(f"- {Path(entry.target).stem}: {each}") for entry in entries for each in entry.warnings]
+    lines += [_plain(f"- {Path(each.target).stem}: {each.history}") for each in entries if ", which" in each.history]
+    messages = [_plain(f"- {Path(entry.target).stem}: {each}") for entry in entries for each in entry.warnings]
     return "\n".join([*lines, *(["", "## Warnings", "", *messages] if messages else [])]) + "\n"
+
+
+def _plain(text: str) -> str:
+    """Escape control characters, and HTML, which Markdown passes through."""
+    return escape(printable(text), quote=False)
 
 
 Settings = Mapping[str, Any]
@@ -336,9 +340,6 @@ Settings = Mapping[str, Any]
 
 Work = Callable[[Settings, Iterable[Asset]], Iterator[tuple[Asset, Callable[[], Entry]]]]
 """Function that encodes assets and yields each finished asset with a function that returns its entry."""
-
-UNFINISHED_FOLDER = ".unfinished"
-"""Name of the folder for unfinished models."""
 
 
 def run(assets: Iterable[Asset], settings: Settings, earlier: Report, out: Path, work: Work, force: bool) -> Report:
@@ -354,12 +355,9 @@ def run(assets: Iterable[Asset], settings: Settings, earlier: Report, out: Path,
             entries[before.source] = before
         report = Report(entries | {key: entry for key, entry in earlier.entries.items() if key not in entries})
         write_report(out, report)
-        try:
-            for asset, result in work(settings, pending):
-                report = report.with_entry(_entry(asset, settings, result))
-                write_report(out, report)
-        finally:
-            shutil.rmtree(out / UNFINISHED_FOLDER, ignore_errors=True)
+        for asset, result in work(settings, pending):
+            report = report.with_entry(_entry(asset, settings, result))
+            write_report(out, report)
         report = replace(report, finished=not report.of(assets).count("left"))
         write_report(out, report)
         return report
@@ -449,17 +447,12 @@ def encode_asset(
 
 def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress: Progress) -> dict[str, Any]:
     from mixseq.runtime.parallel import serial_executor
+    from mixseq_io.files import atomic_file
 
     mapped = workers or serial_executor
     reading = options_of(asset.source, settings["reading"])
     fitting = {name: value for name, value in settings.items() if name not in ("reading", "aim")}
-    unfinished = asset.target.parent / UNFINISHED_FOLDER
-    unfinished.mkdir(exist_ok=True)
-    with (
-        TemporaryDirectory(dir=unfinished) as folder,
-        mixseq.open_sequence(asset.source, **reading) as reader,
-    ):
-        file = Path(folder) / asset.target.name
+    with mixseq.open_sequence(asset.source, **reading) as reader, atomic_file(asset.target) as file:
         start = perf_counter()
         if "aim" in settings:
             mixseq.save(file, compressed(reader, settings["aim"], progress))
@@ -469,8 +462,7 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
         seconds = perf_counter() - start
         model = mixseq.load(file)
         error = mixseq.compare(reader, decoded(model, progress, mapped))
-        size, signature = _size_and_hash([file])
-        file.replace(asset.target)
+    size, signature = _size_and_hash([asset.target])
     return {
         "frames": error.frames,
         "vertices": error.vertices,

@@ -186,12 +186,10 @@ def check_target(path: Path, source: Path) -> None:
 
 def check_place(path: Path) -> None:
     """Raise an error before the work if a file cannot be written at the given path."""
-    folder = path.parent
-    if path.is_dir() and path.suffix.lower() != VAT_EXTENSION:
-        raise OutputError(f"{path} is a folder; give the name of a file")
-    if not folder.is_dir():
-        raise OutputError(f"{path}: the folder {folder} does not exist; make it first")
-    if not os.access(folder, os.W_OK):
+    from mixseq_io.files import check_target
+
+    check_target(path, is_folder=path.suffix.lower() == VAT_EXTENSION)
+    if not os.access(path.resolve().parent, os.W_OK):
         raise OutputError(f"cannot write {path}: no permission; choose a folder that you may write to")
 
 

@@ -50,10 +50,10 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
             facts["bytes"]["frames"] = bytes_of_frames(header)
     else:
         with mixseq.open_sequence(path, **reading) as reader:
-            first, header = next(iter(reader.blocks(1)))[0], reader.header
-            from mixseq.sequence.sequence import bounding_diagonal
+            from mixseq.sequence.sequence import reference_diagonal
 
-            facts |= {"kind": "sequence", **_mesh(header, bounding_diagonal(first))}
+            header = reader.header
+            facts |= {"kind": "sequence", **_mesh(header, reference_diagonal(reader.blocks(1)).length)}
     if as_json:
         print_json(facts | {"provenance": header.provenance and header.provenance.to_plain()})
     elif not quiet:

@@ -239,8 +239,8 @@ def parse_length(text: str) -> float | str:
 
 
 def in_diagonals(settings: Mapping[str, Any], frames: Frames, *names: str) -> dict[str, Any]:
-    """Return settings with the named lengths converted to fractions of the diagonal of a sequence's first frame."""
-    from mixseq.sequence.sequence import bounding_diagonal
+    """Return settings with the named lengths converted to fractions of a sequence's unit of errors."""
+    from mixseq.sequence.sequence import reference_diagonal
 
     converted = dict(settings)
     for name in names:
@@ -248,11 +248,11 @@ def in_diagonals(settings: Mapping[str, Any], frames: Frames, *names: str) -> di
         match = _LENGTH_PATTERN.fullmatch(length) if isinstance(length, str) else None
         if match is None:
             continue
-        diagonal = bounding_diagonal(next(iter(frames.blocks(1)))[0]) * frames.header.metres_per_unit
+        diagonal = reference_diagonal(frames.blocks(1)).length * frames.header.metres_per_unit
         if not diagonal > 0.0:
             raise SettingsError(
-                f"{frames.header.name!r} has no size in its first frame, so {length} is no fraction of it; give a "
-                "sequence whose first frame is larger than a point"
+                f"{frames.header.name!r} has no size in any frame, so {length} is no fraction of it; give a "
+                "sequence that is larger than a point"
             )
         converted[name] = float(match[1]) * UNITS[match[2]] / diagonal
     return converted

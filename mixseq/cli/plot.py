@@ -142,7 +142,7 @@ def command(
     from mixseq.sequence.sequence import LazyFrames
 
     model = mixseq.load(source)
-    first_pose = LazyFrames(model.header, lambda _: iter([model(model.start)[None]]))
+    poses = LazyFrames(model.header, lambda size: model.blocks(model.times, size))
     with progress_bar(quiet) as progress:
         original = None if against is None else read_sequence(against, reading, progress)
         with atomic_file(target) as temporary:
@@ -152,7 +152,7 @@ def command(
                 kind,
                 against=original,
                 frames=None if frames is None else frames.indices(model.header),
-                tolerance=in_diagonals({"tolerance": tolerance}, first_pose, "tolerance")["tolerance"],
+                tolerance=in_diagonals({"tolerance": tolerance}, poses, "tolerance")["tolerance"],
                 camera=camera,
                 progress=progress,
             )

@@ -328,11 +328,12 @@ def _still(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
 # Pages that play without the viewer -----------------------------------------------------------------------------
 
 
-def _first_frame(item: SceneItem) -> LazyFrames:
-    """Return the first pose of a mesh as a sequence."""
+def _poses(item: SceneItem) -> LazyFrames:
+    """Return the poses of a mesh at its frames as a sequence."""
     from mixseq.sequence.sequence import LazyFrames
 
-    return LazyFrames(item.header, lambda _: iter([item.pose(0.0)[None]]))
+    times = item.header.times
+    return LazyFrames(item.header, lambda _: (item.pose(time)[None] for time in times - times[0]))
 
 
 def _export(
@@ -350,7 +351,7 @@ def _export(
     from mixseq_io.verification import is_compressed, read_compressed
 
     # A length is a different fraction of the diagonal of every mesh; use the smallest fraction for all meshes.
-    bounds = [in_diagonals(settings, _first_frame(item), "max_error") for item in colours.scene.items]
+    bounds = [in_diagonals(settings, _poses(item), "max_error") for item in colours.scene.items]
     bound = min(bounds, key=lambda converted: converted.get("max_error", 0.0))
     items = page_items(
         colours, [read_compressed(file) if is_model(file) and is_compressed(file) else None for file in files]

@@ -72,6 +72,8 @@ def check_film(file_format: FilmFormat, size: tuple[int, int], fps: float | None
 
 def encode_film(target: Path, file_format: FilmFormat, draw: Draw, count: int, fps: float) -> None:
     """Draw and write all frames of a film; an old file is replaced when the new one is complete."""
+    if target.exists() and not target.is_file():
+        raise OutputError(f"{target} is no regular file, which would be replaced; give another name")
     target = target.resolve()  # follows a symbolic link instead of replacing it
     with TemporaryDirectory(prefix=target.name, dir=target.parent) as folder:
         temporary = Path(folder, target.name)

@@ -34,7 +34,7 @@ from mixseq.rigging.rigs import Skeleton, Skin, remove_sign_flips
 from mixseq.runtime.jit import compiled
 from mixseq.segmentation.motion import moments, union_errors
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, bounding_diagonal, load_frames
+from mixseq.sequence.sequence import Frames, load_frames
 from mixseq.types import Float, Index
 
 MAX_ACTIVE_SET_ROUNDS = 60  # largest number of rounds, each of which adds a bone
@@ -352,14 +352,14 @@ class Centred:
     header: SequenceHeader  # mesh and times
     points: Float  # (T, V, 3) points in the file's units
     centres: Float  # (T, 3) mean point of every frame
-    diagonal: float  # diagonal of the first frame, or one if the diagonal is zero
+    diagonal: float  # unit of errors, or one if all frames are points
 
     @classmethod
     def from_sequence(cls, sequence: Frames) -> Centred:
         """Read a sequence into memory."""
         store = load_frames(sequence)
         points = np.asarray(store.points[: store.header.frame_count], dtype=np.float64)
-        return cls(store.header, points, points.mean(axis=1), bounding_diagonal(points[0]) or 1.0)
+        return cls(store.header, points, points.mean(axis=1), store.diagonal or 1.0)
 
     @property
     def frames(self) -> Float:

@@ -38,7 +38,7 @@ class Provenance:
     name: str  # name of the file, or of the mesh if there is no file
     source: Provenance | None = None  # what it was compressed from or fitted to; None for first frames
     max_error: float | None = None  # largest distance of a vertex from the source, in diagonals; None if not measured
-    diagonal: float = 1.0  # diagonal of the source's first frame, in its units
+    diagonal: float = 1.0  # unit of errors of the source, in its units
     promised: bool = False  # whether the bound was requested instead of measured
     edited: bool = False  # whether frames were edited or resampled since
     order: OrderName = "keep"  # numbering kept from the source

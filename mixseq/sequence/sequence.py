@@ -146,8 +146,8 @@ class MeshSequence(SequenceHeader):
 
     @cached_property
     def diagonal(self) -> float:
-        """Diagonal of the bounding box of the first frame, the unit of errors."""
-        return bounding_diagonal(self.points[0])
+        """Unit of errors, the diagonal of the first frame's bounding box; see `reference_diagonal`."""
+        return reference_diagonal(self.blocks()).length
 
     def __len__(self) -> int:
         return self.frame_count
@@ -200,6 +200,26 @@ def own_parts(frames: Frames) -> IntArray | None:
 def bounding_diagonal(points: FloatArray) -> float:
     """Return the length of the diagonal of the bounding box of points ``(V, 3)``."""
     return Diagonal.from_points(points).length
+
+
+_POINT_RATIO = 2.0**-20
+"""Ratio of the diagonal to the largest coordinate or diagonal up to which a frame is a point, rounded to float32."""
+
+
+def reference_diagonal(blocks: Iterable[FloatArray]) -> Diagonal:
+    """Return the unit of errors of frames in blocks ``(B, V, 3)``: the diagonal of the bounding box of the first frame.
+
+    If the first frame is a point, from which a mesh grows, this is the largest diagonal of all frames; only then are
+    blocks after the first one read. The diagonal is 0 if all frames are points.
+    """
+    first = largest = Diagonal(0.0, 0)
+    for number, block in enumerate(blocks):
+        if number == 0:
+            first = largest = Diagonal.from_points(block[0])
+            if first.length > _POINT_RATIO * float(np.abs(block[0]).max()):
+                return first
+        largest = max(largest, *map(Diagonal.from_points, block), key=lambda diagonal: diagonal.length)
+    return first if first.length > _POINT_RATIO * largest.length else largest
 
 
 def join_blocks(header: SequenceHeader, blocks: Iterable[FloatArray]) -> MeshSequence:
@@ -278,7 +298,7 @@ def _as_points(points: ArrayLike) -> FloatArray:
 MAX_BLOCK_FRAMES = 8
 MAX_BLOCK_VERTICES = 1 << 20  # vertices in all frames of a block with several frames: 24 MB of float64
 
-MIN_LENGTH, MAX_LENGTH = 1e-60, 1e60  # limits of first diagonal and of coordinates, in any unit
+MIN_LENGTH, MAX_LENGTH = 1e-60, 1e60  # limits of the diagonal and of coordinates, in any unit
 _RELATIVE_ROUNDING_ERROR = 2.0**-40  # rounding error of a coordinate, without cancellation
 
 
@@ -289,12 +309,17 @@ class FrameStore:
     header: SequenceHeader
     points: LargeArray  # (T, V, 3)
 
+    @cached_property
+    def diagonal(self) -> float:
+        """Unit of errors, see `reference_diagonal`."""
+        return reference_diagonal(iterate_blocks(self.points)).length
+
     def trace(self, max_error: float, promised: bool, order: OrderName = "keep") -> SequenceHeader:
         """Return the header of frames that are within `max_error` diagonals of this sequence, with their provenance."""
         name, checksum = self.header.name, frames_checksum(iterate_blocks(self.points))
         source = replace(self.header.provenance or Provenance(name), checksum=checksum)
-        diagonal = bounding_diagonal(self.points[:1][0]) or 1.0
-        return replace(self.header, provenance=Provenance(name, source, max_error, diagonal, promised, order=order))
+        unit = self.diagonal or 1.0
+        return replace(self.header, provenance=Provenance(name, source, max_error, unit, promised, order=order))
 
 
 def load_frames(frames: Frames, progress: Progress = no_progress) -> FrameStore:
@@ -324,11 +349,11 @@ def _copy(frames: Frames, progress: Progress) -> FrameStore:
 
 def _check_lengths(store: FrameStore) -> None:
     name, points = store.header.name, store.points
-    diagonal = bounding_diagonal(points[:1][0])
+    diagonal = store.diagonal
     cure = f"from {MIN_LENGTH:g} to {MAX_LENGTH:g} is expected; scale it, in the program it comes from"
     if diagonal and not MIN_LENGTH <= diagonal <= MAX_LENGTH:
         raise InvalidSequenceError(
-            f"{name!r}: the mesh is {diagonal:.3g} units across in its first frame, and squares of such lengths do "
+            f"{name!r}: the mesh is {diagonal:.3g} units across, and squares of such lengths do "
             f"not fit into double precision; {cure}"
         )
     largest = largest_coordinate(points)

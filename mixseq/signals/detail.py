@@ -29,7 +29,6 @@ from mixseq.sequence.sequence import (
     FrameStore,
     MeshSequence,
     block_size,
-    bounding_diagonal,
     iterate_blocks,
     largest_coordinate,
     largest_offset,
@@ -416,7 +415,7 @@ def verify_tolerance(
         f"{sequence.header.name!r}: a vertex of the most accurate model is off by {error:.3g} diagonals, more than "
         f"{tolerance:g}"
     )
-    unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
+    unit = sequence.diagonal or 1.0
     offset, coordinate = largest_offset(sequence.points), largest_coordinate(sequence.points)
     if tolerance * unit < rounding_error(offset):  # offsets do not depend on the position of the sequence
         raise SettingsError(
@@ -436,7 +435,7 @@ def largest_error(
     model: Model, sequence: FrameStore | MeshSequence, stop: float = np.inf, workers: Executor | None = None
 ) -> float:
     """Return the largest distance of decoded vertices from the frames, in diagonals; stop early above `stop`."""
-    unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
+    unit = sequence.diagonal or 1.0
     # Check every fourth frame first, then the frames between, because violations usually occur at many frames.
     frames = np.concatenate([np.arange(first, len(sequence.points), 4) for first in (0, 2, 1, 3)])
     largest, done = 0.0, 0

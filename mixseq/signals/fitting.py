@@ -172,7 +172,8 @@ def fit(
         frames to verify that no vertex is off by more than 1e-8 of the diagonal.
     tolerance : float, optional
         Largest distance of a vertex from the original, as a fraction of the bounding box's diagonal in the first
-        frame, verified at all frames. The tolerance determines the numbers of modes and knots.
+        frame (in the largest frame if the first is a point), verified at all frames. The tolerance determines the
+        numbers of modes and knots.
     rank : int, optional
         Number of shape modes; placements of parts stay exact.
     placement : {"anchored", "free"}

@@ -115,7 +115,7 @@ class GradientSpace(ShapeSpace):
     """Deformation gradients of all faces from a reference."""
 
     topology: Topology
-    scale: float  # diagonal of the first frame, in the units of the sequence
+    scale: float  # unit of errors, see `reference_diagonal`, in the units of the sequence
     reference: Float  # (V, 3) first frame in diagonals, with faces without area replaced
     name = "gradient"
 

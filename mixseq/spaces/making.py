@@ -23,7 +23,7 @@ from mixseq.segmentation.joints import (
     sample_frame_ids,
 )
 from mixseq.segmentation.methods import Segmentation, resolve_segmentation, segment, segment_by_labels
-from mixseq.sequence.sequence import FrameStore, MeshSequence, bounding_diagonal, iterate_blocks
+from mixseq.sequence.sequence import FrameStore, MeshSequence, iterate_blocks
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.spaces.base import ShapeSpace, mean_edge_lengths
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
@@ -121,7 +121,7 @@ def make_space(
         return _make_mixed_space(frames, settings, workers, stages)
     header, points = frames.header, frames.points
     first = points[:1][0].astype(np.float64)
-    scale = bounding_diagonal(first) or 1.0
+    scale = frames.diagonal or 1.0
     if name == "vertex":
         return VertexSpace(header.vertex_count, scale)
     topology, reference = Topology(header.faces, header.vertex_count), first / scale

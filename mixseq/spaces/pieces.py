@@ -210,7 +210,7 @@ class PosedSpace(ShapeSpace):
     """A space with shapes that are invariant under rigid motions of the pieces."""
 
     topology: Topology  # connectivity of the mesh
-    scale: float  # diagonal of the first frame, in the units of the sequence
+    scale: float  # unit of errors, see `reference_diagonal`, in the units of the sequence
     reference: Float  # (V, 3) first frame in diagonals, the origin of rotations and angles
 
     @cached_property

@@ -16,7 +16,7 @@ class VertexSpace(ShapeSpace):
     """Vectors are vertex positions in diagonals, for meshes without articulation: blends shrink rotating parts."""
 
     vertex_count: int
-    scale: float  # diagonal of the first frame, in the units of the sequence
+    scale: float  # unit of errors, see `reference_diagonal`, in the units of the sequence
     name = "vertex"
 
     @property

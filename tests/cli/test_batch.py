@@ -15,11 +15,11 @@ from click.testing import CliRunner, Result
 import mixseq
 from mixseq.cli import main
 from mixseq.cli.batch import (
-    Asset,
     Entry,
     Report,
     encode_asset,
     find_sources,
+    in_markdown,
     in_turn,
     on_cluster,
     plan,
@@ -64,7 +64,7 @@ def times() -> dict[str, int]:
 
 
 @pytest.mark.usefixtures("shots")
-def test_a_failure_does_not_stop_the_others(bent_bar: MeshSequence) -> None:
+def test_a_failure_does_not_stop_the_batch(bent_bar: MeshSequence) -> None:
     result = batch()
     assert result.exit_code == 1
     assert states() == {"one.npz": "done", "three.npz": "failed", "two.usdc": "done"}
@@ -82,7 +82,7 @@ def test_a_failure_does_not_stop_the_others(bent_bar: MeshSequence) -> None:
 
 
 @pytest.mark.usefixtures("shots")
-def test_report_tells_what_was_measured(bent_bar: MeshSequence) -> None:
+def test_report_has_the_measured_values(bent_bar: MeshSequence) -> None:
     batch("--tolerance", "0.01")
     entry = read_report(Path("models")).entries[str(Path("shots/one.npz").resolve())]
     model = Path("models/one.h5")
@@ -100,7 +100,7 @@ def test_report_tells_what_was_measured(bent_bar: MeshSequence) -> None:
 
 
 @pytest.mark.usefixtures("shots")
-def test_what_is_done_is_skipped(bent_bar: MeshSequence) -> None:
+def test_finished_assets_are_skipped(bent_bar: MeshSequence) -> None:
     batch()
     before = times()
     mixseq.write("shots/three.npz", bent_bar)  # repaired
@@ -131,7 +131,7 @@ def test_model_of_equal_size_is_not_replaced_unasked() -> None:
 
 @pytest.mark.usefixtures("shots")
 @pytest.mark.parametrize("arguments", [["--force"], ["--exact"], ["--tolerance", "0.1"], ["--up-axis", "Z"]])
-def test_done_with_other_settings_is_not_done(arguments: list[str]) -> None:
+def test_changed_settings_encode_again(arguments: list[str]) -> None:
     batch()
     before = times()
     batch(*arguments)
@@ -157,7 +157,7 @@ def test_assets_are_compressed(aim: tuple[str, str], bent_bar: MeshSequence) -> 
 
 
 @pytest.mark.usefixtures("shots")
-def test_progress_tells_which_asset_it_is() -> None:
+def test_progress_names_the_asset() -> None:
     told: list[str] = []
     assets = plan(find_sources([Path("shots")]), Path("models").resolve(), {})
     Path("models").mkdir()
@@ -219,12 +219,21 @@ def test_warnings_are_in_the_report(bent_bar: MeshSequence) -> None:
     assert "- four: a loss\n- one: a loss\n" in Path("models/report.md").read_text()
 
 
+def test_names_and_messages_are_no_html_in_the_report() -> None:
+    name = "<script>alert(1)<"
+    entry = Entry(name, name, 0, "", {}, "failed", message="<b>|&</b>", warnings=("<i>lost</i>",))
+    text = in_markdown(Report({name: entry}))
+    assert "<" not in text
+    assert "failed: &lt;b&gt;\\|&amp;&lt;/b&gt; |" in text
+    assert "- &lt;script&gt;alert(1)&lt;: &lt;i&gt;lost&lt;/i&gt;\n" in text
+
+
 def entry_of(name: str) -> Entry:
     return read_report(Path("models")).entries[str(Path("shots", name).resolve())]
 
 
 @pytest.mark.usefixtures("shots")
-def test_a_failure_leaves_the_older_model_and_says_so() -> None:
+def test_a_failure_keeps_and_reports_the_older_model() -> None:
     batch()
     before = Path("models/one.h5").read_bytes()
     Path("shots/one.npz").write_text("no mesh any more")
@@ -236,7 +245,7 @@ def test_a_failure_leaves_the_older_model_and_says_so() -> None:
 
 
 @pytest.mark.usefixtures("shots")
-def test_sources_that_are_gone_are_no_longer_told() -> None:
+def test_missing_sources_leave_the_report() -> None:
     batch()
     Path("shots/three.npz").unlink()
     Path("shots/one.npz").unlink()
@@ -248,7 +257,7 @@ def test_sources_that_are_gone_are_no_longer_told() -> None:
 
 
 @pytest.mark.usefixtures("shots")
-def test_only_what_was_asked_for_counts() -> None:
+def test_exit_code_covers_the_given_sources() -> None:
     batch()
     arguments = ["batch", "shots/one.npz", "--out", "models", "--space", "vertex"]
     result = CliRunner().invoke(main, arguments, catch_exceptions=False)
@@ -279,7 +288,7 @@ def test_any_of_the_numbered_files_may_change(tmp_path: Path, bent_bar: MeshSequ
 
 
 @pytest.mark.filterwarnings("ignore::mixseq.errors.MixseqWarning")
-def test_what_is_found_in_a_folder(tmp_path: Path, bent_bar: MeshSequence) -> None:
+def test_sequences_in_a_folder_are_found(tmp_path: Path, bent_bar: MeshSequence) -> None:
     for name in ("a.npz", "b.h5", "walk_####.obj", "run7_##.ply"):
         mixseq.write(tmp_path / name, MeshSequence.from_header(bent_bar.header, bent_bar.points))
     mixseq.save(tmp_path / "model.h5", mixseq.fit(bent_bar, space="vertex"))
@@ -313,7 +322,7 @@ def test_two_of_the_same_stem_have_two_names(tmp_path: Path) -> None:
     assert [a.target.name for a in plan(sources, tmp_path, {})] == ["walk.usdc.h5", "Walk.abc.h5", "run.h5"]
 
 
-def test_names_stay_when_others_come(tmp_path: Path) -> None:
+def test_names_are_kept_when_sources_are_added(tmp_path: Path) -> None:
     first, second = touched(tmp_path, "walk.usdc", "walk.abc")
     names = {str(first): "walk.h5"}
     assert [a.target.name for a in plan([first, second], tmp_path, names)] == ["walk.h5", "walk.abc.h5"]
@@ -329,7 +338,7 @@ def test_two_of_the_same_name_are_refused(tmp_path: Path) -> None:
         plan(sources, tmp_path / "out", names)
 
 
-def test_a_source_is_no_target(tmp_path: Path) -> None:
+def test_a_source_is_never_a_target(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"walk.h5 is a source itself"):
         plan(touched(tmp_path, "walk.h5"), tmp_path, {})
 
@@ -415,34 +424,6 @@ def test_assets_on_a_cluster_of_which_a_worker_dies(tmp_path: Path, bent_bar: Me
     assert report.finished and report.count("done") == 6
     for one, other in zip(here, there, strict=True):
         assert one.target.read_bytes() == other.target.read_bytes()
-
-
-def encode_or_die(settings: Any, asset: Asset) -> Entry:
-    if asset.source.stem == "killer":
-        os.kill(os.getpid(), signal.SIGKILL)
-    return encode_asset(settings, asset)
-
-
-def test_only_the_asset_that_kills_workers_fails(
-    tmp_path: Path, bent_bar: MeshSequence, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    dask = pytest.importorskip("dask")
-    pytest.importorskip("distributed")
-    from mixseq.runtime.cluster import connect_to_cluster
-
-    for name in ("a", "killer", "x", "y"):
-        mixseq.write(tmp_path / f"{name}.npz", bent_bar)
-    (tmp_path / "models").mkdir()
-    assets = plan(find_sources([tmp_path]), tmp_path / "models", {})
-    monkeypatch.setattr("mixseq.cli.batch.encode_asset", encode_or_die)
-    with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
-        connect_to_cluster("local:2") as workers,
-    ):
-        report = run(assets, SETTINGS, Report({}), tmp_path / "models", on_cluster(workers, no_progress), force=False)
-    found = {Path(entry.source).stem: entry.state for entry in report.entries.values()}
-    assert found == {"a": "done", "killer": "failed", "x": "done", "y": "done"}
-    assert report.finished
 
 
 def test_work_that_was_given_up_is_a_failure(tmp_path: Path, bent_bar: MeshSequence) -> None:

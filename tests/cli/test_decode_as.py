@@ -112,8 +112,7 @@ def test_another_mesh_on_a_skeleton_is_told(run: Run, bent_bar: MeshSequence, co
     assert ("encode that one alone (mixseq encode --prim)" in result.stderr) == bool(copies)
 
 
-@pytest.mark.parametrize("kind", ["skin", "morph"])
-@pytest.mark.parametrize("source", ["bar.npz", "bar.usdc", "bar_sequence.h5"])
+@pytest.mark.parametrize(("source", "kind"), [("bar.npz", "morph"), ("bar.usdc", "skin"), ("bar_sequence.h5", "skin")])
 def test_a_sequence_is_fitted_as_it_is(run: Run, source: str, kind: str, bent_bar: MeshSequence) -> None:
     succeed(run("decode", source, "out.glb", "--as", kind))
     back = mixseq.read("out.glb")

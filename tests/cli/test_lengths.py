@@ -61,8 +61,16 @@ def test_fractions_need_no_frame() -> None:
     assert in_diagonals({}, NoFrames(), "tolerance") == {}  # type: ignore[arg-type]
 
 
+def test_a_length_is_divided_by_the_largest_diagonal_if_the_first_is_zero() -> None:
+    frames = moving()
+    points = frames.points.copy()
+    points[0] = 0
+    popping = frames.with_points(points)
+    assert in_diagonals({"tolerance": "13m"}, popping, "tolerance") == {"tolerance": 13 / popping.diagonal}
+
+
 def test_a_point_has_no_diagonal() -> None:
-    with pytest.raises(SettingsError, match="has no size in its first frame"):
+    with pytest.raises(SettingsError, match="has no size in any frame"):
         in_diagonals({"tolerance": "1mm"}, moving(0.0), "tolerance")
 
 
@@ -87,7 +95,7 @@ def test_commands_take_lengths(run: Run, tmp_path: Path, monkeypatch: pytest.Mon
     mixseq.write("walk.npz", moving(metres_per_unit=0.01))  # 13 cm
     assert run("encode", "walk.npz", "small.h5", "--max-error", "1.3mm", "-q").exit_code == 0
     assert read_compressed(Path("small.h5")).parameters.max_error == pytest.approx(0.01)
-    assert "diagonals (1.3 mm), requested" in run("verify", "small.h5", "walk.npz").stdout
+    assert "diagonals (1.3 mm) from walk.npz, requested" in run("verify", "small.h5", "walk.npz").stdout
     assert run("encode", "walk.npz", "walk.h5", "--tolerance", "1.3mm", "-q").exit_code == 0
     result = run("compare", "walk.npz", "walk.h5", "--json")
     assert json.loads(result.stdout)["max_error"] <= 0.01

@@ -80,6 +80,25 @@ def test_asked_by_all_commands(folder: Path, contents: Contents, terminal: None,
     assert contents() == before
 
 
+@pytest.mark.parametrize("name", WRITING)
+def test_a_pipe_behind_a_link_is_replaced_by_no_command(folder: Path, contents: Contents, name: str) -> None:
+    arguments, exists = prepared(name)
+    exists.unlink()
+    os.mkfifo("pipe")
+    exists.symlink_to(Path("pipe").resolve())
+    before = contents()
+    result = answer("", *arguments, "--overwrite")
+    assert f"{exists.name} is a device, a pipe or a socket, through a link to {folder / 'pipe'}" in result.output
+    assert "Traceback" not in result.output
+    assert exists.is_symlink()
+    assert exists.is_fifo()
+    if name == "batch --out .":  # which goes on with other sequences
+        assert (result.exit_code, json.loads(Path("report.json").read_text())["assets"][0]["state"]) == (1, "failed")
+    else:
+        assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+        assert contents() == before
+
+
 @pytest.mark.usefixtures("terminal")
 def test_yes_replaces_and_ctrl_d_does_not(folder: Path) -> None:
     result = answer("", "convert", "bar.npz", "old.usdc")

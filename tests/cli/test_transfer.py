@@ -72,7 +72,7 @@ def test_a_model_moves_like_its_sequence(run: Run, bar: MeshSequence) -> None:
     np.testing.assert_allclose(out.points, 2 * bar.points, atol=1e-5 * out.diagonal)
 
 
-def test_json_tells_the_same(run: Run, bar: MeshSequence) -> None:
+def test_json_has_the_values_of_the_table(run: Run, bar: MeshSequence) -> None:
     told = json.loads(succeed(run("transfer", "bar.npz", "large.npz", "out.npz", "--json", "--no-picture")))
     assert {name: told[name] for name in ("source", "target", "out", "method", "frames", "vertices")} == {
         "source": "bar.npz",
@@ -111,7 +111,7 @@ def test_a_map_is_kept_and_used_again(run: Run, bar: MeshSequence) -> None:
     np.testing.assert_array_equal(mixseq.read("one.npz").points, mixseq.read("two.npz").points)
 
 
-def test_markers_and_what_is_told_of_them(run: Run, bar: MeshSequence) -> None:
+def test_markers_and_their_report(run: Run, bar: MeshSequence) -> None:
     options = ("--markers", "markers.txt", "--save-map", "kept.npz", "--no-picture", "--json")
     told = json.loads(succeed(run("transfer", "bar.npz", "fine.npz", "out.npz", *options)))
     assert told["coverage"]["area"] > 0.95
@@ -163,7 +163,7 @@ def test_warnings_go_to_stderr_and_into_json(run: Run, bar: MeshSequence) -> Non
     assert result.stderr == "".join(f"mixseq: warning: {note}\n" for note in notes)
 
 
-def test_contacts_are_told(run: Run, bar: MeshSequence) -> None:
+def test_contacts_are_in_the_table(run: Run, bar: MeshSequence) -> None:
     options = ("--contacts", "feet.json", "--no-picture", "--parts", "2")
     result = run("transfer", "bar.npz", "large.npz", "out.npz", *options)
     assert result.exit_code == 0, result.stderr

@@ -133,7 +133,6 @@ TARGETS = (
     Target("walk.npz"),
     Target("walk.npz", {"compress": True}),
     Target("walk.h5"),
-    Target("walk.hdf5"),
     Target("walk.abc", {"flatten": True}),
     Target("walk.glb", {"flatten": True}, time_error=1e-6),
     Target("walk.gltf", {"flatten": True}, time_error=1e-6),

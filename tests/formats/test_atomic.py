@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import stat
 import zipfile
 from collections.abc import Callable, Iterator
@@ -191,6 +192,42 @@ def test_a_file_for_a_folder(tmp_path: Path) -> None:
         atomic_file(tmp_path / "file" / "a.npz"),
     ):
         pass
+
+
+def test_pipes_sockets_and_links_to_them_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # paths of sockets are short
+    (tmp_path / "c").mkdir()
+    os.mkfifo("a0")
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind("a1")
+    for name in ("a0", "a1"):
+        Path(f"b{name[1]}").symlink_to(name)
+    for file in map(Path, ("a0", "b0", "a1", "b1")):
+        before = file.lstat()
+        with pytest.raises(OutputError, match=f"^{file} is a device, a pipe or a socket"), atomic_file(file):
+            pytest.fail("the work was begun")
+        with pytest.raises(OutputError, match=f"^{file} is a device"), atomic_folder(file, {"one"}):
+            pytest.fail("the work was begun")
+        with pytest.raises(OutputError, match=f"/{file} is a device"), atomic_files("a#") as temporary:
+            for name in ("a", "b", file.name):
+                (temporary / name).write_text("new")
+        (inner := Path("c", "one")).symlink_to(file.resolve())
+        for written in ("one", "two"):  # replaced, or no longer needed
+            with pytest.raises(OutputError, match=r"one is a device, .* link to"), atomic_folder("c", {"one"}) as new:
+                (new / written).write_text("new")
+        inner.unlink()
+        assert (file.lstat().st_ino, file.lstat().st_mode) == (before.st_ino, before.st_mode)
+    assert {path.name for path in tmp_path.iterdir()} == {"a0", "b0", "a1", "b1", "c"}
+
+
+def test_links_in_folders_are_replaced_and_what_they_lead_to_stays(tmp_path: Path) -> None:
+    (mine := tmp_path / "mine").write_text("mine")
+    (folder := tmp_path / "folder").mkdir()
+    (folder / "a_1").symlink_to(mine)
+    with atomic_files(folder / "a_#") as temporary:
+        (temporary / "a_1").write_text("new")
+    assert listed(tmp_path) == {"mine": "mine", "folder/a_1": "new"}
+    assert not (folder / "a_1").is_symlink()
 
 
 # The limit of memory: one for all readers, told in their errors

@@ -22,7 +22,7 @@ from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError, MixseqWarning
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import MeshSequence
+from mixseq.sequence.sequence import FrameStore, MeshSequence
 from mixseq.types import FloatArray, IntArray
 from mixseq_io import read, write, write_blocks
 from mixseq_io.numbered.files import parse_colours
@@ -422,6 +422,43 @@ def test_the_error_that_is_told_is_that_of_the_file(name: str, tmp_path: Path) -
         error = apart.max() / far.diagonal
         assert told == pytest.approx(error if error > VISIBLE_ERROR_DIAGONALS else 0.0, rel=0.06)
         assert (told > 0) is (offset >= 1e5)
+
+
+@pytest.mark.parametrize("promised", [True, False])
+@pytest.mark.parametrize("name", ["a.usdc", "a.abc", "a.glb", "a.pc2", "a.mdd"])
+def test_a_promised_bound_that_rounding_may_exceed_is_told(name: str, promised: bool, tmp_path: Path) -> None:
+    far = CLOUD.with_points(CLOUD.points + 100.0)
+    error = np.linalg.norm(far.points - far.points.astype(np.float32), axis=2).max() / far.diagonal
+    assert 1e-6 < error < VISIBLE_ERROR_DIAGONALS
+    for bound, is_told in ((1e-6, True), (9 * error, True), (11 * error, False)):
+        header = FrameStore(far.header, far.points).trace(bound, promised)
+        assert error_told(tmp_path / name, MeshSequence.from_header(header, far.points)) == (
+            pytest.approx(error, rel=0.06) if is_told and promised else 0.0
+        )
+    exact = FrameStore(far.header, far.points).trace(1e-8, promised)
+    assert error_told(tmp_path / name, MeshSequence.from_header(exact, far.points)) == 0
+
+
+def test_the_promise_and_what_it_comes_to_are_named(tmp_path: Path) -> None:
+    far = CLOUD.with_points(CLOUD.points + 100.0)
+    mixseq.save(tmp_path / "far.h5", mixseq.compress(far, max_error=1e-6))
+    model = mixseq.load(tmp_path / "far.h5")
+    message = r"up to (\S+) of the diagonal \(by (\S+) from the original, of which 1e-06 is promised\), .*\.npz, \.h5"
+    with pytest.warns(MixseqWarning, match=message) as caught:
+        write_blocks(tmp_path / "far.pc2", model.header, model.blocks(model.times))
+    rounding, total = map(float, re.search(message, str(caught[0].message)).groups())  # type: ignore[union-attr]
+    apart = np.linalg.norm(read(tmp_path / "far.pc2").points.astype(np.float64) - far.points, axis=2).max()
+    assert total == pytest.approx(rounding + 1e-6, rel=0.06)
+    assert 1e-6 < apart / far.diagonal <= 1.06 * total
+
+
+def test_a_mesh_that_grows_from_a_point_is_measured_in_its_size(tmp_path: Path) -> None:
+    popping = np.concatenate([0 * CLOUD.points[:1], 1e-3 * CLOUD.points])
+    assert error_told(tmp_path / "a.pc2", MeshSequence.from_arrays(popping, CLOUD.faces)) == 0
+    far = MeshSequence.from_arrays(popping + 100.0, CLOUD.faces)
+    error = np.linalg.norm(far.points - far.points.astype(np.float32), axis=2).max() / far.diagonal
+    assert error_told(tmp_path / "a.pc2", far) == pytest.approx(error, rel=0.5)
+    assert error > VISIBLE_ERROR_DIAGONALS
 
 
 @pytest.mark.parametrize("name", ["a.npz", "a_####.ply", "a_####.obj", "a_####.off"])

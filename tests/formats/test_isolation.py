@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.creature import walk_cycle
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
 from mixseq_io import isolation
 from mixseq_io.hdf5.contents import MODEL_FORMAT, read_contents
 from mixseq_io.isolation import open_isolated
 from mixseq_io.reader import SequenceReader
 from tests.forking import in_a_fork
+from tests.meshes import coarse_walk
 
 FILE = Path("walk.abc")
 
@@ -183,7 +183,7 @@ def test_an_interrupted_worker_answers_no_more(new_workers: pytest.MonkeyPatch) 
 
 def test_meanwhile_this_process_does_something_else(tmp_path: Path) -> None:
     path = tmp_path / "walk.h5"
-    mixseq.save(path, mixseq.fit(walk_cycle(frames=2), space="vertex"))
+    mixseq.save(path, mixseq.fit(coarse_walk(frames=2), space="vertex"))
     done: list[str] = []
     found = read_contents(path, meanwhile=lambda: done.append("imports"))
     assert (done, found.kind) == (["imports"], MODEL_FORMAT)

@@ -34,18 +34,15 @@ def run_code(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-READERS = (
-    *("h5", "usd", "usdc", "usdz", "abc", "npz", "pc2", "mdd", "obj", "ply", "stl", "off"),
-    *("markers", "maps", "contacts", "retiming"),
-)
-"""Those whose samples are made quickly."""
+READERS = ("h5", "usdc", "abc", "npz", "pc2", "obj", "stl", "markers", "retiming")
+"""One of a kind, whose samples are made quickly."""
 
 
 def test_damaged_files_are_refused_or_sound(tmp_path: Path) -> None:
     chosen = [word for reader in READERS for word in ("--reader", reader)]
-    done = run_code(tmp_path, "-m", "scripts.fuzzing.campaign", "--seed", "7", "--cases", "16", *chosen)
+    done = run_code(tmp_path, "-m", "scripts.fuzzing.campaign", "--seed", "7", "--cases", "9", *chosen)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "| all | 16 |" in done.stdout
+    assert "| all | 9 |" in done.stdout
 
 
 def test_a_case_can_be_repeated(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 import mixseq
-from mixseq.creature import walk_cycle
 from scripts.fuzzing.damage import (
     Damage,
     NotDamagedError,
@@ -19,6 +18,7 @@ from scripts.fuzzing.damage import (
     damage_json,
     damage_text,
 )
+from tests.meshes import coarse_walk
 
 JSON = b'{"asset": {"version": "2.0"}, "buffers": [{"uri": "walk.bin", "byteLength": 12}]}'
 
@@ -39,7 +39,7 @@ def test_damage_follows_from_the_seed(damage: Damage, name: str, tmp_path: Path)
     if name == "walk.gltf":
         file.write_bytes(JSON)
     else:
-        mixseq.write(file, walk_cycle(frames=2))
+        mixseq.write(file, coarse_walk(frames=2))
     sound = file.read_bytes()
 
     def damaged() -> list[str]:

@@ -309,14 +309,14 @@ OTHERS = {
 
 
 @pytest.mark.parametrize("name", OTHERS)
-@pytest.mark.parametrize("turn", range(3))
-@pytest.mark.parametrize("scale", [1.0, 1e-5, 1e7])
-def test_pairs(name: str, turn: int, scale: float) -> None:
-    other, cross = OTHERS[name]
-    points = scale * np.array(FLOOR + other, dtype=np.float64)
-    faces = np.array([np.roll([0, 1, 2], turn), np.roll([5, 4, 3], turn)])
-    for shown in (faces, faces[::-1], faces[:, ::-1]):
-        assert self_intersections(points, shown).tolist() == ([[0, 1]] if cross else [])
+def test_pairs(name: str) -> None:
+    for scale in [1.0, 1e-5, 1e7]:
+        for turn in range(3):
+            other, cross = OTHERS[name]
+            points = scale * np.array(FLOOR + other, dtype=np.float64)
+            faces = np.array([np.roll([0, 1, 2], turn), np.roll([5, 4, 3], turn)])
+            for shown in (faces, faces[::-1], faces[:, ::-1]):
+                assert self_intersections(points, shown).tolist() == ([[0, 1]] if cross else [])
 
 
 @pytest.mark.parametrize("sides", [3, 8, 41])

@@ -7,13 +7,12 @@ from functools import cache
 import numpy as np
 
 from mixseq.choices import SpaceName
-from mixseq.creature import walk_cycle
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.types import Float
-from tests.meshes import bar, joined, rotation, tube
+from tests.meshes import bar, coarse_walk, joined, rotation, tube
 
 AXIS = np.array([2.0, 1.0, -2.0]) / 3.0
 
@@ -35,7 +34,7 @@ def bar_motion(space: SpaceName = "mixed", knots: int | None = None, frames: int
 @cache
 def fox(rank: int | None = None) -> Model:
     """The fox's walk of one second, exact or of few modes; with few, all of its signals say something."""
-    return fit(walk_cycle(frames=24), exact=rank is None, rank=rank)
+    return fit(coarse_walk(frames=24), exact=rank is None, rank=rank)
 
 
 def spinning(angles: Float, step: float = 0.0) -> Float:

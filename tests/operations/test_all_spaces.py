@@ -61,7 +61,7 @@ def test_edits_stay_in_the_space(name: str, space: SpaceName, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("space", SPACES)
-def test_what_is_not_edited_stays(space: SpaceName) -> None:
+def test_transitions_keep_frames_outside_the_blend(space: SpaceName) -> None:
     """A transition is the first model before, and the second one after."""
     a, b = models(space)
     both = operations.transition(a, b, 0.2, 0.3)

@@ -46,7 +46,7 @@ def place_of(model: Model, time: float, plane: Plane | None = None) -> Float:
 
 @given(seed=seeds, time=st.floats(0, 0.8), reach=st.one_of(st.none(), st.floats(0.01, 3)))
 @settings(max_examples=40, deadline=None)
-def test_the_point_arrives_and_what_is_out_of_reach_stays(seed: int, time: float, reach: float | None) -> None:
+def test_drag_reaches_its_target_within_its_radius(seed: int, time: float, reach: float | None) -> None:
     for model in (bar_motion(), bar_motion(knots=2), bar_motion("vertex")):
         to = np.random.default_rng(seed).normal(size=2)
         time = snap_time(model, time)
@@ -61,7 +61,7 @@ def test_the_point_arrives_and_what_is_out_of_reach_stays(seed: int, time: float
 
 
 @pytest.mark.parametrize("rank", [None, 6])
-def test_at_the_place_of_a_frame_it_is_that_frame(rank: int | None) -> None:
+def test_drag_to_the_position_of_a_frame_gives_that_frame(rank: int | None) -> None:
     """Its shape and its correction; the body stays where it is."""
     model = fox(rank)
     far = farthest(model, 3)
@@ -124,7 +124,7 @@ def test_the_change_is_smooth_and_fades_by_the_weight() -> None:
     np.testing.assert_allclose(moved, np.outer([0, 1 / 6, 1 / 2, 5 / 6, 1 / 2, 0], [0.1, 0.2]), atol=1e-10)
 
 
-def test_by_default_it_reaches_an_eighth_of_the_motion_or_two_frames() -> None:
+def test_default_radius_is_an_eighth_of_the_motion_or_two_frames() -> None:
     for model, reach in ((bar_motion(), 0.2), (circling(), 0.125)):
         time = model.end / 2
         pulled = drag(model, time, place_of(model, time) + 0.1)
@@ -194,7 +194,7 @@ def test_models_with_many_kinds_of_coordinates() -> None:
         (0.4, [0.0, 0.0], np.nan, r"reach is nan s"),
     ],
 )
-def test_drags_that_are_none(time: float, to: list[float], reach: float | None, message: str) -> None:
+def test_invalid_drags_are_refused(time: float, to: list[float], reach: float | None, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         drag(bar_motion(), time, to, reach)
 

@@ -37,7 +37,7 @@ def test_half_the_power_at_the_period() -> None:
     assert np.square(found).mean() / np.square(sine(1.0)[MIDDLE]).mean() == pytest.approx(0.5, abs=2e-3)
 
 
-def test_noise_goes() -> None:
+def test_smoothing_removes_noise() -> None:
     noise = 0.2 * np.random.default_rng(0).normal(size=(401, 1))
     found = smooth_curve(Curve(TIMES, sine(5.0) + noise), TIMES, seconds=0.5)(TIMES)
     before, after = (np.sqrt(np.square(error[MIDDLE]).mean()) for error in (noise, found - sine(5.0)))
@@ -104,7 +104,7 @@ def test_periods_are_positive() -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.1, 1.0, 10.0, 1e6])
-def test_a_steady_turn_stays_whatever_the_period(seconds: float) -> None:
+def test_steady_rotations_are_unchanged_by_any_period(seconds: float) -> None:
     calm = smooth(repeat(spin(), 0, 1, 3), seconds)
     times = np.linspace(0, 3, 73)
     np.testing.assert_allclose(calm.sample(times).points, spinning(2 * np.pi * times), atol=CIRCLE)

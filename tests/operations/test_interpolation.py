@@ -62,7 +62,7 @@ def test_awkward_meshes_blend(name: str, placement: PlacementName) -> None:
 
 
 @pytest.mark.parametrize("placement", PLACEMENTS)
-def test_a_blend_is_nearly_what_a_model_has_between_its_frames(placement: PlacementName) -> None:
+def test_blends_approximate_models_between_frames(placement: PlacementName) -> None:
     """But a model has corrections, and a blend follows lengths and angles."""
     pair = MeshSequence.from_arrays(POSES.points[[0, 3]], POSES.faces, [0.0, 1.0])
     model = mixseq.fit(pair, exact=True, placement=placement)

@@ -40,7 +40,7 @@ def test_a_joint_bends_by_so_much_more(order: tuple[int, ...], gain: float) -> N
     assert np.abs(points - expected).max() < 0.1  # in the bends, which are 0.3 long and 0.5 thick
 
 
-def test_only_what_hangs_on_the_part_moves() -> None:
+def test_edits_move_only_the_limb() -> None:
     model = chain()
     edited = exaggerate_part(model, 2, 1.7)
     bends = angles(TIMES)
@@ -120,7 +120,7 @@ def test_a_joint_that_is_held_bends_no_more(order: tuple[int, ...]) -> None:
         np.testing.assert_allclose(points[:, bone(number)], expected[:, bone(number)], atol=PIVOT)
 
 
-def test_what_is_held_keeps_its_shape() -> None:
+def test_held_limbs_keep_their_shape() -> None:
     """From the first bone one sees the frame that is held, the joint too, and between frames."""
     model, lower = chain(), bone(0)
     edited = hold(model, 2, 0.2, 0.3, 0.5, 0.2)
@@ -149,7 +149,7 @@ def test_before_and_after_nothing_changes() -> None:
 
 
 @pytest.mark.parametrize(("start", "end"), [(0.0, 0.4), (0.4, 0.8), (0.0, 0.8)])
-def test_from_the_start_or_to_the_end_it_needs_no_fade(start: float, end: float) -> None:
+def test_hold_at_the_ends_has_no_fade(start: float, end: float) -> None:
     model = chain()
     edited = hold(model, 1, 0.2, start, end, 0.2)
     limb = find_limb(model, 1)
@@ -166,7 +166,7 @@ def test_a_model_of_one_frame_is_at_rest_anyway() -> None:
         np.testing.assert_allclose(edited.sample().points, sequence.points, atol=1e-9)
 
 
-def test_holding_what_is_held_already_changes_nothing() -> None:
+def test_holding_twice_equals_holding_once() -> None:
     once = hold(chain(), 1, 0.2, 0.3, 0.5, 0.2)
     twice = hold(once, 1, 0.4, 0.35, 0.45, 0.05)
     np.testing.assert_allclose(twice.sample().points, once.sample().points, atol=1e-4)

@@ -177,7 +177,7 @@ def test_a_model_in_the_mixed_space() -> None:
     np.testing.assert_allclose(slow.points, expected, atol=1e-9)
 
 
-def test_the_mesh_stays_what_it_is() -> None:
+def test_resampling_keeps_the_mesh() -> None:
     bent = bar(sides=5, rings=9, frames=4)
     header = SequenceHeader(
         polygons=bent.polygons,
@@ -193,7 +193,7 @@ def test_the_mesh_stays_what_it_is() -> None:
     assert output.polygons.same_as(bent.polygons)
 
 
-def test_frames_are_decoded_as_they_are_asked_for(model: Model) -> None:
+def test_frames_are_decoded_on_demand(model: Model) -> None:
     told: list[tuple[int, int]] = []
     planned = plan(model, fps=50)
     blocks = planned.blocks(16, lambda done, total, what: told.append((done, total)))

@@ -64,7 +64,7 @@ def test_smooth_through_two_points_is_a_line() -> None:
 
 
 @pytest.mark.parametrize("smooth", [True, False])
-def test_it_passes_through_its_points(smooth: bool) -> None:
+def test_retiming_passes_through_its_points(smooth: bool) -> None:
     outputs, sources = [0, 0.4, 0.5, 2], [3, 3, 1, 4]
     assert Retiming.through(outputs, sources, smooth)(outputs) == pytest.approx(sources, abs=1e-14)
 
@@ -75,7 +75,7 @@ def test_it_passes_through_its_points(smooth: bool) -> None:
     st.booleans(),
 )
 @example([1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 2.2e-311, 0.0, 0.0, 0.0], True)
-def test_it_rises_and_falls_only_where_its_points_do(steps: list[float], changes: list[float], smooth: bool) -> None:
+def test_retiming_is_monotone_between_points(steps: list[float], changes: list[float], smooth: bool) -> None:
     outputs = np.cumsum(steps)
     sources = np.cumsum(changes)[: len(outputs)]
     retiming = Retiming.through(outputs, sources, smooth)
@@ -254,14 +254,14 @@ def test_frames_begin_with_the_output() -> None:
         ([[0.0, 0.0], [1e8, 0.8]], r"1e\+08 s at .* more than 10,000,000 frames"),
     ],
 )
-def test_maps_that_are_none(keys: list[list[float]], message: str) -> None:
+def test_invalid_maps_are_refused(keys: list[list[float]], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         retime(bar_motion(), keys)
 
 
 @pytest.mark.realdata
 @pytest.mark.parametrize("name", ["fox_run", "q_wolf_gallop"])
-def test_real_motions_are_what_resampling_shows(data: Path, name: str) -> None:
+def test_retimed_models_equal_resampled_sequences(data: Path, name: str) -> None:
     model = fit(mixseq.read(data / "npz" / f"{name}.npz"))
     end = model.end
     keys = np.array([[0.0, 0.0], [0.5, 0.5], [1.2, 0.5], [2.0, 0.1], [2.5, 1.0]]) * end

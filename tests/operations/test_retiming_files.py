@@ -108,7 +108,7 @@ def test_times_may_be_frames(tmp_path: Path, name: str, text: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "text"), [("a.csv", "unit = days\n0,1\n1,2"), ("a.toml", "unit = 3\n")])
-def test_a_unit_that_is_none(tmp_path: Path, name: str, text: str) -> None:
+def test_unknown_units_are_refused(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(SettingsError, match=rf"{name}.*: the unit is (\'days\'|3); \'seconds\' or"):
         read_retiming(tmp_path / name)

@@ -157,7 +157,7 @@ def test_keys_of_a_retiming_are_lists_or_files(edits: Edits, tmp_path: Path, key
         ),
     ],
 )
-def test_what_is_wrong_is_told(edits: Edits, text: str, message: str) -> None:
+def test_invalid_scripts_are_refused(edits: Edits, text: str, message: str) -> None:
     with pytest.raises(SettingsError, match=message) as caught:
         edits(text)
     assert "\n" not in str(caught.value)
@@ -258,7 +258,7 @@ def test_scripts_may_speak_in_frames(edits: Edits, seconds: str, frames: str) ->
     np.testing.assert_allclose(other.sample().points, one.sample().points, atol=1e-9)
 
 
-def test_files_of_keys_tell_their_own_unit(edits: Edits, tmp_path: Path) -> None:
+def test_key_files_have_their_own_unit(edits: Edits, tmp_path: Path) -> None:
     motion = bar_motion("vertex")
     (tmp_path / "seconds.csv").write_text('unit = "seconds"\n0,0\n1.2,0.4\n')
     (tmp_path / "frames.csv").write_text("unit = frames\n0,0\n12,4\n")
@@ -283,7 +283,7 @@ def test_all_times_may_be_frames() -> None:
     assert told == {(name, each) for name, each in every if each in named}
 
 
-def test_a_unit_that_is_none(edits: Edits) -> None:
+def test_unknown_units_are_refused(edits: Edits) -> None:
     with pytest.raises(SettingsError, match=r"edits.toml: the unit is 'hours'; 'seconds' or 'frames' is"):
         edits('unit = "hours"\n' + table('operation = "reverse"'))
 
@@ -322,7 +322,7 @@ def test_scripts_that_go_too_far(edits: Edits, text: str, what: str) -> None:
         edits(text)
 
 
-def test_errors_of_operations_tell_which_edit_it_was(edits: Edits) -> None:
+def test_errors_of_operations_name_the_edit(edits: Edits) -> None:
     found = edits(table('operation = "loop"') + table('operation = "cut"\nstart = 0\nend = 9'))
     with pytest.raises(SettingsError, match=r"edit 2 \(cut\): end is 9 s; the model is from 0 to 0.8 s"):
         apply(found, bar_motion())

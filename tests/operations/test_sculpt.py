@@ -64,7 +64,7 @@ def test_zero_sculpt_is_the_identity(kind: str, time: float) -> None:
 
 @pytest.mark.parametrize("kind", SPACES)
 @pytest.mark.parametrize("where", ["everywhere", "window", "similar"])
-def test_the_frame_is_what_was_made_of_it(kind: str, where: Where) -> None:
+def test_edited_frame_equals_the_sculpted_mesh(kind: str, where: Where) -> None:
     model = model_of(kind)
     edited = bumped(model(0.3), np.arange(40, 60))  # over the joint
     end = 0.6 if where == "window" else None
@@ -192,7 +192,7 @@ def test_what_does_not_move_is_similar_everywhere() -> None:
     np.testing.assert_allclose(sculpt(model, 0.0, edited, "similar")(0.0), edited, atol=1e-9)
 
 
-def test_the_model_keeps_what_else_it_is() -> None:
+def test_sculpt_keeps_other_signals() -> None:
     model = fit(bar(sides=6, rings=21, frames=FRAMES), exact=True, parts=2, pose="keys")
     sculpted = sculpt(model, 0.2, bumped(model(0.2), np.arange(10)), "window", end=0.5)
     assert len(sculpted.shapes) == len(model.shapes) + 1

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.creature import walk_cycle
 from mixseq.errors import SettingsError
 from mixseq.operations import drag, key_poses, sculpt, with_shapes
 from mixseq.types import Float
+from tests.meshes import coarse_walk
 
 STRETCH = np.array([1.0, 1.5, 1.0])
 
 
 @pytest.fixture(scope="module")
 def model() -> mixseq.Model:
-    return mixseq.fit(walk_cycle(frames=8), rank=4, pose="keys")
+    return mixseq.fit(coarse_walk(frames=8), rank=4, pose="keys")
 
 
 def on_other_body(keys: mixseq.MeshSequence) -> mixseq.MeshSequence:
@@ -35,7 +35,7 @@ def test_key_poses_that_are_frames_are_these_frames(model: mixseq.Model) -> None
 
 
 def test_own_key_poses_give_the_own_motion_back() -> None:
-    exact = mixseq.fit(walk_cycle(frames=6), exact=True, pose="keys")
+    exact = mixseq.fit(coarse_walk(frames=6), exact=True, pose="keys")
     again = with_shapes(exact, key_poses(exact))
     np.testing.assert_allclose(again.sample().points, exact.sample().points, atol=1e-6 * exact.space.scale)
 
@@ -58,7 +58,7 @@ def test_edits_of_one_body_play_on_the_other(model: mixseq.Model) -> None:
 
 
 def test_bodies_of_another_pose_signal_are_refused(model: mixseq.Model) -> None:
-    other = mixseq.fit(walk_cycle(frames=9), rank=4, pose="keys")
+    other = mixseq.fit(coarse_walk(frames=9), rank=4, pose="keys")
     assert len(other.shapes) == len(model.shapes)
     with pytest.raises(SettingsError, match="another pose signal"):
         with_shapes(model, other)
@@ -69,11 +69,11 @@ def test_bodies_of_another_pose_signal_are_refused(model: mixseq.Model) -> None:
 
 def test_every_key_shape_needs_a_frame(model: mixseq.Model) -> None:
     with pytest.raises(SettingsError, match=r"has 4 frames; 5 are expected"):
-        with_shapes(model, walk_cycle(frames=4))
+        with_shapes(model, coarse_walk(frames=4))
 
 
 def test_spaces_without_parts_are_refused() -> None:
-    walk = walk_cycle(frames=4)
+    walk = coarse_walk(frames=4)
     with pytest.raises(SettingsError, match="has no parts"):
         with_shapes(mixseq.fit(walk, exact=True, space="vertex"), walk)
 

@@ -38,7 +38,7 @@ def model_of(kind: str = "anchored", frames: int = 12) -> Model:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_through_the_place_of_a_frame_it_is_that_frame(kind: str) -> None:
+def test_sketch_through_a_frame_gives_that_frame(kind: str) -> None:
     model = model_of(kind)
     frames = [3, 7, 8, 1]
     places = model.embedding(model.times[frames])
@@ -48,7 +48,7 @@ def test_through_the_place_of_a_frame_it_is_that_frame(kind: str) -> None:
         np.testing.assert_allclose(sketched(time), model(model.times[frame]), atol=1e-9)
 
 
-def test_along_the_layout_it_is_nearly_the_motion() -> None:
+def test_sketch_along_the_layout_approximates_the_motion() -> None:
     model = model_of()
     dense = np.linspace(model.start, model.end, 101)
     places = model.embedding(dense)
@@ -107,7 +107,7 @@ def test_a_cycle_that_is_stored_twice_needs_no_warning() -> None:
     np.testing.assert_allclose(sketched(0.0), points[0], atol=1e-9)
 
 
-def test_frames_that_share_a_place_but_differ_are_told() -> None:
+def test_ambiguous_positions_cause_a_warning() -> None:
     """The same shapes elsewhere: the embedding shows shapes only."""
     model = model_of()
     points = np.concatenate([model.sample().points, model.sample().points + 5.0])
@@ -117,7 +117,7 @@ def test_frames_that_share_a_place_but_differ_are_told() -> None:
     np.testing.assert_allclose(sketched(0.0), points[0], atol=1e-9)
 
 
-def test_a_curve_far_away_is_told() -> None:
+def test_distant_curves_cause_a_warning() -> None:
     model = model_of()
     places = model.embedding(model.times)
     size = np.linalg.norm(np.ptp(places, axis=0))
@@ -139,7 +139,7 @@ def test_a_curve_far_away_is_told() -> None:
         ([[0.0, 0.0]], np.inf, "duration is inf"),
     ],
 )
-def test_curves_that_are_none(curve: Float, duration: float, message: str) -> None:
+def test_invalid_curves_are_refused(curve: Float, duration: float, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         sketch(model_of(), curve, duration)
 

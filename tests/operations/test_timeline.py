@@ -60,7 +60,7 @@ def test_times_may_be_rounded_as_printed() -> None:
 
 @pytest.mark.parametrize(("space", "knots"), MODELS)
 @pytest.mark.parametrize(("start", "end"), [(0.2, 0.6), (0.13, 0.57), (0.0, 0.8)])
-def test_repeat_leaves_what_is_outside(space: SpaceName, knots: int | None, start: float, end: float) -> None:
+def test_repeat_keeps_frames_outside_the_section(space: SpaceName, knots: int | None, start: float, end: float) -> None:
     model = bar_motion(space, knots)
     longer = repeat(model, start, end, times=3)
     length = end - start
@@ -190,7 +190,7 @@ def test_refusals(settings: dict[str, float], message: str) -> None:
         repeat(bar_motion(), **{"start": 0.2, "end": 0.6, **settings})  # type: ignore[arg-type]
 
 
-def test_what_has_no_placement_does_not_travel() -> None:
+def test_travel_without_placement_is_refused() -> None:
     with pytest.raises(SettingsError, match="the vertex space has no positions of bodies"):
         repeat(bar_motion("vertex"), 0.2, 0.6, travel=True)
 

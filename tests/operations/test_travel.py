@@ -154,7 +154,7 @@ def test_what_has_no_placement_does_not_travel(edit: Callable[[Model], object]) 
         edit(bar_motion("vertex"))
 
 
-def test_one_frame_stays_where_it_is() -> None:
+def test_single_frames_do_not_travel() -> None:
     points: Float = tube(5, 4)[0][None]
     model = fit(MeshSequence.from_arrays(points, tube(5, 4)[1]), exact=True, space="lri")
     for even in (False, True):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.creature import walk_cycle
 from mixseq.mesh.rigid import kabsch
 from mixseq.operations import drag, exaggerate, exaggerate_part, hold, sculpt, swap_key
 from mixseq.operations.limbs import find_limb
@@ -18,6 +17,7 @@ from mixseq.signals.curve import Curve
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.types import Float, FloatArray, Index
+from tests.meshes import coarse_walk
 from tests.operations.motions import fox
 
 Made = tuple[Model, int | None]
@@ -177,7 +177,7 @@ def test_vertices_that_were_not_sculpted_stay(made: Made, between: float) -> Non
 
 
 def test_a_key_that_is_exchanged_shows_in_its_frame() -> None:
-    model = fit(walk_cycle(frames=24), exact=True, pose="keys")
+    model = fit(coarse_walk(frames=24), exact=True, pose="keys")
     frame = int(model.key_frames[7])
     edited, others = dented(model(float(model.times[frame])), model.space.scale)
     before, after = (each.sample().points for each in (model, swap_key(model, 7, edited)))

@@ -242,11 +242,11 @@ def test_time_axis_leaves_space_for_dots(ax: Any) -> None:
     assert ax.get_xlabel() == "time (s)"
 
 
-@pytest.mark.parametrize("count", range(1, 250, 7))
-def test_numbered_frames(count: int) -> None:
-    frames = round_frames(count, 10)
-    assert frames[0] == 0
-    assert frames[-1] == count - 1
-    assert 1 <= len(frames) <= 11
-    assert frames == sorted(set(frames))
-    assert len(set(np.diff(frames[:-1]))) <= 1
+def test_numbered_frames() -> None:
+    for count in range(1, 250, 7):
+        frames = round_frames(count, 10)
+        assert frames[0] == 0
+        assert frames[-1] == count - 1
+        assert 1 <= len(frames) <= 11
+        assert frames == sorted(set(frames))
+        assert len(set(np.diff(frames[:-1]))) <= 1

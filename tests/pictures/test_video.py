@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import weakref
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -262,6 +263,14 @@ def test_a_webp_is_encoded_while_it_is_drawn(tmp_path: Path) -> None:
 
     encode_film(tmp_path / "a.webp", "webp", draw, 20, 24)
     assert len(opened(tmp_path / "a.webp")) == 20
+
+
+def test_a_pipe_behind_a_link_is_not_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "a.gif").symlink_to(tmp_path / "pipe")
+    with pytest.raises(OutputError, match=r"a\.gif is no regular file"):
+        encode_film(tmp_path / "a.gif", "gif", lambda _: pytest.fail("drawn"), 1, 1)
+    assert (tmp_path / "a.gif").is_fifo()
 
 
 def test_gifs_have_a_longest_duration(tmp_path: Path) -> None:

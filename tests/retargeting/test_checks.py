@@ -1,4 +1,4 @@
-"""Markers that cannot be meant, and meshes inside out, are named; those that are right are left alone."""
+"""Checks of markers and of the orientation of meshes: errors, warnings, and no false alarms."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def other(points: Float) -> Float:
 
 
 def markers(targets: Index | None = None) -> Markers:
-    """All points of the creature: itself, or others of the target."""
+    """Mark all points of the creature, paired with themselves or with given targets."""
     source = np.arange(28)
     return Markers(source, source if targets is None else targets, tuple(f"<{n}>" for n in source))
 
@@ -93,7 +93,7 @@ def test_affine_maps_do_not_bend() -> None:
     assert bending.leave_one_out(affine)[0].max() < 1e-10
 
 
-def test_leaving_out_is_what_fitting_the_others_gives() -> None:
+def test_leave_one_out_equals_fits_without_the_marker() -> None:
     source, target = creature(), other(creature())
     distances, _ = BendingEnergy.from_points(source).leave_one_out(target)
     rest = np.arange(1, 28)
@@ -109,12 +109,12 @@ def test_leaving_out_is_what_fitting_the_others_gives() -> None:
 # Markers that are right, exchanged, or wrong ------------------------------------------------------------------
 
 
-def test_right_markers_are_left_alone() -> None:
+def test_correct_markers_cause_no_warning() -> None:
     assert warned(markers(), creature(), other(creature())) == []
     assert warned(markers(), creature(), creature()) == []
 
 
-def test_the_same_pair_twice_is_no_harm() -> None:
+def test_repeated_pairs_cause_no_warning() -> None:
     twice = np.concatenate([np.arange(28), np.arange(28)])
     assert warned(Markers(twice, twice), creature(), other(creature())) == []
 
@@ -132,7 +132,7 @@ def test_two_pairs_of_exchanged_markers_are_named() -> None:
 
 
 @pytest.mark.parametrize("first", [0, 2])
-def test_a_left_leg_taken_for_the_right_is_told(first: int) -> None:
+def test_exchanged_left_and_right_leg_are_named(first: int) -> None:
     left, right = leg(first), leg(first + 1)
     order = exchanged(*zip(left.tolist(), right.tolist(), strict=True))
     messages = warned(markers(order), creature(), other(creature()))
@@ -211,7 +211,7 @@ def test_a_flat_sheet_may_be_turned_over() -> None:
         ),
     ],
 )
-def test_what_cannot_be_meant_is_refused(pairs: list[list[int]], message: str) -> None:
+def test_invalid_markers_are_refused(pairs: list[list[int]], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         check_markers(Markers.from_pairs(pairs), creature(), other(creature()))
 
@@ -223,7 +223,7 @@ def test_markers_on_a_line_are_refused() -> None:
         check_markers(Markers.from_pairs([[k, k] for k in range(5)]), points, other(creature()))
 
 
-def test_markers_on_a_plane_are_told() -> None:
+def test_markers_on_a_plane_cause_a_warning() -> None:
     points = creature()
     points[:6] = [[x, y, 0.0] for x in (-0.5, 0.5) for y in (0.0, 1.0, 2.0)]
     with pytest.warns(MixseqWarning, match="all markers of the source are on one plane"):
@@ -236,14 +236,14 @@ def test_markers_on_vertices_without_triangles_are_refused() -> None:
         check_markers(Markers.from_pairs([[0, 0], [1, 1], [2, 2], [3, 3]]), creature(), creature(), unused)
 
 
-def test_the_same_marker_twice_is_one() -> None:
+def test_repeated_markers_count_once() -> None:
     pairs = [[0, 0], [1, 1], [2, 2], [1, 1]]
     with pytest.raises(SettingsError, match="3 markers that differ, of 4; at least 4"):
         check_markers(Markers.from_pairs(pairs), creature(), other(creature()))
 
 
-def test_a_flat_mesh_may_have_strays() -> None:
-    """What no triangle uses is not beside the plane of the markers."""
+def test_unused_vertices_beside_a_flat_mesh_are_ignored() -> None:
+    """An unused vertex outside the plane of the markers causes no warning."""
     points, faces = grid(4, 4)
     points = np.concatenate([points, [[1.0, 1.0, 7.0]]])
     topology = Topology(faces, len(points))
@@ -259,13 +259,13 @@ def surface(points: Float, faces: Index) -> TriangleMesh:
 
 
 @pytest.mark.parametrize("mesh", [tetrahedron(), ring(), tube(7, 5)])
-def test_closed_components_have_an_outside(mesh: tuple[Float, Index]) -> None:
+def test_closed_components_have_an_orientation(mesh: tuple[Float, Index]) -> None:
     points, faces = mesh
     assert find_orientation(surface(points + 100, faces)).signs.tolist() == [1]
     assert find_orientation(surface(points, faces[:, ::-1])).signs.tolist() == [-1]
 
 
-def test_open_surfaces_have_none() -> None:
+def test_open_surfaces_have_no_orientation() -> None:
     assert find_orientation(surface(*grid(3, 4))).signs.tolist() == [0]
     points, faces = ring()
     assert find_orientation(surface(points, faces[1:])).signs.tolist() == [1]  # a small hole does not matter
@@ -281,14 +281,14 @@ def test_an_inside_out_mesh_is_refused_by_name() -> None:
         check_orientation(surface(points, faces[:, ::-1]), surface(2 * points, faces))
 
 
-def test_single_components_inside_out_are_told() -> None:
+def test_single_inverted_components_cause_a_warning() -> None:
     points, faces = joined(ring(), (tetrahedron()[0] / 4 + 9, tetrahedron()[1]))
     faces[-4:] = faces[-4:, ::-1]
     with pytest.warns(MixseqWarning, match=rf"1 of 2 components .*that of triangle {len(faces) - 4}\)"):
         check_orientation(surface(*ring()), surface(points, faces))
 
 
-def test_open_surfaces_are_told_by_a_registration() -> None:
+def test_inverted_open_surfaces_are_found_after_registration() -> None:
     points, faces = grid(4, 4)
     check_orientation(surface(points, faces), surface(points, faces[:, ::-1]))
     check_facing(surface(points, faces), surface(points, faces))
@@ -332,7 +332,7 @@ def _case(data: Path, file: Path, source: str, target: str) -> Case:
 
 @pytest.mark.realdata
 @pytest.mark.parametrize("name", CASES)
-def test_no_false_alarm(data: Path, name: str) -> None:
+def test_published_markers_cause_no_warning(data: Path, name: str) -> None:
     assert warned(*CASES[name](data)) == []
 
 

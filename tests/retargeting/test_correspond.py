@@ -1,4 +1,4 @@
-"""From two sequences and markers to a correspondence."""
+"""Correspondence of two sequences from markers."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_warped_mesh_corresponds_to_itself() -> None:
     assert off.max() < 0.015
 
 
-def test_so_does_one_of_another_resolution() -> None:
+def test_a_mesh_corresponds_to_its_subdivision() -> None:
     fine = subdivided(BODY)
     found = correspond(still(*BODY), still(warp(fine[0]), fine[1]), Markers(MARKED, MARKED))
     off = error(found.interpolate(BODY[0][None])[0], fine[0])
@@ -67,7 +67,7 @@ def test_so_does_one_of_another_resolution() -> None:
     assert off.max() < 0.015
 
 
-def test_and_a_coarser_one() -> None:
+def test_a_mesh_corresponds_to_its_decimation() -> None:
     fine = subdivided(BODY)
     found = correspond(still(*fine), still(warp(BODY[0]), BODY[1]), Markers(MARKED, MARKED))
     assert error(found.interpolate(fine[0][None])[0], BODY[0]).max() < 0.015
@@ -88,7 +88,7 @@ def test_the_rest_pose_is_a_frame_of_the_source() -> None:
     assert quality.largest_distance < 1e-6
 
 
-def test_it_repeats() -> None:
+def test_correspondence_is_deterministic() -> None:
     target = still(warp(BODY[0]), BODY[1])
     first, second = (correspond(still(*BODY), target, Markers(MARKED, MARKED)) for _ in range(2))
     assert np.array_equal(first.corners, second.corners)
@@ -118,8 +118,8 @@ def test_a_mesh_inside_out_is_refused() -> None:
         correspond(still(*BODY), still(BODY[0], BODY[1][:, ::-1]), Markers(MARKED, MARKED))
 
 
-def test_it_is_refused_before_the_long_work() -> None:
-    """A closed mesh tells by itself that it is inside out."""
+def test_inverted_meshes_are_refused_before_registration() -> None:
+    """The volume of a closed mesh is negative if it is inside out."""
     told: list[int] = []
     with pytest.raises(SettingsError, match="inside out"):
         correspond(
@@ -131,7 +131,7 @@ def test_it_is_refused_before_the_long_work() -> None:
     assert told == []
 
 
-def test_an_open_mesh_inside_out_is_refused_by_what_was_fitted() -> None:
+def test_an_inverted_open_mesh_is_refused_after_registration() -> None:
     points, faces = grid(8, 8)
     bumpy = points + [0, 0, 1] * np.sin(points[:, :1]) * np.cos(points[:, 1:2])
     marked = Markers(np.array([0, 8, 30, 40, 50, 72, 80]), np.array([0, 8, 30, 40, 50, 72, 80]))
@@ -139,8 +139,8 @@ def test_an_open_mesh_inside_out_is_refused_by_what_was_fitted() -> None:
         correspond(still(bumpy, faces), still(bumpy, faces[:, ::-1]), marked)
 
 
-def test_vertices_that_no_triangle_uses_change_nothing() -> None:
-    """Neither the unit of lengths, nor what follows."""
+def test_unused_vertices_do_not_change_the_correspondence() -> None:
+    """They change neither the unit of lengths nor the followers."""
     markers, target = Markers(MARKED, MARKED), warp(BODY[0])
     alone_correspondence, alone = correspond_and_assess(still(*BODY), still(target, BODY[1]), markers)
     stray = np.random.default_rng(0).normal(size=(50, 3)) * 1e4
@@ -152,7 +152,7 @@ def test_vertices_that_no_triangle_uses_change_nothing() -> None:
     assert quality.follower_count == 0
 
 
-def test_a_marked_component_without_area_is_carried_along() -> None:
+def test_a_marked_component_without_area_follows() -> None:
     """Three vertices in one place, as exporters leave them."""
     count = len(BODY[0])
     faces = np.concatenate([BODY[1], [[count, count + 1, count + 2]]])
@@ -170,8 +170,8 @@ def test_a_mesh_without_area_is_refused(side: str) -> None:
         correspond(still(*meshes[0]), still(*meshes[1]), Markers(MARKED, MARKED))
 
 
-def test_a_mesh_that_falls_apart_is_told() -> None:
-    """No two triangles share a vertex, so that markers lead few of them."""
+def test_unmarked_area_causes_a_warning() -> None:
+    """No two triangles share a vertex, so few of them are in a marked component."""
     points, faces = BODY
     loose = points[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
     first = np.array([np.flatnonzero(faces.reshape(-1) == vertex)[0] for vertex in MARKED])

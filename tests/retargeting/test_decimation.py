@@ -1,4 +1,4 @@
-"""Decimation: vertices that were there, the same topology, nearly the same surface."""
+"""Decimation keeps original vertices, the topology, and nearly the surface."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def boundary_loops(topology: Topology) -> int:
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_topology_stays(name: str) -> None:
+def test_topology_is_preserved(name: str) -> None:
     points, faces = MESHES[name]
     count = len(points) // 8
     kept, coarse = decimate(points, faces, count)
@@ -42,7 +42,7 @@ def test_topology_stays(name: str) -> None:
     assert bool(len(after.boundary_edges)) == bool(len(before.boundary_edges))
 
 
-def test_shapes_stay() -> None:
+def test_decimation_preserves_shape() -> None:
     points, faces = torus(40, 20)
     kept, coarse = decimate(points, faces, 200)
     assert signed_volume(points[kept], coarse) == pytest.approx(signed_volume(points, faces), rel=0.05)
@@ -54,7 +54,7 @@ def test_shapes_stay() -> None:
     assert normals[:, 2].sum() / 2 == pytest.approx(600.0)  # corners and borders stay
 
 
-def test_it_stops_where_nothing_can_go() -> None:
+def test_decimation_stops_without_removable_vertices() -> None:
     points, faces = tetrahedron()
     kept, coarse = decimate(points, faces, 2)
     assert kept.tolist() == [0, 1, 2, 3]
@@ -64,7 +64,7 @@ def test_it_stops_where_nothing_can_go() -> None:
     assert len(coarse) == 1
 
 
-def test_spines_stay() -> None:
+def test_spines_are_preserved() -> None:
     """Vertices of edges with three faces stay, and the pages stay with them."""
     mesh = pages(3, rows=16, columns=6)
     topology = topology_of(mesh)
@@ -76,7 +76,7 @@ def test_spines_stay() -> None:
     assert after.component_of_face.max() == 0
 
 
-def test_faces_with_repeated_corners_stay() -> None:
+def test_faces_with_repeated_corners_are_kept() -> None:
     points, faces = tube(8, 12)
     faces = np.concatenate([faces, [[3, 3, 4]]])
     kept, coarse = decimate(points, faces, 30)
@@ -84,6 +84,6 @@ def test_faces_with_repeated_corners_stay() -> None:
     assert (np.sort(kept[coarse], axis=1) == [3, 3, 4]).all(axis=1).any()
 
 
-def test_it_is_the_same_every_time(mesh: Mesh = MESHES["torus"]) -> None:
+def test_decimation_is_deterministic(mesh: Mesh = MESHES["torus"]) -> None:
     first, second = decimate(*mesh, 50), decimate(*mesh, 50)
     assert all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))

@@ -1,4 +1,4 @@
-"""Markers are examined while they are set: a wrong one has the largest residual, and is suspected."""
+"""Examination of markers: a wrong marker has the largest residual and is a suspect."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def set_markers(*bones: str) -> Markers:
     return Markers(on_bones(short(), *bones), on_bones(tall(), *bones), bones)
 
 
-def test_right_markers() -> None:
+def test_correct_markers_have_small_residuals() -> None:
     found = examine_markers(short().mesh, tall().mesh, set_markers(*MARKED))
     assert found.residuals is not None
     assert found.residuals.shape == (len(MARKED),)
@@ -30,7 +30,7 @@ def test_right_markers() -> None:
     assert not found.refusal
 
 
-def test_a_wrong_one() -> None:
+def test_a_wrong_marker_has_the_largest_residual() -> None:
     markers = set_markers(*MARKED)
     wrong = MARKED.index("thigh.r")
     targets = markers.target.copy()
@@ -48,7 +48,7 @@ def test_few_markers_have_no_residuals() -> None:
     assert not found.refusal
 
 
-def test_why_there_is_no_map() -> None:
+def test_refusal_gives_the_error_of_the_registration() -> None:
     markers = set_markers(*MARKED)
     source = markers.source.copy()
     source[1] = source[0]
@@ -57,7 +57,7 @@ def test_why_there_is_no_map() -> None:
     assert "two targets" in found.refusal
 
 
-def test_numbers_are_those_of_vertices() -> None:
+def test_suspect_ids_index_markers() -> None:
     fox, other = short().topology, tall().topology
     check_marker_vertices(Markers.from_pairs([[0, 0], [1499, 999]]), fox, other)
     with pytest.raises(SettingsError, match="the target has 1000 vertices"):

@@ -1,4 +1,4 @@
-"""Maxima are as prominent as summits are, and the extremities of the fox are its tips."""
+"""Extremities: prominences of maxima, and the tips of the fox."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_distances_around_a_tube() -> None:
     assert across == pytest.approx(half, rel=0.01)
 
 
-def test_its_unit_is_that_of_the_area() -> None:
+def test_coarse_surface_has_unit_area() -> None:
     fox = short()
     surface = CoarseSurface.from_mesh(fox.points, fox.topology)
     moved = CoarseSurface.from_mesh(30 * fox.points @ rotation((1.0, 0.3, 0.2)).T + 7, fox.topology)
@@ -100,7 +100,7 @@ def test_its_unit_is_that_of_the_area() -> None:
     np.testing.assert_allclose(surface.centre + surface.size * surface.points, fox.points, atol=1e-12)
 
 
-def test_the_largest_component_is_thinned_out() -> None:
+def test_the_largest_component_is_decimated() -> None:
     small, large = tube(6, 5), tube(12, 40, length=9.0, radius=1.0)
     mesh = joined(small, large)
     surface = CoarseSurface.from_mesh(mesh[0], topology_of(mesh), 200)
@@ -109,7 +109,7 @@ def test_the_largest_component_is_thinned_out() -> None:
     assert np.isfinite(surface.distances(np.array([0]))).all()
 
 
-def test_no_area() -> None:
+def test_meshes_without_area_are_refused() -> None:
     mesh = np.zeros((3, 3)), np.array([[0, 1, 2]])
     with pytest.raises(SettingsError, match="no triangle of the mesh has an area"):
         CoarseSurface.from_mesh(mesh[0], topology_of(mesh))

@@ -36,7 +36,7 @@ def shaped(points: Float) -> Float:
 
 
 def led(mesh: Mesh, follower: Mesh, leader: int) -> Correspondence:
-    """A mesh to itself with another one stuck to it."""
+    """Map a mesh to itself joined with a second mesh."""
     (own, own_faces), (others, other_faces) = map(len, mesh), map(len, follower)
     one, count = same(mesh), own + others
     return Correspondence(
@@ -50,7 +50,7 @@ def led(mesh: Mesh, follower: Mesh, leader: int) -> Correspondence:
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
-def test_onto_itself_nothing_changes(name: str) -> None:
+def test_transfer_to_the_same_mesh_is_identity(name: str) -> None:
     sequence: MeshSequence = SEQUENCES[name]()
     mesh = sequence.points[0].astype(np.float64), sequence.faces.astype(np.int64)
     method = gradients(mesh, mesh)
@@ -109,7 +109,7 @@ def test_gradients_of_a_coarse_mesh_move_its_subdivision() -> None:
         assert furthest(method.transfer_frame(x), subdivided((x, source[1]))[0]) <= 1e-9
 
 
-def test_a_gap_that_opens_opens_as_much_for_the_size() -> None:
+def test_gaps_between_pieces_scale_with_the_target() -> None:
     body, lid = tube(6, 9), tetrahedron()
     source = joined(body, (0.2 * lid[0] + [0.0, 0.0, 4.5], lid[1]))
     count = len(body[0])
@@ -127,7 +127,7 @@ def test_a_gap_that_opens_opens_as_much_for_the_size() -> None:
     np.testing.assert_allclose(moved[count:], target[0][count:] + method.alignment.map_vectors(away), atol=1e-9)
 
 
-def test_what_is_held_turns_with_its_holder() -> None:
+def test_held_components_rotate_with_their_holder() -> None:
     """A rigid lid at the tip of a bar that bends: the gap turns along, and stays as wide."""
     body, lid = tube(6, 25), tetrahedron()
     source = joined(body, (0.2 * lid[0] + [0.0, 0.0, 4.5], lid[1]))
@@ -140,7 +140,7 @@ def test_what_is_held_turns_with_its_holder() -> None:
     np.testing.assert_allclose(moved[count:], expected, atol=1e-9)
 
 
-def test_followers_go_as_if_stuck_to_their_leaders() -> None:
+def test_followers_move_rigidly_with_leaders() -> None:
     body, hat = tube(6, 25), (0.3 * tetrahedron()[0] + [0.0, 0.7, 3.8], tetrahedron()[1])
     leader = 6 * 23 + 1  # near the upper end
     target = joined(body, hat)
@@ -153,7 +153,7 @@ def test_followers_go_as_if_stuck_to_their_leaders() -> None:
     np.testing.assert_allclose(moved[count:], expected, atol=1e-9)
 
 
-def test_a_patch_that_is_on_nothing_goes_along() -> None:
+def test_an_unmatched_patch_follows() -> None:
     """Vertices within a piece may follow others of it, and turn with these."""
     mesh = tube(8, 25)
     correspondence = same(mesh)

@@ -67,7 +67,7 @@ def hinges_of(method: MixedTransfer) -> tuple[Float, Float]:
 
 
 @pytest.mark.parametrize(("sides", "rings"), [(18, 49), (6, 17), (10, 33)])
-def test_joints_tell_most_of_a_bend_however_finely_they_are_cut(sides: int, rings: int) -> None:
+def test_joint_angles_measure_most_of_a_bend_at_any_resolution(sides: int, rings: int) -> None:
     """Steiner's measure of a bend, angles times lengths, of the strip of squares at the top and at the bottom.
 
     Turns of faces are averaged around their corners, so the triangles of a square no longer turn as one.
@@ -113,7 +113,7 @@ def test_a_tube_bends_as_much_in_all_as_its_source(sides: int, rings: int, lengt
 
 @pytest.mark.parametrize(("sides", "rings"), [(30, 65), (14, 17), (18, 33)])
 def test_an_even_bend_is_spread_evenly(sides: int, rings: int) -> None:
-    """Faces turn about x by how far apart their centres are, hinges by what of that is about them."""
+    """Faces rotate about x in proportion to their distance, hinges by the component along their edge."""
     source, target = tube(18, 33, radius=0.3), tube(sides, rings, radius=0.3)
     method = joined_in_the_middle(source, target, on(source, target))
     joints = GradientMetrics(method.gradients, method.joint_solver.joints)
@@ -133,7 +133,7 @@ def test_an_even_bend_is_spread_evenly(sides: int, rings: int) -> None:
     assert np.abs(stretch - bent_in).max() < 0.1 * np.abs(bent_in).max()
 
 
-def test_at_rest_other_edges_are_at_rest() -> None:
+def test_edges_keep_rest_lengths_at_rest() -> None:
     source, target = tube(10, 33), tube(6, 20)
     turned = target[0] * [1.0, 1.0, 1.5] @ rotation((0.0, np.pi / 2, 0.0)).T
     method = joined_in_the_middle(source, (turned, target[1]), on(source, target))
@@ -268,7 +268,7 @@ def patch() -> Patch:
 
 
 def motions(first: Float, last: Float, shift: Float) -> tuple[Float, Float]:
-    """Rotation vectors of the parts 0 and 4, and how far part 4 goes; the others are far away."""
+    """Rotation vectors of the parts 0 and 4, and the shift of part 4; the other parts are far away."""
     turns, shifts = np.full((5, 3), 2.0), np.full((5, 3), 1e6)
     turns[0], turns[4], shifts[0], shifts[4] = first, last, 0.0, shift
     return rotvec_to_matrix(turns), shifts

@@ -19,12 +19,12 @@ def test_pairs_become_columns() -> None:
     assert markers.source.dtype == np.int64
 
 
-def test_no_pairs_are_no_markers() -> None:
+def test_empty_pairs_give_no_markers() -> None:
     assert len(Markers.from_pairs([])) == 0
 
 
 @pytest.mark.parametrize("pairs", [[1, 2, 3], [[1, 2, 3]], [[1.5, 2]], [["a", "b"]], [[1, 2], [3]], [[[1, 2]]], None])
-def test_what_is_no_pairs_is_refused(pairs: Any) -> None:
+def test_invalid_pairs_are_refused(pairs: Any) -> None:
     with pytest.raises(SettingsError, match=r"\(n, 2\) whole numbers"):
         Markers.from_pairs(pairs)
 
@@ -33,11 +33,11 @@ def test_what_is_no_pairs_is_refused(pairs: Any) -> None:
     ("names", "called"),
     [((), "2 (3 -> 4)"), (("nose", "tail"), "'tail' (3 -> 4)"), (("nose", ""), "2 (3 -> 4)")],
 )
-def test_messages_call_them_by_name_or_number(names: tuple[str, ...], called: str) -> None:
+def test_names_default_to_numbers(names: tuple[str, ...], called: str) -> None:
     assert Markers.from_pairs([[1, 2], [3, 4]], names).name(1) == called
 
 
-def test_names_are_one_each_or_none() -> None:
+def test_wrong_numbers_of_names_are_refused() -> None:
     with pytest.raises(SettingsError, match="2 markers and 1 names"):
         Markers.from_pairs([[1, 2], [3, 4]], ("nose",))
 
@@ -57,7 +57,7 @@ def mixed() -> Correspondence:
     )
 
 
-def test_identity_carries_everything_as_it_is() -> None:
+def test_identity_interpolates_values_unchanged() -> None:
     values = np.random.default_rng(0).normal(size=(4, 7, 2))
     same = Correspondence.identity(7, 5)
     assert np.array_equal(same.interpolate(values), values)

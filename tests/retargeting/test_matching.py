@@ -1,4 +1,4 @@
-"""From a registered source to a correspondence, and what is reported of it."""
+"""Matching of a registered source, its quality, and completion of maps."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_subdivided_mesh_matches_the_triangles_it_was_cut_from() -> None:
     np.testing.assert_allclose(found.interpolate(mesh[0][None])[0], fine[0], atol=1e-12)
 
 
-def test_sides_that_touch_are_told_apart_by_their_normals() -> None:
+def test_touching_sides_are_separated_by_normals() -> None:
     """Two sheets of one folded strip, a hair apart, that come to lie on the wrong side of each other."""
     points, faces = grid(20, 4)
     y = points[:, 1]
@@ -76,7 +76,7 @@ def test_sides_that_touch_are_told_apart_by_their_normals() -> None:
     np.testing.assert_allclose(carried[straight], y[straight], atol=0.5)
 
 
-def test_what_finds_nothing_is_filled_along_the_surface() -> None:
+def test_unmatched_vertices_are_filled_along_the_surface() -> None:
     """A bump on the target, higher than matches reach."""
     source = grid(12, 12)
     points = source[0].copy()
@@ -122,7 +122,7 @@ def test_components_match_only_those_that_share_a_marker() -> None:
     assert (found.corners[count:] >= count).all()
 
 
-def test_a_component_of_which_nothing_is_near_matches_all_the_same() -> None:
+def test_a_distant_component_matches_at_any_distance() -> None:
     mesh = tube(8, 12)
     away = mesh[0] + [50.0, 0, 0]
     result = matched(mesh, (away, mesh[1]), [(0, 0)])
@@ -131,7 +131,7 @@ def test_a_component_of_which_nothing_is_near_matches_all_the_same() -> None:
     assert (result.correspondence.faces >= 0).all()
 
 
-def test_it_repeats() -> None:
+def test_matching_is_deterministic() -> None:
     mesh = tube(8, 12)
     fine = subdivided(mesh)
     first, second = (matched(mesh, fine, [(0, 0)]).correspondence for _ in range(2))
@@ -156,7 +156,7 @@ def quality(source: Mesh, target: Mesh, markers: Markers) -> CorrespondenceQuali
     return assess(start, goal, pairings, markers, match(start, goal, pairings, settings), settings)
 
 
-def test_of_a_mesh_on_itself_nothing_is_missing() -> None:
+def test_quality_of_a_mesh_on_itself_is_perfect() -> None:
     mesh = tube(8, 12)
     found = quality(mesh, mesh, Markers.from_pairs([(0, 0), (50, 50)]))
     assert found.source_coverage == pytest.approx(1.0)
@@ -274,7 +274,7 @@ def _corners(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_other_numbers_of_the_same_mesh_are_followed(name: str) -> None:
+def test_renumbered_meshes_are_followed(name: str) -> None:
     points, faces = MESHES[name]
     rng = np.random.default_rng(3)
     vertices, triangles = rng.permutation(len(points)), rng.permutation(len(faces))
@@ -290,7 +290,7 @@ def test_other_numbers_of_the_same_mesh_are_followed(name: str) -> None:
     assert np.linalg.norm(inner.interpolate(points) - target[0], axis=1).max() < 1.5
 
 
-def test_a_finer_mesh_is_moved_by_the_triangles_that_it_is_on() -> None:
+def test_a_finer_mesh_maps_to_its_parent_triangles() -> None:
     source = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0], [2, 2, 0]]), np.array([[0, 1, 2], [1, 3, 2]])
     target = grid(2, 2)
     corners = np.array([[0, 1, 2]] * 9)
@@ -304,7 +304,7 @@ def test_a_finer_mesh_is_moved_by_the_triangles_that_it_is_on() -> None:
 
 
 def test_triangles_that_have_no_partner_find_the_closest() -> None:
-    """A map of most triangles: corners of the others are known from their neighbours."""
+    """A map of most triangles determines the corners of the remaining ones from their neighbours."""
     mesh = MESHES["torus"]
     given = np.arange(len(mesh[1]))
     given[::5] = -1
@@ -314,7 +314,7 @@ def test_triangles_that_have_no_partner_find_the_closest() -> None:
     assert np.array_equal(found.faces[given >= 0], given[given >= 0])
 
 
-def test_what_is_left_out_follows() -> None:
+def test_unmapped_vertices_follow() -> None:
     mesh = MESHES["two"]
     ring = len(torus(9, 6)[0])
     given = np.arange(len(mesh[0]))
@@ -331,7 +331,7 @@ def test_what_is_left_out_follows() -> None:
     assert np.array_equal(found.faces < 0, lost)
 
 
-def test_two_sides_of_a_sheet_keep_apart() -> None:
+def test_two_sides_of_a_sheet_stay_separate() -> None:
     """Where two surfaces touch, triangles go to the one that faces the same way."""
     points, faces = grid(3, 3)
     both = joined((points, faces), (points - [0, 0, 1e-3], faces[:, ::-1]))
@@ -341,7 +341,7 @@ def test_two_sides_of_a_sheet_keep_apart() -> None:
     assert (found.faces >= len(faces)).all()
 
 
-def test_weights_are_made_to_add_to_one() -> None:
+def test_weights_are_normalised() -> None:
     mesh = tetrahedron()
     weights = np.full((4, 3), 0.3334)
     found = from_barycentric(np.array([[0, 1, 2]] * 4), weights, mesh, mesh)

@@ -1,4 +1,4 @@
-"""Partners on the other side: exact where a body is symmetric, on the right bone where it walks."""
+"""Mirrored partners: exact on symmetric bodies, on the correct bone in other poses."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_a_walking_fox() -> None:
 
 
 def neighbours(bone: str) -> tuple[str, ...]:
-    """Bones that begin where this one ends; joints are nobody's."""
+    """Bones that begin where this one ends."""
     chains = (("arm", "forearm", "forepastern", "forepaw"), ("thigh", "shank", "hindpastern", "hindpaw"))
     for chain in chains:
         if bone in chain:
@@ -41,7 +41,7 @@ def neighbours(bone: str) -> tuple[str, ...]:
     return ("head",)
 
 
-def test_the_middle_has_no_partner() -> None:
+def test_middle_vertices_have_no_partner() -> None:
     fox = short()
     mirror = Mirror.from_mesh(fox.points, fox.topology)
     assert mirror is not None
@@ -61,7 +61,7 @@ def test_partners_do_not_depend_on_place_and_unit() -> None:
     assert [one.find_partner(v) for v in vertices] == [other.find_partner(v) for v in vertices]
 
 
-def test_other_components_have_none() -> None:
+def test_other_components_have_no_partners() -> None:
     fox, hat = short(), tube(8, 4)
     points, faces = joined((fox.points, fox.mesh.faces.astype(np.int64)), (0.05 * hat[0] + [0.3, 1.1, 0], hat[1]))
     mirror = Mirror.from_mesh(points, Topology(faces, len(points)))

@@ -65,7 +65,7 @@ def test_bones_keep_their_lengths_and_take_the_angle(finer: bool, thicker: float
     assert np.linalg.norm(first - second) < 0.02 * 4.5
 
 
-def test_a_part_that_slides_out_slides_out_for_the_size() -> None:
+def test_part_offsets_scale_with_the_target() -> None:
     """A telescope: the gap between parts is that of the source, as large as the target is."""
     x = TUBE[0] + np.clip((TUBE[0][:, 2:] - 1.9) / 0.2, 0.0, 1.0) * [0.0, 0.0, 0.4]
     size, turn = 3.0, rotation((0.4, -1.0, 2.0))
@@ -76,7 +76,7 @@ def test_a_part_that_slides_out_slides_out_for_the_size() -> None:
     np.testing.assert_allclose(away[1] - away[0], size * turn @ [0.0, 0.0, 0.4], atol=0.05 * 0.4 * size)
 
 
-def test_the_root_goes_as_far_as_its_stride() -> None:
+def test_root_travel_scales_with_the_stride() -> None:
     method = moving(TUBE, (lengthened(TUBE[0]), TUBE[1]), TUBE[0][None])
     way = np.array([0.3, 1.0, -2.0])
     rest = method.rest_shapes.centres
@@ -86,7 +86,7 @@ def test_the_root_goes_as_far_as_its_stride() -> None:
         np.testing.assert_allclose(centres - rest, np.tile(expected, (2, 1)), atol=1e-9)
 
 
-def test_parts_go_where_they_are_told() -> None:
+def test_given_poses_replace_transferred_poses() -> None:
     """Other poses move the target rigidly with them: the whole, if all parts move as one."""
     target = lengthened(TUBE[0]), TUBE[1]
     x = bent(TUBE[0], ELBOW, blend=0.3)
@@ -99,7 +99,7 @@ def test_parts_go_where_they_are_told() -> None:
     assert furthest(method.transfer_frame(x, told), expected) < 1e-7
 
 
-def test_pieces_that_no_edge_joins_are_linked() -> None:
+def test_disconnected_pieces_are_linked() -> None:
     """An eye on the upper bone turns with it, in its own place."""
     eye = 0.1 * tetrahedron()[0] + [0.0, 0.45, 3.5], tetrahedron()[1]
     source = joined(TUBE, eye)
@@ -135,7 +135,7 @@ def test_parts_are_registered_to_their_shapes() -> None:
     np.testing.assert_allclose(poses.centres, parts.centres @ turn.T + shift, atol=1e-9)
 
 
-def test_the_same_frame_is_the_same_whatever_was_asked_before() -> None:
+def test_frames_do_not_depend_on_earlier_frames() -> None:
     target = subdivided((lengthened(TUBE[0]), TUBE[1]))
     x = bent(TUBE[0], ELBOW, blend=0.3)
     first = moving(TUBE, target, np.stack([TUBE[0], x]), to_subdivided(TUBE))

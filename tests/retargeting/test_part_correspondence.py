@@ -1,4 +1,4 @@
-"""Parts of another mesh."""
+"""Parts and joints of the target from those of the source."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_a_part_in_two_places_is_two_parts() -> None:
     assert len(found.target.parts) == 3
 
 
-def test_what_follows_a_leader_is_of_its_part() -> None:
+def test_followers_belong_to_the_part_of_their_leader() -> None:
     mesh, hat = tube(8, 25), tetrahedron()
     target = joined(mesh, (hat[0] + [5.0, 0, 0], hat[1]))
     one, count = same(mesh), len(mesh[0])
@@ -183,7 +183,7 @@ def test_a_patch_without_a_neighbour_stays() -> None:
 
 
 def test_small_regions_of_small_regions_are_swept() -> None:
-    """A small_region within a small_region: the smallest goes first, then what it joined."""
+    """A small region within a small region: the smallest is merged first, then the merged one."""
     sheet = grid(16, 16)
     x, y, _ = sheet[0][sheet[1]].mean(axis=1).T
     labels = (x > 8).astype(np.int64)
@@ -277,7 +277,7 @@ def test_at_rest_parts_are_at_rest() -> None:
     np.testing.assert_allclose(placed, loops.body.centres, atol=1e-10)
 
 
-def test_one_part_is_where_it_is_put() -> None:
+def test_a_single_part_has_the_given_centre() -> None:
     none = np.zeros(0)
     one = ArticulatedBody(np.ones((1, 3)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3)), 0)
     alone = PivotSolver(one, none, none)
@@ -286,7 +286,7 @@ def test_one_part_is_where_it_is_put() -> None:
     assert alone.body.gaps(np.eye(3)[None], placed).shape == (0, 3)
 
 
-def test_boundaries_of_no_length_still_hold() -> None:
+def test_boundaries_of_zero_length_keep_parts_together() -> None:
     tree, turns, gaps = body(4)
     thin = replace(tree, lengths=tree.lengths * (np.arange(6) % 2), radii=np.zeros(6))
     placed = thin.solve_centres(turns, gaps, np.ones(3))

@@ -1,4 +1,4 @@
-"""Paws that rest where the source's do."""
+"""Transfer with contacts: paws rest in the stances of the source."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def walk() -> Walk:
 
 
 def slides(walk: Walk, points: Float) -> list[float]:
-    """How far the middle of every sole goes while it rests."""
+    """Path lengths of the middles of soles during stances."""
     paths = [points[:, walk.soles[group.name]].mean(axis=1) for group in walk.report.groups]
     return [
         sum(float(np.linalg.norm(np.diff(path[some.frames], axis=0), axis=1).sum()) for some in group.stances)
@@ -97,7 +97,7 @@ def test_paws_do_not_slide(walk: Walk) -> None:
         assert after < before / 10
 
 
-def test_the_report_says_how_the_mesh_slides(walk: Walk) -> None:
+def test_report_matches_measured_sliding(walk: Walk) -> None:
     """Not only its parts: paws that bend within their parts slide by that as well."""
     diagonal = walk.target.diagonal
     after = slides(walk, walk.planted)
@@ -109,13 +109,13 @@ def test_the_report_says_how_the_mesh_slides(walk: Walk) -> None:
     assert 0 < walk.report.turn < 15
 
 
-def test_nothing_pops(walk: Walk) -> None:
+def test_accelerations_do_not_increase(walk: Walk) -> None:
     before, after = accelerations(walk.free), accelerations(walk.planted)
     assert after.max() <= 1.2 * before.max()
     assert np.sqrt(np.mean(after**2)) <= 1.1 * np.sqrt(np.mean(before**2))
 
 
-def test_what_is_on_no_leg_moves_as_smoothly_as_before(walk: Walk) -> None:
+def test_vertices_outside_legs_stay_smooth(walk: Walk) -> None:
     part, names = part_of_vertex()
     elsewhere = np.isin(
         part, [names.index(name) for name in ("head", "muzzle", "ear.l", "ear.r", "tail3", "tail4", "chest")]

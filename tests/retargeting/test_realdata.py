@@ -1,4 +1,4 @@
-"""Transfer of animations made by others."""
+"""Transfer of real animations."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def still(points: FloatArray, like: MeshSequence) -> MeshSequence:
 
 @both
 @pytest.mark.parametrize(("name", "frames"), [("q_wolf_gallop", 4), ("camel_poses", 2)])
-def test_onto_itself_nothing_changes(data: Path, name: str, frames: int, method: TransferName) -> None:
+def test_transfer_to_the_same_mesh_is_identity(data: Path, name: str, frames: int, method: TransferName) -> None:
     sequence = some_frames(data, name, frames)
     moved = mixseq.transfer(sequence, still(sequence.points[0], sequence), method=method)
     error = furthest(moved.points, sequence.points.astype(np.float64))

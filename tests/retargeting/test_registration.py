@@ -1,4 +1,4 @@
-"""Non-rigid registration: what is reached exactly, what closely, and what is refused."""
+"""Non-rigid registration: exact and approximate results, and errors."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ def test_a_mesh_is_already_on_itself() -> None:
     np.testing.assert_allclose(result, TUBE[0], atol=1e-9)
 
 
-def test_a_similarity_is_undone() -> None:
+def test_similarities_are_recovered() -> None:
     points = 40.0 * TUBE[0] @ rotation((0.3, -1.2, 2.0)).T + [300.0, 20.0, -70.0]
     result = registered(TUBE, (points, TUBE[1]))
     np.testing.assert_allclose(result, points, atol=1e-9 * diagonal(points))
 
 
-def test_a_mirrored_set_of_points_gets_a_rotation_all_the_same() -> None:
+def test_mirrored_points_get_a_rotation() -> None:
     points = np.random.default_rng(0).normal(size=(9, 3))
     found = fit_similarity(points, points * [1.0, 1.0, -1.0])
     assert np.linalg.det(found.rotation) == pytest.approx(1.0)
@@ -79,7 +79,7 @@ def test_a_sharp_bend_is_covered() -> None:
     assert error.max() < 0.08  # two edges
 
 
-def test_the_energy_does_not_see_similarities() -> None:
+def test_energy_is_invariant_to_similarities() -> None:
     mesh = torus(12, 8)
     energy = Energy(surface(mesh), 0.1, 0.1)
     turned = 1.7 * rotation((1.0, 2.0, 0.5))
@@ -103,14 +103,14 @@ def test_a_pull_on_a_triangle_is_a_pull_on_its_point() -> None:
     np.testing.assert_allclose(points, moved, atol=1e-8)
 
 
-def test_nearest_similarities_do_not_mirror() -> None:
+def test_nearest_similarities_are_proper() -> None:
     maps = np.stack([np.diag([2.0, 2.0, 2.0]), np.diag([1.0, 2.0, 3.0]), np.diag([-1.0, 1.0, 1.0])])
     found = nearest_similarities(maps)
     np.testing.assert_allclose(found[:2], np.stack([2 * np.eye(3), 2 * np.eye(3)]), atol=1e-12)
     assert np.linalg.det(found[2]) >= 0
 
 
-def test_a_component_without_a_marker_goes_with_its_neighbour() -> None:
+def test_a_component_without_marker_follows_its_neighbour() -> None:
     small = tube(5, 4, length=0.3, radius=0.1)
     at = np.array([0.8, 0.0, 3.7])
     source = joined(TUBE, (small[0] + at, small[1]))
@@ -119,7 +119,7 @@ def test_a_component_without_a_marker_goes_with_its_neighbour() -> None:
     np.testing.assert_allclose(result[len(TUBE[0]) :], 2.0 * (small[0] + at) + [5.0, 0, 0], atol=1e-7)
 
 
-def test_components_are_drawn_to_their_own() -> None:
+def test_components_match_their_counterparts() -> None:
     """Two concentric tubes change their radii so that each ends nearer to where the other began."""
     inner, outer = tube(10, 25, radius=0.5), tube(10, 25, radius=0.7)
     source = joined(inner, outer)
@@ -129,13 +129,13 @@ def test_components_are_drawn_to_their_own() -> None:
     np.testing.assert_allclose(result, target[0], atol=0.01)
 
 
-def test_it_repeats() -> None:
+def test_registration_is_deterministic() -> None:
     target = bent(TUBE[0], 1.0), TUBE[1]
     first, second = registered(TUBE, target), registered(TUBE, target)
     assert np.array_equal(first, second)
 
 
-def test_progress_is_told() -> None:
+def test_progress_is_reported() -> None:
     told: list[tuple[int, int, str]] = []
     markers = Markers(MARKED, MARKED)
     mesh = surface(TUBE)

@@ -1,4 +1,4 @@
-"""Reports of transfers: numbers that are known, frames that come in any blocks, results made elsewhere."""
+"""Reports of transfers: known values, any blocks, and given results."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def planned(source: MeshSequence, target: MeshSequence, mapping: Correspondence 
 
 
 def reported(source: MeshSequence, points: FloatArray) -> TransferReport:
-    """What is said of frames as if they were the source's own motion on its own mesh."""
+    """Report of given frames as a transfer of the source to its own mesh."""
     return measure_transfer(planned(source, at_rest(source)), [points])
 
 
@@ -64,7 +64,7 @@ def test_strain_is_that_of_compare(body: MeshSequence) -> None:
         assert getattr(report.strain, name) == pytest.approx(getattr(error, name), rel=1e-12)
 
 
-def test_a_turned_and_scaled_target_is_no_worse(body: MeshSequence) -> None:
+def test_report_is_invariant_to_rotation_and_scale(body: MeshSequence) -> None:
     turn = rotation((0.4, 1.1, -0.3))
     target = at_rest(body, 2.5 * body.points[0] @ turn.T + [3, 0, 1])
     report = measure_transfer(planned(body, target), [2.5 * body.points @ turn.T + [3, 0, 1]])
@@ -153,7 +153,7 @@ def at_times(body: MeshSequence, count: int) -> MeshSequence:
 
 
 @pytest.mark.parametrize("sizes", [[5], [1, 1, 1, 1, 1], [2, 3], [4, 1]])
-def test_blocks_make_no_difference(body: MeshSequence, sizes: list[int]) -> None:
+def test_report_does_not_depend_on_blocks(body: MeshSequence, sizes: list[int]) -> None:
     made = planned(body, at_rest(body, body.points[0] * [1, 1, 1.3]))
     frames = np.concatenate(list(made.blocks()))
     blocks = np.split(frames, np.cumsum(sizes)[:-1])
@@ -183,7 +183,7 @@ def test_both_methods_can_be_compared(body: MeshSequence) -> None:
     assert mixed.as_dict().keys() == gradients.as_dict().keys()
 
 
-def test_what_follows_is_named(body: MeshSequence) -> None:
+def test_followers_are_named(body: MeshSequence) -> None:
     eye = tetrahedron()
     points, faces = joined((body.points[0].astype(np.float64), body.faces.astype(np.int64)), eye)
     target = MeshSequence.from_arrays(points[None], faces)

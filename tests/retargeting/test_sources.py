@@ -41,7 +41,7 @@ def test_the_rest_is_a_mesh_of_any_size() -> None:
     assert ratio == pytest.approx(1.0, abs=0.02)
 
 
-def test_a_mesh_of_nearly_the_same_size_is_left_as_it_is() -> None:
+def test_nearly_equal_sizes_are_not_rescaled() -> None:
     slightly = 1.03 * WALK.points[0]
     assert np.array_equal(prepare_source(WALK, still(slightly)).rest, slightly)
 
@@ -51,7 +51,7 @@ def test_of_a_rest_with_many_frames_the_first_counts() -> None:
     np.testing.assert_array_equal(prepare_source(WALK, rest).rest, WALK.points[2])
 
 
-def test_edges_without_a_length_do_not_tell_a_size() -> None:
+def test_zero_length_edges_are_ignored_in_scale() -> None:
     collapsed = 4.0 * WALK.points[0]
     collapsed[1] = collapsed[0]
     motion = prepare_source(WALK, still(collapsed))
@@ -86,7 +86,7 @@ def test_parts_are_found_counted_or_given() -> None:
 
 
 @pytest.mark.parametrize("rest", [6, -7, 1.0, "0", None, True])
-def test_a_frame_that_is_none_is_refused(rest: object) -> None:
+def test_missing_rest_frames_are_refused(rest: object) -> None:
     with pytest.raises(SettingsError, match=r"rest is .*; a frame from 0 to 5 is expected, or a mesh at rest"):
         prepare_source(WALK, rest)  # type: ignore[arg-type]
 
@@ -117,12 +117,12 @@ def test_parts_of_another_mesh_are_refused() -> None:
 
 
 @pytest.mark.parametrize("count", [0, -3])
-def test_a_number_of_parts_that_is_none_is_refused(count: int) -> None:
+def test_invalid_part_counts_are_refused(count: int) -> None:
     with pytest.raises(SettingsError, match="part"):
         prepare_source(WALK, parts=count).part_of_face()
 
 
-def test_what_is_no_sequence_is_refused() -> None:
+def test_invalid_sources_are_refused() -> None:
     with pytest.raises(InvalidSequenceError):
         prepare_source(WALK.points)  # type: ignore[arg-type]
 
@@ -143,7 +143,7 @@ def cloud(seed: int, count: int = 40) -> Float:
 
 @given(rigid_motions, st.floats(0.01, 100.0), seeds)
 @settings(max_examples=50, deadline=None)
-def test_a_copy_tells_its_rotation_and_its_scale(motion: tuple[Float, Float], scale: float, seed: int) -> None:
+def test_alignment_recovers_rotation_and_scale(motion: tuple[Float, Float], scale: float, seed: int) -> None:
     turn, shift = motion
     source = cloud(seed)
     weights = np.random.default_rng(seed).uniform(0.1, 1.0, len(source))
@@ -153,7 +153,7 @@ def test_a_copy_tells_its_rotation_and_its_scale(motion: tuple[Float, Float], sc
 
 
 @pytest.mark.parametrize("number", range(24))
-def test_another_body_a_little_askew_stands_as_its_source(number: int) -> None:
+def test_slight_rotations_between_bodies_are_ignored(number: int) -> None:
     turn = _quarter_turns()[number]
     source = cloud(3, 200)
     # A hump and a neck: as if the body leant, although it stands upright.
@@ -181,14 +181,14 @@ def test_a_mirrored_body_is_turned_and_not_mirrored(seed: int) -> None:
 
 @given(seeds)
 @settings(max_examples=30, deadline=None)
-def test_exchanged_the_scale_is_the_inverse(seed: int) -> None:
+def test_exchanged_meshes_have_the_inverse_scale(seed: int) -> None:
     source, target = cloud(seed), 2.5 * cloud(seed + 1) + 7.0
     weights = np.random.default_rng(seed).uniform(size=len(source))
     there, back = fit_alignment(source, target, weights), fit_alignment(target, source, weights)
     assert there.scale * back.scale == pytest.approx(1.0, rel=1e-12)
 
 
-def test_points_of_no_weight_do_not_count() -> None:
+def test_points_without_weight_are_ignored() -> None:
     source = cloud(5)
     target = 2.0 * source @ QUARTER.T
     target[::2] += 50.0
@@ -198,7 +198,7 @@ def test_points_of_no_weight_do_not_count() -> None:
 
 
 @pytest.mark.parametrize("points", [grid(3, 4)[0], tube(6, 5)[0], np.outer([0.0, 1, 3], [1.0, 2, 2])])
-def test_sheets_tubes_and_lines_stand_as_they_are(points: Float) -> None:
+def test_sheets_tubes_and_lines_are_not_rotated(points: Float) -> None:
     """Whatever the points leave free is not turned."""
     found = fit_alignment(points, 3.0 * points, np.ones(len(points)))
     np.testing.assert_allclose(found.rotation, np.eye(3), atol=1e-7)
@@ -212,7 +212,7 @@ def test_the_quarter_turns_are_24_rotations() -> None:
     np.testing.assert_allclose(np.linalg.det(turns), 1.0)
 
 
-def test_shifts_points_and_matrices_are_carried() -> None:
+def test_alignment_maps_vectors_points_and_matrices() -> None:
     alignment = Alignment(QUARTER, 2.0)
     np.testing.assert_allclose(alignment.map_vectors(np.array([[1.0, 2, 3]])), [[2.0, -6, 4]], atol=1e-12)
     np.testing.assert_allclose(alignment.rotate_points(np.array([1.0, 2, 3])), [1.0, -3, 2], atol=1e-12)

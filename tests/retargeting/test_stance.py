@@ -1,4 +1,4 @@
-"""When feet are on the ground."""
+"""Stances of feet, and the body shift that keeps them in place."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_foot_that_goes_back_as_on_a_treadmill_never_rests() -> None:
     assert found(path() - np.arange(100)[:, None, None] * [0.5 / CYCLE, 0.0, 0.0]) == []
 
 
-def test_a_foot_that_is_held_up_does_not_rest() -> None:
+def test_a_lifted_foot_does_not_rest() -> None:
     points = path(60)
     held = np.repeat(points[32:33], 20, axis=0)
     assert found(np.concatenate([points[:33], held, points[33:]])) == [
@@ -61,7 +61,7 @@ def test_a_foot_that_is_held_up_does_not_rest() -> None:
     ]
 
 
-def test_what_does_not_move_rests_all_the_time() -> None:
+def test_a_still_foot_rests_in_all_frames() -> None:
     assert found(np.zeros((9, 2, 3))) == [(0, 9)]
     assert found(np.zeros((1, 2, 3))) == [(0, 1)]
     jitter = 1e-5 * np.random.default_rng(0).normal(size=(50, 3, 3))
@@ -84,7 +84,7 @@ def test_the_shortest_stance_has_two_frames() -> None:
 @pytest.mark.parametrize(
     "points", [np.zeros((0, 1, 3)), np.zeros((4, 0, 3)), np.zeros((4, 3)), np.full((4, 1, 3), np.nan)]
 )
-def test_refuses_what_is_no_path(points: np.ndarray) -> None:
+def test_invalid_paths_are_refused(points: np.ndarray) -> None:
     with pytest.raises(SettingsError, match="the path of contact 'foot' has shape"):
         found(points)
 
@@ -137,7 +137,7 @@ def test_upwards_the_body_returns() -> None:
     np.testing.assert_allclose(left[0, frames, 1] + shift[frames, 1], missed[0, frames, 1], atol=1e-12)
 
 
-def test_the_shift_ends_where_no_foot_asks_for_it() -> None:
+def test_shift_vanishes_without_stances() -> None:
     some = (Stance("foot", 0, 24),)
     shift, _ = solve_body_shift(anchor_offsets(sliding(0.1, 600), [some], 1e-9), [some], 1, FPS)
     steps = np.abs(np.diff(shift[:, 0]))
@@ -145,7 +145,7 @@ def test_the_shift_ends_where_no_foot_asks_for_it() -> None:
     assert steps[-300:].max() < 1e-3
 
 
-def test_what_feet_disagree_on_is_left_to_limbs() -> None:
+def test_opposite_offsets_remain_for_limbs() -> None:
     both = (Stance("left", 0, 60),), (Stance("right", 0, 60),)
     paths = np.concatenate([sliding(0.1), sliding(-0.1)])
     missed = anchor_offsets(paths, both, 1e-9)

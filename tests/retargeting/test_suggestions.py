@@ -1,4 +1,4 @@
-"""Suggested markers join what belongs together; where that is not sure, nothing is suggested."""
+"""Suggested markers match corresponding tips; uncertain tips are not suggested."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ def joined_bones(source: Fox, target: Fox) -> list[tuple[str, str]]:
     return [(source.bones[s], target.bones[t]) for s, t in zip(found.source, found.target, strict=True)]
 
 
-def test_foxes_of_two_proportions() -> None:
+def test_tips_of_foxes_of_different_proportions_match() -> None:
     pairs = joined_bones(short(), tall())
     assert all(one == other for one, other in pairs)
     assert {one for one, _ in pairs[:6]} == TIPS
     assert {one for one, _ in pairs[6:]} == EARS
 
 
-def test_and_the_other_way_round() -> None:
+def test_matching_works_in_both_directions() -> None:
     pairs = joined_bones(tall(), short())
     assert all(one == other for one, other in pairs)
     assert {one for one, _ in pairs} >= TIPS
 
 
-def test_a_mesh_and_itself_elsewhere() -> None:
+def test_a_transformed_copy_matches_itself() -> None:
     fox = short()
     moved = still(3 * fox.points @ rotation((0.4, -1.0, 0.3)).T + [9.0, 2.0, 1.0], fox.mesh.faces)
     found = mixseq.suggest_markers(fox.mesh, moved)
@@ -48,7 +48,7 @@ def test_a_mesh_and_itself_elsewhere() -> None:
     assert np.array_equal(found.source, again.source)
 
 
-def test_the_surest_come_first() -> None:
+def test_suggestions_are_sorted_by_margin() -> None:
     source, target = (
         Extremities.from_surface(CoarseSurface.from_mesh(fox.points, fox.topology)) for fox in (short(), tall())
     )
@@ -59,7 +59,7 @@ def test_the_surest_come_first() -> None:
 
 
 @pytest.mark.parametrize("mesh", [torus(20, 12), tube(12, 30)])
-def test_nothing_is_sure_of_bodies_without_limbs(mesh: tuple[np.ndarray, np.ndarray]) -> None:
+def test_bodies_without_limbs_get_no_suggestions(mesh: tuple[np.ndarray, np.ndarray]) -> None:
     points, faces = mesh
     assert len(suggest_markers(still(points, faces), still(2 * points, faces))) == 0
     assert len(suggest_markers(short().mesh, still(points, faces))) == 0

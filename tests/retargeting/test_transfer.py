@@ -1,4 +1,4 @@
-"""One character's motion on another's body, as a whole."""
+"""Transfer of a motion to another body."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def shaped(points: FloatArray) -> Float:
 
 @both
 @pytest.mark.parametrize("name", SEQUENCES)
-def test_onto_itself_nothing_changes(name: str, method: TransferName) -> None:
+def test_transfer_to_the_same_mesh_is_identity(name: str, method: TransferName) -> None:
     sequence = SEQUENCES[name]()
     moved = mixseq.transfer(sequence, first(sequence), method=method)
     assert furthest(moved.points, sequence.points) <= 1e-6 * sequence.diagonal
@@ -55,7 +55,7 @@ def test_onto_itself_nothing_changes(name: str, method: TransferName) -> None:
 
 @both
 @pytest.mark.parametrize("name", ["bar", "rigid component", "several components", "three pages", "unused vertices"])
-def test_onto_a_copy_of_another_size_it_commutes(name: str, method: TransferName) -> None:
+def test_transfer_commutes_with_scaling(name: str, method: TransferName) -> None:
     sequence = SEQUENCES[name]()
     turn, size, shift = rotation((0.5, -1.3, 2.1)), 7.3, np.array([10.0, -3.0, 5.0])
     copies = size * sequence.points @ turn.T + shift
@@ -90,7 +90,7 @@ def test_a_rigid_motion_of_all_frames_is_one_of_the_result(method: TransferName,
 
 
 @both
-def test_a_source_that_lies_elsewhere_moves_the_target_the_same_way(method: TransferName) -> None:
+def test_transfer_is_invariant_to_the_source_pose_in_space(method: TransferName) -> None:
     """Source and rest moved together: that is only another place of the source."""
     source = bar(sides=5, rings=15, frames=3)
     target = one(2.0 * source.points[0], source)
@@ -105,7 +105,7 @@ def lower(mesh: tuple[FloatArray, Index], height: float = 2.2) -> Index:
 
 
 @both
-def test_there_and_back_over_a_dense_map(method: TransferName) -> None:
+def test_round_trip_over_a_dense_map(method: TransferName) -> None:
     """A to its subdivision, and back: exact by gradients; with joints solved twice within 3 % of the diagonal."""
     source = bar(sides=6, rings=21, frames=4)
     mesh = source.points[0], source.faces.astype(np.int64)
@@ -120,7 +120,7 @@ def test_there_and_back_over_a_dense_map(method: TransferName) -> None:
 
 
 @both
-def test_there_and_back_on_the_same_triangles(method: TransferName) -> None:
+def test_round_trip_on_equal_triangles(method: TransferName) -> None:
     """Within 0.6 % of the diagonal, whatever body is in between."""
     source = bar(sides=6, rings=21, frames=4)
     parts = lower((source.points[0], source.faces.astype(np.int64)))
@@ -201,7 +201,7 @@ def test_one_frame_is_a_motion_as_well(method: TransferName) -> None:
 
 
 @both
-def test_blocks_are_the_whole(method: TransferName) -> None:
+def test_blocks_equal_the_whole_result(method: TransferName) -> None:
     source = bar(sides=5, rings=15, frames=21)
     target = one(shaped(source.points[0]), source)
     told: list[tuple[int, int, str]] = []
@@ -225,7 +225,7 @@ def test_threads_do_not_change_a_bit(method: TransferName) -> None:
     assert np.array_equal(results[0].points, results[1].points)
 
 
-def test_a_source_that_was_looked_at_may_be_used_again() -> None:
+def test_a_prepared_source_is_reusable() -> None:
     source = bar(frames=3)
     motion = prepare_source(source, parts=2)
     target = one(shaped(source.points[0]), source)
@@ -234,7 +234,7 @@ def test_a_source_that_was_looked_at_may_be_used_again() -> None:
     np.testing.assert_array_equal(moved, mixseq.transfer(source, target, parts=2).points)
 
 
-def test_a_map_of_the_same_mesh_is_the_same_as_none() -> None:
+def test_identity_map_equals_no_map() -> None:
     source = bar(frames=3)
     target = one(shaped(source.points[0]), source)
     given_map = Correspondence.identity(source.vertex_count, len(source.faces))
@@ -264,7 +264,7 @@ def test_a_map_of_the_same_triangles_may_exchange_them() -> None:
 
 
 @both
-def test_what_was_used_goes_to_other_processes(method: TransferName) -> None:
+def test_used_transfers_are_picklable(method: TransferName) -> None:
     """As cluster workers need it, also when feet were placed before."""
     source = bar(sides=5, rings=15, frames=3)
     contacts = {"end": [0]} if method == "mixed" else None
@@ -289,7 +289,7 @@ def test_a_fine_target_comes_in_smaller_blocks(monkeypatch: pytest.MonkeyPatch) 
     np.testing.assert_array_equal(np.concatenate(blocks), whole)
 
 
-def test_markers_take_the_place_of_a_map() -> None:
+def test_markers_replace_a_map() -> None:
     """A tube on one that is cut otherwise, by pairs of vertices."""
     source = bar(sides=8, rings=21, frames=3)
     other = bar(sides=8, rings=31, frames=3)
@@ -338,7 +338,7 @@ OTHER = first(bar(sides=6, rings=15, frames=2))
         ({"joint_width": 0}, "joint_width is 0"),
     ],
 )
-def test_settings_that_cannot_be_are_refused(options: dict[str, object], message: str) -> None:
+def test_invalid_settings_are_refused(options: dict[str, object], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         mixseq.transfer(SOURCE, TARGET, **options)  # type: ignore[arg-type]
 
@@ -397,7 +397,7 @@ def test_parts_of_another_mesh_are_refused() -> None:
 
 
 @pytest.mark.parametrize("wrong", ["source", "target"])
-def test_what_is_no_sequence_is_refused(wrong: str) -> None:
+def test_arguments_of_wrong_types_are_refused(wrong: str) -> None:
     meshes: dict[str, object] = {"source": SOURCE, "target": TARGET, wrong: SOURCE.points}
     with pytest.raises(TypeError, match=f"transfer: {wrong} is of type ndarray; MeshSequence or an open reader"):
         mixseq.transfer(**meshes)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""What registration and matching ask of a mesh in one pose."""
+"""Geometry of a triangle mesh in one pose."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def test_areas_and_normals() -> None:
     assert sheet.face_normals[-1].tolist() == [0, 0, 0]
 
 
-def test_components_hold_on_as_a_whole() -> None:
-    """To the vertex that is nearest to any of theirs; a vertex in no triangle is a component of its own."""
+def test_components_attach_to_one_nearest_vertex() -> None:
+    """All vertices of a component get the same vertex; an unused vertex is a component of its own."""
     small = tetrahedron()[0] / 10
     right, above = (small + np.array(offset) for offset in ([3, 0, 0], [0, 4, 0]))
     points, faces = joined(grid(2, 2), (right, tetrahedron()[1]), (above, tetrahedron()[1]))

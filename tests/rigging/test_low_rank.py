@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixseq.creature import walk_cycle
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.rigging.low_rank import LowRank, fit_low_rank
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
-from tests.meshes import SEQUENCES, bar, rotation
+from tests.meshes import SEQUENCES, bar, coarse_walk, rotation
 
 pytestmark = pytest.mark.slow
 
@@ -46,7 +45,7 @@ def test_two_rigid_bodies_take_four_each() -> None:
 
 
 def test_bounds_hold_and_larger_ones_take_fewer_vectors() -> None:
-    fox = walk_cycle(frames=6)
+    fox = coarse_walk(frames=6)
     ranks = []
     for max_error in (1e-2, 1e-4):
         fitted = fit_low_rank(fox, max_error)
@@ -63,7 +62,7 @@ def test_odd_meshes(name: str) -> None:
 
 
 def test_units_do_not_matter() -> None:
-    fox = walk_cycle(frames=3)
+    fox = coarse_walk(frames=3)
     large = fox.with_points(fox.points * 1024)
     np.testing.assert_array_equal(fit_low_rank(fox, 1e-3).parts, fit_low_rank(large, 1e-3).parts)
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.creature import walk_cycle
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SegmentationError, SettingsError
 from mixseq.rigging.decomposition import bone_distances
 from mixseq.rigging.fitting import fit_morph, fit_skin
@@ -20,7 +19,7 @@ from mixseq.types import Float
 from mixseq_io.rig_arrays import order_parents_first
 from tests.formats.conftest import lossy
 from tests.formats.rig_maker import carried, hinge
-from tests.meshes import SEQUENCES, bar, bent, joined, rotation, tetrahedron, tube
+from tests.meshes import SEQUENCES, bar, bent, coarse_walk, joined, rotation, tetrahedron, tube
 
 pytestmark = pytest.mark.slow
 
@@ -421,7 +420,7 @@ def test_other_units_and_places_are_refused(bind: bool, scale: float, shift: flo
 
 @pytest.mark.parametrize("bones", [1, 3])
 def test_our_own_skins_of_few_bones_are_taken(bones: int) -> None:
-    walk = walk_cycle(frames=6)
+    walk = coarse_walk(frames=6)
     own = fit_skin(walk, bones, rounds=10)
     for bind_pose in (bound(own), None):
         again = fit_skin(played(own), skeleton=own.skeleton, bind_pose=bind_pose, rounds=3)

@@ -141,12 +141,11 @@ def killed_by(killer: str, item: str) -> str:
     return item.upper()
 
 
-@pytest.mark.parametrize("processes", [1, 2])
-def test_only_what_kills_is_given_up(processes: int) -> None:
+def test_only_what_kills_is_given_up() -> None:
     # Given up after the second death, not the fourth: that is quicker, and harder on the neighbours.
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 1}),
-        connect_to_cluster(f"local:{processes}") as workers,
+        connect_to_cluster("local:2") as workers,
     ):
         results = dict(workers.as_completed(killed_by, "c", "abcdef"))
         assert set(results) == set("abcdef")
@@ -185,11 +184,10 @@ def test_work_that_takes_long_is_on_all_workers_and_no_more(two: ClusterExecutor
     assert {result() for _, result in two.as_completed(worker_after, None, [0.3] * 6)} == pids(two)
 
 
-def test_workers_that_come_later(monkeypatch: pytest.MonkeyPatch) -> None:
-    with connect_to_cluster("local:1") as workers:
-        monkeypatch.setattr(workers._client, "nthreads", dict)  # for the moment there are none
-        assert list(workers(pow, 2, range(3))) == [1, 2, 4]
-        assert dict(workers.as_completed(pow, 2, [3]))[3]() == 8
+def test_workers_that_come_later(two: ClusterExecutor, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(two._client, "nthreads", dict)  # for the moment there are none
+    assert list(two(pow, 2, range(3))) == [1, 2, 4]
+    assert dict(two.as_completed(pow, 2, [3]))[3]() == 8
 
 
 @pytest.fixture

@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from mixseq.creature import walk_cycle
 from mixseq.errors import SettingsError
 from mixseq.runtime import parallel as threads
 from mixseq.runtime.parallel import (
@@ -22,6 +21,7 @@ from mixseq.runtime.parallel import (
 )
 from mixseq.signals.fitting import fit
 from tests.forking import in_a_fork
+from tests.meshes import coarse_walk
 
 
 def wait_and_add(shared: int, item: int) -> int:
@@ -150,7 +150,7 @@ def test_errors_of_work_in_turn_are_raised(threads: str, monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("velocities", [False, True])
 def test_frames_are_the_same_on_any_number_of_threads(velocities: bool) -> None:
-    walk = walk_cycle(frames=9)
+    walk = coarse_walk(frames=9)
     model = fit(walk, rank=3)
     times = np.linspace(model.start, model.end, 13)
     decode = model.moving_blocks if velocities else model.blocks

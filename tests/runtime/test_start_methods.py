@@ -13,8 +13,7 @@ import pytest
 
 import mixseq
 from mixseq import operations
-from mixseq.creature import walk_cycle
-from tests.meshes import bar
+from tests.meshes import bar, coarse_walk
 
 pytestmark = [
     pytest.mark.slow,
@@ -23,7 +22,7 @@ pytestmark = [
 
 PATIENCE = 240.0  # seconds
 FILES = ("walk.npz", "walk.usdc", "walk.abc", "walk.glb", "walk.h5")
-WALK = walk_cycle(frames=4)
+WALK = coarse_walk(frames=4)
 BAR = bar(sides=5, rings=8, frames=4)
 
 
@@ -48,7 +47,7 @@ def _compressed(folder: Path) -> object:
 
 def _transferred(_: Path) -> object:
     same = mixseq.Correspondence.identity(WALK.vertex_count, len(WALK.faces))
-    return mixseq.transfer(WALK, walk_cycle(frames=1), mapping=same).points
+    return mixseq.transfer(WALK, coarse_walk(frames=1), mapping=same).points
 
 
 def _rigs(folder: Path) -> object:

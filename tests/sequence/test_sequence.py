@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import mixseq
@@ -32,6 +34,7 @@ from mixseq.sequence.sequence import (
     largest_offset,
     load_frames,
     parse_unit,
+    reference_diagonal,
     rounding_error,
 )
 from mixseq.types import FloatArray
@@ -255,6 +258,47 @@ def test_diagonal() -> None:
     assert bounding_diagonal(wide) == pytest.approx(6e38)  # more than float32 holds
 
 
+@given(
+    exponent=st.integers(-190, 190),
+    offset=st.sampled_from([0.0, 1.0, 1e3]),
+    dtype=st.sampled_from([np.float32, np.float64]),
+)
+def test_the_diagonal_of_a_mesh_that_grows_from_a_point_scales_with_it(
+    exponent: int, offset: float, dtype: type[np.floating]
+) -> None:
+    exponent //= 4 if dtype is np.float32 else 1
+    box = np.array([[0.0, 0, 0], [1, 2, 2], [0.5, 1, 1]])
+    grown = np.stack([0 * box, 3 * box, 2 * box]) + offset
+    points = np.ldexp(grown, exponent).astype(dtype)
+    assert reference_diagonal(iter([points])).length == pytest.approx(np.ldexp(9.0, exponent), rel=1e-3)
+    assert MeshSequence.from_arrays(points, [[0, 1, 2]]).diagonal == reference_diagonal([points]).length
+    points[0] = np.ldexp(offset + 1e-3 * box, exponent)  # small, but no point
+    small = np.ldexp(3e-3, exponent)
+    assert reference_diagonal([points]).length == pytest.approx(small, rel=0.1)
+
+
+def test_a_point_up_to_rounding() -> None:
+    box = np.array([[0.0, 0, 0], [1, 2, 2], [0.5, 1, 1]])
+    rounded = (np.pi + 3e-7 * box).astype(np.float32)
+    assert 0 < bounding_diagonal(rounded) < 1e-6
+    assert reference_diagonal([np.stack([rounded, np.float32(box)])]).length == pytest.approx(3)
+    far = np.stack([box, 2 * box]) + 1e8  # of the same size as later frames
+    assert reference_diagonal([far]).length == pytest.approx(3)
+    assert reference_diagonal([np.ones((3, 4, 3))]).length == 0
+
+
+def test_blocks_after_the_first_are_read_only_for_a_point() -> None:
+    box = np.array([[0.0, 0, 0], [1, 2, 2]])
+
+    def blocks(first: FloatArray) -> Iterator[FloatArray]:
+        yield first[None]
+        raise InterruptedError
+
+    assert reference_diagonal(blocks(box)).length == pytest.approx(3)
+    with pytest.raises(InterruptedError):
+        reference_diagonal(blocks(0 * box))
+
+
 def test_blocks_are_collected() -> None:
     sequence = whole()
     gathered = join_blocks(sequence.header, iter([sequence.points[:1], sequence.points[1:]]))
@@ -416,7 +460,7 @@ def test_unsound_streams_are_refused(frames: list[FloatArray], message: str) -> 
 @pytest.mark.parametrize(
     ("factor", "offset", "message"),
     [
-        (1e-310, 0.0, "e-310 units across in its first frame, .* from 1e-60 to 1e.60 is expected"),
+        (1e-310, 0.0, "e-310 units across, .* from 1e-60 to 1e.60 is expected"),
         (1e-61, 0.0, "e-61 units across"),
         (1e61, 0.0, r"e\+61 units across"),
         (1e307, 0.0, "units across"),

@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 
 import mixseq
-from mixseq.creature import walk_cycle
 from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.signals.model import Model
+from tests.meshes import coarse_walk
 from tests.viewer.pages import eventually
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
@@ -49,7 +49,7 @@ CAMERA = {
 
 @pytest.fixture(scope="module")
 def model() -> Model:
-    return mixseq.fit(walk_cycle(8), rank=3)
+    return mixseq.fit(coarse_walk(8), rank=3)
 
 
 def save(path: Path, model: Model, replace: bool) -> str:
@@ -122,6 +122,11 @@ def check_it_hears(page: Page, line: Connection) -> None:
     wanted = not box.value
     line.send(change(box, value=wanted))
     eventually(lambda: box.value == wanted)
+
+
+def test_a_path_that_is_too_long_for_a_file_is_not_found(page: Page) -> None:
+    assert page.get("/" + 7000 * "a", Cookie=page.cookie).status == 404
+    assert page.get("/", Cookie=page.cookie).status == 200
 
 
 # Who is let in --------------------------------------------------------------------------------------------

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.creature import walk_cycle
 from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.signals.model import Model
+from tests.meshes import coarse_walk
 from tests.viewer.conftest import NewPage, own_port
 from tests.viewer.pages import eventually
 
@@ -45,7 +45,7 @@ ARRAY = """(name) => {
 
 @pytest.fixture(scope="module")
 def model() -> Model:
-    return mixseq.fit(walk_cycle(16), rank=6)
+    return mixseq.fit(coarse_walk(16), rank=6)
 
 
 def save(path: Path, model: Model, replace: bool) -> str:

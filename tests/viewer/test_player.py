@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mixseq.creature import walk_cycle
 from mixseq.mesh.surface import CornerValues, Surface
 from mixseq.pictures.chart_data import chart_data
 from mixseq.pictures.colours import MEASURES, available_colourings
@@ -23,7 +22,7 @@ from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.viewer.export import ExportSettings, export_page
 from mixseq.viewer.export_data import PageItem
-from tests.meshes import bar
+from tests.meshes import bar, coarse_walk
 from tests.viewer.conftest import SCREENSHOTS, Keep, NewPage, Watched
 from tests.viewer.pages import Opened
 
@@ -506,7 +505,7 @@ def test_all_controls_have_names(two: Player) -> None:
 @pytest.fixture(scope="module")
 def fox(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The fox, and a model of it that keeps two modes."""
-    walk = walk_cycle(frames=12)
+    walk = coarse_walk(frames=12)
     items = [exported("original", walk), exported("two modes", fit(walk, rank=2), walk)]
     path = tmp_path_factory.mktemp("pictures") / "fox.html"
     export_page(path, items, ExportSettings(title="Fox"))

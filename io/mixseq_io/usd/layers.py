@@ -260,9 +260,14 @@ def write_package(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[
     left_out: dict[str, None] = {}
 
     def rewrite(asset: str) -> str:
-        files = _resolve_files(layer, asset)
-        # USD would pack all files that a referenced scene refers to, from any folder.
-        rejected = files if _is_scene(asset) else [file for file in files if not _is_inside(file, folders)]
+        # USD refuses to pack a layer that names a missing file, or one without an extension.
+        files = _resolve_files(layer, asset) if Path(asset).suffix else []
+        if not files:
+            rejected = [asset] if asset else []
+        elif _is_scene(asset):  # USD would pack all files that it refers to, from any folder
+            rejected = files
+        else:
+            rejected = [file for file in files if not _is_inside(file, folders)]
         left_out.update(dict.fromkeys(rejected))
         return "" if rejected else _extract_texture(layer, asset, textures)
 
@@ -386,7 +391,7 @@ class ClipFolder:
 
     def make(self) -> None:
         """Create an empty temporary folder."""
-        if self.target.exists() and not _holds_only_clips(self.target, self._stem):
+        if os.path.lexists(self.target) and not _holds_only_clips(self.target, self._stem):
             raise OutputError(
                 f"{self.target} has other files than clips, which are not deleted; move it away, or write to another "
                 "name"
@@ -437,5 +442,5 @@ def open_clip_folder(owner: Path) -> Iterator[ClipFolder]:
 
 def _holds_only_clips(folder: Path, stem: str) -> bool:
     return folder.is_dir() and all(
-        file.name.startswith(f"{stem}.") and file.suffix == ".usdc" for file in folder.iterdir()
+        file.name.startswith(f"{stem}.") and file.suffix == ".usdc" and file.is_file() for file in folder.iterdir()
     )

@@ -478,8 +478,8 @@ def warn_of_unpacked_files(path: Path, files: list[str]) -> None:
     """Warn of files that `write_package` did not pack."""
     if files:
         warn(
-            f"{path}: only textures in the original's folder are packed, not {format_names(files, str)}; if these may "
-            "be shared, name their folder with pack_from=... (--pack-from)"
+            f"{path}: only textures that exist in the original's folder are packed, not {format_names(files, str)}; if "
+            "these may be shared, name their folder with pack_from=... (--pack-from)"
         )
 
 

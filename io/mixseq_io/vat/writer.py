@@ -19,7 +19,7 @@ from mixseq.errors import OutputError, SettingsError
 from mixseq.rigging.low_rank import fit_low_rank
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
+from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.files import atomic_folder
 from mixseq_io.gltf.codecs import open_buffer_writer
 from mixseq_io.reader import warn
@@ -196,7 +196,7 @@ def _fit_within_bound(
 
 def _measure_errors(sequence: MeshSequence, frames: VertexFrames, textures: Textures) -> VatReport:
     decoded = textures.decoded
-    diagonal = bounding_diagonal(np.asarray(sequence.points[0], dtype=np.float64)) or 1.0
+    diagonal = sequence.diagonal or 1.0
     squares = np.square(decoded.points - frames.points).sum(axis=2)
     lengths = np.linalg.norm(decoded.normals, axis=2)
     cosines = np.sum(decoded.normals * frames.normals, axis=2) / np.where(lengths > 0, lengths, 1)

@@ -65,7 +65,7 @@ class CodingParameters:
     rank: int  # number K of coded basis vectors of all parts together
     frame_count: int  # number T of frames
     step: float  # quantisation step, in the units of the sequence
-    diagonal: float  # diagonal of the bounding box of the first frame, in the units of the sequence
+    diagonal: float  # unit of errors, see `reference_diagonal`, in the units of the sequence
     # Guaranteed largest distance of a vertex from the original at the frames, in diagonals, measured by decoding.
     max_error: float
     kg_percent: float  # measured KG error of all frames, in percent

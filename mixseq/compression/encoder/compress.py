@@ -28,7 +28,6 @@ from mixseq.runtime.public import public
 from mixseq.sequence.sequence import (
     Frames,
     FrameStore,
-    bounding_diagonal,
     check_frames,
     iterate_blocks,
     largest_coordinate,
@@ -66,7 +65,7 @@ def compress(
         The animation.
     max_error : float, optional
         Guaranteed largest distance of a vertex from the original at any frame, as a fraction of the bounding box's
-        diagonal in the first frame.
+        diagonal in the first frame, or in the largest frame if the first is a point.
     kg : float, optional
         KG error in percent: root mean square distance, relative to the same mean of distances from the centroids.
     size : int, optional
@@ -122,7 +121,7 @@ def compress(
     stages = StagedProgress(progress, 2 + inbetweens + MAX_ROUNDS, sequence.header.frame_count)
     with one_blas_thread():
         frames = load_frames(sequence, stages.at(0))
-        unit = bounding_diagonal(frames.points[:1][0]) or 1.0
+        unit = frames.diagonal or 1.0
         labels = _segment(frames, parts)
         label_size = 0 if labels is None else len(encode_face_labels(labels, header.faces))
         if size is not None and size > label_size:

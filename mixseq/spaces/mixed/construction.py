@@ -22,7 +22,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import Decomposition, sample_frame_ids
-from mixseq.sequence.sequence import bounding_diagonal
+from mixseq.sequence.sequence import iterate_blocks, reference_diagonal
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from mixseq.spaces.mixed.skinning_weights import fit_skinning_weights
 from mixseq.types import Float, FloatArray, Mask, evenly_spaced
@@ -89,7 +89,7 @@ def mixed_space(
     if placement not in PLACEMENTS:
         raise SettingsError(f"placement is {placement!r}; {' or '.join(map(repr, PLACEMENTS))} is expected")
     first = points[:1][0]
-    scale = bounding_diagonal(first) or 1.0
+    scale = reference_diagonal(iterate_blocks(points)).length or 1.0
     frames = points[sample_frame_ids(len(points), MAX_SHAPE_FRAMES)]
     shapes = np.concatenate([mean_shape(frames[:, part] / scale) for part in decomposition.parts])
     shapes = _round_positions(shapes)

@@ -68,8 +68,11 @@ def solve_columns(factor: Factor, right: RealOrComplex) -> RealOrComplex:
 MIN_HEIGHT_RATIO = 1e-12
 """Least ratio of height to side of triangles; lower triangles are degenerate, with the unit quaternion as frame."""
 
-SLIVER_AREA_RATIO = 1e-4
-"""Ratio of area to squared sides at which the lengths and angles of a triangle have half their weight."""
+SLIVER_AREA_RATIO = 0.06
+"""Ratio of doubled area to squared sides, at most 0.29, below which a triangle's lengths and angles have less weight.
+
+Slimmer skinned triangles may turn over between frames. Chosen by the accelerations of fox_run.
+"""
 
 
 @compiled
@@ -107,13 +110,13 @@ def flatten_triangles(lengths: Float, face_edges: Index) -> Float:
 
 @compiled
 def triangle_quality(flat: Float) -> Float:
-    """Return the weights ``(m,)`` of lengths and angles of flat triangles ``(m, 3)``, from 0 without area to 1."""
-    quality = np.empty(len(flat), flat.dtype)
+    """Return the weights ``(m,)`` of lengths and angles of flat triangles ``(m, 3)``: a smooth step of the area."""
+    quality = np.ones(len(flat), flat.dtype)
     for f in range(len(flat)):
         u, v, h = flat[f, 0], flat[f, 1], flat[f, 2]
-        area = u * h / (u * u + v * v + (v - u) * (v - u) + 2.0 * h * h)
-        power = area * area * area * area
-        quality[f] = power / (power + SLIVER_AREA_RATIO**4)
+        ratio = u * h / (u * u + v * v + (v - u) * (v - u) + 2.0 * h * h) / SLIVER_AREA_RATIO
+        if ratio.real < 1.0:
+            quality[f] = ratio * ratio * (3.0 - 2.0 * ratio)
     return quality
 
 
@@ -220,7 +223,10 @@ def target_rotations(
             cd, sd = c * ct + s * st, c * st - s * ct
             if cd.real < 0.0:
                 cd, sd = -cd, -sd
-            cd, sd = 1.0 - share + share * cd, share * sd
+            # The share vanishes at differences of 180 degrees, whose direction jumps.
+            square = 1.0 - cd * cd
+            smooth_share = share * (1.0 - square * square)
+            cd, sd = 1.0 - smooth_share + smooth_share * cd, smooth_share * sd
             scale = 1.0 / np.sqrt(cd * cd + sd * sd)
             c, s = (c * cd - s * sd) * scale, (s * cd + c * sd) * scale
         ci, si = _half_direction(target_flat, i, side_ids[k, 0], backward[k, 0] != 0)

@@ -135,7 +135,7 @@ class MixedSpace(ShapeSpace):
 
     topology: Topology  # connectivity of the mesh
     decomposition: Decomposition  # parts and joints
-    scale: float  # diagonal of the first frame, in the units of the sequence
+    scale: float  # unit of errors, see `reference_diagonal`, in the units of the sequence
     shapes: Float  # (N, 3) centred mean shapes, part by part, in diagonals
     reference: Float  # (V, 3) the first frame, in diagonals
     skinning_weights: sparse.csr_array  # (V, p) rows add up to one

@@ -347,7 +347,10 @@ class Guard:
                 self.report(f"refused a request: {refusal}; further ones are not reported")
             response = connection.respond(http.HTTPStatus.FORBIDDEN, f"{ACCESS_DENIED_MESSAGE}\n")
         else:
-            response = answer_page(connection, request) or self._count_connection(connection)
+            try:
+                response = answer_page(connection, request) or self._count_connection(connection)
+            except OSError:  # such as a path that is too long for a file
+                response = connection.respond(http.HTTPStatus.NOT_FOUND, "There is no such page.\n")
         if response is not None:
             for name, value in HEADERS.items():
                 response.headers[name] = value

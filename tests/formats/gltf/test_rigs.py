@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.creature import walk_cycle
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
 from mixseq.sequence.sequence import MeshSequence
@@ -21,7 +20,7 @@ from mixseq_io.rig_measuring import measure_rig_file, size_with_frame_targets
 from tests.formats.conftest import dressed, lossy
 from tests.formats.gltf_files import Gltf, read, validate
 from tests.formats.rig_maker import AXES, QUARTER, carried, hinge, random_skin, swelling
-from tests.meshes import bar, bent, rotation
+from tests.meshes import bar, bent, coarse_walk, rotation
 
 
 def written(path: Path, rig: Skin | Morph) -> Gltf:
@@ -308,7 +307,7 @@ def test_the_same_rig_is_the_same_file(tmp_path: Path) -> None:
 
 
 def test_the_validator_passes_them(tmp_path: Path) -> None:
-    fox = walk_cycle(frames=3)
+    fox = coarse_walk(frames=3)
     rigs: dict[str, Skin | Morph] = {
         "hinge": hinge(targets=2),
         "still": hinge(frames=1),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import warnings
 import zipfile
@@ -237,13 +238,14 @@ def test_a_layer_that_is_not_saved_for_no_reason(path: Path, monkeypatch: pytest
         save(path, shot())
 
 
-def test_a_folder_of_clips_with_something_else_in_it(path: Path) -> None:
+@pytest.mark.parametrize("name", ["notes.txt", "out.0001.usdc"])
+def test_a_folder_of_clips_with_something_else_in_it(path: Path, name: str) -> None:
     folder = path.with_name("out.usda.clips")
     folder.mkdir()
-    (folder / "notes.txt").write_text("keep me")
+    os.mkfifo(folder / name)
     with pytest.raises(OutputError, match=r"out\.usda\.clips has other files than clips"):
         save(path, shot(), clips=2)
-    assert (folder / "notes.txt").read_text() == "keep me"
+    assert (folder / name).is_fifo()
 
 
 # Packages
@@ -313,6 +315,17 @@ def test_files_elsewhere_are_packed_where_that_is_allowed(asset: Asset, tmp_path
         assert len(names) == (2 if "UDIM" in texture else 1)
     with pytest.raises(SettingsError, match=r"only \.usdz files have textures packed"):
         save(tmp_path / "out.usdc", asset.read(), flatten=True, pack_from=shelf)
+
+
+@pytest.mark.parametrize("name", ["./missing.png", "./", "./noext", "missing.png[b.png]", "./wool.<UDIM>.png"])
+def test_textures_that_cannot_be_packed_are_left_out_and_named(asset: Asset, tmp_path: Path, name: str) -> None:
+    (asset.path.parent / "noext").write_bytes(b"a picture")
+    paint(asset, name)
+    before = asset.read()
+    with pytest.warns(MixseqWarning, match=rf"textures that exist .* are packed, not .*{re.escape(name[2:])}"):
+        save(tmp_path / "out.usdz", before, flatten=True)
+    assert len(zipfile.ZipFile(tmp_path / "out.usdz").namelist()) == 1
+    np.testing.assert_array_equal(load(tmp_path / "out.usdz").points, before.points)
 
 
 def test_a_scene_is_no_texture(asset: Asset, tmp_path: Path, shelf: Path) -> None:

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from mixseq.creature import walk_cycle
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.vat.writer import VatReport, write_vat
+from tests.meshes import coarse_walk
 
 KINDS = {"plain": None, "low rank": 1e-3}
 
 
 @pytest.fixture(scope="session")
 def fox() -> MeshSequence:
-    return walk_cycle(frames=8)
+    return coarse_walk(8)
 
 
 @pytest.fixture(scope="session", params=KINDS)

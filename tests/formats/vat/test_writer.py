@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import mixseq
+from mixseq.creature import walk_cycle
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq_io.vat.textures import Texels
@@ -98,8 +99,8 @@ def test_normals_are_as_far_off_as_is_told(written: tuple[Path, VatReport], fox:
     assert report.normal_degrees < (3 if report.rank else 0.3)
 
 
-def test_low_rank_textures_are_smaller(fox: MeshSequence, tmp_path: Path) -> None:
-    plain, low = (write_vat(tmp_path / f"{error}.vat", fox, error) for error in (None, 1e-2))
+def test_low_rank_textures_are_smaller(tmp_path: Path) -> None:
+    plain, low = (write_vat(tmp_path / f"{error}.vat", walk_cycle(frames=8), error) for error in (None, 1e-2))
     assert low.memory_bytes < plain.memory_bytes / 2
     assert low.file_bytes < plain.file_bytes / 2
     files = sum(each.stat().st_size for each in (tmp_path / "0.01.vat").glob("*.png"))
