@@ -162,7 +162,7 @@ def coding_rows(facts: dict[str, Any], metres_per_unit: float) -> Rows:
     ]
     if coding["inbetween_error"] is not None:
         length = length_text(coding["inbetween_error"], coding["diagonal"] * metres_per_unit, digits=2)
-        rows.append(("between frames", f"players are {length} from the model at most"))
+        rows.append(("in-betweens", f"players are {length} from the model at most"))
     if coding["uv_error"] is not None:
         rows.append(("texture error", f"at most {coding['uv_error']:.3g} of the square"))
     return rows

@@ -68,7 +68,7 @@ async function outcome(text, bytes) {
 let longest = 0;
 const sound = await all(text, whole), told = [], { streams } = await open(text, whole);
 const parts = [streams.connectivity, streams.times, streams.uvs, ...streams.basis];
-parts.push(...streams.chunks.flatMap(({ coefficients, residuals, inbetweens }) => [coefficients, residuals, inbetweens]));
+parts.push(...streams.chunks.flatMap((chunk) => [chunk.coefficients, chunk.residuals, chunk.inbetweens]));
 const some = parts.filter((part) => part?.length).map(({ byteOffset, byteLength }) =>
   ({ byteOffset: byteOffset - whole.byteOffset, byteLength }));
 for (let round = 0; round < rounds; round++) {

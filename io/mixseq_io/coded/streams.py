@@ -2,8 +2,8 @@
 
 The text is JSON with parameters, source, name, fps, up_axis, metres_per_unit, counts and first time. The order of the
 streams is connectivity, surface, times, texture coordinates and labels if any; every group of the spatial basis;
-coefficients, residual layer and in-betweens if any of every chunk. The dataset begins with an index of the lengths and CRC-32 checksums of
-all streams:
+coefficients, residual layer, and in-betweens if any, of every chunk. The dataset begins with an index of the lengths
+and CRC-32 checksums of all streams:
 
 ==========  =====================================================================================================
 bytes       meaning, all numbers little-endian

@@ -184,15 +184,12 @@ class Playback(Decodable, PickledWithoutCaches):
         times = insert_midpoints(self.header.times)
         operator = TemporalOperator(self.header.times, self.between.length, self.between.cubic)
         values = operator.weights_at(times).interpolate(self.coefficients.reshape(len(self.coefficients), -1))
-        if not self.inbetweens:
-            return Curve(times, values)
         for level, offsets in enumerate(self.inbetweens):
             if level:
-                times = insert_midpoints(times)
-                values = curve(times)
+                finer = insert_midpoints(times)
+                times, values = finer, Curve(times, values)(finer)
             values[1::2] += offsets.reshape(len(offsets), -1)
-            curve = Curve(times, values)
-        return curve
+        return Curve(times, values)
 
     def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
         """Make the curve, before threads use it."""

@@ -130,9 +130,7 @@ def compress(
         stages.at(1 + MAX_ROUNDS)(0, 1, "checking")
         playback = decode(coded)
         parameters = _measure_errors(frames, playback, coded.parameters, max_error, kg)
-        coded = replace(
-            coded, parameters=parameters, between=playback.between, order=numbering.order, parts=labels
-        )
+        coded = replace(coded, parameters=parameters, between=playback.between, order=numbering.order, parts=labels)
         if inbetweens:
             coded = add_inbetweens(coded, playback, size, stages.at(2 + MAX_ROUNDS))
     parameters = coded.parameters

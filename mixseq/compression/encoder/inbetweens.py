@@ -11,6 +11,7 @@ Short sequences may have a basis that does not contain the poses between their f
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +26,7 @@ from mixseq.compression.bitstream.signal_coder import Signal
 from mixseq.compression.compressed_model import CompressedModel
 from mixseq.compression.encoder.components import solve_damped
 from mixseq.compression.encoder.trial import code_coefficients, round_coefficients
+from mixseq.errors import MixseqError, MixseqWarning
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.progress import Progress
 from mixseq.signals.model import Model
@@ -55,10 +57,16 @@ def add_inbetweens(
     bytes_at_frames = sum(map(len, coded.basis)) + sum(len(c.coefficients) + len(c.residuals) for c in coded.chunks)
     max_bytes = MAX_SIZE_RATIO * bytes_at_frames if size is None else size - bytes_at_frames
     intervals = [inbetween_intervals(c.first, c.count, parameters.frame_count) for c in coded.chunks]
-    model = CompressedModel.from_playback(playback, coded.parts).fit(progress)
+    try:
+        model = CompressedModel.from_playback(playback, coded.parts).fit(progress)
+    except MixseqError as error:
+        warnings.warn(
+            f"there are no in-betweens, as no model fits the decoded frames: {error}", MixseqWarning, stacklevel=4
+        )
+        return coded
     known: list[list[Signal]] = [[] for _ in coded.chunks]
     streams = [b"" for _ in coded.chunks]
-    times, error, step = insert_midpoints(playback.times)[1::2], 0.0, 0.0
+    times, largest_error, step = insert_midpoints(playback.times)[1::2], 0.0, 0.0
     while True:
         level = len(playback.inbetweens)
         points = _decode(model, times)
@@ -82,10 +90,16 @@ def add_inbetweens(
         largest_left, squares_left = _distances(finer, points, times)
         if not is_small or squares_left > MAX_ERROR_RATIO**2 * squares:
             break
-        playback, known, streams, step, error = finer, signals, longer, factor * step, max(error, largest_left)
+        playback, known, streams, step, largest_error = (
+            finer,
+            signals,
+            longer,
+            factor * step,
+            max(largest_error, largest_left),
+        )
         times = insert_midpoints(playback.curve.times)[1::2]
-    error = max(error, largest) / parameters.diagonal
-    parameters = replace(parameters, inbetween_error=float(f"{error:.3g}"))
+    largest_error = max(largest_error, largest) / parameters.diagonal
+    parameters = replace(parameters, inbetween_error=float(f"{largest_error:.3g}"))
     if playback.inbetweens:
         parameters = replace(parameters, inbetween_levels=len(playback.inbetweens), inbetween_step=step)
     chunks = tuple(replace(chunk, inbetweens=stream) for chunk, stream in zip(coded.chunks, streams, strict=True))

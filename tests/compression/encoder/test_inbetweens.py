@@ -16,7 +16,7 @@ from mixseq.compression.compressed_model import CompressedModel
 from mixseq.compression.encoder.compress import compress
 from mixseq.compression.encoder.inbetweens import MAX_SIZE_RATIO, _project
 from mixseq.compression.encoder.trial import code_coefficients, round_coefficients
-from mixseq.errors import SettingsError
+from mixseq.errors import MixseqWarning, ReconstructionError, SettingsError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.temporal import insert_midpoints
 from mixseq.types import Float
@@ -25,7 +25,10 @@ from tests.meshes import bar, rotation, tube
 
 
 def with_random_inbetweens(coded: CompressedSequence, levels: int) -> CompressedSequence:
-    """Return a sequence with in-betweens of up to nine steps, twice those of frames; those of the last chunk are zero if there are several."""
+    """Return a sequence with in-betweens of up to nine steps, twice those of frames.
+
+    Those of the last chunk are zero if there are several.
+    """
     playback, rng = decode(coded), np.random.default_rng(0)
     norms = playback.basis.norms[playback.basis.varying]
     intervals = [inbetween_intervals(c.first, c.count, coded.parameters.frame_count) for c in coded.chunks]
@@ -41,7 +44,9 @@ def with_random_inbetweens(coded: CompressedSequence, levels: int) -> Compressed
     if len(streams) > 1:
         streams[-1] = b""
     chunks = tuple(replace(chunk, inbetweens=stream) for chunk, stream in zip(coded.chunks, streams, strict=True))
-    return replace(coded, chunks=chunks, parameters=replace(coded.parameters, inbetween_levels=levels, inbetween_step=step))
+    return replace(
+        coded, chunks=chunks, parameters=replace(coded.parameters, inbetween_levels=levels, inbetween_step=step)
+    )
 
 
 def bending_tube() -> MeshSequence:
@@ -91,7 +96,9 @@ def test_frames_stay_as_they_are(coded: CompressedSequence) -> None:
     assert plain.parameters.inbetween_levels is None
     assert plain.parameters.inbetween_error is None
     np.testing.assert_array_equal(decode(coded).sample().points, decode(plain).sample().points)
-    assert [(c.coefficients, c.residuals) for c in coded.chunks] == [(c.coefficients, c.residuals) for c in plain.chunks]
+    assert [(c.coefficients, c.residuals) for c in coded.chunks] == [
+        (c.coefficients, c.residuals) for c in plain.chunks
+    ]
 
 
 def test_a_still_shape_needs_none() -> None:
@@ -106,6 +113,16 @@ def test_a_still_shape_needs_none() -> None:
 
 def test_one_frame_has_nothing_between() -> None:
     assert compress(bar(5, 9, 1), max_error=1e-3).parameters.inbetween_error is None
+
+
+def test_a_model_that_does_not_fit_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise ReconstructionError("a vertex is off")
+
+    monkeypatch.setattr(CompressedModel, "fit", fail)
+    with pytest.warns(MixseqWarning, match="no in-betweens, as no model fits the decoded frames: a vertex is off"):
+        coded = compress(bending_tube(), max_error=1e-3)
+    assert coded.parameters.inbetween_error is None
 
 
 def test_a_size_is_kept() -> None:

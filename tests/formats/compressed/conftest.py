@@ -17,7 +17,7 @@ from tests.meshes import bar
 
 @pytest.fixture
 def coded() -> CompressedSequence:
-    """Three groups of basis vectors; chunks of 4, 4, 4 and 2 frames, the third of which has no residuals and no in-betweens."""
+    """Three groups of basis vectors; chunks of 4, 4, 4 and 2 frames, the third of which has only coefficients."""
     header = replace(bar(5, 15, 14).header, name="Füchsin", up_axis="Z", metres_per_unit=0.01)
     sizes = [(4, 301, 50, 20), (4, 302, 60, 30), (4, 303, 0, 0), (2, 304, 40, 10)]
     chunks = tuple(
