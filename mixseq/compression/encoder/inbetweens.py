@@ -71,7 +71,8 @@ def add_inbetweens(
         level = len(playback.inbetweens)
         points = _decode(model, times)
         largest, squares = _distances(playback, points, times)
-        if largest <= parameters.max_error * parameters.diagonal or level == MAX_INBETWEEN_LEVELS:
+        is_within = largest <= parameters.max_error * parameters.diagonal
+        if is_within or level == MAX_INBETWEEN_LEVELS or not playback.coefficients.size:
             break
         exact = _project(playback, points, times)
         offsets = exact - playback.curve(times).reshape(exact.shape)

@@ -389,12 +389,14 @@ def sequences(draw: st.DrawFn) -> MeshSequence:
     return MeshSequence.from_arrays(moving.astype(draw(st.sampled_from([np.float32, np.float64]))), faces)
 
 
+@pytest.mark.filterwarnings("ignore:there are no in-betweens")
 @settings(max_examples=30, deadline=None)
 @given(sequence=sequences(), bound=st.floats(-5, -0.5).map(lambda power: float(10.0**power)))
 def test_no_bound_is_exceeded(sequence: MeshSequence, bound: float) -> None:
     check(sequence, compress(sequence, max_error=bound))
 
 
+@pytest.mark.filterwarnings("ignore:there are no in-betweens")
 @settings(max_examples=15, deadline=None)
 @given(sequence=sequences(), kg=st.floats(-3, 1.5).map(lambda power: float(10.0**power)))
 def test_no_kg_error_is_exceeded(sequence: MeshSequence, kg: float) -> None:
