@@ -15,6 +15,7 @@ import numpy as np
 
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, Playback, decode
 from mixseq.runtime.progress import Progress, no_progress
+from mixseq.sequence.frame_rates import FRAME_ROUNDING
 from mixseq.sequence.sequence import LazyFrames
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
@@ -22,9 +23,6 @@ from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
 from mixseq.types import Float, Index
-
-FRAME_ROUNDING = 1e-9
-"""Largest distance of a time from a frame that is a rounding error, in frames."""
 
 
 def _signal(name: str) -> Any:

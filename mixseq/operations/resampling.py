@@ -9,7 +9,7 @@ by a model. The output has a frame at every multiple of ``1 / fps`` from its sta
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,8 +18,9 @@ from mixseq.operations.retiming import Retiming
 from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.frame_rates import FRAME_TOLERANCE, snap_to_ntsc
+from mixseq.sequence.frame_rates import FRAME_ROUNDING, FRAME_TOLERANCE, snap_to_ntsc
 from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
+from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import Frames, MeshSequence, Rig, is_rig, join_blocks
 from mixseq.signals.decoding import FRAMES_PER_BLOCK, Decodable
 from mixseq.signals.fitting import fit
@@ -102,7 +103,10 @@ def plan(
         sources = motion.clip_times(retiming(retimed))
     except SettingsError as error:
         raise SettingsError(f"the retiming goes beyond the source: {error}") from None
-    return Resampling(motion, motion.header.with_times(times, rate), retiming, sources, retiming.slope(retimed))
+    header = motion.header.with_times(times, rate)
+    if len(times) != len(motion.times) or np.abs(sources - motion.times).max() > FRAME_ROUNDING / motion.header.fps:
+        header = replace(header, provenance=as_edited(header.provenance))
+    return Resampling(motion, header, retiming, sources, retiming.slope(retimed))
 
 
 def _frame_times(start: float, end: float, fps: float, slack: float) -> Float:

@@ -27,17 +27,22 @@ from mixseq.mesh.rotations import (
     quat_multiply,
     quat_to_matrix,
 )
+from mixseq.operations.sections import correction_norm
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, load_frames
+from mixseq.sequence.provenance import format_error
+from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, load_frames, own_parts, warn_of_loss
 from mixseq.signals.curve import Curve
-from mixseq.signals.detail import encode_sequence
+from mixseq.signals.detail import VISUALLY_LOSSLESS_TOLERANCE, encode_sequence
 from mixseq.signals.model import Model
-from mixseq.spaces.making import make_space
-from mixseq.spaces.mixed.mixed_space import as_mixed
+from mixseq.spaces.making import MixedSettings, make_space
+from mixseq.spaces.mixed.mixed_space import MixedSpace, as_mixed
 from mixseq.spaces.temporal import Poses
 from mixseq.types import Float
+
+AXIS_ITERATIONS = 100
+"""Number of iterations by which body axes and part axes of two bodies are matched."""
 
 
 @public
@@ -68,7 +73,7 @@ def key_poses(model: Model) -> MeshSequence:
 def with_shapes(model: Model, keys: Frames | Model) -> Model:
     """Apply the motion of a model to another body, with the same time and pose signals and other key shapes.
 
-    The correction is dropped, as it belongs to the first body.
+    A body with the same triangles gets the same parts, and the correction in its axes; for others it is left out.
 
     Parameters
     ----------
@@ -89,6 +94,11 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
         If there is not one frame per key shape, the other model has a different pose signal, or a space has no parts.
     InvalidSequenceError
         If the keys are not a sequence.
+
+    Warns
+    -----
+    MixseqWarning
+        If key shapes are no frames, or a visible correction is left out.
 
     Examples
     --------
@@ -119,9 +129,17 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
                 f"{model.header.name!r}: transfer the poses that key_poses makes"
             )
         frames = load_frames(keys, no_progress)
-        second = as_mixed(make_space(frames))
+        parts = model.parts if np.array_equal(keys.header.faces, model.header.faces) else own_parts(keys)
+        if blended := int(np.count_nonzero(model.key_frames < 0)):
+            text = f"{blended} of {count} key shapes are no frames, and their poses give the motion back only roughly"
+            warn_of_loss(model.header, text, "fit it with pose='keys'")
+        second = as_mixed(make_space(frames, settings=MixedSettings(parts=parts)))
+        if _has_same_parts(first, second):
+            second = replace(second, steadiness=first.steadiness)
         encoded = encode_sequence(frames, second)
         shapes, placements, header = np.asarray(encoded.shapes[:]), encoded.placement, keys.header
+        if _has_same_parts(first, second):
+            shapes, placements = _match_body_axes(model, second, shapes, placements)
     if first.rotation_count != second.rotation_count:
         raise SettingsError(
             f"{model.header.name!r} has {first.rotation_count} bodies, {header.name!r} has {second.rotation_count}; "
@@ -132,7 +150,7 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
     poses = first.unpack_placements(model.placement.values)
     rotations = quat_multiply(normalise_quat(poses.rotations), rotation)
     moved_poses = Poses(align_quat_signs(rotations), poses.centres + shift)
-    return Model(
+    played = Model(
         replace(header, times=model.header.times, fps=model.header.fps, provenance=None),
         second,
         model.time,
@@ -140,6 +158,66 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
         shapes,
         Curve(model.placement.times, second.pack_placements(moved_poses)),
     )
+    correction = _turn_correction(model, second, shapes, rotation)
+    return played if correction is None else replace(played, correction=correction)
+
+
+def _has_same_parts(first: MixedSpace, second: MixedSpace) -> bool:
+    """Return whether two spaces have the same triangles and parts."""
+    return np.array_equal(first.topology.faces, second.topology.faces) and np.array_equal(
+        first.segmentation.part_of_face, second.segmentation.part_of_face
+    )
+
+
+def _part_rotations(space: MixedSpace, shapes: Float) -> Float:
+    """Return rotations ``(K, p, 3, 3)`` of parts in body axes in key shapes ``(K, S)``."""
+    poses = space.split_poses(shapes[:, space.shape_dim - space.pose_dim :])
+    return quat_to_matrix(normalise_quat(poses.rotations))
+
+
+def _match_body_axes(model: Model, space: MixedSpace, shapes: Float, placements: Float) -> tuple[Float, Float]:
+    """Turn the body axes of key shapes ``(K, S)`` and their placements ``(K, P)`` to those of a model's key shapes.
+
+    Blends depend on body axes, which follow from the reference. Turns D of bodies, and C of the axes of parts, minimise
+    the distances of D R' and R C, for part rotations R of the model and R' of the key shapes.
+    """
+    articulation = space.articulation
+    before, after = _part_rotations(as_mixed(model.space), model.shapes), _part_rotations(space, shapes)
+    turned = after
+    for _ in range(AXIS_ITERATIONS):
+        part_turns = nearest_rotations((before.swapaxes(-1, -2) @ turned).sum(axis=0))
+        body_turns = nearest_rotations(articulation.body_sums(before @ part_turns @ after.swapaxes(-1, -2)))
+        turned = body_turns[:, articulation.body_of_part] @ after
+    back = quat_conjugate(matrix_to_quat(body_turns))
+    poses = space.split_poses(shapes[:, space.shape_dim - space.pose_dim :])
+    axes = Poses(back, np.zeros((*back.shape[:2], 3)))
+    rotations, centres = articulation.to_body_axes(Poses(poses.rotations, poses.centres), axes)
+    blocks = poses._replace(rotations=rotations, centres=centres)
+    columns = [shapes[:, : space.shape_dim - space.pose_dim], *(block.reshape(len(shapes), -1) for block in blocks)]
+    bodies = space.unpack_placements(placements)
+    return np.concatenate(columns, axis=1), space.pack_placements(
+        Poses(quat_multiply(bodies.rotations, back), bodies.centres)
+    )
+
+
+def _turn_correction(model: Model, space: MixedSpace, shapes: Float, rotation: Float) -> Curve | None:
+    """Return the correction of a model for the same parts of another body, in its axes; None for other parts.
+
+    The second body has key shapes ``(K, S)``; its bodies are turned by rotations ``(B, 4)`` relative to the first.
+    """
+    first = as_mixed(model.space)
+    if not _has_same_parts(first, space):
+        loss = float(correction_norm(model)(model.correction.values).max(initial=0.0))
+        if loss > VISUALLY_LOSSLESS_TOLERANCE:
+            text = f"corrections of part poses, up to {format_error(loss)} diagonals, are left out"
+            warn_of_loss(model.header, text, "a body with the same triangles has the same parts and keeps them")
+        return None
+    before, after = _part_rotations(first, model.shapes), _part_rotations(space, shapes)
+    turns = nearest_rotations((before.swapaxes(-1, -2) @ after).sum(axis=0))
+    bodies = quat_to_matrix(rotation)[first.articulation.body_of_part]
+    vectors = model.correction.values.reshape(-1, 2, len(turns), 3)
+    turned = np.einsum("rpij,mrpi->mrpj", np.stack([turns, bodies]), vectors)
+    return Curve(model.correction.times, turned.reshape(len(vectors), -1))
 
 
 def _key_times(model: Model) -> Float:

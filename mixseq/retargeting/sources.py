@@ -26,7 +26,7 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.segmentation.methods import segment, segment_by_labels
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, load_frames
+from mixseq.sequence.sequence import Frames, MeshSequence, check_motion, load_frames
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index
 
@@ -63,7 +63,7 @@ def prepare_source(
         parts = source.parts if parts is None else parts
         source = source.frames
     else:
-        check_frames(source)
+        check_motion(source)
     frames = load_frames(source, progress)
     header = frames.header
     topology = Topology(header.faces, header.vertex_count)

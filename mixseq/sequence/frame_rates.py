@@ -20,6 +20,9 @@ Seconds = Annotated[float, "seconds"]
 FRAME_TOLERANCE = 1e-3
 """Distance in frames up to which times snap to frames and knots, as times are typed and stored with few digits."""
 
+FRAME_ROUNDING = 1e-9
+"""Largest distance of a time from a frame that is a rounding error, in frames."""
+
 
 def time_to_number(time: float, fps: float) -> float:
     """Return the frame number of a time in seconds, rounded to a whole number within `FRAME_TOLERANCE`."""

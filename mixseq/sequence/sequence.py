@@ -17,6 +17,7 @@ only a change of unit rounds.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.choices import UNITS, OrderName
-from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.polygons import Polygons, read_only
 from mixseq.runtime.low_memory import LargeArray, new_large_array
@@ -236,6 +237,18 @@ def check_frames(frames: object) -> None:
             f"a MeshSequence or an open sequence is expected, not {type(frames).__name__}; read files "
             "with mixseq.read, make sequences of arrays with MeshSequence.from_arrays"
         )
+
+
+def check_motion(frames: Frames) -> None:
+    """Check that frames are a sequence whose motion is computed from its points, and warn of its own velocities."""
+    check_frames(frames)
+    if getattr(frames, "has_velocities", getattr(frames, "velocities", None) is not None):
+        warn_of_loss(frames.header, "velocities are left out", "models compute them: velocities=True, --velocities")
+
+
+def warn_of_loss(header: SequenceHeader, loss: str, cure: str) -> None:
+    """Warn of what an operation leaves out of a sequence or model."""
+    warnings.warn(f"{header.name!r}: {loss}; {cure}", MixseqWarning, stacklevel=5)
 
 
 def check_block(header: SequenceHeader, points: FloatArray, first_frame: int) -> None:

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from mixseq.runtime.jit import compiled, inlined
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, Mask
 
 Vector = tuple[float, float, float]
 
@@ -196,14 +196,27 @@ def shell_energy(
     return 0.5 * total
 
 
+@inlined
+def _is_collapsed(p: Vector, q: Vector, normal: Vector, min_height_ratio: float) -> bool:
+    """Whether the height of the triangle of sides p and q is at most a ratio of its longest side."""
+    opposite = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    longest = max(_dot(p, p), _dot(q, q), _dot(opposite, opposite))
+    return math.sqrt(_dot(normal, normal)) <= min_height_ratio * longest
+
+
 @compiled
-def hinge_nearness(x: Float, hinges: Index, targets: Float) -> Float:
-    """Return the squared cosines ``(H,)`` of half the angle errors of hinges: 1 without error, 0 at 180 degrees."""
-    nearness, g = np.empty(len(hinges)), np.empty((4, 3))
+def hinge_nearness(x: Float, hinges: Index, targets: Float, min_height_ratio: float) -> tuple[Float, Mask]:
+    """Return the squared cosines ``(H,)`` of half the angle errors of hinges: 1 without error, 0 at 180 degrees.
+
+    Also mark the hinges ``(H,)`` of a triangle whose ratio of height to longest side is at most `min_height_ratio`.
+    """
+    nearness, collapsed, g = np.empty(len(hinges)), np.empty(len(hinges), np.bool_), np.empty((4, 3))
     for k in range(len(hinges)):
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
         nearness[k] = 1.0 - 0.5 * angle_misfit(x, a, b, c, d, targets[k, 0], targets[k, 1], 0.0, 1.0, 1.0, g)
-    return nearness
+        e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
+        collapsed[k] = _is_collapsed(e, p, n, min_height_ratio) or _is_collapsed(e, q, m, min_height_ratio)
+    return nearness, collapsed
 
 
 @compiled

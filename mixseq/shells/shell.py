@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.mesh.measures import MIN_DIRECTED_LENGTH, degenerate_faces, dihedral_angles, edge_lengths, length_weights
+from mixseq.mesh.measures import MIN_DIRECTED_LENGTH, dihedral_angles, edge_lengths, length_weights
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.shells import kernels
@@ -193,8 +193,7 @@ class Shell(PickledWithoutCaches):
     def relax(self, start: Float, lengths: Float, angles: Float, steps: int) -> Relaxed:
         """Relax a mesh ``(V, 3)`` towards lengths ``(E,)`` and angles ``(H,)``, in a number of steps."""
         targets = _cosines_and_sines(angles)
-        nearness = kernels.hinge_nearness(start, self.topology.hinges, targets)
-        is_collapsed = degenerate_faces(start, self._faces, MIN_HEIGHT_RATIO)[self.topology.hinge_faces].any(axis=1)
+        nearness, is_collapsed = kernels.hinge_nearness(start, self.topology.hinges, targets, MIN_HEIGHT_RATIO)
         nearness = np.where(self.sound_hinge_mask & ~is_collapsed, nearness, 1.0)
         angle_weights = np.where(is_collapsed, 0.0, nearness * self._angle_weights)
         gradient, energy = self._gradient_and_energy(start, lengths, targets, angle_weights)

@@ -7,7 +7,7 @@ error is raised.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import blake2b
@@ -21,6 +21,7 @@ from scipy.interpolate import make_lsq_spline
 from mixseq.choices import PoseForm
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.rotations import align_quat_signs
+from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.parallel import Executor, serial_executor
 from mixseq.runtime.progress import Progress, no_progress
@@ -40,6 +41,8 @@ from mixseq.signals.model import Model
 from mixseq.signals.modes import Modes, principal_modes
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.mixed.construction import faces_without_area
+from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, insert_midpoints, select_operator
 from mixseq.types import Float, FloatArray, Index, evenly_spaced
 
@@ -428,7 +431,21 @@ def verify_tolerance(
             f"{message}: coordinates are up to {coordinate / unit:.3g} diagonals, and double precision cannot resolve "
             "the tolerance that far from the origin; move the sequence to the origin, or give a larger tolerance"
         )
+    if isinstance(model.space, MixedSpace) and model.space.placement == "free":
+        for frame, face in _collapsing_faces(model.space.topology, sequence.points):
+            raise ReconstructionError(
+                f"{message}: triangle {face} has no area in {sequence.header.frame_name(frame)}, where lengths and "
+                "angles do not determine its vertices; give placement='anchored', or a larger tolerance"
+            )
     raise ReconstructionError(f"{message}; give a larger tolerance, or another space or placement")
+
+
+def _collapsing_faces(topology: Topology, points: LargeArray) -> Iterator[tuple[int, int]]:
+    """Yield frames and faces that have no area in this frame of points ``(T, V, 3)``, but in others."""
+    frames = [faces_without_area(topology, points[frame : frame + 1]) for frame in range(len(points))]
+    for frame, is_collapsed in enumerate(frames):
+        for face in np.flatnonzero(is_collapsed & ~np.all(frames, axis=0)):
+            yield frame, int(face)
 
 
 def largest_error(

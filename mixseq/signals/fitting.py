@@ -23,7 +23,7 @@ from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.sequence import Frames, check_frames, load_frames, own_parts
+from mixseq.sequence.sequence import Frames, check_motion, load_frames, own_parts
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.signals.detail import (
@@ -213,7 +213,8 @@ def fit(
         If a setting is out of range, contradicts another setting, or is unused by the space. Also if double precision
         cannot resolve the tolerance, because the sequence is far from the origin relative to its size.
     ReconstructionError
-        If the most accurate model exceeds the tolerance for another reason.
+        If the most accurate model exceeds the tolerance for another reason, such as triangles that lose their area in
+        the free placement.
     SegmentationError
         If `parts` does not fit the mesh.
     FormatError, InvalidSequenceError
@@ -231,7 +232,7 @@ def fit(
     >>> mixseq.compare(walk, mixseq.fit(walk, exact=True).sample()).max_error < 1e-9
     True
     """
-    check_frames(sequence)
+    check_motion(sequence)
     knots, pose = settings.pop("knots", None), settings.pop("pose", "modes")
     if parts is None and space == "mixed":
         parts = own_parts(sequence)

@@ -83,7 +83,7 @@ def arm(run: Run) -> Any:
 
 def test_rigs_are_evaluated(run: Run, arm: Any) -> None:
     table = succeed(run("resample", "arm.glb", "new.npz", "--fps", "50", "--velocities", "--speed", "0.5"))
-    assert "rig     evaluated at these times; --exact fits its frames instead" in table.splitlines()
+    assert "rig      evaluated at these times; --exact fits its frames instead" in table.splitlines()
     new = mixseq.read("new.npz")
     assert (new.frame_count, new.fps) == (101, 50)
     angle = np.pi / 2 * np.arange(101) / 100
@@ -143,14 +143,14 @@ def test_the_table_tells_of_every_end(run: Run) -> None:
     assert table.splitlines()[:5] == [
         "frames     3 (0 to 2)",
         "time       0 to 0.25 s at 8 frames per second",
-        "history    1e-8 from bar",
+        "history    an edit of what is 1e-8 from bar",
         "source     0 to 0.25 s (frames 0 to 2.5)",
         "left over  0.05 s after the last frame, at 0.25 s; frames are at whole multiples of 1/8 s",
     ]
     table = succeed(run("resample", "model.h5", "new.npz", "--start", "0.05", "--reverse"))
     assert table.splitlines()[1:5] == [
         "time       0.1 to 0.3 s at 10 frames per second",
-        "history    1e-8 from bar",
+        "history    an edit of what is 1e-8 from bar",
         "source     0.25 to 0.05 s (frames 2.5 to 0.5)",
         "left over  0.05 s before the first frame, at 0.1 s; frames are at whole multiples of 1/10 s",
     ]
@@ -169,7 +169,7 @@ def test_retiming_in_frames_of_the_output_and_of_the_source(run: Run) -> None:
     assert table.splitlines()[:4] == [
         "frames   9 (0 to 8)",
         "time     0 to 0.4 s at 20 frames per second",
-        "history  1e-8 from bar",
+        "history  an edit of what is 1e-8 from bar",
         "source   0 to 0.2 s (frames 0 to 2)",
     ]
 

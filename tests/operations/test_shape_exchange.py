@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.errors import SettingsError
-from mixseq.operations import drag, key_poses, sculpt, with_shapes
+from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.operations import drag, exaggerate_part, key_poses, sculpt, with_shapes
 from mixseq.types import Float
 from tests.meshes import coarse_walk
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*corrections of part poses, up to .* are left out")
 
 STRETCH = np.array([1.0, 1.5, 1.0])
 
@@ -38,6 +40,23 @@ def test_own_key_poses_give_the_own_motion_back() -> None:
     exact = mixseq.fit(coarse_walk(frames=6), exact=True, pose="keys")
     again = with_shapes(exact, key_poses(exact))
     np.testing.assert_allclose(again.sample().points, exact.sample().points, atol=1e-6 * exact.space.scale)
+
+
+def test_a_body_with_the_same_triangles_keeps_parts_and_correction(model: mixseq.Model) -> None:
+    """Also what edits of single parts have put into it."""
+    raised = exaggerate_part(model, int(np.flatnonzero(model.mixed.articulation.parents >= 0)[0]), 1.5)
+    again = with_shapes(raised, key_poses(raised))
+    np.testing.assert_array_equal(again.parts, model.parts)
+    np.testing.assert_allclose(again.sample().points, raised.sample().points, atol=5e-3 * model.space.scale)
+
+
+def test_losses_are_told(model: mixseq.Model) -> None:
+    keys = key_poses(model)
+    with pytest.warns(MixseqWarning, match="corrections of part poses, up to .* diagonals, are left out"):
+        with_shapes(model, on_other_body(keys))
+    blended = mixseq.fit(coarse_walk(frames=8), rank=4)
+    with pytest.warns(MixseqWarning, match="5 of 5 key shapes are no frames"):
+        with_shapes(blended, key_poses(blended))
 
 
 def test_another_body_moves_by_the_same_signals(model: mixseq.Model) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
+from mixseq.mesh.measures import degenerate_faces, dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.rigid import kabsch
 from mixseq.shells import kernels
 from mixseq.shells.fitting import Patch, ShellProblem, fit_shell
@@ -165,8 +165,22 @@ def test_hinges_count_less_the_farther_they_are_off() -> None:
     off = np.linspace(-np.pi, np.pi, len(shell.topology.hinges))
     wanted = measured(shell, x)[1] - off
     turns = np.stack([np.cos(wanted), np.sin(wanted)], axis=1)
-    near = kernels.hinge_nearness(x, shell.topology.hinges, turns)
+    near, collapsed = kernels.hinge_nearness(x, shell.topology.hinges, turns, 1e-6)
     np.testing.assert_allclose(near, np.cos(off / 2) ** 2, atol=1e-12)
+    assert not collapsed.any()
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.4, 1e-6])
+def test_hinges_of_low_triangles_are_marked(ratio: float) -> None:
+    points, faces = tube(6, 9)
+    shell, x = shell_of((points, faces)), points + 0.0
+    a, b, c = faces[10]
+    x[c] = (x[a] + x[b]) / 2
+    topology = shell.topology
+    _, marked = kernels.hinge_nearness(x, topology.hinges, np.ones((len(topology.hinges), 2)), ratio)
+    expected = degenerate_faces(x, topology.faces, ratio)
+    assert expected[10] and not expected.all()
+    np.testing.assert_array_equal(marked, expected[topology.hinge_faces].any(axis=1))
 
 
 def test_the_energy_counts_all_hinges() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mixseq.choices import SPACES, SegmentationName, SpaceName
-from mixseq.errors import SegmentationError, SettingsError
+from mixseq.errors import ReconstructionError, SegmentationError, SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.operations.interpolation import segment
 from mixseq.segmentation.methods import METHODS, segment_by_labels
@@ -92,6 +92,26 @@ def test_placement_and_details_are_used() -> None:
     assert model.mixed.placement == "free"
     assert len(model.decomposition.parts) == 1
     assert fit(SMALL, joint_width=1).decomposition.widths.max() == 1
+
+
+@pytest.mark.parametrize("face", [24, 45])
+def test_the_free_placement_names_triangles_that_lose_their_area(face: int) -> None:
+    points, (a, b, c) = SMALL.points.copy(), SMALL.faces[face]
+    points[2, c] = (points[2, a] + points[2, b]) / 2
+    collapsing = SMALL.with_points(points)
+    cause = rf"triangle {face} has no area in frame 2, .*; give placement='anchored', or a larger tolerance"
+    with pytest.raises(ReconstructionError, match=cause):
+        fit(collapsing, exact=True, placement="free", parts=3)
+    space = fit(collapsing, exact=True, parts=3).mixed
+    assert not space.joint_faces[face]
+    np.testing.assert_allclose(space.decode(space.encode(points)), points, atol=1e-9 * space.scale)
+
+
+def test_triangles_that_never_have_area_are_placed_freely() -> None:
+    points, (a, b, c) = SMALL.points.copy(), SMALL.faces[24]
+    points[:, c] = (points[:, a] + points[:, b]) / 2
+    model = fit(SMALL.with_points(points), exact=True, placement="free", parts=3)
+    np.testing.assert_allclose(model.sample().points, points, atol=1e-9 * model.space.scale)
 
 
 def test_fitting_twice_gives_the_same_model() -> None:

@@ -56,7 +56,7 @@ def append_checksum(data: bytes, checksum: int) -> bytes:
 
 
 DAMAGE_CURE = "restore the file, or compress the original again"
-"""Cure in the messages about damaged streams."""
+"""Cure in messages about damaged streams. Free: wording."""
 
 
 def split_checksum(data: bytes) -> tuple[bytes, int]:

@@ -28,7 +28,7 @@ from mixseq.runtime.public import public
 from mixseq.sequence.sequence import (
     Frames,
     FrameStore,
-    check_frames,
+    check_motion,
     iterate_blocks,
     largest_coordinate,
     largest_offset,
@@ -107,7 +107,7 @@ def compress(
     FormatError, InvalidSequenceError
         If the sequence is damaged or invalid, or its coordinates are too small or too large for double precision.
     """
-    check_frames(sequence)
+    check_motion(sequence)
     _check_target(max_error, kg, size)
     if not chunk >= MIN_CHUNK_FRAMES:
         raise SettingsError(f"chunk is {chunk}; {MIN_CHUNK_FRAMES} frames or more are expected")
