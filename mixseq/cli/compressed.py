@@ -39,19 +39,20 @@ _ORDER_MESSAGES = {
 """Messages about values of ``order`` that renumber vertices or faces."""
 
 
-def _aim(uvs: bool = True, **parameters: Any) -> dict[str, Any]:
+def _aim(uvs: bool = True, inbetweens: bool = True, **parameters: Any) -> dict[str, Any]:
     """Return the parameters of `mixseq.compress`, empty without a target; raise an error for contradicting options."""
     targets = options.given_options("max_error", "kg", "size")
     if len(targets) > 1:
         raise SettingsError(f"give one of {' and '.join(targets)}, not {len(targets)}: each follows from the other")
     if not targets:
         options.refuse(
-            *("uv_error", "uvs", "order", "chunk"),
+            *("uv_error", "uvs", "order", "chunk", "inbetweens"),
             why="is for compressed models; give --max-error, --kg or --size, too",
         )
         return {}
     options.refuse(*_OF_FITTING, why=f"is for models that are not compressed; leave it out, or leave out {targets[0]}")
-    return parameters if uvs else parameters | {"uvs": False}
+    switches = {"uvs": uvs, "inbetweens": inbetweens}
+    return parameters | {name: False for name, is_on in switches.items() if not is_on}
 
 
 aiming = options.group(
@@ -79,6 +80,11 @@ aiming = options.group(
         help="Compressed: about N frames can be decoded without others.  [default: 512]",
     ),
     options.setting("--uvs/--no-uvs", default=True, help="Compressed: keep texture coordinates."),
+    options.setting(
+        "--inbetweens/--no-inbetweens",
+        default=True,
+        help="Compressed: fit a model, so that players show its motion between frames; takes as long as a fit.",
+    ),
     make=_aim,
 )
 """Options for targets of compression; the argument ``aim`` gets the parameters of `mixseq.compress`."""
@@ -154,6 +160,9 @@ def coding_rows(facts: dict[str, Any], metres_per_unit: float) -> Rows:
         ),
         ("KG error", f"{coding['kg_percent']:.3g} %"),
     ]
+    if coding["inbetween_error"] is not None:
+        length = length_text(coding["inbetween_error"], coding["diagonal"] * metres_per_unit, digits=2)
+        rows.append(("in-betweens", f"players are {length} from the model at most"))
     if coding["uv_error"] is not None:
         rows.append(("texture error", f"at most {coding['uv_error']:.3g} of the square"))
     return rows

@@ -38,7 +38,7 @@ class CompressedModel(Model):
     Attributes
     ----------
     playback : Playback
-        The streams, with splines of vertices between frames, as players in browsers show them.
+        The streams, with splines of vertices through frames and in-betweens, as players in browsers show them.
     """
 
     playback: Playback
@@ -60,10 +60,18 @@ class CompressedModel(Model):
     @classmethod
     def from_sequence(cls, coded: CompressedSequence) -> CompressedModel:
         """Decode the streams of a compressed sequence."""
-        return _from_playback(decode(coded), coded.parts)
+        return cls.from_playback(decode(coded), coded.parts)
+
+    @classmethod
+    def from_playback(cls, playback: Playback, parts: Index | None, fitted: Model | None = None) -> CompressedModel:
+        """Make the model of decoded streams; `parts` ``(F,)`` are those of triangles, None if they are to be found."""
+        model: CompressedModel = object.__new__(cls)
+        signals = {"header": playback.header, "playback": playback, "_parts": parts, "_fitted": fitted}
+        model.__dict__.update(signals, _lock=threading.Lock())
+        return model
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return _from_playback, (self.playback, self.parts, self._fitted)
+        return CompressedModel.from_playback, (self.playback, self.parts, self._fitted)
 
     def __repr__(self) -> str:
         return f"CompressedModel({self.header.name!r}: {self.start:g} to {self.end:g} s, {len(self.times)} frames)"
@@ -124,10 +132,3 @@ class CompressedModel(Model):
         if len(rows):
             points[rows] = self.playback.decode_points(self.times[frame_ids[rows]])
         return points
-
-
-def _from_playback(playback: Playback, parts: Index | None, fitted: Model | None = None) -> CompressedModel:
-    model: CompressedModel = object.__new__(CompressedModel)
-    signals = {"header": playback.header, "playback": playback, "_parts": parts, "_fitted": fitted}
-    model.__dict__.update(signals, _lock=threading.Lock())
-    return model

@@ -290,7 +290,7 @@ def _compress_poses(
     )
     frames = numbering.renumber_frames(centred)
     one_part = np.zeros(len(geometry_header.faces), dtype=np.int64)
-    coded = compress(frames, max_error=max_error, progress=progress, uvs=False, parts=one_part)
+    coded = compress(frames, max_error=max_error, progress=progress, uvs=False, parts=one_part, inbetweens=False)
     return replace(coded, parts=None), numbering.vertices  # players have no use for parts
 
 

@@ -47,8 +47,8 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
-    files = [mixseq.compress(animation(name), kg=0.5) for name in options.names]
-    files.append(mixseq.compress(walk_cycle(frames=8), kg=0.5))
+    files = [mixseq.compress(animation(name), kg=0.5, inbetweens=False) for name in options.names]
+    files.append(mixseq.compress(walk_cycle(frames=8), kg=0.5, inbetweens=False))
     known = [_decoded(file) for file in files]
     found: Counter[tuple[int, str]] = Counter()
     for number in range(options.count):

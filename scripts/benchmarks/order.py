@@ -33,7 +33,7 @@ def rows(name: str) -> Iterator[tuple[str, ...]]:
     with tempfile.TemporaryDirectory() as folder:
         for order in ORDERS:
             file = Path(folder, f"{order}.h5")
-            mixseq.save(file, mixseq.compress(sequence, kg=0.1, order=order))
+            mixseq.save(file, mixseq.compress(sequence, kg=0.1, order=order, inbetweens=False))
             found = compressed_sizes(file)
             bits.append(8 * found["connectivity"] / len(sequence.faces))
             sizes.append(found["total"])

@@ -22,6 +22,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, Surface, renumber_by_first_use
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
+from tests.compression.encoder.test_inbetweens import with_random_inbetweens
 from tests.compression.test_golden import stored
 from tests.meshes import Mesh, bar, grid, joined, rotation, torus, tube
 from tests.web.conftest import Node
@@ -70,6 +71,18 @@ def fields_are_exact(found: Played, coded: CompressedSequence) -> None:
 @pytest.mark.parametrize("name", GOLDEN)
 def test_golden_streams(node: Node, tmp_path: Path, name: str) -> None:
     coded = replace(stored(name)[0], between=TemporalInterpolation(2.0, (0.2, 0.9)))
+    plays_as_in_python(node, tmp_path, coded)
+
+
+@pytest.mark.parametrize(("name", "levels"), [("parts", 1), ("shapes", 2), ("long", 3)])
+def test_inbetweens(node: Node, tmp_path: Path, name: str, levels: int) -> None:
+    """Levels of in-betweens in JavaScript are those of Python, in several parts, in shapes, and across chunks."""
+    plain = replace(stored(name)[0], between=TemporalInterpolation(2.0, (0.2, 0.9)))
+    coded = with_random_inbetweens(plain, levels)
+    header = coded.header
+    moved = decode(coded).decode_points(header.times[:1] * 0.7 + header.times[1:2] * 0.3)
+    still = decode(plain).decode_points(header.times[:1] * 0.7 + header.times[1:2] * 0.3)
+    assert np.abs(moved - still).max() > 1e3 * NEAR * coded.parameters.diagonal
     plays_as_in_python(node, tmp_path, coded)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import mixseq
 from mixseq.choices import StillName
+from mixseq.compression.compressed_model import CompressedModel
 from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, Surface
@@ -114,6 +115,7 @@ def test_frames_are_those_of_python(
     file = tmp_path / "walk.glb"
     mixseq.save(file, mixseq.compress(sequence, max_error=1e-3), still=still)
     model = mixseq.load(file)
+    assert isinstance(model, CompressedModel)
     facts = opened(page, file, kind)
     assert facts["shots"] == facts["children"] == 1
     assert facts["duration"] == pytest.approx(sequence.times[-1] - sequence.times[0], rel=1e-12)
@@ -135,7 +137,7 @@ def test_frames_are_those_of_python(
     for script, width in ((NUMBERS, 3), (CARD, 4)):
         frames = page.evaluate(script, (times - header.times[0]).tolist())
         for time, (positions, normals) in zip(times, frames, strict=True):
-            points = model(np.clip(time, *header.times[[0, -1]]))
+            points = model.playback(np.clip(time, *header.times[[0, -1]]))
             apart = np.abs(floats(positions, width)[:, :3] - points[vertices])
             assert apart.max() < NEAR * sequence.diagonal
             expected = corner_normals(points[None], header.polygons, hard)[0][hard[corners]]

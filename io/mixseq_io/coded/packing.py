@@ -21,14 +21,19 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
 from mixseq_io.coded.streams import INDEX_HEAD, LABEL_COUNT, MAGIC, Container, pack_leb128, pack_surface, pack_times
 
-_HDF5_SIZE, _INDEX_SIZE_PER_64_FRAMES, _SOURCE_SIZE = 1200, 64, 32
+_HDF5_SIZE, _INDEX_SIZE_PER_64_FRAMES, _SOURCE_SIZE = 1300, 96, 32
 """Largest sizes in bytes: HDF5 structures with attributes, part of the index for 64 frames, checksum of the source."""
 
 
 def pack(coded: CompressedSequence) -> Container:
     """Return the text of a compressed sequence, and its index and streams concatenated."""
     text = _facts_json(coded)
-    chunk_streams = [stream for chunk in coded.chunks for stream in (chunk.coefficients, chunk.residuals)]
+    has_inbetweens = coded.parameters.inbetween_levels is not None
+    chunk_streams = [
+        stream
+        for chunk in coded.chunks
+        for stream in (chunk.coefficients, chunk.residuals, *[chunk.inbetweens][:has_inbetweens])
+    ]
     header_streams = _header_streams(coded.header, coded.parameters.uv_steps)
     if coded.parts is not None:
         header_streams.append(encode_face_labels(coded.parts, coded.header.faces))

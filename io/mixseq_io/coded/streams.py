@@ -2,8 +2,8 @@
 
 The text is JSON with parameters, source, name, fps, up_axis, metres_per_unit, counts and first time. The order of the
 streams is connectivity, surface, times, texture coordinates and labels if any; every group of the spatial basis;
-coefficients and residual layer of every chunk. The dataset begins with an index of the lengths and CRC-32 checksums of
-all streams:
+coefficients, residual layer, and in-betweens if any, of every chunk. The dataset begins with an index of the lengths
+and CRC-32 checksums of all streams:
 
 ==========  =====================================================================================================
 bytes       meaning, all numbers little-endian
@@ -79,6 +79,9 @@ _HEADER_STREAMS = {
 LABEL_COUNT = "label_count"
 """Parameter with the number of parts that label triangles. Frozen: breaks old files."""
 
+INBETWEEN_LEVELS = "inbetween_levels"
+"""Parameter of files whose chunks have streams of in-betweens. Frozen: breaks old files."""
+
 _OPTIONAL_STREAMS = {"uvs": "uv_steps", "labels": LABEL_COUNT}
 """Streams of the header that not all files have, and the parameters that they come with."""
 
@@ -115,6 +118,7 @@ class ChunkStreams:
     count: int
     coefficients: Stream
     residuals: Stream
+    inbetweens: Stream | None  # None in files without
 
 
 @dataclass(frozen=True)
@@ -150,15 +154,17 @@ def read_index(path: Path, container: Container) -> StreamIndex:
     absent = {name for name, parameter in _OPTIONAL_STREAMS.items() if coding.get(parameter) is None}
     header = [name for name in _HEADER_STREAMS if name not in absent]
     try:
-        return _index_streams(size, numbers, checksums[1:], header)
+        return _index_streams(size, numbers, checksums[1:], header, coding.get(INBETWEEN_LEVELS) is not None)
     except (IndexError, ValueError, StopIteration) as error:  # checksum right: written with this error
         raise damaged from error
 
 
-def _index_streams(size: int, numbers: list[int], checksums: list[int], header: list[str]) -> StreamIndex:
+def _index_streams(
+    size: int, numbers: list[int], checksums: list[int], header: list[str], has_inbetweens: bool
+) -> StreamIndex:
     group_count, chunk_count, *rest = numbers
     counts, lengths = rest[:chunk_count], rest[chunk_count:]
-    if len(lengths) != len(header) + group_count + 2 * chunk_count:
+    if len(lengths) != len(header) + group_count + (2 + has_inbetweens) * chunk_count:
         raise ValueError("the number of streams is not that of the parts of the file")
     if 0 in counts or max(lengths) >= 1 << 63:
         raise ValueError("a chunk has no frames, or a stream is too long")
@@ -175,7 +181,8 @@ def _index_streams(size: int, numbers: list[int], checksums: list[int], header: 
     for first, count in zip([0, *accumulate(counts)], counts, strict=False):
         frames = f"of frames {first} to {first + count - 1}"
         coefficients, residuals = stream(f"the coefficients {frames}"), stream(f"the residuals {frames}")
-        chunks.append(ChunkStreams(first, count, coefficients, residuals))
+        inbetweens = stream(f"the in-betweens {frames}") if has_inbetweens else None
+        chunks.append(ChunkStreams(first, count, coefficients, residuals, inbetweens))
     if next(remaining, None) is not None:
         raise ValueError("there are more checksums than streams")
     return StreamIndex(size, header_streams, basis, tuple(chunks))
@@ -371,7 +378,14 @@ def read_sequence(path: Path, container: Container) -> CompressedSequence:
     header_data = {name: read(stream) for name, stream in index.header.items()}
     basis = tuple(map(read, index.basis))
     chunks = tuple(
-        Chunk(chunk.first, chunk.count, read(chunk.coefficients), read(chunk.residuals)) for chunk in index.chunks
+        Chunk(
+            chunk.first,
+            chunk.count,
+            read(chunk.coefficients),
+            read(chunk.residuals),
+            b"" if chunk.inbetweens is None else read(chunk.inbetweens),
+        )
+        for chunk in index.chunks
     )
     facts = read_facts(path, container)
     parameters = _parameters(path, facts)
@@ -482,6 +496,7 @@ def _header(
 def decode_model(path: Path, coded: CompressedSequence) -> CompressedModel:
     """Decode a sequence read from a file; raise `FormatError` if it is contradictory or takes too much memory."""
     width, frames = 3 if coded.parameters.factors == "shapes" else 1, coded.header.frame_count
+    frames <<= coded.parameters.inbetween_levels or 0
     numbers = coded.parameters.rank * (width * coded.header.vertex_count + 3 * frames)
     check_memory(path, _BYTES_PER_NUMBER * numbers, "its basis and coefficients")
     try:

@@ -40,6 +40,9 @@ from mixseq.types import Float, Index
 MIN_COVARIANCE_LENGTH, MAX_COVARIANCE_LENGTH = 0.5, 64.0
 """Range of covariance lengths in files, in mean steps between frames. Frozen: part of the format."""
 
+MAX_INBETWEEN_LEVELS = 3
+"""Largest number of levels of in-betweens, each with twice the knots of the one before. Frozen: part of the format."""
+
 
 @dataclass(frozen=True)
 class Chunk:
@@ -50,6 +53,8 @@ class Chunk:
     coefficients: bytes  # the coefficients of the spatial basis at these frames
     # The residual layer, which brings vertices within the bound; empty if none is needed.
     residuals: bytes = b""
+    # In-betweens of the intervals that begin at these frames; empty if there are none, or all are zero.
+    inbetweens: bytes = b""
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,12 @@ class CodingParameters:
     uv_steps: int | None = None
     # Guaranteed largest difference of u and of v from the original. None if uv_steps is None.
     uv_error: float | None = None
+    # Levels of in-betweens: 1 for the middles between frames, 2 for the quarters as well, and so on. None without.
+    inbetween_levels: int | None = None
+    # Quantisation step of in-betweens, in the units of the sequence. None if there are none.
+    inbetween_step: float | None = None
+    # Largest measured distance between frames from the fitted model, in diagonals. None if it was not fitted.
+    inbetween_error: float | None = None
 
     def __post_init__(self) -> None:
         kinds = get_args(BasisKind)
@@ -101,6 +112,17 @@ class CodingParameters:
             raise SettingsError(f"uv_steps is {steps!r}; a whole number from 1 to {most} is expected")
         if error is not None and not (isinstance(error, int | float) and 0 <= error < inf):
             raise SettingsError(f"uv_error is {error!r}; a non-negative number is expected")
+        levels, step, error = self.inbetween_levels, self.inbetween_step, self.inbetween_error
+        if (levels is None) != (step is None):
+            raise SettingsError("inbetween_levels and inbetween_step come together")
+        if levels is not None and not (type(levels) is int and 0 < levels <= MAX_INBETWEEN_LEVELS):
+            raise SettingsError(
+                f"inbetween_levels is {levels!r}; a whole number from 1 to {MAX_INBETWEEN_LEVELS} is expected"
+            )
+        if step is not None and not (_is_number(step) and 0 < step < inf):
+            raise SettingsError(f"inbetween_step is {step!r}; a positive number is expected")
+        if error is not None and not (_is_number(error) and 0 <= error < inf):
+            raise SettingsError(f"inbetween_error is {error!r}; a non-negative number is expected")
         if not isinstance(self.promised, bool):
             raise SettingsError(f"promised is {self.promised!r}; true or false is expected")
 
@@ -145,21 +167,29 @@ class CompressedSequence:
 
 @dataclass(frozen=True, eq=False)
 class Playback(Decodable, PickledWithoutCaches):
-    """A compressed sequence as players in browsers show it: cubic splines of vertex positions between frames."""
+    """A compressed sequence as players in browsers show it: cubic splines of vertex positions through in-betweens."""
 
     header: SequenceHeader  # mesh and times
     basis: SpatialBasis  # spatial basis of K varying vectors
     coefficients: Float  # (T, K, d) coefficients of all frames
     between: TemporalInterpolation  # interpolation of coefficients between frames
     residual_layer: CodedResidualLayer | None  # displacements added to bring vertices within the bound
+    # Level by level ((T - 1) 2^l, K, d), the in-betweens: offsets of coefficients from the spline at the middles
+    # between its knots.
+    inbetweens: tuple[Float, ...] = ()
 
     @cached_property
     def curve(self) -> Curve:
         """The coefficients over time, K d coordinates."""
         times = insert_midpoints(self.header.times)
         operator = TemporalOperator(self.header.times, self.between.length, self.between.cubic)
-        frames = self.coefficients.reshape(len(self.coefficients), -1)
-        return Curve(times, operator.weights_at(times).interpolate(frames))
+        values = operator.weights_at(times).interpolate(self.coefficients.reshape(len(self.coefficients), -1))
+        for level, offsets in enumerate(self.inbetweens):
+            if level:
+                finer = insert_midpoints(times)
+                times, values = finer, Curve(times, values)(finer)
+            values[1::2] += offsets.reshape(len(offsets), -1)
+        return Curve(times, values)
 
     def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
         """Make the curve, before threads use it."""
@@ -195,7 +225,8 @@ def decode(coded: CompressedSequence) -> Playback:
     with one_blas_thread(), np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         basis = decode_basis(coded, graph)
         coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
-        if not (np.isfinite(basis.norms).all() and np.isfinite(coefficients).all()):
+        inbetweens = _decode_inbetweens(coded, basis, coefficients.shape[1:])
+        if not all(np.isfinite(values).all() for values in (basis.norms, coefficients, *inbetweens)):
             raise FormatError(f"the coded signals are damaged, they are not finite; {DAMAGE_CURE}")
     residual_layer = None
     if any(chunk.residuals for chunk in coded.chunks):
@@ -208,7 +239,7 @@ def decode(coded: CompressedSequence) -> Playback:
         displacements = coefficients * basis.norms[basis.varying, None]
         operator = select_operator(header.times, displacements.reshape(len(displacements), -1))
         between = TemporalInterpolation(operator.length_scale, operator.cubic_shares)
-    return Playback(header, basis, coefficients, between, residual_layer)
+    return Playback(header, basis, coefficients, between, residual_layer, inbetweens)
 
 
 def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
@@ -231,4 +262,23 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
 
 def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialBasis) -> Float:
     """Decode the coefficients ``(n, K, d)`` of a chunk of n frames, for the K varying vectors of the basis."""
-    return read_coefficients(basis, chunk.coefficients, chunk.count, coded.parameters.step)
+    return read_coefficients(basis, chunk.coefficients, [chunk.count], coded.parameters.step)[0]
+
+
+def _decode_inbetweens(coded: CompressedSequence, basis: SpatialBasis, shape: tuple[int, ...]) -> tuple[Float, ...]:
+    """Decode the in-betweens ``((T - 1) 2^l, K, d)`` of every level l; `shape` is ``(K, d)``."""
+    levels, step = range(coded.parameters.inbetween_levels or 0), coded.parameters.inbetween_step or 0.0
+    chunks = []
+    for chunk in coded.chunks if levels else ():
+        intervals = inbetween_intervals(chunk.first, chunk.count, coded.parameters.frame_count)
+        counts = [len(intervals) << level for level in levels]
+        if chunk.inbetweens:
+            chunks.append(read_coefficients(basis, chunk.inbetweens, counts, step))
+        else:
+            chunks.append([np.zeros((count, *shape)) for count in counts])
+    return tuple(map(np.concatenate, zip(*chunks, strict=True)))
+
+
+def inbetween_intervals(first: int, count: int, frame_count: int) -> range:
+    """Return the intervals between frames that begin in a chunk; n is the interval from frame n to n + 1."""
+    return range(first, min(first + count, frame_count - 1))

@@ -301,15 +301,19 @@ def assemble_basis(
     return SpatialBasis(kind, tuple(part_bases), np.concatenate(part_ids), frame_count)
 
 
-def read_coefficients(basis: SpatialBasis, stream: bytes, count: int, step: float) -> Float:
-    """Read the coefficients ``(n, K, d)`` of the varying vectors in a chunk of n = `count` frames."""
-    scales = basis.norms[basis.varying] / step
-    models, graph = NumberModels(), path_graph(count)
-    coefficients = np.empty((count, len(scales), 3 if basis.kind == "trajectories" else 1))
-    coders = [SignalCoder(graph, coefficients.shape[2], models) for _ in basis.part_bases]
-    reader = Reader(stream)
-    for vector, coordinate in np.ndindex(coefficients.shape[1:]):
-        coder = coders[basis.part_ids[basis.varying][vector]]
-        coefficients[:, vector, coordinate] = coder.read(reader) / scales[vector]
+def read_coefficients(basis: SpatialBasis, stream: bytes, counts: Sequence[int], step: float) -> list[Float]:
+    """Read the coefficients ``(n, K, d)`` of the varying vectors at n times, for each of `counts`.
+
+    The stream of a chunk has the coefficients at its frames; another one has those of its levels of in-betweens.
+    """
+    scales, part_ids = basis.norms[basis.varying] / step, basis.part_ids[basis.varying]
+    dim = 3 if basis.kind == "trajectories" else 1
+    models, reader, levels = NumberModels(), Reader(stream), []
+    for count in counts:
+        graph, coefficients = path_graph(count), np.empty((count, len(scales), dim))
+        coders = [SignalCoder(graph, dim, models) for _ in basis.part_bases]
+        for vector, coordinate in np.ndindex(coefficients.shape[1:]):
+            coefficients[:, vector, coordinate] = coders[part_ids[vector]].read(reader) / scales[vector]
+        levels.append(coefficients)
     reader.finish()
-    return coefficients
+    return levels

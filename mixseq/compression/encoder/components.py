@@ -229,7 +229,7 @@ class PartComponents:
             vectors = vectors[1:]
         unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
         gram, right = unit @ unit.T, unit @ loadings.T
-        solution = _solve_damped(gram, right)
+        solution = solve_damped(gram, right)
         squares = np.square(loadings).sum() + np.vdot(solution, gram @ solution - 2 * right)
         coefficients = solution @ curves
         if not has_mean_shape:  # the first vector is constant, and represents the whole mean
@@ -250,7 +250,7 @@ def _rotate_to_part(loadings: Float, min_norm: float) -> tuple[Float, Float, Flo
     return directions, directions @ means, np.sqrt(np.maximum(values[::-1][:kept], 0.0))
 
 
-def _solve_damped(gram: Float, right: Float) -> Float:
+def solve_damped(gram: Float, right: Float) -> Float:
     """Solve the normal equations of nearly orthogonal vectors."""
     if not len(gram):  # a mean shape, and no motion
         return right

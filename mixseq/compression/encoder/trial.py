@@ -94,13 +94,16 @@ def chunk_ranges(frame_count: int, size: int = DEFAULT_CHUNK_FRAMES) -> list[ran
 
 
 def round_coefficients(
-    basis: SpatialBasis, coefficients: Float, step: float, size: int = DEFAULT_CHUNK_FRAMES
+    basis: SpatialBasis, coefficients: Float, step: float, spans: Sequence[range]
 ) -> tuple[Float, list[list[Signal]]]:
-    """Round coefficients ``(T, K, d)`` of the varying vectors; return decoded coefficients, and signals by chunk."""
+    """Round coefficients ``(T, K, d)`` of the varying vectors; return decoded coefficients, and signals by chunk.
+
+    `spans` are the ranges of the times in every chunk.
+    """
     scales, part_ids = basis.norms[basis.varying] / step, basis.part_ids[basis.varying]
     decoded = np.empty_like(coefficients)
     vector_ids = [np.flatnonzero(part_ids == part) for part in range(len(basis.part_bases))]
-    work = [(frames, ids) for frames in chunk_ranges(len(coefficients), size) for ids in vector_ids]
+    work = [(frames, ids) for frames in spans for ids in vector_ids]
     rounded = two_thread_executor()(_round_chunk, coefficients * scales[:, None], work)
     signals: list[list[Signal]] = []
     for (frames, ids), (values, part_signals) in zip(work, rounded, strict=True):
@@ -241,7 +244,8 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int
     # Vectors over the whole mesh are longer; coefficients are rounded as accurately as for those.
     length_ratio = candidate.share**-0.5
     exact = order_coefficients(basis, [fit.coefficients for fit in fits])
-    decoded, signals = round_coefficients(basis, exact * (length_ratio / scales[:, None]), step, chunk)
+    spans = tuple(chunk_ranges(len(sequence.points), chunk))
+    decoded, signals = round_coefficients(basis, exact * (length_ratio / scales[:, None]), step, spans)
     unit_coefficients = decoded * (scales[:, None] / length_ratio)
     squares = candidate.components.left_out
     for part, fit in enumerate(fits):
@@ -251,7 +255,7 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int
         squares = squared_error(sequence, basis, decoded)
     ranks = tuple(map(len, vectors))
     error = float(np.sqrt(max(squares, 0.0)))
-    spans, coding = tuple(chunk_ranges(len(decoded), chunk)), Coding(candidate, rounded, signals)
+    coding = Coding(candidate, rounded, signals)
     if sum(part.size for part in vectors) + decoded.size > MAX_PENDING_NUMBERS:
         _ = coding.streams
     return Trial(candidate, step, ranks, basis, decoded, spans, coding, error)

@@ -4,10 +4,11 @@ import { MixseqError } from "./errors.js";
 
 const MAX_PARTS = 128;
 const MAX_UV_STEPS = 2 ** 26;
+const MAX_INBETWEEN_LEVELS = 3;
 const MAX_MEMORY = 2 ** 32; // bytes that a sequence may take
 const PARAMETERS = [
   "factors", "rank", "frame_count", "step", "diagonal", "max_error", "kg_percent", "promised", "correction", "ranks", "uv_steps",
-  "uv_error", "label_count",
+  "uv_error", "label_count", "inbetween_levels", "inbetween_step", "inbetween_error",
 ];
 
 const isCount = (value) => Number.isInteger(value) && value > 0;
@@ -19,6 +20,7 @@ export function readFacts(text) {
   if (unknown !== undefined) throw new MixseqError(`the parameter ${unknown} is unknown to this decoder; take a newer one`);
   const { vertex_count: vertices, polygon_count: polygons, corner_count: corners, frame_count: frames, fps } = facts;
   const { factors, rank, ranks = [], uv_steps: steps = null, uv_error: error = null, label_count: labels = null } = given, shapes = factors === "shapes";
+  const { inbetween_levels: levels = null, inbetween_step: betweenStep = null, inbetween_error: betweenError = null } = given;
   const parts = Array.isArray(ranks) ? ranks : [0];
   const checks = {
     vertex_count: isCount(vertices),
@@ -36,12 +38,15 @@ export function readFacts(text) {
     correction: isNonNegative(given.correction ?? 0),
     uv_steps: steps === null ? error === null : isCount(steps) && steps <= MAX_UV_STEPS && isNonNegative(error),
     label_count: labels === null || (isCount(labels) && labels <= MAX_PARTS),
+    inbetween_levels: levels === null || (isCount(levels) && levels <= MAX_INBETWEEN_LEVELS),
+    inbetween_step: levels === null ? betweenStep === null : isNonNegative(betweenStep) && betweenStep > 0,
+    inbetween_error: betweenError === null || isNonNegative(betweenError),
     fps: isNonNegative(fps) && fps > 0,
     first_time: Number.isFinite(facts.first_time),
   };
   const wrong = Object.keys(checks).find((name) => !checks[name]);
   if (wrong) throw new MixseqError(`${wrong} is out of range; it is damaged`);
-  const bytes = 64 * (vertices + frames) + 320 * corners + 16 * rank * ((shapes ? 3 : 1) * vertices + (shapes ? 9 : 3) * frames);
+  const bytes = 64 * (vertices + frames) + 320 * corners + 16 * rank * ((shapes ? 3 : 1) * vertices + (shapes ? 9 : 3) * frames * 2 ** (levels ?? 0));
   if (bytes > MAX_MEMORY) throw new MixseqError(`it would take ${Math.ceil(bytes / 2 ** 30)} GiB of memory, more than the allowed 4 GiB`);
   return {
     name: String(facts.name ?? ""), fps, upAxis: String(facts.up_axis ?? "y"), metresPerUnit: Number(facts.metres_per_unit ?? 1),
@@ -50,7 +55,7 @@ export function readFacts(text) {
     parameters: {
       factors, rank, ranks: parts.length ? parts : [rank], step: given.step, diagonal: given.diagonal, maxError: given.max_error,
       kgPercent: given.kg_percent, promised: given.promised, correction: given.correction ?? 0, uvSteps: steps, uvError: error,
-      labelCount: labels,
+      labelCount: labels, inbetweenLevels: levels ?? 0, inbetweenStep: betweenStep, inbetweenError: betweenError,
     },
   };
 }

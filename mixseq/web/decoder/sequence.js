@@ -8,7 +8,7 @@ import { triangulated } from "./polygons.js";
 import { evaluate } from "./evaluation.js";
 import { ResidualLayer } from "./residual_layer.js";
 import { meshGraph } from "./signal_graph.js";
-import { readBasis, readWeights } from "./spatial_basis.js";
+import { readBasis, readLevels, readWeights } from "./spatial_basis.js";
 import { readIndex } from "./stream_index.js";
 import { readTimes } from "./times.js";
 export { MixseqError };
@@ -34,6 +34,7 @@ export class Sequence {
   #triangles;
   #basis;
   #weights = [];
+  #inbetweens = []; // of every chunk, level by level; null if all are zero
 
   constructor({ firstTime, between, ...facts }, streams, surface, times) {
     Object.assign(this, facts, { streams, surface });
@@ -73,6 +74,7 @@ export class Sequence {
     const { basis } = this.#decoded(), { first, count } = chunk, { coefficients } = this.streams.chunks[number];
     this.#weights[number] = guarded(`the coefficients of frames ${first} to ${first + count - 1}`, () =>
       readWeights(coefficients, basis, count, this.parameters.step, this.frameCount));
+    this.#inbetweens[number] = guarded(`the in-betweens of frames ${first} to ${first + count - 1}`, () => this.#readInbetweens(number, basis));
     chunk.loaded = true;
   }
 
@@ -104,15 +106,16 @@ export class Sequence {
   share(number) {
     this.load(number);
     const { basis, residuals } = this.#decoded();
-    return { polygons: this.polygons(), triangles: this.triangles(), basis, number, weights: this.#weights[number], residuals: residuals?.chunk(number) };
+    return { polygons: this.polygons(), triangles: this.triangles(), basis, number, weights: this.#weights[number], inbetweens: this.#inbetweens[number], residuals: residuals?.chunk(number) };
   }
 
   /** Take the result of `share` of the same sequence, instead of decoding it. */
-  take({ polygons, triangles, basis, number, weights, residuals }) {
+  take({ polygons, triangles, basis, number, weights, inbetweens, residuals }) {
     this.#polygons ??= polygons;
     this.#triangles ??= triangles;
     this.#basis ??= this.#playable(basis, () => meshGraph(triangles, this.vertexCount).graph);
     this.#weights[number] = weights;
+    this.#inbetweens[number] = inbetweens;
     this.chunks[number].loaded = true;
     if (residuals) this.#residuals().take(number, residuals);
   }
@@ -142,14 +145,34 @@ export class Sequence {
     const { chunks } = this.streams, width = 3 * basis.fields.count, displaced = chunks.some(({ residuals }) => residuals.length);
     return {
       basis, width,
-      curve: new Curve(this.times, this.#between, width, (frame) => this.#row(frame)),
+      curve: new Curve(this.times, this.#between, width, (frame) => this.#row(frame), this.parameters.inbetweenLevels,
+        (level, number) => this.#offsets(level, number)),
       residuals: displaced ? new ResidualLayer(this.times, chunks, graphOf, this.parameters.correction) : null,
     };
   }
 
-  #row(frame) {
+  #readInbetweens(number, basis) {
+    const { first, count, inbetweens } = this.streams.chunks[number], intervals = Math.min(count, this.frameCount - 1 - first);
+    const counts = Array.from({ length: this.parameters.inbetweenLevels }, (_, level) => intervals << level);
+    return inbetweens.length ? readLevels(inbetweens, basis, counts, this.parameters.inbetweenStep) : null;
+  }
+
+  /** The offsets of weights at a middle between knots, of a level from 0 on; null if they are zero. */
+  #offsets(level, middle) {
+    const number = this.#chunkOf(middle >> level), inbetweens = this.#inbetweens[number];
+    const { width } = this.#decoded(), start = (middle - (this.chunks[number].first << level)) * width;
+    return inbetweens && inbetweens[level].subarray(start, start + width);
+  }
+
+  /** The number of the chunk of a frame, which is loaded. */
+  #chunkOf(frame) {
     const number = this.chunks.findIndex(({ first, count }) => frame < first + count);
     this.load(number);
+    return number;
+  }
+
+  #row(frame) {
+    const number = this.#chunkOf(frame);
     const { width } = this.#decoded(), start = (frame - this.chunks[number].first) * width;
     return this.#weights[number].subarray(start, start + width);
   }

@@ -115,21 +115,35 @@ function splitParts(labels, number, triangles) {
 
 /** Read the weights of all fields in the frames of a chunk, frame by frame, of a sequence of `frames` frames. */
 export function readWeights(stream, basis, count, step, frames) {
-  const { shapes, owners, norms, fields } = basis, width = 3 * fields.count, graph = pathGraph(count);
-  const weights = new Float64Array(count * width), models = newNumberModels(), reader = new Reader(stream);
-  const coders = fields.parts.map(() => new SignalCoder(graph, graph, shapes ? 1 : 3, models));
-  owners.forEach((part, vector) => {
-    if (shapes && !vector) return spreadAxes(weights, width, 0, new Float64Array(count).fill(1 / Math.sqrt(frames)));
-    for (let axis = 0; axis < (shapes ? 1 : 3); axis++) {
-      const values = coders[part].read(reader), unit = step / UNITS_PER_STEP / norms[vector];
-      for (let frame = 0; frame < count; frame++) values[frame] *= unit;
-      if (shapes) spreadAxes(weights, width, 9 * vector, values);
-      else for (let frame = 0; frame < count; frame++) weights[frame * width + 3 * vector + axis] = values[frame];
-    }
+  const [weights] = readLevels(stream, basis, [count], step);
+  if (basis.shapes) spreadAxes(weights, 3 * basis.fields.count, 0, new Float64Array(count).fill(1 / Math.sqrt(frames)));
+  return weights;
+}
+
+/**
+ * Read weights at as many times as each of `counts` says, time by time: of the frames of a chunk, or of its levels of
+ * in-betweens. The weight of the mean of shapes stays zero.
+ */
+export function readLevels(stream, basis, counts, step) {
+  const { shapes, owners, norms, fields } = basis, width = 3 * fields.count;
+  const models = newNumberModels(), reader = new Reader(stream);
+  const levels = counts.map((count) => {
+    const weights = new Float64Array(count * width), graph = pathGraph(count);
+    const coders = fields.parts.map(() => new SignalCoder(graph, graph, shapes ? 1 : 3, models));
+    owners.forEach((part, vector) => {
+      if (shapes && !vector) return;
+      for (let axis = 0; axis < (shapes ? 1 : 3); axis++) {
+        const values = coders[part].read(reader), unit = step / UNITS_PER_STEP / norms[vector];
+        for (let k = 0; k < count; k++) values[k] *= unit;
+        if (shapes) spreadAxes(weights, width, 9 * vector, values);
+        else for (let k = 0; k < count; k++) weights[k * width + 3 * vector + axis] = values[k];
+      }
+    });
+    return weights;
   });
   reader.finish();
-  if (!weights.every(Number.isFinite)) throw new MixseqError("coded signals are not finite; it is damaged");
-  return weights;
+  if (!levels.every((weights) => weights.every(Number.isFinite))) throw new MixseqError("coded signals are not finite; it is damaged");
+  return levels;
 }
 
 /** Set the weights of the fields x, y and z of a shape, for x, y and z. */

@@ -7,10 +7,11 @@ const HEAD_SIZE = 16; // bytes
 
 /**
  * The streams of `bytes`, each checked: `connectivity`, `surface`, `times` and, if `parameters` tell so, `uvs`; a list for the `basis`;
- * and `chunks` with their `first` frame, `count` of frames, `coefficients` and `residuals`.
+ * and `chunks` with their `first` frame, `count` of frames, `coefficients`, `residuals` and `inbetweens`, empty if there are none.
  */
 export function readIndex(text, bytes, parameters) {
   const hasUvs = parameters.uvSteps !== null, hasLabels = parameters.labelCount !== null;
+  const hasInbetweens = parameters.inbetweenLevels > 0;
   const damaged = new MixseqError("the index is damaged, so nothing can be read");
   if (bytes.length < HEAD_SIZE) throw damaged;
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.length), word = (at) => view.getUint32(at, true);
@@ -20,7 +21,7 @@ export function readIndex(text, bytes, parameters) {
   const numbers = readLeb128(bytes.subarray(HEAD_SIZE, middle)), [groups, chunks] = numbers;
   const counts = numbers.slice(2, 2 + chunks), lengths = numbers.slice(2 + chunks);
   const checksumCount = (end - middle) / 4 - 1, nonemptyCount = lengths.filter((length) => length > 0).length;
-  if (lengths.length !== 3 + hasUvs + hasLabels + groups + 2 * chunks || counts.includes(0) || checksumCount !== nonemptyCount) throw damaged;
+  if (lengths.length !== 3 + hasUvs + hasLabels + groups + (2 + hasInbetweens) * chunks || counts.includes(0) || checksumCount !== nonemptyCount) throw damaged;
 
   let start = end, checksum = middle, next = 0;
   const stream = (name) => {
@@ -38,8 +39,9 @@ export function readIndex(text, bytes, parameters) {
     chunks: counts.map((count) => {
       const frames = `of frames ${first} to ${first + count - 1}`;
       const coefficients = stream(`the coefficients ${frames}`), residuals = stream(`the residuals ${frames}`);
+      const inbetweens = hasInbetweens ? stream(`the in-betweens ${frames}`) : new Uint8Array(0);
       first += count;
-      return { first: first - count, count, coefficients, residuals };
+      return { first: first - count, count, coefficients, residuals, inbetweens };
     }),
   };
 }

@@ -90,7 +90,7 @@ class Ours:
         bound: dict[str, Any] = dict([setting])
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder, "coded.h5")
-            mixseq.save(path, mixseq.compress(sequence, **bound))
+            mixseq.save(path, mixseq.compress(sequence, **bound, inbetweens=False))
             return path.read_bytes()
 
     def signals(self, mesh: mixseq.Topology, data: bytes) -> int:

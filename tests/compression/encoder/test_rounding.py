@@ -133,12 +133,12 @@ def bars_basis(kind: BasisKind) -> tuple[SpatialBasis, Float]:
 @pytest.mark.parametrize("kind", BASIS_KINDS)
 def test_every_chunk_comes_back_by_itself(kind: BasisKind) -> None:
     basis, coefficients = bars_basis(kind)
-    decoded, signals = round_coefficients(basis, coefficients, STEP, 100)
-    streams = [code_coefficients(some) for some in signals]
     parts = chunk_ranges(300, 100)
+    decoded, signals = round_coefficients(basis, coefficients, STEP, parts)
+    streams = [code_coefficients(some) for some in signals]
     assert len(parts) == len(streams) == 3
     for part, stream in list(zip(parts, streams, strict=True))[::-1]:
-        found = read_coefficients(basis, stream, len(part), STEP)
+        [found] = read_coefficients(basis, stream, [len(part)], STEP)
         np.testing.assert_array_equal(found, decoded[part.start : part.stop])
 
 
@@ -146,7 +146,7 @@ def test_every_chunk_comes_back_by_itself(kind: BasisKind) -> None:
 def test_coefficients_are_rounded_by_what_they_move(kind: BasisKind) -> None:
     """A coefficient times the norm of its vector is rounded to steps: all vectors err alike."""
     basis, coefficients = bars_basis(kind)
-    decoded, _ = round_coefficients(basis, coefficients, STEP)
+    decoded, _ = round_coefficients(basis, coefficients, STEP, chunk_ranges(300))
     errors = np.abs(decoded - coefficients) * basis.norms[basis.varying][:, None]
     assert errors.max() <= (1 - ROUNDING_MARGINS.min() + 1e-9) * STEP
     assert (errors.max(axis=(0, 2)) > 0.3 * STEP).all()

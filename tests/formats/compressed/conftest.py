@@ -17,12 +17,11 @@ from tests.meshes import bar
 
 @pytest.fixture
 def coded() -> CompressedSequence:
-    """Three groups of basis vectors; chunks of 4, 4, 4 and 2 frames, the third of which has no residuals."""
+    """Three groups of basis vectors; chunks of 4, 4, 4 and 2 frames, the third of which has only coefficients."""
     header = replace(bar(5, 15, 14).header, name="Füchsin", up_axis="Z", metres_per_unit=0.01)
-    sizes = [(4, 301, 50), (4, 302, 60), (4, 303, 0), (2, 304, 40)]
+    sizes = [(4, 301, 50, 20), (4, 302, 60, 30), (4, 303, 0, 0), (2, 304, 40, 10)]
     chunks = tuple(
-        Chunk(4 * number, count, any_bytes(coefficients), any_bytes(residuals))
-        for number, (count, coefficients, residuals) in enumerate(sizes)
+        Chunk(4 * number, count, *map(any_bytes, of_streams)) for number, (count, *of_streams) in enumerate(sizes)
     )
     groups = tuple(any_bytes(size) for size in (500, 600, 700))
     return CompressedSequence(header, PARAMETERS, groups, chunks, between=BETWEEN)

@@ -25,6 +25,9 @@ PARAMETERS = CodingParameters(
     max_error=1e-3,
     kg_percent=1 / 3,
     promised=True,
+    inbetween_levels=2,
+    inbetween_step=0.7,
+    inbetween_error=0.1 + 0.2,
 )
 
 BETWEEN = TemporalInterpolation(2.8, (1 / 3, 0.1 + 0.2))

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from zlib import crc32
 
 import h5py
@@ -15,24 +16,25 @@ import pytest
 import mixseq
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import FormatError
-from mixseq_io.coded.streams import Stream, StreamIndex
+from mixseq_io.coded.streams import StreamIndex
 from mixseq_io.verification import compressed_sizes, is_compressed, read_compressed
 from tests.formats.compressed.stream_cases import assert_same, damage, flip, index_of, place_of
 
 pytestmark = pytest.mark.slow
 
-STREAMS: list[tuple[Callable[[StreamIndex], Stream], str]] = [
+STREAMS: list[tuple[Callable[[StreamIndex], Any], str]] = [
     (lambda index: index.header["connectivity"], "the connectivity's bytes are damaged"),
     (lambda index: index.basis[0], "the basis vectors of group 0 are damaged"),
     (lambda index: index.basis[2], "the basis vectors of group 2 are damaged"),
     (lambda index: index.chunks[0].coefficients, "the coefficients of frames 0 to 3 are damaged"),
     (lambda index: index.chunks[3].coefficients, "the coefficients of frames 12 to 13 are damaged"),
     (lambda index: index.chunks[1].residuals, "the residuals of frames 4 to 7 are damaged"),
+    (lambda index: index.chunks[3].inbetweens, "the in-betweens of frames 12 to 13 are damaged"),
 ]
 
 
 @pytest.mark.parametrize(("stream", "message"), STREAMS, ids=[message for _, message in STREAMS])
-def test_damage_is_named(path: Path, stream: Callable[[StreamIndex], Stream], message: str) -> None:
+def test_damage_is_named(path: Path, stream: Callable[[StreamIndex], Any], message: str) -> None:
     damage(path, stream(index_of(path)))
     with pytest.raises(FormatError, match=rf"small\.(h5|glb): {message}; restore the file"):
         mixseq.load(path)

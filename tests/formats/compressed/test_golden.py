@@ -56,6 +56,17 @@ def test_what_the_golden_file_says_of_the_time_between_frames_still_holds() -> N
     assert 0 < coded.between.length < inf
 
 
+def test_what_the_golden_file_says_of_inbetweens_still_holds() -> None:
+    path = GOLDEN / "compressed-v1-inbetweens.h5"
+    model = mixseq.load(path)
+    assert isinstance(model, CompressedModel)
+    with np.load(path.with_suffix(".npz")) as expected:
+        for times in ("times", "between_times"):
+            points = expected["points" if times == "times" else "between"]
+            np.testing.assert_allclose(model.playback.sample(expected[times]).points, points, atol=1e-9)
+    assert len(model.playback.inbetweens) == 2
+
+
 def test_the_golden_glb_has_text_and_streams_of_the_golden_file() -> None:
     glb, h5 = (GOLDEN / f"compressed-v1-between{suffix}" for suffix in (".glb", ".h5"))
     assert read_container(glb) == read_container(h5)

@@ -1,0 +1,159 @@
+"""Find the in-betweens: numbers with which players show the motion of the fitted model between frames.
+
+A spline of the vertices through the frames shrinks parts that rotate. The model that is fitted to the decoded frames
+does not. At the middles between frames, its vertices are projected to the spatial basis by least squares, and the
+offsets of the coefficients from the spline are rounded and coded like the coefficients at the frames. The spline then
+also passes through the middles, and the next level follows, at the middles between its knots. Levels end when the
+spline is as near to the model as the frames are to the original, or when a level does not pay.
+
+Short sequences may have a basis that does not contain the poses between their frames. Then no level pays.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from mixseq.compression.bitstream.compressed_sequence import (
+    MAX_INBETWEEN_LEVELS,
+    CompressedSequence,
+    Playback,
+    inbetween_intervals,
+)
+from mixseq.compression.bitstream.signal_coder import Signal
+from mixseq.compression.compressed_model import CompressedModel
+from mixseq.compression.encoder.components import solve_damped
+from mixseq.compression.encoder.trial import code_coefficients, round_coefficients
+from mixseq.errors import MixseqError, MixseqWarning
+from mixseq.runtime.low_memory import LargeArray, new_large_array
+from mixseq.runtime.progress import Progress
+from mixseq.signals.model import Model
+from mixseq.spaces.temporal import insert_midpoints
+from mixseq.types import Float
+
+MAX_SIZE_RATIO = 0.15
+"""Largest ratio of the bytes of in-betweens to those of basis, coefficients and residual layer."""
+
+MAX_ERROR_RATIO = 0.8
+"""Largest ratio of root mean square errors, after to before a level, at which the level is kept."""
+
+ROUNDING_RATIO = 0.2
+"""Ratio of the mean square rounding error of in-betweens to the mean square distance of the basis from the model."""
+
+STEP_FACTORS = (1, 2, 4, 8, 16, 32)
+"""Multiples of the step that are tried for the middles between frames, until the bytes suffice."""
+
+
+def add_inbetweens(
+    coded: CompressedSequence, playback: Playback, size: int | None, progress: Progress
+) -> CompressedSequence:
+    """Add in-betweens to a compressed sequence of two or more frames, and the error between frames.
+
+    `size` is the largest number of bytes of the signals; None allows `MAX_SIZE_RATIO` more bytes than without.
+    """
+    parameters = coded.parameters
+    bytes_at_frames = sum(map(len, coded.basis)) + sum(len(c.coefficients) + len(c.residuals) for c in coded.chunks)
+    max_bytes = MAX_SIZE_RATIO * bytes_at_frames if size is None else size - bytes_at_frames
+    intervals = [inbetween_intervals(c.first, c.count, parameters.frame_count) for c in coded.chunks]
+    try:
+        model = CompressedModel.from_playback(playback, coded.parts).fit(progress)
+    except MixseqError as error:
+        warnings.warn(
+            f"there are no in-betweens, as no model fits the decoded frames: {error}", MixseqWarning, stacklevel=4
+        )
+        return coded
+    known: list[list[Signal]] = [[] for _ in coded.chunks]
+    streams = [b"" for _ in coded.chunks]
+    times, largest_error, step = insert_midpoints(playback.times)[1::2], 0.0, 0.0
+    while True:
+        level = len(playback.inbetweens)
+        points = _decode(model, times)
+        largest, squares = _distances(playback, points, times)
+        is_within = largest <= parameters.max_error * parameters.diagonal
+        if is_within or level == MAX_INBETWEEN_LEVELS or not playback.coefficients.size:
+            break
+        exact = _project(playback, points, times)
+        offsets = exact - playback.curve(times).reshape(exact.shape)
+        if not level:
+            least = _distances(_with_level(playback, offsets), points, times)[1]
+            step = max(parameters.step, float(np.sqrt(12 * ROUNDING_RATIO * least / offsets.size)))
+        spans = [range(chunk.start << level, chunk.stop << level) for chunk in intervals]
+        for factor in (1,) if level else STEP_FACTORS:
+            rounded, signals = round_coefficients(playback.basis, offsets, factor * step, spans)
+            signals = [[*earlier, *of_level] for earlier, of_level in zip(known, signals, strict=True)]
+            longer = [code_coefficients(chunk) if _has_numbers(chunk) else b"" for chunk in signals]
+            is_small = sum(map(len, longer)) <= max_bytes
+            if is_small:
+                break
+        finer = _with_level(playback, rounded)
+        largest_left, squares_left = _distances(finer, points, times)
+        if not is_small or squares_left > MAX_ERROR_RATIO**2 * squares:
+            break
+        playback, known, streams, step, largest_error = (
+            finer,
+            signals,
+            longer,
+            factor * step,
+            max(largest_error, largest_left),
+        )
+        times = insert_midpoints(playback.curve.times)[1::2]
+    largest_error = max(largest_error, largest) / parameters.diagonal
+    parameters = replace(parameters, inbetween_error=float(f"{largest_error:.3g}"))
+    if playback.inbetweens:
+        parameters = replace(parameters, inbetween_levels=len(playback.inbetweens), inbetween_step=step)
+    chunks = tuple(replace(chunk, inbetweens=stream) for chunk, stream in zip(coded.chunks, streams, strict=True))
+    return replace(coded, parameters=parameters, chunks=chunks)
+
+
+def _with_level(playback: Playback, offsets: Float) -> Playback:
+    """Return a playback with one more level of in-betweens ``(N, K, d)``."""
+    return replace(playback, inbetweens=(*playback.inbetweens, offsets))
+
+
+def _decode(model: Model, times: Float) -> LargeArray:
+    """Return the points ``(N, V, 3)`` of a model at times ``(N,)``."""
+    points = new_large_array((len(times), model.header.vertex_count, 3))
+    start = 0
+    for block in model.blocks(times):
+        points[start : start + len(block)] = block
+        start += len(block)
+    return points
+
+
+def _distances(playback: Playback, points: LargeArray, times: Float) -> tuple[float, float]:
+    """Return the largest distance of a vertex from points ``(N, V, 3)`` at times ``(N,)``, and the sum of squares."""
+    largest = total = 0.0
+    start = 0
+    for block in playback.blocks(times):
+        squares = np.square(points[start : start + len(block)] - block).sum(axis=2)
+        largest, total = max(largest, float(squares.max())), total + float(squares.sum())
+        start += len(block)
+    return float(np.sqrt(largest)), total
+
+
+def _project(playback: Playback, points: LargeArray, times: Float) -> Float:
+    """Return the coefficients ``(N, K, d)`` nearest to points ``(N, V, 3)`` at times ``(N,)``, by least squares."""
+    basis, layer = playback.basis, playback.residual_layer
+    part_ids, norms = basis.part_ids[basis.varying], basis.norms[basis.varying]
+    vectors = [part.vectors.reshape(len(part.vectors), -1)[basis.varying] for part in basis.part_bases]
+    units = [of_part / norms[part_ids == part, None] for part, of_part in enumerate(vectors)]
+    coefficients = np.empty((len(times), *playback.coefficients.shape[1:]))
+    rest = basis.frames(np.zeros((1, *coefficients.shape[1:])))[0]  # the mean shape, or zero
+    for row, time in enumerate(times):
+        target = points[row : row + 1][0] - rest
+        if layer is not None:
+            target -= layer.at(time[None])[0]
+        for part, (vertices, _) in enumerate(basis.part_bases):
+            moved = target[vertices] if basis.kind == "trajectories" else target.T.reshape(-1, 1)
+            coefficients[row, part_ids == part] = units[part] @ moved
+    for part, unit in enumerate(units):
+        products = coefficients[:, part_ids == part].transpose(1, 0, 2)
+        nearest = solve_damped(unit @ unit.T, products.reshape(len(unit), -1)).reshape(products.shape)
+        coefficients[:, part_ids == part] = nearest.transpose(1, 0, 2)
+    return coefficients / norms[:, None]
+
+
+def _has_numbers(signals: list[Signal]) -> bool:
+    return any(signal.numbers.any() for signal in signals)

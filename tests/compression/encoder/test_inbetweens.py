@@ -1,0 +1,177 @@
+"""In-betweens bring players to the model that is fitted, within the bytes and the error that are told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mixseq
+from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode, inbetween_intervals
+from mixseq.compression.bitstream.signal_coder import Signal
+from mixseq.compression.bitstream.spatial_basis import encode_face_labels
+from mixseq.compression.compressed_model import CompressedModel
+from mixseq.compression.encoder.compress import compress
+from mixseq.compression.encoder.inbetweens import MAX_SIZE_RATIO, _project
+from mixseq.compression.encoder.trial import code_coefficients, round_coefficients
+from mixseq.errors import MixseqWarning, ReconstructionError, SettingsError
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.spaces.temporal import insert_midpoints
+from mixseq.types import Float
+from tests.compression.test_golden import stored
+from tests.meshes import bar, rotation, tube
+
+
+def with_random_inbetweens(coded: CompressedSequence, levels: int) -> CompressedSequence:
+    """Return a sequence with in-betweens of up to nine steps, twice those of frames.
+
+    Those of the last chunk are zero if there are several.
+    """
+    playback, rng = decode(coded), np.random.default_rng(0)
+    norms = playback.basis.norms[playback.basis.varying]
+    intervals = [inbetween_intervals(c.first, c.count, coded.parameters.frame_count) for c in coded.chunks]
+    signals: list[list[Signal]] = [[] for _ in coded.chunks]
+    step = 2 * coded.parameters.step
+    for level in range(levels):
+        spans = [range(chunk.start << level, chunk.stop << level) for chunk in intervals]
+        numbers = rng.integers(-9, 10, (spans[-1].stop, *playback.coefficients.shape[1:]))
+        _, of_level = round_coefficients(playback.basis, step * numbers / norms[:, None], step, spans)
+        for known, new in zip(signals, of_level, strict=True):
+            known += new
+    streams = [code_coefficients(chunk) for chunk in signals]
+    if len(streams) > 1:
+        streams[-1] = b""
+    chunks = tuple(replace(chunk, inbetweens=stream) for chunk, stream in zip(coded.chunks, streams, strict=True))
+    return replace(
+        coded, chunks=chunks, parameters=replace(coded.parameters, inbetween_levels=levels, inbetween_step=step)
+    )
+
+
+def bending_tube() -> MeshSequence:
+    """A tube that bends at its middle by up to 120 degrees and back, 60 degrees per frame."""
+    points, faces = tube(6, 12)
+    height = points[:, 2] - points[:, 2].mean()
+    shares = np.clip(height / (0.2 * np.ptp(height)) + 0.5, 0, 1)
+    centred = np.column_stack([points[:, :2], height])
+    frames = []
+    for angle in np.radians([0, 60, 120, 120, 60, 0]):
+        turns = np.stack([rotation((share * angle, 0.0, 0.0)) for share in shares])
+        frames.append(np.einsum("vij,vj->vi", turns, centred))
+    return MeshSequence.from_arrays(np.stack(frames), faces, fps=6)
+
+
+@pytest.fixture(scope="module")
+def coded() -> CompressedSequence:
+    return compress(bending_tube(), max_error=1e-3)
+
+
+def rms(values: Float) -> float:
+    return float(np.sqrt(np.square(values).mean()))
+
+
+def signal_size(coded: CompressedSequence) -> int:
+    return sum(map(len, coded.basis)) + sum(len(c.coefficients) + len(c.residuals) for c in coded.chunks)
+
+
+def test_players_are_nearer_to_the_model(coded: CompressedSequence) -> None:
+    model, unit = CompressedModel.from_sequence(coded), coded.parameters.diagonal
+    spline = replace(model.playback, inbetweens=())
+    knots = model.playback.curve.times
+    times = np.union1d(knots, insert_midpoints(knots))
+    exact = model.fitted.decode_points(times)
+    before, after = (
+        np.linalg.norm(playback.decode_points(times) - exact, axis=2) / unit for playback in (spline, model.playback)
+    )
+    assert before.max() > 5 * coded.parameters.max_error
+    assert rms(after) < 0.25 * rms(before)
+    assert coded.parameters.inbetween_error is not None
+    assert after.max() == pytest.approx(coded.parameters.inbetween_error, rel=0.01)
+    assert 0 < sum(len(chunk.inbetweens) for chunk in coded.chunks) <= MAX_SIZE_RATIO * signal_size(coded)
+
+
+def test_frames_stay_as_they_are(coded: CompressedSequence) -> None:
+    plain = compress(bending_tube(), max_error=1e-3, inbetweens=False)
+    assert plain.parameters.inbetween_levels is None
+    assert plain.parameters.inbetween_error is None
+    np.testing.assert_array_equal(decode(coded).sample().points, decode(plain).sample().points)
+    assert [(c.coefficients, c.residuals) for c in coded.chunks] == [
+        (c.coefficients, c.residuals) for c in plain.chunks
+    ]
+
+
+def test_a_still_shape_needs_none() -> None:
+    """A translation is a spline in any model: nothing is stored, and what is told is rounding."""
+    sequence = bar(5, 9, 1)
+    shifts = np.linspace(0, 1, 6)[:, None, None] * [1.0, 0.5, 0.0]
+    coded = compress(MeshSequence.from_arrays(sequence.points + shifts, sequence.faces), max_error=1e-3)
+    assert coded.parameters.inbetween_levels is None
+    assert coded.parameters.inbetween_error is not None
+    assert coded.parameters.inbetween_error <= 1e-3
+
+
+def test_one_frame_has_nothing_between() -> None:
+    assert compress(bar(5, 9, 1), max_error=1e-3).parameters.inbetween_error is None
+
+
+def test_a_model_that_does_not_fit_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise ReconstructionError("a vertex is off")
+
+    monkeypatch.setattr(CompressedModel, "fit", fail)
+    with pytest.warns(MixseqWarning, match="no in-betweens, as no model fits the decoded frames: a vertex is off"):
+        coded = compress(bending_tube(), max_error=1e-3)
+    assert coded.parameters.inbetween_error is None
+
+
+def test_a_size_is_kept() -> None:
+    sequence = bending_tube()
+    coded = compress(sequence, size=600)
+    labels = 0 if coded.parts is None else len(encode_face_labels(coded.parts, coded.header.faces))
+    assert labels + signal_size(coded) + sum(len(chunk.inbetweens) for chunk in coded.chunks) <= 600
+
+
+@pytest.mark.parametrize("name", ["parts", "shapes", "bounded"])
+def test_projection_finds_the_coefficients_of_decoded_frames(name: str) -> None:
+    playback = decode(stored(name)[0])
+    found = _project(playback, playback.decode_points(playback.times), playback.times)
+    norms = playback.basis.norms[playback.basis.varying, None]
+    off = np.abs((found - playback.coefficients) * norms).max()
+    assert off < 1e-3 * stored(name)[0].parameters.step
+
+
+@pytest.mark.parametrize(("name", "levels"), [("parts", 1), ("shapes", 2), ("long", 3)])
+def test_files(tmp_path: Path, name: str, levels: int) -> None:
+    """Curves through a file's in-betweens differ from the spline of the level below by whole steps."""
+    coded = with_random_inbetweens(stored(name)[0], levels)
+    mixseq.save(tmp_path / "coded.h5", coded)
+    model = mixseq.load(tmp_path / "coded.h5")
+    assert isinstance(model, CompressedModel)
+    playback, expected = model.playback, decode(coded)
+    np.testing.assert_array_equal(playback.curve.values, expected.curve.values)
+    lower = replace(playback, inbetweens=playback.inbetweens[:-1]).curve
+    middles = insert_midpoints(playback.times) if levels == 1 else insert_midpoints(lower.times)
+    offsets = (playback.curve.values - lower(middles))[1::2].reshape(-1, *playback.coefficients.shape[1:])
+    steps = offsets * playback.basis.norms[playback.basis.varying, None] / (2 * coded.parameters.step)
+    assert np.abs(steps).max() == pytest.approx(9, abs=1)
+    np.testing.assert_allclose(64 * steps, np.rint(64 * steps), atol=1e-3)
+
+
+@pytest.mark.parametrize("levels", [0, 4, 1.0, True])
+def test_levels_out_of_range_are_refused(coded: CompressedSequence, levels: int) -> None:
+    with pytest.raises(SettingsError, match="inbetween_levels"):
+        replace(coded.parameters, inbetween_levels=levels)
+
+
+def test_levels_and_step_come_together(coded: CompressedSequence) -> None:
+    with pytest.raises(SettingsError, match="come together"):
+        replace(coded.parameters, inbetween_step=None)
+    with pytest.raises(SettingsError, match="inbetween_step"):
+        replace(coded.parameters, inbetween_step=0.0)
+
+
+@pytest.mark.parametrize("error", [-1.0, np.inf, "1"])
+def test_errors_out_of_range_are_refused(coded: CompressedSequence, error: float) -> None:
+    with pytest.raises(SettingsError, match="inbetween_error"):
+        replace(coded.parameters, inbetween_error=error)
