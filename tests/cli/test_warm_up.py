@@ -47,8 +47,8 @@ def run(code: str, folder: Path) -> tuple[list[str], dict[str, list[str]]]:
 
 
 def kinds_of(name: str, types: list[str]) -> set[str]:
-    """Types with which a function was called; complex steps of the mixed space are its own functions once more."""
-    stepped = name.startswith("mixseq.spaces.mixed.")
+    """Types with which a function was called; complex steps of projections count as real numbers."""
+    stepped = name.startswith(("mixseq.spaces.mixed.", "mixseq.shells.face_frames."))
     return {each.replace("complex128", "float64") if stepped else each for each in types}
 
 
