@@ -50,6 +50,7 @@ def attempts(points: FloatArray, faces: Index, bounds: tuple[float, ...]) -> Ite
 def _attempt(points: FloatArray, faces: Index, way: Way, bound: float) -> tuple[Kind, float | None, str]:
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("error")  # numbers that overflow are no way to keep a promise
+        warnings.filterwarnings("ignore", "there are no in-betweens")
         file = Path(folder, "model.h5")
         try:
             sequence = MeshSequence.from_arrays(points, faces)

@@ -265,7 +265,7 @@ def test_only_files_of_textures_are_lost(run: Run, contents: Callable[[], dict[s
 def test_a_file_is_no_folder_of_textures(run: Run, contents: Callable[[], dict[str, bytes | None]]) -> None:
     Path("old.vat").write_text("somebody's work")
     before = contents()
-    assert "old.vat is a file, and vertex animation" in run("decode", "model.h5", "old.vat").stderr
+    assert "old.vat is a file; give the name of a folder" in run("decode", "model.h5", "old.vat").stderr
     assert contents() == before
 
 

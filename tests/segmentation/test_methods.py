@@ -243,5 +243,5 @@ def test_parts_of_real_animations(data: Path, name: str, method: SegmentationNam
 
 
 def test_what_is_no_sequence_is_refused() -> None:
-    with pytest.raises(TypeError, match="segment: sequence is of type int; MeshSequence is expected"):
+    with pytest.raises(TypeError, match="segment: sequence is of type int; MeshSequence or Model is expected"):
         mixseq.segment(3)  # type: ignore[arg-type]
