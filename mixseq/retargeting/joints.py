@@ -48,7 +48,7 @@ from mixseq.shells.gauss_newton import ShellReport, ShellSettings
 from mixseq.types import Float, Index
 
 BEND_CONCENTRATION = 4.0
-"""Concentration of the differences of angles from skinned positions; with 8, noise is amplified as much."""
+"""Concentration of the differences of angles from skinned positions; larger values retain more bend and more noise."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -143,15 +143,15 @@ TABLE: Mapping[str, Operation] = {
     "travel_of": Operation(lambda model: operations.travel_of(model)(TIMES[1:-1]), 2),
     "exaggerate": Operation(lambda model: operations.exaggerate(model, 1.1), 2),
     "exaggerate_part": Operation(lambda model: operations.exaggerate_part(model, limb(model), 1.1), 2),
-    "hold": Operation(lambda model: operations.hold(model, limb(model), 0.2, 0.3, 0.4), 3),
-    "smooth": Operation(lambda model: operations.smooth(model, 0.1), 3),
+    "hold": Operation(lambda model: operations.hold(model, limb(model), 0.2, 0.3, 0.4), 2),
+    "smooth": Operation(lambda model: operations.smooth(model, 0.1), 2),
     "sculpt": Operation(lambda model: operations.sculpt(model, 0.3, moved(model, 0.3)), 2),
     "swap_key": Operation(lambda model: operations.swap_key(model, 0, moved(model, 0.0)).sample(frames=[0]), 2),
     "drag": Operation(lambda model: operations.drag(model, 0.3, place(model, TIMES[3:4])[0] + 0.01), 2),
     "sketch": Operation(sketched_frames, 2),
     "with_shapes": Operation(lambda model: operations.with_shapes(model, operations.key_poses(model)), 2),
     "transfer": Operation(
-        lambda source: mixseq.transfer(source, replace(original(), velocities=None)), 3, "all", VELOCITIES
+        lambda source: mixseq.transfer(source, replace(original(), velocities=None)), 2, "all", VELOCITIES
     ),
     "interpolate": Operation(lambda source: mixseq.interpolate(source, np.eye(9)[[0, 3]].mean(axis=0)), 2, "all"),
     "velocity": Operation(lambda model: model.velocity(0.25) / model.header.fps, 2, "methods"),  # per frame
