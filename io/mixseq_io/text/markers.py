@@ -152,9 +152,9 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
     pairs = [(target, source) if reverse else (source, target) for source, target, _ in markers]
     names = tuple(name for _, _, name in markers)
     meshes = _parse_meshes(file, text)
-    return replace(
-        Markers.from_pairs(pairs, names if any(names) else ()), meshes=meshes and meshes[:: -1 if reverse else 1]
-    )
+    if meshes is not None and reverse:
+        meshes = meshes[1], meshes[0]
+    return replace(Markers.from_pairs(pairs, names if any(names) else ()), meshes=meshes)
 
 
 def write_markers(path: PathLike, markers: Markers) -> None:
