@@ -53,7 +53,8 @@ def test_a_bound_between_frames_takes_more_keys(run: Run, bent_bar: MeshSequence
     plain, held = (rows(succeed(run(*arguments, *option))) for option in ((), ("--between",)))
     assert number(plain["between frames"]) > 0.005 >= number(held["between frames"])
     assert number(held["keys"]) > number(plain["keys"])
-    found = mixseq.measure_between(mixseq.load("model.h5"), "bar.glb")
+    with mixseq.open_sequence("bar.glb") as played:
+        found = mixseq.measure_between(mixseq.load("model.h5"), played)
     assert number(held["between frames"]) == pytest.approx(found, rel=0.05)
 
 

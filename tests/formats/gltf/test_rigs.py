@@ -184,7 +184,7 @@ def test_joints_turn_on_arcs_between_keys(tmp_path: Path) -> None:
     times = quarter_times(skin.header.times)
     arcs, chords = skin.resampled(times).points(), np.concatenate(list(straight_blocks(sequence.blocks(), times)))
     expected = np.linalg.norm(arcs - chords, axis=2).max()
-    assert measure_file_between(tmp_path / "a.glb", skin.header, lambda _: [arcs]) < 1e-5
+    assert measure_file_between(tmp_path / "a.glb", skin.header, lambda _: [arcs]) == pytest.approx(0, abs=1e-5)
     found = measure_file_between(tmp_path / "a.glb", skin.header, lambda _: [chords])
     assert found == pytest.approx(expected, rel=1e-4)
 
