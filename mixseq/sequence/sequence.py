@@ -414,13 +414,14 @@ _SINGLE_ROUNDING = 2 * 3**0.5 * 2.0**-24
 """Largest distance by which a point is moved by being rounded to float32 twice, relative to its largest coordinate."""
 
 
-def rounding_margin(bound: float, coordinate: float) -> float:
-    """Return the part of a bound that is kept for files and players in single precision, or 0 if it exceeds a half.
+def rounding_margin(bound: float, *coordinates: float) -> float:
+    """Return the part of a bound that is left to rounding to single precision, in the bound's unit; at most a half.
 
-    `coordinate` is the largest coordinate relative to the origin of `choose_origin`; all are in units of the sequence.
+    It suffices for the first of the largest `coordinates` that it can suffice for: those relative to zero, and those
+    relative to the origin of `choose_origin`. It is 0 if there is none.
     """
-    margin = _SINGLE_ROUNDING * coordinate
-    return margin if margin <= bound / 2 else 0.0
+    margins = [_SINGLE_ROUNDING * coordinate for coordinate in coordinates]
+    return next((margin for margin in margins if margin <= bound / 2), 0.0)
 
 
 def block_size(vertex_count: int) -> int:

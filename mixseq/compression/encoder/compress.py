@@ -169,20 +169,23 @@ def _check_target(max_error: float | None, kg: float | None, size: int | None) -
         raise SettingsError(f"{name} is {value}; a positive number{' of bytes' * least} is expected")
 
 
-def _with_margin(bound: float, local: FrameStore, origin: Float) -> float:
+def _with_margin(bound: float, sequence: FrameStore, local: FrameStore) -> float:
     """Reduce a bound by a margin for last digits, which vary between machines, and for single precision."""
-    largest = largest_coordinate(local.points)
-    least = max(rounding_error(largest), float(np.abs(origin).max()) * _ORIGIN_ROUNDING)
+    largest, largest_local = (largest_coordinate(each.points) for each in (sequence, local))
+    local_least = rounding_error(largest_local)
+    least = max(local_least, _ORIGIN_ROUNDING * largest)
     if bound < least:
+        cure = ", or move the sequence to the origin" if bound >= local_least else ""
         raise SettingsError(
             f"max_error is {bound:.3g} in units of the sequence, beyond the digits of coordinates of up to "
-            f"{largest + float(np.abs(origin).max()):.3g}; give at least {least:.3g} of these units"
+            f"{largest:.3g}; give at least {least:.3g} of these units{cure}"
         )
-    return bound - min(1e-9 * bound + max(rounding_margin(bound, largest), least), bound / 2)
+    margin = max(rounding_margin(bound, largest, largest_local), least)
+    return bound - min(1e-9 * bound + margin, bound / 2)
 
 
 _ORIGIN_ROUNDING = 2.0**-50
-"""Largest error of adding an origin in double precision, relative to its largest coordinate."""
+"""Largest error of adding an origin in double precision, relative to the largest coordinate."""
 
 
 def _total_deviation(sequence: FrameStore) -> float:
@@ -211,7 +214,7 @@ def _search_streams(
     local = frames.about(origin)
     search = Search(local, mesh_graph(frames.header.faces, frames.header.vertex_count), stages, chunk)
     if max_error is not None:
-        best = search.find_for_bound(_with_margin(max_error * unit, local, origin))
+        best = search.find_for_bound(_with_margin(max_error * unit, frames, local))
     elif kg is not None:
         best = search.find_for_error(kg / 100 * _total_deviation(local))
     else:
