@@ -23,7 +23,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import IntArray
 from mixseq_io.gltf.codecs import compute_glb_size
-from mixseq_io.gltf.new_document import MorphFrameWriter, axis_conversion, create_scene
+from mixseq_io.gltf.new_document import MorphFrameWriter, create_scene, node_transform
 from mixseq_io.registry import open_sequence
 from mixseq_io.rig_files import GLTF_EXTENSIONS
 from mixseq_io.scene_meshes import split_meshes
@@ -44,7 +44,7 @@ def measure_rig_file(path: Path, sequence: MeshSequence) -> RigErrors:
     rotation = np.eye(3)
     if path.suffix.lower() in GLTF_EXTENSIONS:
         vertex_ids = _vertices_with_polygons(sequence.header)
-        matrix = axis_conversion(sequence.header).get("matrix", np.eye(4))
+        matrix = node_transform(sequence.header).get("matrix", np.eye(4))
         rotation = np.reshape(matrix, (4, 4))[:3, :3]  # transposed: the file stores columns
     largest = squares = spread = 0.0
     for points, written in _frame_pairs(path, sequence):

@@ -24,9 +24,11 @@ const sequence = await open(new TextDecoder().decode(bytes("text")), bytes("stre
 const write = (name, array) => writeFileSync(`${folder}/${name}`, array ?? new Uint8Array(0));
 const { streams, chunks, ...facts } = sequence, times = new Float64Array(bytes("wanted").buffer);
 const { counts, corners } = sequence.polygons(), fields = sequence.fields();
-const positions = new Float32Array(3 * sequence.vertexCount * times.length), exact = new Float64Array(positions.length), loaded = [];
+const positions = new Float32Array(3 * sequence.vertexCount * times.length), loaded = [];
+const exact = new Float64Array(positions.length);
 times.forEach((time, k) => {
-  for (const out of [positions, exact]) sequence.at(time, out.subarray(3 * sequence.vertexCount * k, 3 * sequence.vertexCount * (k + 1)));
+  const range = [3 * sequence.vertexCount * k, 3 * sequence.vertexCount * (k + 1)];
+  for (const out of [positions, exact]) sequence.at(time, out.subarray(...range));
   loaded.push(chunks.filter((chunk) => chunk.loaded).length);
 });
 const triangles = sequence.triangles(), uvs = uvsOf(sequence), edges = hardEdgesOf(sequence);

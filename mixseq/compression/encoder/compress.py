@@ -38,7 +38,7 @@ from mixseq.sequence.sequence import (
     rounding_margin,
 )
 from mixseq.spaces.making import MixedSettings, segment_faces
-from mixseq.types import Float, Index
+from mixseq.types import Index
 
 
 @public
