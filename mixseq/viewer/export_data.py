@@ -26,6 +26,7 @@ from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.compression.encoder.compress import compress
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError
+from mixseq.mesh.measures import NO_ORIGIN
 from mixseq.mesh.surface import Surface
 from mixseq.pictures.chart_data import chart_data
 from mixseq.pictures.colours import MEASURES, Colouring, SceneColours
@@ -251,7 +252,7 @@ def encode_mesh(
         "times": None if has_frame_times else np.round(elapsed, 9).tolist(),
         "start": float(header.times[0]),
         "fps": header.fps,
-        "centre": to_y_up(np.array(parameters.origin or (0.0, 0.0, 0.0)), header.up_axis).tolist(),
+        "centre": to_y_up(np.array(parameters.origin or NO_ORIGIN), header.up_axis).tolist(),
         "likeFirst": page_poses.like_first,
         "azimuth": page_poses.views[0].azimuth,
         "elevation": page_poses.views[0].elevation,

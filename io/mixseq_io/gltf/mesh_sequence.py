@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from mixseq.choices import StillName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
 from mixseq.errors import AmbiguousError, FormatError, OutputError
-from mixseq.mesh.measures import choose_origin, corner_normals
+from mixseq.mesh.measures import NO_ORIGIN, choose_origin, corner_normals
 from mixseq.mesh.surface import Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Single
@@ -327,7 +327,7 @@ _STILL_SIZE_MARGIN = 1.02
 
 def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> None:
     """Write a compressed sequence as a .glb."""
-    points, origin = decode(coded)(coded.header.times[0]), np.array(coded.parameters.origin or (0.0, 0.0, 0.0))
+    points, origin = decode(coded)(coded.header.times[0]), np.array(coded.parameters.origin or NO_ORIGIN)
     write_container(path, pack(coded), coded.header, points, origin, still)
 
 

@@ -18,14 +18,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.measures import corner_normals
+from mixseq.mesh.measures import NO_ORIGIN, corner_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import FaceSet
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import FloatArray, IntArray, Single
+from mixseq.types import Float, FloatArray, IntArray, Single
 from mixseq_io.gltf.codecs import (
     ARRAY_BUFFER,
     ELEMENT_ARRAY_BUFFER,
@@ -272,7 +272,7 @@ _MAX_LABELS_PER_ROW = 4
 _MAX_UINT16_INDEX = 2**16 - 1
 
 
-def create_scene(header: SequenceHeader, origin: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[Layout, list[MovingMesh]]:
+def create_scene(header: SequenceHeader, origin: Float = NO_ORIGIN) -> tuple[Layout, list[MovingMesh]]:
     """Create a document of a sequence without frames, and its meshes; omit objects without polygons."""
     layout, meshes = create_meshes(header)
     root = group_nodes(layout.document, [mesh.node for mesh in meshes], header, origin)
@@ -292,7 +292,7 @@ def create_meshes(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
 
 
 def group_nodes(
-    document: Json, nodes: list[int], header: SequenceHeader, origin: ArrayLike, unused: int | None = None
+    document: Json, nodes: list[int], header: SequenceHeader, origin: Float, unused: int | None = None
 ) -> int:
     """Return the only node of a sequence, or a parent (`unused` or new) of several; it gets the `node_transform`."""
     entry = {**name_member(header.name), "children": nodes}
@@ -307,7 +307,7 @@ def group_nodes(
     return root
 
 
-def node_transform(header: SequenceHeader, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Json:
+def node_transform(header: SequenceHeader, origin: Float = NO_ORIGIN) -> Json:
     """Return the node transform of points relative to an origin ``(3,)``, or {} for the identity.
 
     It adds the origin, and turns and scales from the axes and units of a sequence to Y up and metres.

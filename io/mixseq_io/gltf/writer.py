@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mixseq.mesh.measures import NO_ORIGIN
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, Index
@@ -153,7 +154,7 @@ def overlay_sequence(
     for node, inverse in zip(nodes, inverses, strict=True):
         _set_transform(copied["nodes"][node], inverse if in_place else None)
     if not in_place:
-        root = group_nodes(copied, nodes, header, find_unused_root(copied, scene, parents))
+        root = group_nodes(copied, nodes, header, NO_ORIGIN, find_unused_root(copied, scene, parents))
         for each in scenes:
             each["nodes"] = [root, *(node for node in each.get("nodes", ()) if node != root)]
     copied["asset"]["generator"] = GENERATOR_NAME
