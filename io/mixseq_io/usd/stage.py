@@ -20,6 +20,7 @@ from itertools import takewhile
 from pathlib import Path
 from secrets import token_hex
 from textwrap import shorten
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -255,7 +256,7 @@ def _convert_metadata(path: Path, layer: Sdf.Layer) -> None:
             warn(f"{path}: upAxis is {value!r}, not an axis; it is left out, and Y is taken (--up-axis)")
 
 
-_REFERRED = re.compile(r"@(.+?)@(?:<(.*?)>)?")
+_REFERENCE_PATTERN = re.compile(r"@(.+?)@(?:<(.*?)>)?")
 """Asset path and prim path of a reference in the text of a composition error."""
 
 
@@ -264,8 +265,9 @@ def _describe_missing(path: Path, stage: Usd.Stage) -> str:
     files: dict[str, None] = {}
     prims: dict[str, None] = {}
     unresolved = (Pcp.ErrorType_UnresolvedPrimPath, Pcp.ErrorType_InvalidAssetPath, Pcp.ErrorType_InvalidSublayerPath)
-    for error in stage.GetCompositionErrors():
-        match = _REFERRED.search(str(error))
+    errors: Any = stage.GetCompositionErrors  # not in the type stubs yet
+    for error in errors():
+        match = _REFERENCE_PATTERN.search(str(error))
         if match and error.errorType in unresolved:
             file = match[1].removeprefix(f"{os.path.dirname(absolute_path(path))}{os.sep}")  # noqa: PTH120
             if error.errorType == Pcp.ErrorType_UnresolvedPrimPath:

@@ -57,7 +57,7 @@ def test_stage_metadata_of_any_type(tmp_path: Path, key: str, kind: str, referre
     if kind == "token":
         assert [key in each for each in told] == [True] * (not referred or key.endswith("PerSecond"))
     else:
-        value = {"float": np.float32, "half": np.float16}.get(kind, lambda value: round(value + 1))(VALUES[key])
+        value: Any = {"float": np.float32, "half": np.float16}.get(kind, lambda value: round(value + 1))(VALUES[key])
         assert not told
         assert got.metres_per_unit == (value if key == "metersPerUnit" and not referred else 0.01)
         rate = (
