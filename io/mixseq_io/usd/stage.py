@@ -265,8 +265,8 @@ def _describe_missing(path: Path, stage: Usd.Stage) -> str:
     files: dict[str, None] = {}
     prims: dict[str, None] = {}
     unresolved = (Pcp.ErrorType_UnresolvedPrimPath, Pcp.ErrorType_InvalidAssetPath, Pcp.ErrorType_InvalidSublayerPath)
-    errors: Any = stage.GetCompositionErrors  # not in the type stubs yet
-    for error in errors():
+    untyped: Any = stage  # the type stubs lack GetCompositionErrors
+    for error in untyped.GetCompositionErrors():
         match = _REFERENCE_PATTERN.search(str(error))
         if match and error.errorType in unresolved:
             file = match[1].removeprefix(f"{os.path.dirname(absolute_path(path))}{os.sep}")  # noqa: PTH120
