@@ -8,7 +8,7 @@ const MAX_INBETWEEN_LEVELS = 3;
 const MAX_MEMORY = 2 ** 32; // bytes that a sequence may take
 const PARAMETERS = [
   "factors", "rank", "frame_count", "step", "diagonal", "max_error", "kg_percent", "promised", "correction", "ranks", "uv_steps",
-  "uv_error", "label_count", "inbetween_levels", "inbetween_step", "inbetween_error",
+  "uv_error", "label_count", "inbetween_levels", "inbetween_step", "inbetween_error", "origin",
 ];
 
 const isCount = (value) => Number.isInteger(value) && value > 0;
@@ -21,6 +21,7 @@ export function readFacts(text) {
   const { vertex_count: vertices, polygon_count: polygons, corner_count: corners, frame_count: frames, fps } = facts;
   const { factors, rank, ranks = [], uv_steps: steps = null, uv_error: error = null, label_count: labels = null } = given, shapes = factors === "shapes";
   const { inbetween_levels: levels = null, inbetween_step: betweenStep = null, inbetween_error: betweenError = null } = given;
+  const { origin = [0, 0, 0] } = given;
   const parts = Array.isArray(ranks) ? ranks : [0];
   const checks = {
     vertex_count: isCount(vertices),
@@ -41,6 +42,7 @@ export function readFacts(text) {
     inbetween_levels: levels === null || (isCount(levels) && levels <= MAX_INBETWEEN_LEVELS),
     inbetween_step: levels === null ? betweenStep === null : isNonNegative(betweenStep) && betweenStep > 0,
     inbetween_error: betweenError === null || isNonNegative(betweenError),
+    origin: Array.isArray(origin) && origin.length === 3 && origin.every(Number.isFinite),
     fps: isNonNegative(fps) && fps > 0,
     first_time: Number.isFinite(facts.first_time),
   };
@@ -50,7 +52,7 @@ export function readFacts(text) {
   if (bytes > MAX_MEMORY) throw new MixseqError(`it would take ${Math.ceil(bytes / 2 ** 30)} GiB of memory, more than the allowed 4 GiB`);
   return {
     name: String(facts.name ?? ""), fps, upAxis: String(facts.up_axis ?? "y"), metresPerUnit: Number(facts.metres_per_unit ?? 1),
-    vertexCount: vertices, polygonCount: polygons, cornerCount: corners, frameCount: frames, firstTime: facts.first_time,
+    vertexCount: vertices, polygonCount: polygons, cornerCount: corners, frameCount: frames, firstTime: facts.first_time, origin,
     between: readInterpolation(facts.between),
     parameters: {
       factors, rank, ranks: parts.length ? parts : [rank], step: given.step, diagonal: given.diagonal, maxError: given.max_error,
