@@ -471,7 +471,7 @@ class SceneColours:
                 item.decomposition,
                 self._original_of(item),
                 poses,
-                self.original and self.original.diagonal,
+                None if self.original is None else self.original.diagonal,
             )
         return self._colourings[index]
 
