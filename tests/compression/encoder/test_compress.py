@@ -117,7 +117,7 @@ def test_kg_errors_are_nearly_used_up(kg: float) -> None:
 
 def test_more_bytes_are_more_accurate() -> None:
     sequence = bar()
-    errors = [compress(sequence, size=size).parameters.kg_percent for size in (300, 600, 1200, 2400)]
+    errors = [compress(sequence, size=size).parameters.kg_percent for size in (300, 800, 2400)]
     assert (np.diff(errors) < 0).all()
     sizes = [size_of(compress(sequence, max_error=bound)) for bound in (1e-2, 1e-3, 1e-4)]
     assert (np.diff(sizes) > 0).all()
@@ -131,7 +131,7 @@ def test_chunks_are_as_long_as_was_asked_for(chunk: int) -> None:
     assert kg_of(sequence, check(sequence, coded)) <= 0.5
 
 
-@pytest.mark.parametrize("size", [300, 3000, 30_000])
+@pytest.mark.parametrize("size", [300, 30_000])
 def test_sizes_far_from_the_first_guess_are_used_up(size: int) -> None:
     rng = np.random.default_rng(5)
     body = bar(sides=10, rings=30, frames=20)
@@ -168,7 +168,7 @@ AWKWARD = {
     "starts in one place": MeshSequence.from_arrays(
         RNG.normal(size=(4, 5, 3)) * np.arange(4)[:, None, None], TRIANGLES
     ),
-    "four vertices, many frames": MeshSequence.from_arrays(RNG.normal(size=(200, 4, 3)), tetrahedron()[1]),
+    "four vertices, many frames": MeshSequence.from_arrays(RNG.normal(size=(100, 4, 3)), tetrahedron()[1]),
     "noise": MeshSequence.from_arrays(RNG.normal(size=(12, 22, 3)), tube(4, 5)[1]),
     "mirrored": mirrored(),
     "far away": bar(sides=5, rings=9).with_points(0.1 * bar(sides=5, rings=9).points + 1000.0),
@@ -417,8 +417,7 @@ def test_animations_take_few_bits(data: Path, name: str) -> None:
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize("bound", [1e-2, 1e-4])
-@pytest.mark.parametrize("name", ["q_wolf_gallop", "fox_run"])
+@pytest.mark.parametrize(("name", "bound"), [("q_wolf_gallop", 1e-4), ("fox_run", 1e-2)])
 def test_bounds_of_animations_are_kept(data: Path, name: str, bound: float) -> None:
     sequence = mixseq.read(data / "npz" / f"{name}.npz")
     check(sequence, compress(sequence, max_error=bound))
