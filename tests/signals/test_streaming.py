@@ -133,7 +133,7 @@ def test_memory_does_not_grow_with_the_frames(monkeypatch: pytest.MonkeyPatch) -
     )  # blocks of columns are bounded, but for longer sequences than these
     still = bar(sides=20, rings=60, frames=1)
     most = []
-    for frames in (2, 30, 90):  # the first one compiles and imports
+    for frames in (2, 70, 140):  # the first one compiles and imports
         source = Made(still.header.with_times(np.arange(frames) / 24), still.points[0])
         gc.collect()
         tracemalloc.start()
@@ -141,8 +141,8 @@ def test_memory_does_not_grow_with_the_frames(monkeypatch: pytest.MonkeyPatch) -
         most.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
         assert model.times.size == frames
-    points = 60 * still.points[0].nbytes
-    gram = 8 * (90**2 - 30**2)
+    points = 70 * still.points[0].nbytes
+    gram = 8 * (140**2 - 70**2)
     assert most[2] - most[1] < 0.2 * points + 3 * gram
     assert most[2] < 4e7
 
