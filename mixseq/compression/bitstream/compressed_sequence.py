@@ -90,11 +90,11 @@ class CodingParameters:
             raise SettingsError(f"factors is {self.factors!r}; {' or '.join(kinds)} is expected")
         for name in ("rank", "frame_count"):
             value = getattr(self, name)
-            if not (isinstance(value, int) and value > 0):
+            if not (type(value) is int and value > 0):
                 raise SettingsError(f"{name} is {value!r}; a whole number above zero is expected")
         for name in ("step", "diagonal", "max_error", "kg_percent", "correction"):
             value, positive = getattr(self, name), name in ("step", "diagonal")
-            if not (isinstance(value, int | float) and 0 <= value < inf and (value or not positive)):
+            if not (_is_number(value) and 0 <= value < inf and (value or not positive)):
                 raise SettingsError(
                     f"{name} is {value!r}; a {'positive' if positive else 'non-negative'} number is expected"
                 )
@@ -103,14 +103,14 @@ class CodingParameters:
             raise SettingsError(f"the parts have {self.ranks} basis vectors, which are not {self.rank} in all")
         if self.ranks and self.factors == "shapes":
             raise SettingsError("shapes are of the whole mesh, not of parts")
-        if any(not (isinstance(rank, int) and rank > 0) for rank in self.ranks):
+        if any(not (type(rank) is int and rank > 0) for rank in self.ranks):
             raise SettingsError(f"ranks are {self.ranks}; whole numbers above zero are expected")
         steps, error, most = self.uv_steps, self.uv_error, MAX_COORDINATE
         if (steps is None) != (error is None):
             raise SettingsError("uv_steps and uv_error come together")
         if steps is not None and not (type(steps) is int and 0 < steps <= most):
             raise SettingsError(f"uv_steps is {steps!r}; a whole number from 1 to {most} is expected")
-        if error is not None and not (isinstance(error, int | float) and 0 <= error < inf):
+        if error is not None and not (_is_number(error) and 0 <= error < inf):
             raise SettingsError(f"uv_error is {error!r}; a non-negative number is expected")
         levels, step, error = self.inbetween_levels, self.inbetween_step, self.inbetween_error
         if (levels is None) != (step is None):

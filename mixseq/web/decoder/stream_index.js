@@ -4,6 +4,8 @@ import { MixseqError } from "./errors.js";
 
 const MAGIC = 0x3171736d; // msq1
 const HEAD_SIZE = 16; // bytes
+const MAX_MEMORY = 2 ** 32; // bytes that a sequence may take
+const MAX_BITS_PER_BYTE = 17000, PADDING_BYTES = 4; // no bit takes less than 4.8e-4 bits
 
 /**
  * The streams of `bytes`, each checked: `connectivity`, `surface`, `times` and, if `parameters` tell so, `uvs`; a list for the `basis`;
@@ -44,6 +46,21 @@ export function readIndex(text, bytes, parameters) {
       return { first: first - count, count, coefficients, residuals, inbetweens };
     }),
   };
+}
+
+/** Verify that streams are long enough for the numbers that `facts` say, a bit each, and that there is memory. */
+export function checkSizes({ vertexCount, cornerCount, frameCount, parameters }, { connectivity, basis, chunks }) {
+  const { rank, ranks, inbetweenLevels } = parameters, shapes = parameters.factors === "shapes", largest = (sizes) => sizes.reduce((a, b) => Math.max(a, b), 0);
+  const checkBits = (name, numbers, size) => {
+    if (numbers <= MAX_BITS_PER_BYTE * (size + PADDING_BYTES * (basis.length + 1))) return;
+    throw new MixseqError(`${size} bytes cannot hold ${numbers} numbers of its ${name}; it is damaged`);
+  };
+  checkBits("corners", cornerCount, connectivity.length);
+  checkBits("vertices", (shapes ? 3 : 1) * Math.min(...ranks) * vertexCount, basis.reduce((sum, { length }) => sum + length, 0));
+  if (!shapes) chunks.forEach(({ count, coefficients }) => checkBits("frames", 3 * count, coefficients.length));
+  const bytes = 800 * vertexCount + 320 * cornerCount + 64 * frameCount + 3000 * largest(chunks.map(({ count }) => count)) +
+    86 * largest(chunks.map(({ residuals }) => residuals.length)) + 16 * rank * ((shapes ? 3 : 1) * vertexCount + (shapes ? 9 : 3) * frameCount * 2 ** inbetweenLevels);
+  if (bytes > MAX_MEMORY) throw new MixseqError(`it would take ${Math.ceil(bytes / 2 ** 30)} GiB of memory, more than the allowed 4 GiB`);
 }
 
 /** Numbers of 7 bits a byte, the lowest first. */
