@@ -41,6 +41,7 @@ from numpy.typing import NDArray
 from mixseq.choices import ORDERS, OrderName
 from mixseq.compression.bitstream.arithmetic import MAX_BITS_PER_BYTE, PADDING_BYTES
 from mixseq.compression.bitstream.compressed_sequence import (
+    MAX_CHUNK_FRAMES,
     Chunk,
     CodingParameters,
     CompressedSequence,
@@ -171,8 +172,8 @@ def _index_streams(
     counts, lengths = rest[:chunk_count], rest[chunk_count:]
     if len(lengths) != len(header) + group_count + (2 + has_inbetweens) * chunk_count:
         raise ValueError("the number of streams is not that of the parts of the file")
-    if 0 in counts or max(lengths) >= 1 << 63:
-        raise ValueError("a chunk has no frames, or a stream is too long")
+    if not all(0 < count <= MAX_CHUNK_FRAMES for count in counts) or max(lengths) >= 1 << 63:
+        raise ValueError("a chunk has no frames or too many, or a stream is too long")
     ranges = zip(accumulate(lengths, initial=size), lengths, strict=False)
     remaining = iter(checksums)
 
@@ -376,8 +377,8 @@ def _unshuffle_bytes(data: bytes, dtype: np.dtype[Any], count: int) -> NDArray[A
 _BYTES_PER_VERTEX, _BYTES_PER_CORNER, _BYTES_PER_SURFACE_CORNER = 800, 256, 256
 """Memory in bytes for decoding: graphs and stencils per vertex; half-edges per corner; extra with a surface."""
 
-_BYTES_PER_CHUNK_FRAME, _BYTES_PER_FRAME, _BYTES_PER_NUMBER, _BYTES_PER_RESIDUAL_BYTE = 3000, 64, 16, 86
-"""Memory in bytes per frame of the largest chunk, frame, number of signals, and byte of the largest residuals."""
+_BYTES_PER_FRAME, _BYTES_PER_NUMBER, _BYTES_PER_RESIDUAL_BYTE = 64, 16, 86
+"""Memory in bytes per frame, number of signals, and byte of the largest residuals of a chunk."""
 
 
 def read_sequence(path: Path, container: Container) -> CompressedSequence:
@@ -498,7 +499,6 @@ def _check_facts(path: Path, facts: Mapping[str, Any], parameters: CodingParamet
     memory = _BYTES_PER_VERTEX * vertices + _BYTES_PER_CORNER * corners + _BYTES_PER_FRAME * frames
     if index.header["surface"].size or "uvs" in index.header:
         memory += _BYTES_PER_SURFACE_CORNER * corners
-    memory += _BYTES_PER_CHUNK_FRAME * max((chunk.count for chunk in index.chunks), default=0)
     memory += _BYTES_PER_RESIDUAL_BYTE * max((chunk.residuals.size for chunk in index.chunks), default=0)
     knots = frames << (parameters.inbetween_levels or 0)
     memory += _BYTES_PER_NUMBER * rank * (width * vertices + dim * knots)

@@ -189,7 +189,7 @@ _MIN_PROBABILITY = 16
 
 
 MAX_BITS_PER_BYTE = 17_000
-"""Upper bound of bits that a byte codes: x is at most `_MAX_LOGIT`, so each takes 4.8e-4 bits or more. Free: a check."""
+"""Upper bound of bits that a byte codes: by `_MAX_LOGIT`, each takes 4.8e-4 bits or more. Free: a check."""
 
 
 class BitModels(NamedTuple):
