@@ -31,7 +31,7 @@ from mixseq.operations.sections import correction_norm
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.provenance import format_error
+from mixseq.sequence.provenance import format_error, with_other_motion
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, load_frames, own_parts, warn_of_loss
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import VISUALLY_LOSSLESS_TOLERANCE, encode_sequence
@@ -150,8 +150,9 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
     poses = first.unpack_placements(model.placement.values)
     rotations = quat_multiply(normalise_quat(poses.rotations), rotation)
     moved_poses = Poses(align_quat_signs(rotations), poses.centres + shift)
+    provenance = with_other_motion(header.provenance)
     played = Model(
-        replace(header, times=model.header.times, fps=model.header.fps, provenance=None),
+        replace(header, times=model.header.times, fps=model.header.fps, provenance=provenance),
         second,
         model.time,
         model.pose,

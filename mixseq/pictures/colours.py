@@ -475,7 +475,7 @@ class SceneColours:
         """Return a function that gives the original's pose, or None if the original is a different mesh."""
         if self.original is None:
             return None
-        vertex_ids = match_vertices(self.original.header, item.header)
+        vertex_ids = match_vertices(self.original.header, item.header, quiet=True)
         if vertex_ids is None:
             return None
         pose = SceneItem("the original", self.original).pose

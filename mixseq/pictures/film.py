@@ -172,7 +172,7 @@ def _reference_pose(item: SceneItem, original: SceneItem) -> ReferencePose:
     if vertex_ids is None:
         raise SettingsError(
             f"{item} has {len(header.faces)} triangles of {header.vertex_count} vertices, the original "
-            f"{len(reference.faces)} of {reference.vertex_count}, or in another order; errors need the same topology"
+            f"{len(reference.faces)} of {reference.vertex_count}, or other faces; errors need the same topology"
         )
     return lambda elapsed: original.exact_pose(elapsed)[vertex_ids]
 

@@ -24,7 +24,18 @@ VALUES: tuple[Any, ...] = (
     *INTEGERS, *FLOATS, 2, 3, 10**400, -(10**400), 1e-320, 1e-300, 1.5, True, False, None, "", "1", "Z", "z", "\ud800",
     [], {}, [1, 2], [0.5, 0.5], [[[]]], {"length": 1}, "__proto__",
 )  # fmt: skip
-NAMES = ("ranks", "uv_steps", "between", "order", "source", "label_count", "inbetween_levels", "__proto__", "revision")
+NAMES = (
+    "ranks",
+    "origin",
+    "uv_steps",
+    "between",
+    "order",
+    "source",
+    "label_count",
+    "inbetween_levels",
+    "__proto__",
+    "revision",
+)
 """Keys that not all texts have."""
 
 SCRIPT = Path(__file__).with_suffix(".mjs")
@@ -186,7 +197,7 @@ def decode_twice(file: Path) -> np.ndarray[Any, Any]:
     try:
         model = mixseq.load(file)
         times = model.times[:FRAMES]
-        points = np.asarray(model.sample(times).points, dtype=np.float64)
+        points = model.sample(times).points - np.array(model.playback.origin or 0.0)
     except MixseqError as refusal:
         told = f"{refusal} | {printed.stdout}"
         assert not out.exists() or any(word in told for word in PLAYER_ONLY), told

@@ -8,7 +8,7 @@ const MAX_INBETWEEN_LEVELS = 3;
 const MIN_NUMBER = 1e-100, MAX_NUMBER = 1e100; // range of numbers in the text
 const PARAMETERS = [
   "factors", "rank", "frame_count", "step", "diagonal", "max_error", "kg_percent", "promised", "correction", "ranks", "uv_steps",
-  "uv_error", "label_count", "inbetween_levels", "inbetween_step", "inbetween_error",
+  "uv_error", "label_count", "inbetween_levels", "inbetween_step", "inbetween_error", "origin",
 ];
 
 const isCount = (value) => Number.isInteger(value) && value > 0;
@@ -22,6 +22,7 @@ export function readFacts(text) {
   const { name, up_axis: upAxis, metres_per_unit: metresPerUnit, order = "keep" } = facts;
   const { factors, rank, ranks = [], correction = 0, uv_steps: steps = null, uv_error: error = null, label_count: labels = null } = given, shapes = factors === "shapes";
   const { inbetween_levels: levels = null, inbetween_step: betweenStep = null, inbetween_error: betweenError = null } = given;
+  const { origin = [0, 0, 0] } = given;
   const parts = Array.isArray(ranks) ? ranks : [0];
   const checks = {
     name: typeof name === "string" && !/[\0\ud800-\udfff]/u.test(name),
@@ -46,6 +47,7 @@ export function readFacts(text) {
     inbetween_levels: levels === null || (isCount(levels) && levels <= MAX_INBETWEEN_LEVELS),
     inbetween_step: levels === null ? betweenStep === null : isNonNegative(betweenStep) && betweenStep > 0,
     inbetween_error: betweenError === null || isNonNegative(betweenError),
+    origin: Array.isArray(origin) && origin.length === 3 && origin.every(Number.isFinite),
     fps: isNonNegative(fps) && fps > 0,
     first_time: Number.isFinite(facts.first_time),
   };
@@ -53,7 +55,7 @@ export function readFacts(text) {
   if (wrong) throw new MixseqError(`${wrong} is out of range; it is damaged`);
   return {
     name, fps, upAxis, metresPerUnit,
-    vertexCount: vertices, polygonCount: polygons, cornerCount: corners, frameCount: frames, firstTime: facts.first_time,
+    vertexCount: vertices, polygonCount: polygons, cornerCount: corners, frameCount: frames, firstTime: facts.first_time, origin,
     between: readInterpolation(facts.between),
     parameters: {
       factors, rank, ranks: parts.length ? parts : [rank], step: given.step, diagonal: given.diagonal, maxError: given.max_error,
