@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 
 import mixseq
+from mixseq.compression.compressed_model import CompressedModel
 from mixseq.errors import MixseqError
 from mixseq_io.coded.streams import INDEX_HEAD, MAGIC, pack_leb128, unpack_leb128
 from scripts.benchmarks.common.node import node_executable
@@ -196,6 +197,7 @@ def decode_twice(file: Path) -> np.ndarray[Any, Any]:
     assert printed.returncode == 0, printed.stderr[-2000:]
     try:
         model = mixseq.load(file)
+        assert isinstance(model, CompressedModel)
         times = model.times[:FRAMES]
         points = model.sample(times).points - np.array(model.playback.origin or 0.0)
     except MixseqError as refusal:
