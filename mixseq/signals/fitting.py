@@ -23,9 +23,10 @@ from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.sequence import Frames, check_motion, load_frames, own_parts
+from mixseq.sequence.sequence import Frames, check_motion, is_rig, load_frames, own_parts
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
+from mixseq.signals.decoding import RigMotion
 from mixseq.signals.detail import (
     EXACT_ROUNDING_STEP,
     EXACT_TOLERANCE,
@@ -263,6 +264,15 @@ def fit(
             search = stages.at(FIT_STAGES, MAX_TRIAL_MODELS)
             model = fit_within_tolerance(encoded, frames, max_error, search, executor)
         return replace(model, header=frames.trace(max_error, promised=not is_reduced))
+
+
+def as_motion(source: Model | RigMotion | Frames, progress: Progress = no_progress) -> Model | RigMotion:
+    """Return a motion at any time: a model as it is, a rig as its file says, and other frames fitted exactly."""
+    if isinstance(source, Model | RigMotion):
+        return source
+    if is_rig(source):
+        return RigMotion(source.header, source)
+    return fit(source, exact=True, progress=progress)
 
 
 def _check_options(
