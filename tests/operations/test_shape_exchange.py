@@ -106,6 +106,7 @@ def test_identity_is_kept_in_files(model: mixseq.Model, tmp_path: Path) -> None:
 
 
 @pytest.mark.realdata
+@pytest.mark.exhaustive
 def test_six_keys_of_the_elephant_gallop_as_the_horse(data: Path) -> None:
     horse, elephant = (mixseq.read(data / "npz" / f"{name}_gallop.npz") for name in ("horse", "elephant"))
     model = mixseq.fit(horse, rank=5, pose="keys")

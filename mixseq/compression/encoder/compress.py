@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.choices import OrderName
-from mixseq.compression.bitstream.compressed_sequence import CodingParameters, CompressedSequence, Playback, decode
+from mixseq.compression.bitstream.compressed_sequence import (
+    MAX_CHUNK_FRAMES,
+    CodingParameters,
+    CompressedSequence,
+    Playback,
+    decode,
+)
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, encode_face_labels
 from mixseq.compression.encoder.inbetweens import add_inbetweens
@@ -82,7 +88,7 @@ def compress(
         Numbering to keep: of vertices and faces, of vertices only, or of neither. Numberings that need not be kept are
         chosen for the fewest bytes, and attributes of vertices, faces and corners are reordered to match.
     chunk : int
-        Approximate number of frames per chunk, 16 or more. A chunk is decoded as a whole, and lost as a whole if it is
+        Approximate number of frames per chunk, 16 to 4096. A chunk is decoded as a whole, and lost as a whole if it is
         damaged. Small chunks take more bytes.
     parts : int or (F,) int, optional
         Near-rigid parts for frames between the stored ones, as in `mixseq.fit`: their number, or the part of every
@@ -102,7 +108,7 @@ def compress(
     SettingsError
         If not exactly one of `max_error`, `kg` and `size` is given, or its value is out of range; if `size` is too
         small; if `max_error` is below the precision of the coordinates; if `uv_error` is not from 0 to 0.25; if `order`
-        is unknown; or if `chunk` is below 16.
+        is unknown; or if `chunk` is not from 16 to 4096.
     SegmentationError
         If `parts` does not fit the mesh.
     FormatError, InvalidSequenceError
@@ -110,8 +116,8 @@ def compress(
     """
     check_motion(sequence)
     _check_target(max_error, kg, size)
-    if not chunk >= MIN_CHUNK_FRAMES:
-        raise SettingsError(f"chunk is {chunk}; {MIN_CHUNK_FRAMES} frames or more are expected")
+    if not MIN_CHUNK_FRAMES <= chunk <= MAX_CHUNK_FRAMES // 2:  # a chunk may have half as many again
+        raise SettingsError(f"chunk is {chunk}; {MIN_CHUNK_FRAMES} to {MAX_CHUNK_FRAMES // 2} frames are expected")
     numbering = cheapest_numbering(sequence.header, order)
     parts = own_parts(sequence) if parts is None else parts
     if not (parts is None or isinstance(parts, int | np.integer)):
