@@ -36,7 +36,7 @@ from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import LazyFrames, check_block, iterate_blocks
-from mixseq.types import Float, FloatArray, Index
+from mixseq.types import Float, FloatArray, Index, IntArray
 from mixseq_io.coded.packing import pack
 
 PAGE_ENCODING = "utf-16-le"
@@ -279,7 +279,7 @@ def _compress_poses(
     elapsed: Float,
     page_poses: PagePoses,
     max_error: float,
-    parts: Index | None,
+    parts: IntArray | None,
     inbetweens: bool,
     progress: Progress,
 ) -> tuple[CompressedSequence, Index]:
