@@ -24,7 +24,7 @@ from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.between import largest_distance, played_blocks, quarter_times
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.gltf.codecs import compute_glb_size
-from mixseq_io.gltf.new_document import MorphFrameWriter, axis_conversion, create_scene
+from mixseq_io.gltf.new_document import MorphFrameWriter, create_scene, node_transform
 from mixseq_io.registry import open_sequence
 from mixseq_io.rig_files import GLTF_EXTENSIONS
 from mixseq_io.scene_meshes import split_meshes
@@ -77,7 +77,7 @@ def _placement(path: Path, header: SequenceHeader) -> tuple[IntArray, Float, flo
     """Return the vertices ``(n,)`` that a file has, and how it rotates ``(3, 3)`` and scales them."""
     if path.suffix.lower() not in GLTF_EXTENSIONS:
         return np.arange(header.vertex_count), np.eye(3), 1.0
-    matrix = axis_conversion(header).get("matrix", np.eye(4))
+    matrix = node_transform(header).get("matrix", np.eye(4))
     scale = header.metres_per_unit
     # The file stores columns, so rows are transposed.
     return _vertices_with_polygons(header), np.reshape(matrix, (4, 4))[:3, :3] / scale, scale

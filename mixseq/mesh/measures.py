@@ -61,6 +61,27 @@ class Diagonal:
             return np.asarray(np.ldexp(lengths, -self.exponent), dtype=np.float64)
 
 
+FAR_DIAGONALS = 4.0
+"""Distance of a mesh from zero, in diagonals, beyond which its points are stored relative to an origin of their own."""
+
+
+NO_ORIGIN: Float = np.zeros(3)
+"""Origin of coordinates that are relative to zero."""
+
+
+def choose_origin(points: FloatArray) -> Float:
+    """Return the origin ``(3,)`` of coordinates in single precision: zero, or near points ``(V, 3)`` that are far away.
+
+    Its coordinates are multiples of a power of two that is about the diagonal, so that they are exact in float32.
+    """
+    low, high = (np.asarray(corner, dtype=np.float64) for corner in (points.min(axis=0), points.max(axis=0)))
+    largest = max(np.abs(low).max(), np.abs(high).max())
+    if not (0 < largest < np.inf and FAR_DIAGONALS * (diagonal := Diagonal.from_points(points).length) < largest):
+        return NO_ORIGIN
+    _, exponent = np.frexp(max(diagonal, largest * 2.0**-23))
+    return np.asarray(np.ldexp(np.rint(np.ldexp(low / 2 + high / 2, -exponent)), exponent), dtype=np.float64)
+
+
 def vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
     """Return the vector areas ``(T, P, 3)`` of the polygons in frames of points ``(T, V, 3)``."""
     starts = np.cumsum(polygons.counts) - polygons.counts
