@@ -375,7 +375,8 @@ def _mesh_node_reader(document: Document, scene: Scene, channels: Collection[Cha
             welds[mesh] = _weld(document, mesh)
         weld = welds[mesh]
         if not weld.primitives:
-            raise FormatError(f"{scene.paths[node]} has no triangles to read; points and lines alone are not a mesh")
+            where = f"{document.path}: {scene.paths[node]}"
+            raise NoMeshError(f"{where} has no triangles to read; points and lines alone are not a mesh")
         number_count += 3 * weld.vertex_count + weld.triangles.size
         document.check_effort(number_count, "meshes of all nodes together")
         mesh_node = read_mesh_node(document, scene, node, weld)

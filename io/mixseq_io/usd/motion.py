@@ -348,8 +348,7 @@ class AnimatedMesh:
         if not points.size:
             raise InvalidSequenceError(f"{self.mesh.GetPath()} has no points")
         if points.shape[1:] != (3,):
-            kind = self.mesh.GetPointsAttr().GetTypeName()
-            raise InvalidSequenceError(f"the points of {self.mesh.GetPath()} are {kind}, not vectors of three numbers")
+            raise InvalidSequenceError(f"the points of {self.mesh.GetPath()} are not vectors of three numbers")
         return Weld.from_mesh(self.mesh, points)
 
     @property
