@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from mixseq.errors import FormatError, InvalidSequenceError, NoMeshError
+from mixseq.errors import InvalidSequenceError, NoMeshError
 from mixseq.mesh.measures import hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, FaceSet, Origin
