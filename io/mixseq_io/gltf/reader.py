@@ -320,7 +320,8 @@ def open_gltf(
             return read_mesh
 
         meshes = read_valid_meshes(path, [scene.objects[node] for node in nodes], is_moving, prepare)
-        return _GltfReader(document, *zip(*meshes, strict=True), channels, times, rate, start)
+        mesh_nodes, scene_meshes = [mesh_node for mesh_node, _ in meshes], [scene_mesh for _, scene_mesh in meshes]
+        return _GltfReader(document, mesh_nodes, scene_meshes, channels, times, rate, start)
 
 
 def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
