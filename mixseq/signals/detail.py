@@ -43,7 +43,8 @@ from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.mixed.construction import faces_without_area
 from mixseq.spaces.mixed.mixed_space import MixedSpace
-from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, insert_midpoints, select_operator
+from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, insert_midpoints
+from mixseq.spaces.temporal_pieces import Timing
 from mixseq.types import Float, FloatArray, Index, evenly_spaced
 
 DeviationNorm = Callable[[Float], Float]
@@ -61,7 +62,10 @@ def rms_over_vertices(count: int) -> DeviationNorm:
 
 
 def fit_curve(times: Float, values: Float, tolerance: float, norm: DeviationNorm) -> Curve:
-    """Fit a curve with few knots to values ``(T, k)`` at times ``(T,)``, within a tolerance."""
+    """Fit a curve with few knots to values ``(T, k)`` at times ``(T,)``, within a tolerance, with their breaks."""
+    pieces = Curve(times, values).pieces
+    if len(pieces) > 1:
+        return Curve.from_pieces(fit_curve(piece.times, piece.values, tolerance, norm) for piece in pieces)
     candidate_count = max(len(times) - 4, 0)  # inner knots of the not-a-knot spline through all values
     knots = np.zeros(0, dtype=np.int64)
     while len(knots) < candidate_count:
@@ -125,11 +129,11 @@ CORRECTION_STEP = 2.0**-24
 class InterpolatedPoses(NamedTuple):
     """Poses interpolated in time, at the frames and between them."""
 
-    times: Float  # (2T - 1,) frames and midpoints, in seconds
+    times: Float  # (n,) frames and midpoints, in seconds, and twice the breaks
     weights: FrameWeights  # weights of the frames at these times
-    quarter_times: Float  # (4T - 3,) frames and points at quarters of the intervals, in seconds
-    part_poses: Float  # (4T - 3, ...) part poses in body axes, at the quarter points
-    placement: Float  # (4T - 3, P) placements at the quarter points
+    quarter_times: Float  # (m,) frames and points at quarters of the intervals, in seconds, and twice the breaks
+    part_poses: Float  # (m, ...) part poses in body axes, at the quarter points
+    placement: Float  # (m, P) placements at the quarter points
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,13 +144,15 @@ class EncodedSequence:
     space: ShapeSpace  # shape space of the vectors
     shapes: LargeArray  # (T, S) shape part of the vectors of the frames
     placement: Float  # (T, P) placements of the frames, with continuous signs of quaternions
-    samples: Float  # (T, C) coordinates of sampled vertices, used to select the temporal operator
+    samples: Float  # (T, C) coordinates of sampled vertices in body axes, used to select the temporal operator
+    motion: Float  # (T, C) the same in world axes
+    timing: Timing = Timing()  # noqa: RUF009 - frozen; events and interpolation between frames
     pose: PoseForm = "modes"  # form of the key shapes
 
     @cached_property
     def operator(self) -> TemporalOperator:
         """The temporal operator that interpolates the samples with the least errors."""
-        return select_operator(self.header.times, self.samples)
+        return self.timing.select_operator(self.header.times, self.samples, self.motion)
 
     @cached_property
     def poses(self) -> Float:
@@ -170,7 +176,7 @@ class EncodedSequence:
     def interpolated(self) -> InterpolatedPoses:
         """Poses interpolated between the frames."""
         times = insert_midpoints(self.header.times)
-        quarter_times = insert_midpoints(times)
+        times, quarter_times = map(self.operator.add_breaks, (times, insert_midpoints(times)))
         signals = self.poses, self.placement, quarter_times
         poses = self.space.interpolate_poses(self.operator, *signals)
         return InterpolatedPoses(times, self.operator.weights_at(times), quarter_times, *poses)
@@ -182,6 +188,7 @@ def encode_sequence(
     pose: PoseForm = "modes",
     workers: Executor = serial_executor,
     progress: Progress = no_progress,
+    timing: Timing = Timing(),  # noqa: B008 - frozen
 ) -> EncodedSequence:
     """Encode all frames of a sequence in a shape space."""
     count, size = len(sequence.points), space.shape_dim
@@ -201,7 +208,7 @@ def encode_sequence(
     rotations, centres = space.unpack_placements(raw_placement)
     placement = space.pack_placements(Poses(align_quat_signs(rotations), centres))  # signs continuous in time
     body_samples = space.to_body_axes(samples.reshape(count, -1, 3), vertex_ids, placement).reshape(count, -1)
-    return EncodedSequence(sequence.header, space, shapes, placement, body_samples, pose)
+    return EncodedSequence(sequence.header, space, shapes, placement, body_samples, samples, timing, pose)
 
 
 def _encode_block(context: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Float, Float]:
