@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -104,7 +104,7 @@ class TemporalPiece:
         """Return the spline g of an end, 0 or 1."""
         from scipy.interpolate import CubicSpline
 
-        conditions = [(2, 0.0) if slope is None else (1, 0.0) for slope in self.slopes]
+        conditions: Any = [(2, 0.0) if slope is None else (1, 0.0) for slope in self.slopes]
         conditions[end] = (1, 1.0)
         return CubicSpline(self.operator.times, np.zeros(len(self.operator.times)), bc_type=tuple(conditions))
 
