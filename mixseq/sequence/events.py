@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mixseq.choices import BetweenName
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.sequence.header import SequenceHeader
@@ -87,22 +88,22 @@ class SequenceEvents:
     whole: Events = Events()
     components: tuple[tuple[int, Events], ...] = ()  # by component of `Topology.component_of_vertex`
 
-    def describe(self, header: SequenceHeader) -> str:
-        """Return the events in words, by frame number; empty without events."""
+    def describe(self, header: SequenceHeader, between: BetweenName) -> str:
+        """Return the events in words, by frame number, and how to change the motion; empty without events."""
         whole = self.whole
 
-        def between(intervals: Sequence[int]) -> str:
+        def pairs_of(intervals: Sequence[int]) -> str:
             pairs = [f"{header.frame_number(k)} and {header.frame_number(k + 1)}" for k in intervals]
             return "; ".join(pairs[:4]) + (f"; {len(pairs) - 4} more" if len(pairs) > 4 else "")
 
-        texts = [f"cut between {between(whole.cuts)}"] if whole.cuts else []
+        texts = [f"cut between {pairs_of(whole.cuts)}"] if whole.cuts else []
         alone = [(each, set(each.cuts) - set(whole.cuts)) for _, each in self.components]
         for name, intervals in (
             ("cuts of components", {k for _, cuts in alone for k in cuts}),
             ("components appear or disappear", {k for each, _ in alone for k in each.pops} | set(whole.pops)),
         ):
             if intervals:
-                texts.append(f"{name} between {between(sorted(intervals))}")
+                texts.append(f"{name} between {pairs_of(sorted(intervals))}")
         if whole.holds:
             ranges = [f"{header.frame_number(a)}-{header.frame_number(b)}" for a, b in whole.holds]
             texts.append("held " + ", ".join(ranges[:4]) + (f", {len(ranges) - 4} more" if len(ranges) > 4 else ""))
@@ -114,9 +115,8 @@ class SequenceEvents:
             texts.append(f"{len(whole.poses)} poses, held for different times")
         if whole.keys:
             texts.append(f"straight between {len(whole.keys)} keys")
-        cure = (
-            ": --between smooth makes ones" if whole.poses else ": --between smooth rounds them" if whole.keys else ""
-        )
+        cure = "makes ones" if whole.poses else "rounds them" if whole.keys else ""
+        cure = f": --between smooth {cure}" if cure and between == "auto" else ""
         return "; ".join(texts) + cure
 
 
@@ -216,7 +216,7 @@ def _measure(times: Float, points: Float, edges: Index, whole: _Motion | None = 
     is_null = _is_null(np.diff(points, axis=0), unit, edges)
     is_equal, first = np.zeros(len(steps), dtype=bool), 0
     for k in np.flatnonzero(is_null):  # also equal to the first of its run, so that slow motion is no hold
-        first = first if k and is_equal[k - 1] else k
+        first = first if k and is_equal[k - 1] else int(k)
         is_equal[k] = first == k or _is_null(points[k + 1 : k + 2] - points[first], unit, edges)[0]
     if whole is not None and whole.is_equal.any():
         is_equal |= whole.is_equal & (steps <= 1.5 * whole.noise)
@@ -233,7 +233,7 @@ def _rounding_unit(points: Float) -> float:
 
 def _rms(fields: Float) -> Float:
     """Return root mean square lengths ``(N,)`` of vectors ``(N, n, 3)``."""
-    return np.sqrt(np.einsum("nvi,nvi->n", fields, fields) / max(fields.shape[1], 1))
+    return np.asarray(np.sqrt(np.einsum("nvi,nvi->n", fields, fields) / max(fields.shape[1], 1)))
 
 
 def _is_null(fields: Float, unit: float, edges: Index) -> Mask:

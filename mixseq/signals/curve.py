@@ -89,7 +89,7 @@ class Curve:
     @property
     def breaks(self) -> Float:
         """Times ``(b,)`` at which the curve breaks."""
-        return self.times[1:][np.diff(self.times) == 0]
+        return np.asarray(self.times[1:][np.diff(self.times) == 0])
 
     @cached_property
     def pieces(self) -> tuple[Curve, ...]:

@@ -274,7 +274,8 @@ def fit(
         found = find_events(
             frames.points, frames.header.times, Topology(frames.header.faces, frames.header.vertex_count)
         )
-        timing = Timing(_with_cuts(found.whole, cuts, frames.header) if knots is None else Events(), between)
+        chosen = _with_cuts(found.whole, cuts, frames.header) if knots is None else Events()
+        timing = Timing(chosen, between)
         if between == "smooth":
             frames, events = distinct_poses(frames, timing.events)
             timing = replace(timing, events=events)
@@ -291,6 +292,9 @@ def fit(
             search = stages.at(FIT_STAGES, MAX_TRIAL_MODELS)
             model = fit_within_tolerance(encoded, frames, max_error, search, executor)
         header = frames.trace(max_error, promised=not is_reduced)
+        if header.provenance and knots is None:
+            text = replace(found, whole=chosen).describe(whole.header, between)
+            header = replace(header, provenance=replace(header.provenance, events=text))
         if frames is not whole:
             header = replace(header, times=whole.header.times, provenance=as_edited(header.provenance))
         return replace(model, header=header)
