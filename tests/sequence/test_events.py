@@ -146,7 +146,7 @@ def test_components_are_cut_and_pop_by_themselves() -> None:
 def test_poses_are_kept_at_their_own_times() -> None:
     poses = np.repeat(FRAMES[:15], 2)
     sequence = MeshSequence.from_arrays(moving(poses), MESH[1], fps=24)
-    store, events = distinct_poses(FrameStore(sequence.header, sequence.points), found(sequence.points))
+    store, events = distinct_poses(FrameStore(sequence.header, sequence.points), found(moving(poses)))
     np.testing.assert_allclose(store.header.times[:-1] * 24, np.arange(0, 30, 2), atol=1e-12)
     assert store.header.times[-1] == sequence.times[-1]
     np.testing.assert_array_equal(store.points[:-1], sequence.points[::2])
