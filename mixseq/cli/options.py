@@ -405,13 +405,13 @@ def _parse_cuts(text: str) -> str | list[float]:
 
 timing = group(
     "timing",
-    option(
+    setting(
         "--between",
         type=click.Choice(BETWEENS),
         help="Motion between frames: as found in them, smooth through poses on twos and baked keys, straight, or "
         "none.  [default: auto]",
     ),
-    option(
+    setting(
         "--cuts auto|none|FRAMES",
         type=_parse_cuts,
         help="Where the motion jumps: where found, nowhere, or before these frames, such as 1013,1050.  "

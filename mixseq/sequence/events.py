@@ -18,16 +18,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mixseq.choices import BetweenName
-from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import FrameStore, iterate_blocks
 from mixseq.types import Float, Index, Mask, evenly_spaced
+
+if TYPE_CHECKING:
+    from mixseq.mesh.topology import Topology
 
 SAMPLED_EDGES = 768
 """Number of edges whose vertices are compared, shared by the components."""
