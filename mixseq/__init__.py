@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mixseq.compression.encoder.compress import compress
     from mixseq.mesh.polygons import Polygons
     from mixseq.mesh.topology import Topology
-    from mixseq.metrics import Comparison, compare
+    from mixseq.metrics import Comparison, compare, measure_between
     from mixseq.operations.interpolation import interpolate, segment
     from mixseq.retargeting.correspond import correspond
     from mixseq.retargeting.markers import Correspondence, Markers
@@ -72,6 +72,7 @@ _MODULES = {
     "fit_skin": "mixseq.rigging.fitting",
     "interpolate": "mixseq.operations.interpolation",
     "load": "mixseq_io.loading",
+    "measure_between": "mixseq.metrics",
     "open_sequence": "mixseq_io",
     "read": "mixseq_io",
     "read_markers": "mixseq_io.text.markers",
@@ -113,6 +114,7 @@ __all__ = [
     "fit_skin",
     "interpolate",
     "load",
+    "measure_between",
     "open_sequence",
     "operations",
     "read",

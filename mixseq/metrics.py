@@ -30,10 +30,14 @@ from mixseq.mesh.measures import Diagonal, degenerate_faces, dihedral_angles, ed
 from mixseq.mesh.polygons import match_triangles
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
+from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, reference_diagonal
+from mixseq.signals.between import largest_distance, played_blocks, quarter_times
+from mixseq.signals.fitting import as_motion
+from mixseq.signals.model import Model
 from mixseq.types import Float
 
 MIN_NORMAL_HEIGHT_RATIO = 1e-6
@@ -174,6 +178,43 @@ def compare(a: Frames, b: Frames) -> Comparison:
     )
 
 
+@public
+def measure_between(source: Model | Frames, delivery: Model | Frames, progress: Progress = no_progress) -> float:
+    """Measure how far a file is from its source between frames, as it is played.
+
+    Players interpolate a rig as its file says, other points along straight lines. Compressed models are played by the
+    splines of `CompressedModel.playback`. Points are compared at the quarters of the intervals between frames.
+
+    Parameters
+    ----------
+    source : Model, MeshSequence or SequenceReader
+        The reference: a model, an open rig, or a sequence, of which the exact model is fitted.
+    delivery : Model, MeshSequence or SequenceReader
+        The same mesh at times of the source, at any frame rate.
+    progress : callable, optional
+        Called while a model is fitted.
+
+    Returns
+    -------
+    float
+        Largest distance of a vertex, in diagonals of the source's first frame.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If the meshes differ.
+    SettingsError
+        If the delivery has frames before or after the source.
+    """
+    motion = as_motion(source, progress)
+    times = quarter_times(delivery.header.times)
+    vertices = _match_mesh(motion.header, delivery.header).vertices
+    expected = (block[:, vertices] for block in motion.blocks(times))
+    played = played_blocks(getattr(delivery, "playback", delivery), times)
+    unit = reference_diagonal(motion.blocks(motion.times)).length
+    return error_ratio(largest_distance(expected, played), unit)
+
+
 def match_frames(a: SequenceHeader, b: SequenceHeader) -> NDArray[np.int64] | None:
     """Return the frame indices ``(T,)`` of b at the times of a, or None if b has no frame at one of the times.
 
@@ -201,19 +242,8 @@ def match_reference(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
     or times differ.
     """
     header = a.header
-    for what, count, other_count in (
-        ("vertices", header.vertex_count, b.vertex_count),
-        ("frames", header.frame_count, b.frame_count),
-    ):
-        if count != other_count:
-            raise InvalidSequenceError(f"the reference has {count} {what}, the other sequence {other_count}")
-    renumbering = match_meshes(mesh_of(header), mesh_of(b))
-    if renumbering is None:
-        renumbering = identity_numbering(header.polygons, header.vertex_count)
-        try:
-            match_triangles(header.polygons, b.polygons, ("the reference", "the other sequence"))
-        except InvalidSequenceError as error:
-            raise InvalidSequenceError(f"{error}; vertices must be in the same order") from None
+    renumbering = _match_mesh(header, b)
+    _check_count("frames", header.frame_count, b.frame_count)
     if match_frames(header, b) is None:
         frame = int(np.argmax(np.abs(header.times - b.times) > _time_tolerance(header, b)))
         raise InvalidSequenceError(
@@ -221,6 +251,24 @@ def match_reference(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
             f"{b.times[frame]:.9g} s in the other sequence; give sequences with the same times"
         )
     return (a if renumbering.order != "free" else renumbering.renumber_frames(a)), renumbering
+
+
+def _match_mesh(a: SequenceHeader, b: SequenceHeader) -> Renumbering:
+    """Return the renumbering of vertices from a to b; raise InvalidSequenceError if meshes differ."""
+    _check_count("vertices", a.vertex_count, b.vertex_count)
+    renumbering = match_meshes(mesh_of(a), mesh_of(b))
+    if renumbering is None:
+        renumbering = identity_numbering(a.polygons, a.vertex_count)
+        try:
+            match_triangles(a.polygons, b.polygons, ("the reference", "the other sequence"))
+        except InvalidSequenceError as error:
+            raise InvalidSequenceError(f"{error}; vertices must be in the same order") from None
+    return renumbering
+
+
+def _check_count(what: str, count: int, other_count: int) -> None:
+    if count != other_count:
+        raise InvalidSequenceError(f"the reference has {count} {what}, the other sequence {other_count}")
 
 
 def paired_blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Float]]:

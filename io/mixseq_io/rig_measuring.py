@@ -1,4 +1,4 @@
-r"""Measure the errors of a file with a skin or a morph, compared with its original sequence.
+r"""Measure the errors of a file with a skin or a morph, at its frames and between them.
 
 With points :math:`x_t(v)` of the sequence, points :math:`y_t(v)` of the file, the centroid :math:`\bar x_t` of every
 frame and the diagonal :math:`D` of the first frame:
@@ -11,7 +11,7 @@ frame and the diagonal :math:`D` of the first frame:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 from mixseq.metrics import error_ratio
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.types import IntArray
+from mixseq.signals.between import largest_distance, played_blocks, quarter_times
+from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.gltf.codecs import compute_glb_size
-from mixseq_io.gltf.new_document import MorphFrameWriter, axis_conversion, create_scene
+from mixseq_io.gltf.new_document import MorphFrameWriter, create_scene, node_transform
 from mixseq_io.registry import open_sequence
 from mixseq_io.rig_files import GLTF_EXTENSIONS
 from mixseq_io.scene_meshes import split_meshes
@@ -40,16 +41,11 @@ class RigErrors:
 
 def measure_rig_file(path: Path, sequence: MeshSequence) -> RigErrors:
     """Compare a written rig with its sequence, at the times of its frames."""
-    vertex_ids: IntArray = np.arange(sequence.vertex_count)
-    rotation = np.eye(3)
-    if path.suffix.lower() in GLTF_EXTENSIONS:
-        vertex_ids = _vertices_with_polygons(sequence.header)
-        matrix = axis_conversion(sequence.header).get("matrix", np.eye(4))
-        rotation = np.reshape(matrix, (4, 4))[:3, :3]  # transposed: the file stores columns
+    vertex_ids, rotation, scale = _placement(path, sequence.header)
     largest = squares = spread = 0.0
     for points, written in _frame_pairs(path, sequence):
         expected = points[vertex_ids].astype(np.float64) @ rotation
-        squared_distances = np.square(written - expected).sum(axis=1)
+        squared_distances = np.square(written / scale - expected).sum(axis=1)
         largest = max(largest, float(squared_distances.max()))
         squares += float(squared_distances.sum())
         spread += float(np.square(expected - expected.mean(axis=0)).sum())
@@ -58,6 +54,33 @@ def measure_rig_file(path: Path, sequence: MeshSequence) -> RigErrors:
         rms_error=error_ratio(np.sqrt(squares / (sequence.frame_count * len(vertex_ids))), sequence.diagonal),
         kg_percent=100 * error_ratio(np.sqrt(squares), np.sqrt(spread)),
     )
+
+
+def measure_file_between(
+    path: Path, header: SequenceHeader, points_at: Callable[[Float], Iterable[FloatArray]]
+) -> float | None:
+    """Return the largest distance of a written file from a motion, at the quarters between its frames, in its units.
+
+    `points_at` returns the motion's points in blocks ``(B, V, 3)`` at times ``(N,)`` of the file. The result is None if
+    the file has other meshes as well.
+    """
+    vertex_ids, rotation, scale = _placement(path, header)
+    times = quarter_times(header.times)
+    expected = (block[:, vertex_ids] @ rotation for block in points_at(times))
+    with open_sequence(path, prim="/") as reader:
+        if reader.header.vertex_count != len(vertex_ids):
+            return None
+        return largest_distance(expected, (block / scale for block in played_blocks(reader, times)))
+
+
+def _placement(path: Path, header: SequenceHeader) -> tuple[IntArray, Float, float]:
+    """Return the vertices ``(n,)`` that a file has, and how it rotates ``(3, 3)`` and scales them."""
+    if path.suffix.lower() not in GLTF_EXTENSIONS:
+        return np.arange(header.vertex_count), np.eye(3), 1.0
+    matrix = node_transform(header).get("matrix", np.eye(4))
+    scale = header.metres_per_unit
+    # The file stores columns, so rows are transposed.
+    return _vertices_with_polygons(header), np.reshape(matrix, (4, 4))[:3, :3] / scale, scale
 
 
 def size_with_frame_targets(header: SequenceHeader) -> int:

@@ -212,9 +212,8 @@ Bounds = list[tuple[Provenance, float | None]]
 
 def _find_step(bounds: Bounds, checksum: int, header: SequenceHeader) -> tuple[Provenance, float | None]:
     """Return the step whose source has the frames or else the name of an original, or else the first step."""
-    name = header.provenance.name if header.provenance else header.name
     same = [bound for bound in bounds if bound[0].source and bound[0].source.checksum == checksum]
-    named = [bound for bound in bounds if bound[0].source and bound[0].source.name == name]
+    named = [bound for bound in bounds if bound[0].source and bound[0].source.name == header.file_name]
     return [*same, *named, bounds[-1]][0]
 
 

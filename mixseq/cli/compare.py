@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import at_times_of, check_options, counted, options_of
+from mixseq.cli.files import at_times_of, between_row, check_options, counted, is_model, options_of
 from mixseq.cli.group import length_text, print_json, print_table, progress_bar, say
 from mixseq.errors import MixseqWarning
 from mixseq.sequence.frame_rates import format_frame, time_to_number
@@ -23,10 +23,15 @@ if TYPE_CHECKING:
 @options.command("compare", "mixseq compare walk.usdc decoded.usdc", "mixseq compare walk.usdc walk.h5 --json")
 @options.argument("reference")
 @options.argument("other")
+@options.option(
+    "--between",
+    is_flag=True,
+    help="Also measure OTHER between its frames, as it is played; fits a model of REFERENCE if it has only points.",
+)
 @options.as_json
 @options.reading
 @options.quiet
-def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
+def command(reference: Path, other: Path, between: bool, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
     """Measure how far a sequence is from a reference.
 
     Both files are sequences or models of one mesh. If OTHER has more frames, only its frames at the times of REFERENCE
@@ -46,18 +51,23 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
         count = a.header.frame_count
         frames = LazyFrames(a.header, lambda size: counted(a.blocks(size), count, "comparing frames", progress))
         result = mixseq.compare(frames, shared)
+        error = None
+        if between:
+            source, delivery = (mixseq.load(x) if is_model(x) else y for x, y in ((reference, a), (other, b)))
+            error = mixseq.measure_between(source, delivery, progress)
     if as_json:
         number = time_to_number(result.worst_time, a.header.fps)
         left_out = b.header.frame_count - result.frames
         print_json(
             {"reference": str(reference), "other": str(other), "left_out": left_out}
             | result.as_dict()
-            | {"worst_number": number}
+            | {"worst_number": number, "between_error": error}
         )
     elif not quiet:
         if shared is not b:
             say(f"compared at the {result.frames} times that {other} shares, out of {b.header.frame_count}")
-        print_table(_rows(result, a.header))
+        diagonal = result.diagonal * a.header.metres_per_unit
+        print_table([*_rows(result, a.header), *between_row(error, diagonal)])
 
 
 def _warn_of_axes(reference: Path, a: SequenceHeader, other: Path, b: SequenceHeader) -> None:

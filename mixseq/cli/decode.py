@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ import mixseq
 from mixseq.cli import files, options
 from mixseq.cli.group import announce, format_bytes, length_text, print_table, progress_bar
 from mixseq.cli.options import in_diagonals
-from mixseq.errors import MixseqWarning, NoMeshError, SettingsError
+from mixseq.errors import MixseqError, MixseqWarning, NoMeshError, SettingsError
 from mixseq.sequence.frame_rates import format_rate, snap_to_ntsc
 
 if TYPE_CHECKING:
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from mixseq.runtime.parallel import Executor
     from mixseq.runtime.progress import Progress
     from mixseq.sequence.header import SequenceHeader
-    from mixseq.sequence.sequence import MeshSequence
+    from mixseq.sequence.sequence import Frames, MeshSequence
+    from mixseq.signals.decoding import Decodable, RigMotion
     from mixseq.signals.model import Model
     from mixseq_io.vat.writer import TextureName, VatReport
 
@@ -33,6 +34,7 @@ _KINDS_BY_OPTION = {
     "kg": "skin",
     "correctives": "skin",
     "max_error": "skin or morph (or a target .vat)",
+    "between": "skin or morph (or a target .vat)",
     "max_targets": "skin or morph",
 }
 _UNSUPPORTED_BY_RIGS = {"velocities": "velocities", "onto": "other files to build on", "clips": "clips"}
@@ -64,6 +66,34 @@ def _fit_rig(
     return mixseq.fit_skin(sequence, progress=progress, **settings)
 
 
+def _hold_rig_between(
+    kind: str, sequence: MeshSequence, motion: Decodable, progress: Progress, max_error: float, **settings: Any
+) -> tuple[Skin | Morph, MeshSequence]:
+    """Fit a rig to as many frames of a motion as keep the bound between them; also return these frames."""
+    from mixseq.signals.between import hold_between, largest_distance, quarter_times
+
+    def fit(frames: MeshSequence, bound: float) -> tuple[tuple[Skin | Morph, MeshSequence], float]:
+        rig, times = _fit_rig(kind, frames, progress, max_error=bound, **settings), quarter_times(frames.times)
+        distance = largest_distance(motion.blocks(times), rig.resampled(times).blocks())
+        return (rig, frames), distance / (frames.diagonal or 1.0)
+
+    return hold_between(motion, sequence, max_error, fit)
+
+
+def _motion_of(frames: Model | Frames, progress: Progress, is_needed: bool) -> Model | RigMotion | None:
+    """Return the motion of frames at any time; None with a warning if no model fits them, unless it is needed."""
+    from mixseq.signals.fitting import as_motion
+
+    try:
+        return as_motion(frames, progress)
+    except MixseqError as error:
+        if is_needed:
+            raise
+        reason = f"errors between frames are not measured, as no model fits the frames: {error}"
+        warnings.warn(reason, MixseqWarning, stacklevel=2)
+        return None
+
+
 def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
     """Return the mesh bound to a file's skeleton; None if there is no mesh, or it differs from the sequence's mesh."""
     try:
@@ -83,11 +113,13 @@ def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
     return None
 
 
-def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[str, str]]:
-    """Return table rows about the contents of a written rig file and its distance from the sequence."""
+def rows(
+    path: Path, rig: Skin | Morph, sequence: MeshSequence, motion: Decodable | None = None
+) -> list[tuple[str, str]]:
+    """Return table rows about the contents of a written rig file, and its distance from the sequence and the motion."""
     from mixseq.rigging.rigs import Skin
     from mixseq_io.rig_files import GLTF_EXTENSIONS
-    from mixseq_io.rig_measuring import measure_rig_file, size_with_frame_targets
+    from mixseq_io.rig_measuring import measure_file_between, measure_rig_file, size_with_frame_targets
 
     measured, diagonal = measure_rig_file(path, sequence), sequence.diagonal * sequence.metres_per_unit
     first, last = rig.header.times[[0, -1]]
@@ -101,6 +133,9 @@ def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[st
         ("rms error", length_text(measured.rms_error, diagonal)),
         ("KG error", f"{measured.kg_percent:.4g} %"),
     ]
+    if motion is not None:
+        error = measure_file_between(path, sequence.header, motion.blocks)
+        table += files.between_row(error and error / (sequence.diagonal or 1.0), diagonal)
     if path.suffix.lower() in GLTF_EXTENSIONS:
         size = format_bytes(size_with_frame_targets(sequence.header))
         table.append(("every frame", f"would be {size} as a morph target each"))
@@ -117,6 +152,7 @@ def texture_rows(report: VatReport, diagonal: float) -> list[tuple[str, str]]:
         ),
         ("max error", length_text(report.max_error, diagonal)),
         ("rms error", length_text(report.rms_error, diagonal)),
+        *files.between_row(report.between_error, diagonal),
         ("normals", f"off by {report.normal_degrees:.3g} degrees (root mean square)"),
     ]
 
@@ -178,6 +214,10 @@ def _seconds(text: str) -> tuple[float, ...]:
         help="Largest error of a skin's bones, of a morph or of textures, as a fraction of the bounding box's "
         "diagonal, or 0.5mm; a morph without it is exact.",
     ),
+    options.flag(
+        "--between",
+        help="Keep --max-error between frames, too, at quarters of a frame of TARGET, with up to 8 times the frames.",
+    ),
     options.setting("--max-targets N", type=options.NON_NEGATIVE_INTEGER, help="Number of morph targets at most."),
 )
 @options.setting(
@@ -215,11 +255,14 @@ def command(
     """
     textures = target.suffix.lower() == files.VAT_EXTENSION
     if textures:
-        names = {"kind", *_KINDS_BY_OPTION, "velocities", *writing} - {"max_error"}
+        names = {"kind", *_KINDS_BY_OPTION, "velocities", *writing} - {"max_error", "between"}
         for option in options.given_options(*sorted(names)):
             raise SettingsError(f"vertex animation textures (.vat) have no place for {option}; leave it out")
     else:
         _check_rig(kind)
+    between = rig.pop("between", False)
+    if "max_error" not in rig:
+        options.refuse("between", why="is about --max-error; give both")
     claim(target)
     if textures:
         from mixseq_io.vat.writer import check_vat_target
@@ -229,33 +272,39 @@ def command(
         from mixseq_io.rig_files import check_rig_target
 
         check_rig_target(target)
-    with workers as work, progress_bar(quiet) as progress:
+    with workers as work, progress_bar(quiet) as progress, ExitStack() as opened:
         if kind is None and not textures:
             model = mixseq.load(source)
             header = _header_of_frames(model, **frame_options)
             files.write_frames(target, model, header, velocities, writing, progress, work)
-            table = files.time_rows(header)
+            table = [] if quiet else files.time_rows(header) + files.between_rows(target, header, model.blocks, writing)
         else:
-            sequence = _frames_to_fit(source, frame_options, progress, work)
+            sequence, frames = _frames_to_fit(source, frame_options, progress, work, opened)
             files.check_origin(target, sequence)
             rig = in_diagonals(rig, sequence, "max_error", "correctives")
+            motion = None if quiet and not between else _motion_of(frames, progress, between)
             if textures:
-                report = mixseq.write_vat(target, sequence, rig.get("max_error"), texture, progress)
+                report = mixseq.write_vat(
+                    target, sequence, rig.get("max_error"), texture, progress, motion=motion, between=between
+                )
                 table = texture_rows(report, sequence.diagonal * sequence.metres_per_unit)
             else:
-                rig_model = _fit_rig(kind or "", sequence, progress, **rig)
+                if between and motion is not None:
+                    rig_model, sequence = _hold_rig_between(kind or "", sequence, motion, progress, **rig)
+                else:
+                    rig_model = _fit_rig(kind or "", sequence, progress, **rig)
                 mixseq.write_rig(target, rig_model)
-                table = [] if quiet else rows(target, rig_model, sequence)
+                table = [] if quiet else rows(target, rig_model, sequence, motion)
     if not quiet:
         print_table(table)
     announce(target)
 
 
 def _frames_to_fit(
-    source: Path, frame_options: Mapping[str, Any], progress: Progress, workers: Executor
-) -> MeshSequence:
-    """Decode the chosen frames of a model into memory, or read the sequence if the source is not a model."""
-    from mixseq.sequence.sequence import join_blocks
+    source: Path, frame_options: Mapping[str, Any], progress: Progress, workers: Executor, opened: ExitStack
+) -> tuple[MeshSequence, Model | Frames]:
+    """Decode the chosen frames of a model into memory, or read a sequence; also return the model, rig or sequence."""
+    from mixseq.sequence.sequence import is_rig, join_blocks
 
     named_as_model = source.suffix.lower() in files.MODEL_EXTENSIONS and not source.is_file()
     if not (files.is_model(source) or named_as_model):
@@ -264,10 +313,12 @@ def _frames_to_fit(
                 f"{source} is a sequence, whose frames are fitted as they are; leave out --fps, --times, --frames, "
                 "--start and --end, or turn it into a model first, with mixseq encode"
             )
-        return files.read_sequence(source, {}, progress)
+        sequence = files.read_sequence(source, {}, progress)
+        reader = opened.enter_context(mixseq.open_sequence(source))
+        return sequence, reader if is_rig(reader) else sequence
     model = mixseq.load(source)
     header = _header_of_frames(model, **frame_options)
-    return join_blocks(header, model.blocks(header.times, progress=progress, workers=workers))
+    return join_blocks(header, model.blocks(header.times, progress=progress, workers=workers)), model
 
 
 def _header_of_frames(

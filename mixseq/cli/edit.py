@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
+from mixseq.cli.compressed import history_rows
 from mixseq.cli.files import MODEL_EXTENSIONS, Claim, check_target, overwriting, write_frames
 from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.errors import SettingsError
@@ -128,6 +129,7 @@ def command(
             write_frames(target, model, header, velocities, writing, progress, work, sources)
     if not quiet:
         print_table(rows, ("edit", "before", "after"))
+        print_table(history_rows(model.header))
     announce(target)
 
 

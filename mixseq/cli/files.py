@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ import click
 import mixseq
 from mixseq.cli import options
 from mixseq.cli.compressed import history_rows
-from mixseq.cli.group import printable
+from mixseq.cli.group import length_text, printable
 from mixseq.errors import OutputError, SettingsError
 from mixseq.runtime.progress import Progress
 from mixseq.sequence.frame_rates import format_frames, format_rate, time_to_number
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from mixseq.sequence.header import SequenceHeader
     from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence
     from mixseq.signals.model import Model
-    from mixseq.types import FloatArray
+    from mixseq.types import Float, FloatArray
     from mixseq_io.reader import SequenceReader
     from mixseq_io.text.labels import Labels
 
@@ -112,6 +112,33 @@ def time_rows(header: SequenceHeader) -> list[tuple[str, str]]:
         ("time", f"{first:g} to {last:g} s at {format_rate(header.fps)} frames per second"),
         *history_rows(header),
     ]
+
+
+def between_rows(
+    path: Path,
+    header: SequenceHeader,
+    points_at: Callable[[Float], Iterable[FloatArray]],
+    writing: Mapping[str, Any],
+) -> list[tuple[str, str]]:
+    """Return a table row about the error between frames of a written glTF file, as players show it.
+
+    `points_at` returns points of the motion ``(B, V, 3)`` at times ``(N,)`` of the file.
+    """
+    from mixseq.sequence.sequence import UnitConversion, reference_diagonal
+    from mixseq_io.rig_measuring import measure_file_between
+
+    if path.suffix.lower() not in GLTF_EXTENSIONS or header.frame_count == 1:
+        return []
+    conversion = UnitConversion.from_header(header, writing.get("convert_axes"), writing.get("convert_units"))
+    written = conversion.convert_header(header)
+    error = measure_file_between(path, written, lambda times: map(conversion.convert, points_at(times)))
+    diagonal = reference_diagonal(points_at(header.times)).length * conversion.scale
+    return between_row(None if error is None else error / (diagonal or 1.0), diagonal * written.metres_per_unit)
+
+
+def between_row(error: float | None, diagonal: float) -> list[tuple[str, str]]:
+    """Return a table row about an error between frames in diagonals, if it was measured; `diagonal` is in metres."""
+    return [] if error is None else [("between frames", length_text(error, diagonal, digits=2))]
 
 
 def write_frames(

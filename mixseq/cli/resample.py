@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import Claim, is_model, overwriting, time_rows, write_sequence
+from mixseq.cli.files import Claim, between_rows, is_model, overwriting, time_rows, write_sequence
 from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.cli.options import in_diagonals
 from mixseq.errors import SettingsError
@@ -128,8 +128,9 @@ def command(
         else:
             blocks = planned.blocks(progress=progress, workers=work)
             write_sequence(target, planned.header, blocks, None, writing, planned.sources)
+        between = [] if quiet else between_rows(target, planned.header, planned.blocks_at, writing)
     if not quiet:
-        print_table(_rows(planned))
+        print_table([*_rows(planned), *between])
     announce(target)
 
 
@@ -166,7 +167,7 @@ def _motion(
 
 
 def _rows(planned: Resampling) -> list[tuple[str, str]]:
-    from mixseq.operations.resampling import RigMotion
+    from mixseq.signals.decoding import RigMotion
 
     header, retiming = planned.header, planned.retiming
     first, last = header.times[[0, -1]]

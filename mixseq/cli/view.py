@@ -274,7 +274,7 @@ def _set_markers(
     meshes = _open_marked_meshes(files, path, reading)
 
     def save(markers: Markers) -> str:
-        write_markers(path, markers)
+        write_markers(path, markers.with_meshes(meshes.source, meshes.target))
         return f"{len(markers)} markers are in {path.name}, for mixseq transfer --markers"
 
     with run_marking_viewer(meshes, ViewSettings(**viewing), save) as running:
@@ -284,7 +284,8 @@ def _set_markers(
             acknowledge_signal()  # later saves are intentional
             if running.session.has_changes:
                 kept = _free_name(path.with_stem(f"{path.stem}-unsaved"))
-                write_markers(kept, running.session.marking.markers)
+                markers = running.session.marking.markers
+                write_markers(kept, markers.with_meshes(meshes.source, meshes.target))
                 warnings.warn(f"the markers were not saved; they are in {kept}", MixseqWarning, stacklevel=2)
 
 
@@ -307,6 +308,7 @@ def _open_marked_meshes(files: Sequence[Path], path: Path, reading: Mapping[str,
     source, target = (_still(file, reading) for file in files)
     tops = [Topology(mesh.faces, mesh.vertex_count) for mesh in (source, target)]
     try:
+        markers = markers.renumbered(source, target)
         check_marker_vertices(markers, *tops)
     except SettingsError as error:
         raise SettingsError(f"{path}: {error}") from None

@@ -12,16 +12,18 @@ order of first use.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from typing import overload
 
 import numpy as np
 
 from mixseq.choices import ORDERS, OrderName
 from mixseq.compression.bitstream.connectivity import encode_polygons, walk_polygons
-from mixseq.errors import SettingsError
-from mixseq.mesh.polygons import Polygons, match_polygons
+from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.mesh.polygons import Polygons, canonical_order, match_polygons, match_triangles
 from mixseq.mesh.surface import FaceSet, Surface, renumber_by_first_use
 from mixseq.sequence.header import SequenceHeader, header_fields
 from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence
@@ -47,6 +49,11 @@ class Renumbering:
         return "keep" if _is_sorted(self.corners) else "vertices"
 
     @property
+    def reorders_faces(self) -> bool:
+        """Whether polygons have other numbers."""
+        return not _is_sorted(self.polygons)
+
+    @property
     def inverse(self) -> Renumbering:
         """The inverse permutation."""
         return Renumbering(*map(np.argsort, (self.vertices, self.polygons, self.corners)))
@@ -60,13 +67,8 @@ class Renumbering:
         """Return labels ``(F,)`` of the triangles of polygons in the order of the renumbered polygons."""
         if labels.shape != (len(polygons.triangles),) or self.order == "keep":
             return labels  # another shape is refused where labels are used
-        old = Polygons.from_triangles(np.argsort(self.vertices)[polygons.triangles])
-        new = Polygons.from_triangles(self.renumber_polygons(polygons).triangles)
-        match = match_polygons(new, old)
-        if match is not None:
-            return labels[match.polygons]
-        counts = polygons.counts.astype(np.int64) - 2  # fans about other corners: keep the order within polygons
-        return labels[_corners((np.cumsum(counts) - counts)[self.polygons], counts[self.polygons], 0 * counts)]
+        old = Polygons(polygons.counts, np.argsort(self.vertices)[polygons.indices])
+        return labels[match_triangles(self.renumber_polygons(polygons), old, ("", ""))]
 
     def renumber_header(self, header: SequenceHeader) -> SequenceHeader:
         """Return the header with its mesh and all attributes renumbered."""
@@ -173,14 +175,77 @@ def match_meshes(a: Mesh, b: Mesh) -> Renumbering | None:
     return Renumbering(numbering.vertices, polygons, corners)
 
 
-def match_vertices(a: SequenceHeader, b: SequenceHeader) -> Index | None:
-    """Return the vertex ``(V,)`` of mesh `a` for every vertex of mesh `b`; return None if they are different meshes."""
+def match_headers(a: SequenceHeader, b: SequenceHeader) -> Renumbering | None:
+    """Return `match_meshes` of two headers; warn if vertices or faces have other numbers."""
+    numbering = match_meshes(mesh_of(a), mesh_of(b))
+    if numbering is not None:
+        warn_of_numbers(a.file_name, b.file_name, vertices=numbering.order == "free", faces=numbering.reorders_faces)
+    return numbering
+
+
+def warn_of_numbers(name: str, other: str, **are_renumbered: bool) -> None:
+    """Warn that vertices or faces of two files are matched, if they have other numbers."""
+    what = " and ".join(each for each, is_renumbered in are_renumbered.items() if is_renumbered)
+    if what:
+        warnings.warn(f"{what} of {name} have other numbers in {other}; they are matched", MixseqWarning, stacklevel=4)
+
+
+def match_vertices(a: SequenceHeader, b: SequenceHeader, *, quiet: bool = False) -> Index | None:
+    """Return the vertex ``(V,)`` of mesh `a` for every vertex of mesh `b`; return None if they are different meshes.
+
+    A warning says that vertices have other numbers, unless `quiet`.
+    """
     if a.vertex_count != b.vertex_count:
         return None
     if np.array_equal(a.faces, b.faces):
         return np.arange(a.vertex_count)
     numbering = match_meshes(mesh_of(a), mesh_of(b))
-    return None if numbering is None else numbering.vertices
+    if numbering is None:
+        return None
+    if not quiet:
+        warn_of_numbers(a.file_name, b.file_name, vertices=numbering.order == "free")
+    return numbering.vertices
+
+
+@dataclass(frozen=True)
+class NumberedVertices:
+    """Checksums of a mesh, and numbers of some vertices in the order of its walk, to find these in other files of it.
+
+    Checksums do not depend on the order of faces. Walking a walked mesh changes nothing, so both orders can be found.
+    """
+
+    checksum: str  # of the triangles
+    walk_checksum: str  # of the triangles of renumbered vertices
+    walk_ids: Mapping[int, int]  # number in the order of the walk, by vertex
+
+    @classmethod
+    def from_mesh(cls, header: SequenceHeader, vertex_ids: Index) -> NumberedVertices:
+        """Return the checksums of a mesh, and its vertices ``(n,)`` in the order of the walk."""
+        walk = walk_numbering(*mesh_of(header), vertices=True)
+        walk_ids = np.argsort(walk.vertices)[vertex_ids].tolist()
+        walked = walk.renumber_polygons(header.polygons)
+        return cls(_checksum(header.polygons), _checksum(walked), dict(zip(vertex_ids.tolist(), walk_ids, strict=True)))
+
+    def find_in(self, header: SequenceHeader, vertex_ids: Index, name: str) -> Index:
+        """Return vertices ``(n,)`` in the numbers of another file; raise SettingsError if its mesh is another one."""
+        if _checksum(header.polygons) == self.checksum:
+            return vertex_ids
+        walk = walk_numbering(*mesh_of(header), vertices=True)
+        walk_ids = np.array([self.walk_ids.get(vertex, -1) for vertex in vertex_ids.tolist()], dtype=np.int64)
+        is_same = _checksum(walk.renumber_polygons(header.polygons)) == self.walk_checksum
+        if not (is_same and (walk_ids >= 0).all() and (walk_ids < header.vertex_count).all()):
+            raise SettingsError(
+                f"{name} are of another mesh than {header.file_name}, or of other numbers; set them on this file, or "
+                "delete 'meshes' from their file if vertices have the same numbers"
+            )
+        warn_of_numbers(name, header.file_name, vertices=True)
+        return walk.vertices[walk_ids]
+
+
+def _checksum(polygons: Polygons) -> str:
+    """Return a checksum of triangles in any order."""
+    triangles = Polygons.from_triangles(polygons.triangles)
+    return sha256(triangles.indices[canonical_order(triangles).corners].astype("<i4").tobytes()).hexdigest()[:16]
 
 
 def mesh_of(header: SequenceHeader) -> Mesh:

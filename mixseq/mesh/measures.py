@@ -18,7 +18,10 @@ their polygons. A polygon, planar or not, has the vector area :math:`\frac12 \su
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import wraps
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +59,27 @@ class Diagonal:
         """Return lengths divided by ``2**exponent``: a length equal to the diagonal becomes `fraction`."""
         with np.errstate(over="ignore", under="ignore"):
             return np.asarray(np.ldexp(lengths, -self.exponent), dtype=np.float64)
+
+
+FAR_DIAGONALS = 4.0
+"""Distance of a mesh from zero, in diagonals, beyond which its points are stored relative to an origin of their own."""
+
+
+NO_ORIGIN: Float = np.zeros(3)
+"""Origin of coordinates that are relative to zero."""
+
+
+def choose_origin(points: FloatArray) -> Float:
+    """Return the origin ``(3,)`` of coordinates in single precision: zero, or near points ``(V, 3)`` that are far away.
+
+    Its coordinates are multiples of a power of two that is about the diagonal, so that they are exact in float32.
+    """
+    low, high = (np.asarray(corner, dtype=np.float64) for corner in (points.min(axis=0), points.max(axis=0)))
+    largest = max(np.abs(low).max(), np.abs(high).max())
+    if not (0 < largest < np.inf and FAR_DIAGONALS * (diagonal := Diagonal.from_points(points).length) < largest):
+        return NO_ORIGIN
+    _, exponent = np.frexp(max(diagonal, largest * 2.0**-23))
+    return np.asarray(np.ldexp(np.rint(np.ldexp(low / 2 + high / 2, -exponent)), exponent), dtype=np.float64)
 
 
 def vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
@@ -104,10 +128,35 @@ def hard_edges_from_normals(polygons: Polygons, normals: FloatArray) -> NDArray[
     return groups.astype(np.int32)
 
 
+ELEMENTS_PER_BLOCK = 1 << 16
+"""Number of edges, faces or hinges that are measured at once, because temporary arrays are ten times their results."""
+
+Measure = TypeVar("Measure", bound=Callable[..., NDArray[Any]])
+
+
+def element_blocks(count: int, frames: int = 1) -> Iterator[slice]:
+    """Yield slices of at most `ELEMENTS_PER_BLOCK` elements in all frames together; one slice if there are none."""
+    size = max(ELEMENTS_PER_BLOCK // max(frames, 1), 1)
+    return (slice(start, start + size) for start in range(0, max(count, 1), size))
+
+
+def _in_blocks(measure: Measure) -> Measure:
+    """Measure elements ``(n, k)``, the second argument, in blocks."""
+
+    @wraps(measure)
+    def measured(points: FloatArray, elements: IntArray, *arguments: float) -> NDArray[Any]:
+        slices = element_blocks(len(elements), int(np.prod(points.shape[:-2])))
+        blocks = [measure(points, elements[block], *arguments) for block in slices]
+        return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=-1)
+
+    return cast(Measure, measured)
+
+
 MIN_EDGE_LENGTH_RATIO = 1e-6  # least length of an edge relative to its typical length
 MIN_DIRECTED_LENGTH = 1e-12  # in diagonals; shorter edges have no direction and no weight
 
 
+@_in_blocks
 def edge_lengths(points: FloatArray, edges: IntArray) -> Float:
     """Return the lengths ``(..., E)`` of edges ``(E, 2)`` for points ``(..., V, 3)``."""
     difference = points[..., edges[:, 1], :] - points[..., edges[:, 0], :]
@@ -125,6 +174,7 @@ def clamp_lengths(lengths: Float, weights: Float) -> Float:
     return np.maximum(lengths, least)
 
 
+@_in_blocks
 def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:
     """Return the signed dihedral angles ``(..., H)`` of hinges ``(H, 4)`` in radians; 0 at degenerate faces.
 
@@ -146,6 +196,7 @@ def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:
     return np.asarray(np.arctan2(sine, cosine * length), dtype=np.float64)
 
 
+@_in_blocks
 def degenerate_faces(points: FloatArray, faces: IntArray, height_ratio: float) -> NDArray[np.bool_]:
     """Mark the faces ``(..., F)`` with a height of at most `height_ratio` times their longest side."""
     corners = points[..., faces, :]
@@ -161,6 +212,7 @@ def scatter_add(values: FloatArray, indices: IntArray, count: int) -> Float:
     return np.stack(sums, axis=1).astype(np.float64)  # bincount returns integers without values
 
 
+@_in_blocks
 def triangle_areas(points: FloatArray, faces: IntArray) -> Float:
     """Return the areas ``(F,)`` of triangles ``(F, 3)`` of points ``(V, 3)``."""
     a, b, c = (points[corner] for corner in faces.T)

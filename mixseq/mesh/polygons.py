@@ -180,6 +180,10 @@ def match_triangles(first: Polygons, second: Polygons, names: tuple[str, str]) -
         first_starts, second_starts = (np.cumsum(mesh.counts - 2) - mesh.counts + 2 for mesh in (first, second))
         sizes = first.counts - 2
         offsets = np.arange(len(first.triangles)) - np.repeat(first_starts, sizes)
+        # Quads that begin at opposite corners have the same triangles, in the other order.
+        begin = np.cumsum(first.counts) - first.counts, (np.cumsum(second.counts) - second.counts)[match.polygons]
+        is_opposite = np.repeat((first.counts == 4) & (match.corners[begin[0]] - begin[1] == 2), sizes)
+        offsets = np.where(is_opposite, 1 - offsets, offsets)
         return np.asarray(np.repeat(second_starts[match.polygons], sizes) + offsets, dtype=np.int64)
     match = match_polygons(*(Polygons.from_triangles(mesh.triangles) for mesh in (first, second)))
     if match is None:

@@ -47,7 +47,10 @@ class Topology(PickledWithoutCaches):
     def _sorted_edges(self) -> tuple[Index, Index]:
         """Edges ``(E, 2)``, and the edge ``(3F,)`` of every side, face by face."""
         start, end = self._sides
-        keys = np.minimum(start, end) * np.int64(self.vertex_count) + np.maximum(start, end)
+        keys = np.minimum(start, end).astype(np.int64)
+        keys *= self.vertex_count
+        keys += np.maximum(start, end)
+        del start, end  # large meshes take much memory here
         order = np.argsort(keys, kind="stable")
         keys = keys[order]
         is_first = np.diff(keys, prepend=-1) != 0
@@ -56,10 +59,9 @@ class Topology(PickledWithoutCaches):
         return np.stack(np.divmod(keys[is_first], self.vertex_count), axis=1), edge_of_side
 
     @property
-    def _sides(self) -> tuple[Index, Index]:
+    def _sides(self) -> tuple[IntArray, IntArray]:
         """Starts and ends ``(3F,)`` of the sides 01, 12 and 20 of every face."""
-        faces = self.faces.astype(np.int64)
-        return faces.reshape(-1), faces[:, [1, 2, 0]].reshape(-1)
+        return self.faces.reshape(-1), self.faces[:, [1, 2, 0]].reshape(-1)
 
     @property
     def edges(self) -> Index:
@@ -179,7 +181,7 @@ def _next_side(sides: Index) -> Index:
 def _symmetric(pairs: Index, count: int) -> sparse.csr_array:
     """Return the symmetric matrix ``(count, count)`` with ones at pairs ``(n, 2)`` and at reversed pairs."""
     # With reversed pairs first, rows are sorted if the pairs are sorted.
-    indices = np.concatenate([pairs[:, ::-1], pairs]).astype(np.int32).T
+    indices = np.concatenate([pairs[:, ::-1], pairs], dtype=np.int32, casting="same_kind").T
     return sparse.coo_array((np.ones(2 * len(pairs)), tuple(indices)), shape=(count, count)).tocsr()
 
 

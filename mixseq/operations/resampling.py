@@ -23,31 +23,10 @@ from mixseq.sequence.frame_rates import FRAME_ROUNDING, FRAME_TOLERANCE, snap_to
 from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
 from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import Frames, MeshSequence, Rig, is_rig, join_blocks, without_velocities
-from mixseq.signals.decoding import FRAMES_PER_BLOCK, Decodable
-from mixseq.signals.fitting import CutChoice, fit
+from mixseq.signals.decoding import FRAMES_PER_BLOCK, Decodable, RigMotion
+from mixseq.signals.fitting import CutChoice, as_motion, fit
 from mixseq.signals.model import Model
 from mixseq.types import Float
-
-
-@dataclass(frozen=True, eq=False)
-class RigMotion(Decodable):
-    """The motion of an open rig, evaluated on the caller's thread, since its file has one position."""
-
-    header: SequenceHeader
-    rig: Rig
-    is_serial = True
-
-    def decode_points(self, times: Float) -> Float:
-        """Return the points ``(N, V, 3)`` at times ``(N,)`` from start to end."""
-        return np.concatenate(list(self.rig.blocks_at(times, len(times)))).astype(np.float64)
-
-    def decode_moving(self, times: Float) -> tuple[Float, Float]:
-        """Return points and velocities ``(N, V, 3)`` at times ``(N,)`` from start to end."""
-        velocities = np.concatenate(list(self.rig.velocity_blocks_at(times, len(times))))
-        return self.decode_points(times), velocities.astype(np.float64)
-
-    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
-        """Do nothing, since frames are independent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +45,11 @@ class Resampling:
         """Yield the decoded frames in blocks of points ``(B, V, 3)`` with ``B <= size``, see `Model.blocks`."""
         return self.motion.blocks(self.sources, size, progress, workers)
 
+    def blocks_at(self, times: Float) -> Iterator[Float]:
+        """Yield points ``(B, V, 3)`` at times ``(N,)`` of the output."""
+        inside = np.clip(times, self.retiming.start, self.retiming.end)
+        return self.motion.blocks(self.motion.clip_times(self.retiming(inside)))
+
     def moving_blocks(
         self, size: int = FRAMES_PER_BLOCK, progress: Progress = no_progress, workers: Executor | None = None
     ) -> Iterator[tuple[Float, Float]]:
@@ -78,7 +62,7 @@ class Resampling:
 
 
 def plan(
-    motion: Decodable | Rig,
+    motion: Model | RigMotion | Rig,
     fps: float | None = None,
     start: float | None = None,
     end: float | None = None,
@@ -87,8 +71,7 @@ def plan(
     retiming: Retiming | None = None,
 ) -> Resampling:
     """Compute the frames of a resampling, with parameters and errors as in `resample`."""
-    if not isinstance(motion, Decodable):
-        motion = RigMotion(motion.header, motion)
+    motion = as_motion(motion)
     if retiming is None:
         first, last = motion.times[[0, -1]]
         first, last = motion.clip_times([first if start is None else start, last if end is None else end])
@@ -192,11 +175,11 @@ def resample(
     >>> slow.frame_count, slow.points[1, 0].round(9).tolist(), slow.velocities[1, 0].round(6).tolist()
     (9, [0.5, 0.5, 0.5], [12.0, 12.0, 12.0])
     """
-    motion: Model | Rig
+    motion: Model | RigMotion
     if isinstance(source, Model) or is_rig(source):
         if (between, cuts) != ("auto", "auto"):
             raise SettingsError("between and cuts are for frames; give them to mixseq.fit, and resample its model")
-        motion = source
+        motion = as_motion(source)
     else:
         frames = without_velocities(source) if velocities else source  # the model's replace them
         motion = fit(frames, exact=True, between=between, cuts=cuts, progress=progress)

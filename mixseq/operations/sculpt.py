@@ -25,7 +25,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.compression.numbering import match_meshes, mesh_of
+from mixseq.compression.numbering import match_vertices
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.mesh.polygons import Polygons, describe_difference
 from mixseq.operations.sections import (
@@ -104,9 +104,9 @@ def check_edited_points(points: ArrayLike | MeshSequence, header: SequenceHeader
             raise SettingsError(f"the edited mesh has {points.frame_count} frames; one is expected")
         if points.vertex_count == header.vertex_count:
             edges, expected = _edges(points.polygons), _edges(header.polygons)
-            numbering = match_meshes(mesh_of(points), mesh_of(header))
-            if numbering is not None:
-                points = numbering.renumber_frames(points)
+            vertex_ids = match_vertices(points, header)
+            if vertex_ids is not None:
+                points = points.with_points(points.points[:, vertex_ids])
             elif not (edges <= expected or expected <= edges):  # either mesh may be triangulated
                 names = ("the edited mesh", "the model")
                 details = describe_difference(points.polygons, header.polygons, names)

@@ -16,7 +16,7 @@ from functools import partial
 
 import numpy as np
 
-from mixseq.compression.numbering import match_meshes, mesh_of
+from mixseq.compression.numbering import match_headers
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.operations.sections import (
     ModelSection,
@@ -105,7 +105,7 @@ def _encode_like(model: Model, first: Model) -> Model:
     a, b = first.header, model.header
     if a.vertex_count == b.vertex_count and np.array_equal(a.faces, b.faces):
         return into(model, first.space)
-    numbering = match_meshes(mesh_of(b), mesh_of(a))
+    numbering = match_headers(b, a)
     if numbering is None:
         raise InvalidSequenceError(
             f"{a.name!r} has {a.vertex_count} vertices, {b.name!r} {b.vertex_count}, or other faces; two models of one "

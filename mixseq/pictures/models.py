@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from mixseq.choices import PICTURES, PictureKind
+from mixseq.compression.numbering import match_vertices
 from mixseq.errors import SettingsError
 from mixseq.pictures.charts import (
     LINE_COLOURS,
@@ -71,10 +72,11 @@ def vertex_errors(
     model: Model, original: MeshSequence, frames: Sequence[int] = (), progress: Progress = no_progress
 ) -> VertexErrors:
     """Compute the vertex errors of a model at the frame times of its original."""
-    if not np.array_equal(model.header.faces, original.faces):
+    vertex_ids = match_vertices(model.header, original)
+    if vertex_ids is None:
         raise SettingsError(
             f"the model has {len(model.header.faces)} triangles of {model.header.vertex_count} vertices, the sequence "
-            f"{len(original.faces)} of {original.vertex_count}, or in another order; errors need the same topology"
+            f"{len(original.faces)} of {original.vertex_count}, or other faces; errors need the same topology"
         )
     diagonal = original.diagonal or 1.0
     largest, rms = np.zeros(original.frame_count), np.zeros(original.frame_count)
@@ -83,7 +85,7 @@ def vertex_errors(
     worst = first = 0
     for block in model.blocks(original.times, _BLOCK_FRAMES, progress):
         for frame, points in enumerate(block, first):
-            distances = vertex_distances(points, original.points[frame], diagonal)
+            distances = vertex_distances(points[vertex_ids], original.points[frame], diagonal)
             largest[frame], rms[frame] = distances.max(), np.sqrt(np.mean(np.square(distances)))
             by_vertex = np.maximum(by_vertex, distances)
             if frame in frames:

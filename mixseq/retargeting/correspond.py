@@ -67,7 +67,8 @@ def correspond(
     ------
     SettingsError
         If there are fewer than four markers, markers are invalid (see `check_markers`), the frame does not exist, a
-        mesh has no faces, the marked components of a mesh have no area, or a mesh is inside out.
+        mesh has no faces, the marked components of a mesh have no area, a mesh is inside out, or markers were set on
+        another mesh.
 
     Warns
     -----
@@ -89,6 +90,7 @@ def correspond_and_assess(
     """Find a correspondence like `correspond`, and return it with its quality."""
     settings = CorrespondenceSettings() if settings is None else settings
     check_rest_frame(source, rest)
+    markers = markers.renumbered(source, target)
     source_mesh, target_mesh = _triangle_mesh(source, rest, "source"), _triangle_mesh(target, 0, "target")
     check_markers(markers, source_mesh.points, target_mesh.points, source_mesh.topology, target_mesh.topology)
     pairings = pair_components(source_mesh.topology, target_mesh.topology, markers)

@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +25,11 @@ from numpy.typing import ArrayLike
 from mixseq.errors import SettingsError
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
+from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index, Mask
+
+if TYPE_CHECKING:
+    from mixseq.compression.numbering import NumberedVertices  # imports numba
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +42,14 @@ class Markers:
         Source vertex and target vertex of every marker.
     names : tuple of str
         Names of all markers for messages, or an empty tuple. Markers without a name are numbered from 1.
+    meshes : pair of NumberedVertices, optional
+        What finds the vertices of source and target in files with other numbers.
     """
 
     source: Index
     target: Index
     names: tuple[str, ...] = ()
+    meshes: tuple[NumberedVertices, NumberedVertices] | None = None
 
     @classmethod
     def from_pairs(cls, pairs: ArrayLike, names: tuple[str, ...] = ()) -> Markers:
@@ -72,6 +80,27 @@ class Markers:
             )
         return cls(vertex_pairs[:, 0].copy(), vertex_pairs[:, 1].copy(), names)
 
+    def with_meshes(self, source: SequenceHeader, target: SequenceHeader) -> Markers:
+        """Return the markers with what finds their vertices in other files of both meshes."""
+        from mixseq.compression.numbering import NumberedVertices
+
+        sides = (source, self.source), (target, self.target)
+        first, second = (NumberedVertices.from_mesh(header, vertex_ids) for header, vertex_ids in sides)
+        return replace(self, meshes=(first, second))
+
+    def renumbered(self, source: SequenceHeader, target: SequenceHeader) -> Markers:
+        """Return the markers in the numbers of two files; raise SettingsError if their meshes or numbers are others."""
+        vertices = []
+        for side, header in (("source", source), ("target", target)):
+            vertex_ids = getattr(self, side)
+            if self.meshes is not None:
+                name = f"markers of the {side}"
+                vertex_ids = self.meshes[side == "target"].find_in(header, vertex_ids, name)
+            elif len(self):
+                check_numbers(header, f"markers are numbers of vertices, and those of the {side}")
+            vertices.append(vertex_ids)
+        return replace(self, source=vertices[0], target=vertices[1], meshes=None)
+
     def __len__(self) -> int:
         return len(self.source)
 
@@ -80,6 +109,16 @@ class Markers:
         name = self.names[marker] if self.names else ""
         label = f"'{name}'" if name else f"{marker + 1}"
         return f"{label} ({self.source[marker]} -> {self.target[marker]})"
+
+
+def check_numbers(header: SequenceHeader, what: str) -> None:
+    """Raise SettingsError if vertices of a file have other numbers than its original's."""
+    provenance = header.provenance
+    if provenance is not None and provenance.kept_order == "free":
+        raise SettingsError(
+            f"{what} differ from its original's ({provenance}, order 'free'); give the original, or compress it with "
+            "order='vertices'"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.choices import TRANSFERS, TransferName
-from mixseq.compression.numbering import match_meshes, mesh_of
+from mixseq.compression.numbering import match_headers
 from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.contacts import ContactReport, PlantedMotion, plant_contacts
 from mixseq.retargeting.gradient_transfer import gradient_transfer
-from mixseq.retargeting.markers import Correspondence, Markers
+from mixseq.retargeting.markers import Correspondence, Markers, check_numbers
 from mixseq.retargeting.matching import CorrespondenceQuality, RestMesh
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.retargeting.parts import PartCorrespondence, PartPoses
@@ -24,6 +24,7 @@ from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.provenance import with_other_motion
 from mixseq.sequence.sequence import Frames, MeshSequence, block_size, check_frames, join_blocks
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.signals.model import Model
@@ -131,7 +132,7 @@ def plan_transfer(
         correspondence, quality = _find_correspondence(source, rest, target.header, settings, progress)
         gradients = gradient_transfer(source.topology, source.rest, topology, rest, correspondence)
         header = target.header.with_times(source.header.times, source.header.fps)
-        header = replace(header, provenance=None)  # frames are those of neither file
+        header = replace(header, provenance=with_other_motion(target.header.provenance))
         if settings.method == "gradients":
             return Transfer(header, source, rest, correspondence, gradients, quality)
         progress(0, 1, "finding parts")
@@ -139,6 +140,7 @@ def plan_transfer(
         mixed = mixed_transfer(gradients, source.points, source.part_of_face(), settings.joint_width, shell)
         if not settings.contacts:
             return Transfer(header, source, rest, correspondence, mixed, quality)
+        check_numbers(target.header, "contacts are numbers of vertices, and those of the target")
         run = workers or thread_executor()
         method, planted = plant_contacts(mixed, source.points, header, settings.contacts, run, progress)
         return Transfer(header, source, rest, correspondence, method, quality, planted)
@@ -158,20 +160,13 @@ def _find_correspondence(
     if markers is not None:
         from mixseq.retargeting.correspond import correspond_and_assess
 
-        for side, provenance in (("source", source.header.provenance), ("target", header.provenance)):
-            if provenance is not None and provenance.kept_order == "free":
-                raise SettingsError(
-                    f"markers are numbers of vertices, and those of the {side} differ from its original's "
-                    f"({provenance}, order 'free'); give the original, or compress it with order='vertices'"
-                )
-
         pairs = markers if isinstance(markers, Markers) else Markers.from_pairs(markers)
         source_mesh = MeshSequence.from_header(source.header.with_times([0.0]), source.rest[None])
         target_mesh = MeshSequence.from_header(header.with_times([0.0]), rest[None])
         return correspond_and_assess(source_mesh, target_mesh, pairs, progress=progress)
     if np.array_equal(source.topology.faces, header.faces):
         return Correspondence.identity(*sizes[0]), None
-    numbering = match_meshes(mesh_of(source.header), mesh_of(header))
+    numbering = match_headers(source.header, header)
     if numbering is None:
         (vertices, faces), (target_vertices, target_faces) = sizes
         raise SettingsError(

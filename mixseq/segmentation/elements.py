@@ -38,9 +38,9 @@ class Boundaries:
     @classmethod
     def from_labels(cls, topology: Topology, part_of_face: Index) -> Boundaries:
         """Find the boundaries of parts ``(F,)``, which consist of hinges between faces of two parts."""
-        sides = np.sort(part_of_face[topology.hinge_faces], axis=1)
+        sides = part_of_face[topology.hinge_faces]
         across = sides[:, 0] != sides[:, 1]
-        parts, pair = np.unique(sides[across], axis=0, return_inverse=True)
+        parts, pair = np.unique(np.sort(sides[across], axis=1), axis=0, return_inverse=True)
         edges = topology.edges[topology.hinge_edges[across]]
         return cls(parts.astype(np.int64).reshape(-1, 2), edges, pair.reshape(-1))
 

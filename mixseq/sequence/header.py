@@ -82,6 +82,11 @@ class SequenceHeader:
         return self.polygons.triangles
 
     @property
+    def file_name(self) -> str:
+        """Name of the file, or of the mesh if there is no file."""
+        return self.provenance.name if self.provenance else self.name
+
+    @property
     def frame_count(self) -> int:
         """Number of frames T."""
         return int(self.times.size)

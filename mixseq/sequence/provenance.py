@@ -75,6 +75,8 @@ class Provenance:
         """Describe the sources: "1e-4 from r10.h5, which is 6e-4 from walk.usdc"."""
         if self.source is None:
             return f"an edit of {self.name}" if self.edited else ""
+        if self.edited and self.max_error is None:
+            return f"an edit of {str(self.source) or self.source.name}"
         error = "fitted to" if self.max_error is None else f"{format_error(self.max_error)} from"
         own = f"{'an edit of what is ' * self.edited}{error} {self.source.name or 'an unknown original'}"
         return ", which is ".join(filter(None, [own, str(self.source)]))
@@ -106,3 +108,10 @@ def format_error(error: float) -> str:
 def as_edited(provenance: Provenance | None) -> Provenance | None:
     """Return a provenance after an edit."""
     return provenance and replace(provenance, edited=True)
+
+
+def with_other_motion(provenance: Provenance | None) -> Provenance | None:
+    """Return a provenance for the mesh of a file with the motion of another: only renumbering is kept."""
+    if provenance is None or provenance.kept_order == "keep":
+        return None
+    return Provenance("", replace(provenance, source=None, max_error=None, order=provenance.kept_order), edited=True)

@@ -333,6 +333,16 @@ class FrameStore:
         """Unit of errors, see `reference_diagonal`."""
         return reference_diagonal(iterate_blocks(self.points)).length
 
+    def about(self, origin: Float) -> FrameStore:
+        """Return the sequence relative to an origin ``(3,)``, in double precision unless the origin is zero."""
+        if not origin.any():
+            return self
+        points, done = new_large_array(self.points.shape), 0
+        for block in iterate_blocks(self.points):
+            points[done : done + len(block)] = block - origin
+            done += len(block)
+        return FrameStore(self.header, points)
+
     def trace(self, max_error: float, promised: bool, order: OrderName = "keep") -> SequenceHeader:
         """Return the header of frames that are within `max_error` diagonals of this sequence, with their provenance."""
         name, checksum = self.header.name, frames_checksum(iterate_blocks(self.points))
@@ -398,6 +408,20 @@ def largest_offset(points: LargeArray) -> float:
 def rounding_error(coordinate: float) -> float:
     """Return the smallest error that can be computed for a coordinate, in its units."""
     return coordinate * _RELATIVE_ROUNDING_ERROR
+
+
+_SINGLE_ROUNDING = 2 * 3**0.5 * 2.0**-24
+"""Largest distance by which a point is moved by being rounded to float32 twice, relative to its largest coordinate."""
+
+
+def rounding_margin(bound: float, *coordinates: float) -> float:
+    """Return the part of a bound that is left to rounding to single precision, in the bound's unit; at most a half.
+
+    It suffices for the first of the largest `coordinates` that it can suffice for: those relative to zero, and those
+    relative to the origin of `choose_origin`. It is 0 if there is none.
+    """
+    margins = [_SINGLE_ROUNDING * coordinate for coordinate in coordinates]
+    return next((margin for margin in margins if margin <= bound / 2), 0.0)
 
 
 def block_size(vertex_count: int) -> int:

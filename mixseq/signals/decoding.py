@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Self, TypeVar
 
 import numpy as np
@@ -16,7 +16,7 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_span, hint_frame_number, snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader, frame_times
 from mixseq.sequence.provenance import as_edited
-from mixseq.sequence.sequence import MeshSequence
+from mixseq.sequence.sequence import MeshSequence, Rig
 from mixseq.types import Float
 
 Decoded = TypeVar("Decoded")
@@ -65,7 +65,7 @@ class Decodable(ABC):
         Raises
         ------
         SettingsError
-            If the time is outside the sequence, because models do not extrapolate.
+            If the time is outside the sequence, because motions are not extrapolated.
         """
         frame: Float = next(self.blocks([time]))[0]
         return frame
@@ -189,7 +189,28 @@ class Decodable(ABC):
         if is_outside.any():
             time = float(result[is_outside][0])
             raise SettingsError(
-                f"time {time:g} s is outside the sequence, {format_span(first, last, fps)}; models do not extrapolate"
-                f"{hint_frame_number(time, first, last, fps)}"
+                f"time {time:g} s is outside the sequence, {format_span(first, last, fps)}; motions are not "
+                f"extrapolated{hint_frame_number(time, first, last, fps)}"
             )
         return np.clip(result, first, last)
+
+
+@dataclass(frozen=True, eq=False)
+class RigMotion(Decodable):
+    """The motion of an open rig, evaluated on the caller's thread, since its file has one position."""
+
+    header: SequenceHeader
+    rig: Rig
+    is_serial = True
+
+    def decode_points(self, times: Float) -> Float:
+        """Return the points ``(N, V, 3)`` at times ``(N,)`` from start to end."""
+        return np.concatenate(list(self.rig.blocks_at(times, len(times)))).astype(np.float64)
+
+    def decode_moving(self, times: Float) -> tuple[Float, Float]:
+        """Return points and velocities ``(N, V, 3)`` at times ``(N,)`` from start to end."""
+        velocities = np.concatenate(list(self.rig.velocity_blocks_at(times, len(times))))
+        return self.decode_points(times), velocities.astype(np.float64)
+
+    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
+        """Do nothing, since frames are independent."""

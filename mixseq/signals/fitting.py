@@ -27,9 +27,10 @@ from mixseq.runtime.public import public
 from mixseq.sequence.events import Events, distinct_poses, find_events
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import as_edited
-from mixseq.sequence.sequence import Frames, check_motion, load_frames, own_parts
+from mixseq.sequence.sequence import Frames, check_motion, is_rig, load_frames, own_parts
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
+from mixseq.signals.decoding import RigMotion
 from mixseq.signals.detail import (
     EXACT_ROUNDING_STEP,
     EXACT_TOLERANCE,
@@ -312,6 +313,15 @@ def _with_cuts(events: Events, cuts: CutChoice, header: SequenceHeader) -> Event
                 f"{header.frame_count - 1}"
             )
     return replace(events, cuts=tuple(frame - 1 for frame in frames), pops=())
+
+
+def as_motion(source: Model | RigMotion | Frames, progress: Progress = no_progress) -> Model | RigMotion:
+    """Return a motion at any time: a model as it is, a rig as its file says, and other frames fitted exactly."""
+    if isinstance(source, Model | RigMotion):
+        return source
+    if is_rig(source):
+        return RigMotion(source.header, source)
+    return fit(source, exact=True, progress=progress)
 
 
 def _check_options(

@@ -26,6 +26,7 @@ from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.compression.encoder.compress import compress
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError
+from mixseq.mesh.measures import NO_ORIGIN
 from mixseq.mesh.surface import Surface
 from mixseq.pictures.chart_data import chart_data
 from mixseq.pictures.colours import MEASURES, Colouring, SceneColours
@@ -230,10 +231,9 @@ def encode_mesh(
     """
     header = item.mesh.header
     if item.compressed is None:
-        centre = page_poses.poses[:1][0].mean(axis=0, dtype=np.float64)
-        compressed, vertices = _compress_poses(header, elapsed, page_poses, centre, max_error, progress)
+        compressed, vertices = _compress_poses(header, elapsed, page_poses, max_error, progress)
     else:
-        centre, vertices = np.zeros(3), np.arange(header.vertex_count)
+        vertices = np.arange(header.vertex_count)
         geometry_header = replace(item.compressed.header, surface=Surface(), name="")
         without_uvs = replace(item.compressed.parameters, uv_steps=None, uv_error=None)
         compressed = replace(item.compressed, header=geometry_header, parameters=without_uvs)
@@ -252,7 +252,7 @@ def encode_mesh(
         "times": None if has_frame_times else np.round(elapsed, 9).tolist(),
         "start": float(header.times[0]),
         "fps": header.fps,
-        "centre": to_y_up(centre, header.up_axis).tolist(),
+        "centre": to_y_up(np.array(parameters.origin or NO_ORIGIN), header.up_axis).tolist(),
         "likeFirst": page_poses.like_first,
         "azimuth": page_poses.views[0].azimuth,
         "elevation": page_poses.views[0].elevation,
@@ -272,7 +272,6 @@ def _compress_poses(
     header: SequenceHeader,
     elapsed: Float,
     page_poses: PagePoses,
-    centre: Float,
     max_error: float,
     progress: Progress,
 ) -> tuple[CompressedSequence, Index]:
@@ -280,15 +279,7 @@ def _compress_poses(
     times, rate = _regular_times(elapsed, header.fps)
     geometry_header = replace(header.with_times(times, rate), surface=Surface(), name="")
     numbering = cheapest_numbering(geometry_header, "free")
-    # Poses are centred at the origin, since the page computes in single precision.
-    centred = LazyFrames(
-        geometry_header,
-        lambda size: (
-            page_poses.poses[start : start + size].astype(np.float64) - centre
-            for start in range(0, geometry_header.frame_count, size)
-        ),
-    )
-    frames = numbering.renumber_frames(centred)
+    frames = numbering.renumber_frames(LazyFrames(geometry_header, lambda size: iterate_blocks(page_poses.poses)))
     one_part = np.zeros(len(geometry_header.faces), dtype=np.int64)
     coded = compress(frames, max_error=max_error, progress=progress, uvs=False, parts=one_part, inbetweens=False)
     return replace(coded, parts=None), numbering.vertices  # players have no use for parts

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from mixseq.errors import FormatError, InvalidSequenceError, OutputError, SettingsError
 from mixseq.mesh.polygons import Polygons
+from mixseq.mesh.surface import MeshObject, Surface
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
 from mixseq_io import open_sequence, read, write, write_blocks
@@ -76,6 +77,27 @@ def test_objects_that_stand_still_stay(target: Any, store: Store) -> None:
     points = dressed.points.copy()
     points[:, 8:] = points[0, 8:]
     assert_kept(target, dressed.with_points(points), read(store(target, dressed.with_points(points))))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_objects_of_any_tree_keep_their_order(target: Any, store: Store, seed: int) -> None:
+    """Squares anywhere in a random tree of groups, in the order of the tree or any other, are read in their order."""
+    rng = np.random.default_rng(seed)
+    groups = ["/root"]
+    for number in range(6):
+        groups.append(f"{groups[rng.integers(len(groups))]}/group{number}")
+    parents = [groups[each] for each in rng.integers(len(groups), size=9)]
+    objects = [MeshObject(f"mesh{k}", f"{parent}/mesh{k}", 4, 1) for k, parent in enumerate(parents)]
+    if seed % 2:  # as readers give them
+        objects.sort(key=lambda each: each.path.split("/"))
+    points = rng.permuted(np.tile(np.arange(108.0), (2, 1)), axis=1).reshape(2, 36, 3)
+    header = MeshSequence.from_arrays(points, Polygons(np.full(9, 4), np.arange(36))).header
+    header = replace(header, surface=Surface(objects=tuple(objects)), name="root")
+    written = MeshSequence.from_header(header, points.astype(np.float32))
+    got = read(store(target, written))
+    np.testing.assert_array_equal(got.points, written.points)
+    if target.format.capabilities.objects is True:
+        assert [each.name for each in got.objects] == [each.name for each in written.objects]
 
 
 LOSSES = {

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mixseq.compression.numbering import NumberedVertices
 from mixseq.errors import FormatError, MissingExtraError, OutputError
 from mixseq.retargeting.markers import Markers
 from mixseq_io.text.markers import read_markers, write_markers
@@ -168,6 +170,21 @@ def test_without_pyyaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setitem(sys.modules, "yaml", None)
     with pytest.raises(MissingExtraError, match=r"pairs.yaml: .* pip install 'mixseq\[yaml\]'"):
         read_markers(file)
+
+
+@pytest.mark.parametrize("extension", ["txt", "json", "yml"])
+def test_numbers_in_other_files_are_kept(tmp_path: Path, extension: str) -> None:
+    if extension == "yml":
+        pytest.importorskip("yaml")
+    meshes = NumberedVertices("a", "b", {3: 7}), NumberedVertices("c", "d", {4: 0})
+    path = tmp_path / f"markers.{extension}"
+    write_markers(path, replace(Markers.from_pairs([[3, 4]], ("nose",)), meshes=meshes))
+    again, reverse = read_markers(path), read_markers(path, reverse=True)
+    assert (again.source.tolist(), again.target.tolist(), again.names, again.meshes) == ([3], [4], ("nose",), meshes)
+    assert reverse.meshes == meshes[::-1]
+    path.write_text(path.read_text().replace('"checksum": "c"', '"sum": "c"'))
+    with pytest.raises(FormatError, match="'meshes' is damaged; delete it"):
+        read_markers(path)
 
 
 def test_a_map_is_no_list_of_markers(tmp_path: Path) -> None:

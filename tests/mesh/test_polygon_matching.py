@@ -66,6 +66,13 @@ def test_count_of_common_polygons() -> None:
     assert count_common_polygons(OURS, of([2, 3, 0, 1], [2, 3, 4], [2, 5, 4], [2, 5, 4])) == 2
 
 
+def test_triangles_of_quads_that_begin_at_opposite_corners() -> None:
+    """Their triangles are the same, the second one first. An n-gon beside them is cut otherwise."""
+    ours = of([0, 1, 2, 3], [3, 2, 4, 5, 6], [6, 5, 7, 8])
+    theirs = of([8, 6, 5, 7], [2, 4, 5, 6, 3], [2, 3, 0, 1])
+    assert match_triangles(ours, theirs, NAMES).tolist() == [6, 5, 2, 3, 4, 0, 1]
+
+
 @pytest.mark.parametrize(
     "theirs",
     [OURS, SHUFFLED, of(*OURS.triangles.tolist()), of(*np.roll(OURS.triangles, 1, axis=1)[::-1].tolist())],

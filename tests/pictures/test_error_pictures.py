@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mixseq.errors import SettingsError
+from mixseq.compression.numbering import walk_numbering
+from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.pictures.models import (
     MIN_DRAWN_ERROR,
     VertexErrors,
@@ -62,8 +63,17 @@ def test_errors_tell_how_far_they_are(model: Model, original: MeshSequence) -> N
 
 def test_another_mesh_is_refused(model: Model, original: MeshSequence) -> None:
     turned = MeshSequence.from_arrays(original.points, original.faces[:, ::-1], fps=10)
-    with pytest.raises(SettingsError, match="in another order; errors need the same topology"):
+    with pytest.raises(SettingsError, match="or other faces; errors need the same topology"):
         vertex_errors(model, turned)
+
+
+def test_an_original_may_have_the_numbers_of_a_compressed_file(model: Model, original: MeshSequence) -> None:
+    """Errors are in the order of the original, which is drawn."""
+    free = walk_numbering(original.polygons, [original.vertex_count], vertices=True)
+    assert free.order == "free"
+    with pytest.warns(MixseqWarning, match="^vertices of .* have other numbers in"):
+        errors = vertex_errors(model, free.renumber_frames(original))
+    np.testing.assert_array_equal(errors.by_vertex, vertex_errors(model, original).by_vertex[free.vertices])
 
 
 def test_times_outside_the_model_are_refused(model: Model, original: MeshSequence) -> None:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from mixseq.errors import SettingsError
+import mixseq
+from mixseq.compression.numbering import mesh_of, walk_numbering
+from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.retargeting.markers import Correspondence, Markers
+from mixseq.sequence.sequence import MeshSequence
+from mixseq.types import Index
+from tests.meshes import bar
 
 
 def test_pairs_become_columns() -> None:
@@ -43,6 +50,53 @@ def test_wrong_numbers_of_names_are_refused() -> None:
 
 
 # A dense correspondence carries values from a source to a target
+
+
+def renumber(mesh: MeshSequence) -> tuple[MeshSequence, Index]:
+    """A mesh as a compressed file of order "free" decodes to it, and the old number of every vertex."""
+    walk = walk_numbering(*mesh_of(mesh), vertices=True)
+    assert walk.order == "free"
+    return walk.renumber_frames(mesh), walk.vertices
+
+
+def check_markers_of_renumbered_meshes(mesh: MeshSequence, vertices: Index) -> None:
+    free, old = renumber(mesh)
+    shuffled = MeshSequence.from_arrays(mesh.points, np.roll(mesh.faces[::-1], 1, axis=1))
+    markers = Markers.from_pairs(np.stack([vertices, vertices], axis=1)).with_meshes(mesh, mesh)
+    with pytest.warns(MixseqWarning, match="^vertices of markers of the target have other numbers in .*; they are"):
+        found = markers.renumbered(shuffled, free)
+    assert found.source.tolist() == vertices.tolist()
+    assert old[found.target].tolist() == vertices.tolist()
+    with pytest.warns(MixseqWarning, match="^vertices of markers of the source"):
+        back = replace(found, source=found.target).with_meshes(free, free).renumbered(mesh, free)
+    assert back.source.tolist() == vertices.tolist()
+    assert back.target.tolist() == found.target.tolist()
+
+
+def test_markers_are_found_in_renumbered_meshes() -> None:
+    walk = bar(5, 15)
+    mesh = MeshSequence.from_arrays(walk.points[:, ::-1], walk.vertex_count - 1 - walk.faces)
+    check_markers_of_renumbered_meshes(mesh, np.array([0, 10, 33, 70]))
+
+
+def test_markers_of_other_meshes_are_refused() -> None:
+    walk, other = bar(5, 15), bar(5, 16)
+    markers = Markers.from_pairs([[0, 0], [3, 5]]).with_meshes(walk, walk)
+    mixed = np.random.default_rng(0).permutation(walk.vertex_count)
+    random = MeshSequence.from_arrays(walk.points[:, np.argsort(mixed)], mixed[walk.faces])
+    for mesh in (other, random):
+        with pytest.raises(SettingsError, match=r"markers of the target are of another mesh than .*; set them"):
+            markers.renumbered(walk, mesh)
+    added = replace(markers, target=np.array([0, 6]))  # by hand
+    free = MeshSequence.from_arrays(walk.points[:, ::-1], walk.vertex_count - 1 - walk.faces)
+    with pytest.raises(SettingsError, match="markers of the target are of another mesh"):
+        added.renumbered(walk, renumber(free)[0])
+
+
+@pytest.mark.realdata
+def test_markers_of_a_character_with_seven_components(data: Path) -> None:
+    mesh = mixseq.read(data / "npz/q_man_swordslash.npz")
+    check_markers_of_renumbered_meshes(mesh, np.arange(0, mesh.vertex_count, 97))
 
 
 def mixed() -> Correspondence:

@@ -369,11 +369,13 @@ def test_the_same_mesh_may_have_other_numbers() -> None:
     """As compressed files of order="free" have them, and faces in another order."""
     expected = mixseq.transfer(SOURCE, TARGET, method="gradients").points
     swapped = MeshSequence.from_arrays(TARGET.points, TARGET.faces[::-1])
-    np.testing.assert_allclose(mixseq.transfer(SOURCE, swapped, method="gradients").points, expected, atol=1e-6)
+    with pytest.warns(MixseqWarning, match="^faces of .* have other numbers in"):
+        np.testing.assert_allclose(mixseq.transfer(SOURCE, swapped, method="gradients").points, expected, atol=1e-6)
     numbering = walk_numbering(SOURCE.polygons, [SOURCE.vertex_count], vertices=True)
     free = numbering.renumber_frames(SOURCE)
     assert isinstance(free, MeshSequence)
-    np.testing.assert_allclose(mixseq.transfer(free, TARGET, method="gradients").points, expected, atol=1e-6)
+    with pytest.warns(MixseqWarning, match="^vertices and faces of .* have other numbers in"):
+        np.testing.assert_allclose(mixseq.transfer(free, TARGET, method="gradients").points, expected, atol=1e-6)
 
 
 def test_markers_of_a_mesh_with_other_numbers_are_refused() -> None:
@@ -384,6 +386,8 @@ def test_markers_of_a_mesh_with_other_numbers_are_refused() -> None:
     for arguments in ((free, TARGET), (TARGET, free)):
         with pytest.raises(SettingsError, match=r"markers are numbers of vertices, and those of the (source|target)"):
             mixseq.transfer(*arguments, markers=pairs)
+    with pytest.raises(SettingsError, match="contacts are numbers of vertices, and those of the target differ"):
+        mixseq.transfer(walk, free, contacts={"foot": [0]})
 
 
 def test_a_rest_of_another_mesh_is_refused() -> None:

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.sequence.provenance import MAX_STEPS, Provenance, as_edited, format_error, frames_checksum
+from mixseq.sequence.provenance import (
+    MAX_STEPS,
+    Provenance,
+    as_edited,
+    format_error,
+    frames_checksum,
+    with_other_motion,
+)
 
 WALK = Provenance("walk.usdc", checksum=7)
 RANK = Provenance("r10.h5", WALK, 6e-4, diagonal=2.0)
@@ -45,11 +52,23 @@ def test_nothing_is_said_beyond_edits_and_unmeasured_errors() -> None:
             replace(SMALL, source=replace(RANK, edited=True)),
             "1e-4 from r10.h5, which is an edit of what is 6e-4 from walk.usdc",
         ),
+        (Provenance("", WALK, edited=True), "an edit of walk.usdc"),
         (Provenance("small.h5", Provenance(""), 0.001), "1e-3 from an unknown original"),
     ],
 )
 def test_one_line_tells_all_steps(provenance: Provenance, text: str) -> None:
     assert str(provenance) == text
+
+
+def test_other_motions_of_a_renumbered_mesh_keep_only_that() -> None:
+    moved = with_other_motion(SMALL)
+    assert moved is not None
+    assert (str(moved), moved.kept_order, [bound for _, bound in moved.bounds]) == (
+        "an edit of small.h5",
+        "vertices",
+        [None],
+    )
+    assert with_other_motion(RANK) is with_other_motion(None) is None
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ class OpenedItem:
         """Its poses ``(n, V, 3)``, Y up."""
         model = self.model
         poses = np.stack([model(model.start + elapsed) for elapsed in self.times])
-        return np.asarray(to_y_up(poses, model.header.up_axis) + self.description["centre"])
+        return np.asarray(to_y_up(poses, model.header.up_axis))
 
 
 class Opened:

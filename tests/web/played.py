@@ -25,18 +25,20 @@ const write = (name, array) => writeFileSync(`${folder}/${name}`, array ?? new U
 const { streams, chunks, ...facts } = sequence, times = new Float64Array(bytes("wanted").buffer);
 const { counts, corners } = sequence.polygons(), fields = sequence.fields();
 const positions = new Float32Array(3 * sequence.vertexCount * times.length), loaded = [];
+const exact = new Float64Array(positions.length);
 times.forEach((time, k) => {
-  sequence.at(time, positions.subarray(3 * sequence.vertexCount * k, 3 * sequence.vertexCount * (k + 1)));
+  const range = [3 * sequence.vertexCount * k, 3 * sequence.vertexCount * (k + 1)];
+  for (const out of [positions, exact]) sequence.at(time, out.subarray(...range));
   loaded.push(chunks.filter((chunk) => chunk.loaded).length);
 });
 const triangles = sequence.triangles(), uvs = uvsOf(sequence), edges = hardEdgesOf(sequence);
 const colours = coloursOf(sequence);
-const arrays = { counts, corners, triangles, uvs, colours, edges, positions, times: sequence.times };
+const arrays = { counts, corners, triangles, uvs, colours, edges, positions, exact, times: sequence.times };
 Object.entries(arrays).forEach((one) => write(...one));
 fields.parts.forEach(({ vertices, fields, values }, part) => {
   write(`vertices${part}`, vertices);
   write(`fields${part}`, fields);
-  write(`values${part}`, values);
+  write(`values${part}`, Float64Array.from(values));
 });
 console.log(JSON.stringify({ ...facts, times: 0, loaded, count: fields.count, parts: fields.parts.length }));
 """
@@ -56,6 +58,7 @@ class Played:
     hard_edges: IntArray
     parts: list[tuple[IntArray, IntArray, FloatArray]]
     positions: FloatArray
+    exact: Float
 
 
 def write_container(folder: Path, coded: CompressedSequence | Path) -> None:
@@ -87,8 +90,9 @@ def played(node: Node, folder: Path, coded: CompressedSequence | Path, times: Fl
         array("colours", "<f4").reshape(-1, 4),
         array("edges", "<i4"),
         [
-            (array(f"vertices{k}", "<u4"), array(f"fields{k}", "<u4"), array(f"values{k}", "<f4"))
+            (array(f"vertices{k}", "<u4"), array(f"fields{k}", "<u4"), array(f"values{k}", "<f8"))
             for k in range(facts["parts"])
         ],
         array("positions", "<f4").reshape(len(times), -1, 3),
+        array("exact", "<f8").reshape(len(times), -1, 3),
     )

@@ -121,7 +121,13 @@ def test_texts_that_cannot_be_are_refused(node: Node, tmp_path: Path) -> None:
         return json.dumps(facts | {"coding": facts["coding"] | keys})
 
     cases = {
-        changed(vertex_count=10**9, corner_count=10**9): "GiB",
+        changed(vertex_count=10**9): "cannot hold 3000000000 numbers of its vertices",
+        changed(corner_count=10**9): "cannot hold 1000000000 numbers of its corners",
+        changed(fps=10**400): "a number is out of range",
+        changed(metres_per_unit=0): "metres_per_unit",
+        changed(up_axis="x"): "up_axis",
+        changed(name=None): "name",
+        changed(order="any"): "order",
         changed(vertex_count=0): "vertex_count",
         changed(vertex_count=241): "damaged",
         changed(vertex_count="240"): "vertex_count",
@@ -138,7 +144,9 @@ def test_texts_that_cannot_be_are_refused(node: Node, tmp_path: Path) -> None:
         coded(ranks="ten"): "ranks",
         coded(ranks=[1] * 200): "ranks",
         coded(step=0): "step",
-        coded(step=1e308): "single precision",
+        coded(step=1e90): "single precision",
+        coded(step=1e308): "a number is out of range",
+        coded(diagonal=1e-320): "a number is out of range",
         coded(promised=1): "promised",
         coded(uv_steps=4): "uv_steps",
         coded(factors="both"): "factors",

@@ -16,8 +16,10 @@ from mixseq.compression.bitstream.compressed_sequence import (
     decode,
     decode_basis,
 )
+from mixseq.compression.bitstream.predictor_kernels import UNITS_PER_STEP
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.encoder.compress import compress
+from mixseq.mesh.measures import FAR_DIAGONALS
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, Surface, renumber_by_first_use
 from mixseq.sequence.sequence import MeshSequence
@@ -25,6 +27,7 @@ from mixseq.types import Float
 from tests.compression.encoder.test_inbetweens import with_random_inbetweens
 from tests.compression.test_golden import stored
 from tests.meshes import Mesh, bar, grid, joined, rotation, torus, tube
+from tests.promises import distance
 from tests.web.conftest import Node
 from tests.web.played import Played, played
 
@@ -55,7 +58,8 @@ def plays_as_in_python(node: Node, folder: Path, coded: CompressedSequence) -> P
 
 
 def fields_are_exact(found: Played, coded: CompressedSequence) -> None:
-    """Fields are the basis vectors, to the last bit of float32."""
+    """Fields are the whole numbers of the basis vectors, exactly, and the constant vector is 1."""
+    step = coded.parameters.step / UNITS_PER_STEP
     basis = decode_basis(coded, mesh_graph(coded.header.faces, coded.header.vertex_count))
     assert len(found.parts) == len(basis.part_bases)
     owners = np.repeat(basis.part_ids, basis.part_bases[0].vectors.shape[1])
@@ -64,8 +68,10 @@ def fields_are_exact(found: Played, coded: CompressedSequence) -> None:
         block = basis.part_bases[part]
         np.testing.assert_array_equal(vertices, block.vertices)
         np.testing.assert_array_equal(fields, np.flatnonzero(owners == part))
-        expected = block.vectors.reshape(-1, len(vertices)).T.astype(np.float32)
-        assert values.tobytes() == expected.tobytes()
+        expected = block.vectors.reshape(-1, len(vertices)).T / step
+        if coded.parameters.factors == "trajectories":
+            expected[:, 0] = 1
+        np.testing.assert_array_equal(values.reshape(expected.shape), np.rint(expected))
 
 
 @pytest.mark.parametrize("name", GOLDEN)
@@ -94,6 +100,29 @@ def test_golden_file(node: Node, tmp_path: Path) -> None:
     assert apart.max() < NEAR * found.facts["parameters"]["diagonal"]
     assert model.header.surface.uvs is not None
     assert found.uvs.tobytes() == model.header.surface.uvs.at_corners.tobytes()
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e2, 1e3, 1e4, 1e5, 1e6])
+def test_bounds_hold_far_from_the_origin(node: Node, tmp_path: Path, offset: float) -> None:
+    """A point is the origin, in double precision, plus what the player draws, in single precision."""
+    for precision in (np.float32, np.float64):
+        for bound in (1e-3, 1e-5):
+            sequence = bar(sides=5, rings=9, frames=6)
+            sequence = sequence.with_points((sequence.points + offset).astype(precision))
+            found = played(node, tmp_path, compress(sequence, bound, inbetweens=False), sequence.times)
+            positions = np.array(found.facts["origin"]) + found.positions
+            assert distance(sequence.points, positions) <= bound
+            assert np.abs(found.positions).max() < 2 * FAR_DIAGONALS * sequence.diagonal
+
+
+def test_double_precision_holds_bounds_that_single_precision_cannot(node: Node, tmp_path: Path) -> None:
+    """A mesh that grows by 2^20 is played exactly in a Float64Array."""
+    mesh = bar(sides=5, rings=9, frames=12)
+    growing = mesh.with_points(mesh.points * 4.0 ** np.arange(12)[:, None, None])
+    coded = compress(growing, max_error=1e-3, inbetweens=False)
+    found = played(node, tmp_path, coded, growing.times)
+    assert distance(growing.points, found.positions) > 1e-3
+    assert distance(growing.points, found.exact) <= 1e-3
 
 
 def test_facts(node: Node, tmp_path: Path) -> None:

@@ -196,14 +196,16 @@ def plan_meshes(header: SequenceHeader) -> list[NewMesh]:
 
 
 def create_meshes(top: Any, new_meshes: Sequence[NewMesh], sampling: int) -> list[NewMeshWriter]:
-    """Create meshes below identity transforms."""
+    """Create meshes below identity transforms, each transform with its first mesh: readers go depth-first."""
     objects: dict[ObjectPath, Any] = {(): top}
+    writers = []
     for new_mesh in new_meshes:
         for end in range(1, len(new_mesh.path)):
             path = new_mesh.path[:end]
             if path not in objects:
                 objects[path] = AbcGeom.OXform(objects[path[:-1]], path[-1])
-    return [new_mesh.create(objects[new_mesh.path[:-1]], sampling) for new_mesh in new_meshes]
+        writers.append(new_mesh.create(objects[new_mesh.path[:-1]], sampling))
+    return writers
 
 
 _GEOMETRY_PROPERTY = ".geom"

@@ -304,9 +304,10 @@ def _read_corner_values(source: MeshSource, parameter: Any, polygons: Polygons, 
         scopes.kUniformScope: (len(polygons.counts), faces),
         scopes.kConstantScope: (1, np.zeros_like(faces)),
     }
-    # Values of unknown scope get the first scope with the right number of elements.
+    # Values without scope, which the library takes for constant, get the first with the right number of elements.
     fitting = (each for each in elements.values() if each[0] == len(indices))
-    size, of_corner = elements.get(parameter.getScope()) or next(fitting, (-1, faces))
+    declared = elements.get(parameter.getScope()) if parameter.getMetaData().get("geoScope") else None
+    size, of_corner = declared or next(fitting, (-1, faces))
     is_valid = size == len(indices) and indices.min(initial=0) >= 0 and indices.max(initial=-1) < len(values)
     if not is_valid or of_corner.min(initial=0) < 0 or of_corner.max(initial=-1) >= len(indices):
         warn(f"{source.path}: the {label} of {source.mesh.path} do not fit its faces; they are left out")

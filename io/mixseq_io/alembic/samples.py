@@ -44,7 +44,8 @@ ObjectPath = tuple[str, ...]
 def choose_paths(header: SequenceHeader, scene_meshes: Sequence[SceneMesh]) -> list[ObjectPath]:
     """Return the paths of all meshes in a new archive: the original paths, or ``/<name>/<object>/<object>``.
 
-    Original paths are kept if all contain a transform, and the common ancestor, if any, has the sequence's name.
+    Original paths are kept if all contain a transform, a depth-first walk meets them in their order, and the common
+    ancestor, if any, has the sequence's name.
     """
     own = [tuple(mesh.path.split("/")[1:]) for mesh in scene_meshes if mesh.path.startswith("/")]
     if len(own) == len(scene_meshes) and _are_valid_paths(own) and _common_name(own) in ("", header.name):
@@ -56,11 +57,13 @@ def choose_paths(header: SequenceHeader, scene_meshes: Sequence[SceneMesh]) -> l
 
 
 def _are_valid_paths(paths: Sequence[ObjectPath]) -> bool:
-    """Whether each mesh is below a named transform, and no mesh is below another mesh."""
+    """Whether each mesh is below a named transform, none is below another, and a depth-first walk keeps their order."""
+    first_ids: dict[ObjectPath, int] = {}
+    walk = [[first_ids.setdefault(path[:end], i) for end in range(1, len(path) + 1)] for i, path in enumerate(paths)]
     meshes = set(paths)
     ancestors = {path[:end] for path in meshes for end in range(1, len(path))}
     is_named = all(len(path) > 1 and all(path) for path in meshes)
-    return is_named and len(meshes) == len(paths) and not meshes & ancestors
+    return is_named and len(meshes) == len(paths) and not meshes & ancestors and walk == sorted(walk)
 
 
 def _common_name(paths: Sequence[ObjectPath]) -> str:

@@ -17,7 +17,8 @@ coordinates and hard edges, so a decoder reads only materials from primitives. S
 
 The still is the first frame as ordinary glTF primitives by material, for viewers without the extension. It is
 compressed by Draco (11 bits for points, 7 for normals), plain float32, or a degenerate triangle per material. Materials
-are copied from the original by name. The text and streams precede textures in the file, for progressive loading.
+are copied from the original by name. The text and streams precede textures in the file, for progressive loading. Frames
+and still are relative to the origin of the text, at which the node is.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ from numpy.typing import NDArray
 from mixseq.choices import StillName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
 from mixseq.errors import AmbiguousError, FormatError, OutputError
-from mixseq.mesh.measures import corner_normals
+from mixseq.mesh.measures import NO_ORIGIN, choose_origin, corner_normals
 from mixseq.mesh.surface import Origin
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import FloatArray, Single
+from mixseq.types import Float, FloatArray, Single
 from mixseq_io.coded.packing import pack
 from mixseq_io.coded.streams import Container
 from mixseq_io.files import atomic_file, check_memory
@@ -70,11 +71,11 @@ from mixseq_io.gltf.new_document import (
     add_colours,
     add_material,
     assign_face_sets,
-    axis_conversion,
     flip_v,
     material_name,
     name_member,
     narrow_indices,
+    node_transform,
     split_primitives,
 )
 from mixseq_io.reader import as_float32, translate_read_errors, warn
@@ -326,14 +327,15 @@ _STILL_SIZE_MARGIN = 1.02
 
 def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> None:
     """Write a compressed sequence as a .glb."""
-    write_container(path, pack(coded), coded.header, decode(coded)(coded.header.times[0]), still)
+    points, origin = decode(coded)(coded.header.times[0]), np.array(coded.parameters.origin or NO_ORIGIN)
+    write_container(path, pack(coded), coded.header, points, origin, still)
 
 
 def write_container(
-    path: Path, container: Container, header: SequenceHeader, points: FloatArray, still: StillName
+    path: Path, container: Container, header: SequenceHeader, points: FloatArray, origin: Float, still: StillName
 ) -> None:
-    """Write a .glb with text, streams and a still of `points` ``(V, 3)``; see `write_sequence`."""
-    layout = _create_layout(header, points, container, still)
+    """Write a .glb with text, streams and a still of `points` ``(V, 3)``, whose node is at an origin ``(3,)``."""
+    layout = _create_layout(header, points, origin, container, still)
     with atomic_file(path) as temporary, open_buffer_writer(path, temporary, layout):
         pass
 
@@ -341,18 +343,20 @@ def write_container(
 def bound_overhead_size(header: SequenceHeader, points: FloatArray, still: StillName) -> int:
     """Return an upper bound in bytes of a .glb without its streams, with a still of `points` ``(V, 3)``."""
     container = Container(bytes(_MAX_TEXT_BYTES + 6 * len(header.name)), b"")
-    layout = _create_layout(header, points, container, still)
+    layout = _create_layout(header, points, choose_origin(points), container, still)
     return int(_STILL_SIZE_MARGIN * compute_glb_size(layout))
 
 
-def _create_layout(header: SequenceHeader, points: FloatArray, container: Container, still: StillName) -> Layout:
+def _create_layout(
+    header: SequenceHeader, points: FloatArray, origin: Float, container: Container, still: StillName
+) -> Layout:
     layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR_NAME}})
     coding = layout.add([container.text], len(container.text))
     streams = layout.add([container.streams], len(container.streams))
     mesh = as_one_mesh(header)
     names = {material_name(each) for each in mesh.face_sets}
     materials = copy_materials(layout, names, header.surface.origin)
-    primitives = add_still(layout, mesh, points, still, materials)
+    primitives = add_still(layout, mesh, points - origin, still, materials)
     extension: Json = {"version": container.version, "coding": coding, "streams": streams}
     if len(primitives) > 1:
         extension["polygons"] = encode_polygon_runs(mesh)
@@ -362,7 +366,8 @@ def _create_layout(header: SequenceHeader, points: FloatArray, container: Contai
         "primitives": primitives,
         "extensions": {SEQUENCE_EXTENSION: extension},
     }
-    node = {**name_member(header.name), "mesh": append(document, "meshes", entry), **axis_conversion(header)}
+    transform = node_transform(header, origin)
+    node = {**name_member(header.name), "mesh": append(document, "meshes", entry), **transform}
     document["scene"], document["scenes"] = 0, [{"nodes": [append(document, "nodes", node)]}]
     document["extensionsUsed"] = sorted(collect_extensions(document))
     if still != "plain":

@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.measures import corner_normals
+from mixseq.mesh.measures import NO_ORIGIN, corner_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import FaceSet
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import FloatArray, IntArray, Single
+from mixseq.types import Float, FloatArray, IntArray, Single
 from mixseq_io.gltf.codecs import (
     ARRAY_BUFFER,
     ELEMENT_ARRAY_BUFFER,
@@ -272,10 +272,10 @@ _MAX_LABELS_PER_ROW = 4
 _MAX_UINT16_INDEX = 2**16 - 1
 
 
-def create_scene(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
+def create_scene(header: SequenceHeader, origin: Float = NO_ORIGIN) -> tuple[Layout, list[MovingMesh]]:
     """Create a document of a sequence without frames, and its meshes; omit objects without polygons."""
     layout, meshes = create_meshes(header)
-    root = group_nodes(layout.document, [mesh.node for mesh in meshes], header)
+    root = group_nodes(layout.document, [mesh.node for mesh in meshes], header, origin)
     layout.document["scene"], layout.document["scenes"] = 0, [{"nodes": [root]}]
     return layout, meshes
 
@@ -291,8 +291,10 @@ def create_meshes(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
     ]
 
 
-def group_nodes(document: Json, nodes: list[int], header: SequenceHeader, unused: int | None = None) -> int:
-    """Return the only node of a sequence, or a parent (`unused` or new) of several; the root converts the axes."""
+def group_nodes(
+    document: Json, nodes: list[int], header: SequenceHeader, origin: Float, unused: int | None = None
+) -> int:
+    """Return the only node of a sequence, or a parent (`unused` or new) of several; it gets the `node_transform`."""
     entry = {**name_member(header.name), "children": nodes}
     if len(nodes) == 1:
         root = nodes[0]
@@ -301,15 +303,19 @@ def group_nodes(document: Json, nodes: list[int], header: SequenceHeader, unused
     else:
         root = unused
         document["nodes"][root] = entry
-    document["nodes"][root].update(axis_conversion(header))
+    document["nodes"][root].update(node_transform(header, origin))
     return root
 
 
-def axis_conversion(header: SequenceHeader) -> Json:
-    """Return the node transform from a sequence's axes and units to Y up and metres, or {} for the identity."""
+def node_transform(header: SequenceHeader, origin: Float = NO_ORIGIN) -> Json:
+    """Return the node transform of points relative to an origin ``(3,)``, or {} for the identity.
+
+    It adds the origin, and turns and scales from the axes and units of a sequence to Y up and metres.
+    """
     columns = {"X": [(0, 1, 0), (-1, 0, 0), (0, 0, 1)], "Z": [(1, 0, 0), (0, 0, -1), (0, 1, 0)]}
     matrix = np.eye(4)
     matrix[:3, :3] = header.metres_per_unit * np.array(columns.get(header.up_axis, np.eye(3)))
+    matrix[3, :3] = origin @ matrix[:3, :3]
     return {} if np.array_equal(matrix, np.eye(4)) else {"matrix": matrix.ravel().tolist()}
 
 

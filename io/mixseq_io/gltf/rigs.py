@@ -32,11 +32,11 @@ from mixseq.types import Single
 from mixseq_io.gltf.codecs import ARRAY_BUFFER, Json, Layout, append
 from mixseq_io.gltf.new_document import (
     MovingMesh,
-    axis_conversion,
     create_animation,
     create_meshes,
     create_scene,
     name_member,
+    node_transform,
 )
 from mixseq_io.reader import as_float32
 from mixseq_io.rig_arrays import (
@@ -174,7 +174,7 @@ def _add_joints(document: Json, skin: Skin) -> tuple[int, list[int], list[Track]
     """Add a node for every bone in its first-frame pose, and a common root; return the root, nodes and tracks."""
     skeleton = skin.skeleton
     rotations, translations = local_joint_transforms(skin, "glTF")
-    root = append(document, "nodes", {"name": "skeleton", "children": [], **axis_conversion(skin.header)})
+    root = append(document, "nodes", {"name": "skeleton", "children": [], **node_transform(skin.header)})
     joints: list[int] = []
     tracks: list[Track] = []
     for bone, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents.tolist(), strict=True)):

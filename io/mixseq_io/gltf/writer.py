@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mixseq.mesh.measures import NO_ORIGIN
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, Index
@@ -53,12 +54,12 @@ from mixseq_io.gltf.new_document import (
     MovingPrimitive,
     add_vertex_numbers,
     assign_face_sets,
-    axis_conversion,
     choose_start,
     create_scene,
     group_nodes,
     has_own_primitive,
     material_name,
+    node_transform,
 )
 from mixseq_io.gltf.primitives import TRIANGLES_MODE, Primitive, Weld, weld_vertices
 from mixseq_io.gltf.scene import WORLD_SPACE_MARK, Scene, invert_transform, read_scene
@@ -147,13 +148,13 @@ def overlay_sequence(
     scenes = [each for each in copied.get("scenes", ()) if roots.intersection(each.get("nodes", ()))]
     parents = {scene.parents[node] for node in nodes}
     animated = {channel.node for channel in others.channels}
-    inverses = [None if axis_conversion(header) else _find_inverse(scene, node, animated) for node in nodes]
+    inverses = [None if node_transform(header) else _find_inverse(scene, node, animated) for node in nodes]
     in_place = None not in inverses
     others = others.replace_nodes({node: detach_node(copied, node, in_place) for node in nodes})
     for node, inverse in zip(nodes, inverses, strict=True):
         _set_transform(copied["nodes"][node], inverse if in_place else None)
     if not in_place:
-        root = group_nodes(copied, nodes, header, find_unused_root(copied, scene, parents))
+        root = group_nodes(copied, nodes, header, NO_ORIGIN, find_unused_root(copied, scene, parents))
         for each in scenes:
             each["nodes"] = [root, *(node for node in each.get("nodes", ()) if node != root)]
     copied["asset"]["generator"] = GENERATOR_NAME
@@ -314,7 +315,7 @@ def standalone_losses(header: SequenceHeader) -> list[str]:
 def warn_of_changes(path: Path, header: SequenceHeader, lost: Sequence[str], keep_start: bool = False) -> None:
     """Warn of lost contents, and of axes, units or times that differ from the sequence in the file."""
     warn_of_losses(path, "glTF files", lost)
-    if axis_conversion(header):
+    if node_transform(header):
         warn(
             f"{path}: glTF is in metres with Y up; the points stay as they are, in {header.metres_per_unit:g} metres "
             f"per unit with {header.up_axis} up, under a node that turns and scales them; convert_units "

@@ -237,7 +237,7 @@ def _match_faces(file: Path, header: SequenceHeader, polygons: Polygons, sizes: 
     Triangles in the same order may have differently split vertices. Another order needs equal vertices, or vertices
     that were renumbered by a compressed file. `sizes` are the numbers of vertices of the objects in the file.
     """
-    from mixseq.compression.numbering import match_meshes, mesh_of  # imports numba
+    from mixseq.compression.numbering import match_meshes, mesh_of, warn_of_numbers  # imports numba
 
     a, b = header.faces.reshape(-1), polygons.triangles.reshape(-1)
     if len(a) != len(b):
@@ -248,11 +248,15 @@ def _match_faces(file: Path, header: SequenceHeader, polygons: Polygons, sizes: 
         return None
     numbering = match_meshes((polygons, sizes), mesh_of(header))
     if numbering is not None:
+        is_free, reorders_faces = numbering.order == "free", numbering.reorders_faces
+        warn_of_numbers(file.name, header.file_name, vertices=is_free, faces=reorders_faces)
         return np.asarray(numbering.renumber_labels(np.arange(len(b) // 3), polygons))
     try:
-        return match_triangles(header.polygons, polygons, ("the sequence", str(file)))
+        face_ids = match_triangles(header.polygons, polygons, ("the sequence", str(file)))
     except InvalidSequenceError as error:
         raise FormatError(f"{error}; labels need a file of the same mesh") from None
+    warn_of_numbers(file.name, header.file_name, faces=bool((np.diff(face_ids) < 0).any()))
+    return face_ids
 
 
 def _is_welded(a: IntArray, b: IntArray) -> bool:

@@ -15,6 +15,10 @@ In lists, a marker is a pair of numbers ``[750, 3386]``, a text ``"750:3386"`` i
 ``.cons`` and ``.corr`` have lines, YAML files have lists of ``"750:3386"``. YAML defines ``12:34`` as a time of day
 (754 seconds), but here it is read as a pair.
 
+The viewer also writes checksums of both meshes, and every marked vertex in the order of a walk over the mesh, by which
+markers are found in files with other numbers: ``"meshes": {"source": object, "target": object}`` in JSON, or a comment
+``# meshes`` with this object. Each has the fields of `NumberedVertices`.
+
 Contacts are named groups of target vertices that rest on the ground, such as feet. Their JSON file is ``{"left foot":
 [12, 13, 20], "right foot": [40, 41]}``, optionally inside ``{"contacts": ...}``. Vertices are numbered from 0.
 """
@@ -23,9 +27,9 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mixseq.errors import FormatError, MissingExtraError
 from mixseq.retargeting.markers import Markers
@@ -34,6 +38,9 @@ from mixseq.runtime.text_files import decode_text
 from mixseq.types import PathLike
 from mixseq_io.files import atomic_file
 from mixseq_io.reader import read_bytes, summarize_error, translate_read_errors
+
+if TYPE_CHECKING:
+    from mixseq.compression.numbering import NumberedVertices
 
 
 def read_text(file: Path, what: str) -> str:
@@ -80,6 +87,8 @@ def read_contacts(path: PathLike) -> dict[str, list[int]]:
 YAML_EXTENSIONS = (".yml", ".yaml")
 
 _PAIR_PATTERN = re.compile(r"(\d+)\s*(?:->|[\s,:;])\s*(\d+)")
+_MESHES_PATTERN = re.compile(r"^# meshes (\{.*\})\s*$", re.MULTILINE)
+_SIDES = ("source", "target")
 _COUNT_PATTERN = re.compile(r"\d{1,18}")
 _HEADING_PATTERN = re.compile(r"source\s*(?:->|[\s,:;])\s*target", re.IGNORECASE)
 _PAIR_TEXT = "two vertex numbers, from 0, are expected, separated by a space, comma, colon, semicolon or '->'"
@@ -142,7 +151,10 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
     markers = [_parse_marker(f"{file}, {raw.location}", raw) for raw in raw_markers]
     pairs = [(target, source) if reverse else (source, target) for source, target, _ in markers]
     names = tuple(name for _, _, name in markers)
-    return Markers.from_pairs(pairs, names if any(names) else ())
+    meshes = _parse_meshes(file, text)
+    if meshes is not None and reverse:
+        meshes = meshes[1], meshes[0]
+    return replace(Markers.from_pairs(pairs, names if any(names) else ()), meshes=meshes)
 
 
 def write_markers(path: PathLike, markers: Markers) -> None:
@@ -151,18 +163,51 @@ def write_markers(path: PathLike, markers: Markers) -> None:
     names = [" ".join(name.split()) for name in markers.names or [""] * len(markers)]
     rows = list(zip(markers.source.tolist(), markers.target.tolist(), names, strict=True))
     comments = [f"  # {name}" if name else "" for name in names]
+    meshes = markers.meshes and json.dumps(
+        {side: vars(mesh) for side, mesh in zip(_SIDES, markers.meshes, strict=True)}
+    )
+    note = f"# meshes {meshes}\n" if meshes else ""
     if file.suffix.lower() == ".json":
         objects = [{"source": s, "target": t} | ({"name": name} if name else {}) for s, t, name in rows]
         body = ",\n".join(f"  {json.dumps(marker, ensure_ascii=False)}" for marker in objects)
-        text = f'{{"markers": [\n{body}\n]}}\n'
+        more = f',\n"meshes": {meshes}' if meshes else ""
+        text = f'{{"markers": [\n{body}\n]{more}}}\n'
     elif file.suffix.lower() in YAML_EXTENSIONS:
         lines = (f'  - "{s}:{t}"{comment}\n' for (s, t, _), comment in zip(rows, comments, strict=True))
-        text = "markers:\n" + "".join(lines)
+        text = f"{note}markers:\n" + "".join(lines)
     else:
         lines = (f"{s} {t}{comment}\n" for (s, t, _), comment in zip(rows, comments, strict=True))
-        text = "# source target\n" + "".join(lines)
+        text = f"# source target\n{note}" + "".join(lines)
     with atomic_file(file) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def _parse_meshes(file: Path, text: str) -> tuple[NumberedVertices, NumberedVertices] | None:
+    """Return what finds the vertices of source and target in other files, or None if the file has nothing about it."""
+    if file.suffix.lower() == ".json":
+        tree = parse_json(file, text)
+        stored = tree.get("meshes") if isinstance(tree, dict) else None
+    else:
+        note = _MESHES_PATTERN.search(text)
+        stored = note and parse_json(file, note[1])
+    if stored is None:
+        return None
+    from mixseq.compression.numbering import NumberedVertices  # imports numba
+
+    try:
+        source, target = (
+            NumberedVertices(
+                str(stored[side]["checksum"]),
+                str(stored[side]["walk_checksum"]),
+                {int(vertex): int(walk_id) for vertex, walk_id in stored[side]["walk_ids"].items()},
+            )
+            for side in _SIDES
+        )
+    except (LookupError, TypeError, ValueError, AttributeError):
+        raise FormatError(
+            f"{file}: 'meshes' is damaged; delete it if vertices have the numbers of the meshes"
+        ) from None
+    return source, target
 
 
 def _parse_lines(file: Path, text: str) -> list[_RawMarker]:

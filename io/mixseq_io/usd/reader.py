@@ -61,6 +61,15 @@ from mixseq_io.usd.stage import (
 )
 from mixseq_io.usd.surface import read_scene_mesh
 
+_MISSING_REPORTS = (
+    "Could not open asset",
+    "Could not load sublayer",
+    "Unresolved reference",
+    "Unresolved payload",
+    "clip layer",
+)
+"""Texts of USD about missing files and prims, which `mixseq_io.usd.stage.find_meshes` names."""
+
 
 def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
     """Open a USD file."""
@@ -69,9 +78,9 @@ def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
         animation = _load_animation(path, open_stage(path), prim, warnings)
         header = _header(path, animation, warnings)
         have_velocities = [mesh.has_velocities(warnings) for mesh in animation.meshes]
-    # Missing layers and references may be irrelevant, so reading continues with a warning.
-    if reports:
-        warn(f"{path}: USD reports: {'; '.join(reports[:3])}")
+    others = [report for report in reports if not any(each in report for each in _MISSING_REPORTS)]
+    if others:
+        warn(f"{path}: USD finds {len(others)} problems in it, which may have been lost; usdchecker lists them")
     warnings.emit()
     if any(have_velocities) and not all(have_velocities):
         warn(f"{path}: only some of its meshes have velocities; they are left out")

@@ -13,19 +13,21 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import takewhile
 from pathlib import Path
 from secrets import token_hex
 from textwrap import shorten
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdUtils
+from pxr import Gf, Pcp, Sdf, Tf, Usd, UsdGeom, UsdUtils
 
 from mixseq.errors import FormatError, NoMeshError, OutputError
+from mixseq.sequence.header import UP_AXES
 from mixseq_io.files import out_of_memory_error, raise_system_error
 from mixseq_io.reader import check_regular_file, warn
 from mixseq_io.scene_meshes import SceneObject, format_names, select_meshes
@@ -205,7 +207,82 @@ def open_stage(path: Path) -> Usd.Stage:
         raise FormatError(f"{path} cannot be read as USD; it is damaged, truncated or of another type")
     for asset in layer.GetCompositionAssetDependencies():
         check_regular_file(layer.ComputeAbsolutePath(asset), f"a layer for {path}")
-    return Usd.Stage.Open(layer, Usd.Stage.LoadAll)
+    _convert_metadata(path, layer)
+    try:
+        return Usd.Stage.Open(layer, Usd.Stage.LoadAll)
+    except Tf.ErrorException:
+        layers = _find_layers(layer)
+        for other in layers:
+            _convert_metadata(path, other)
+        return Usd.Stage.Open(layer, Usd.Stage.LoadAll)
+
+
+def _find_layers(layer: Sdf.Layer) -> list[Sdf.Layer]:
+    """Return a layer and all layers that it refers to, in memory; they stay open as long as the list."""
+    layers = [layer]
+    for each in layers:
+        for asset in each.GetCompositionAssetDependencies():
+            with suppress(Tf.ErrorException):
+                if (other := Sdf.Layer.FindOrOpenRelativeToLayer(each, asset)) and other not in layers:
+                    layers.append(other)
+    return layers
+
+
+_UNIT_METADATA = ("metersPerUnit", "timeCodesPerSecond", "framesPerSecond")
+_TIME_METADATA = ("startTimeCode", "endTimeCode")
+
+
+def _convert_metadata(path: Path, layer: Sdf.Layer) -> None:
+    """Convert stage metadata in memory to the types that USD requires; other exporters write float, int and text."""
+    root = layer.pseudoRoot
+    for key in filter(root.HasInfo, (*_UNIT_METADATA, *_TIME_METADATA)):
+        value = root.GetInfo(key)
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = np.nan
+        if np.isfinite(number) and (number > 0 or key in _TIME_METADATA):
+            root.SetInfo(key, number)
+        else:
+            root.ClearInfo(key)
+            default = f", and {root.GetFallbackForInfo(key):g} is taken" if key in _UNIT_METADATA else ""
+            warn(f"{path}: {key} is {value!r}, not a valid number; it is left out{default}")
+    if root.HasInfo("upAxis"):
+        value = root.GetInfo("upAxis")
+        root.ClearInfo("upAxis")
+        if str(value).upper() in UP_AXES:
+            root.SetInfo("upAxis", str(value).upper())
+        else:
+            warn(f"{path}: upAxis is {value!r}, not an axis; it is left out, and Y is taken (--up-axis)")
+
+
+_REFERENCE_PATTERN = re.compile(r"@(.+?)@(?:<(.*?)>)?")
+"""Asset path and prim path of a reference in the text of a composition error."""
+
+
+def _describe_missing(path: Path, stage: Usd.Stage) -> str:
+    """Describe the files and prims that a stage refers to and lacks, or return ""."""
+    files: dict[str, None] = {}
+    prims: dict[str, None] = {}
+    unresolved = (Pcp.ErrorType_UnresolvedPrimPath, Pcp.ErrorType_InvalidAssetPath, Pcp.ErrorType_InvalidSublayerPath)
+    untyped: Any = stage  # the type stubs lack GetCompositionErrors
+    for error in untyped.GetCompositionErrors():
+        match = _REFERENCE_PATTERN.search(str(error))
+        if match and error.errorType in unresolved:
+            file = match[1].removeprefix(f"{os.path.dirname(absolute_path(path))}{os.sep}")  # noqa: PTH120
+            if error.errorType == Pcp.ErrorType_UnresolvedPrimPath:
+                prims[f"{match[2]} in {file}"] = None
+            else:
+                files[file] = None
+    for prim in stage.TraverseAll():
+        for clips in prim.GetMetadata("clips").values() if prim.HasMetadata("clips") else ():
+            files |= {asset.path: None for asset in clips.get("assetPaths", ()) if not asset.resolvedPath}
+    problems = []
+    if files:
+        problems.append(f"files that it refers to are missing or cannot be read: {format_names(list(files), str)}")
+    if prims:
+        problems.append(f"prims that it refers to do not exist: {format_names(list(prims), str)}")
+    return "; ".join(problems)
 
 
 def absolute_path(path: Path) -> str:
@@ -347,8 +424,11 @@ def find_meshes(path: Path, stage: Usd.Stage, prim_path: str | None, warnings: P
     prims = list(traverse_prims(path, stage))
     meshes = [mesh for prim in prims if (mesh := UsdGeom.Mesh(prim))]
     instancers = [prim for prim in prims if UsdGeom.PointInstancer(prim)]
+    missing = _describe_missing(path, stage)
     if not meshes:
-        raise NoMeshError(f"{path} holds no mesh; {_describe_contents(prims, instancers)}")
+        raise NoMeshError(f"{path} holds no mesh; {missing or _describe_contents(prims, instancers)}")
+    if missing:
+        warn(f"{path}: {missing}")
     if prim_path is not None:
         objects = scene_objects_of(meshes)
         among = scene_objects_of(instancers)

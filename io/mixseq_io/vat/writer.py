@@ -19,7 +19,11 @@ from mixseq.errors import OutputError, SettingsError
 from mixseq.rigging.low_rank import fit_low_rank
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.sequence import MeshSequence
+from mixseq.sequence.sequence import Frames, MeshSequence
+from mixseq.signals.between import hold_between, largest_distance, quarter_times, straight_blocks
+from mixseq.signals.decoding import Decodable, RigMotion
+from mixseq.signals.fitting import as_motion
+from mixseq.signals.model import Model
 from mixseq_io.files import atomic_folder
 from mixseq_io.gltf.codecs import open_buffer_writer
 from mixseq_io.reader import warn
@@ -86,6 +90,8 @@ class VatReport:
     max_error: float  # largest error of a vertex, in diagonals
     rms_error: float  # root mean square error of the vertices, in diagonals
     normal_degrees: float  # root mean square angle of the normals to the original normals
+    # Largest distance of a vertex from `motion` between frames, in diagonals; None without a motion.
+    between_error: float | None
     file_bytes: int  # size of the texture files
     memory_bytes: int  # size of the textures in the memory of a graphics card
 
@@ -97,6 +103,9 @@ def write_vat(
     max_error: float | None = None,
     texture: TextureName = "png16",
     progress: Progress = no_progress,
+    *,
+    motion: Model | RigMotion | Frames | None = None,
+    between: bool = False,
 ) -> VatReport:
     """Write a sequence as vertex animation textures: a folder with images, a mesh, ``vat.json`` and shaders.
 
@@ -113,13 +122,20 @@ def write_vat(
         File format: PNG with 16 bits, or EXR with 32-bit floats.
     progress : callable
         Function that receives the progress.
+    motion : Model, MeshSequence or SequenceReader, optional
+        The motion whose frames are written, to measure the error between them at quarters of a frame, where shaders
+        join frames by straight lines. Of sequences that are no rigs, the exact model is fitted.
+    between : bool
+        Whether `max_error` also holds between frames, at quarters of a frame of the textures. They get up to eight
+        times the frames of `sequence`, which are those of `motion`, by default its exact model.
 
     Raises
     ------
     OutputError
         If the name does not end in .vat, or the folder cannot be written.
     SettingsError
-        If `max_error` is not positive or smaller than the rounding error of textures, or textures would be too large.
+        If `max_error` is not positive or smaller than the rounding error of textures, textures would be too large, or
+        the bound cannot be kept between frames.
     MissingExtraError
         If `texture` is "exr" and OpenEXR is not installed.
 
@@ -138,13 +154,20 @@ def write_vat(
     steps = np.diff(sequence.times)
     if steps.size and np.ptp(steps) > _MAX_STEP_VARIATION * steps.mean():
         warn(f"{folder}: textures need evenly spaced frames; resample the sequence (--fps)")
-    texels = Texels.from_header(sequence.header)
-    frames = VertexFrames.from_points(sequence.points, texels)
-    if max_error is None:
-        textures = encode_plain(frames, texels, pixel_type)
-        report = _measure_errors(sequence, frames, textures)
+    if motion is None and between:
+        motion = sequence
+    source = None if motion is None else as_motion(motion, progress)
+
+    def encode(sequence: MeshSequence, bound: float | None) -> tuple[_Encoding, float]:
+        encoding = _encode(sequence, bound, pixel_type, source, progress)
+        return encoding, encoding[-1].between_error or 0.0
+
+    if between and source is not None:
+        if max_error is None:
+            raise SettingsError("between is about max_error, which is missing; give both")
+        sequence, texels, textures, report = hold_between(source, sequence, max_error, encode)
     else:
-        textures, report = _fit_within_bound(sequence, frames, texels, pixel_type, max_error, progress)
+        (sequence, texels, textures, report), _ = encode(sequence, max_error)
     texels.add_vertices(np.asarray(sequence.points[0]), len(textures.images["points"].pixels) // texels.rows)
     with atomic_folder(folder, VAT_FILE_NAMES) as temporary:
         report = replace(report, file_bytes=sum(_write_images(temporary, textures, texture)))
@@ -156,6 +179,32 @@ def write_vat(
         for name in SHADER_NAMES:
             (temporary / name).write_text(format_shader(name, metadata), encoding="utf-8")
     return report
+
+
+_Encoding = tuple[MeshSequence, Texels, Textures, VatReport]
+
+
+def _encode(
+    sequence: MeshSequence,
+    max_error: float | None,
+    pixel_type: PixelType,
+    motion: Decodable | None,
+    progress: Progress,
+) -> _Encoding:
+    """Encode a sequence as textures, plain ones without `max_error`, and measure them."""
+    texels = Texels.from_header(sequence.header)
+    frames = VertexFrames.from_points(sequence.points, texels)
+    if max_error is None:
+        textures = encode_plain(frames, texels, pixel_type)
+        report = _measure_errors(sequence, frames, textures)
+    else:
+        textures, report = _fit_within_bound(sequence, frames, texels, pixel_type, max_error, progress)
+    if motion is not None:
+        times = quarter_times(sequence.times)
+        expected = (block[:, texels.vertices] for block in motion.blocks(times))
+        largest = largest_distance(expected, straight_blocks([textures.decoded.points], times))
+        report = replace(report, between_error=largest / (sequence.diagonal or 1.0))
+    return sequence, texels, textures, report
 
 
 def check_vat_target(path: Path) -> None:
@@ -207,6 +256,7 @@ def _measure_errors(sequence: MeshSequence, frames: VertexFrames, textures: Text
         max_error=float(np.sqrt(squares.max(initial=0))) / diagonal,
         rms_error=float(np.sqrt(squares.mean())) / diagonal,
         normal_degrees=float(np.sqrt(np.square(angles).mean())),
+        between_error=None,
         file_bytes=0,
         # Pixels have four channels in the memory of a graphics card.
         memory_bytes=sum(4 * image.pixels[..., 0].nbytes for image in textures.images.values()),
@@ -265,5 +315,10 @@ def _make_metadata(
         "bounds": {"min": points.min(axis=(0, 1)).tolist(), "max": points.max(axis=(0, 1)).tolist()},
         "up_axis": header.up_axis,
         "metres_per_unit": header.metres_per_unit,
-        "error": {"max": report.max_error, "rms": report.rms_error, "normal_degrees": report.normal_degrees},
+        "error": {
+            "max": report.max_error,
+            "rms": report.rms_error,
+            "normal_degrees": report.normal_degrees,
+            "between": report.between_error,
+        },
     }

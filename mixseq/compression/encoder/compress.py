@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.choices import OrderName
-from mixseq.compression.bitstream.compressed_sequence import CodingParameters, CompressedSequence, Playback, decode
+from mixseq.compression.bitstream.compressed_sequence import (
+    MAX_CHUNK_FRAMES,
+    CodingParameters,
+    CompressedSequence,
+    Playback,
+    decode,
+)
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, encode_face_labels
 from mixseq.compression.encoder.inbetweens import add_inbetweens
@@ -21,6 +27,7 @@ from mixseq.compression.encoder.trial import DEFAULT_CHUNK_FRAMES, MIN_CHUNK_FRA
 from mixseq.compression.encoder.uvs import UV_ERROR, with_quantised_uvs
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import MixseqWarning, ReconstructionError, SettingsError
+from mixseq.mesh.measures import choose_origin
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, StagedProgress, no_progress
@@ -31,10 +38,10 @@ from mixseq.sequence.sequence import (
     check_motion,
     iterate_blocks,
     largest_coordinate,
-    largest_offset,
     load_frames,
     own_parts,
     rounding_error,
+    rounding_margin,
 )
 from mixseq.spaces.making import MixedSettings, segment_faces
 from mixseq.types import Index
@@ -81,7 +88,7 @@ def compress(
         Numbering to keep: of vertices and faces, of vertices only, or of neither. Numberings that need not be kept are
         chosen for the fewest bytes, and attributes of vertices, faces and corners are reordered to match.
     chunk : int
-        Approximate number of frames per chunk, 16 or more. A chunk is decoded as a whole, and lost as a whole if it is
+        Approximate number of frames per chunk, 16 to 4096. A chunk is decoded as a whole, and lost as a whole if it is
         damaged. Small chunks take more bytes.
     parts : int or (F,) int, optional
         Near-rigid parts for frames between the stored ones, as in `mixseq.fit`: their number, or the part of every
@@ -101,7 +108,7 @@ def compress(
     SettingsError
         If not exactly one of `max_error`, `kg` and `size` is given, or its value is out of range; if `size` is too
         small; if `max_error` is below the precision of the coordinates; if `uv_error` is not from 0 to 0.25; if `order`
-        is unknown; or if `chunk` is below 16.
+        is unknown; or if `chunk` is not from 16 to 4096.
     SegmentationError
         If `parts` does not fit the mesh.
     FormatError, InvalidSequenceError
@@ -109,8 +116,8 @@ def compress(
     """
     check_motion(sequence)
     _check_target(max_error, kg, size)
-    if not chunk >= MIN_CHUNK_FRAMES:
-        raise SettingsError(f"chunk is {chunk}; {MIN_CHUNK_FRAMES} frames or more are expected")
+    if not MIN_CHUNK_FRAMES <= chunk <= MAX_CHUNK_FRAMES // 2:  # a chunk may have half as many again
+        raise SettingsError(f"chunk is {chunk}; {MIN_CHUNK_FRAMES} to {MAX_CHUNK_FRAMES // 2} frames are expected")
     numbering = cheapest_numbering(sequence.header, order)
     parts = own_parts(sequence) if parts is None else parts
     if not (parts is None or isinstance(parts, int | np.integer)):
@@ -168,19 +175,23 @@ def _check_target(max_error: float | None, kg: float | None, size: int | None) -
         raise SettingsError(f"{name} is {value}; a positive number{' of bytes' * least} is expected")
 
 
-def _with_margin(bound: float, sequence: FrameStore) -> float:
-    """Reduce a bound by a margin for last digits, which vary between machines, and for single-precision files."""
-    largest = largest_coordinate(sequence.points)
-    least = rounding_error(largest)
+def _with_margin(bound: float, sequence: FrameStore, local: FrameStore) -> float:
+    """Reduce a bound by a margin for last digits, which vary between machines, and for single precision."""
+    largest, largest_local = (largest_coordinate(each.points) for each in (sequence, local))
+    local_least = rounding_error(largest_local)
+    least = max(local_least, _ORIGIN_ROUNDING * largest)
     if bound < least:
-        centred_least = rounding_error(largest_offset(sequence.points))
-        cure = ", or move the sequence to the origin" if bound >= centred_least else ""
+        cure = ", or move the sequence to the origin" if bound >= local_least else ""
         raise SettingsError(
             f"max_error is {bound:.3g} in units of the sequence, beyond the digits of coordinates of up to "
             f"{largest:.3g}; give at least {least:.3g} of these units{cure}"
         )
-    rounding = largest * 2.0**-24 * 3**0.5 if sequence.points.dtype == np.float32 else least
-    return bound - min(1e-9 * bound + rounding, bound / 2)
+    margin = max(rounding_margin(bound, largest, largest_local), least)
+    return bound - min(1e-9 * bound + margin, bound / 2)
+
+
+_ORIGIN_ROUNDING = 2.0**-50
+"""Largest error of adding an origin in double precision, relative to the largest coordinate."""
 
 
 def _total_deviation(sequence: FrameStore) -> float:
@@ -205,13 +216,15 @@ def _search_streams(
     size: int | None,
 ) -> CompressedSequence:
     """Return the streams found by a search; other results, a few kB per vertex, are freed on return."""
-    search = Search(frames, mesh_graph(frames.header.faces, frames.header.vertex_count), stages, chunk)
+    origin = choose_origin(frames.points[:1][0])
+    local = frames.about(origin)
+    search = Search(local, mesh_graph(frames.header.faces, frames.header.vertex_count), stages, chunk)
     if max_error is not None:
-        best = search.find_for_bound(_with_margin(max_error * unit, frames))
+        best = search.find_for_bound(_with_margin(max_error * unit, frames, local))
     elif kg is not None:
-        best = search.find_for_error(kg / 100 * _total_deviation(frames))
+        best = search.find_for_error(kg / 100 * _total_deviation(local))
     else:
-        best = search.find_for_size(int(size or 0), _total_deviation(frames))
+        best = search.find_for_size(int(size or 0), _total_deviation(local))
     parameters = CodingParameters(
         factors=best.basis.kind,
         rank=sum(best.ranks),
@@ -223,6 +236,7 @@ def _search_streams(
         promised=max_error is not None,
         correction=0.0 if best.bound is None else residual_unit(best.bound),
         ranks=best.ranks if len(best.ranks) > 1 else (),
+        origin=tuple(origin.tolist()) if origin.any() else (),
     )
     return CompressedSequence(frames.header, parameters, best.coding.streams.basis, best.chunks)
 

@@ -141,6 +141,8 @@ def _project(playback: Playback, points: LargeArray, times: Float) -> Float:
     units = [of_part / norms[part_ids == part, None] for part, of_part in enumerate(vectors)]
     coefficients = np.empty((len(times), *playback.coefficients.shape[1:]))
     rest = basis.frames(np.zeros((1, *coefficients.shape[1:])))[0]  # the mean shape, or zero
+    if playback.origin:
+        rest = rest + playback.origin
     for row, time in enumerate(times):
         target = points[row : row + 1][0] - rest
         if layer is not None:

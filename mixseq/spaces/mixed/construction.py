@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import degenerate_faces, dihedral_angles, edge_lengths, wrap_angles
+from mixseq.mesh.measures import degenerate_faces, dihedral_angles, edge_lengths, element_blocks, wrap_angles
 from mixseq.mesh.rigid import mean_shape
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
@@ -25,7 +25,7 @@ from mixseq.segmentation.joints import Decomposition, sample_frame_ids
 from mixseq.sequence.sequence import iterate_blocks, reference_diagonal
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from mixseq.spaces.mixed.skinning_weights import fit_skinning_weights
-from mixseq.types import Float, FloatArray, Mask, evenly_spaced
+from mixseq.types import Float, FloatArray, Mask, evenly_spaced, index_mask
 
 Purpose = Literal["sequence", "reduced", "blends"]
 """Use of a space: frames in time, models of a given rank or knots, or blends of poses that may be far apart."""
@@ -121,7 +121,8 @@ def mixed_space(
             joint_faces=is_blended | (errors > 1.0),
             projection=Projection("free", 1.0, FAR_HOLD, FREE_STEPS, FAR_RELATIONS),
         )
-    errors[faces_without_area(topology, frames) | faces_at_winding_hinges(topology, frames)] = 0.0
+    if (errors > 1.0).any():
+        errors[faces_without_area(topology, frames) | faces_at_winding_hinges(topology, frames)] = 0.0
     joint_faces = errors > 1.0 if purpose == "blends" else _limit_joint_faces(base, errors)
     space = replace(base, joint_faces=joint_faces)
     if purpose == "reduced" or not joint_faces.any():
@@ -144,7 +145,7 @@ def _limit_joint_faces(space: MixedSpace, errors: Float) -> Mask:
     descending = np.argsort(-errors, kind="stable")[: int(np.count_nonzero(errors > 1.0))]
 
     def mark(count: int) -> Mask:
-        return np.isin(np.arange(len(topology.faces)), descending[:count])
+        return index_mask(descending[:count], len(topology.faces))
 
     def fits(count: int) -> bool:
         faces = mark(count)
@@ -167,12 +168,13 @@ def faces_without_area(topology: Topology, frames: FloatArray) -> Mask:
 
 def faces_at_winding_hinges(topology: Topology, frames: FloatArray) -> Mask:
     """Mark the faces ``(F,)`` at hinges whose angles in frames ``(S, V, 3)`` differ by more than 180 degrees."""
-    lowest = highest = dihedral_angles(frames[0].astype(np.float64), topology.hinges)
-    for frame in frames[1:]:
-        angles = dihedral_angles(frame.astype(np.float64), topology.hinges)
-        lowest, highest = np.minimum(lowest, angles), np.maximum(highest, angles)
-    winding = topology.hinge_faces[highest - lowest > np.pi]
-    return np.isin(np.arange(len(topology.faces)), winding)
+    winding = np.zeros(len(topology.faces), dtype=bool)
+    for block in element_blocks(len(topology.hinge_faces)):
+        hinges = topology.hinges_at(block)
+        corners = np.arange(hinges.size).reshape(hinges.shape)
+        angles = [dihedral_angles(frame[hinges.reshape(-1)].astype(np.float64), corners) for frame in frames]
+        winding[topology.hinge_faces[block][np.ptp(angles, axis=0) > np.pi]] = True
+    return winding
 
 
 def are_far_apart(space: MixedSpace, frames: LargeArray) -> bool:
@@ -194,10 +196,12 @@ def midpoint_errors(space: MixedSpace, pairs: Iterable[FloatArray], stretch: flo
     for pair in pairs:
         midpoint = _skinned_midpoint(space, pair)
         edge_errors = _length_errors(midpoint, pair, topology.edges) / stretch
-        hinge_errors = _angle_errors(midpoint, pair, topology.hinges) / bend
-        np.maximum(errors, edge_errors[topology.face_edges].max(axis=1), out=errors)
-        for side in (0, 1):
-            np.maximum.at(errors, topology.hinge_faces[:, side], hinge_errors)
+        for side in topology.face_edges.T:
+            np.maximum(errors, edge_errors[side], out=errors)
+        for block in element_blocks(len(topology.hinge_faces)):
+            hinge_errors = _angle_errors(midpoint, pair, topology.hinges_at(block)) / bend
+            for side in topology.hinge_faces[block].T:
+                np.maximum.at(errors, side, hinge_errors)
     return errors
 
 

@@ -9,7 +9,7 @@ import { evaluate } from "./evaluation.js";
 import { ResidualLayer } from "./residual_layer.js";
 import { meshGraph } from "./signal_graph.js";
 import { readBasis, readLevels, readWeights } from "./spatial_basis.js";
-import { readIndex } from "./stream_index.js";
+import { checkSizes, readIndex } from "./stream_index.js";
 import { readTimes } from "./times.js";
 export { MixseqError };
 
@@ -22,6 +22,7 @@ const SURFACE_BYTES_PER_CORNER = 64, TEXT_BYTES = 1 << 24; // limits of the size
 export async function open(text, bytes) {
   const facts = guarded("the sequence", () => readFacts(text)), { parameters, cornerCount, frameCount } = facts;
   const streams = guarded("the sequence", () => readIndex(text, bytes, parameters));
+  guarded("the sequence", () => checkSizes(facts, streams));
   const surface = await decompressed(streams.surface, SURFACE_BYTES_PER_CORNER * cornerCount + TEXT_BYTES, "the surface's bytes");
   const times = await decompressed(streams.times, 8 * frameCount, "the times");
   return guarded("the sequence", () => new Sequence(facts, streams, surface, times));
@@ -34,6 +35,7 @@ export class Sequence {
   #triangles;
   #basis;
   #weights = [];
+  #sum = null; // positions in double precision, used again
   #inbetweens = []; // of every chunk, level by level; null if all are zero
 
   constructor({ firstTime, between, ...facts }, streams, surface, times) {
@@ -60,8 +62,8 @@ export class Sequence {
 
   /**
    * Fields over the mesh: their `count`, and `parts` of the mesh, which share no vertices. A part has `vertices`, the
-   * numbers of its `fields`, and their `values` at the vertices, vertex by vertex. A frame is the sum of all fields times
-   * their `weights`.
+   * numbers of its `fields`, and their `values` at the vertices, vertex by vertex, Float64Array if they need it. A frame is the
+   * sum of all fields times their `weights`, relative to `origin`.
    */
   fields() {
     return this.#decoded().basis.fields;
@@ -84,10 +86,15 @@ export class Sequence {
     return out;
   }
 
-  /** The positions of the vertices at a time. */
+  /**
+   * The positions of the vertices at a time, relative to `origin`, three doubles: place the mesh there by a node. They are
+   * computed in double precision, and rounded once if `out` is a Float32Array.
+   */
   at(time, out = new Float32Array(3 * this.vertexCount)) {
-    evaluate(this.fields(), this.#at(time), out);
-    this.#residuals()?.addTo(out, this.#inside(time));
+    const sum = (this.#sum ??= new Float64Array(3 * this.vertexCount));
+    evaluate(this.fields(), this.#at(time), sum);
+    this.#residuals()?.addTo(sum, this.#inside(time));
+    out.set(sum);
     return out;
   }
 

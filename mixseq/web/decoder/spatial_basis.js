@@ -10,6 +10,7 @@ import { meshGraph, pathGraph } from "./signal_graph.js";
 import { graphStencils } from "./stencils.js";
 
 const FIRST_GROUP_SIZE = 12; // basis vectors in the first group
+const MAX_EXACT = 2 ** 24; // largest whole number up to which all are exact in single precision
 const MAX_NORM = 2 ** 127; // largest norm in single precision
 
 /** The parts in every stream, the `count` of their vectors, and the number `remaining` for later streams. */
@@ -28,9 +29,10 @@ function partGroups(ranks) {
 /**
  * The basis of a mesh with the graph and levels `mesh`.
  *
- * It has `owners`, the part of every vector in the order of their coefficients, the `norms` of vectors, and `fields`: their
- * `count`, and for every one of the `parts` its `vertices`, ascending, the numbers of its `fields`, and their `values`,
- * vertex by vertex, in the units of the sequence. Zero vectors are left out.
+ * It has `owners`, the part of every vector in the order of their coefficients, the `norms` of vectors, the `unit` of the mean
+ * of shapes, and `fields`: their `count`, and for every one of the `parts` its `vertices`, ascending, the numbers of its
+ * `fields`, and their `values`, vertex by vertex. Values are the whole numbers of the streams, so they are exact; weights are in
+ * the units of the sequence. Zero vectors are left out.
  */
 export function readBasis(streams, { factors, ranks, step }, triangles, mesh) {
   const shapes = factors === "shapes", models = newNumberModels(), groups = partGroups(ranks);
@@ -42,33 +44,30 @@ export function readBasis(streams, { factors, ranks, step }, triangles, mesh) {
     const own = meshParts[part].mesh();
     return new SignalCoder(own.graph, graphStencils(own), shapes ? 3 : 1, models);
   };
-  const basis = { shapes, parts: meshParts.map(({ vertices }) => ({ vertices, numbers: [], fields: [] })), owners: [], norms: [] };
-  if (!shapes) basis.parts.forEach(({ vertices }, part) => addFields(basis, part, [constant(vertices.length)], 1));
+  const basis = { shapes, parts: meshParts.map(({ vertices }) => ({ vertices, numbers: [], fields: [] })), owners: [], norms: [], unit: step / UNITS_PER_STEP };
+  if (!shapes) basis.parts.forEach(({ vertices }, part) => addFields(basis, part, [new Float32Array(vertices.length).fill(1)], Math.sqrt(vertices.length)));
   groups.forEach((group, number) => {
     for (const { part, count, remaining } of group) {
       const coder = (coders[part] ??= coderOf(part)); // large, so created on demand and freed after use
-      for (let k = 0; k < count; k++) addVector(basis, part, coder, readers[number], step / UNITS_PER_STEP);
+      for (let k = 0; k < count; k++) addVector(basis, part, coder, readers[number]);
       if (!remaining) coders[part] = null;
     }
     readers[number].finish();
   });
-  const { parts, owners, norms } = basis, count = (shapes ? 3 : 1) * owners.length;
-  return { shapes, owners, norms, fields: { count, parts: parts.map(interleaveFields) } };
+  const { parts, owners, norms, unit } = basis, count = (shapes ? 3 : 1) * owners.length;
+  return { shapes, owners, norms, unit, fields: { count, parts: parts.map(interleaveFields) } };
 }
 
-/** The constant vector of unit length. */
-const constant = (size) => new Float32Array(size).fill(1 / Math.sqrt(size));
-
 /** Read a vector, and add it unless it is zero; the mean of shapes may be zero. */
-function addVector(basis, part, coder, reader, unit) {
+function addVector(basis, part, coder, reader) {
   let squares = 0;
-  const { shapes, owners } = basis, fields = Array.from({ length: shapes ? 3 : 1 }, () => {
+  const { shapes, owners, unit } = basis, fields = Array.from({ length: shapes ? 3 : 1 }, () => {
     const values = coder.read(reader);
     squares = addSquares(values, squares);
-    return Float32Array.from(values, (value) => value * unit);
+    return values.every((value) => Math.abs(value) <= MAX_EXACT) ? Float32Array.from(values) : Float64Array.from(values);
   });
-  const norm = Math.sqrt(squares) * unit;
-  if (!(norm < MAX_NORM)) throw new MixseqError("basis vectors are too large for single precision");
+  const norm = Math.sqrt(squares);
+  if (!(norm * unit < MAX_NORM)) throw new MixseqError("basis vectors are too large for single precision");
   if (squares || (shapes && !owners.length)) addFields(basis, part, fields, norm);
 }
 
@@ -89,7 +88,8 @@ function addFields({ parts, owners, norms }, part, fields, norm) {
 
 /** A part with the values of all its fields, vertex by vertex. */
 function interleaveFields({ vertices, numbers, fields }) {
-  const values = new Float32Array(fields.length * vertices.length);
+  const Values = fields.some((field) => field instanceof Float64Array) ? Float64Array : Float32Array;
+  const values = new Values(fields.length * vertices.length);
   fields.forEach((field, k) => {
     for (let vertex = 0, at = k; vertex < field.length; vertex++, at += fields.length) values[at] = field[vertex];
   });
@@ -116,7 +116,7 @@ function splitParts(labels, number, triangles) {
 /** Read the weights of all fields in the frames of a chunk, frame by frame, of a sequence of `frames` frames. */
 export function readWeights(stream, basis, count, step, frames) {
   const [weights] = readLevels(stream, basis, [count], step);
-  if (basis.shapes) spreadAxes(weights, 3 * basis.fields.count, 0, new Float64Array(count).fill(1 / Math.sqrt(frames)));
+  if (basis.shapes) spreadAxes(weights, 3 * basis.fields.count, 0, new Float64Array(count).fill(basis.unit / Math.sqrt(frames)));
   return weights;
 }
 

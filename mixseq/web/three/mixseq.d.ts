@@ -14,7 +14,7 @@ export interface Chunk {
 
 export interface Fields {
   count: number;
-  parts: { vertices: Uint32Array; fields: Uint32Array; values: Float32Array }[];
+  parts: { vertices: Uint32Array; fields: Uint32Array; values: Float32Array | Float64Array }[];
 }
 
 export interface Polygons {
@@ -33,6 +33,8 @@ export interface Facts {
   readonly frameCount: number;
   /** Seconds, one for every frame. */
   readonly times: Float64Array;
+  /** Where positions are relative to, x, y and z: that of the node of the mesh in a GLB file. */
+  readonly origin: readonly [number, number, number];
   readonly parameters: Record<string, unknown>;
 }
 
@@ -46,6 +48,8 @@ export class Sequence implements Facts {
   readonly cornerCount: number;
   readonly frameCount: number;
   readonly times: Float64Array;
+  /** Where positions are relative to, x, y and z: that of the node of the mesh in a GLB file. */
+  readonly origin: readonly [number, number, number];
   readonly parameters: Record<string, unknown>;
   readonly chunks: Chunk[];
   polygons(): Polygons;
@@ -55,9 +59,9 @@ export class Sequence implements Facts {
   load(chunk: number): void;
   /** Of all fields at a time in seconds: x, y and z of each. */
   weights(time: number, out?: Float32Array): Float32Array;
-  /** Positions at a time in seconds: x, y and z of each vertex. */
-  at(time: number, out?: Float32Array): Float32Array;
-  frame(number: number, out?: Float32Array): Float32Array;
+  /** Positions at a time in seconds, relative to `origin`: x, y and z of each vertex. */
+  at<T extends Float32Array | Float64Array = Float32Array>(time: number, out?: T): T;
+  frame<T extends Float32Array | Float64Array = Float32Array>(number: number, out?: T): T;
   /** Displacements to add to the fields; null if there are none. */
   residuals(time: number): Float32Array | null;
   /** The decoded mesh, fields and weights of a chunk, for `take` in another thread. */

@@ -34,7 +34,7 @@ pytestmark = pytest.mark.slow
 def bounded() -> CompressedSequence:
     """Trajectories, with residuals in several runs and in both chunks."""
     smooth = bar(sides=4, rings=6, frames=200)
-    noise = np.random.default_rng(0).laplace(scale=0.01, size=smooth.points.shape)
+    noise = np.random.default_rng(4).laplace(scale=0.01, size=smooth.points.shape)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("trajectories",))
         return compress(smooth.with_points(smooth.points + noise), max_error=0.02, chunk=100)

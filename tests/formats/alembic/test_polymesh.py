@@ -13,6 +13,7 @@ imath = pytest.importorskip("imath")
 from alembic3d import Abc, AbcCoreAbstract, AbcGeom, AbcMaterial  # noqa: E402
 
 from mixseq.errors import MixseqWarning  # noqa: E402
+from mixseq_io.alembic.library import create_array  # noqa: E402
 from tests.formats.alembic.alembic_maker import (  # noqa: E402
     CLOCKWISE,
     SQUARE,
@@ -57,6 +58,48 @@ def test_texture_coordinates(path: Path, scope: Any, places: ArrayLike, indexed:
     assert uvs is not None
     turned = [2, 1, 0, 5, 4, 3]
     np.testing.assert_array_equal(uvs.at_corners, rows[np.asarray(places)[turned]])
+
+
+@pytest.mark.parametrize(
+    ("count", "places"),
+    [(6, [0, 1, 2, 3, 4, 5]), (4, CLOCKWISE), (2, [0, 0, 0, 1, 1, 1]), (1, [0] * 6), (5, None)],
+    ids=["corners", "vertices", "faces", "constant", "nothing"],
+)
+@pytest.mark.parametrize("name", ["uv", "N", "Cd"])
+def test_values_without_a_scope(path: Path, name: str, count: int, places: ArrayLike | None) -> None:
+    """Archives of other programs may leave out ``geoScope``; their values have the scope that fits."""
+    kind, array, width = {
+        "uv": (Abc.OV2fArrayProperty, imath.V2fArray, 2),
+        "N": (Abc.ON3fArrayProperty, imath.V3fArray, 3),
+        "Cd": (Abc.OC3fArrayProperty, imath.C3fArray, 3),
+    }[name]
+    rows = np.arange(width * count, dtype=np.float32).reshape(count, width) % 7
+    archive = Abc.OArchive(str(path))
+    metadata = AbcCoreAbstract.MetaData()
+    metadata.set("schema", "AbcGeom_PolyMesh_v1")
+    metadata.set("schemaObjTitle", "AbcGeom_PolyMesh_v1:.geom")
+    mesh = Abc.OObject(archive.getTop(), "square", metadata)  # the library's own meshes would add a scope
+    geometry = Abc.OCompoundProperty(mesh.getProperties(), ".geom", metadata)
+    Abc.OBox3dProperty(geometry, ".selfBnds").setValue(imath.Box3d())
+    Abc.OP3fArrayProperty(geometry, "P").setValue(positions(SQUARE))
+    Abc.OInt32ArrayProperty(geometry, ".faceIndices").setValue(filled(imath.IntArray, CLOCKWISE))
+    Abc.OInt32ArrayProperty(geometry, ".faceCounts").setValue(filled(imath.IntArray, [3, 3]))
+    parent = Abc.OCompoundProperty(geometry, ".arbGeomParams") if name == "Cd" else geometry
+    kind(parent, name).setValue(create_array(array, rows))
+    del archive, mesh, geometry, parent
+    if places is None:
+        with pytest.warns(MixseqWarning, match="of /square do not fit its faces"):
+            load(path)
+        return
+    surface = load(path).surface
+    turned = rows[np.asarray(places)[[2, 1, 0, 5, 4, 3]]]
+    if name == "N":
+        is_hard = any((turned[[0, 2]] != turned[[3, 4]]).any(axis=1))  # corners at the ends of the shared edge
+        assert (surface.hard_edges is not None) == is_hard
+    else:
+        values = surface.uvs if name == "uv" else surface.colours
+        assert values is not None
+        np.testing.assert_array_equal(values.at_corners[:, :width], turned)
 
 
 def test_texture_coordinates_that_do_not_fit(path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import mixseq
@@ -38,7 +39,7 @@ def h5(tmp_path: Path, coded: CompressedSequence) -> Path:
 def glb(tmp_path: Path, coded: CompressedSequence) -> Path:
     """The same as a .glb; what is decoded of any bytes would be no still."""
     file = tmp_path / "small.glb"
-    write_container(file, pack(coded), coded.header, bar(5, 15, 14).points[0], "none")
+    write_container(file, pack(coded), coded.header, bar(5, 15, 14).points[0], np.zeros(3), "none")
     return file
 
 

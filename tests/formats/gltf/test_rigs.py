@@ -15,8 +15,9 @@ import mixseq
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
 from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.between import quarter_times, straight_blocks
 from mixseq_io.rig_arrays import four_influences
-from mixseq_io.rig_measuring import measure_rig_file, size_with_frame_targets
+from mixseq_io.rig_measuring import measure_file_between, measure_rig_file, size_with_frame_targets
 from tests.formats.conftest import dressed, lossy
 from tests.formats.gltf_files import Gltf, read, validate
 from tests.formats.rig_maker import AXES, QUARTER, carried, hinge, random_skin, swelling
@@ -169,6 +170,23 @@ def test_a_skin_stands_upright_and_in_metres(tmp_path: Path) -> None:
     assert set(file.node("bar")) == {"name", "mesh", "skin"}  # its transform would be ignored
     sequence = MeshSequence.from_header(skin.header, skin.points())
     assert measure_rig_file(tmp_path / "a.glb", sequence).max_error < 1e-6
+    larger = sequence.with_points(1.1 * sequence.points)
+    expected = 0.1 * np.linalg.norm(sequence.points, axis=2).max() / larger.diagonal
+    assert measure_rig_file(tmp_path / "a.glb", larger).max_error == pytest.approx(expected, rel=1e-5)
+
+
+def test_joints_turn_on_arcs_between_keys(tmp_path: Path) -> None:
+    """Points are in half metres with Z up, and distances are in these units."""
+    skin = hinge(up_axis="Z", metres_per_unit=0.5)
+    with pytest.warns(MixseqWarning, match="under a node"):
+        written(tmp_path / "a.glb", skin)
+    sequence = MeshSequence.from_header(skin.header, skin.points())
+    times = quarter_times(skin.header.times)
+    arcs, chords = skin.resampled(times).points(), np.concatenate(list(straight_blocks(sequence.blocks(), times)))
+    expected = np.linalg.norm(arcs - chords, axis=2).max()
+    assert measure_file_between(tmp_path / "a.glb", skin.header, lambda _: [arcs]) == pytest.approx(0, abs=1e-5)
+    found = measure_file_between(tmp_path / "a.glb", skin.header, lambda _: [chords])
+    assert found == pytest.approx(expected, rel=1e-4)
 
 
 def test_a_skin_that_stands_still_has_no_animation(tmp_path: Path) -> None:

@@ -118,6 +118,28 @@ def test_rigid_parts_take_four_basis_vectors_and_normals_are_exact(tmp_path: Pat
     assert report.normal_degrees < 0.1
 
 
+@pytest.mark.parametrize(("max_error", "factor"), [(None, 1), (0.01, 1), (5e-4, 2)])
+def test_shaders_join_frames_by_straight_lines(tmp_path: Path, max_error: float | None, factor: int) -> None:
+    """A bar turns by a quarter radian per frame about its axis, which is told and held in the steps of the textures."""
+    still = bar(frames=1)
+    angles = 0.25 * np.arange(5)
+    turned = np.stack([still.points[0] @ rotation((0, 0, angle)).T for angle in angles])
+    sequence = MeshSequence.from_arrays(turned, still.faces)
+    report = write_vat(tmp_path / "bar.vat", sequence, max_error, motion=sequence, between=max_error is not None)
+    radius = np.linalg.norm(still.points[0, :, :2], axis=1).max()
+    chord = radius * (1 - np.cos(0.25 / 2 / factor)) / sequence.diagonal
+    assert report.between_error is not None
+    assert abs(report.between_error - chord) <= report.max_error
+    metadata = json.loads((tmp_path / "bar.vat" / "vat.json").read_text())
+    assert (metadata["frames"] - 1, metadata["fps"]) == (4 * factor, 24 * factor)
+    assert metadata["error"]["between"] == report.between_error <= (max_error or 1)
+
+
+def test_a_bound_between_frames_needs_one_at_frames(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="between is about max_error"):
+        write_vat(tmp_path / "bar.vat", bar(frames=3), between=True)
+
+
 def test_hard_edges_have_texels_of_their_own(tmp_path: Path) -> None:
     still = bar(frames=3)
     corners = np.arange(still.faces.size, dtype=np.int32)  # all flat

@@ -1,0 +1,131 @@
+"""USD, reading: faulty files of other exporters, of which everything else is read."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdGeom
+
+from mixseq.errors import MixseqWarning, NoMeshError
+from tests.formats.usd.stage_maker import INDICES, raised, read
+
+KEYS = ("metersPerUnit", "timeCodesPerSecond", "framesPerSecond", "startTimeCode", "endTimeCode")
+VALUES = {key: float(np.float32(value)) for key, value in zip(KEYS, (0.3048, 48.7, 12.3, 0.7, 2.9), strict=True)}
+TYPES: dict[str, tuple[int, Any]] = {
+    "float": (8, lambda value: struct.pack("<f", value)),
+    "half": (7, lambda value: np.float16(value).tobytes() + bytes(2)),
+    "int": (3, lambda value: struct.pack("<i", round(value + 1))),
+    "int64": (5, lambda value: struct.pack("<i", round(value + 1))),
+    "token": (11, lambda value: struct.pack("<I", 1)),  # a name in the file: no number
+}
+
+
+def write_stage(path: Path, key: str, kind: str) -> None:
+    """Write a mesh that rises, with one metadatum whose type in the binary file is replaced by another."""
+    stage = Usd.Stage.CreateNew(str(path))
+    mesh = UsdGeom.Mesh.Define(stage, "/mesh")
+    mesh.CreateFaceVertexCountsAttr([4, 3])
+    mesh.CreateFaceVertexIndicesAttr(INDICES)
+    for code in range(3):
+        mesh.CreatePointsAttr().Set(raised(code), code)
+    stage.SetDefaultPrim(mesh.GetPrim())
+    stage.GetRootLayer().pseudoRoot.SetInfo(key, VALUES[key])
+    stage.Save()
+    content, number = path.read_bytes(), struct.pack("<f", VALUES[key])
+    stored, (code_of_type, pack) = number + bytes([0, 0, 9, 0x40]), TYPES[kind]  # inlined double
+    assert content.count(stored) == 1
+    path.write_bytes(content.replace(stored, pack(VALUES[key]) + bytes([0, 0, code_of_type, 0x40])))
+
+
+@pytest.mark.parametrize("key", VALUES)
+@pytest.mark.parametrize("kind", TYPES)
+@pytest.mark.parametrize("referred", [False, True])
+def test_stage_metadata_of_any_type(tmp_path: Path, key: str, kind: str, referred: bool, recwarn: Any) -> None:
+    path = tmp_path / "stage.usdc"
+    write_stage(path, key, kind)
+    if referred:  # its units do not count in the stage that refers to it, its rate does
+        path = tmp_path / "shot.usda"
+        path.write_text('#usda 1.0\ndef "shot" (references = @./stage.usdc@) {}')
+    got = read(path)
+    np.testing.assert_array_equal(got.points, [raised(code) for code in range(3)])
+    told = [str(warning.message) for warning in recwarn]
+    if kind == "token":
+        assert [key in each for each in told] == [True] * (not referred or key.endswith("PerSecond"))
+    else:
+        value: Any = {"float": np.float32, "half": np.float16}.get(kind, lambda value: round(value + 1))(VALUES[key])
+        assert not told
+        assert got.metres_per_unit == (value if key == "metersPerUnit" and not referred else 0.01)
+        rate = (
+            float(value) if key in ("timeCodesPerSecond", "framesPerSecond") else 24.0
+        )  # the second stands for the first
+        np.testing.assert_allclose(got.times, np.arange(3) / rate, rtol=1e-12)
+
+
+PLAIN_MESH = """
+def Mesh "mesh" {
+    point3f[] points = [(0,0,0), (1,0,0), (0,1,0)]
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+}"""
+
+
+@pytest.mark.parametrize(
+    ("metadata", "told"),
+    [
+        ("upAxis = 'W'", "upAxis is 'W'"),
+        ("metersPerUnit = 0", r"metersPerUnit is 0\.0.* 0\.01 is taken"),
+        ("timeCodesPerSecond = -1", r"timeCodesPerSecond is -1\.0.* 24 is taken"),
+        ("endTimeCode = nan", "endTimeCode is nan"),
+    ],
+)
+def test_stage_metadata_that_cannot_be(tmp_path: Path, metadata: str, told: str) -> None:
+    path = tmp_path / "stage.usda"
+    path.write_text(f"#usda 1.0\n({metadata})\n{PLAIN_MESH}")
+    with pytest.warns(MixseqWarning, match=told):
+        got = read(path)
+    assert (got.up_axis, got.metres_per_unit, got.fps) == ("Y", 0.01, 24)
+    path.write_text(f"#usda 1.0\n(upAxis = 'z')\n{PLAIN_MESH}")
+    assert read(path).up_axis == "Z"
+
+
+def refer(stage: Usd.Stage, kind: str, asset: str) -> None:
+    prim = stage.DefinePrim(f"/{kind}")
+    if kind == "reference":
+        prim.GetReferences().AddReference(asset)
+    elif kind == "payload":
+        prim.GetPayloads().AddPayload(asset, "/there")
+    elif kind == "sublayer":
+        stage.GetRootLayer().subLayerPaths.append(asset)
+    elif kind == "clip":
+        Usd.ClipsAPI(prim).SetClipAssetPaths([Sdf.AssetPath(asset)])
+    else:  # in a file that exists, or a prim that does not
+        Usd.Stage.CreateNew(str(Path(stage.GetRootLayer().realPath).with_name("between.usda"))).Save()
+        between = Usd.Stage.Open(str(Path(stage.GetRootLayer().realPath).with_name("between.usda")))
+        between.DefinePrim("/there").GetReferences().AddReference(asset)
+        between.Save()
+        prim.GetReferences().AddReference("./between.usda", "/there" if kind == "nested" else "/gone")
+
+
+@pytest.mark.parametrize("kind", ["reference", "payload", "sublayer", "clip", "nested", "prim"])
+@pytest.mark.parametrize("has_mesh", [False, True])
+def test_missing_files_are_named(tmp_path: Path, kind: str, has_mesh: bool) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "shot.usda"))
+    refer(stage, kind, "./props/lamp.usdc")
+    if has_mesh:
+        mesh = UsdGeom.Mesh.Define(stage, "/mesh")
+        mesh.CreatePointsAttr(raised(0))
+        mesh.CreateFaceVertexCountsAttr([4, 3])
+        mesh.CreateFaceVertexIndicesAttr(INDICES)
+    stage.Save()
+    named = r"do not exist: /gone in between\.usda" if kind == "prim" else r"missing .*: (\./)?props/lamp\.usdc"
+    if has_mesh:
+        with pytest.warns(MixseqWarning, match=named) as caught:
+            read(tmp_path / "shot.usda")
+        assert len(caught) == 1
+    else:
+        with pytest.raises(NoMeshError, match=named):
+            read(tmp_path / "shot.usda")
