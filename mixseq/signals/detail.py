@@ -119,6 +119,12 @@ def key_pose_map(keys: Float) -> PoseMap:
 OPERATOR_VERTICES = 256
 """Number of vertices from which the temporal operator is selected."""
 
+FRAMES_IN_BODY_AXES = 1024
+"""Number of frames whose samples are brought into body axes together."""
+
+MOTION_VERTICES = 64
+"""Number of vertices in world axes by which breaks of speed and slopes beside held frames are selected."""
+
 MIN_SCORE_SCALE = 1e-200
 """Least scale, in diagonals, of the scores of a mode; their rounding step is proportional to the scale."""
 
@@ -144,15 +150,8 @@ class EncodedSequence:
     space: ShapeSpace  # shape space of the vectors
     shapes: LargeArray  # (T, S) shape part of the vectors of the frames
     placement: Float  # (T, P) placements of the frames, with continuous signs of quaternions
-    samples: Float  # (T, C) coordinates of sampled vertices in body axes, used to select the temporal operator
-    motion: Float  # (T, C) the same in world axes
-    timing: Timing = Timing()  # noqa: RUF009 - frozen; events and interpolation between frames
+    operator: TemporalOperator  # interpolates sampled vertices in body axes with the least errors
     pose: PoseForm = "modes"  # form of the key shapes
-
-    @cached_property
-    def operator(self) -> TemporalOperator:
-        """The temporal operator that interpolates the samples with the least errors."""
-        return self.timing.select_operator(self.header.times, self.samples, self.motion)
 
     @cached_property
     def poses(self) -> Float:
@@ -207,8 +206,14 @@ def encode_sequence(
         progress(done, count, "encoding frames")
     rotations, centres = space.unpack_placements(raw_placement)
     placement = space.pack_placements(Poses(align_quat_signs(rotations), centres))  # signs continuous in time
-    body_samples = space.to_body_axes(samples.reshape(count, -1, 3), vertex_ids, placement).reshape(count, -1)
-    return EncodedSequence(sequence.header, space, shapes, placement, body_samples, samples, timing, pose)
+    motion_ids = evenly_spaced(len(vertex_ids), MOTION_VERTICES)
+    motion = samples.reshape(count, -1, 3)[:, motion_ids].reshape(count, -1)  # a copy: samples become those of bodies
+    for start in range(0, count, FRAMES_IN_BODY_AXES):  # samples of few vertices are as large as the sequence
+        rows = slice(start, start + FRAMES_IN_BODY_AXES)
+        world = samples[rows].reshape(-1, len(vertex_ids), 3)
+        samples[rows] = space.to_body_axes(world, vertex_ids, placement[rows]).reshape(len(world), -1)
+    operator = timing.select_operator(sequence.header.times, samples, motion)
+    return EncodedSequence(sequence.header, space, shapes, placement, operator, pose)
 
 
 def _encode_block(context: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Float, Float]:

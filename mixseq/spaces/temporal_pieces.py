@@ -178,7 +178,7 @@ class Timing:
     def select_operator(self, times: Float, samples: Float, motion: Float) -> TemporalOperator:
         """Select the operator of frames at times ``(T,)``; without events, it is that of `select_operator`.
 
-        Length scales are selected by samples ``(T, C)`` in body axes, slopes by the same samples in world axes.
+        Length scales are selected by samples ``(T, C)`` in body axes, slopes by motion ``(T, C')`` in world axes.
         """
         count, events, between = len(times), self.events, self.between
         repeats = [pose - 1 for pose in events.poses if pose] if between == "auto" else []
