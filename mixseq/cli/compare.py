@@ -24,14 +24,16 @@ if TYPE_CHECKING:
 @options.argument("reference")
 @options.argument("other")
 @options.option(
-    "--between",
+    "--between-frames",
     is_flag=True,
     help="Also measure OTHER between its frames, as it is played; fits a model of REFERENCE if it has only points.",
 )
 @options.as_json
 @options.reading
 @options.quiet
-def command(reference: Path, other: Path, between: bool, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
+def command(
+    reference: Path, other: Path, between_frames: bool, as_json: bool, reading: dict[str, Any], quiet: bool
+) -> None:
     """Measure how far a sequence is from a reference.
 
     Both files are sequences or models of one mesh. If OTHER has more frames, only its frames at the times of REFERENCE
@@ -52,7 +54,7 @@ def command(reference: Path, other: Path, between: bool, as_json: bool, reading:
         frames = LazyFrames(a.header, lambda size: counted(a.blocks(size), count, "comparing frames", progress))
         result = mixseq.compare(frames, shared)
         error = None
-        if between:
+        if between_frames:
             source, delivery = (mixseq.load(x) if is_model(x) else y for x, y in ((reference, a), (other, b)))
             error = mixseq.measure_between(source, delivery, progress)
     if as_json:

@@ -34,7 +34,7 @@ _KINDS_BY_OPTION = {
     "kg": "skin",
     "correctives": "skin",
     "max_error": "skin or morph (or a target .vat)",
-    "between": "skin or morph (or a target .vat)",
+    "between_frames": "skin or morph (or a target .vat)",
     "max_targets": "skin or morph",
 }
 _UNSUPPORTED_BY_RIGS = {"velocities": "velocities", "onto": "other files to build on", "clips": "clips"}
@@ -215,7 +215,7 @@ def _seconds(text: str) -> tuple[float, ...]:
         "diagonal, or 0.5mm; a morph without it is exact.",
     ),
     options.flag(
-        "--between",
+        "--between-frames",
         help="Keep --max-error between frames, too, at quarters of a frame of TARGET, with up to 8 times the frames.",
     ),
     options.setting("--max-targets N", type=options.NON_NEGATIVE_INTEGER, help="Number of morph targets at most."),
@@ -255,14 +255,14 @@ def command(
     """
     textures = target.suffix.lower() == files.VAT_EXTENSION
     if textures:
-        names = {"kind", *_KINDS_BY_OPTION, "velocities", *writing} - {"max_error", "between"}
+        names = {"kind", *_KINDS_BY_OPTION, "velocities", *writing} - {"max_error", "between_frames"}
         for option in options.given_options(*sorted(names)):
             raise SettingsError(f"vertex animation textures (.vat) have no place for {option}; leave it out")
     else:
         _check_rig(kind)
-    between = rig.pop("between", False)
+    between = rig.pop("between_frames", False)
     if "max_error" not in rig:
-        options.refuse("between", why="is about --max-error; give both")
+        options.refuse("between_frames", why="is about --max-error; give both")
     claim(target)
     if textures:
         from mixseq_io.vat.writer import check_vat_target
@@ -285,7 +285,7 @@ def command(
             motion = None if quiet and not between else _motion_of(frames, progress, between)
             if textures:
                 report = mixseq.write_vat(
-                    target, sequence, rig.get("max_error"), texture, progress, motion=motion, between=between
+                    target, sequence, rig.get("max_error"), texture, progress, motion=motion, between_frames=between
                 )
                 table = texture_rows(report, sequence.diagonal * sequence.metres_per_unit)
             else:

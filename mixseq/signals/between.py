@@ -73,5 +73,5 @@ def hold_between(
         frames = motion.sample(insert_midpoints(frames.times), 2 * frames.fps)
     raise SettingsError(
         f"between frames, {least:.2g} diagonals can be reached with up to {MAX_FRAME_FACTOR} times the frames, not "
-        f"{bound:g}; allow more (--max-error), or leave out --between"
+        f"{bound:g}; allow more (--max-error), or leave out --between-frames"
     )

@@ -50,7 +50,7 @@ def test_a_model_becomes_a_morph(run: Run, bent_bar: MeshSequence) -> None:
 @pytest.mark.parametrize("kind", ["skin", "morph"])
 def test_a_bound_between_frames_takes_more_keys(run: Run, bent_bar: MeshSequence, kind: str) -> None:
     arguments = ("decode", "model.h5", "bar.glb", "--as", kind, "--max-error", "0.005")
-    plain, held = (rows(succeed(run(*arguments, *option))) for option in ((), ("--between",)))
+    plain, held = (rows(succeed(run(*arguments, *option))) for option in ((), ("--between-frames",)))
     assert number(plain["between frames"]) > 0.005 >= number(held["between frames"])
     assert number(held["keys"]) > number(plain["keys"])
     with mixseq.open_sequence("bar.glb") as played:
@@ -64,7 +64,7 @@ def test_frames_of_gltf_are_measured_between_frames(run: Run, bent_bar: MeshSequ
     found = mixseq.measure_between(mixseq.load("model.h5"), mixseq.load("model.h5").sample())
     assert number(table["between frames"]) == pytest.approx(found, rel=0.05)
     assert number(again["between frames"]) == pytest.approx(found / 4, rel=0.5)
-    facts = json.loads(succeed(run("compare", "model.h5", "bar.glb", "--between", "--json")))
+    facts = json.loads(succeed(run("compare", "model.h5", "bar.glb", "--between-frames", "--json")))
     assert facts["between_error"] == pytest.approx(found, rel=1e-3)
 
 

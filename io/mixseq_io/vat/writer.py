@@ -105,7 +105,7 @@ def write_vat(
     progress: Progress = no_progress,
     *,
     motion: Model | RigMotion | Frames | None = None,
-    between: bool = False,
+    between_frames: bool = False,
 ) -> VatReport:
     """Write a sequence as vertex animation textures: a folder with images, a mesh, ``vat.json`` and shaders.
 
@@ -125,7 +125,7 @@ def write_vat(
     motion : Model, MeshSequence or SequenceReader, optional
         The motion whose frames are written, to measure the error between them at quarters of a frame, where shaders
         join frames by straight lines. Of sequences that are no rigs, the exact model is fitted.
-    between : bool
+    between_frames : bool
         Whether `max_error` also holds between frames, at quarters of a frame of the textures. They get up to eight
         times the frames of `sequence`, which are those of `motion`, by default its exact model.
 
@@ -154,7 +154,7 @@ def write_vat(
     steps = np.diff(sequence.times)
     if steps.size and np.ptp(steps) > _MAX_STEP_VARIATION * steps.mean():
         warn(f"{folder}: textures need evenly spaced frames; resample the sequence (--fps)")
-    if motion is None and between:
+    if motion is None and between_frames:
         motion = sequence
     source = None if motion is None else as_motion(motion, progress)
 
@@ -162,9 +162,9 @@ def write_vat(
         encoding = _encode(sequence, bound, pixel_type, source, progress)
         return encoding, encoding[-1].between_error or 0.0
 
-    if between and source is not None:
+    if between_frames and source is not None:
         if max_error is None:
-            raise SettingsError("between is about max_error, which is missing; give both")
+            raise SettingsError("between_frames is about max_error, which is missing; give both")
         sequence, texels, textures, report = hold_between(source, sequence, max_error, encode)
     else:
         (sequence, texels, textures, report), _ = encode(sequence, max_error)

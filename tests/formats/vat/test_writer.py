@@ -125,7 +125,7 @@ def test_shaders_join_frames_by_straight_lines(tmp_path: Path, max_error: float 
     angles = 0.25 * np.arange(5)
     turned = np.stack([still.points[0] @ rotation((0, 0, angle)).T for angle in angles])
     sequence = MeshSequence.from_arrays(turned, still.faces)
-    report = write_vat(tmp_path / "bar.vat", sequence, max_error, motion=sequence, between=max_error is not None)
+    report = write_vat(tmp_path / "bar.vat", sequence, max_error, motion=sequence, between_frames=max_error is not None)
     radius = np.linalg.norm(still.points[0, :, :2], axis=1).max()
     chord = radius * (1 - np.cos(0.25 / 2 / factor)) / sequence.diagonal
     assert report.between_error is not None
@@ -136,8 +136,8 @@ def test_shaders_join_frames_by_straight_lines(tmp_path: Path, max_error: float 
 
 
 def test_a_bound_between_frames_needs_one_at_frames(tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match="between is about max_error"):
-        write_vat(tmp_path / "bar.vat", bar(frames=3), between=True)
+    with pytest.raises(SettingsError, match="between_frames is about max_error"):
+        write_vat(tmp_path / "bar.vat", bar(frames=3), between_frames=True)
 
 
 def test_hard_edges_have_texels_of_their_own(tmp_path: Path) -> None:
