@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from mixseq.errors import AmbiguousError, FormatError
+from mixseq.mesh.measures import choose_origin
 from mixseq.rigging.rigs import Morph, Skin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import bounding_diagonal
@@ -21,8 +22,21 @@ if TYPE_CHECKING:
     from mixseq.rigging.rigs import Skeleton
 
 
+Rig = TypeVar("Rig", Skin, Morph)
+
 _ROUNDING_FRACTION = 4 * float(np.finfo(np.float32).eps)
 """Largest motion that counts as a rounding error, relative to the largest magnitude."""
+
+
+def move_to_origin(rig: Rig) -> tuple[Rig, Float]:
+    """Return a rig relative to the origin ``(3,)`` of its shape at rest, see `choose_origin`, and this origin."""
+    if isinstance(rig, Morph):
+        origin = choose_origin(rig.base)
+        return replace(rig, base=rig.base - origin), origin
+    origin = choose_origin(rig.rest)
+    skeleton = replace(rig.skeleton, pivots=rig.skeleton.pivots - origin)
+    moved = replace(rig, rest=rig.rest - origin, skeleton=skeleton, translations=rig.translations - origin)
+    return moved, origin
 
 
 def four_influences(skin: Skin) -> tuple[Index, Single]:
