@@ -120,12 +120,13 @@ def _measure_rig(path: Path, rig: Skin | Morph, sequence: MeshSequence, bound: f
     from mixseq_io.rig_measuring import measure_rig_file
 
     measured = measure_rig_file(path, sequence)
-    if bound is not None and measured.max_error > bound:
-        if largest_distance(sequence.blocks(), rig.blocks()) <= bound * (sequence.diagonal or 1.0):
-            raise OutputError(
-                f"{path} holds numbers in single precision, and vertices are off by up to {measured.max_error:.3g} of "
-                f"the diagonal, more than {bound:g}; the file is written, but give a larger bound"
-            )
+    if bound is None or measured.max_error <= bound:
+        return measured
+    if largest_distance(sequence.blocks(), rig.blocks()) <= bound * (sequence.diagonal or 1.0):
+        raise OutputError(
+            f"{path} holds numbers in single precision, and vertices are off by up to {measured.max_error:.3g} of the "
+            f"diagonal, more than {bound:g}; the file is written, but give a larger bound"
+        )
     return measured
 
 
