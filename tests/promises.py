@@ -150,10 +150,10 @@ def _delivered(
             raise SettingsError("single precision does not hold the bound")
         run_node(_PLAY, file.with_suffix(".glb"), folder / "frames", way)
         return np.fromfile(folder / "frames").reshape(points.shape)
-    frames = mixseq.load(file).sample()
+    decoded = mixseq.load(file).sample()
     if way == "python":
-        return frames.points
-    mixseq.write(folder / way, frames)
+        return decoded.points
+    mixseq.write(folder / way, decoded)
     return mixseq.read(folder / way).points
 
 

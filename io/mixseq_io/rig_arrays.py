@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,21 +22,22 @@ if TYPE_CHECKING:
     from mixseq.rigging.rigs import Skeleton
 
 
-Rig = TypeVar("Rig", Skin, Morph)
-
 _ROUNDING_FRACTION = 4 * float(np.finfo(np.float32).eps)
 """Largest motion that counts as a rounding error, relative to the largest magnitude."""
 
 
-def move_to_origin(rig: Rig) -> tuple[Rig, Float]:
-    """Return a rig relative to the origin ``(3,)`` of its shape at rest, see `choose_origin`, and this origin."""
-    if isinstance(rig, Morph):
-        origin = choose_origin(rig.base)
-        return replace(rig, base=rig.base - origin), origin
-    origin = choose_origin(rig.rest)
-    skeleton = replace(rig.skeleton, pivots=rig.skeleton.pivots - origin)
-    moved = replace(rig, rest=rig.rest - origin, skeleton=skeleton, translations=rig.translations - origin)
+def move_skin(skin: Skin) -> tuple[Skin, Float]:
+    """Return a skin relative to the origin ``(3,)`` of its rest shape, see `choose_origin`, and this origin."""
+    origin = choose_origin(skin.rest)
+    skeleton = replace(skin.skeleton, pivots=skin.skeleton.pivots - origin)
+    moved = replace(skin, rest=skin.rest - origin, skeleton=skeleton, translations=skin.translations - origin)
     return moved, origin
+
+
+def move_morph(morph: Morph) -> tuple[Morph, Float]:
+    """Return a morph relative to the origin ``(3,)`` of its base, see `choose_origin`, and this origin."""
+    origin = choose_origin(morph.base)
+    return replace(morph, base=morph.base - origin), origin
 
 
 def four_influences(skin: Skin) -> tuple[Index, Single]:

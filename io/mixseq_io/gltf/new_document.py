@@ -127,13 +127,13 @@ class MorphFrameWriter:
         """Write a frame's points ``(V, 3)``, and return what readers get for them; displacements may exceed float32."""
         single = as_float32(points[None], frame, "glTF", header=self._header)[0]
         normals = [mesh.compute_normals(single[None])[0] for mesh in self._meshes]
-        written = single.astype(np.float64)
+        written: Float = single.astype(np.float64)
         if self._first is None:
             self._first = written, normals
         else:
             base_points, base_normals = self._first
             single = as_float32((points - base_points)[None], frame, "glTF")[0]
-            written = base_points + single
+            written = np.asarray(base_points + single, dtype=np.float64)
             normals = [own - base for own, base in zip(normals, base_normals, strict=True)]
         start, unbounded = self._frames[frame]
         accessors = iter(unbounded)

@@ -42,7 +42,8 @@ from mixseq_io.reader import as_float32
 from mixseq_io.rig_arrays import (
     four_influences,
     local_joint_transforms,
-    move_to_origin,
+    move_morph,
+    move_skin,
     normalise_morph_weights,
     numbered_names,
 )
@@ -86,7 +87,7 @@ _MIN_SINGULAR_VALUE_RATIO = 1e-6
 
 def create_morphed_scene(morph: Morph) -> Layout:
     """Create a document of a mesh with morph targets and the animation of their weights."""
-    morph, origin = move_to_origin(morph)
+    morph, origin = move_morph(morph)
     layout, meshes = create_scene(morph.header, origin)
     add_animation(layout, morph.header, add_morph_targets(layout, meshes, normalise_morph_weights(morph)))
     return layout
@@ -145,7 +146,7 @@ def create_skinned_scene(skin: Skin) -> Layout:
         raise OutputError(
             f"the skin has {skin.bone_count} bones, glTF allows {_MAX_BONE_COUNT}; fit it with fewer (bones=N)"
         )
-    skin, origin = move_to_origin(skin)
+    skin, origin = move_skin(skin)
     layout, meshes = create_meshes(skin.header)
     document = layout.document
     morph_tracks = add_morph_targets(layout, meshes, normalise_morph_weights(skin))

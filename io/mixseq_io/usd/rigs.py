@@ -31,7 +31,8 @@ from mixseq_io.rig_arrays import (
     choose_skeleton,
     four_influences,
     local_joint_transforms,
-    move_to_origin,
+    move_morph,
+    move_skin,
     normalise_morph_weights,
     numbered_names,
 )
@@ -100,7 +101,7 @@ def find_skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Pr
 
 def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
     """Author a skin or a morph in a layer."""
-    rig, origin = move_to_origin(rig)
+    rig, origin = move_skin(rig) if isinstance(rig, Skin) else move_morph(rig)
     shape = normalise_morph_weights(rig)
     prims = define_component(layer, target, rig.header, has_velocities=False, origin=origin)
     declare_attributes(layer, prims)

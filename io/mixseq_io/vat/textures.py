@@ -104,8 +104,8 @@ def encode_coarse_and_fine(
     fine = np.minimum(np.rint(fine / _FINE_STEP) * _FINE_STEP, _COARSE_LEVELS)
     pixels = np.concatenate([coarse, fine]).astype(np.uint16)
     image = EncodedImage(pixels, np.full(3, -largest), np.full(3, 2 * largest))
-    levels = np.float32(_COARSE_LEVELS)
-    fractions = (coarse.astype(np.float32) + fine.astype(np.float32) / levels) / levels
+    single, most = np.stack([coarse, fine]).astype(np.float32), np.float32(_COARSE_LEVELS)
+    fractions = np.asarray((single[0] + single[1] / most) / most)
     return image, _decode_fractions(fractions, -largest, 2 * largest)
 
 

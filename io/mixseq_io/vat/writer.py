@@ -1,7 +1,7 @@
 """Write vertex animation textures: images, a mesh with coordinates in these images, ``vat.json``, and shaders.
 
-`mixseq_io.vat.textures` describes the encoding. Reported errors are measured on images decoded in single precision, as in
-shaders. Points far from zero are relative to an origin, at which the node of the mesh is.
+`mixseq_io.vat.textures` describes the encoding. Reported errors are measured on images decoded in single precision, as
+in shaders. Points far from zero are relative to an origin, at which the node of the mesh is.
 """
 
 from __future__ import annotations
