@@ -22,6 +22,14 @@ settings.register_profile("few", deadline=None, max_examples=10)
 settings.load_profile("untimed")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave out exhaustive tests if MIXSEQ_EXHAUSTIVE is not set."""
+    if not os.environ.get("MIXSEQ_EXHAUSTIVE"):
+        for item in items:
+            if item.get_closest_marker("exhaustive"):
+                item.add_marker(pytest.mark.skip("MIXSEQ_EXHAUSTIVE is not set"))
+
+
 @pytest.fixture(scope="session")
 def data() -> Path:
     """The folder of real animations."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 from typing import Any
@@ -40,7 +39,7 @@ def test_promises_are_kept_or_refused(name: str, expected: dict[str, str], reaso
 
 
 @pytest.mark.slow
-@pytest.mark.skipif("MIXSEQ_EXHAUSTIVE" not in os.environ, reason="MIXSEQ_EXHAUSTIVE is not set")
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", SEQUENCES)
 def test_no_promise_is_broken(name: str) -> None:
     found = list(attempts(*SEQUENCES[name](), (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)))
@@ -49,7 +48,7 @@ def test_no_promise_is_broken(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.realdata
-@pytest.mark.skipif("MIXSEQ_EXHAUSTIVE" not in os.environ, reason="MIXSEQ_EXHAUSTIVE is not set")
+@pytest.mark.exhaustive
 def test_no_promise_about_an_animation_is_broken(data: Path) -> None:
     for path in sorted((data / "npz").glob("*.npz")):
         with np.load(path) as arrays:

@@ -115,6 +115,8 @@ def prepare(reader: str) -> None:
         if ended.code:
             raise RuntimeError(f"{sample.argument} of {reader} cannot be made or read:\n{ended.text}")
         (WORK / OUT).rename(folder.with_suffix(".found"))
+        if sample.argument == "model.glb":  # loads the compiled loops, so that forked processes need not
+            mixseq.load(folder / sample.argument).sample()
 
 
 def run(name: str) -> Outcome:

@@ -19,6 +19,7 @@ from mixseq.operations.retiming import read_retiming
 from mixseq_io.text.maps import read_map, to_correspondence
 from mixseq_io.text.markers import read_contacts, read_markers
 from scripts.fuzzing import samples
+from scripts.fuzzing.coding import damage_coding, decode_twice
 from scripts.fuzzing.damage import Damage, damage_archive, damage_bytes, damage_h5, damage_json, damage_text
 from scripts.fuzzing.samples import Sample, written
 
@@ -108,12 +109,19 @@ READERS: Mapping[str, Reader] = {
         _H5,
         has_checksums=True,
     ),
-    "compressed": Reader(decode_compressed, (samples.compressed("model.h5"),), _H5, has_checksums=True),
+    "compressed": Reader(
+        decode_compressed, (samples.compressed("model.h5"),), (*_H5, damage_coding), has_checksums=True
+    ),
     "compressed-glb": Reader(
         decode_compressed,
         (samples.compressed("model.glb", still="plain"),),
         (damage_bytes, damage_json),
         has_checksums=True,
+    ),
+    "coding": Reader(
+        calling(decode_twice),
+        tuple(map(samples.golden, ("", "-between", "-inbetweens", "-uvs"))),
+        (damage_coding,),
     ),
     "usd": Reader(
         convert,

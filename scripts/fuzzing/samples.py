@@ -17,8 +17,9 @@ from mixseq.cli import main
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.sequence import MeshSequence
+from mixseq_io.verification import read_compressed
 
-PACKED = Path(__file__).parents[2] / "tests" / "formats" / "gltf" / "packed"
+FORMATS = Path(__file__).parents[2] / "tests" / "formats"
 
 Maker = Callable[[Path], object]
 """Writes files into a folder."""
@@ -80,9 +81,21 @@ def compressed(name: str, **options: Any) -> Sample:
     return Sample(name, lambda folder: mixseq.save(folder / name, mixseq.compress(arm(6), max_error=1e-4), **options))
 
 
+def golden(name: str) -> Sample:
+    """Return a sample of a compressed model of the golden files, as .glb."""
+    stored = FORMATS / "golden" / f"compressed-v1{name}.h5"
+
+    def make(folder: Path) -> None:
+        mixseq.save(folder / "model.glb", read_compressed(stored), still="none")
+
+    return Sample("model.glb", make)
+
+
 def packed(name: str) -> Sample:
     """Return a sample of glTF that another program compressed."""
-    return Sample("walk.glb", lambda folder: shutil.copy(PACKED / f"{name}.glb", folder / "walk.glb"))
+    return Sample(
+        "walk.glb", lambda folder: shutil.copy(FORMATS / "gltf" / "packed" / f"{name}.glb", folder / "walk.glb")
+    )
 
 
 def rig(name: str, kind: str) -> Sample:

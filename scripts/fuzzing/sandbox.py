@@ -58,7 +58,8 @@ def _run(function: Callable[[], int], log: Path) -> None:
     code = 70
     try:
         os.setsid()
-        resource.setrlimit(resource.RLIMIT_AS, (_own_bytes("VmSize") + MORE_MEMORY,) * 2)
+        _, most = resource.getrlimit(resource.RLIMIT_AS)  # Node.js reserves more than it uses, and raises the limit
+        resource.setrlimit(resource.RLIMIT_AS, (_own_bytes("VmSize") + MORE_MEMORY, most))
         resource.setrlimit(resource.RLIMIT_CPU, (CPU_SECONDS, CPU_SECONDS + 5))
         resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 30,) * 2)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

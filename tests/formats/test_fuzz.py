@@ -18,12 +18,9 @@ pytestmark = [pytest.mark.realdata, pytest.mark.slow]
 
 FILES = (
     "usd/q_man_run_blender50.usdc",
-    "usd/CesiumMan.usdz",
     "usd/RiggedSimple.usdz",
     "alembic/Bone_Anim.abc",
-    "alembic/q_man_run_blender50.abc",
     "gltf/KhronosFox.glb",
-    "gltf/RobotExpressive.glb",
     "gltf/CesiumMan.glb",
     "npz/fox_run.npz",
 )

@@ -31,7 +31,7 @@ Made = tuple[Model, int | None]
         ("fox", 20),
         *(
             pytest.param((name, rank), marks=pytest.mark.realdata)
-            for name, rank in (("horse_gallop", 20), ("q_man_run", None), ("robotexpressive_dance", 20))
+            for name, rank in (("q_man_run", None), ("robotexpressive_dance", 20))
         ),
     ],
     ids=lambda param: f"{param[0]}-{param[1]}",

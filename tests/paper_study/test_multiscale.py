@@ -214,6 +214,7 @@ def test_wrong_numbers_are_refused() -> None:
 
 
 @pytest.mark.realdata
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("name", "pair", "limits"),
     [("lion_poses", (2, 5), (0.1, 0.2, 15, 50)), ("horse_poses", (1, 3), (0.05, 0.1, 6, 20))],

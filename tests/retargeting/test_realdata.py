@@ -67,6 +67,7 @@ def test_noise_of_the_source_is_hardly_amplified(data: Path, seed: int) -> None:
     assert furthest(noisy, exact) <= 1e-3 * target.diagonal  # 4.6e-3 and 1.8e-3 if bends are not limited
 
 
+@pytest.mark.exhaustive
 def test_a_horse_on_a_camel_is_the_camel_of_sumner_and_popovic(data: Path) -> None:
     """Poses 1 and 2 by 107 markers, as they were published; beside places, which gradients do not tell."""
     horses, camels = (mixseq.read(data / "npz" / f"{name}_poses.npz") for name in ("horse", "camel"))

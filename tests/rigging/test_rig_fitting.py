@@ -236,6 +236,7 @@ def test_what_is_no_sequence_is_refused(fit: object) -> None:
 
 
 @pytest.mark.realdata
+@pytest.mark.exhaustive
 def test_a_wolf_is_skinned_better_than_by_dem_bones(data: Path) -> None:
     """py-dem-bones 0.13.1 with as many bones leaves 1.1 %."""
     sequence = mixseq.read(data / "npz" / "q_wolf_gallop.npz")

@@ -189,6 +189,9 @@ def test_settings_outside_their_range(
 
 # Real animations ------------------------------------------------------------------------------------------
 
+QUICK = ("cheburashka", "cow", "fox_survey", "lion_poses", "q_man_run", "q_wolf_gallop", "robotexpressive_dance")
+"""Animations for every run; one at least of a mesh that was scanned, and of several components."""
+
 ARTICULATED = (
     "abc_dembones_bone",
     "camel_poses",
@@ -222,7 +225,7 @@ SMALLEST = 0.005
 @pytest.mark.parametrize(
     ("name", "method"),
     [
-        (name, method)
+        pytest.param(name, method, marks=() if name in QUICK else pytest.mark.exhaustive)
         for number, name in enumerate(ARTICULATED)
         for method in ("silhouettes", "spanning-tree")
         if name.startswith("q_") or (method == "silhouettes") == bool(number % 2)  # both where that is quick

@@ -184,7 +184,7 @@ def test_time_pose_and_shape_carry_the_walk(settings: dict[str, int]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.realdata
-@pytest.mark.parametrize("name", ["horse_gallop", "fox_run"])
+@pytest.mark.parametrize("name", [pytest.param("horse_gallop", marks=pytest.mark.exhaustive), "fox_run"])
 def test_time_pose_and_shape_carry_real_motions(data: Path, name: str) -> None:
     sequence = mixseq.read(data / "npz" / f"{name}.npz")
     assert share_of_deformation(fit(sequence, exact=True)) > 0.95

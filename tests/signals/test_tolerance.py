@@ -78,7 +78,7 @@ def test_the_promise_is_kept_on_awkward_meshes(name: str) -> None:
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize("name", ["q_wolf_gallop", "fox_run", "robotexpressive_dance"])
+@pytest.mark.parametrize("name", ["q_wolf_gallop", pytest.param("robotexpressive_dance", marks=pytest.mark.exhaustive)])
 def test_the_promise_is_kept_on_real_data(data: Path, name: str) -> None:
     sequence = mixseq.read(data / "npz" / f"{name}.npz")
     assert mixseq.compare(sequence, fit(sequence, tolerance=1e-3).sample()).max_error <= 1e-3

@@ -121,7 +121,13 @@ def test_texts_that_cannot_be_are_refused(node: Node, tmp_path: Path) -> None:
         return json.dumps(facts | {"coding": facts["coding"] | keys})
 
     cases = {
-        changed(vertex_count=10**9, corner_count=10**9): "GiB",
+        changed(vertex_count=10**9): "cannot hold 3000000000 numbers of its vertices",
+        changed(corner_count=10**9): "cannot hold 1000000000 numbers of its corners",
+        changed(fps=10**400): "a number is out of range",
+        changed(metres_per_unit=0): "metres_per_unit",
+        changed(up_axis="x"): "up_axis",
+        changed(name=None): "name",
+        changed(order="any"): "order",
         changed(vertex_count=0): "vertex_count",
         changed(vertex_count=241): "damaged",
         changed(vertex_count="240"): "vertex_count",
@@ -138,7 +144,9 @@ def test_texts_that_cannot_be_are_refused(node: Node, tmp_path: Path) -> None:
         coded(ranks="ten"): "ranks",
         coded(ranks=[1] * 200): "ranks",
         coded(step=0): "step",
-        coded(step=1e308): "single precision",
+        coded(step=1e90): "single precision",
+        coded(step=1e308): "a number is out of range",
+        coded(diagonal=1e-320): "a number is out of range",
         coded(promised=1): "promised",
         coded(uv_steps=4): "uv_steps",
         coded(factors="both"): "factors",
@@ -151,6 +159,28 @@ def test_texts_that_cannot_be_are_refused(node: Node, tmp_path: Path) -> None:
     found = outcomes(node, tmp_path, 0, list(cases))
     for (text, expected), told in zip(cases.items(), found["told"], strict=True):
         assert expected in told, text[-200:]
+
+
+def test_truncated_files_are_refused(node: Node) -> None:
+    golden = Path(__file__).parents[1] / "formats/golden/compressed-v1-between.glb"
+    source = """
+import { readFileSync } from "node:fs";
+import { readGlb } from "player/glb.js";
+const file = new Uint8Array(readFileSync(process.argv[2]));
+for (let size = 0; size < file.length - 4; size++) {
+  try {
+    readGlb(file.slice(0, size).buffer);
+    console.log(size);
+  } catch (error) {
+    if (error.name !== "MixseqError") throw error;
+  }
+}
+"""
+    data = golden.read_bytes()
+    size = int.from_bytes(data[12:16], "little")
+    streams = json.loads(data[20 : 20 + size])["bufferViews"][1]
+    extension_end = 28 + size + streams["byteOffset"] + streams["byteLength"]  # behind it is the still
+    assert list(map(int, node(source, golden).split())) == list(range(extension_end, len(data) - 4))
 
 
 def test_files_of_other_versions_are_refused(node: Node, tmp_path: Path) -> None:

@@ -39,7 +39,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.choices import ORDERS, OrderName
+from mixseq.compression.bitstream.arithmetic import MAX_BITS_PER_BYTE, PADDING_BYTES
 from mixseq.compression.bitstream.compressed_sequence import (
+    MAX_CHUNK_FRAMES,
     Chunk,
     CodingParameters,
     CompressedSequence,
@@ -56,6 +58,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
 from mixseq.types import Float, Index
 from mixseq_io.files import check_memory, format_gigabytes, max_memory
+from mixseq_io.reader import DamageError
 from mixseq_io.surfaces import surface_from_arrays, surface_to_arrays
 
 COMPRESSED_VERSION = 1
@@ -84,6 +87,10 @@ INBETWEEN_LEVELS = "inbetween_levels"
 
 _OPTIONAL_STREAMS = {"uvs": "uv_steps", "labels": LABEL_COUNT}
 """Streams of the header that not all files have, and the parameters that they come with."""
+
+
+_MIN_NUMBER, _MAX_NUMBER, _MAX_INTEGER = 1e-100, 1e100, 2**53
+"""Range of numbers in the text, whose squares are finite and not zero, and of integers. Frozen: part of the format."""
 
 
 @dataclass(frozen=True)
@@ -165,9 +172,9 @@ def _index_streams(
     group_count, chunk_count, *rest = numbers
     counts, lengths = rest[:chunk_count], rest[chunk_count:]
     if len(lengths) != len(header) + group_count + (2 + has_inbetweens) * chunk_count:
-        raise ValueError("the number of streams is not that of the parts of the file")
-    if 0 in counts or max(lengths) >= 1 << 63:
-        raise ValueError("a chunk has no frames, or a stream is too long")
+        raise DamageError("the number of streams is not that of the parts of the file")
+    if not all(0 < count <= MAX_CHUNK_FRAMES for count in counts) or max(lengths) >= 1 << 63:
+        raise DamageError("a chunk has no frames or too many, or a stream is too long")
     ranges = zip(accumulate(lengths, initial=size), lengths, strict=False)
     remaining = iter(checksums)
 
@@ -184,19 +191,27 @@ def _index_streams(
         inbetweens = stream(f"the in-betweens {frames}") if has_inbetweens else None
         chunks.append(ChunkStreams(first, count, coefficients, residuals, inbetweens))
     if next(remaining, None) is not None:
-        raise ValueError("there are more checksums than streams")
+        raise DamageError("there are more checksums than streams")
     return StreamIndex(size, header_streams, basis, tuple(chunks))
 
 
 def read_facts(path: Path, container: Container) -> dict[str, Any]:
     """Return the attribute ``coding``; raise `FormatError` if it is not JSON, or has no parameters."""
     try:
-        facts = json.loads(container.text)
-    except ValueError as error:
-        raise FormatError(f"{path}: the attribute coding is not JSON ({error}); it is damaged") from error
+        facts = json.loads(container.text, parse_int=_number, parse_float=_number, parse_constant=_number)
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path}: the attribute coding is not valid JSON ({error}); it is damaged") from error
     if not isinstance(facts, dict) or not isinstance(facts.get("coding"), dict):
         raise FormatError(f"{path}: the attribute coding has no parameters; it is damaged")
     return facts
+
+
+def _number(text: str) -> float:
+    """Parse a number of the text as decoders in JavaScript do; whole numbers become integers."""
+    number = float(text)
+    if number and not _MIN_NUMBER <= abs(number) <= _MAX_NUMBER:
+        raise DamageError(f"a number is {text[:20]}; 0, or from {_MIN_NUMBER} to {_MAX_NUMBER} is expected")
+    return int(number) if number.is_integer() and abs(number) <= _MAX_INTEGER else number
 
 
 def pack_leb128(numbers: Iterable[int]) -> bytes:
@@ -360,8 +375,11 @@ def _unshuffle_bytes(data: bytes, dtype: np.dtype[Any], count: int) -> NDArray[A
     return np.ascontiguousarray(planes.T).view(dtype).reshape(count)
 
 
-_BYTES_PER_ELEMENT, _BYTES_PER_SURFACE_CORNER, _BYTES_PER_NUMBER = 64, 256, 16
-"""Memory in bytes for decoding: per vertex, corner or frame; extra per corner with a surface; per number of signals."""
+_BYTES_PER_VERTEX, _BYTES_PER_CORNER, _BYTES_PER_SURFACE_CORNER = 800, 256, 256
+"""Memory in bytes for decoding: graphs and stencils per vertex; half-edges per corner; extra with a surface."""
+
+_BYTES_PER_FRAME, _BYTES_PER_NUMBER, _BYTES_PER_RESIDUAL_BYTE = 64, 16, 86
+"""Memory in bytes per frame, number of signals, and byte of the largest residuals of a chunk."""
 
 
 def read_sequence(path: Path, container: Container) -> CompressedSequence:
@@ -407,7 +425,7 @@ def _face_labels(path: Path, count: object, data: bytes, header: SequenceHeader)
     try:
         return decode_face_labels(data, count, header.faces)
     except FormatError as error:
-        raise FormatError(f"{path}: {error}") from error
+        raise FormatError(f"{path}: the labels of parts: {error}") from error
 
 
 def _parameters(path: Path, facts: Mapping[str, Any]) -> CodingParameters:
@@ -452,6 +470,42 @@ def _between(path: Path, facts: Mapping[str, Any]) -> TemporalInterpolation | No
         raise FormatError(f"{path}: between: {error}; it is damaged") from error
 
 
+_ELEMENTS = ("vertex", "polygon", "corner", "frame")
+_FACT_TYPES: Mapping[str, tuple[type, ...]] = {
+    **{f"{element}_count": (int,) for element in _ELEMENTS},
+    **dict.fromkeys(("fps", "first_time", "metres_per_unit"), (int, float)),
+    **dict.fromkeys(("name", "up_axis"), (str,)),
+}
+"""Types of the values of the text that have no class of their own."""
+
+
+def _check_facts(path: Path, facts: Mapping[str, Any], parameters: CodingParameters, index: StreamIndex) -> None:
+    """Raise `FormatError` if a value is of another type, streams are too short for its counts, or memory is."""
+    for name, types in _FACT_TYPES.items():
+        if type(value := facts.get(name)) not in types:
+            expected = " or ".join(each.__name__ for each in types)
+            raise FormatError(f"{path}: {name} is {ascii(value)[:40]}; {expected} is expected; it is damaged")
+    vertices, _, corners, frames = (max(facts[f"{element}_count"], 0) for element in _ELEMENTS)
+    is_shapes, rank = parameters.factors == "shapes", parameters.rank
+    width, dim = (3, 1) if is_shapes else (1, 3)
+    # Every number takes a modelled bit. Shapes may have no coefficients: the mean shape alone.
+    coded = [("corners", corners, index.header["connectivity"].size)]
+    coded.append(
+        ("vertices", width * min(parameters.ranks or (rank,)) * vertices, sum(each.size for each in index.basis))
+    )
+    coded += [("frames", 0 if is_shapes else dim * chunk.count, chunk.coefficients.size) for chunk in index.chunks]
+    for name, numbers, size in coded:
+        if numbers > MAX_BITS_PER_BYTE * (size + PADDING_BYTES * (len(index.basis) + 1)):
+            raise FormatError(f"{path}: {size} bytes cannot hold {numbers} numbers of its {name}; it is damaged")
+    memory = _BYTES_PER_VERTEX * vertices + _BYTES_PER_CORNER * corners + _BYTES_PER_FRAME * frames
+    if index.header["surface"].size or "uvs" in index.header:
+        memory += _BYTES_PER_SURFACE_CORNER * corners
+    memory += _BYTES_PER_RESIDUAL_BYTE * max((chunk.residuals.size for chunk in index.chunks), default=0)
+    knots = frames << (parameters.inbetween_levels or 0)
+    memory += _BYTES_PER_NUMBER * rank * (width * vertices + dim * knots)
+    check_memory(path, memory, "decoding it")
+
+
 def _header(
     path: Path,
     facts: Mapping[str, Any],
@@ -460,17 +514,9 @@ def _header(
     data: Mapping[str, bytes],
 ) -> SequenceHeader:
     """Decode mesh and times from `StreamIndex.header`; raise `FormatError` if they are contradictory or too large."""
-    counts = [facts.get(f"{element}_count") for element in ("vertex", "corner", "frame")]
-    elements = sum(count for count in counts if isinstance(count, int))
-    has_surface = "uvs" in data or data["surface"]
-    surface_corners = counts[1] if has_surface and isinstance(counts[1], int) else 0
-    memory = _BYTES_PER_ELEMENT * elements + _BYTES_PER_SURFACE_CORNER * surface_corners
-    check_memory(path, memory, "mesh and times")
+    _check_facts(path, facts, parameters, index)
+    vertices, polygons, corners, frames = (facts[f"{element}_count"] for element in _ELEMENTS)
     try:
-        vertices, polygons, corners, frames = (
-            int(facts[f"{element}_count"]) for element in ("vertex", "polygon", "corner", "frame")
-        )
-        fps = float(facts["fps"])
         if sum(chunk.count for chunk in index.chunks) != frames:
             raise FormatError(f"its chunks do not add up to {frames} frames")
         mesh = decode_polygons(data["connectivity"], polygons, corners, vertices)
@@ -480,11 +526,11 @@ def _header(
         return SequenceHeader(
             polygons=mesh,
             vertex_count=vertices,
-            times=unpack_times(data["times"], float(facts["first_time"]), frames, fps),
-            fps=fps,
-            up_axis=str(facts["up_axis"]),
-            metres_per_unit=float(facts["metres_per_unit"]),
-            name=str(facts["name"]),
+            times=unpack_times(data["times"], float(facts["first_time"]), frames, float(facts["fps"])),
+            fps=facts["fps"],
+            up_axis=facts["up_axis"],
+            metres_per_unit=facts["metres_per_unit"],
+            name=facts["name"],
             surface=surface,
         )
     except (FormatError, InvalidSequenceError, LookupError, TypeError, ValueError, OverflowError) as error:
@@ -494,11 +540,7 @@ def _header(
 
 
 def decode_model(path: Path, coded: CompressedSequence) -> CompressedModel:
-    """Decode a sequence read from a file; raise `FormatError` if it is contradictory or takes too much memory."""
-    width, frames = 3 if coded.parameters.factors == "shapes" else 1, coded.header.frame_count
-    frames <<= coded.parameters.inbetween_levels or 0
-    numbers = coded.parameters.rank * (width * coded.header.vertex_count + 3 * frames)
-    check_memory(path, _BYTES_PER_NUMBER * numbers, "its basis and coefficients")
+    """Decode a sequence read from a file; raise `FormatError` if it is contradictory."""
     try:
         return CompressedModel.from_sequence(coded)
     except (FormatError, MemoryError) as error:

@@ -188,6 +188,10 @@ _MIN_PROBABILITY = 16
 """Smallest probability of either bit, in units of 2^-16. Frozen: breaks old files."""
 
 
+MAX_BITS_PER_BYTE = 17_000
+"""Upper bound of bits that a byte codes: by `_MAX_LOGIT`, each takes 4.8e-4 bits or more. Free: a check."""
+
+
 class BitModels(NamedTuple):
     """Frequencies and mixing weights of bits, by position and context."""
 

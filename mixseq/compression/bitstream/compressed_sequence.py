@@ -40,6 +40,9 @@ from mixseq.types import Float, Index
 MIN_COVARIANCE_LENGTH, MAX_COVARIANCE_LENGTH = 0.5, 64.0
 """Range of covariance lengths in files, in mean steps between frames. Frozen: part of the format."""
 
+MAX_CHUNK_FRAMES = 8192
+"""Largest number of frames of a chunk. Frozen: part of the format."""
+
 MAX_INBETWEEN_LEVELS = 3
 """Largest number of levels of in-betweens, each with twice the knots of the one before. Frozen: part of the format."""
 
@@ -92,11 +95,11 @@ class CodingParameters:
             raise SettingsError(f"factors is {self.factors!r}; {' or '.join(kinds)} is expected")
         for name in ("rank", "frame_count"):
             value = getattr(self, name)
-            if not (isinstance(value, int) and value > 0):
+            if not (type(value) is int and value > 0):
                 raise SettingsError(f"{name} is {value!r}; a whole number above zero is expected")
         for name in ("step", "diagonal", "max_error", "kg_percent", "correction"):
             value, positive = getattr(self, name), name in ("step", "diagonal")
-            if not (isinstance(value, int | float) and 0 <= value < inf and (value or not positive)):
+            if not (_is_number(value) and 0 <= value < inf and (value or not positive)):
                 raise SettingsError(
                     f"{name} is {value!r}; a {'positive' if positive else 'non-negative'} number is expected"
                 )
@@ -105,7 +108,7 @@ class CodingParameters:
             raise SettingsError(f"the parts have {self.ranks} basis vectors, which are not {self.rank} in all")
         if self.ranks and self.factors == "shapes":
             raise SettingsError("shapes are of the whole mesh, not of parts")
-        if any(not (isinstance(rank, int) and rank > 0) for rank in self.ranks):
+        if any(not (type(rank) is int and rank > 0) for rank in self.ranks):
             raise SettingsError(f"ranks are {self.ranks}; whole numbers above zero are expected")
         object.__setattr__(self, "origin", tuple(self.origin))
         if self.origin and not (len(self.origin) == 3 and all(_is_number(x) and abs(x) < inf for x in self.origin)):
@@ -115,7 +118,7 @@ class CodingParameters:
             raise SettingsError("uv_steps and uv_error come together")
         if steps is not None and not (type(steps) is int and 0 < steps <= most):
             raise SettingsError(f"uv_steps is {steps!r}; a whole number from 1 to {most} is expected")
-        if error is not None and not (isinstance(error, int | float) and 0 <= error < inf):
+        if error is not None and not (_is_number(error) and 0 <= error < inf):
             raise SettingsError(f"uv_error is {error!r}; a non-negative number is expected")
         levels, step, error = self.inbetween_levels, self.inbetween_step, self.inbetween_error
         if (levels is None) != (step is None):

@@ -222,10 +222,8 @@ def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
         earlier = roots[max(0, number - MAX_ROOT_NEIGHBOURS) : number]
         neighbours[root, : len(earlier)] = earlier
         counts[root] = len(earlier)
-    neighbour_mask = np.arange(MAX_NEIGHBOURS) < counts[:, None]
-    weights = neighbour_mask / np.maximum(counts, 1)[:, None]
     # Roots come first, as coarser levels are coded before finer ones.
-    return _order_graph([roots, *levels[::-1]], neighbours, counts, weights, ring, ring_starts)
+    return _order_graph([roots, *levels[::-1]], neighbours, counts, ring, ring_starts)
 
 
 class Level(NamedTuple):
@@ -288,31 +286,45 @@ def path_graph(count: int) -> SignalGraph:
     while step > 1:
         step //= 2
         new = np.setdiff1d(np.arange(step, count - 1, 2 * step), known)
-        for node in new:
-            place = int(np.searchsorted(known, node))
-            around = known[max(place - 2, 0) : place + 2]
-            weights[node, : len(around)] = _lagrange_weights(around, int(node))
-            others = np.setdiff1d(np.append(known, new[new < node]), around)
-            others = others[np.argsort(np.abs(others - node), kind="stable")][: 6 - len(around)]
-            counts[node] = len(around) + len(others)
-            neighbours[node, : counts[node]] = np.append(around, others)
+        if not len(new):
+            continue
+        places = np.searchsorted(known, new)
+        around, around_mask = _take(known, places[:, None] + np.arange(-2, 2))
+        others, others_mask = _take(known, places[:, None] + np.r_[-8:-2, 2:8])
+        same_level, same_mask = _take(new, np.arange(len(new))[:, None] + np.arange(-6, 0))
+        others, others_mask = np.hstack([others, same_level]), np.hstack([others_mask, same_mask])
+        distances = np.where(others_mask, np.abs(others - new[:, None]), count)
+        nearest = np.lexsort([others, distances])
+        all_nodes = np.hstack([around, np.take_along_axis(others, nearest, 1)])
+        all_mask = np.hstack([around_mask, np.take_along_axis(others_mask, nearest, 1)])
+        all_weights = np.zeros(all_nodes.shape)
+        all_weights[:, :4] = _lagrange_weights(around, around_mask, new)
+        kept = np.argsort(~all_mask, axis=1, kind="stable")[:, :6]
+        counts[new] = np.minimum(all_mask.sum(axis=1), 6)
+        neighbours[new] = np.where(np.arange(6) < counts[new, None], np.take_along_axis(all_nodes, kept, 1), 0)
+        weights[new] = np.take_along_axis(all_weights, kept, 1)
         known = np.union1d(known, new)
         levels.append(new)
     frames = np.arange(count)
     pairs = np.stack([frames[:-1], frames[1:]], axis=1)
     ring_starts, ring = edge_neighbours(pairs, count)
-    return replace(_order_graph(levels, neighbours, counts, weights, ring, ring_starts), is_over_time=True)
+    return replace(_order_graph(levels, neighbours, counts, ring, ring_starts, weights), is_over_time=True)
 
 
-def _lagrange_weights(nodes: Index, at: int) -> Float:
-    """Return the weights of nodes in the interpolating polynomial: quotients of integers, equal on all machines."""
-    weights = np.ones(len(nodes))
-    for i, node in enumerate(nodes.tolist()):
-        numerator = denominator = 1
-        for other in nodes.tolist():
-            if other != node:
-                numerator, denominator = numerator * (at - other), denominator * (node - other)
-        weights[i] = numerator / denominator
+def _take(nodes: Index, ids: Index) -> tuple[Index, Mask]:
+    """Return the nodes at `ids` ``(n, k)``, and the mask of ids that exist."""
+    mask = (ids >= 0) & (ids < len(nodes))
+    return nodes[np.where(mask, ids, 0)], mask
+
+
+def _lagrange_weights(nodes: Index, mask: Mask, at: Index) -> Float:
+    """Return the weights ``(n, k)`` of nodes in the interpolating polynomials: quotients of exact integers."""
+    weights = np.zeros(nodes.shape)
+    for i in range(nodes.shape[1]):
+        other_mask = mask & (np.arange(nodes.shape[1]) != i)
+        numerators = np.where(other_mask, at[:, None] - nodes, 1).prod(axis=1)
+        denominators = np.where(other_mask, nodes[:, [i]] - nodes, 1).prod(axis=1)
+        weights[:, i] = np.where(mask[:, i], numerators / np.where(mask[:, i], denominators, 1), 0.0)
     return weights
 
 
@@ -320,16 +332,21 @@ def _order_graph(
     levels: list[Index],
     neighbours: Index,
     counts: Index,
-    weights: Float,
     ring: Index,
     ring_starts: Index,
+    weights: Float | None = None,
 ) -> SignalGraph:
-    """Return a graph with nodes in coding order, from arrays with the numbers of vertices or frames."""
+    """Return a graph with nodes in coding order, from arrays with the numbers of vertices or frames.
+
+    Without weights, all neighbours of a node have the same weight.
+    """
     order = np.concatenate(levels)
     inverse = np.argsort(order)
     # Read-only like the arrays of stencils, so that numba compiles only once.
     starts, ring = renumber_adjacency(read_only(ring_starts), read_only(ring), order, read_only(inverse))
     counts = counts[order]
     neighbour_mask = np.arange(neighbours.shape[1]) < counts[:, None]
-    neighbours = np.where(neighbour_mask, inverse[neighbours[order]], 0)
-    return SignalGraph(order, neighbours, counts, weights[order], ring, starts)
+    neighbours = inverse[neighbours[order]]  # a tenth of a gigabyte for a million vertices
+    neighbours[~neighbour_mask] = 0
+    weights = neighbour_mask / np.maximum(counts, 1)[:, None] if weights is None else weights[order]
+    return SignalGraph(order, neighbours, counts, weights, ring, starts)

@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.choices import OrderName
-from mixseq.compression.bitstream.compressed_sequence import CodingParameters, CompressedSequence, Playback, decode
+from mixseq.compression.bitstream.compressed_sequence import (
+    MAX_CHUNK_FRAMES,
+    CodingParameters,
+    CompressedSequence,
+    Playback,
+    decode,
+)
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, encode_face_labels
 from mixseq.compression.encoder.inbetweens import add_inbetweens
@@ -55,6 +61,7 @@ def compress(
     chunk: int = DEFAULT_CHUNK_FRAMES,
     parts: int | ArrayLike | None = None,
     inbetweens: bool = True,
+    between: bool = False,
 ) -> CompressedSequence:
     """Compress a sequence.
 
@@ -82,7 +89,7 @@ def compress(
         Numbering to keep: of vertices and faces, of vertices only, or of neither. Numberings that need not be kept are
         chosen for the fewest bytes, and attributes of vertices, faces and corners are reordered to match.
     chunk : int
-        Approximate number of frames per chunk, 16 or more. A chunk is decoded as a whole, and lost as a whole if it is
+        Approximate number of frames per chunk, 16 to 4096. A chunk is decoded as a whole, and lost as a whole if it is
         damaged. Small chunks take more bytes.
     parts : int or (F,) int, optional
         Near-rigid parts for frames between the stored ones, as in `mixseq.fit`: their number, or the part of every
@@ -91,6 +98,9 @@ def compress(
         Whether to fit a model, and to store what players need to show its motion between frames where a spline of the
         vertices is farther from it than the error at the frames. Takes at most 15 % more bytes, or what a `size`
         leaves, and the time of `mixseq.fit`.
+    between : bool
+        Whether `max_error` also bounds the distance of players from the fitted model between frames, at the quarters
+        of a frame, at in-betweens and at the middles between these. In-betweens take as many bytes as this needs.
 
     Returns
     -------
@@ -102,7 +112,7 @@ def compress(
     SettingsError
         If not exactly one of `max_error`, `kg` and `size` is given, or its value is out of range; if `size` is too
         small; if `max_error` is below the precision of the coordinates; if `uv_error` is not from 0 to 0.25; if `order`
-        is unknown; or if `chunk` is below 16.
+        is unknown; if `chunk` is not from 16 to 4096; or if the bound cannot be kept between frames.
     SegmentationError
         If `parts` does not fit the mesh.
     FormatError, InvalidSequenceError
@@ -110,8 +120,10 @@ def compress(
     """
     check_motion(sequence)
     _check_target(max_error, kg, size)
-    if not chunk >= MIN_CHUNK_FRAMES:
-        raise SettingsError(f"chunk is {chunk}; {MIN_CHUNK_FRAMES} frames or more are expected")
+    if between and not (inbetweens and max_error is not None):
+        raise SettingsError("between keeps max_error by in-betweens; give max_error, and leave out inbetweens=False")
+    if not MIN_CHUNK_FRAMES <= chunk <= MAX_CHUNK_FRAMES // 2:  # a chunk may have half as many again
+        raise SettingsError(f"chunk is {chunk}; {MIN_CHUNK_FRAMES} to {MAX_CHUNK_FRAMES // 2} frames are expected")
     numbering = cheapest_numbering(sequence.header, order)
     parts = own_parts(sequence) if parts is None else parts
     if not (parts is None or isinstance(parts, int | np.integer)):
@@ -124,16 +136,16 @@ def compress(
         frames = load_frames(sequence, stages.at(0))
         unit = frames.diagonal or 1.0
         labels = _segment(frames, parts)
-        label_size = 0 if labels is None else len(encode_face_labels(labels, header.faces))
-        if size is not None and size > label_size:
-            size -= label_size
+        if size is not None and labels is not None:
+            label_size = len(encode_face_labels(labels, header.faces))
+            size -= label_size if size > label_size else 0
         coded = _search_streams(frames, stages, chunk, unit, max_error, kg, size)
         stages.at(1 + MAX_ROUNDS)(0, 1, "checking")
         playback = decode(coded)
         parameters = _measure_errors(frames, playback, coded.parameters, max_error, kg)
         coded = replace(coded, parameters=parameters, between=playback.between, order=numbering.order, parts=labels)
         if inbetweens:
-            coded = add_inbetweens(coded, playback, size, stages.at(2 + MAX_ROUNDS))
+            coded = add_inbetweens(coded, playback, size, between, stages.at(2 + MAX_ROUNDS))
     parameters = coded.parameters
     header = replace(header, provenance=frames.trace(parameters.max_error, parameters.promised, coded.order).provenance)
     if uv_steps is not None:

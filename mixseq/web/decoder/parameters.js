@@ -5,7 +5,7 @@ import { MixseqError } from "./errors.js";
 const MAX_PARTS = 128;
 const MAX_UV_STEPS = 2 ** 26;
 const MAX_INBETWEEN_LEVELS = 3;
-const MAX_MEMORY = 2 ** 32; // bytes that a sequence may take
+const MIN_NUMBER = 1e-100, MAX_NUMBER = 1e100; // range of numbers in the text
 const PARAMETERS = [
   "factors", "rank", "frame_count", "step", "diagonal", "max_error", "kg_percent", "promised", "correction", "ranks", "uv_steps",
   "uv_error", "label_count", "inbetween_levels", "inbetween_step", "inbetween_error", "origin",
@@ -19,13 +19,18 @@ export function readFacts(text) {
   const facts = parseText(text), given = facts.coding, unknown = Object.keys(given).find((name) => !PARAMETERS.includes(name));
   if (unknown !== undefined) throw new MixseqError(`the parameter ${unknown} is unknown to this decoder; take a newer one`);
   const { vertex_count: vertices, polygon_count: polygons, corner_count: corners, frame_count: frames, fps } = facts;
-  const { factors, rank, ranks = [], uv_steps: steps = null, uv_error: error = null, label_count: labels = null } = given, shapes = factors === "shapes";
+  const { name, up_axis: upAxis, metres_per_unit: metresPerUnit, order = "keep" } = facts;
+  const { factors, rank, ranks = [], correction = 0, uv_steps: steps = null, uv_error: error = null, label_count: labels = null } = given, shapes = factors === "shapes";
   const { inbetween_levels: levels = null, inbetween_step: betweenStep = null, inbetween_error: betweenError = null } = given;
   const { origin = [0, 0, 0] } = given;
   const parts = Array.isArray(ranks) ? ranks : [0];
   const checks = {
-    vertex_count: isCount(vertices),
-    polygon_count: Number.isInteger(polygons) && polygons >= 0,
+    name: typeof name === "string" && !/[\0\ud800-\udfff]/u.test(name),
+    up_axis: ["X", "Y", "Z"].includes(upAxis),
+    metres_per_unit: isNonNegative(metresPerUnit) && metresPerUnit > 0,
+    order: ["keep", "vertices", "free"].includes(order),
+    vertex_count: Number.isInteger(vertices) && vertices >= 3,
+    polygon_count: isCount(polygons),
     corner_count: Number.isInteger(corners) && corners >= 3 * polygons,
     frame_count: isCount(frames) && frames === given.frame_count,
     factors: shapes || factors === "trajectories",
@@ -36,7 +41,7 @@ export function readFacts(text) {
     max_error: isNonNegative(given.max_error),
     kg_percent: isNonNegative(given.kg_percent),
     promised: typeof given.promised === "boolean",
-    correction: isNonNegative(given.correction ?? 0),
+    correction: isNonNegative(correction),
     uv_steps: steps === null ? error === null : isCount(steps) && steps <= MAX_UV_STEPS && isNonNegative(error),
     label_count: labels === null || (isCount(labels) && labels <= MAX_PARTS),
     inbetween_levels: levels === null || (isCount(levels) && levels <= MAX_INBETWEEN_LEVELS),
@@ -48,15 +53,13 @@ export function readFacts(text) {
   };
   const wrong = Object.keys(checks).find((name) => !checks[name]);
   if (wrong) throw new MixseqError(`${wrong} is out of range; it is damaged`);
-  const bytes = 64 * (vertices + frames) + 320 * corners + 16 * rank * ((shapes ? 3 : 1) * vertices + (shapes ? 9 : 3) * frames * 2 ** (levels ?? 0));
-  if (bytes > MAX_MEMORY) throw new MixseqError(`it would take ${Math.ceil(bytes / 2 ** 30)} GiB of memory, more than the allowed 4 GiB`);
   return {
-    name: String(facts.name ?? ""), fps, upAxis: String(facts.up_axis ?? "y"), metresPerUnit: Number(facts.metres_per_unit ?? 1),
+    name, fps, upAxis, metresPerUnit,
     vertexCount: vertices, polygonCount: polygons, cornerCount: corners, frameCount: frames, firstTime: facts.first_time, origin,
     between: readInterpolation(facts.between),
     parameters: {
       factors, rank, ranks: parts.length ? parts : [rank], step: given.step, diagonal: given.diagonal, maxError: given.max_error,
-      kgPercent: given.kg_percent, promised: given.promised, correction: given.correction ?? 0, uvSteps: steps, uvError: error,
+      kgPercent: given.kg_percent, promised: given.promised, correction, uvSteps: steps, uvError: error,
       labelCount: labels, inbetweenLevels: levels ?? 0, inbetweenStep: betweenStep, inbetweenError: betweenError,
     },
   };
@@ -65,13 +68,19 @@ export function readFacts(text) {
 function parseText(text) {
   let facts = null;
   try {
-    facts = JSON.parse(text);
-  } catch {
-    // reported below
+    facts = JSON.parse(text, checkNumber);
+  } catch (error) {
+    if (error instanceof MixseqError) throw error; // others are reported below
   }
   const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
   if (!isObject(facts) || !isObject(facts.coding)) throw new MixseqError("the text of the coding is damaged, or of something else");
   return facts;
+}
+
+function checkNumber(_, value) {
+  const isInside = typeof value !== "number" || !value || (Math.abs(value) >= MIN_NUMBER && Math.abs(value) <= MAX_NUMBER);
+  if (isInside) return value;
+  throw new MixseqError("a number is out of range");
 }
 
 /** The interpolation of weights between frames: that of the sequence, or a default. */

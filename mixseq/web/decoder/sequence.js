@@ -9,7 +9,7 @@ import { evaluate } from "./evaluation.js";
 import { ResidualLayer } from "./residual_layer.js";
 import { meshGraph } from "./signal_graph.js";
 import { readBasis, readLevels, readWeights } from "./spatial_basis.js";
-import { readIndex } from "./stream_index.js";
+import { checkSizes, readIndex } from "./stream_index.js";
 import { readTimes } from "./times.js";
 export { MixseqError };
 
@@ -22,6 +22,7 @@ const SURFACE_BYTES_PER_CORNER = 64, TEXT_BYTES = 1 << 24; // limits of the size
 export async function open(text, bytes) {
   const facts = guarded("the sequence", () => readFacts(text)), { parameters, cornerCount, frameCount } = facts;
   const streams = guarded("the sequence", () => readIndex(text, bytes, parameters));
+  guarded("the sequence", () => checkSizes(facts, streams));
   const surface = await decompressed(streams.surface, SURFACE_BYTES_PER_CORNER * cornerCount + TEXT_BYTES, "the surface's bytes");
   const times = await decompressed(streams.times, 8 * frameCount, "the times");
   return guarded("the sequence", () => new Sequence(facts, streams, surface, times));

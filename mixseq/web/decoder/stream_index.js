@@ -4,6 +4,9 @@ import { MixseqError } from "./errors.js";
 
 const MAGIC = 0x3171736d; // msq1
 const HEAD_SIZE = 16; // bytes
+const MAX_CHUNK_FRAMES = 8192;
+const MAX_MEMORY = 2 ** 32; // bytes that a sequence may take
+const MAX_BITS_PER_BYTE = 17000, PADDING_BYTES = 4; // no bit takes less than 4.8e-4 bits
 
 /**
  * The streams of `bytes`, each checked: `connectivity`, `surface`, `times` and, if `parameters` tell so, `uvs`; a list for the `basis`;
@@ -21,7 +24,7 @@ export function readIndex(text, bytes, parameters) {
   const numbers = readLeb128(bytes.subarray(HEAD_SIZE, middle)), [groups, chunks] = numbers;
   const counts = numbers.slice(2, 2 + chunks), lengths = numbers.slice(2 + chunks);
   const checksumCount = (end - middle) / 4 - 1, nonemptyCount = lengths.filter((length) => length > 0).length;
-  if (lengths.length !== 3 + hasUvs + hasLabels + groups + (2 + hasInbetweens) * chunks || counts.includes(0) || checksumCount !== nonemptyCount) throw damaged;
+  if (lengths.length !== 3 + hasUvs + hasLabels + groups + (2 + hasInbetweens) * chunks || !counts.every((count) => count > 0 && count <= MAX_CHUNK_FRAMES) || checksumCount !== nonemptyCount) throw damaged;
 
   let start = end, checksum = middle, next = 0;
   const stream = (name) => {
@@ -44,6 +47,21 @@ export function readIndex(text, bytes, parameters) {
       return { first: first - count, count, coefficients, residuals, inbetweens };
     }),
   };
+}
+
+/** Verify that streams are long enough for the numbers that `facts` say, a bit each, and that there is memory. */
+export function checkSizes({ vertexCount, cornerCount, frameCount, parameters }, { connectivity, basis, chunks }) {
+  const { rank, ranks, inbetweenLevels } = parameters, shapes = parameters.factors === "shapes", largest = (sizes) => sizes.reduce((a, b) => Math.max(a, b), 0);
+  const checkBits = (name, numbers, size) => {
+    if (numbers <= MAX_BITS_PER_BYTE * (size + PADDING_BYTES * (basis.length + 1))) return;
+    throw new MixseqError(`${size} bytes cannot hold ${numbers} numbers of its ${name}; it is damaged`);
+  };
+  checkBits("corners", cornerCount, connectivity.length);
+  checkBits("vertices", (shapes ? 3 : 1) * Math.min(...ranks) * vertexCount, basis.reduce((sum, { length }) => sum + length, 0));
+  if (!shapes) chunks.forEach(({ count, coefficients }) => checkBits("frames", 3 * count, coefficients.length));
+  const bytes = 800 * vertexCount + 320 * cornerCount + 64 * frameCount +
+    86 * largest(chunks.map(({ residuals }) => residuals.length)) + 16 * rank * ((shapes ? 3 : 1) * vertexCount + (shapes ? 9 : 3) * frameCount * 2 ** inbetweenLevels);
+  if (bytes > MAX_MEMORY) throw new MixseqError(`it would take ${Math.ceil(bytes / 2 ** 30)} GiB of memory, more than the allowed 4 GiB`);
 }
 
 /** Numbers of 7 bits a byte, the lowest first. */

@@ -8,6 +8,14 @@ const MAGIC = 0x46546c67, JSON_CHUNK = 0x4e4f534a, NAME = "MIXSEQ_mesh_sequence"
  * is in, and the `matrix` of the node that has it, 16 numbers, column by column.
  */
 export function readGlb(file) {
+  try {
+    return readChunks(file);
+  } catch (error) {
+    throw error instanceof MixseqError ? error : new MixseqError(`this GLB file is damaged (${error.message})`);
+  }
+}
+
+function readChunks(file) {
   const view = new DataView(file);
   if (file.byteLength < 20 || view.getUint32(0, true) !== MAGIC || view.getUint32(16, true) !== JSON_CHUNK) throw new MixseqError("this is not a GLB file");
   const size = view.getUint32(12, true), start = 28 + size, json = JSON.parse(new TextDecoder().decode(new Uint8Array(file, 20, size)));
@@ -15,8 +23,8 @@ export function readGlb(file) {
   if (!extension) throw new MixseqError("this GLB file has no mesh sequence");
   checkVersion(extension);
   const bytes = (number) => {
-    const { byteOffset = 0, byteLength } = json.bufferViews[number];
-    if (start + byteOffset + byteLength > file.byteLength) throw new MixseqError("this GLB file is incomplete");
+    const { byteOffset = 0, byteLength } = json.bufferViews[number], isWhole = [byteOffset, byteLength].every((size) => Number.isInteger(size) && size >= 0);
+    if (!isWhole || start + byteOffset + byteLength > file.byteLength) throw new MixseqError("this GLB file is incomplete");
     return new Uint8Array(file, start + byteOffset, byteLength);
   };
   const node = json.nodes?.find((each) => each.mesh === json.meshes.indexOf(mesh));

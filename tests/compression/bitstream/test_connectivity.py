@@ -209,6 +209,7 @@ def test_states_of_vertices() -> None:
 
 
 @pytest.mark.realdata
+@pytest.mark.exhaustive
 def test_real_meshes_are_small(data: Path) -> None:
     """At most 0.65 times the bytes of lzma, in the median 0.45 times; less than 4 bits where there is most to code."""
     ratios = []

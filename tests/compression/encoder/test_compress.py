@@ -32,6 +32,7 @@ from mixseq.compression.encoder.compress import compress
 from mixseq.compression.encoder.parts import initial_parts, merge_parts
 from mixseq.compression.encoder.search import TARGET_TOLERANCE
 from mixseq.errors import FormatError, SettingsError
+from mixseq.runtime.parallel import thread_count
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.types import Float, FloatArray
@@ -117,7 +118,7 @@ def test_kg_errors_are_nearly_used_up(kg: float) -> None:
 
 def test_more_bytes_are_more_accurate() -> None:
     sequence = bar()
-    errors = [compress(sequence, size=size).parameters.kg_percent for size in (300, 600, 1200, 2400)]
+    errors = [compress(sequence, size=size).parameters.kg_percent for size in (300, 800, 2400)]
     assert (np.diff(errors) < 0).all()
     sizes = [size_of(compress(sequence, max_error=bound)) for bound in (1e-2, 1e-3, 1e-4)]
     assert (np.diff(sizes) > 0).all()
@@ -131,7 +132,7 @@ def test_chunks_are_as_long_as_was_asked_for(chunk: int) -> None:
     assert kg_of(sequence, check(sequence, coded)) <= 0.5
 
 
-@pytest.mark.parametrize("size", [300, 3000, 30_000])
+@pytest.mark.parametrize("size", [300, 30_000])
 def test_sizes_far_from_the_first_guess_are_used_up(size: int) -> None:
     rng = np.random.default_rng(5)
     body = bar(sides=10, rings=30, frames=20)
@@ -168,7 +169,7 @@ AWKWARD = {
     "starts in one place": MeshSequence.from_arrays(
         RNG.normal(size=(4, 5, 3)) * np.arange(4)[:, None, None], TRIANGLES
     ),
-    "four vertices, many frames": MeshSequence.from_arrays(RNG.normal(size=(200, 4, 3)), tetrahedron()[1]),
+    "four vertices, many frames": MeshSequence.from_arrays(RNG.normal(size=(100, 4, 3)), tetrahedron()[1]),
     "noise": MeshSequence.from_arrays(RNG.normal(size=(12, 22, 3)), tube(4, 5)[1]),
     "mirrored": mirrored(),
     "far away": bar(sides=5, rings=9).with_points(0.1 * bar(sides=5, rings=9).points + 1000.0),
@@ -237,7 +238,8 @@ def test_very_many_steps_are_no_harm() -> None:
         ({"kg": np.nan}, "kg is nan"),
         ({"max_error": np.inf}, "max_error is inf"),
         ({"size": 0}, "size is 0"),
-        ({"kg": 1, "chunk": 15}, "chunk is 15; 16 frames or more"),
+        ({"kg": 1, "chunk": 15}, "chunk is 15; 16 to 4096 frames"),
+        ({"kg": 1, "chunk": 4097}, "chunk is 4097; 16 to 4096 frames"),
         ({"size": 3}, "do not fit into 3 bytes; give more"),
         ({"max_error": 1e-14}, "beyond the digits of coordinates.*give at least"),
     ],
@@ -283,22 +285,13 @@ print(digest(bar(sides=14, rings=25, frames=9)))
 """
 
 
-def test_bytes_are_the_same_in_every_process_on_any_number_of_threads() -> None:
-    folder = Path(__file__).parents[2]
-    found = []
-    for threads in ("1", "3"):
-        names = [f"{each}_NUM_THREADS" for each in ("OMP", "OPENBLAS", "MKL", "NUMBA")] + ["MIXSEQ_THREADS"]
-        environment = {**os.environ, **dict.fromkeys(names, threads), "PYTHONHASHSEED": threads}
-        run = subprocess.run(
-            [sys.executable, "-c", _SCRIPT],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        found.append(run.stdout.strip())
-    assert found == 2 * [digest_here()]
+def test_bytes_are_the_same_in_a_process_with_another_number_of_threads() -> None:
+    names = [f"{each}_NUM_THREADS" for each in ("OMP", "OPENBLAS", "MKL", "NUMBA")] + ["MIXSEQ_THREADS"]
+    threads = "1" if thread_count() > 1 else "3"
+    environment = {**os.environ, **dict.fromkeys(names, threads), "PYTHONHASHSEED": threads}
+    command, folder = [sys.executable, "-c", _SCRIPT], Path(__file__).parents[2]
+    run = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == digest_here()
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])
@@ -417,8 +410,7 @@ def test_animations_take_few_bits(data: Path, name: str) -> None:
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize("bound", [1e-2, 1e-4])
-@pytest.mark.parametrize("name", ["q_wolf_gallop", "fox_run"])
+@pytest.mark.parametrize(("name", "bound"), [("q_wolf_gallop", 1e-4), ("fox_run", 1e-2)])
 def test_bounds_of_animations_are_kept(data: Path, name: str, bound: float) -> None:
     sequence = mixseq.read(data / "npz" / f"{name}.npz")
     check(sequence, compress(sequence, max_error=bound))

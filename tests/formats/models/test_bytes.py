@@ -22,6 +22,7 @@ def test_models_take_few_bytes(settings: dict[str, Any], most: float, tmp_path: 
 
 
 @pytest.mark.realdata
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["cat_poses", "lion_poses", "q_wolf_gallop"])
 @pytest.mark.parametrize(("settings", "most"), [({}, 1.0), ({"exact": True}, 2.0)], ids=str)
 def test_models_of_real_animations_take_few_bytes(
