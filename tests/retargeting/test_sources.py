@@ -17,7 +17,7 @@ from mixseq.mesh.rigid import kabsch
 from mixseq.retargeting.sources import Alignment, _quarter_turns, fit_alignment, prepare_source
 from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.spaces.making import make_space
-from mixseq.spaces.mixed.mixed_space import MixedSpace
+from mixseq.spaces.mixed.mixed_space import MixedSpace, as_mixed
 from mixseq.types import Float, FloatArray
 from tests.meshes import bar, coarse_walk, grid, rigid_motions, rotation, seeds, tube
 from tests.retargeting.pairs import furthest
@@ -252,7 +252,7 @@ def test_a_rest_may_have_the_numbers_of_a_compressed_file() -> None:
 def test_parts_of_a_sequence_are_those_of_its_model() -> None:
     """A rest among the frames is no further pose, which would weigh twice."""
     walk = coarse_walk(frames=6)
-    expected = make_space(load_frames(walk)).segmentation.part_of_face
+    expected = as_mixed(make_space(load_frames(walk))).decomposition.part_of_face
     np.testing.assert_array_equal(prepare_source(walk).part_of_face(), expected)
     np.testing.assert_array_equal(prepare_source(walk, rest=5).part_of_face(), expected)
 
