@@ -23,6 +23,10 @@ ProjectionName = Literal["steps", "dso"]
 PROJECTIONS: tuple[ProjectionName, ...] = get_args(ProjectionName)
 """Projections of the edge space to meshes: a few steps, or Gauss-Newton iteration until convergence."""
 
+BetweenName = Literal["auto", "smooth", "linear", "hold"]
+BETWEENS: tuple[BetweenName, ...] = get_args(BetweenName)
+"""Motion between frames: as found in the frames, smooth through repeated poses and baked keys, straight, or none."""
+
 PoseForm = Literal["modes", "keys"]
 POSE_FORMS: tuple[PoseForm, ...] = get_args(PoseForm)
 """Key shapes of a model: mean and modes, or key frames."""

@@ -19,7 +19,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from importlib import import_module
 from itertools import count
@@ -125,13 +125,14 @@ class WorkerProcess:
 
     def __init__(self) -> None:
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "mixseq_io.worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,  # C++ libraries print to stderr; errors and warnings arrive with answers
-            env=environment,
-        )
+        with _blocked_interrupts():
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "mixseq_io.worker"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,  # C++ libraries print to stderr; errors and warnings arrive with answers
+                env=environment,
+            )
         self._stdin: Any = self._process.stdin
         self._stdout: Any = self._process.stdout
         # End the process if its reader is dropped unclosed. No locks are used, since this thread may hold them.
@@ -207,6 +208,19 @@ class WorkerProcess:
             f"{path}: the library that reads it crashed; the file is damaged, export it again (or it needs more than "
             f"{format_gigabytes(max_memory())} of memory: --max-memory)"
         )
+
+
+@contextmanager
+def _blocked_interrupts() -> Iterator[None]:
+    """Start processes that Ctrl-C, which goes to all processes of a terminal, does not end before they ignore it."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

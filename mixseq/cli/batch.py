@@ -183,7 +183,7 @@ class Entry:
     diagonal: float | None = None  # diagonal of the first frame, in metres
     kg_percent: float | None = None  # Karni-Gotsman error
     bytes: int | None = None  # size of the model
-    target_signature: str | None = None  # hash of the model's name, size and modification time
+    target_signature: str | None = None  # hash of the name, size and modification time of the last model written
     bits: float | None = None  # size of the model in bits per vertex and frame
     history: str = ""  # what the model comes from and how far it is from it, see `mixseq.sequence.provenance`
     message: str = ""  # reason of a failure
@@ -206,7 +206,7 @@ class Entry:
 
     def is_unchanged(self, target: Path) -> bool:
         """Return whether a file has the size and modification time of the model that the batch wrote."""
-        return target.is_file() and _size_and_hash([target]) == (self.bytes, self.target_signature)
+        return target.is_file() and _size_and_hash([target])[1] == self.target_signature
 
 
 @dataclass(frozen=True)
@@ -240,7 +240,7 @@ class Report:
         return (
             entry is not None
             and entry.target == str(asset.target)
-            and (entry.state != "done" or entry.is_unchanged(asset.target))
+            and (entry.state == "left" or entry.is_unchanged(asset.target))
         )
 
     def count(self, state: str) -> int:
@@ -351,12 +351,13 @@ def run(assets: Iterable[Asset], settings: Settings, earlier: Report, out: Path,
             before = earlier.entries.get(str(asset.source))
             if before is None or force or not before.holds_for(asset, settings):
                 pending.append(asset)
-                before = Entry.of(asset, settings)
+                before = Entry.of(asset, settings, target_signature=before and before.target_signature)
             entries[before.source] = before
         report = Report(entries | {key: entry for key, entry in earlier.entries.items() if key not in entries})
         write_report(out, report)
         for asset, result in work(settings, pending):
-            report = report.with_entry(_entry(asset, settings, result))
+            signature = entries[str(asset.source)].target_signature
+            report = report.with_entry(_entry(asset, settings, result, signature))
             write_report(out, report)
         report = replace(report, finished=not report.of(assets).count("left"))
         write_report(out, report)
@@ -383,13 +384,14 @@ def _alone(out: Path) -> Iterator[None]:
         os.close(folder)
 
 
-def _entry(asset: Asset, settings: Settings, result: Callable[[], Entry]) -> Entry:
+def _entry(asset: Asset, settings: Settings, result: Callable[[], Entry], signature: str | None) -> Entry:
     try:
         entry = result()
     except GivenUpError as error:
         entry = Entry.of(asset, settings, state="failed", message=str(error))
     if entry.state == "failed" and asset.target.exists():
-        return replace(entry, message=f"{entry.message}; an older model is left at {asset.target.name}")
+        message = f"{entry.message}; an older model is left at {asset.target.name}"
+        return replace(entry, message=message, target_signature=signature)
     return entry
 
 

@@ -27,7 +27,7 @@ Rows = list[tuple[str, str]]
 
 _OF_FITTING = (
     *("exact", "tolerance", "rank", "space", "segmentation", "joint_width", "placement"),
-    *("projection", "volume", "knots", "pose"),
+    *("projection", "volume", "knots", "pose", "between", "cuts"),
 )
 """Options of ``mixseq encode`` that apply only to uncompressed models."""
 
@@ -172,5 +172,9 @@ def history_rows(header: SequenceHeader) -> Rows:
     """Return table rows about what frames come from, how far they are from it, and what has other numbers there."""
     if header.provenance is None:
         return []
-    rows = {"history": str(header.provenance), "order": _ORDER_MESSAGES[header.provenance.kept_order]}
+    rows = {
+        "motion": header.provenance.events,
+        "history": str(header.provenance),
+        "order": _ORDER_MESSAGES[header.provenance.kept_order],
+    }
     return [(name, text) for name, text in rows.items() if text]

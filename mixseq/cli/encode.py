@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 @options.argument("target")
 @aiming
 @options.fitting
+@options.timing
 @files.labelling
 @options.setting(
     "--knots N",
@@ -70,6 +71,7 @@ def command(
     target: Path,
     aim: dict[str, Any],
     fitting: dict[str, Any],
+    timing: dict[str, Any],
     labels: files.LabelChoice,
     knots: int | None,
     pose: PoseForm,
@@ -109,7 +111,7 @@ def command(
             model = read_compressed(source)
         else:
             fitting = in_diagonals(fitting, reader, "tolerance")
-            fitting["parts"] = parts
+            fitting |= {"parts": parts, **options.at_frames(timing, reader.header)}
             model = mixseq.fit(reader, **fitting, knots=knots, pose=pose, progress=progress, workers=work)
         mixseq.save(target, model, still=still)
         seconds = perf_counter() - start

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from mixseq.choices import PLACEMENTS, PROJECTIONS, SEGMENTATIONS, SPACES, UNITS
+from mixseq.choices import BETWEENS, PLACEMENTS, PROJECTIONS, SEGMENTATIONS, SPACES, UNITS
 from mixseq.cli.group import environment
 from mixseq.errors import SettingsError
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_number, number_to_time
@@ -394,6 +394,38 @@ fitting = group(
     *SPACE_OPTIONS,
 )
 """Options of fitting and of shape spaces, in the argument ``fitting``."""
+
+
+def _parse_cuts(text: str) -> str | list[float]:
+    try:
+        return text if text in ("auto", "none") else [float(number) for number in text.split(",")]
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not auto, none, or frame numbers such as 1013,1050") from None
+
+
+timing = group(
+    "timing",
+    setting(
+        "--between",
+        type=click.Choice(BETWEENS),
+        help="Motion between frames: as found in them, smooth through poses on twos and baked keys, straight, or "
+        "none.  [default: auto]",
+    ),
+    setting(
+        "--cuts auto|none|FRAMES",
+        type=_parse_cuts,
+        help="Where the motion jumps: where found, nowhere, or before these frames, such as 1013,1050.  "
+        "[default: auto]",
+    ),
+)
+"""Options of the motion between frames, in the argument ``timing``."""
+
+
+def at_frames(timing: Mapping[str, Any], header: SequenceHeader) -> dict[str, Any]:
+    """Return options of `timing` with indices of frames instead of their numbers."""
+    cuts = timing.get("cuts")
+    return {**timing, "cuts": [header.index_of(number) for number in cuts]} if isinstance(cuts, list) else {**timing}
+
 
 reading = group(
     "reading",

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Fit frames exactly, also those of a rig.  [default: evaluate rigs, fit other sequences exactly]",
 )
+@options.timing
 @options.setting(
     "--whole-stage",
     is_flag=True,
@@ -79,6 +80,7 @@ def command(
     velocities: bool,
     tolerance: float | str | None,
     exact: bool,
+    timing: dict[str, Any],
     whole_stage: bool,
     reading: dict[str, Any],
     writing: dict[str, Any],
@@ -111,7 +113,7 @@ def command(
         writing = writing | {"whole_stage": True}
     keys = None if retime is None else read_retiming_keys(retime)
     with workers as work, progress_bar(quiet) as progress, ExitStack() as opened:
-        motion = _motion(source, tolerance, exact, velocities, reading, progress, work, opened)
+        motion = _motion(source, tolerance, exact, timing, velocities, reading, progress, work, opened)
         if frames is not None:
             start, end = frames.span(motion.header)
         retiming = None
@@ -136,6 +138,7 @@ def _motion(
     source: Path,
     tolerance: float | str | None,
     exact: bool,
+    timing: dict[str, Any],
     velocities: bool,
     reading: dict[str, Any],
     progress: Progress,
@@ -148,15 +151,18 @@ def _motion(
     if not is_model(source):
         reader = mixseq.open_sequence(source, **reading)
         if is_rig(reader) and tolerance is None and not exact:
-            return opened.enter_context(reader)
+            opened.enter_context(reader)
+            options.refuse(*timing, why=f"is for frames, and {source} is a rig; leave it out, or give --exact")
+            return reader
         with reader:
             detail = {"exact": True} if tolerance is None else {"tolerance": tolerance}
-            detail = in_diagonals(detail, reader, "tolerance")
+            detail = in_diagonals(detail, reader, "tolerance") | options.at_frames(timing, reader.header)
             frames = without_velocities(reader) if velocities else reader  # the model's replace them
             return mixseq.fit(frames, **detail, progress=progress, workers=workers)
-    if tolerance is not None or reading:
-        given = "--tolerance" if tolerance is not None else "the options for reading sequences"
-        raise SettingsError(f"{source} is a model already; leave out {given}")
+    given = options.given_options("tolerance", *timing)
+    if given or reading:
+        what = given[0] if given else "the options for reading sequences"
+        raise SettingsError(f"{source} is a model already; leave out {what}")
     return mixseq.load(source)
 
 

@@ -100,6 +100,11 @@ if TYPE_CHECKING:
         help="No vertex of PAGE is farther off than this fraction of the bounding box's diagonal, or 0.5mm; compressed "
         "models are taken as they are.  [default: 0.001]",
     ),
+    options.setting(
+        "--inbetweens/--no-inbetweens",
+        default=None,
+        help="Fit a model to the frames of PAGE, whose motion it shows between them.  [default: inbetweens]",
+    ),
 )
 @options.reading
 @overwriting
@@ -147,7 +152,7 @@ def command(
             raise SettingsError(f"{page}: pages end in .html")
         claim(page)
     else:
-        options.refuse("every", "max_error", "overwrite", why="is about pages; give --export as well")
+        options.refuse("every", "max_error", "inbetweens", "overwrite", why="is about pages; give --export as well")
         from mixseq.viewer.live.viewer import check_viser
 
         check_viser()
@@ -364,4 +369,5 @@ def _export(
     for item in report.items:
         about = f"{item.name}: n" if len(report.items) > 1 else "n"
         length = f"{item.max_error:.3g} of the diagonal, {item.error:.2g} units"
-        say(f"{about}o vertex is off by more than {length}: {item.history}")
+        between = "" if item.between is None else f"; between frames, {item.between:.2g} of the diagonal from the model"
+        say(f"{about}o vertex is off by more than {length}{between}: {item.history}")

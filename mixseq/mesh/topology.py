@@ -17,7 +17,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.types import Index, IntArray, Mask, index_mask
+from mixseq.types import Index, Int32, IntArray, Mask, index_mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Topology(PickledWithoutCaches):
     vertex_count: int
 
     @cached_property
-    def _sorted_edges(self) -> tuple[Index, Index]:
+    def _sorted_edges(self) -> tuple[Index, Int32]:
         """Edges ``(E, 2)``, and the edge ``(3F,)`` of every side, face by face."""
         start, end = self._sides
         keys = np.minimum(start, end).astype(np.int64)
@@ -54,8 +54,8 @@ class Topology(PickledWithoutCaches):
         order = np.argsort(keys, kind="stable")
         keys = keys[order]
         is_first = np.diff(keys, prepend=-1) != 0
-        edge_of_side = np.empty_like(order)
-        edge_of_side[order] = np.cumsum(is_first) - 1
+        edge_of_side = np.empty(len(order), dtype=np.int32)
+        edge_of_side[order] = np.cumsum(is_first, dtype=np.int32) - np.int32(1)
         return np.stack(np.divmod(keys[is_first], self.vertex_count), axis=1), edge_of_side
 
     @property
@@ -76,13 +76,13 @@ class Topology(PickledWithoutCaches):
     @property
     def face_edges(self) -> Index:
         """Edge index ``(F, 3)`` of the sides 01, 12 and 20 of every face."""
-        return self._sorted_edges[1].reshape(-1, 3)
+        return self._sorted_edges[1].reshape(-1, 3).astype(np.int64)
 
     @cached_property
-    def _hinge_sides(self) -> Index:
+    def _hinge_sides(self) -> Int32:
         """Sides ``(H, 2)`` of the two faces at every hinge; sides are numbered face by face."""
         edge_of_side = self._sorted_edges[1]
-        order = np.argsort(edge_of_side, kind="stable")
+        order = np.argsort(edge_of_side, kind="stable").astype(np.int32)
         face = order // 3
         is_hinge = (np.diff(edge_of_side[order]) == 0) & (face[1:] != face[:-1])
         return np.stack([order[:-1][is_hinge], order[1:][is_hinge]], axis=1)
@@ -102,12 +102,12 @@ class Topology(PickledWithoutCaches):
     @cached_property
     def hinge_faces(self) -> Index:
         """First and second face ``(H, 2)`` of every hinge."""
-        return self._hinge_sides // 3
+        return (self._hinge_sides // 3).astype(np.int64)
 
     @cached_property
     def hinge_edges(self) -> Index:
         """Edge index ``(H,)`` of every hinge."""
-        return self._sorted_edges[1][self._hinge_sides[:, 0]]
+        return self._sorted_edges[1][self._hinge_sides[:, 0]].astype(np.int64)
 
     @cached_property
     def boundary_edges(self) -> Index:
@@ -173,7 +173,7 @@ class Topology(PickledWithoutCaches):
         }
 
 
-def _next_side(sides: Index) -> Index:
+def _next_side(sides: Int32) -> Int32:
     """Return the next side of the same face, which starts where the given side ends."""
     return np.where(sides % 3 == 2, sides - 2, sides + 1)
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mixseq.choices import BetweenName
 from mixseq.errors import SettingsError
 from mixseq.operations.retiming import Retiming
 from mixseq.runtime.parallel import Executor
@@ -23,7 +24,7 @@ from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
 from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import Frames, MeshSequence, Rig, is_rig, join_blocks, without_velocities
 from mixseq.signals.decoding import FRAMES_PER_BLOCK, Decodable, RigMotion
-from mixseq.signals.fitting import as_motion
+from mixseq.signals.fitting import CutChoice, as_motion, fit
 from mixseq.signals.model import Model
 from mixseq.types import Float
 
@@ -121,6 +122,8 @@ def resample(
     retiming: Retiming | None = None,
     *,
     velocities: bool = False,
+    between: BetweenName = "auto",
+    cuts: CutChoice = "auto",
     progress: Progress = no_progress,
 ) -> MeshSequence:
     """Sample a motion at another rate, speed or direction.
@@ -144,6 +147,8 @@ def resample(
         Map from output time to source time that replaces `start`, `end`, `speed` and `reverse`.
     velocities : bool
         Also compute velocities, in units per second of the output; those of rigs by central differences.
+    between, cuts
+        Motion between frames, and cuts, of a sequence that is fitted; see `mixseq.fit`.
     progress : callable, optional
         Function called after every block of frames.
 
@@ -170,9 +175,15 @@ def resample(
     >>> slow.frame_count, slow.points[1, 0].round(9).tolist(), slow.velocities[1, 0].round(6).tolist()
     (9, [0.5, 0.5, 0.5], [12.0, 12.0, 12.0])
     """
-    if velocities and not (isinstance(source, Model) or is_rig(source)):
-        source = without_velocities(source)  # the model's replace them
-    planned = plan(as_motion(source, progress), fps, start, end, speed, reverse, retiming)
+    motion: Model | RigMotion
+    if isinstance(source, Model) or is_rig(source):
+        if (between, cuts) != ("auto", "auto"):
+            raise SettingsError("between and cuts are for frames; give them to mixseq.fit, and resample its model")
+        motion = as_motion(source)
+    else:
+        frames = without_velocities(source) if velocities else source  # the model's replace them
+        motion = fit(frames, exact=True, between=between, cuts=cuts, progress=progress)
+    planned = plan(motion, fps, start, end, speed, reverse, retiming)
     if not velocities:
         return join_blocks(planned.header, planned.blocks(progress=progress))
     points, rates = zip(*planned.moving_blocks(progress=progress), strict=True)

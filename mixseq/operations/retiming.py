@@ -18,6 +18,7 @@ import os
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -206,14 +207,26 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
 
 def _compose(model: Model, curve: Curve, retiming: Retiming, kink_sites: Float, norm: DeviationNorm) -> Curve:
     """Compose a signal of the model with a retiming; `kink_sites` ``(m,)`` are additional sites."""
-    passes = [retiming.curve.solve(knot, extrapolate=False) for knot in breakpoints(curve)]
-    knots = np.concatenate([kink_sites, *passes])  # contains NaN where the source stands still
-    sites = merge_sites(retiming.curve.x, strictly_between(knots, retiming.start, retiming.end))
 
-    def values(times: Float) -> Float:
-        return curve(model.clip_times(retiming(times)))
+    def passes(times: Float) -> Float:
+        found = [np.zeros(0), *(retiming.curve.solve(time, extrapolate=False) for time in times)]
+        return strictly_between(
+            np.concatenate(found), retiming.start, retiming.end
+        )  # NaN where the source stands still
 
-    return interpolate_adaptively(values, sites, SIGNAL_TOLERANCE, norm)
+    knots = np.concatenate([passes(breakpoints(curve)), strictly_between(kink_sites, retiming.start, retiming.end)])
+    pieces = []
+    for start, end in pairwise([retiming.start, *np.unique(passes(curve.breaks)), retiming.end]):
+        edges = np.array([start, *strictly_between(retiming.curve.x, start, end), end])
+        middle = model.clip_times(retiming([(start + end) / 2]))
+        piece = curve.pieces[np.searchsorted(curve.breaks, middle[0], side="right")]
+
+        def values(times: Float, piece: Curve = piece) -> Float:
+            return piece(np.clip(model.clip_times(retiming(times)), piece.start, piece.end))
+
+        sites = merge_sites(edges, strictly_between(knots, start, end))
+        pieces.append(interpolate_adaptively(values, sites, SIGNAL_TOLERANCE, norm))
+    return Curve.from_pieces(pieces)
 
 
 def _sites_near_kinks(outputs: Float, sources: Float) -> Float:

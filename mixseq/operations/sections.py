@@ -88,8 +88,13 @@ MIN_KNOT_SPACING_RATIO = 1e-8
 
 
 def breakpoints(curve: Curve) -> Float:
-    """Return the interior breakpoints ``(n,)`` of a curve, its sites without the two outermost at each end."""
-    return curve.times[2:-2]
+    """Return the interior breakpoints ``(n,)`` of splines, their sites without the two outermost at each end."""
+    return np.concatenate([piece.times[2:-2] for piece in curve.pieces])
+
+
+def left_limits(times: Float) -> Float:
+    """Return increasing times, the first of two equal ones just before it, where curves still have their left value."""
+    return np.where(np.append(np.diff(times) == 0, False), np.nextafter(times, -np.inf), times)
 
 
 def strictly_between(times: Float, start: float, end: float) -> Float:
@@ -97,8 +102,20 @@ def strictly_between(times: Float, start: float, end: float) -> Float:
     return times[(times > start) & (times < end)]
 
 
-def merge_sites(edges: Float, knots: Float) -> Float:
-    """Return the sites of a spline that breaks at `edges` ``(n,)`` and, unless too close, at `knots` ``(m,)``."""
+def merge_sites(edges: Float, knots: Float, breaks: ArrayLike = ()) -> Float:
+    """Return the sites of a spline with breakpoints `edges` ``(n,)`` and, unless too close, `knots` ``(m,)``.
+
+    Where the curve breaks, at inner `breaks`, there is one spline on each side.
+    """
+    inner = strictly_between(np.unique(breaks), edges[0], edges[-1])
+    if len(inner):
+        splines = pairwise([edges[0], *inner, edges[-1]])
+        return np.concatenate(
+            [
+                merge_sites(np.array([a, *strictly_between(edges, a, b), b]), strictly_between(knots, a, b))
+                for a, b in splines
+            ]
+        )
     knots = np.unique(knots)
     min_distance = MIN_KNOT_SPACING_RATIO * (edges[-1] - edges[0]) / (len(edges) + len(knots))
     after = np.clip(np.searchsorted(edges, knots), 1, len(edges) - 1)
@@ -253,11 +270,14 @@ def join_curves(sections: Sequence[CurveSection], seams: Sequence[Seam]) -> Curv
         for section, own, start, end in zip(sections, offsets, edges, edges[1:], strict=False)
         for times in (breakpoints(section.curve), *(offset.knots for offset in own))
     ]
-    sites = merge_sites(edges, np.concatenate(knots))
+    breaks = [strictly_between(section.curve.breaks, section.start, section.end) for section in sections]
+    sites = merge_sites(edges, np.concatenate(knots), np.concatenate(breaks))
     section_ids = np.searchsorted(edges[1:-1], sites, side="left")
     values = []
     for index, (section, own) in enumerate(zip(sections, offsets, strict=True)):
-        times = sites[section_ids == index]
+        times = left_limits(sites)[section_ids == index]
+        if section.end in section.curve.breaks:
+            times = np.minimum(times, np.nextafter(section.end, -np.inf))
         values.append(section.curve(times) + sum((offset(times) for offset in own), start=np.zeros(())))
     return Curve(sites, np.concatenate(values))
 

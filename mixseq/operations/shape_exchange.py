@@ -31,6 +31,7 @@ from mixseq.operations.sections import correction_norm
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import no_progress
 from mixseq.runtime.public import public
+from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.sequence.provenance import format_error, with_other_motion
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, load_frames, own_parts, warn_of_loss
 from mixseq.signals.curve import Curve
@@ -98,7 +99,7 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
     Warns
     -----
     MixseqWarning
-        If key shapes are no frames, or a visible correction is left out.
+        If the model's own key poses give its motion back with visible errors, or a visible correction is left out.
 
     Examples
     --------
@@ -111,6 +112,19 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
     >>> with_shapes(model, tall).sample().frame_count
     6
     """
+    played = _exchange_shapes(model, keys)
+    if not isinstance(keys, Model):
+        own, times = _exchange_shapes(model, key_poses(model)), model.times[sample_frame_ids(len(model.times))]
+        pairs = zip(own.blocks(times), model.blocks(times), strict=True)
+        gap = max(float(np.linalg.norm(a - b, axis=2).max()) for a, b in pairs) / model.space.scale
+        if gap > VISUALLY_LOSSLESS_TOLERANCE:
+            text = f"its own key poses give the motion back within {format_error(gap)} diagonals"
+            warn_of_loss(model.header, text, "fit it with pose='keys' and a larger rank")
+    return played
+
+
+def _exchange_shapes(model: Model, keys: Frames | Model) -> Model:
+    """Do what `with_shapes` does, without a warning of inaccurate motion."""
     first = as_mixed(model.space)
     if isinstance(keys, Model):
         if keys.pose.identity != model.pose.identity:
@@ -130,12 +144,14 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
             )
         frames = load_frames(keys, no_progress)
         parts = model.parts if np.array_equal(keys.header.faces, model.header.faces) else own_parts(keys)
-        if blended := int(np.count_nonzero(model.key_frames < 0)):
-            text = f"{blended} of {count} key shapes are no frames, and their poses give the motion back only roughly"
-            warn_of_loss(model.header, text, "fit it with pose='keys'")
         second = as_mixed(make_space(frames, settings=MixedSettings(parts=parts)))
         if _has_same_parts(first, second):
-            second = replace(second, steadiness=first.steadiness)
+            second = replace(
+                second,
+                steadiness=first.steadiness,
+                skinning_weights=first.skinning_weights,
+                joint_faces=first.joint_faces,
+            )
         encoded = encode_sequence(frames, second)
         shapes, placements, header = np.asarray(encoded.shapes[:]), encoded.placement, keys.header
         if _has_same_parts(first, second):

@@ -66,7 +66,7 @@ def into(model: Model, space: ShapeSpace) -> Model:
     if model.space is space:
         return model
     with one_blas_thread():
-        return build_model(encode_sequence(model.sample(), space), Detail())
+        return build_model(encode_sequence(model.sample(), space, timing=model.timing), Detail())
 
 
 def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
@@ -113,7 +113,8 @@ def _encode_like(model: Model, first: Model) -> Model:
         )
     frames = numbering.renumber_frames(model.sample())
     with one_blas_thread():
-        return build_model(encode_sequence(load_frames(frames), first.space), Detail())
+        encoded = encode_sequence(load_frames(frames), first.space, timing=model.timing)
+        return build_model(encoded, Detail())
 
 
 SITES_PER_BLENDED_KNOT = 8

@@ -333,15 +333,19 @@ def available_colourings(
     decomposition: Decomposition | None = None,
     original: ReferencePose | None = None,
     poses: Iterable[tuple[float, FloatArray]] = (),
+    diagonal: float | None = None,
 ) -> dict[str, Colouring]:
-    """Return the available colourings of a mesh with rest points ``(V, 3)`` by name, with scales that cover `poses`."""
+    """Return the available colourings of a mesh with rest points ``(V, 3)`` by name, with scales that cover `poses`.
+
+    `diagonal` is that of the original, by default of its first pose.
+    """
     is_available: dict[Colour, bool] = {
         "own": header.surface.colours is not None,
         "parts": decomposition is not None,
         "error": original is not None,
     }
     colourings: dict[str, Colouring] = {
-        name: make_colouring(name, header, rest, decomposition, original)
+        name: make_colouring(name, header, rest, decomposition, original, diagonal)
         for name in COLOURS
         if is_available.get(name, True)
     }
@@ -358,6 +362,7 @@ def make_colouring(
     rest: FloatArray,
     decomposition: Decomposition | None = None,
     original: ReferencePose | None = None,
+    diagonal: float | None = None,
 ) -> Colouring:
     """Make the colouring of the given name; measured colourings have the smallest scale."""
     faces, count = header.faces, header.vertex_count
@@ -374,11 +379,13 @@ def make_colouring(
         face_colours = segmentation_colours(decomposition.part_of_face, decomposition.joint_of_face)
         palette = np.concatenate([_to_bytes(part_colours(JOINT_ENTRY)), _to_bytes(np.array([JOINT_RED]))])
         return Colouring("parts", palette, _shared_entries(entries), face_colours=face_colours)
-    measure = _make_measure(name, rest, faces, original)
+    measure = _make_measure(name, rest, faces, original, diagonal)
     return Colouring(name, _to_bytes(viridis()), measure=measure, top=MIN_SCALE_ENDS[name], unit=UNITS[name])
 
 
-def _make_measure(name: Colour, rest: FloatArray, faces: IntArray, original: ReferencePose | None) -> Measure:
+def _make_measure(
+    name: Colour, rest: FloatArray, faces: IntArray, original: ReferencePose | None, diagonal: float | None
+) -> Measure:
     """Return the measure of a colouring, in the unit of its values, relative to rest points ``(V, 3)``."""
     if name in MEASURES:
         measure, factor = MEASURES[name].from_rest(rest, faces), 100 if name == "strain" else 1
@@ -386,8 +393,8 @@ def _make_measure(name: Colour, rest: FloatArray, faces: IntArray, original: Ref
     assert original is not None
     first = original(0.0)
     _check_vertex_count("the original", first, len(rest))
-    diagonal = bounding_diagonal(first) or 1.0
-    return lambda points, elapsed: vertex_distances(points, original(elapsed), diagonal)
+    unit = diagonal or bounding_diagonal(first) or 1.0
+    return lambda points, elapsed: vertex_distances(points, original(elapsed), unit)
 
 
 def _check_vertex_count(subject: str, points: FloatArray, count: int) -> None:
@@ -459,7 +466,12 @@ class SceneColours:
             times = (self.scene.elapsed(frame) for frame in self.scene.sample_frames(SCALE_SAMPLES))
             poses = ((elapsed, item.pose(elapsed)) for elapsed in times)
             self._colourings[index] = available_colourings(
-                item.header, item.pose(0.0), item.decomposition, self._original_of(item), poses
+                item.header,
+                item.pose(0.0),
+                item.decomposition,
+                self._original_of(item),
+                poses,
+                None if self.original is None else self.original.diagonal,
             )
         return self._colourings[index]
 

@@ -159,8 +159,9 @@ def _colourings(
         if colour == "own" and item.header.surface.colours is None:
             raise SettingsError(f"{item} has no vertex colours; choose another colour")
     references = [None if original is None else _reference_pose(item, original) for item in items]
+    diagonal = original.motion.diagonal if original and isinstance(original.motion, FrameStore) else None
     return [
-        make_colouring(colour, item.header, item.pose(0), item_parts, reference)
+        make_colouring(colour, item.header, item.pose(0), item_parts, reference, diagonal)
         for item, item_parts, reference in zip(decoded, parts, references, strict=True)
     ]
 

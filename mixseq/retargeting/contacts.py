@@ -238,7 +238,7 @@ def _hermite(frames: Index, start: HermiteKnot, stop: HermiteKnot) -> Float:
     return np.asarray(a + s * s * (3 - 2 * s) * (b - a) + slope_terms)
 
 
-MIN_SLIDE_DIAGONALS = 1e-9  # offset below which contacts are left unchanged, in diagonals
+MIN_SLIDE_DIAGONALS = 1e-9  # offset below which contacts are left unchanged and reported as 0, in diagonals
 
 
 @dataclass(frozen=True)
@@ -342,11 +342,14 @@ def _report_groups(
 ) -> tuple[GroupReport, ...]:
     def slide(path: Float, found: Sequence[Stance]) -> float:
         lengths = [np.linalg.norm(np.diff(path[each.frames], axis=0), axis=1).sum() for each in found]
-        return float(sum(lengths)) / diagonal
+        return without_noise(float(sum(lengths)) / diagonal)
+
+    def without_noise(value: float) -> float:
+        return value if value > MIN_SLIDE_DIAGONALS else 0.0
 
     rows = zip(contacts, stances, before, after, residuals.tolist(), strict=True)
     return tuple(
-        GroupReport(contact.name, found, slide(old, found), slide(new, found), residual / diagonal)
+        GroupReport(contact.name, found, slide(old, found), slide(new, found), without_noise(residual / diagonal))
         for contact, found, old, new, residual in rows
     )
 

@@ -43,11 +43,13 @@ class Provenance:
     edited: bool = False  # whether frames were edited or resampled since
     order: OrderName = "keep"  # numbering kept from the source
     checksum: int | None = None  # `frames_checksum` of its own frames; None if unknown
+    events: str = ""  # events found in the motion of the source, such as cuts, in words
 
     def __post_init__(self) -> None:
         lengths = self.diagonal, self.max_error or 0.0
         has_numbers = all(isinstance(value, int | float) and isfinite(value) and value >= 0 for value in lengths)
-        if not (isinstance(self.name, str) and has_numbers and self.order in ORDERS):
+        is_text = isinstance(self.name, str) and isinstance(self.events, str)
+        if not (is_text and has_numbers and self.order in ORDERS):
             raise SettingsError("the provenance has a value of the wrong type or out of range")
 
     @property

@@ -3,10 +3,14 @@
 A curve has *knots*: times with a value each. It is a twice continuously differentiable cubic B-spline through the
 values. At each not-a-knot end, two pieces are one cubic. With two knots the curve is a line, with three a parabola.
 Values at knots can be edited by hand, independently of the other knots.
+
+A time given twice *breaks* the curve: a spline ends there with the first value, and another begins with the second. The
+curve jumps if both values differ, and has a corner if they are equal. At the break it has the second value.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -33,7 +37,7 @@ class Curve:
     Attributes
     ----------
     times : (m,) float64
-        Knots in seconds, strictly increasing.
+        Knots in seconds, increasing; inner knots may be given twice, where the curve breaks.
     values : (m, k) float64
         Values at the knots.
 
@@ -53,10 +57,10 @@ class Curve:
         if values.ndim != 2 or len(values) != len(times) or not len(times):
             raise SettingsError(f"a curve of {len(times)} knots has values of shape {values.shape}")
         spacings = np.diff(times)
-        if not (np.isfinite(times).all() and np.isfinite(values).all() and (spacings > 0).all()):
+        if not (np.isfinite(times).all() and np.isfinite(values).all() and is_increasing(times)):
             raise SettingsError("the knots of a curve must be finite and increase")
-        if (spacings < MIN_KNOT_SPACING).any():
-            knot = int(np.argmin(spacings))
+        if ((spacings > 0) & (spacings < MIN_KNOT_SPACING)).any():
+            knot = int(np.argmin(np.where(spacings > 0, spacings, np.inf)))
             raise SettingsError(
                 f"knots {knot} and {knot + 1} of a curve are {spacings[knot]:g} s apart; "
                 f"{MIN_KNOT_SPACING:g} s or more are expected"
@@ -82,9 +86,28 @@ class Curve:
         """Number k of coordinates."""
         return int(self.values.shape[1])
 
+    @property
+    def breaks(self) -> Float:
+        """Times ``(b,)`` at which the curve breaks."""
+        return np.asarray(self.times[1:][np.diff(self.times) == 0])
+
+    @cached_property
+    def pieces(self) -> tuple[Curve, ...]:
+        """The splines between the breaks."""
+        starts = np.flatnonzero(np.diff(self.times) == 0) + 1
+        if not len(starts):
+            return (self,)
+        return tuple(map(Curve, np.split(self.times, starts), np.split(self.values, starts)))
+
+    @classmethod
+    def from_pieces(cls, pieces: Iterable[Curve]) -> Curve:
+        """Concatenate curves, each of which begins where the one before ends."""
+        times, values = zip(*((piece.times, piece.values) for piece in pieces), strict=True)
+        return cls(np.concatenate(times), np.concatenate(values))
+
     @cached_property
     def spline(self) -> BSpline:
-        """The curve as a B-spline of knots and control points."""
+        """A curve without breaks as a B-spline of knots and control points."""
         from scipy.interpolate import make_interp_spline  # slow import, unused at knots
 
         return make_interp_spline(self.times, self.values, k=min(3, len(self.times) - 1))
@@ -94,17 +117,31 @@ class Curve:
         times = np.atleast_1d(np.asarray(times, dtype=np.float64))
         if not self.dim:
             return np.zeros((len(times), 0))
-        knots = np.clip(np.searchsorted(self.times, times), 0, len(self.times) - 1)
+        knots = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 1)
         points = self.values[knots]
         is_between = self.times[knots] != times
         if is_between.any():
-            points[is_between] = self.spline(times[is_between])
+            points[is_between] = self._evaluate(times[is_between], 0)
         return points
 
     def derivative(self, times: ArrayLike, order: int = 1) -> Float:
         """Return the time derivatives ``(N, k)`` of an order at times ``(N,)``, per second to the power of `order`."""
         times = np.atleast_1d(np.asarray(times, dtype=np.float64))
-        if not self.dim or order > self.spline.k:
-            return np.zeros((len(times), self.dim))
-        slopes = self.spline(times, nu=order)
-        return np.asarray(slopes, dtype=np.float64).reshape(len(times), self.dim)
+        return self._evaluate(times, order) if self.dim else np.zeros((len(times), 0))
+
+    def _evaluate(self, times: Float, order: int) -> Float:
+        """Return values or derivatives ``(N, k)`` of the splines at times ``(N,)``."""
+        result = np.zeros((len(times), self.dim))
+        piece_ids = np.searchsorted(self.breaks, times, side="right")
+        for number in np.unique(piece_ids):
+            mask, spline = piece_ids == number, self.pieces[number].spline
+            if order <= spline.k:
+                result[mask] = spline(times[mask], nu=order)
+        return result
+
+
+def is_increasing(times: Float) -> bool:
+    """Whether times ``(m,)`` increase, where inner times may be given twice."""
+    repeats = np.flatnonzero(np.diff(times) == 0)
+    is_inner = (repeats > 0) & (repeats < len(times) - 2)
+    return bool((np.diff(times) >= 0).all() and is_inner.all() and (np.diff(repeats) > 1).all())

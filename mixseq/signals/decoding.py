@@ -65,7 +65,7 @@ class Decodable(ABC):
         Raises
         ------
         SettingsError
-            If the time is outside the sequence, because models do not extrapolate.
+            If the time is outside the sequence, because motions are not extrapolated.
         """
         frame: Float = next(self.blocks([time]))[0]
         return frame
@@ -189,8 +189,8 @@ class Decodable(ABC):
         if is_outside.any():
             time = float(result[is_outside][0])
             raise SettingsError(
-                f"time {time:g} s is outside the sequence, {format_span(first, last, fps)}; models do not extrapolate"
-                f"{hint_frame_number(time, first, last, fps)}"
+                f"time {time:g} s is outside the sequence, {format_span(first, last, fps)}; motions are not "
+                f"extrapolated{hint_frame_number(time, first, last, fps)}"
             )
         return np.clip(result, first, last)
 

@@ -43,7 +43,8 @@ from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.mixed.construction import faces_without_area
 from mixseq.spaces.mixed.mixed_space import MixedSpace
-from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, insert_midpoints, select_operator
+from mixseq.spaces.temporal import FrameWeights, Poses, TemporalOperator, insert_midpoints
+from mixseq.spaces.temporal_pieces import Timing
 from mixseq.types import Float, FloatArray, Index, evenly_spaced
 
 DeviationNorm = Callable[[Float], Float]
@@ -61,7 +62,10 @@ def rms_over_vertices(count: int) -> DeviationNorm:
 
 
 def fit_curve(times: Float, values: Float, tolerance: float, norm: DeviationNorm) -> Curve:
-    """Fit a curve with few knots to values ``(T, k)`` at times ``(T,)``, within a tolerance."""
+    """Fit a curve with few knots to values ``(T, k)`` at times ``(T,)``, within a tolerance, with their breaks."""
+    pieces = Curve(times, values).pieces
+    if len(pieces) > 1:
+        return Curve.from_pieces(fit_curve(piece.times, piece.values, tolerance, norm) for piece in pieces)
     candidate_count = max(len(times) - 4, 0)  # inner knots of the not-a-knot spline through all values
     knots = np.zeros(0, dtype=np.int64)
     while len(knots) < candidate_count:
@@ -115,6 +119,12 @@ def key_pose_map(keys: Float) -> PoseMap:
 OPERATOR_VERTICES = 256
 """Number of vertices from which the temporal operator is selected."""
 
+FRAMES_IN_BODY_AXES = 1024
+"""Number of frames whose samples are brought into body axes together."""
+
+MOTION_VERTICES = 64
+"""Number of vertices in world axes by which breaks of speed and slopes beside held frames are selected."""
+
 MIN_SCORE_SCALE = 1e-200
 """Least scale, in diagonals, of the scores of a mode; their rounding step is proportional to the scale."""
 
@@ -125,11 +135,11 @@ CORRECTION_STEP = 2.0**-24
 class InterpolatedPoses(NamedTuple):
     """Poses interpolated in time, at the frames and between them."""
 
-    times: Float  # (2T - 1,) frames and midpoints, in seconds
+    times: Float  # (n,) frames and midpoints, in seconds, and twice the breaks
     weights: FrameWeights  # weights of the frames at these times
-    quarter_times: Float  # (4T - 3,) frames and points at quarters of the intervals, in seconds
-    part_poses: Float  # (4T - 3, ...) part poses in body axes, at the quarter points
-    placement: Float  # (4T - 3, P) placements at the quarter points
+    quarter_times: Float  # (m,) frames and points at quarters of the intervals, in seconds, and twice the breaks
+    part_poses: Float  # (m, ...) part poses in body axes, at the quarter points
+    placement: Float  # (m, P) placements at the quarter points
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,13 +150,8 @@ class EncodedSequence:
     space: ShapeSpace  # shape space of the vectors
     shapes: LargeArray  # (T, S) shape part of the vectors of the frames
     placement: Float  # (T, P) placements of the frames, with continuous signs of quaternions
-    samples: Float  # (T, C) coordinates of sampled vertices, used to select the temporal operator
+    operator: TemporalOperator  # interpolates sampled vertices in body axes with the least errors
     pose: PoseForm = "modes"  # form of the key shapes
-
-    @cached_property
-    def operator(self) -> TemporalOperator:
-        """The temporal operator that interpolates the samples with the least errors."""
-        return select_operator(self.header.times, self.samples)
 
     @cached_property
     def poses(self) -> Float:
@@ -170,7 +175,7 @@ class EncodedSequence:
     def interpolated(self) -> InterpolatedPoses:
         """Poses interpolated between the frames."""
         times = insert_midpoints(self.header.times)
-        quarter_times = insert_midpoints(times)
+        times, quarter_times = map(self.operator.add_breaks, (times, insert_midpoints(times)))
         signals = self.poses, self.placement, quarter_times
         poses = self.space.interpolate_poses(self.operator, *signals)
         return InterpolatedPoses(times, self.operator.weights_at(times), quarter_times, *poses)
@@ -182,6 +187,7 @@ def encode_sequence(
     pose: PoseForm = "modes",
     workers: Executor = serial_executor,
     progress: Progress = no_progress,
+    timing: Timing = Timing(),  # noqa: B008 - frozen
 ) -> EncodedSequence:
     """Encode all frames of a sequence in a shape space."""
     count, size = len(sequence.points), space.shape_dim
@@ -200,8 +206,14 @@ def encode_sequence(
         progress(done, count, "encoding frames")
     rotations, centres = space.unpack_placements(raw_placement)
     placement = space.pack_placements(Poses(align_quat_signs(rotations), centres))  # signs continuous in time
-    body_samples = space.to_body_axes(samples.reshape(count, -1, 3), vertex_ids, placement).reshape(count, -1)
-    return EncodedSequence(sequence.header, space, shapes, placement, body_samples, pose)
+    motion_ids = evenly_spaced(len(vertex_ids), MOTION_VERTICES)
+    motion = samples.reshape(count, -1, 3)[:, motion_ids].reshape(count, -1)  # a copy: samples become those of bodies
+    for start in range(0, count, FRAMES_IN_BODY_AXES):  # samples of few vertices are as large as the sequence
+        rows = slice(start, start + FRAMES_IN_BODY_AXES)
+        world = samples[rows].reshape(-1, len(vertex_ids), 3)
+        samples[rows] = space.to_body_axes(world, vertex_ids, placement[rows]).reshape(len(world), -1)
+    operator = timing.select_operator(sequence.header.times, samples, motion)
+    return EncodedSequence(sequence.header, space, shapes, placement, operator, pose)
 
 
 def _encode_block(context: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Float, Float]:

@@ -9,20 +9,24 @@ dihedral angles,
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Unpack
+from typing import Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.choices import POSE_FORMS, PlacementName, PoseForm, SpaceName
+from mixseq.choices import BETWEENS, POSE_FORMS, BetweenName, PlacementName, PoseForm, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import wrap_angles
+from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
+from mixseq.sequence.events import Events, distinct_poses, find_events
+from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import Frames, check_motion, is_rig, load_frames, own_parts
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
@@ -45,6 +49,7 @@ from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.making import SPACE_STAGES, MixedSettings, SpaceOptions, make_space, space_settings
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
 from mixseq.spaces.temporal import FrameWeights
+from mixseq.spaces.temporal_pieces import Timing
 from mixseq.types import Float, FloatArray, evenly_spaced
 
 MIN_VALIDATED_FRAMES = 4
@@ -78,6 +83,8 @@ def select_share(encoded: EncodedSequence, frames: LargeArray) -> EncodedSequenc
         return encoded
     frame_ids, weights = encoded.operator.leave_one_out()
     limit = MAX_VALIDATION_VERTICES // space.vertex_count
+    if not len(frame_ids):
+        return encoded
     sample = evenly_spaced(len(frame_ids), min(max(limit, MIN_VALIDATION_FRAMES), MAX_VALIDATION_FRAMES))
     expected = [_lengths_and_angles(space, frames[frame] / space.scale) for frame in frame_ids[sample]]
     blocks = space.split(_interpolated_vectors(encoded, space, weights.select(sample)))
@@ -129,11 +136,17 @@ _SHELL_ACCURACY_RATIO = 10.0
 """Ratio of the tolerance of frames to the accuracy of fits to lengths and angles."""
 
 
+CutChoice = Literal["auto", "none"] | Sequence[int]
+"""Cuts of a sequence: found in its frames, none, or the first frames after them, counted from 0."""
+
+
 class FitOptions(SpaceOptions, total=False):
     """Optional keyword settings of `fit`."""
 
     knots: int | ArrayLike | None
     pose: PoseForm
+    between: BetweenName
+    cuts: CutChoice
 
 
 @public
@@ -203,6 +216,13 @@ def fit(
         (almost) every frame, or the fewest knots that `tolerance` allows.
     pose : {"modes", "keys"}
         Key shapes: mean and modes (default), or frames of the sequence; see `mixseq.signals.pose`.
+    between : {"auto", "smooth", "linear", "hold"}
+        Motion between frames. By default, holds, repeated poses (on twos) and linear motion between keys are found in
+        the frames and kept. "smooth" goes smoothly through repeated poses and keys, and does not keep the frames
+        between them; "linear" goes straight from frame to frame; "hold" keeps every frame until the next.
+    cuts : {"auto", "none"} or sequence of int
+        Cuts, where the motion jumps half-way between two frames: found (default), none, or the first frames after them.
+        A sequence with `knots` has none.
 
     Returns
     -------
@@ -235,9 +255,10 @@ def fit(
     """
     check_motion(sequence)
     knots, pose = settings.pop("knots", None), settings.pop("pose", "modes")
+    between, cuts = settings.pop("between", "auto"), settings.pop("cuts", "auto")
     if parts is None and space == "mixed":
         parts = own_parts(sequence)
-    _check_options(exact, tolerance, rank, knots, pose)
+    _check_options(exact, tolerance, rank, knots, pose, between)
     options = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
     max_error = VISUALLY_LOSSLESS_TOLERANCE if tolerance is None else float(tolerance)
     is_reduced = rank is not None or knots is not None
@@ -250,9 +271,17 @@ def fit(
     stages = StagedProgress(progress, FIT_STAGES + search_stages, sequence.header.frame_count)
     executor = workers or thread_executor()
     with one_blas_thread():
-        frames = load_frames(sequence, stages.at(0))
+        frames = whole = load_frames(sequence, stages.at(0))
+        found = find_events(
+            frames.points, frames.header.times, Topology(frames.header.faces, frames.header.vertex_count)
+        )
+        chosen = _with_cuts(found.whole, cuts, frames.header) if knots is None else Events()
+        timing = Timing(chosen, between)
+        if between == "smooth":
+            frames, events = distinct_poses(frames, timing.events)
+            timing = replace(timing, events=events)
         shape_space = make_space(frames, space, options, executor, stages.at(1, SPACE_STAGES))
-        encoded = encode_sequence(frames, shape_space, pose, executor, stages.at(1 + SPACE_STAGES))
+        encoded = encode_sequence(frames, shape_space, pose, executor, stages.at(1 + SPACE_STAGES), timing)
         encoded = select_share(encoded, frames.points)
         if exact:
             max_error, model = EXACT_TOLERANCE, build_model(encoded, Detail(step=EXACT_ROUNDING_STEP))
@@ -263,7 +292,27 @@ def fit(
         else:
             search = stages.at(FIT_STAGES, MAX_TRIAL_MODELS)
             model = fit_within_tolerance(encoded, frames, max_error, search, executor)
-        return replace(model, header=frames.trace(max_error, promised=not is_reduced))
+        header = frames.trace(max_error, promised=not is_reduced)
+        if header.provenance and knots is None:
+            text = replace(found, whole=chosen).describe(whole.header, between)
+            header = replace(header, provenance=replace(header.provenance, events=text))
+        if frames is not whole:
+            header = replace(header, times=whole.header.times, provenance=as_edited(header.provenance))
+        return replace(model, header=header)
+
+
+def _with_cuts(events: Events, cuts: CutChoice, header: SequenceHeader) -> Events:
+    """Return events with chosen cuts instead of those found."""
+    if cuts == "auto":
+        return events
+    frames = [] if cuts == "none" else np.unique(np.asarray(cuts)).tolist()
+    for frame in frames:
+        if not (isinstance(frame, int) and 0 < frame < header.frame_count):
+            raise SettingsError(
+                f"cuts has the frame {frame!r}; first frames after cuts are expected, whole numbers from 1 to "
+                f"{header.frame_count - 1}"
+            )
+    return replace(events, cuts=tuple(frame - 1 for frame in frames), pops=())
 
 
 def as_motion(source: Model | RigMotion | Frames, progress: Progress = no_progress) -> Model | RigMotion:
@@ -276,7 +325,12 @@ def as_motion(source: Model | RigMotion | Frames, progress: Progress = no_progre
 
 
 def _check_options(
-    exact: bool, tolerance: float | None, rank: int | None, knots: int | ArrayLike | None, pose: PoseForm
+    exact: bool,
+    tolerance: float | None,
+    rank: int | None,
+    knots: int | ArrayLike | None,
+    pose: PoseForm,
+    between: BetweenName,
 ) -> None:
     if exact and not (tolerance is None and rank is None and knots is None):
         raise SettingsError("exact models keep everything; leave out tolerance, rank and knots, or exact")
@@ -288,3 +342,5 @@ def _check_options(
         raise SettingsError(f"rank is {rank}; a whole number of shape modes, zero or more, is expected")
     if pose not in POSE_FORMS:
         raise SettingsError(f"pose is {pose!r}; 'modes' or 'keys' is expected")
+    if between not in BETWEENS:
+        raise SettingsError(f"between is {between!r}; {', '.join(BETWEENS)} are possible")

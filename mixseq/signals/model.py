@@ -23,6 +23,7 @@ from mixseq.mesh.polygons import read_only
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress
+from mixseq.sequence.events import Events
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import LazyFrames
@@ -30,6 +31,7 @@ from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
 from mixseq.signals.pose import Plane, PoseMap, fit_plane
 from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.temporal_pieces import Timing
 from mixseq.types import Float, IntArray
 
 if TYPE_CHECKING:
@@ -188,6 +190,16 @@ class Model(Decodable, PickledWithoutCaches):
             for row, weight in zip(blended, weights, strict=True):
                 row[:] = weight @ self.shapes
         return blended
+
+    @property
+    def timing(self) -> Timing:
+        """The timing of the frames, from the breaks of the signals: jumps between frames, and corners at frames."""
+        breaks = np.unique(np.concatenate([curve.breaks for curve in self.curves]))
+        before = np.searchsorted(self.times, breaks, side="right") - 1
+        is_inside = (before >= 0) & (before < len(self.times) - 1)
+        is_frame = self.times[before] == breaks
+        cuts, keys = (tuple(np.unique(before[is_inside & mask]).tolist()) for mask in (~is_frame, is_frame))
+        return Timing(Events(cuts=cuts, keys=keys))
 
     @property
     def vectors(self) -> Float:

@@ -74,17 +74,23 @@ def _from_frames(vectors: LargeArray, metric: Float) -> Modes:
     gram = np.zeros((count, count))
     for columns, block in column_blocks(vectors):
         mean[columns] = block.mean(axis=0)
-        weighted = (block - mean[columns]) * metric[columns]
+        weighted = block - mean[columns]
+        weighted *= metric[columns]
         gram += weighted @ weighted.T
+        del block, weighted  # blocks of many frames are as large as the Gram matrix
     # Separate the direction (1, ..., 1) of the mean, with eigenvalue zero, from modes with eigenvalues near zero.
     gram += 2.0 * (np.trace(gram) or 1.0) / count
     directions = np.linalg.eigh(gram)[1][:, -2::-1].T
+    del gram
     largest = np.abs(directions).argmax(axis=1)
     directions = directions * np.sign(directions[np.arange(count - 1), largest])[:, None]
 
     def deviations(rows: Float) -> Iterator[tuple[slice, Float]]:
         for columns, block in column_blocks(vectors):
-            yield columns, np.asarray(rows @ (block - mean[columns]) / np.sqrt(count))
+            deviation = rows @ (block - mean[columns])
+            del block
+            deviation /= np.sqrt(count)
+            yield columns, deviation
 
     squares = np.zeros(count - 1)
     for columns, block in deviations(directions):
@@ -113,7 +119,8 @@ def _from_coordinates(vectors: LargeArray, metric: Float) -> Modes:
     signs = np.where(scores.max(axis=0, initial=0.0) < -scores.min(axis=0, initial=0.0), -1.0, 1.0)
     sizes = np.sqrt(np.einsum("tr,tr->r", scores, scores))
     order = _significant_modes(sizes)
-    scores, sizes = scores[:, order] * signs[order], sizes[order]
+    scores, sizes = scores[:, order], sizes[order]
+    scores *= signs[order]
     directions = (axes[:, order] * signs[order]).T
 
     def deviations(rank: int) -> Iterator[tuple[slice, Float]]:

@@ -127,6 +127,10 @@ class TemporalOperator:
         weights[is_frame] = at_frame[is_frame]
         return FrameWeights(frame_ids, weights, len(self.times))
 
+    def add_breaks(self, times: Float) -> Float:
+        """Return times ``(N,)`` with those at which the motion breaks, twice; this operator has none."""
+        return times
+
     def leave_one_out(self, cubic: bool = False) -> tuple[Index, FrameWeights]:
         """Return evenly spread inner frames ``(n,)``, and the weights of the other frames at their times."""
         inner = np.arange(1, len(self.times) - 1)

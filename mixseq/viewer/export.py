@@ -117,8 +117,9 @@ class ExportSettings:
     """Settings of a page."""
 
     fps: float | None = None  # poses per second, by default the frame rate of each mesh
-    every: int = 1  # step between stored poses; the page interpolates linearly
+    every: int = 1  # step between stored poses; the page plays a spline through them
     max_error: float = 1e-3  # bound of vertex errors, in diagonals; compressed meshes keep their own bounds
+    inbetweens: bool = True  # whether to fit a model to poses, whose motion between them the page shows
     overlaid: bool = False  # whether meshes are initially overlaid, instead of side by side
     title: str | None = None  # title of the page, by default the names of the meshes
     camera: tuple[float, float] | None = None  # initial view, see `mixseq.pictures.scene.resolve_view`
@@ -162,7 +163,7 @@ def export_page(
         page_poses = collect_poses(item.mesh, elapsed, first, stages.at(2 * number), workers, settings.camera)
         first = first or (item.mesh.header, page_poses)
         stage = stages.at(2 * number + 1)
-        meshes.append(encode_mesh(item, elapsed, page_poses, tops, settings.max_error, stage))
+        meshes.append(encode_mesh(item, elapsed, page_poses, tops, settings.max_error, settings.inbetweens, stage))
         stage(1, 1, "compressing")
     descriptions, data, reports = zip(*meshes, strict=True)
     description = {

@@ -36,7 +36,7 @@ from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import LazyFrames, check_block, iterate_blocks
-from mixseq.types import Float, FloatArray, Index
+from mixseq.types import Float, FloatArray, Index, IntArray
 from mixseq_io.coded.packing import pack
 
 PAGE_ENCODING = "utf-16-le"
@@ -212,6 +212,7 @@ class PageItemReport:
     frames: int  # number of poses
     max_error: float  # bound of vertex errors, in diagonals of the first pose
     error: float  # the same bound in units of the mesh
+    between: float | None  # distance from the model between frames in diagonals, if it was measured
     history: str  # what the bound refers to, see `mixseq.sequence.provenance`
     positions: int  # bytes of mesh and motion before encoding as text
     colours: int  # bytes of colours before encoding as text
@@ -223,6 +224,7 @@ def encode_mesh(
     page_poses: PagePoses,
     tops: Mapping[str, float],
     max_error: float,
+    inbetweens: bool,
     progress: Progress = no_progress,
 ) -> tuple[dict[str, Any], list[bytes], PageItemReport]:
     """Compress the poses at elapsed times ``(n,)`` within `max_error` diagonals; `tops` are the ends of colour scales.
@@ -231,7 +233,10 @@ def encode_mesh(
     """
     header = item.mesh.header
     if item.compressed is None:
-        compressed, vertices = _compress_poses(header, elapsed, page_poses, max_error, progress)
+        parts = None if item.mesh.model is None else item.mesh.model.parts
+        if not inbetweens:  # players have no use for parts
+            parts = np.zeros(len(header.faces), dtype=np.int64)
+        compressed, vertices = _compress_poses(header, elapsed, page_poses, max_error, parts, inbetweens, progress)
     else:
         vertices = np.arange(header.vertex_count)
         geometry_header = replace(item.compressed.header, surface=Surface(), name="")
@@ -245,7 +250,7 @@ def encode_mesh(
         colourings.append(description if data is None else {**description, "data": 1 + len(stored)})
         stored += [] if data is None else [data]
     parameters, has_frame_times = compressed.parameters, _has_frame_times(compressed.header, elapsed)
-    error = parameters.max_error * parameters.diagonal
+    error, between = parameters.max_error * parameters.diagonal, parameters.inbetween_error
     description = {
         "name": item.mesh.name,
         "coding": container.text.decode("ascii"),
@@ -259,12 +264,13 @@ def encode_mesh(
         "still": _describe_extent(page_poses.still, page_poses),
         "following": _describe_extent(page_poses.following, page_poses),
         "error": float(f"{error:.3g}"),
+        "between": None if between is None else float(f"{between * parameters.diagonal:.3g}"),
         "colourings": colourings,
         "signals": item.signals,
     }
     history = str(compressed.header.provenance or "")
     sizes = len(container.streams), sum(map(len, stored))
-    report = PageItemReport(item.mesh.name, len(elapsed), parameters.max_error, error, history, *sizes)
+    report = PageItemReport(item.mesh.name, len(elapsed), parameters.max_error, error, between, history, *sizes)
     return description, [container.streams, *stored], report
 
 
@@ -273,6 +279,8 @@ def _compress_poses(
     elapsed: Float,
     page_poses: PagePoses,
     max_error: float,
+    parts: IntArray | None,
+    inbetweens: bool,
     progress: Progress,
 ) -> tuple[CompressedSequence, Index]:
     """Return the compressed poses, and the original index of each vertex."""
@@ -280,9 +288,9 @@ def _compress_poses(
     geometry_header = replace(header.with_times(times, rate), surface=Surface(), name="")
     numbering = cheapest_numbering(geometry_header, "free")
     frames = numbering.renumber_frames(LazyFrames(geometry_header, lambda size: iterate_blocks(page_poses.poses)))
-    one_part = np.zeros(len(geometry_header.faces), dtype=np.int64)
-    coded = compress(frames, max_error=max_error, progress=progress, uvs=False, parts=one_part, inbetweens=False)
-    return replace(coded, parts=None), numbering.vertices  # players have no use for parts
+    parts = None if parts is None else numbering.renumber_labels(parts, header.polygons)
+    coded = compress(frames, max_error=max_error, progress=progress, uvs=False, parts=parts, inbetweens=inbetweens)
+    return replace(coded, parts=None), numbering.vertices
 
 
 def _regular_times(elapsed: Float, fps: float) -> tuple[Float, float]:

@@ -42,7 +42,7 @@ NAMES = (
 SCRIPT = Path(__file__).with_suffix(".mjs")
 """Decodes a file in JavaScript."""
 
-FRAMES = 40
+FRAMES = 400
 """Frames that are compared."""
 
 TOLERANCE = 1e-4

@@ -115,6 +115,22 @@ def test_finished_assets_are_skipped(bent_bar: MeshSequence) -> None:
 
 
 @pytest.mark.usefixtures("shots")
+def test_files_beside_failures_are_not_replaced_unasked(bent_bar: MeshSequence) -> None:
+    batch()
+    assert entry_of("three.npz").state == "failed"
+    Path("models/three.h5").write_text("somebody's own")
+    mixseq.write("shots/three.npz", bent_bar)  # repaired
+    result = batch()
+    assert result.exit_code == 2
+    assert "three.h5" in result.stderr
+    Path("models/three.h5").unlink()
+    Path("shots/one.npz").write_text("no mesh any more")
+    assert batch().exit_code == 1
+    mixseq.write("shots/one.npz", bent_bar)
+    assert batch().exit_code == 0  # the older model was made by the first batch
+
+
+@pytest.mark.usefixtures("shots")
 def test_model_of_equal_size_is_not_replaced_unasked() -> None:
     batch()
     model = Path("models/one.h5")

@@ -100,7 +100,7 @@ FAILURES: list[tuple[str, str]] = [
     ("decode model.h5 old.npz --fps nan --start 0", "fps is nan"),
     ("decode model.h5 old.npz --times 0;1", "--times.*'0;1' is not a list of seconds such as 0,0.5,1.25"),
     ("decode model.h5 old.npz --times 0,", "--times.*'0,' is not a list of seconds"),
-    ("decode model.h5 old.npz --end 3", r"models do not extrapolate; frame 3 is at 0\.3 s"),
+    ("decode model.h5 old.npz --end 3", r"motions are not extrapolated; frame 3 is at 0\.3 s"),
     ("decode model.h5 old.npz --frames 4", "there is no frame 4; frames are 0 to 3"),
     ("decode model.h5 old.npz --frames 1 --times 0", "leave out --times"),
     ("decode model.h5 old.npz --frames 1-2 --end 0", "leave out --end"),

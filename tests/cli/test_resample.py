@@ -240,9 +240,9 @@ def test_velocities_that_cannot_be_held(run: Run, command: str) -> None:
         ("model.h5 old.npz --speed 1e-300", "are 3e.* frames, more than"),
         (
             "model.h5 old.npz --start -1",
-            r"time -1 s is outside the sequence, 0 to 0.3 s \(frames 0 to 3\); models do not extrapolate$",
+            r"time -1 s is outside the sequence, 0 to 0.3 s \(frames 0 to 3\); motions are not extrapolated$",
         ),
-        ("model.h5 old.npz --end 2", r"models do not extrapolate; frame 2 is at 0\.2 s"),
+        ("model.h5 old.npz --end 2", r"motions are not extrapolated; frame 2 is at 0\.2 s"),
         ("model.h5 old.npz --frames 2-5", "there is no frame 5; frames are 0 to 3"),
         ("model.h5 old.npz --frames 0,2-3", "--frames is one range here"),
         ("model.h5 old.npz --frames 3-2", "'3-2' is not a range of frames"),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -74,6 +76,14 @@ def test_reading_goes_on_where_it_was(path: Path) -> None:
         if number % 2 == 0:
             assert next(velocities)[0, 0, 0] == -number
     assert [frames(each) for each in (*blocks, velocities)] == [[]] * 4
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no signals to block")
+def test_ctrl_c_does_not_end_a_worker_that_starts() -> None:
+    worker = isolation.WorkerProcess()
+    os.kill(worker._process.pid, signal.SIGINT)
+    assert worker.request(Path(), "close") is None
+    worker.close()
 
 
 def test_what_was_told_is_not_told_again(path: Path) -> None:

@@ -165,7 +165,7 @@ REFUSED = {
     ("swap_key", name): "no frame of the model; fit one with pose='keys'"
     for name in ("default", "h5", "glb", "h5 saved", "edited", "transferred")
 }
-LOST = {("with_shapes", name): "key shapes are no frames" for _, name in REFUSED}
+LOST = {("with_shapes", name): "own key poses give the motion back within" for _, name in REFUSED}
 
 
 class Motion(NamedTuple):

@@ -222,7 +222,7 @@ def test_a_model_may_last_longer_than_its_frames(model: Model) -> None:
         ({"speed": -1}, "speed is -1"),
         (
             {"start": -0.5},
-            r"time -0.5 s is outside the sequence, 0 to 0.8 s \(frames 0 to 8\); models do not extrapolate",
+            r"time -0.5 s is outside the sequence, 0 to 0.8 s \(frames 0 to 8\); motions are not extrapolated",
         ),
         ({"end": 0.9}, "time 0.9 s is outside the sequence, 0 to 0.8 s"),
         ({"end": np.nan}, "time nan s is outside"),

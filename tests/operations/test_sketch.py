@@ -147,7 +147,7 @@ def test_invalid_curves_are_refused(curve: Float, duration: float, message: str)
 @pytest.mark.realdata
 def test_a_gallop_drawn_through_its_frames(data: Path) -> None:
     """Between the frames it is nearer to the motion than frames blended two by two."""
-    gallop = mixseq.read(data / "npz" / "q_wolf_gallop.npz")
+    gallop = mixseq.read(data / "npz" / "fox_run.npz")
     model = fit(gallop, exact=True)
     places = model.embedding(model.times)
     sketched = sketch(model, places, model.end)

@@ -12,6 +12,7 @@ from mixseq.compression.numbering import walk_numbering
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.surface import CornerValues, Surface
 from mixseq.pictures.colours import SceneColours, check_original
+from mixseq.pictures.film import _colourings
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.sequence.sequence import FrameStore, MeshSequence, bounding_diagonal, load_frames
 from mixseq.signals.model import Model
@@ -111,6 +112,18 @@ def test_errors_are_against_the_original_at_the_same_time() -> None:
         np.testing.assert_allclose(errors.measure(moved.points[frame], frame / 10), share)
         np.testing.assert_allclose(errors.measure(sequence.points[frame], frame / 10), 0, atol=1e-7)
     assert errors.top == pytest.approx(share)
+
+
+def test_errors_from_an_original_that_grows_from_a_point_are_in_its_largest_diagonal() -> None:
+    growing = grown(2.0).with_points(np.linspace(0, 2, 11)[:, None, None] * tetrahedron()[0])
+    moved = growing.with_points(growing.points + np.array([0.3, 0.0, 0.4]))
+    error = SceneColours(Scene((item_of(moved),)), original_of(growing)).of_mesh(0)["error"]
+    assert error.measure is not None
+    expected = 0.5 / (2 * bounding_diagonal(tetrahedron()[0]))
+    np.testing.assert_allclose(error.measure(moved.points[4], 0.4), expected, rtol=1e-6)
+    film_error = _colourings([item_of(moved)], [item_of(moved).decode(growing.times)], "error", item_of(growing))
+    assert film_error[0].measure is not None
+    np.testing.assert_allclose(film_error[0].measure(moved.points[4], 0.4), expected, rtol=1e-6)
 
 
 def test_an_edited_model_has_the_scale_that_it_had(bar_model: Model) -> None:

@@ -70,3 +70,24 @@ def test_more_knots_on_a_curve_do_not_change_it(extra: list[float]) -> None:
 def test_unsound_curves_are_refused(times: list[float], values: Float, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         Curve(np.array(times), values)
+
+
+BROKEN = Curve(np.array([0.0, 1, 2, 3, 3, 4, 5, 6, 6, 7]), np.array([[0.0, 1, 4, 9, 2, 1, 0, -1, -1, 5]]).T)
+"""A parabola, a jump to a line, and a corner to another line."""
+
+
+def test_times_given_twice_break_a_curve() -> None:
+    t = np.array([0.5, 2.5, 3.0, 3.5, 5.75, 6.0, 6.5])
+    np.testing.assert_allclose(BROKEN(t)[:, 0], [0.25, 6.25, 2, 1.5, -0.75, -1, 2], atol=1e-13)
+    np.testing.assert_allclose(BROKEN.derivative(t)[:, 0], [1, 5, -1, -1, -1, 6, 6], atol=1e-12)
+    assert BROKEN.breaks.tolist() == [3, 6]
+    assert [piece(piece.end).item() for piece in BROKEN.pieces] == [9, -1, 5]
+    again = Curve.from_pieces(BROKEN.pieces)
+    np.testing.assert_array_equal(again.times, BROKEN.times)
+    np.testing.assert_array_equal(again.values, BROKEN.values)
+
+
+@pytest.mark.parametrize("times", [[0.0, 0, 1], [0.0, 1, 1], [0.0, 1, 1, 1, 2], [0.0, 1, 1, 0.5]])
+def test_only_inner_knots_may_be_given_twice(times: list[float]) -> None:
+    with pytest.raises(SettingsError, match="finite and increase"):
+        Curve(np.array(times), np.zeros((len(times), 1)))

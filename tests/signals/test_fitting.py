@@ -31,6 +31,7 @@ from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from mixseq.spaces.temporal import FrameWeights
 from mixseq.types import Float
 from tests.meshes import bar, tube
+from tests.motions import MESH, moving
 
 SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
 
@@ -283,3 +284,36 @@ def test_few_frames_of_large_meshes_are_left_out(monkeypatch: pytest.MonkeyPatch
     assert all(len(frames) == 1 and 0 < frames[0] < 24 for frames in left_out)
     assert len(np.unique(left_out)) == 16
     np.testing.assert_allclose(found[0].weights.sum(axis=1), 1.0)
+
+
+def test_cuts_are_found_chosen_or_left_out() -> None:
+    points = moving(np.arange(16.0))
+    points[9:] += 50
+    shot = MeshSequence.from_arrays(points, MESH[1], fps=10)
+    found = fit(shot, exact=True)
+    np.testing.assert_allclose(found.sample().points, points, atol=1e-8)
+    before, after = found(0.8499), found(0.8501)
+    assert np.abs(before - points[8]).max() < 1 < 48 < (after - before).min()
+    np.testing.assert_array_equal(fit(shot, exact=True, cuts=[9]).vectors, found.vectors)
+    smooth = fit(shot, exact=True, cuts="none")
+    assert 20 < (smooth(0.85) - points[8]).mean() < 30
+    assert np.abs(fit(shot)(0.8501) - after).max() < 0.05  # also with few knots
+    unknown: Any
+    for unknown in ([0], [16], [1.5]):
+        with pytest.raises(SettingsError, match="first frames after cuts are expected, whole numbers from 1 to 15"):
+            fit(shot, cuts=unknown)
+    with pytest.raises(SettingsError, match="between is 'fast'; auto, smooth, linear, hold are possible"):
+        fit(shot, between="fast")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("space", SPACES)
+def test_poses_on_twos_are_kept_or_made_smooth(space: SpaceName) -> None:
+    frames = np.floor(np.arange(20) / 2) * 2
+    shot = MeshSequence.from_arrays(moving(frames), MESH[1], fps=20)
+    kept, smooth = (fit(shot, exact=True, space=space, between=between) for between in ("auto", "smooth"))
+    np.testing.assert_allclose(kept.sample().points, shot.points, atol=1e-8)
+    np.testing.assert_allclose(kept(0.17), shot.points[3], atol=1e-5)
+    assert smooth.times.tolist() == shot.times.tolist()
+    at = np.arange(4.0, 14)
+    np.testing.assert_allclose(smooth.sample(times=at / 20).points, moving(at), atol=0.01)
+    assert np.abs(kept.sample(times=at / 20).points - moving(at)).max() > 0.05

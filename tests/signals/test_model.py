@@ -19,7 +19,7 @@ from mixseq.signals.model import Model
 from mixseq.spaces.temporal import insert_midpoints, select_operator
 from tests.meshes import bar, rotation, tube
 
-UNEVEN = [-0.5, 0.0, 0.1, 0.75, 2.0]
+UNEVEN = [-0.5, 0.0, 0.15, 0.75, 2.0]
 
 
 def small(frames: int = 5, times: list[float] | None = None) -> MeshSequence:

@@ -383,7 +383,7 @@ def test_memory_does_not_grow_with_the_frames(tmp_path: Path, monkeypatch: pytes
         mesh = Given("bar", FrameStore(header, sequence.points), poses, header.times)
         item = PageItem(mesh, available_colourings(header, rest))
         tracemalloc.start()
-        export_page(tmp_path / "a.html", [item])
+        export_page(tmp_path / "a.html", [item], ExportSettings(inbetweens=False))
         most = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return most

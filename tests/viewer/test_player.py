@@ -20,8 +20,10 @@ from mixseq.pictures.scene import SceneItem
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
+from mixseq.spaces.temporal import insert_midpoints
 from mixseq.viewer.export import ExportSettings, export_page
 from mixseq.viewer.export_data import PageItem
+from tests.compression.encoder.test_inbetweens import bending_tube
 from tests.meshes import bar, coarse_walk
 from tests.viewer.conftest import SCREENSHOTS, Keep, NewPage, Watched
 from tests.viewer.pages import Opened
@@ -235,6 +237,37 @@ def test_the_browser_finds_what_python_does(new_page: NewPage, bar_page: Path, w
         for colours, (measure, unit, top) in zip(pose["measured"], measures, strict=True):
             shares = np.clip(unit * measure(points) / top, 0, 1)
             np.testing.assert_allclose(colours, 255 * shares, atol=0.6)
+
+
+CURVE = """(async () => {
+  const { items: [item], source } = mixseqPlayer, found = [];
+  for (let k = 0; k <= 4 * (item.times.length - 1); k++) {
+    const before = item.times[k >> 2], after = item.times[Math.ceil(k / 4)];
+    const time = before + ((k % 4) / 4) * (after - before);
+    found.push([...(await source.ask("pose", { mesh: 0, pose: k, time })).places]);
+  }
+  return { found, text: document.getElementById("facts").textContent };
+})()"""
+"""Places at the frames and at the quarters between them, and what the page says."""
+
+
+def test_the_browser_shows_in_betweens(new_page: NewPage, tmp_path: Path) -> None:
+    report = export_page(tmp_path / "tube.html", [exported("tube", bending_tube())]).items[0]
+    made = Player(new_page(*SMALL), tmp_path / "tube.html").run(f"await {CURVE}")
+    item = Opened(tmp_path / "tube.html").items[0]
+    assert len(item.model.inbetweens) > 0
+    expected = item.model.sample(insert_midpoints(insert_midpoints(item.model.times))).points
+    np.testing.assert_allclose(np.reshape(made["found"], expected.shape), expected, atol=2e-6)
+    assert report.between is not None
+    assert f"{item.description['between']} units from the model between frames" in made["text"]
+    diagonal = report.error / report.max_error
+    assert item.description["between"] == pytest.approx(report.between * diagonal, rel=0.01)
+
+
+def test_in_betweens_are_left_out(tmp_path: Path) -> None:
+    report = export_page(tmp_path / "tube.html", [exported("tube", bending_tube())], ExportSettings(inbetweens=False))
+    assert report.items[0].between is None
+    assert not Opened(tmp_path / "tube.html").items[0].model.inbetweens
 
 
 def test_names_are_shown_as_they_are(one: Player) -> None:

@@ -161,6 +161,28 @@ def test_texts_that_cannot_be_are_refused(node: Node, tmp_path: Path) -> None:
         assert expected in told, text[-200:]
 
 
+def test_truncated_files_are_refused(node: Node) -> None:
+    golden = Path(__file__).parents[1] / "formats/golden/compressed-v1-between.glb"
+    source = """
+import { readFileSync } from "node:fs";
+import { readGlb } from "player/glb.js";
+const file = new Uint8Array(readFileSync(process.argv[2]));
+for (let size = 0; size < file.length - 4; size++) {
+  try {
+    readGlb(file.slice(0, size).buffer);
+    console.log(size);
+  } catch (error) {
+    if (error.name !== "MixseqError") throw error;
+  }
+}
+"""
+    data = golden.read_bytes()
+    size = int.from_bytes(data[12:16], "little")
+    streams = json.loads(data[20 : 20 + size])["bufferViews"][1]
+    extension_end = 28 + size + streams["byteOffset"] + streams["byteLength"]  # behind it is the still
+    assert list(map(int, node(source, golden).split())) == list(range(extension_end, len(data) - 4))
+
+
 def test_files_of_other_versions_are_refused(node: Node, tmp_path: Path) -> None:
     data = (Path(__file__).parents[1] / "formats/golden/compressed-v1-between.glb").read_bytes()
     assert data.count(b'"version":1,') == 1

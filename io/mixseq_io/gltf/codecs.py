@@ -307,8 +307,8 @@ class DracoTriangles:
     triangle_count: int
 
 
-def compress_triangles(triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> DracoTriangles:
-    """Compress triangles ``(F, 3)`` and attributes ``(n, k)`` given by glTF name; store colours as bytes."""
+def compress_triangles(triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> DracoTriangles | None:
+    """Compress triangles ``(F, 3)`` and attributes ``(n, k)`` by glTF name; return None if none has an area."""
     if find_spec("DracoPy") is None:
         raise MissingExtraError(
             "a compressed still needs DracoPy: pip install 'mixseq[gltf]', or write a plain one (--still plain)"
@@ -329,7 +329,9 @@ def compress_triangles(triangles: NDArray[np.uint32], attributes: Mapping[str, S
             tex_coord_quantization_bits=None if uvs is None else _UV_BITS,
         )
         decoded = DracoPy.decode(data)
-    except (DracoPy.EncodingFailedException, DracoPy.FileTypeException, ValueError) as error:
+    except DracoPy.EncodingFailedException:
+        return None
+    except (DracoPy.FileTypeException, ValueError) as error:
         raise OutputError(f"Draco cannot compress the first frame ({error}); use --still plain") from error
     by_name = {_ATTRIBUTE_NAMES[each["attribute_type"]]: each for each in decoded.attributes}
     return DracoTriangles(

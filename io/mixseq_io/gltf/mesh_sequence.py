@@ -287,6 +287,9 @@ def _add_plain(layout: Layout, triangles: NDArray[np.uint32], attributes: Mappin
 
 def _add_draco(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
     compressed = compress_triangles(triangles, attributes)
+    if compressed is None:
+        warn("Draco compresses no triangles without area; the still of these is plain")
+        return _add_plain(layout, triangles, attributes)
     view = layout.add([compressed.data], len(compressed.data))
     accessors = {
         name: _add_empty_accessor(layout, len(values), f"VEC{values.shape[1]}", COMPONENT_TYPES[values.dtype.str[1:]])
@@ -370,6 +373,7 @@ def _create_layout(
     node = {**name_member(header.name), "mesh": append(document, "meshes", entry), **transform}
     document["scene"], document["scenes"] = 0, [{"nodes": [append(document, "nodes", node)]}]
     document["extensionsUsed"] = sorted(collect_extensions(document))
-    if still != "plain":
-        document["extensionsRequired"] = [DRACO_EXTENSION if still == "draco" else SEQUENCE_EXTENSION]
+    required = {"draco": DRACO_EXTENSION, "none": SEQUENCE_EXTENSION}.get(still)
+    if required in document["extensionsUsed"]:
+        document["extensionsRequired"] = [required]
     return layout

@@ -22,6 +22,7 @@ from mixseq.errors import FormatError
 from mixseq.runtime.interrupts import uninterrupted
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MAX_LENGTH, MIN_LENGTH
+from mixseq.signals.curve import is_increasing
 from mixseq.types import Float, Index
 from mixseq_io.files import atomic_file
 from mixseq_io.hdf5.contents import Contents
@@ -205,13 +206,13 @@ def read_floats(file: Contents, name: str, shape: tuple[int | None, ...], limit:
     return array
 
 
-def read_increasing_times(file: Contents, name: str) -> Float:
-    """Read one or more strictly increasing times ``(n,)``."""
+def read_increasing_times(file: Contents, name: str, of_curve: bool = False) -> Float:
+    """Read one or more strictly increasing times ``(n,)``; knots of a curve may be given twice."""
     times = read_floats(file, name, (None,))
     if not len(times):
         raise FormatError(f"{file.path}: {name} is empty; at least one time is needed")
     decreasing = np.flatnonzero(np.diff(times) <= 0)
-    if len(decreasing):
+    if len(decreasing) and not (of_curve and is_increasing(times)):
         row = int(decreasing[0]) + 1
         raise FormatError(
             f"{file.path}: {name} does not increase in row {row}: {times[row]:g} s after {times[row - 1]:g} s"

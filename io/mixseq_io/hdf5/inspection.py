@@ -22,7 +22,6 @@ from mixseq.errors import FormatError
 from mixseq_io.files import check_memory
 from mixseq_io.hdf5.contents import Contents, translate_h5_errors
 from mixseq_io.isolation import limit_time
-from mixseq_io.reader import summarize_error
 
 MAX_OBJECTS_PER_FILE = 1000
 """Largest number of groups and datasets; mixseq's files have about 30."""
@@ -180,7 +179,7 @@ def _read_arrays(
             try:
                 arrays[name] = dataset[...]
             except OSError as error:
-                raise FormatError(f"{path}: {name} is damaged ({summarize_error(error)}); restore the file") from error
+                raise FormatError(f"{path}: {name} is damaged; restore the file") from error
     return arrays
 
 

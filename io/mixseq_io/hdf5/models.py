@@ -268,10 +268,10 @@ def write_signals(file: h5py.File, model: Model, space: StoredSpace) -> None:
 def read_signals(file: Contents, header: SequenceHeader, space: StoredSpace) -> Model:
     """Read signals whose shape vectors belong to the given space, and return the model."""
     pose = _read_pose(file)
-    knots = read_increasing_times(file, "signals/time/times")
+    knots = read_increasing_times(file, "signals/time/times", of_curve=True)
     time = Curve(knots, read_floats(file, "signals/time/values", (len(knots), pose.dim)))
     shapes = _read_blocks(file, "signals/shape", shape_blocks(space), len(pose.offset))
-    placement_knots = read_increasing_times(file, "signals/placement/times")
+    placement_knots = read_increasing_times(file, "signals/placement/times", of_curve=True)
     placements = _read_blocks(file, "signals/placement", placement_blocks(space), len(placement_knots))
     if (np.linalg.norm(space.unpack_placements(placements).rotations, axis=2) < _MIN_QUATERNION_NORM).any():
         raise FormatError(f"{file.path}: signals/placement/rotations has quaternions that are nearly zero")
@@ -279,7 +279,7 @@ def read_signals(file: Contents, header: SequenceHeader, space: StoredSpace) -> 
     _check_time_range(file, header, time=time, placement=placement)
     if not space.correction_dim:
         return Model(header, space, time, pose, shapes, placement)
-    knots = read_increasing_times(file, "signals/correction/times")
+    knots = read_increasing_times(file, "signals/correction/times", of_curve=True)
     blocks = _read_blocks(file, "signals/correction", correction_blocks(space), len(knots))
     correction = Curve(knots, blocks)
     _check_time_range(file, header, correction=correction)

@@ -222,10 +222,8 @@ def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
         earlier = roots[max(0, number - MAX_ROOT_NEIGHBOURS) : number]
         neighbours[root, : len(earlier)] = earlier
         counts[root] = len(earlier)
-    neighbour_mask = np.arange(MAX_NEIGHBOURS) < counts[:, None]
-    weights = neighbour_mask / np.maximum(counts, 1)[:, None]
     # Roots come first, as coarser levels are coded before finer ones.
-    return _order_graph([roots, *levels[::-1]], neighbours, counts, weights, ring, ring_starts)
+    return _order_graph([roots, *levels[::-1]], neighbours, counts, ring, ring_starts)
 
 
 class Level(NamedTuple):
@@ -310,7 +308,7 @@ def path_graph(count: int) -> SignalGraph:
     frames = np.arange(count)
     pairs = np.stack([frames[:-1], frames[1:]], axis=1)
     ring_starts, ring = edge_neighbours(pairs, count)
-    return replace(_order_graph(levels, neighbours, counts, weights, ring, ring_starts), is_over_time=True)
+    return replace(_order_graph(levels, neighbours, counts, ring, ring_starts, weights), is_over_time=True)
 
 
 def _take(nodes: Index, ids: Index) -> tuple[Index, Mask]:
@@ -334,16 +332,21 @@ def _order_graph(
     levels: list[Index],
     neighbours: Index,
     counts: Index,
-    weights: Float,
     ring: Index,
     ring_starts: Index,
+    weights: Float | None = None,
 ) -> SignalGraph:
-    """Return a graph with nodes in coding order, from arrays with the numbers of vertices or frames."""
+    """Return a graph with nodes in coding order, from arrays with the numbers of vertices or frames.
+
+    Without weights, all neighbours of a node have the same weight.
+    """
     order = np.concatenate(levels)
     inverse = np.argsort(order)
     # Read-only like the arrays of stencils, so that numba compiles only once.
     starts, ring = renumber_adjacency(read_only(ring_starts), read_only(ring), order, read_only(inverse))
     counts = counts[order]
     neighbour_mask = np.arange(neighbours.shape[1]) < counts[:, None]
-    neighbours = np.where(neighbour_mask, inverse[neighbours[order]], 0)
-    return SignalGraph(order, neighbours, counts, weights[order], ring, starts)
+    neighbours = inverse[neighbours[order]]  # a tenth of a gigabyte for a million vertices
+    neighbours[~neighbour_mask] = 0
+    weights = neighbour_mask / np.maximum(counts, 1)[:, None] if weights is None else weights[order]
+    return SignalGraph(order, neighbours, counts, weights, ring, starts)

@@ -130,9 +130,9 @@ def compress(
         frames = load_frames(sequence, stages.at(0))
         unit = frames.diagonal or 1.0
         labels = _segment(frames, parts)
-        label_size = 0 if labels is None else len(encode_face_labels(labels, header.faces))
-        if size is not None and size > label_size:
-            size -= label_size
+        if size is not None and labels is not None:
+            label_size = len(encode_face_labels(labels, header.faces))
+            size -= label_size if size > label_size else 0
         coded = _search_streams(frames, stages, chunk, unit, max_error, kg, size)
         stages.at(1 + MAX_ROUNDS)(0, 1, "checking")
         playback = decode(coded)

@@ -63,7 +63,7 @@ class PoseInterpolation:
         """Return body poses ``(N, B)`` and part poses in body axes ``(N, p)`` at times ``(N,)``; exact at frames."""
         weights = self.operator.weights_at(times)
         bodies, parts = (interpolate_poses(weights, poses) for poses in self._split(self.poses))
-        if len(self.operator.times) < 3:
+        if len(self.operator.times) < 3 or not len(self._left_out[0]):
             return bodies, parts
         is_frame = np.isin(times, self.operator.times)[:, None, None]
         new_bodies, new_parts = self.interpolate(weights)

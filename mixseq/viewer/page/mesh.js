@@ -55,9 +55,10 @@ var mixseqRenderer = function (canvas) {
     return texture;
   }
 
-  /** Slot with a pose and its colours, uploaded if needed. */
-  function slotOf(mesh, pose, colouring) {
-    const slot = mesh.slots[pose.number & 1], shown = pose.colours ?? mesh.colourings[colouring].of?.(pose.number) ?? new Uint8Array(mesh.vertices);
+  /** Slot with a pose and its colours, uploaded if needed; the slot of another pose is kept. */
+  function slotOf(mesh, pose, other, colouring) {
+    const slot = mesh.slots.find((each) => each.pose === pose) ?? mesh.slots.find((each) => each.pose !== other);
+    const shown = pose.colours ?? mesh.colourings[colouring].of?.(pose.frame) ?? new Uint8Array(mesh.vertices);
     if (slot.pose !== pose) {
       fill(slot.places, pose.places);
       fill(slot.normals, pose.normals);
@@ -82,7 +83,7 @@ var mixseqRenderer = function (canvas) {
 
   /** Bind the buffers of a mesh for drawing; returns its uniforms. */
   function bindPose({ mesh, now, next, share, colouring, moved }, target) {
-    const slots = [now, next].map((pose) => slotOf(mesh, pose, colouring));
+    const slots = [slotOf(mesh, now, next, colouring), slotOf(mesh, next, now, colouring)];
     gl.bindVertexArray(arrays);
     slots.forEach(({ places, normals, colours }, k) => {
       attribute("p" + k, places, 3, gl.FLOAT);
@@ -149,7 +150,7 @@ var mixseqRenderer = function (canvas) {
 
   /** Draw a point with all programs: drivers finish compiling them at the first draw. */
   function warmUp(look) {
-    const zero = [0, 0, 0], pose = { number: 0, places: new Float32Array(3), normals: new Float32Array(3), colours: new Uint8Array(1) };
+    const zero = [0, 0, 0], pose = { frame: 0, places: new Float32Array(3), normals: new Float32Array(3), colours: new Uint8Array(1) };
     const mesh = meshOf({ vertices: 1, faces: new Uint32Array(3), centre: zero, colourings: [{ palette: [zero] }] });
     const shown = [{ mesh, now: pose, next: pose, share: 0, colouring: 0, tint: zero, moved: zero }];
     draw([{ box: [0, 0, 1, 1], shown, rows: [[1, 0, 0], [0, 0, -1], [0, 1, 0]], target: zero, scale: 1, shift: zero, ground: 0, reach: 1, size: 1 }], look);

@@ -7,6 +7,8 @@
   const canvas = element("view");
   const SLOW_FRAME = 90; // milliseconds per frame above which the resolution is halved
   const POSES_AHEAD = 8; // poses that are decoded before they are shown
+  const STEPS = 4; // poses per frame, between which vertices move along straight lines
+  const MAX_DECODING = 0.5; // share of the time of playback in which poses are decoded; beyond, there are fewer
   const darkness = window.matchMedia("(prefers-color-scheme: dark)");
   const LIGHT = { line: [0.45, 0.44, 0.42, 0.38], shade: [0.25, 0.24, 0.28, 0.42], ink: [0.1, 0.1, 0.12, 0.45] };
   const DARK = { line: [0.75, 0.75, 0.78, 0.26], shade: [0, 0, 0, 0.6], ink: [0.05, 0.05, 0.06, 0.5] };
@@ -100,21 +102,34 @@
     if (clock.playing && drawn) redraw();
   }
 
-  /** Request for a pose of a mesh, with its measured colours if they are shown. */
+  /** Request for a pose of a mesh, a number of steps from the first frame, with its measured colours if they are shown. */
   function request(mesh, pose) {
-    const { name, top, data: stored } = items[mesh].colourings[colouringOf(items[mesh])];
-    return { mesh, pose, time: pose && items[mesh].times[pose], ...(top && !stored ? { measure: name, top } : {}) };
+    const { name, top, data: stored } = items[mesh].colourings[colouringOf(items[mesh])], times = items[mesh].times ?? [0];
+    const before = times[Math.floor(pose / STEPS)], after = times[Math.ceil(pose / STEPS)];
+    return { mesh, pose, time: before + ((pose % STEPS) / STEPS) * (after - before), frame: Math.round(pose / STEPS), ...(top && !stored ? { measure: name, top } : {}) };
+  }
+
+  /** Current pose of an item, the steps to the next one, and its weight. */
+  function poseAt(item) {
+    const { pose, share } = clock.poseAt(item), place = STEPS * (pose + share), rate = source.seconds() * item.fps * items.length * clock.speed;
+    let steps = 1;
+    while (clock.playing && steps < STEPS && (STEPS / steps) * rate > MAX_DECODING) steps *= 2;
+    const first = Math.floor(place / steps) * steps;
+    return { pose: first, steps, share: (place - first) / steps };
   }
 
   /** Requests for the current poses and the following ones, in order. */
   function upcoming() {
-    const poses = items.map((item) => clock.poseAt(item).pose);
-    return Array.from({ length: POSES_AHEAD }, (_, k) => poses.map((pose, mesh) => request(mesh, (pose + k) % items[mesh].times.length))).flat();
+    const ahead = (item, mesh, k) => {
+      const { pose, steps } = poseAt(item);
+      return request(mesh, (pose + k * steps) % (STEPS * (item.times.length - 1) + steps));
+    };
+    return Array.from({ length: POSES_AHEAD }, (_, k) => items.map((item, mesh) => ahead(item, mesh, k))).flat();
   }
 
   /** Two poses of a mesh at the current time and their interpolation weight; the last ones until they are decoded. */
   function shownOf(item, mesh) {
-    const { pose, share } = clock.poseAt(item), now = source.find(request(mesh, pose)), next = share > 0 ? source.find(request(mesh, pose + 1)) : now;
+    const { pose, steps, share } = poseAt(item), now = source.find(request(mesh, pose)), next = share > 0 ? source.find(request(mesh, pose + steps)) : now;
     item.ready = Boolean(now && next);
     if (item.ready) item.last = { now, next, share, colouring: colouringOf(item) };
     return item.last;
@@ -226,9 +241,9 @@
     element("help-title").textContent = description.title;
     const number = (value) => value.toLocaleString("en");
     const frames = ({ times, start, fps }) => [...new Set([0, times.length - 1])].map((k) => mixseqFrame((start + times[k]) * fps)).join(" to ");
-    const facts = items.map((item) => ({ ...item, numbers: frames(item) })).map(({ name, vertices, faces, times, numbers, error }) =>
+    const facts = items.map((item) => ({ ...item, numbers: frames(item) })).map(({ name, vertices, faces, times, numbers, error, between }) =>
       `${name}: ${number(vertices)} vertices, ${number(faces.length / 3)} triangles, ${number(times.length)} ${times.length > 1 ? "frames" : "frame"} (${numbers}), ` +
-      `vertex error at most ${error} units in every frame`);
+      `vertex error at most ${error} units in every frame` + (between === null ? "" : `, ${between} units from the model between frames`));
     facts.push(`Made with mixseq ${description.version}.`);
     element("facts").replaceChildren(...facts.map((text) => Object.assign(document.createElement("p"), { textContent: text })));
   }

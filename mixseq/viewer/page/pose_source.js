@@ -4,12 +4,12 @@
 /**
  * Make a source of poses from the script that decodes them. `ask(ask, about)` sends a request to the decoder;
  * `want(requests)` sets the wanted poses {mesh, pose, time, measure, top}, the most urgent first; `find(request)` returns
- * such a pose, undefined if it is not decoded yet. `onPose()` is called for every decoded pose, `onError(error)` on failure.
+ * such a pose, undefined if it is not decoded yet; `seconds()` is the mean time in which a pose is decoded. `onPose()` is called for every decoded pose, `onError(error)` on failure.
  */
 var mixseqPoseSource = function (script, onPose, onError) {
   const MAX_CACHE_BYTES = 3e8, MAX_PENDING = 2; // pending requests keep the worker busy
   const cache = new Map(), waiting = [];
-  let worker = newWorker(), local = null, wanted = [], cacheBytes = 0, pending = new Set();
+  let worker = newWorker(), local = null, wanted = [], cacheBytes = 0, pending = new Set(), answered = 0, milliseconds = null;
 
   function newWorker() {
     try {
@@ -57,8 +57,19 @@ var mixseqPoseSource = function (script, onPose, onError) {
       if (pending.size >= MAX_PENDING) return;
       if (cache.has(name) || pending.has(name)) continue;
       pending.add(name);
-      ask("pose", request).then((pose) => store(name, { ...pose, number: request.pose }), onError);
+      const sent = performance.now();
+      ask("pose", request).then((pose) => {
+        measure(sent);
+        store(name, { ...pose, frame: request.frame });
+      }, onError);
     }
+  }
+
+  /** Update the mean time per pose; the first one is left out, with which the mesh is decoded. */
+  function measure(sent) {
+    const now = performance.now(), time = now - Math.max(sent, answered);
+    milliseconds = milliseconds === null ? 0 : 0.8 * milliseconds + 0.2 * time;
+    answered = now;
   }
 
   function store(name, pose) {
@@ -78,5 +89,5 @@ var mixseqPoseSource = function (script, onPose, onError) {
 
   const sizeOf = ({ places, colours }) => 2 * places.byteLength + (colours?.length ?? 0);
 
-  return { ask, want, find };
+  return { ask, want, find, seconds: () => milliseconds / 1000 };
 };

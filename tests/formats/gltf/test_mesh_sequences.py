@@ -22,7 +22,7 @@ from mixseq.types import FloatArray
 from mixseq_io.verification import compressed_sizes, read_container
 from tests.formats.compressed.stream_cases import assert_same
 from tests.formats.gltf_files import validate
-from tests.meshes import bar
+from tests.meshes import bar, torus
 
 NAME = "MIXSEQ_mesh_sequence"
 
@@ -269,6 +269,18 @@ def test_settings_are_checked(tmp_path: Path, coded: CompressedSequence, path: P
         mixseq.save(tmp_path / "walk.glb", coded, still="sharp")  # type: ignore[arg-type]
     with pytest.raises(SettingsError, match="holds a compressed model, which has no prim to choose"):
         mixseq.read(path, prim="/")
+
+
+def test_stills_without_areas_are_plain_where_draco_cannot_be(tmp_path: Path) -> None:
+    pytest.importorskip("DracoPy")
+    points, faces = torus(5, 4)
+    sequence = MeshSequence.from_arrays(np.stack([0 * points, points]), faces)
+    with pytest.warns(MixseqWarning, match="the still of these is plain"):
+        mixseq.save(tmp_path / "pop.glb", mixseq.compress(sequence, max_error=1e-3))
+    content, _ = document(tmp_path / "pop.glb")
+    assert "extensionsRequired" not in content
+    assert "extensions" not in content["meshes"][0]["primitives"][0]
+    assert np.abs(mixseq.load(tmp_path / "pop.glb")(1 / 24) - points).max() < 0.01
 
 
 def test_missing_draco_is_told(tmp_path: Path, coded: CompressedSequence, monkeypatch: pytest.MonkeyPatch) -> None:
