@@ -335,9 +335,24 @@ def translate_read_errors(path: Path | str, kind: str, *errors: type[Exception])
     except MemoryError:
         raise out_of_memory_error(path) from None
     except damage as error:
+        reason = _describe_damage(error)
         raise FormatError(
-            f"{path} cannot be read as {kind}; it is damaged, truncated or of another type ({summarize_error(error)})"
+            f"{path} cannot be read as {kind}; it is damaged, truncated or of another type"
+            + (f" ({reason})" if reason else "")
         ) from error
+
+
+class DamageError(ValueError):
+    """Damage that a parser of mixseq finds in a file, in words for users."""
+
+
+def _describe_damage(error: BaseException) -> str:
+    """Describe damage in the words of mixseq or of the operating system, never in those of libraries."""
+    if isinstance(error, OSError) and error.errno:
+        return os.strerror(error.errno)
+    if isinstance(error, KeyError) and str(error.args[0]).replace("/", "_").isidentifier():
+        return f"it has no {error.args[0]}"
+    return str(error) if isinstance(error, DamageError) else ""
 
 
 _PARSED_BYTES_PER_BYTE = 6

@@ -338,10 +338,18 @@ class AnimatedMesh:
         return self.motion.mesh
 
     @cached_property
+    def _first_points(self) -> Any:
+        return self.mesh.GetPointsAttr().Get(Usd.TimeCode(self.start))
+
+    @cached_property
     def weld(self) -> Weld:
         """Weld of the points for all frames, computed in the first frame."""
-        value = self.mesh.GetPointsAttr().Get(Usd.TimeCode(self.start))
-        return Weld.from_mesh(self.mesh, np.array(value or (), dtype=np.float32).reshape(-1, 3))
+        points = np.array(self._first_points or (), dtype=np.float32)
+        if not points.size:
+            raise InvalidSequenceError(f"{self.mesh.GetPath()} has no points")
+        if points.shape[1:] != (3,):
+            raise InvalidSequenceError(f"the points of {self.mesh.GetPath()} are not vectors of three numbers")
+        return Weld.from_mesh(self.mesh, points)
 
     @property
     def point_count(self) -> int:
@@ -371,7 +379,8 @@ class AnimatedMesh:
     def points(self, code: float, pose: Pose | None) -> NDArray[np.float32]:
         """Return the vertices ``(V, 3)`` in world space at a time code, given the skeleton's pose."""
         path = self.mesh.GetPath()
-        value = self.mesh.GetPointsAttr().Get(Usd.TimeCode(code))
+        is_first = code == self.start
+        value = self._first_points if is_first else self.mesh.GetPointsAttr().Get(Usd.TimeCode(code))
         if value is None:
             raise InvalidSequenceError(f"{path} has no points")
         if len(value) != self.point_count:

@@ -258,18 +258,57 @@ DRAWN = """async ([folder, frames]) => {
 }"""
 
 
+def serve(page: Page, folder: Path, changed: dict[str, bytes]) -> None:
+    """Let a page find the files of a folder, some of them changed."""
+
+    def answer(route: Route) -> None:
+        name = route.request.url.rpartition("/")[2]
+        file = folder / name
+        kind = {".js": "text/javascript", ".json": "application/json"}.get(file.suffix, "application/octet-stream")
+        body = changed.get(name) or (file.read_bytes() if file.is_file() else b"<!doctype html>")
+        route.fulfill(body=body, content_type=kind if file.is_file() else "text/html")
+
+    page.route("http://127.0.0.1/**", answer)
+    page.goto("http://127.0.0.1/page")
+
+
+OPENED = """async (folder) => {
+  const module = await import(folder + "webgl2.js");
+  return module.open(folder).then(() => "opened", (error) => error.message);
+}"""
+
+
+def test_a_browser_refuses_hostile_files(written: tuple[Path, VatReport], page: Page) -> None:
+    """Neither shaders nor addresses take what is no number or no name, and pictures unpack to what they say."""
+    folder, _ = written
+    vat, png = told(folder), (folder / "points.png").read_bytes()
+    width = vat["textures"]["points"]["width"]
+    header = png[:16] + (width + 1).to_bytes(4, "big") + png[20:]
+    many = {name: {**each, "width": 16384, "height": 16384} for name, each in vat["textures"].items()}
+    elsewhere = vat["textures"] | {"points": {**vat["textures"]["points"], "file": "//example.org/points.png"}}
+    scaled = vat["textures"] | {"normals": {**vat["textures"]["normals"], "scale": "1.0); while (true) {}"}}
+    hostile = {
+        "points.png is not 16384 by 16384": {"vat.json": json.dumps({**vat, "textures": many}).encode()},
+        "this PNG ends early": {"points.png": header},
+        "this PNG is damaged": {"points.png": png[:16] + b"\xff" * 8 + png[24:]},
+    }
+    for key, value in [
+        ("frames", "1; } void main() { while (true) {} }"), ("rows", -1), ("width", 2**31), ("kind", "__proto__"),
+        ("textures", None), ("textures", elsewhere), ("textures", scaled), ("textures", {"a b": {}}),
+    ]:  # fmt: skip
+        serve(page, folder, {"vat.json": json.dumps({**vat, key: value}).encode()})
+        assert "vat.json is damaged" in page.evaluate(OPENED, "http://127.0.0.1/fox.vat/"), key
+    for message, changed in hostile.items():
+        serve(page, folder, changed)
+        assert message in page.evaluate(OPENED, "http://127.0.0.1/fox.vat/")
+    serve(page, folder, {})
+    assert page.evaluate(OPENED, "http://127.0.0.1/fox.vat/") == "opened"
+
+
 def test_a_browser_draws_the_frames(written: tuple[Path, VatReport], fox: MeshSequence, page: Page) -> None:
     """At frames, and half-way between two of them, where motion is straight."""
     folder, report = written
-
-    def serve(route: Route) -> None:
-        file = folder / route.request.url.rpartition("/")[2]
-        kind = {".js": "text/javascript", ".json": "application/json"}.get(file.suffix, "application/octet-stream")
-        body = file.read_bytes() if file.is_file() else b"<!doctype html>"
-        route.fulfill(body=body, content_type=kind if file.is_file() else "text/html")
-
-    page.route("http://127.0.0.1/**", serve)
-    page.goto("http://127.0.0.1/page")
+    serve(page, folder, {})
     shown = page.evaluate(DRAWN, ["http://127.0.0.1/fox.vat/", [0, 3, 3.5, 7, 9]])
     assert shown["error"] == 0
     vertices, diagonal = Texels.from_header(fox.header).vertices, bounding_diagonal(fox.points[0])
