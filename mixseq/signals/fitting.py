@@ -300,12 +300,8 @@ def fit(
             max_error = largest_error(model, frames, workers=executor)
         else:
             search = stages.at(FIT_STAGES, MAX_TRIAL_MODELS)
-<<<<<<< HEAD
             bound = max_error - _rounding_share(frames, max_error)
             model = fit_within_tolerance(encoded, frames, bound, search, executor)
-        return replace(model, header=frames.trace(max_error, promised=not is_reduced))
-=======
-            model = fit_within_tolerance(encoded, frames, max_error, search, executor)
         header = frames.trace(max_error, promised=not is_reduced)
         if header.provenance and knots is None:
             text = replace(found, whole=chosen).describe(whole.header, between)
@@ -327,7 +323,6 @@ def _with_cuts(events: Events, cuts: CutChoice, header: SequenceHeader) -> Event
                 f"{header.frame_count - 1}"
             )
     return replace(events, cuts=tuple(frame - 1 for frame in frames), pops=())
->>>>>>> main
 
 
 def as_motion(source: Model | RigMotion | Frames, progress: Progress = no_progress) -> Model | RigMotion:
