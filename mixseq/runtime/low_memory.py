@@ -28,7 +28,7 @@ from numpy.typing import DTypeLike, NDArray
 from mixseq.errors import OutputError
 from mixseq.types import Float
 
-MAX_BYTES_IN_MEMORY = 1 << 28
+MAX_BYTES_IN_MEMORY = 1 << 27
 """Arrays up to this size are in memory, larger ones on disk."""
 
 _MAX_TILE_COLUMNS = 1 << 14

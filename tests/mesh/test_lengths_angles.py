@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from mixseq.mesh import measures
 from mixseq.mesh.measures import (
     Diagonal,
     corner_normals,
+    degenerate_faces,
     dihedral_angles,
     edge_lengths,
     hard_edges_from_normals,
+    triangle_areas,
     unwrap_angles,
     vector_areas,
     wrap_angles,
@@ -280,3 +285,36 @@ def test_triangles_have_the_normals_of_polygons() -> None:
     with_a_square = Polygons(np.append(np.full(40, 3), 4), np.append(triangles, [0, 0, 0, 0]))  # without an area
     expected = corner_normals(points, with_a_square)
     np.testing.assert_array_equal(corner_normals(points, Polygons.from_triangles(triangles)), expected)
+
+
+def test_blocks_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large meshes are measured in blocks: of one frame or several, and also where there are no elements."""
+    points, faces = tube(6, 9, length=3.0)
+    points = points + 0.1 * np.sin(7.0 * points[:, [1, 2, 0]])
+    topology, frames = topology_of((points, faces)), np.stack([points, 1.5 * points])
+
+    def measured() -> list[Float]:
+        none = np.zeros((0, 4), dtype=np.int64)
+        return [
+            edge_lengths(frames, topology.edges),
+            dihedral_angles(frames, topology.hinges),
+            degenerate_faces(frames, topology.faces, 0.5),
+            triangle_areas(points, topology.faces),
+            dihedral_angles(frames, none),
+        ]
+
+    whole = measured()
+    monkeypatch.setattr(measures, "ELEMENTS_PER_BLOCK", 8)
+    for before, after in zip(whole, measured(), strict=True):
+        np.testing.assert_array_equal(after, before)
+        assert after.dtype == before.dtype
+
+
+def test_many_hinges_take_less_memory_than_their_corners() -> None:
+    hinges = np.tile(HINGE, (300_000, 1))
+    tracemalloc.start()
+    angles = dihedral_angles(folded(30.0), hinges)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_allclose(angles, np.radians(30.0))
+    assert peak < 12 * angles.nbytes
