@@ -68,20 +68,24 @@ def memory_limit(size: float | None) -> Iterator[None]:
         _limit_of_call.reset(token)
 
 
+class LimitError(FormatError):
+    """A file that exceeds a limit as a whole, unlike a mesh that is damaged."""
+
+
 def check_memory(file: object, needed: float, part: str = "its contents") -> None:
     """Raise an error if the bytes `needed` for a part of a file exceed the memory limit."""
     limit = max_memory()
     if needed > limit:
-        raise FormatError(
+        raise LimitError(
             f"{file}: {part} would take {format_gigabytes(needed)} of memory, the limit is {format_gigabytes(limit)}; "
             f"if you trust it, allow more: --max-memory {format_gigabytes(1.5 * needed, 'GB')} "
             "(max_memory=... in Python)"
         )
 
 
-def out_of_memory_error(file: object) -> FormatError:
+def out_of_memory_error(file: object) -> LimitError:
     """Return the error to raise if reading a file has exhausted the memory."""
-    return FormatError(
+    return LimitError(
         f"{file}: reading needs more than {format_gigabytes(max_memory())} of memory, the limit, or than is free; the "
         "file is damaged, or more must be allowed: --max-memory (max_memory=... in Python)"
     )

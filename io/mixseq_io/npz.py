@@ -48,7 +48,7 @@ from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.files import atomic_file, check_memory, memory_limit
-from mixseq_io.reader import SequenceReader, prefix_errors, translate_read_errors, validate_blocks, warn
+from mixseq_io.reader import DamageError, SequenceReader, prefix_errors, translate_read_errors, validate_blocks, warn
 from mixseq_io.surfaces import SURFACE_ARRAY_NAMES, surface_from_arrays, surface_to_arrays
 
 _DAMAGE_ERRORS = (
@@ -108,7 +108,7 @@ class Archive:
         with self._file.open(member) as stream:
             header = self._header(name, stream)
             if header.dtype.hasobject:
-                raise ValueError(f"{name} has Python objects, which are not read")
+                raise DamageError(f"{name} has Python objects, which are not read")
             if stream.tell() + prod(header.shape) * header.dtype.itemsize != member.file_size:
                 raise FormatError(
                     f"{self._path}: {name} of shape {header.shape} do not fill their {member.file_size} bytes; it is "

@@ -56,7 +56,14 @@ from mixseq.types import FloatArray
 from mixseq_io.files import atomic_files
 from mixseq_io.numbered.files import with_article
 from mixseq_io.numbered.obj import lost_in_obj, obj_encoder
-from mixseq_io.reader import SequenceReader, as_float32, prefix_errors, translate_read_errors, validate_blocks
+from mixseq_io.reader import (
+    DamageError,
+    SequenceReader,
+    as_float32,
+    prefix_errors,
+    translate_read_errors,
+    validate_blocks,
+)
 from mixseq_io.scene_meshes import snap_to_frames
 from mixseq_io.surfaces import lost_scale, warn_of_losses
 
@@ -81,10 +88,10 @@ class CacheHeader:
 def _check_size(file: IO[bytes], header_size: int, frame_count: int, point_count: int) -> None:
     """Check that the counts match the file's size, before memory is allocated."""
     if frame_count < 1 or point_count < 1:
-        raise ValueError(f"its header has {frame_count} frames of {point_count} points")
+        raise DamageError(f"its header has {frame_count} frames of {point_count} points")
     size, expected = os.fstat(file.fileno()).st_size, header_size + 12 * frame_count * point_count
     if size != expected:
-        raise ValueError(f"{frame_count} frames of {point_count} points need {expected} bytes, it has {size}")
+        raise DamageError(f"{frame_count} frames of {point_count} points need {expected} bytes, it has {size}")
 
 
 class _CacheReader(SequenceReader):
@@ -208,10 +215,10 @@ def open_pc2(path: Path, mesh: MeshPath = None, fps: float = DEFAULT_FPS) -> Seq
 def _read_pc2_header(file: IO[bytes], fps: float) -> CacheHeader:
     data = file.read(_PC2_STRUCT.size)
     if len(data) < _PC2_STRUCT.size or not data.startswith(_PC2_MAGIC):
-        raise ValueError("it does not begin with POINTCACHE2 and a header")
+        raise DamageError("it does not begin with POINTCACHE2 and a header")
     _, version, point_count, first, step, frame_count = _PC2_STRUCT.unpack(data)
     if version != 1:
-        raise ValueError(f"its version is {version}, not 1")
+        raise DamageError(f"its version is {version}, not 1")
     _check_size(file, len(data), frame_count, point_count)
     with np.errstate(all="ignore"):
         return CacheHeader(len(data), "<", point_count, _even_times(first, step, frame_count, fps), fps)
@@ -257,7 +264,7 @@ def open_mdd(path: Path, mesh: MeshPath = None) -> SequenceReader:
 def _read_mdd_header(file: IO[bytes]) -> CacheHeader:
     data = file.read(_MDD_STRUCT.size)
     if len(data) < _MDD_STRUCT.size:
-        raise ValueError("it has no header")
+        raise DamageError("it has no header")
     frame_count, point_count = _MDD_STRUCT.unpack(data)
     header_size = len(data) + 4 * frame_count
     _check_size(file, header_size, frame_count, point_count)

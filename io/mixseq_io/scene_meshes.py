@@ -11,15 +11,17 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from mixseq.compression.numbering import find_numbering
-from mixseq.errors import AmbiguousError, FormatError
+from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, MixseqError
 from mixseq.mesh.polygons import PolygonMatch, Polygons, match_polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import Float, Index, IntArray
+from mixseq.types import Float, FloatArray, Index, IntArray
+from mixseq_io.files import LimitError
 from mixseq_io.reader import warn
 
 _MAX_LISTED_NAMES = 20
@@ -87,6 +89,68 @@ def select_moving_meshes(file: Path, meshes: Sequence[SceneObject], is_moving: S
             f"{format_names(static)}"
         )
     return [index for index, moves in enumerate(is_moving) if moves]
+
+
+_READ_ERRORS = (MixseqError, RuntimeError, ValueError, TypeError, LookupError, ArithmeticError)
+"""Errors of readers and libraries about damaged meshes."""
+
+Read = TypeVar("Read")
+
+
+def read_valid_meshes(
+    file: Path,
+    meshes: Sequence[SceneObject],
+    is_moving: Sequence[bool],
+    prepare: Callable[[list[int]], Callable[[int], Read]],
+) -> list[Read]:
+    """Read the moving meshes, or all if none moves; name those that cannot be read in a warning, and leave them out.
+
+    `prepare` takes the indices of the meshes that are read, and returns the function that reads one of them. If no mesh
+    can be read, the error of the first is raised.
+    """
+    errors: dict[int, Exception] = {}
+    while True:
+        candidates = [index for index in range(len(meshes)) if index not in errors]
+        chosen = [index for index in candidates if is_moving[index]] or candidates
+        if not chosen:
+            index, error = next(iter(errors.items()))
+            if isinstance(error, MixseqError):
+                raise error
+            raise FormatError(f"{file}: {_describe_damage(file, meshes[index].path, error)}") from error
+        read = prepare(chosen)
+        results, error_count = [], len(errors)
+        for index in chosen:
+            try:
+                results.append(read(index))
+            except LimitError:
+                raise
+            except _READ_ERRORS as error:
+                errors[index] = error
+        if len(errors) == error_count:
+            break
+    if errors:
+        reasons = [_describe_damage(file, meshes[index].path, error) for index, error in errors.items()]
+        warn(f"{file}: meshes that cannot be read are left out: {format_names(reasons, str)}")
+    select_moving_meshes(file, [meshes[i] for i in candidates], [is_moving[i] for i in candidates])  # for its warning
+    return results
+
+
+def _describe_damage(file: Path, mesh: str, error: Exception) -> str:
+    """Describe why a mesh cannot be read, in mixseq's words, without those of libraries."""
+    if not isinstance(error, MixseqError):
+        return f"{mesh} has values that are damaged or of another type"
+    reason = str(error).removeprefix(f"{file}: ")
+    return reason if mesh in reason else f"{mesh}: {reason}"
+
+
+def check_finite(points: FloatArray, frame_name: str) -> None:
+    """Raise an error if a coordinate of a mesh's points ``(V, 3)`` is not finite."""
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        vertex = int(finite.argmin())
+        raise InvalidSequenceError(
+            f"{frame_name}: vertex {vertex} is {points[vertex].tolist()}; coordinates must be finite"
+        )
 
 
 def common_name(meshes: Sequence[SceneObject]) -> str:

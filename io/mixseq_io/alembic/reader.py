@@ -2,7 +2,8 @@
 
 Frames are at all samples of the points and of the transforms above them. In a copy of an original written by mixseq,
 frames are at the samples of the new points only. Values between samples are interpolated linearly. Points are float32,
-as in Alembic. Alembic has no units and no up axis; programs assume Y up. Instances are read as ordinary objects.
+as in Alembic, or float64 if transforms move them far from zero. Alembic has no units and no up axis; programs assume Y
+up. Instances are read as ordinary objects.
 
 Alembic lists the corners of a face clockwise, seen from outside; applications reverse this order. The "scope" of values
 is per face, vertex or corner; values may be indexed.
@@ -13,7 +14,7 @@ Specification: https://docs.alembic.io/reference/index.html (``IPolyMeshSchema``
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -53,12 +54,13 @@ from mixseq_io.scene_meshes import (
     SceneMesh,
     SceneObject,
     base_face_set,
+    check_finite,
     common_name,
     format_names,
     join_meshes,
     merge_times,
+    read_valid_meshes,
     select_meshes,
-    select_moving_meshes,
 )
 from mixseq_io.surfaces import ensure_alpha
 
@@ -110,26 +112,20 @@ class Mesh:
         return all(schema.isConstant() for schema in self.transforms)
 
 
-def choose_meshes(path: Path, archive: Any, prim: str | None) -> list[Mesh]:
-    """Return the meshes to read, in the archive's order."""
+def _choose_meshes(path: Path, archive: Any, prim: str | None) -> list[Mesh]:
+    """Return the meshes below `prim`, or else all visible meshes, in the archive's order."""
     meshes, others = find_meshes(path, archive)
     if not meshes:
         contents = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items())) or "nothing else"
         raise FormatError(f"{path} has no mesh; it has {contents}. Export meshes, as PolyMesh or SubD")
     if prim is not None:
         named = [meshes[i] for i in select_meshes(path, [mesh.scene_object for mesh in meshes], prim)]
-        selected = [mesh for mesh in named if not mesh.is_hidden] or named
-    else:
-        visible = [mesh for mesh in meshes if not mesh.is_hidden]
-        if not visible:
-            hidden = format_names([mesh.path for mesh in meshes])
-            raise FormatError(f"{path}: its meshes are hidden; name one by prim (--prim): {hidden}")
-        objects, is_moving = [mesh.scene_object for mesh in visible], [mesh.is_moving for mesh in visible]
-        selected = [visible[i] for i in select_moving_meshes(path, objects, is_moving)]
-    animated = [mesh.path for mesh in selected if mesh.has_animated_visibility]
-    if animated:
-        warn(f"{path}: {format_names(animated)} are hidden at times; they are read as visible")
-    return selected
+        return [mesh for mesh in named if not mesh.is_hidden] or named
+    visible = [mesh for mesh in meshes if not mesh.is_hidden]
+    if not visible:
+        hidden = format_names([mesh.path for mesh in meshes])
+        raise FormatError(f"{path}: its meshes are hidden; name one by prim (--prim): {hidden}")
+    return visible
 
 
 def find_meshes(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
@@ -154,9 +150,12 @@ def find_meshes(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
         existing = Abc.WrapExistingFlag.kWrapExisting
         if AbcGeom.IPolyMesh.matches(metadata) or AbcGeom.ISubD.matches(metadata):
             kind = AbcGeom.IPolyMesh if AbcGeom.IPolyMesh.matches(metadata) else AbcGeom.ISubD
-            schema = kind(node, existing).getSchema()
-            if schema.getPositionsProperty().getNumSamples():
-                meshes.append(Mesh(node, scene_object, schema, transforms, is_hidden, has_animated_visibility))
+            try:
+                schema = kind(node, existing).getSchema()
+                if schema.getPositionsProperty().getNumSamples():
+                    meshes.append(Mesh(node, scene_object, schema, transforms, is_hidden, has_animated_visibility))
+            except LIBRARY_ERRORS:
+                warn(f"{path}: {scene_object.path} lacks properties of a mesh; it is damaged, and is left out")
         elif AbcGeom.IXform.matches(metadata):
             transforms = (AbcGeom.IXform(node, existing).getSchema(), *transforms)
         elif not AbcGeom.IFaceSet.matches(metadata) and metadata.get("schema"):
@@ -348,20 +347,38 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
     """Open an Alembic file."""
     with translate_read_errors(path, "Alembic", *LIBRARY_ERRORS), prefix_errors(path):
         archive = open_archive(path)
-        meshes = choose_meshes(path, archive, prim)
-        times = _choose_times(meshes)
+        meshes = _choose_meshes(path, archive, prim)
+        is_moving = [prim is None and mesh.is_moving for mesh in meshes]
         metadata = archive.getTop().getMetaData()
-        fps = estimate_frame_rate(times, metadata.get("_ai_DCC_FPS") or metadata.get("FramesPerTimeUnit"))
-        animated_meshes = _locate_frames(path, meshes, times, fps)
-        origin = Origin("Alembic", str(path.resolve()))
-        scene_meshes = [read_scene_mesh(animated.source) for animated in animated_meshes]
-        polygons, surface = join_meshes(scene_meshes, origin)
+        declared_rate = metadata.get("_ai_DCC_FPS") or metadata.get("FramesPerTimeUnit")
+
+        def prepare(chosen: list[int]) -> Callable[[int], tuple[_AnimatedMesh, SceneMesh, float]]:
+            times = _choose_times([meshes[index] for index in chosen])
+            fps = estimate_frame_rate(times, declared_rate)
+            vertex_counts = [0]
+
+            def read(index: int) -> tuple[_AnimatedMesh, SceneMesh, float]:
+                animated = _locate_frames(path, meshes[index], times, fps, sum(vertex_counts))
+                vertex_counts.append(animated.source.vertex_count)
+                scene_mesh = read_scene_mesh(animated.source)
+                check_finite(_read_world_points(animated, 0), animated.describe_frame(0))
+                return animated, scene_mesh, fps
+
+            return read
+
+        objects = [mesh.scene_object for mesh in meshes]
+        animated_meshes, scene_meshes, rates = zip(*read_valid_meshes(path, objects, is_moving, prepare), strict=True)
+        read_meshes = [animated.source.mesh for animated in animated_meshes]
+        visible_at_times = [mesh.path for mesh in read_meshes if mesh.has_animated_visibility]
+        if visible_at_times:
+            warn(f"{path}: {format_names(visible_at_times)} are hidden at times; they are read as visible")
+        polygons, surface = join_meshes(scene_meshes, Origin("Alembic", str(path.resolve())))
         header = SequenceHeader(
             polygons=polygons,
             vertex_count=animated_meshes[-1].source.vertices.stop,
-            times=times,
-            fps=fps,
-            name=common_name([mesh.scene_object for mesh in meshes]) or path.stem,
+            times=animated_meshes[0].source.times,
+            fps=rates[0],
+            name=common_name([mesh.scene_object for mesh in read_meshes]) or path.stem,
             surface=surface,
         )
         return _AlembicReader(path, header, animated_meshes, _have_velocities(path, animated_meshes))
@@ -383,26 +400,29 @@ class _AnimatedMesh:
 
 class _AlembicReader(SequenceReader):
     def __init__(
-        self, path: Path, header: SequenceHeader, animated_meshes: list[_AnimatedMesh], has_velocities: bool
+        self, path: Path, header: SequenceHeader, animated_meshes: Sequence[_AnimatedMesh], has_velocities: bool
     ) -> None:
         super().__init__(path, header, has_velocities=has_velocities)
-        self._meshes = animated_meshes
+        self._meshes: Sequence[_AnimatedMesh] = animated_meshes
 
     def close(self) -> None:
         """Release all objects of the archive; the library then closes it."""
         super().close()
-        self._meshes = []
+        self._meshes = ()
 
     def _read(self, what: str, size: int) -> Iterator[FloatArray]:
         read_vectors = _read_world_points if what == "points" else _read_world_velocities
         for start in range(0, self.header.frame_count, size):
             stop = min(start + size, self.header.frame_count)
-            block = np.empty((stop - start, self.header.vertex_count, 3), np.float32)
+            block = np.empty((stop - start, self.header.vertex_count, 3))
             with translate_read_errors(self.path, "Alembic", *LIBRARY_ERRORS), prefix_errors(self.path):
                 for frame in range(start, stop):
                     for animated in self._meshes:
                         block[frame - start, animated.source.vertices] = read_vectors(animated, frame)
-            yield block
+            with np.errstate(
+                over="ignore", under="ignore"
+            ):  # values that are not finite are reported with their vertex
+                yield self._round(block) if what == "points" else block.astype(np.float32)
 
 
 def _choose_times(meshes: list[Mesh]) -> Float:
@@ -417,49 +437,50 @@ def _choose_times(meshes: list[Mesh]) -> Float:
     return merge_times(map(sample_times, changing or [longest]), TIME_TOLERANCE)
 
 
-def _locate_frames(path: Path, meshes: list[Mesh], times: Float, fps: float) -> list[_AnimatedMesh]:
-    """Locate frame times ``(T,)`` between the samples of each mesh and its transforms."""
-    animated_meshes, vertex, file_size = [], 0, path.stat().st_size
-    for mesh in meshes:
-        points, transforms = (
-            mesh.schema.getPositionsProperty(),
-            Transforms.from_schemas(mesh.transforms, times),
+def _locate_frames(path: Path, mesh: Mesh, times: Float, fps: float, first_vertex: int) -> _AnimatedMesh:
+    """Locate frame times ``(T,)`` between the samples of a mesh and its transforms."""
+    points, transforms = mesh.schema.getPositionsProperty(), Transforms.from_schemas(mesh.transforms, times)
+    file_size, samples = path.stat().st_size, locate_samples(sample_times(points), times)
+    count = sample_length(points, samples.at(0)[0])
+    if not count:
+        raise InvalidSequenceError(f"{mesh.path} has no points")
+    if 12 * count > file_size:
+        raise FormatError(f"{path}: {mesh.path} claims {count} vertices, more than the file can hold")
+    is_mirrored, vertices = determinant(transforms.to_world(0)) < 0, slice(first_vertex, first_vertex + count)
+    source = MeshSource(path, file_size, mesh, vertices, is_mirrored, times)
+    overlay_transform = None
+    if mesh.is_overlaid and not mesh.has_static_transforms:
+        overlay_transform = MeshTransform.from_schemas(mesh.transforms, times, fps)
+    animated = _AnimatedMesh(source, samples, transforms, overlay_transform)
+    for frame in range(0 if points.isConstant() else len(times)):
+        _check_count(animated, frame, sample_length(points, samples.at(frame)[0]), "points")
+    return animated
+
+
+def _check_count(animated: _AnimatedMesh, frame: int, count: int, label: str) -> None:
+    if count != animated.source.vertex_count:
+        raise InvalidSequenceError(
+            f"{animated.describe_frame(frame)} has {count} {label}, the first frame {animated.source.vertex_count} "
+            "points; every frame needs the same vertices in the same order"
         )
-        samples = locate_samples(sample_times(points), times)
-        end = vertex + sample_length(points, samples.at(0)[0])
-        if 12 * (end - vertex) > file_size:
-            raise FormatError(f"{path}: {mesh.path} claims {end - vertex} vertices, more than the file can hold")
-        is_mirrored = determinant(transforms.to_world(0)) < 0
-        source = MeshSource(path, file_size, mesh, slice(vertex, end), is_mirrored, times)
-        overlay_transform = None
-        if mesh.is_overlaid and not mesh.has_static_transforms:
-            overlay_transform = MeshTransform.from_schemas(mesh.transforms, times, fps)
-        animated_meshes.append(_AnimatedMesh(source, samples, transforms, overlay_transform))
-        vertex = end
-    return animated_meshes
 
 
 def _interpolate(animated: _AnimatedMesh, array: Any, frame: int, label: str) -> Single:
     """Return the value ``(V, 3)`` of an array property at a frame, interpolated between samples if needed."""
-    count = animated.source.vertex_count
     sample, weight = animated.samples.at(frame)
     arrays = [
         read_sample(array, index, animated.source.file_size)
         for index in ((sample, sample + 1) if weight else (sample,))
     ]
     for each in arrays:
-        if each.shape != (count, 3):
-            raise InvalidSequenceError(
-                f"{animated.describe_frame(frame)} has {len(each)} {label}, the first frame {count} points; every "
-                "frame needs the same vertices in the same order"
-            )
+        _check_count(animated, frame, len(each), label)
     if not weight:
         return arrays[0]
     blend = (1 - weight) * arrays[0].astype(np.float64) + weight * arrays[1].astype(np.float64)
     return blend.astype(np.float32)
 
 
-def _read_world_points(animated: _AnimatedMesh, frame: int) -> Single:
+def _read_world_points(animated: _AnimatedMesh, frame: int) -> FloatArray:
     points = _interpolate(animated, animated.source.mesh.schema.getPositionsProperty(), frame, "points")
     matrix = animated.transforms.to_world(frame)
     if determinant(matrix) * (-1 if animated.source.is_mirrored else 1) < 0:
@@ -470,7 +491,7 @@ def _read_world_points(animated: _AnimatedMesh, frame: int) -> Single:
     return transform_points(points, matrix)
 
 
-def _read_world_velocities(animated: _AnimatedMesh, frame: int) -> Single:
+def _read_world_velocities(animated: _AnimatedMesh, frame: int) -> FloatArray:
     velocities = animated.source.mesh.schema.getVelocitiesProperty()
     if not velocities.valid():  # only static meshes may lack velocities
         return np.zeros((animated.source.vertex_count, 3), np.float32)
@@ -481,7 +502,7 @@ def _read_world_velocities(animated: _AnimatedMesh, frame: int) -> Single:
     return animated.overlay_transform.to_world_velocities(own, points, frame)
 
 
-def _have_velocities(path: Path, animated_meshes: list[_AnimatedMesh]) -> bool:
+def _have_velocities(path: Path, animated_meshes: Sequence[_AnimatedMesh]) -> bool:
     """Whether velocities of all moving meshes can be read; warn if only some can."""
     properties = [animated.source.mesh.schema.getVelocitiesProperty() for animated in animated_meshes]
     if not any(velocities.valid() for velocities in properties):

@@ -58,6 +58,7 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
 from mixseq.types import Float, Index
 from mixseq_io.files import check_memory, format_gigabytes, max_memory
+from mixseq_io.reader import DamageError
 from mixseq_io.surfaces import surface_from_arrays, surface_to_arrays
 
 COMPRESSED_VERSION = 1
@@ -171,9 +172,9 @@ def _index_streams(
     group_count, chunk_count, *rest = numbers
     counts, lengths = rest[:chunk_count], rest[chunk_count:]
     if len(lengths) != len(header) + group_count + (2 + has_inbetweens) * chunk_count:
-        raise ValueError("the number of streams is not that of the parts of the file")
+        raise DamageError("the number of streams is not that of the parts of the file")
     if not all(0 < count <= MAX_CHUNK_FRAMES for count in counts) or max(lengths) >= 1 << 63:
-        raise ValueError("a chunk has no frames or too many, or a stream is too long")
+        raise DamageError("a chunk has no frames or too many, or a stream is too long")
     ranges = zip(accumulate(lengths, initial=size), lengths, strict=False)
     remaining = iter(checksums)
 
@@ -190,7 +191,7 @@ def _index_streams(
         inbetweens = stream(f"the in-betweens {frames}") if has_inbetweens else None
         chunks.append(ChunkStreams(first, count, coefficients, residuals, inbetweens))
     if next(remaining, None) is not None:
-        raise ValueError("there are more checksums than streams")
+        raise DamageError("there are more checksums than streams")
     return StreamIndex(size, header_streams, basis, tuple(chunks))
 
 
@@ -209,7 +210,7 @@ def _number(text: str) -> float:
     """Parse a number of the text as decoders in JavaScript do; whole numbers become integers."""
     number = float(text)
     if number and not _MIN_NUMBER <= abs(number) <= _MAX_NUMBER:
-        raise ValueError(f"a number is {text[:20]}; 0, or from {_MIN_NUMBER} to {_MAX_NUMBER} is expected")
+        raise DamageError(f"a number is {text[:20]}; 0, or from {_MIN_NUMBER} to {_MAX_NUMBER} is expected")
     return int(number) if number.is_integer() and abs(number) <= _MAX_INTEGER else number
 
 
@@ -433,6 +434,10 @@ def _parameters(path: Path, facts: Mapping[str, Any]) -> CodingParameters:
     unknown = sorted(set(coding) - {field.name for field in fields(CodingParameters)})
     if unknown:
         raise FormatError(f"{path}: the parameter {unknown[0]!r} is unknown to this mixseq; upgrade it")
+    if not (
+        isinstance(coding.get("ranks", []), list) and isinstance(origin := coding.get("origin", [0]), list) and origin
+    ):
+        raise FormatError(f"{path}: ranks or origin are no list of numbers; it is damaged")
     try:
         parameters = CodingParameters(**coding)
     except TypeError as error:

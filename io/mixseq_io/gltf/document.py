@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
 from mixseq.types import Float, Single
-from mixseq_io.files import check_memory
+from mixseq_io.files import LimitError, check_memory
 from mixseq_io.reader import translate_read_errors
 
 MALFORMED_JSON_ERRORS = (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError)
@@ -335,7 +335,7 @@ class Document:
     def check_effort(self, numbers: int, label: str) -> None:
         """Raise an error if a count of numbers far exceeds the file's size, as in damaged or hostile files."""
         if numbers > _MAX_UNSTORED_NUMBERS + _MAX_NUMBERS_PER_BYTE * self.data_size:
-            raise FormatError(
+            raise LimitError(
                 f"{self.path}: {label} have {numbers} numbers, but the file only {self.data_size} bytes; it is "
                 "damaged, or repeats one mesh too often: choose fewer meshes with prim"
             )

@@ -17,7 +17,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,10 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from mixseq.errors import FormatError, InvalidSequenceError, NoMeshError
+from mixseq.errors import InvalidSequenceError, NoMeshError
 from mixseq.mesh.measures import hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, FaceSet, Origin
+from mixseq.sequence.frame_rates import format_frame
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.gltf.animation import (
@@ -58,10 +59,11 @@ from mixseq_io.reader import AnimationReader, SequenceReader, prefix_errors, war
 from mixseq_io.rig_arrays import build_skeleton, choose_skeleton
 from mixseq_io.scene_meshes import (
     SceneMesh,
+    check_finite,
     common_name,
     join_meshes,
+    read_valid_meshes,
     select_meshes,
-    select_moving_meshes,
     snap_to_frames,
 )
 from mixseq_io.surfaces import ensure_alpha
@@ -80,24 +82,26 @@ def _select_nodes(document: Document, scene: Scene, prim: str | None) -> list[in
     return [node for node in nodes if node not in scene.hidden] or nodes
 
 
-def _select_moving_nodes(
+def _find_moving_nodes(
     document: Document, scene: Scene, nodes: Sequence[int], channels: Collection[Channel]
-) -> list[int]:
-    """Return the nodes whose meshes move, or all nodes if no mesh moves."""
+) -> list[bool]:
+    """Return whether the mesh of each node moves."""
     animated = [channel for channel in channels if channel.is_animated]
     moved = {channel.node for channel in animated if channel.name != "weights"}
     morphed = {channel.node for channel in animated if channel.name == "weights"}
-    objects, is_moving = [scene.objects[node] for node in nodes], []
+    is_moving = []
     for node in nodes:
         transforms = scene.with_ancestors(find_transform_nodes(document, scene.nodes[node], node))
         is_moving.append(node in morphed or not moved.isdisjoint(transforms))
-    return [nodes[i] for i in select_moving_meshes(document.path, objects, is_moving)]
+    return is_moving
 
 
-def _make_scene_mesh(document: Document, mesh_node: MeshNode, first: int, mirrored: bool) -> SceneMesh:
-    """Return the mesh of a node with its surface; its vertices are numbered from `first` on."""
+def _make_scene_mesh(document: Document, mesh_node: MeshNode, pose: Pose, frame_name: str) -> SceneMesh:
+    """Return the mesh of a node with its surface, in the pose of a frame, where its points have to be finite."""
+    world = _world_matrices([mesh_node], pose)
+    check_finite(mesh_node.world_points(pose, world, 1)[0], frame_name)
     weld, scene, primitives = mesh_node.weld, mesh_node.scene, mesh_node.weld.primitives
-    order = [0, 2, 1] if mirrored else [0, 1, 2]
+    order = [0, 2, 1] if mesh_node.orientation(world)[0] < 0 else [0, 1, 2]
     starts = np.cumsum([0, *(len(each.positions) for each in primitives)]).tolist()
     corners = np.concatenate(
         [each.triangles[:, order] + start for each, start in zip(primitives, starts, strict=False)]
@@ -107,7 +111,7 @@ def _make_scene_mesh(document: Document, mesh_node: MeshNode, first: int, mirror
     return SceneMesh(
         name=scene_object.name or scene_object.path.rpartition("/")[2],
         path=scene_object.path,
-        vertices=slice(first, first + weld.vertex_count),
+        vertices=slice(0, weld.vertex_count),
         polygons=polygons,
         uvs=_join_values(primitives, list(map(_read_uvs, primitives)), DEFAULT_UV, corners),
         colours=_join_values(primitives, list(map(_read_colours, primitives)), DEFAULT_COLOUR, corners),
@@ -291,16 +295,33 @@ def open_gltf(
         document = decompress_document(load_document(path))
         scene = read_scene(document)
         nodes = _select_nodes(document, scene, prim)
+        if not nodes:
+            raise NoMeshError(f"{path} has no triangles to read; points and lines alone are not a mesh")
         fields = choose_animation(document, animation)
-        channels = read_channels(document, fields, _influencing_nodes(document, scene, nodes))
+        all_channels = read_channels(document, fields, _influencing_nodes(document, scene, nodes))
+        is_moving = [False] * len(nodes)
         if prim is None:
-            nodes = _select_moving_nodes(document, scene, nodes, channels)
-            influencing = _influencing_nodes(document, scene, nodes)
-            channels = [channel for channel in channels if channel.node in influencing]
-        mesh_nodes = _read_mesh_nodes(document, scene, nodes, channels)
-        times, rate = _choose_times(path, channels, fps, read_extra_number(fields, "fps", 0.0))
-        start = read_extra_number(fields, "start") or 0.0
-        return _GltfReader(document, mesh_nodes, channels, times, rate, start)
+            is_moving = _find_moving_nodes(document, scene, nodes, all_channels)
+        stored_rate, start = read_extra_number(fields, "fps", 0.0), read_extra_number(fields, "start") or 0.0
+        channels, times, rate = all_channels, np.zeros(1), DEFAULT_FPS
+
+        def prepare(chosen: list[int]) -> Callable[[int], tuple[MeshNode, SceneMesh]]:
+            nonlocal channels, times, rate
+            influencing = _influencing_nodes(document, scene, [nodes[index] for index in chosen])
+            channels = [channel for channel in all_channels if channel.node in influencing]
+            times, rate = _choose_times(path, channels, fps, stored_rate)
+            frame_name = f"frame {format_frame(times[0] + start, rate)}"
+            pose, read = evaluate_pose(channels, times[:1]), _mesh_node_reader(document, scene, channels)
+
+            def read_mesh(index: int) -> tuple[MeshNode, SceneMesh]:
+                mesh_node = read(nodes[index])
+                return mesh_node, _make_scene_mesh(document, mesh_node, pose, frame_name)
+
+            return read_mesh
+
+        meshes = read_valid_meshes(path, [scene.objects[node] for node in nodes], is_moving, prepare)
+        mesh_nodes, scene_meshes = [mesh_node for mesh_node, _ in meshes], [scene_mesh for _, scene_mesh in meshes]
+        return _GltfReader(document, mesh_nodes, scene_meshes, channels, times, rate, start)
 
 
 def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
@@ -309,9 +330,10 @@ def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
         document = decompress_document(load_document(path))
         scene = read_scene(document)
         skin = _select_skin(document, skeleton)
-        nodes = _select_nodes_of_skin(document, scene, skin)
-        mesh_nodes = [_bind(document, each, skin) for each in _read_mesh_nodes(document, scene, nodes, ())]
-        return _GltfReader(document, mesh_nodes, (), np.zeros(1), DEFAULT_FPS, 0.0)
+        read = _mesh_node_reader(document, scene, ())
+        mesh_nodes = [_bind(document, read(node), skin) for node in _select_nodes_of_skin(document, scene, skin)]
+        scene_meshes = [_make_scene_mesh(document, mesh_node, {}, "the bind pose") for mesh_node in mesh_nodes]
+        return _GltfReader(document, mesh_nodes, scene_meshes, (), np.zeros(1), DEFAULT_FPS, 0.0)
 
 
 def _choose_times(
@@ -342,30 +364,31 @@ def _influencing_nodes(document: Document, scene: Scene, nodes: Sequence[int]) -
     return influencing
 
 
-def _read_mesh_nodes(
-    document: Document, scene: Scene, nodes: Sequence[int], channels: Collection[Channel]
-) -> list[MeshNode]:
-    """Read the nodes whose meshes have triangles; raise an error if animated weights do not match the targets."""
+def _mesh_node_reader(document: Document, scene: Scene, channels: Collection[Channel]) -> Callable[[int], MeshNode]:
+    """Return the function that reads a node with a mesh, whose animated weights have to match its targets."""
     welds: dict[int, Weld] = {}
-    mesh_nodes, number_count = [], 0
-    for node in nodes:
+    number_count = 0
+
+    def read(node: int) -> MeshNode:
+        nonlocal number_count
         mesh = scene.nodes[node].integer("mesh")
         if mesh not in welds:
             welds[mesh] = _weld(document, mesh)
         weld = welds[mesh]
-        if weld.primitives:
-            number_count += 3 * weld.vertex_count + weld.triangles.size
-            document.check_effort(number_count, "meshes of all nodes together")
-            mesh_nodes.append(read_mesh_node(document, scene, node, weld))
-    if not mesh_nodes:
-        raise FormatError(f"{document.path} has no triangles to read; points and lines alone are not a mesh")
-    counts = {each.node: len(each.weights) for each in mesh_nodes}
-    for channel in channels:
-        animated, count = len(channel.values.T), counts.get(channel.node)
-        if channel.name == "weights" and count not in (None, animated):
-            problem = f"has {count} morph targets, but {animated} weights are animated"
-            raise scene.nodes[channel.node].error(problem)
-    return mesh_nodes
+        if not weld.primitives:
+            where = f"{document.path}: {scene.paths[node]}"
+            raise NoMeshError(f"{where} has no triangles to read; points and lines alone are not a mesh")
+        number_count += 3 * weld.vertex_count + weld.triangles.size
+        document.check_effort(number_count, "meshes of all nodes together")
+        mesh_node = read_mesh_node(document, scene, node, weld)
+        count = len(mesh_node.weights)
+        for channel in channels:
+            if channel.node == node and channel.name == "weights" and len(channel.values.T) != count:
+                problem = f"has {count} morph targets, but {len(channel.values.T)} weights are animated"
+                raise scene.nodes[node].error(problem)
+        return mesh_node
+
+    return read
 
 
 def _weld(document: Document, mesh: int) -> Weld:
@@ -394,6 +417,7 @@ class _GltfReader(AnimationReader):
         self,
         document: Document,
         mesh_nodes: Sequence[MeshNode],
+        scene_meshes: Sequence[SceneMesh],
         channels: Sequence[Channel],
         times: Float,
         rate: float,
@@ -402,16 +426,11 @@ class _GltfReader(AnimationReader):
         scene = mesh_nodes[0].scene
         world = _world_matrices(mesh_nodes, evaluate_pose(channels, times[:1]))
         is_mirrored = [bool(each.orientation(world)[0] < 0) for each in mesh_nodes]
-        starts = np.cumsum([0, *(each.weld.vertex_count for each in mesh_nodes)]).tolist()
-        scene_meshes = [
-            _make_scene_mesh(document, each, first, mirrored)
-            for each, first, mirrored in zip(mesh_nodes, starts, is_mirrored, strict=False)
-        ]
         path = document.path
         polygons, surface = join_meshes(scene_meshes, Origin("glTF", str(path.resolve())))
         header = SequenceHeader(
             polygons=polygons,
-            vertex_count=starts[-1],
+            vertex_count=sum(each.weld.vertex_count for each in mesh_nodes),
             times=snap_to_frames(times + start, rate),
             fps=rate,
             name=common_name([scene.objects[each.node] for each in mesh_nodes]) or path.stem,

@@ -30,7 +30,7 @@ from mixseq_io.hdf5.contents import check_version, read_attributes, read_header,
 from mixseq_io.hdf5.datasets import STORAGE_OPTIONS, create_h5, write_array, write_header, write_text
 from mixseq_io.hdf5.inspection import load_datasets, open_inspected
 from mixseq_io.isolation import open_isolated
-from mixseq_io.reader import SequenceReader, prefix_errors, summarize_error, validate_blocks
+from mixseq_io.reader import SequenceReader, prefix_errors, validate_blocks
 
 SEQUENCE_FORMAT = "mixseq-sequence"
 SEQUENCE_VERSION = 1
@@ -93,8 +93,7 @@ class _H5Reader(SequenceReader):
             except (OSError, RuntimeError, ValueError) as error:
                 first, last = (self.header.frame_number(index) for index in (start, stop - 1))
                 raise FormatError(
-                    f"{self.path}: {quantity} of frames {first} to {last} are damaged ({summarize_error(error)}); "
-                    "restore the file"
+                    f"{self.path}: {quantity} of frames {first} to {last} are damaged; restore the file"
                 ) from error
             yield block.astype(block.dtype.newbyteorder("="), copy=False)
 

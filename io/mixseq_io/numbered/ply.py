@@ -31,7 +31,7 @@ from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, Surfac
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.numbered.files import Encoder, FrameFormat, MeshFile
-from mixseq_io.reader import warn
+from mixseq_io.reader import DamageError, warn
 from mixseq_io.surfaces import (
     LARGEST_BYTE,
     clip_to_unit,
@@ -74,7 +74,7 @@ def read_header(data: bytes) -> tuple[str, Sequence[Element], int]:
     end = data.find(b"end_header", 0, _MAX_HEADER_BYTES)
     start = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or start == 0:
-        raise ValueError("it has no header from ply to end_header")
+        raise DamageError("it has no header from ply to end_header")
     order: str | None = None
     elements: list[Element] = []
     for line in data[:end].decode("ascii", errors="replace").splitlines()[1:]:
@@ -89,15 +89,15 @@ def read_header(data: bytes) -> tuple[str, Sequence[Element], int]:
             case [] | ["comment", *_] | ["obj_info", *_]:
                 pass
             case _:
-                raise ValueError(f"the line {line[:60]!r} of its header is invalid")
+                raise DamageError(f"the line {line[:60]!r} of its header is invalid")
     if order is None:
-        raise ValueError("its header has no format line")
+        raise DamageError("its header has no format line")
     for names in (
         [element.name for element in elements],
         *([prop.name for prop in element.properties] for element in elements),
     ):
         if len(set(names)) < len(names):
-            raise ValueError(f"its header has a name twice among {', '.join(names)}")
+            raise DamageError(f"its header has a name twice among {', '.join(names)}")
     return order, elements, start
 
 
@@ -107,7 +107,7 @@ def _parse_property(line: str, words: Sequence[str], order: str) -> Property:
             return Property(name, np.dtype(order + _TYPES[kind]), np.dtype(order + _TYPES[count]))
         case [kind, name] if kind in _TYPES:
             return Property(name, np.dtype(order + _TYPES[kind]))
-    raise ValueError(f"the line {line[:60]!r} of its header is invalid")
+    raise DamageError(f"the line {line[:60]!r} of its header is invalid")
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +150,7 @@ def read_elements(data: bytes, first_faces: StoredRows | None = None) -> tuple[d
             faces = StoredRows(stored, data[start:end])
         start = end
     if data[start:].strip():
-        raise ValueError(f"{len(data) - start} extra bytes follow the last element")
+        raise DamageError(f"{len(data) - start} extra bytes follow the last element")
     return result, faces
 
 
@@ -177,10 +177,10 @@ def _cast_columns(columns: Columns, element: Element) -> Columns:
 def _read_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
     """Return the columns of an element whose rows begin at the byte `start`, and the end of the rows."""
     if element.count and not element.properties:
-        raise ValueError(f"element {element.name} has no properties")
+        raise DamageError(f"element {element.name} has no properties")
     types = (prop.type if prop.count_type is None else prop.count_type for prop in element.properties)
     if element.count * sum(dtype.itemsize for dtype in types) > len(data) - start:
-        raise ValueError(f"the file is too short for {element.count} times element {element.name}")
+        raise DamageError(f"the file is too short for {element.count} times element {element.name}")
     uniform = _read_uniform_rows(data, start, element) if element.count else None
     return uniform or _read_variable_rows(data, start, element)
 
@@ -238,17 +238,17 @@ def _read_variable_rows(data: bytes, start: int, element: Element) -> tuple[Colu
             length = 1
             if counter is not None:
                 if offset + counter.size > len(data):
-                    raise ValueError(f"the file ends within element {element.name}")
+                    raise DamageError(f"the file ends within element {element.name}")
                 (number,) = counter.unpack_from(data, offset)
                 offset += counter.size
                 if not 0 <= number <= (len(data) - offset) // size or number != int(number):
-                    raise ValueError(f"element {element.name} has a list of {number:g} numbers")
+                    raise DamageError(f"element {element.name} has a list of {number:g} numbers")
                 length = int(number)
                 own_counts.append(length)
             own_chunks.append(data[offset : offset + length * size])
             offset += length * size
     if offset > len(data):
-        raise ValueError(f"the file ends within element {element.name}")
+        raise DamageError(f"the file ends within element {element.name}")
     values = {prop.name: np.frombuffer(b"".join(chunks[prop.name]), prop.type) for prop in element.properties}
     return _make_columns(element, values, counts), offset
 
@@ -301,7 +301,7 @@ def _to_indices(numbers: NDArray[np.generic]) -> IntArray:
     limit = np.iinfo(np.int32).max
     values = numbers.astype(np.float64)
     if not ((np.abs(values) <= limit) & (values == np.rint(values))).all():
-        raise ValueError("a face has a corner that is not a vertex number")
+        raise DamageError("a face has a corner that is not a vertex number")
     return values.astype(np.int32)
 
 

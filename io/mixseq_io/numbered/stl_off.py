@@ -38,7 +38,7 @@ from mixseq_io.numbered.files import (
     parse_colours,
     quote_line,
 )
-from mixseq_io.reader import as_float32, warn
+from mixseq_io.reader import DamageError, as_float32, warn
 from mixseq_io.surfaces import (
     ensure_alpha,
     format_vertex_colours,
@@ -60,7 +60,7 @@ def parse_off(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
     vertex_lines = _vertex_lines(file, lines)
     text = b"\n".join(lines).decode("ascii")
     if len(text.splitlines()) != len(lines):
-        raise ValueError("it has line breaks of text files within a line")
+        raise DamageError("it has line breaks of text files within a line")
     mesh = load_off(StringIO(text))
     is_single = data.removeprefix(b"C").startswith(b"OFF\n" + PRECISION_COMMENT + b"float32")
     polygons = Polygons.from_triangles(np.asarray(mesh["faces"]).reshape(-1, 3).astype(np.int64))

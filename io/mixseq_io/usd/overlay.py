@@ -224,8 +224,8 @@ def _read_polygons(mesh: UsdGeom.Mesh) -> tuple[Polygons | None, FloatArray]:
     earliest = Usd.TimeCode.EarliestTime()
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(earliest) or (), dtype=np.int32)
     indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(earliest) or (), dtype=np.int32)
-    points = np.array(mesh.GetPointsAttr().Get(earliest) or (), dtype=np.float32).reshape(-1, 3)
-    is_valid = counts.min(initial=3) >= 3 and counts.sum() == indices.size
+    points = np.array(mesh.GetPointsAttr().Get(earliest) or np.zeros((0, 3)), dtype=np.float32)
+    is_valid = points.shape[1:] == (3,) and counts.min(initial=3) >= 3 and counts.sum() == indices.size
     is_valid = is_valid and are_valid_indices(indices, len(points))
     return (Polygons(counts, indices) if is_valid else None), points
 

@@ -1,9 +1,9 @@
 """Reader of USD files (.usd, .usda, .usdc, .usdz) as animated meshes in world space.
 
 Values are read from the composed stage, with references, layers, variants and value clips. Several meshes are joined.
-Points are float32, as in USD. Frames are at all samples of the points, transforms, skeletons and blend shapes that move
-a mesh. If anything other than points is animated, vertices may move along arcs between samples. Frames at the stage's
-rate then fill the gaps, as in `UsdSkel.BakeSkinning`.
+Points are float32, as in USD, or float64 if transforms move them far from zero. Frames are at all samples of the
+points, transforms, skeletons and blend shapes that move a mesh. If anything other than points is animated, vertices may
+move along arcs between samples. Frames at the stage's rate then fill the gaps, as in `UsdSkel.BakeSkinning`.
 
 Specification: https://openusd.org/release/api/class_usd_stage.html (time codes and frames per second)
 """
@@ -28,11 +28,13 @@ from mixseq_io.reader import AnimationReader, SequenceReader, prefix_errors, war
 from mixseq_io.scene_meshes import (
     MAX_INSERTED_FRAMES,
     TIME_TOLERANCE,
+    SceneMesh,
+    check_finite,
     common_name,
     insert_times,
     join_meshes,
     merge_times,
-    select_moving_meshes,
+    read_valid_meshes,
 )
 from mixseq_io.text.labels import (
     GROUPS_SOURCE,
@@ -75,8 +77,8 @@ def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
     """Open a USD file."""
     warnings = PrimWarnings(path)
     with capture_diagnostics() as reports, translate_usd_read_errors(path), prefix_errors(path):
-        animation = _load_animation(path, open_stage(path), prim, warnings)
-        header = _header(path, animation, warnings)
+        animation, scene_meshes = _load_animation(path, open_stage(path), prim, warnings)
+        header = _header(path, animation, scene_meshes)
         have_velocities = [mesh.has_velocities(warnings) for mesh in animation.meshes]
     others = [report for report in reports if not any(each in report for each in _MISSING_REPORTS)]
     if others:
@@ -100,7 +102,8 @@ def open_usd_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
         codes = np.array([stage.GetStartTimeCode()])
         meshes = [AnimatedMesh(motion, codes) for motion in motions]
         animation = _Animation(stage, meshes, codes, bind_pose)
-        return _UsdReader(path, _header(path, animation, warnings), animation, has_velocities=False)
+        scene_meshes = [read_scene_mesh(mesh, warnings) for mesh in meshes]
+        return _UsdReader(path, _header(path, animation, scene_meshes), animation, has_velocities=False)
 
 
 @dataclass(frozen=True)
@@ -157,14 +160,14 @@ class _UsdReader(AnimationReader):
         assert animation is not None, "the file is open"
         values_at = animation.points if quantity == "points" else animation.velocities
         ends = np.cumsum([mesh.vertex_count for mesh in animation.meshes])
-        block = np.empty((len(codes), self.header.vertex_count, 3), np.float32)
+        block = np.empty((len(codes), self.header.vertex_count, 3))
         with capture_diagnostics(), translate_usd_read_errors(self.path):
             for row, code in enumerate(codes.tolist()):
-                number = format_frame(code / self.header.fps, self.header.fps)
-                with prefix_errors(f"{self.path}: frame {number} (time code {code:g})"):
+                with prefix_errors(f"{self.path}: {_describe_frame(code, self.header.fps)}"):
                     for end, values in zip(ends, values_at(code), strict=True):
                         block[row, end - len(values) : end] = values
-        return block
+        with np.errstate(over="ignore", under="ignore"):  # points that are not finite are reported with their vertex
+            return self._round(block) if quantity == "points" else block.astype(np.float32)
 
 
 def _mesh_motions(path: Path, stage: Usd.Stage, prim: str | None, warnings: PrimWarnings) -> list[MeshMotion]:
@@ -173,28 +176,45 @@ def _mesh_motions(path: Path, stage: Usd.Stage, prim: str | None, warnings: Prim
     return [MeshMotion(mesh, skins.get(mesh.GetPath())) for mesh in meshes]
 
 
-def _load_animation(path: Path, stage: Usd.Stage, prim: str | None, warnings: PrimWarnings) -> _Animation:
+def _load_animation(
+    path: Path, stage: Usd.Stage, prim: str | None, warnings: PrimWarnings
+) -> tuple[_Animation, list[SceneMesh]]:
     motions = _mesh_motions(path, stage, prim, warnings)
-    if prim is None:
-        objects = scene_objects_of([motion.mesh for motion in motions])
-        are_moving = [bool(motion.animated_attributes) for motion in motions]
-        motions = [motions[i] for i in select_moving_meshes(path, objects, are_moving)]
-    codes = _frame_codes(path, stage, motions)
-    return _Animation(stage, [AnimatedMesh(motion, codes) for motion in motions], codes)
+    objects = scene_objects_of([motion.mesh for motion in motions])
+    is_moving = [prim is None and bool(motion.animated_attributes) for motion in motions]
+    rate = stage.GetTimeCodesPerSecond()
+
+    def prepare(chosen: list[int]) -> Callable[[int], tuple[AnimatedMesh, SceneMesh]]:
+        codes = _frame_codes(path, stage, [motions[index] for index in chosen])
+        return lambda index: _read_mesh(AnimatedMesh(motions[index], codes), rate, warnings)
+
+    meshes = read_valid_meshes(path, objects, is_moving, prepare)
+    animation = _Animation(stage, [animated for animated, _ in meshes], meshes[0][0].codes)
+    return animation, [scene_mesh for _, scene_mesh in meshes]
 
 
-def _header(path: Path, animation: _Animation, warnings: PrimWarnings) -> SequenceHeader:
+def _read_mesh(animated: AnimatedMesh, rate: float, warnings: PrimWarnings) -> tuple[AnimatedMesh, SceneMesh]:
+    """Return a mesh with its surface; raise an error if its points in the first frame cannot be computed."""
+    scene_mesh, skin = read_scene_mesh(animated, warnings), animated.motion.skin
+    frame_name = _describe_frame(animated.start, rate)
+    with prefix_errors(frame_name):
+        points = animated.points(animated.start, skin.skeleton.pose(animated.start) if skin else None)
+    check_finite(points, frame_name)
+    return animated, scene_mesh
+
+
+def _describe_frame(code: float, rate: float) -> str:
+    return f"frame {format_frame(code / rate, rate)} (time code {code:g})"
+
+
+def _header(path: Path, animation: _Animation, scene_meshes: Sequence[SceneMesh]) -> SequenceHeader:
     stage, meshes = animation.stage, animation.meshes
     rate = stage.GetTimeCodesPerSecond()
-    ends = np.cumsum([mesh.vertex_count for mesh in meshes]).tolist()
-    scene_meshes = [
-        read_scene_mesh(mesh, end - mesh.vertex_count, warnings) for mesh, end in zip(meshes, ends, strict=True)
-    ]
     polygons, surface = join_meshes(scene_meshes, Origin("USD", absolute_path(path)))
     return SequenceHeader(
         polygons=polygons,
-        vertex_count=ends[-1],
-        times=animation.codes / (rate if rate > 0 else 1.0),  # the header rejects invalid rates
+        vertex_count=sum(mesh.vertex_count for mesh in meshes),
+        times=animation.codes / rate,
         fps=rate,
         up_axis=str(UsdGeom.GetStageUpAxis(stage)),
         metres_per_unit=UsdGeom.GetStageMetersPerUnit(stage),

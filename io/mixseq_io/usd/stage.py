@@ -51,6 +51,9 @@ def capture_diagnostics() -> Iterator[list[str]]:
         del delegate
 
 
+_LINE_NUMBER = re.compile(r"\.usda?:(\d+):\d+:")
+
+
 @contextmanager
 def translate_usd_read_errors(path: Path) -> Iterator[None]:
     """Translate USD's `RuntimeError`, and exceptions raised by damaged values, into `FormatError`."""
@@ -59,8 +62,10 @@ def translate_usd_read_errors(path: Path) -> Iterator[None]:
     except MemoryError:
         raise out_of_memory_error(path) from None
     except (RuntimeError, ValueError, TypeError) as error:
+        line = _LINE_NUMBER.search(_join_diagnostics(error))  # of a syntax error; the rest is about USD's own code
+        place = f" at line {line[1]}" if line else ""
         raise FormatError(
-            f"{path} cannot be read as USD; it is damaged, truncated or of another type ({_join_diagnostics(error)})"
+            f"{path} cannot be read as USD; it is damaged{place}, truncated or of another type"
         ) from error
 
 
@@ -276,7 +281,7 @@ def _describe_missing(path: Path, stage: Usd.Stage) -> str:
                 files[file] = None
     for prim in stage.TraverseAll():
         for clips in prim.GetMetadata("clips").values() if prim.HasMetadata("clips") else ():
-            files |= {asset.path: None for asset in clips.get("assetPaths", ()) if not asset.resolvedPath}
+            files |= {asset.path: None for asset in (clips or {}).get("assetPaths", ()) if not asset.resolvedPath}
     problems = []
     if files:
         problems.append(f"files that it refers to are missing or cannot be read: {format_names(list(files), str)}")
@@ -322,16 +327,16 @@ class PrimWarnings:
     """Collected warnings about the prims of a file."""
 
     path: Path
-    paths_of_problem: dict[str, list[str]] = field(default_factory=dict)
+    paths_of_problem: dict[str, dict[str, None]] = field(default_factory=dict)
 
     def add(self, prim: Usd.Prim, problem: str) -> None:
         """Add a prim's problem, worded so that a list of prim paths can follow."""
-        self.paths_of_problem.setdefault(problem, []).append(str(prim.GetPath()))
+        self.paths_of_problem.setdefault(problem, {})[str(prim.GetPath())] = None
 
     def emit(self) -> None:
         """Warn once per problem, with the paths of all affected prims."""
         for problem, paths in self.paths_of_problem.items():
-            warn(f"{self.path}: {problem}: {format_names(paths, str)}")
+            warn(f"{self.path}: {problem}: {format_names(list(paths), str)}")
 
 
 TransformOps = tuple[UsdGeom.XformOp, ...]

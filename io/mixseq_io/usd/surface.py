@@ -16,7 +16,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.measures import hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons, reversed_winding
-from mixseq.mesh.surface import CornerValues, FaceSet
+from mixseq.mesh.surface import SUBDIVISIONS, CornerValues, FaceSet
 from mixseq.types import IntArray
 from mixseq_io.reader import prefix_errors
 from mixseq_io.scene_meshes import SceneMesh, base_face_set
@@ -42,19 +42,22 @@ _COLOUR_TYPES = (
 _MATERIAL_PURPOSES = (UsdShade.Tokens.allPurpose, UsdShade.Tokens.full, UsdShade.Tokens.preview)
 
 
-def read_scene_mesh(animated: AnimatedMesh, first_vertex: int, warnings: PrimWarnings) -> SceneMesh:
+def read_scene_mesh(animated: AnimatedMesh, warnings: PrimWarnings) -> SceneMesh:
     """Read a mesh's surface in the first frame, with faces counter-clockwise in world space."""
     mesh, code = animated.mesh, Usd.TimeCode(animated.start)
-    path = str(mesh.GetPath())
+    path, vertices = str(mesh.GetPath()), slice(0, animated.vertex_count)
     with prefix_errors(path):
         polygons = _read_polygons(animated)
     scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
+    if scheme not in SUBDIVISIONS:
+        warnings.add(mesh.GetPrim(), f"the subdivision {scheme!r} is read as catmullClark")
+        scheme = str(UsdGeom.Tokens.catmullClark)
     if mesh.GetHoleIndicesAttr().Get(code):
         warnings.add(mesh.GetPrim(), "holes cannot be kept; these faces become visible")
     scene_mesh = SceneMesh(
         name=display_name(mesh.GetPrim()),
         path=path,
-        vertices=slice(first_vertex, first_vertex + animated.vertex_count),
+        vertices=vertices,
         polygons=animated.weld.weld_polygons(polygons),
         uvs=_read_preferred_primvar(animated, polygons, warnings, "texture coordinates", _UV_TYPES, "st"),
         colours=_read_colours(animated, polygons, warnings),
@@ -175,9 +178,9 @@ def _read_hard_edges(animated: AnimatedMesh, polygons: Polygons, warnings: PrimW
     is_per_point = interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
     if values is None or (is_per_point and animated.weld.is_identity):
         return None
-    normals = np.array(values, dtype=np.float32).reshape(-1, 3)
+    normals = np.array(values, dtype=np.float32)
     value_ids = value_ids_of_corners(interpolation, polygons)
-    if not are_valid_indices(value_ids, len(normals)) or not np.isfinite(normals).all():
+    if normals.shape[1:] != (3,) or not are_valid_indices(value_ids, len(normals)) or not np.isfinite(normals).all():
         warnings.add(mesh.GetPrim(), "normals do not fit the faces and are left out")
         return None
     return hard_edges_from_normals(animated.weld.weld_polygons(polygons), normals[value_ids])

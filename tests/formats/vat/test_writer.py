@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import mixseq
 from mixseq.creature import walk_cycle
@@ -17,8 +16,8 @@ from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq_io.vat.textures import Texels
 from mixseq_io.vat.writer import VatReport, write_vat
-from tests.formats.gltf_files import Gltf, validate
-from tests.formats.vat.test_images import unpacked
+from tests.formats.gltf_files import validate
+from tests.formats.vat.shader import looked_up, told, vertices_of
 from tests.meshes import bar, rotation
 from tests.viewer.conftest import browser, new_page, page
 
@@ -28,51 +27,6 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.slow
 
 __all__ = ["browser", "new_page", "page"]
-
-Json = dict[str, Any]
-
-
-def told(folder: Path) -> Json:
-    found: Json = json.loads((folder / "vat.json").read_text())
-    return found
-
-
-def numbers(folder: Path, name: str) -> NDArray[np.float64]:
-    """What a shader makes of the pixels of a texture."""
-    texture = told(folder)["textures"][name]
-    pixels = unpacked((folder / texture["file"]).read_bytes())
-    assert pixels.shape[:2] == (texture["height"], texture["width"])
-    return np.asarray(texture["offset"] + np.array(texture["scale"]) * (pixels / np.iinfo(pixels.dtype).max))
-
-
-def looked_up(folder: Path, name: str, frame: int) -> NDArray[np.float64]:
-    """Do what the shaders do, texel by texel: points or normals ``(n, 3)`` of the vertices of the mesh."""
-    vat, mesh = told(folder), Gltf(folder / "mesh.glb")
-    lookup = np.concatenate(
-        [
-            mesh.accessor(primitive["attributes"]["TEXCOORD_1"])
-            for each in mesh.json["meshes"]
-            for primitive in each["primitives"]
-        ]
-    )
-    x, y = np.floor(lookup * [vat["width"], vat["height"]]).astype(int).T
-    texels = numbers(folder, name)
-    if vat["kind"] == "plain":
-        return np.asarray(texels[y + frame * vat["rows"], x])
-    parts = unpacked((folder / "points.png").read_bytes())[y, x, 0].astype(int)
-    above = 1 if name == "points" else 0
-    basis = np.concatenate([texels[y + (j + above) * vat["rows"], x] for j in range(vat["layers"])], axis=1)
-    coarse = unpacked((folder / "coefficients.png").read_bytes()).astype(np.float64)
-    table = vat["textures"]["coefficients"]
-    shares = (coarse[frame] + coarse[vat["frames"] + frame] / 65535) / 65535
-    coefficients = (table["offset"] + table["scale"] * shares).reshape(-1, 4 * vat["layers"], 3)
-    return np.asarray(np.einsum("nk,nki->ni", basis, coefficients[parts]))
-
-
-def vertices_of(folder: Path) -> NDArray[np.int64]:
-    mesh = Gltf(folder / "mesh.glb")
-    primitives = [primitive for each in mesh.json["meshes"] for primitive in each["primitives"]]
-    return np.concatenate([mesh.accessor(each["attributes"]["_VERTEX"]) for each in primitives]).astype(int)
 
 
 def test_points_are_as_far_off_as_is_told(written: tuple[Path, VatReport], fox: MeshSequence) -> None:
@@ -258,18 +212,57 @@ DRAWN = """async ([folder, frames]) => {
 }"""
 
 
+def serve(page: Page, folder: Path, changed: dict[str, bytes]) -> None:
+    """Let a page find the files of a folder, some of them changed."""
+
+    def answer(route: Route) -> None:
+        name = route.request.url.rpartition("/")[2]
+        file = folder / name
+        kind = {".js": "text/javascript", ".json": "application/json"}.get(file.suffix, "application/octet-stream")
+        body = changed.get(name) or (file.read_bytes() if file.is_file() else b"<!doctype html>")
+        route.fulfill(body=body, content_type=kind if file.is_file() else "text/html")
+
+    page.route("http://127.0.0.1/**", answer)
+    page.goto("http://127.0.0.1/page")
+
+
+OPENED = """async (folder) => {
+  const module = await import(folder + "webgl2.js");
+  return module.open(folder).then(() => "opened", (error) => error.message);
+}"""
+
+
+def test_a_browser_refuses_hostile_files(written: tuple[Path, VatReport], page: Page) -> None:
+    """Neither shaders nor addresses take what is no number or no name, and pictures unpack to what they say."""
+    folder, _ = written
+    vat, png = told(folder), (folder / "points.png").read_bytes()
+    width = vat["textures"]["points"]["width"]
+    header = png[:16] + (width + 1).to_bytes(4, "big") + png[20:]
+    many = {name: {**each, "width": 16384, "height": 16384} for name, each in vat["textures"].items()}
+    elsewhere = vat["textures"] | {"points": {**vat["textures"]["points"], "file": "//example.org/points.png"}}
+    scaled = vat["textures"] | {"normals": {**vat["textures"]["normals"], "scale": "1.0); while (true) {}"}}
+    hostile = {
+        "points.png is not 16384 by 16384": {"vat.json": json.dumps({**vat, "textures": many}).encode()},
+        "this PNG ends early": {"points.png": header},
+        "this PNG is damaged": {"points.png": png[:16] + b"\xff" * 8 + png[24:]},
+    }
+    for key, value in [
+        ("frames", "1; } void main() { while (true) {} }"), ("rows", -1), ("width", 2**31), ("kind", "__proto__"),
+        ("textures", None), ("textures", elsewhere), ("textures", scaled), ("textures", {"a b": {}}),
+    ]:  # fmt: skip
+        serve(page, folder, {"vat.json": json.dumps({**vat, key: value}).encode()})
+        assert "vat.json is damaged" in page.evaluate(OPENED, "http://127.0.0.1/fox.vat/"), key
+    for message, changed in hostile.items():
+        serve(page, folder, changed)
+        assert message in page.evaluate(OPENED, "http://127.0.0.1/fox.vat/")
+    serve(page, folder, {})
+    assert page.evaluate(OPENED, "http://127.0.0.1/fox.vat/") == "opened"
+
+
 def test_a_browser_draws_the_frames(written: tuple[Path, VatReport], fox: MeshSequence, page: Page) -> None:
     """At frames, and half-way between two of them, where motion is straight."""
     folder, report = written
-
-    def serve(route: Route) -> None:
-        file = folder / route.request.url.rpartition("/")[2]
-        kind = {".js": "text/javascript", ".json": "application/json"}.get(file.suffix, "application/octet-stream")
-        body = file.read_bytes() if file.is_file() else b"<!doctype html>"
-        route.fulfill(body=body, content_type=kind if file.is_file() else "text/html")
-
-    page.route("http://127.0.0.1/**", serve)
-    page.goto("http://127.0.0.1/page")
+    serve(page, folder, {})
     shown = page.evaluate(DRAWN, ["http://127.0.0.1/fox.vat/", [0, 3, 3.5, 7, 9]])
     assert shown["error"] == 0
     vertices, diagonal = Texels.from_header(fox.header).vertices, bounding_diagonal(fox.points[0])

@@ -12,15 +12,36 @@
 
 const SIGNATURE = [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a];
 
+const MAX_SIDE = 16384; // texels, of textures in WebGL2
+const TEXTURES = new Map([["plain", ["normals", "points"]], ["low rank", ["coefficients", "normals", "points"]]]);
+
+/** Verify what goes into shaders and addresses: the file may come from others. */
+function verify(vat) {
+  const isCount = (value) => Number.isInteger(value) && value > 0 && value <= MAX_SIDE;
+  const areNumbers = (values) => [values].flat().every(Number.isFinite);
+  const names = TEXTURES.get(vat?.kind);
+  const counts = [vat?.width, vat?.height, vat?.rows, vat?.frames, ...(vat?.kind === "plain" ? [] : [vat?.layers])];
+  const isSound = names && counts.every(isCount) && Object.keys(vat.textures ?? {}).sort().join() === names.join() &&
+    names.every((name) => {
+      const { file, width, height, offset, scale } = vat.textures[name] ?? {};
+      return file === `${name}.png` && isCount(width) && isCount(height) && areNumbers(offset) && areNumbers(scale);
+    });
+  if (!isSound) throw new Error("vat.json is damaged, or of another version");
+}
+
 /** What is in the folder: the numbers of vat.json, and `images` by name. */
 export async function open(folder) {
   const vat = await (await fetch(new URL("vat.json", new URL(folder, document.baseURI)))).json();
   if (vat.texture !== "png16") throw new Error(`the textures are ${vat.texture}; write png16 for WebGL2`);
+  verify(vat);
   const names = Object.keys(vat.textures);
   const images = await Promise.all(
     names.map(async (name) => {
       const file = new URL(vat.textures[name].file, new URL(folder, document.baseURI));
-      return unpacked(new Uint8Array(await (await fetch(file)).arrayBuffer()));
+      const image = await unpacked(new Uint8Array(await (await fetch(file)).arrayBuffer()));
+      const { width, height } = vat.textures[name];
+      if (image.width !== width || image.height !== height) throw new Error(`${name}.png is not ${width} by ${height}`);
+      return image;
     }),
   );
   vat.images = Object.fromEntries(names.map((name, number) => [name, images[number]]));
@@ -34,6 +55,7 @@ export async function unpacked(bytes) {
   const width = view.getUint32(16);
   const height = view.getUint32(20);
   const bits = bytes[24];
+  if (!(width <= MAX_SIDE && height <= MAX_SIDE && (bits === 8 || bits === 16))) throw new Error("this PNG is damaged");
   const channels = bytes[25] === 6 ? 4 : 3;
   const parts = [];
   for (let at = 8; at < bytes.length; at += view.getUint32(at) + 12) {
@@ -41,9 +63,9 @@ export async function unpacked(bytes) {
     if (kind === "IDAT") parts.push(bytes.subarray(at + 8, at + 8 + view.getUint32(at)));
   }
   const stream = new Blob(parts).stream().pipeThrough(new DecompressionStream("deflate"));
-  const lines = new Uint8Array(await new Response(stream).arrayBuffer());
   const pixel = (channels * bits) / 8;
   const row = width * pixel;
+  const lines = await readExactly(stream, height * (row + 1));
   const rows = new Uint8Array(height * row);
   for (let y = 0; y < height; y++) {
     const filter = lines[y * (row + 1)];
@@ -60,6 +82,20 @@ export async function unpacked(bytes) {
   const pixels = new Uint16Array(rows.length / 2);
   for (let place = 0; place < pixels.length; place++) pixels[place] = (rows[2 * place] << 8) | rows[2 * place + 1];
   return { width, height, channels, pixels };
+}
+
+/** The bytes of a stream, of a known size. */
+async function readExactly(stream, size) {
+  const bytes = new Uint8Array(size);
+  const reader = stream.getReader();
+  let end = 0;
+  for (let part = await reader.read(); !part.done; part = await reader.read()) {
+    if (end + part.value.length > size) throw new Error("this PNG has more pixels than it says");
+    bytes.set(part.value, end);
+    end += part.value.length;
+  }
+  if (end < size) throw new Error("this PNG ends early");
+  return bytes;
 }
 
 /** Textures of a context, by name. */
