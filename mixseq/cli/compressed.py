@@ -39,11 +39,13 @@ _ORDER_MESSAGES = {
 """Messages about values of ``order`` that renumber vertices or faces."""
 
 
-def _aim(uvs: bool = True, inbetweens: bool = True, **parameters: Any) -> dict[str, Any]:
+def _aim(uvs: bool = True, inbetweens: bool = True, between: bool = False, **parameters: Any) -> dict[str, Any]:
     """Return the parameters of `mixseq.compress`, empty without a target; raise an error for contradicting options."""
     targets = options.given_options("max_error", "kg", "size")
     if len(targets) > 1:
         raise SettingsError(f"give one of {' and '.join(targets)}, not {len(targets)}: each follows from the other")
+    if "max_error" not in parameters:
+        options.refuse("between", why="is about --max-error; give both")
     if not targets:
         options.refuse(
             *("uv_error", "uvs", "order", "chunk", "inbetweens"),
@@ -51,6 +53,7 @@ def _aim(uvs: bool = True, inbetweens: bool = True, **parameters: Any) -> dict[s
         )
         return {}
     options.refuse(*_OF_FITTING, why=f"is for models that are not compressed; leave it out, or leave out {targets[0]}")
+    parameters |= {"between": True} if between else {}
     switches = {"uvs": uvs, "inbetweens": inbetweens}
     return parameters | {name: False for name, is_on in switches.items() if not is_on}
 
@@ -61,6 +64,10 @@ aiming = options.group(
         "--max-error X",
         help="Compress: no vertex of any frame is farther off than this fraction of the bounding box's diagonal, or "
         "0.5mm.",
+    ),
+    options.flag(
+        "--between",
+        help="Keep --max-error between frames, too: players are as near to the model, at quarters of a frame.",
     ),
     options.option("--kg X", type=options.POSITIVE_NUMBER, help="Compress, to a KG error of X percent."),
     options.option("--size SIZE", type=as_bytes, help="Compress into 2MB, 500kB, 1.5MiB, ..."),

@@ -2,7 +2,8 @@
 
 Frames are at all samples of the points and of the transforms above them. In a copy of an original written by mixseq,
 frames are at the samples of the new points only. Values between samples are interpolated linearly. Points are float32,
-as in Alembic. Alembic has no units and no up axis; programs assume Y up. Instances are read as ordinary objects.
+as in Alembic, or float64 if transforms move them far from zero. Alembic has no units and no up axis; programs assume Y
+up. Instances are read as ordinary objects.
 
 Alembic lists the corners of a face clockwise, seen from outside; applications reverse this order. The "scope" of values
 is per face, vertex or corner; values may be indexed.
@@ -417,12 +418,15 @@ class _AlembicReader(SequenceReader):
         read_vectors = _read_world_points if what == "points" else _read_world_velocities
         for start in range(0, self.header.frame_count, size):
             stop = min(start + size, self.header.frame_count)
-            block = np.empty((stop - start, self.header.vertex_count, 3), np.float32)
+            block = np.empty((stop - start, self.header.vertex_count, 3))
             with translate_read_errors(self.path, "Alembic", *LIBRARY_ERRORS), prefix_errors(self.path):
                 for frame in range(start, stop):
                     for animated in self._meshes:
                         block[frame - start, animated.source.vertices] = read_vectors(animated, frame)
-            yield block
+            with np.errstate(
+                over="ignore", under="ignore"
+            ):  # values that are not finite are reported with their vertex
+                yield self._round(block) if what == "points" else block.astype(np.float32)
 
 
 def _choose_times(meshes: list[Mesh]) -> Float:
@@ -480,7 +484,7 @@ def _interpolate(animated: _AnimatedMesh, array: Any, frame: int, label: str) ->
     return blend.astype(np.float32)
 
 
-def _read_world_points(animated: _AnimatedMesh, frame: int) -> Single:
+def _read_world_points(animated: _AnimatedMesh, frame: int) -> FloatArray:
     points = _interpolate(animated, animated.source.mesh.schema.getPositionsProperty(), frame, "points")
     matrix = animated.transforms.to_world(frame)
     if determinant(matrix) * (-1 if animated.source.is_mirrored else 1) < 0:
@@ -491,7 +495,7 @@ def _read_world_points(animated: _AnimatedMesh, frame: int) -> Single:
     return transform_points(points, matrix)
 
 
-def _read_world_velocities(animated: _AnimatedMesh, frame: int) -> Single:
+def _read_world_velocities(animated: _AnimatedMesh, frame: int) -> FloatArray:
     velocities = animated.source.mesh.schema.getVelocitiesProperty()
     if not velocities.valid():  # only static meshes may lack velocities
         return np.zeros((animated.source.vertex_count, 3), np.float32)

@@ -222,15 +222,23 @@ def interpolate_matrices(first: Float, second: Float, weight: float) -> Float:
     return blend
 
 
-def transform_points(points: FloatArray, matrix: Float) -> Single:
-    """Transform points ``(V, 3)`` by a matrix ``(4, 4)``, or vectors ``(V, 3)`` by a linear matrix ``(3, 3)``."""
+def transform_points(points: FloatArray, matrix: Float) -> FloatArray:
+    """Transform points ``(V, 3)`` by a matrix ``(4, 4)``, or vectors ``(V, 3)`` by a linear matrix ``(3, 3)``.
+
+    The result is in double precision unless the matrix is the identity.
+    """
     if np.array_equal(matrix, np.eye(len(matrix))):
-        return np.asarray(points, dtype=np.float32)
+        return points
     with np.errstate(all="ignore"):  # the reader reports overflow with its vertex
         world = points.astype(np.float64) @ matrix[:3, :3]
         if len(matrix) == 4:
             world += matrix[3, :3]
-        return world.astype(np.float32)
+        return np.asarray(world)
+
+
+def _as_single(values: FloatArray) -> Single:
+    with np.errstate(over="ignore", under="ignore"):
+        return values.astype(np.float32)
 
 
 _MIN_RELATIVE_DETERMINANT = 1e-12
@@ -265,12 +273,12 @@ class MeshTransform:
 
     def to_mesh_points(self, world: FloatArray, frame: int) -> Single:
         """Convert a frame's world-space points ``(V, 3)`` to mesh space."""
-        return transform_points(world, np.linalg.inv(self.matrices[frame]))
+        return _as_single(transform_points(world, np.linalg.inv(self.matrices[frame])))
 
     def to_mesh_velocities(self, world: FloatArray, points: FloatArray, frame: int) -> Single:
         """Convert a frame's world-space velocities ``(V, 3)`` to mesh space, given the points in mesh space."""
         inverse = np.linalg.inv(self.matrices[frame])[:3, :3]
-        return transform_points(world - self._transport(points, frame), inverse)
+        return _as_single(transform_points(world - self._transport(points, frame), inverse))
 
     def to_world_velocities(self, own: FloatArray, points: FloatArray, frame: int) -> Single:
         """Convert a frame's mesh-space velocities ``(V, 3)`` to world space, given the points in mesh space."""

@@ -1,9 +1,9 @@
 """Reader of USD files (.usd, .usda, .usdc, .usdz) as animated meshes in world space.
 
 Values are read from the composed stage, with references, layers, variants and value clips. Several meshes are joined.
-Points are float32, as in USD. Frames are at all samples of the points, transforms, skeletons and blend shapes that move
-a mesh. If anything other than points is animated, vertices may move along arcs between samples. Frames at the stage's
-rate then fill the gaps, as in `UsdSkel.BakeSkinning`.
+Points are float32, as in USD, or float64 if transforms move them far from zero. Frames are at all samples of the
+points, transforms, skeletons and blend shapes that move a mesh. If anything other than points is animated, vertices may
+move along arcs between samples. Frames at the stage's rate then fill the gaps, as in `UsdSkel.BakeSkinning`.
 
 Specification: https://openusd.org/release/api/class_usd_stage.html (time codes and frames per second)
 """
@@ -161,7 +161,7 @@ class _UsdReader(AnimationReader):
         assert animation is not None, "the file is open"
         values_at = animation.points if quantity == "points" else animation.velocities
         ends = np.cumsum([mesh.vertex_count for mesh in animation.meshes])
-        block = np.empty((len(codes), self.header.vertex_count, 3), np.float32)
+        block = np.empty((len(codes), self.header.vertex_count, 3))
         with capture_diagnostics(), translate_usd_read_errors(self.path):
             for row, code in enumerate(codes.tolist()):
                 with prefix_errors(
@@ -169,7 +169,8 @@ class _UsdReader(AnimationReader):
                 ):
                     for end, values in zip(ends, values_at(code), strict=True):
                         block[row, end - len(values) : end] = values
-        return block
+        with np.errstate(over="ignore", under="ignore"):  # points that are not finite are reported with their vertex
+            return self._round(block) if quantity == "points" else block.astype(np.float32)
 
 
 def _mesh_motions(path: Path, stage: Usd.Stage, prim: str | None, warnings: PrimWarnings) -> list[MeshMotion]:

@@ -281,7 +281,7 @@ def _describe_missing(path: Path, stage: Usd.Stage) -> str:
                 files[file] = None
     for prim in stage.TraverseAll():
         for clips in prim.GetMetadata("clips").values() if prim.HasMetadata("clips") else ():
-            files |= {asset.path: None for asset in clips.get("assetPaths", ()) if not asset.resolvedPath}
+            files |= {asset.path: None for asset in (clips or {}).get("assetPaths", ()) if not asset.resolvedPath}
     problems = []
     if files:
         problems.append(f"files that it refers to are missing or cannot be read: {format_names(list(files), str)}")

@@ -61,6 +61,7 @@ def compress(
     chunk: int = DEFAULT_CHUNK_FRAMES,
     parts: int | ArrayLike | None = None,
     inbetweens: bool = True,
+    between: bool = False,
 ) -> CompressedSequence:
     """Compress a sequence.
 
@@ -97,6 +98,9 @@ def compress(
         Whether to fit a model, and to store what players need to show its motion between frames where a spline of the
         vertices is farther from it than the error at the frames. Takes at most 15 % more bytes, or what a `size`
         leaves, and the time of `mixseq.fit`.
+    between : bool
+        Whether `max_error` also bounds the distance of players from the fitted model between frames, at the quarters
+        of a frame, at in-betweens and at the middles between these. In-betweens take as many bytes as this needs.
 
     Returns
     -------
@@ -108,7 +112,7 @@ def compress(
     SettingsError
         If not exactly one of `max_error`, `kg` and `size` is given, or its value is out of range; if `size` is too
         small; if `max_error` is below the precision of the coordinates; if `uv_error` is not from 0 to 0.25; if `order`
-        is unknown; or if `chunk` is not from 16 to 4096.
+        is unknown; if `chunk` is not from 16 to 4096; or if the bound cannot be kept between frames.
     SegmentationError
         If `parts` does not fit the mesh.
     FormatError, InvalidSequenceError
@@ -116,6 +120,8 @@ def compress(
     """
     check_motion(sequence)
     _check_target(max_error, kg, size)
+    if between and not (inbetweens and max_error is not None):
+        raise SettingsError("between keeps max_error by in-betweens; give max_error, and leave out inbetweens=False")
     if not MIN_CHUNK_FRAMES <= chunk <= MAX_CHUNK_FRAMES // 2:  # a chunk may have half as many again
         raise SettingsError(f"chunk is {chunk}; {MIN_CHUNK_FRAMES} to {MAX_CHUNK_FRAMES // 2} frames are expected")
     numbering = cheapest_numbering(sequence.header, order)
@@ -139,7 +145,7 @@ def compress(
         parameters = _measure_errors(frames, playback, coded.parameters, max_error, kg)
         coded = replace(coded, parameters=parameters, between=playback.between, order=numbering.order, parts=labels)
         if inbetweens:
-            coded = add_inbetweens(coded, playback, size, stages.at(2 + MAX_ROUNDS))
+            coded = add_inbetweens(coded, playback, size, between, stages.at(2 + MAX_ROUNDS))
     parameters = coded.parameters
     header = replace(header, provenance=frames.trace(parameters.max_error, parameters.promised, coded.order).provenance)
     if uv_steps is not None:

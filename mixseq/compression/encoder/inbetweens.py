@@ -26,9 +26,10 @@ from mixseq.compression.bitstream.signal_coder import Signal
 from mixseq.compression.compressed_model import CompressedModel
 from mixseq.compression.encoder.components import solve_damped
 from mixseq.compression.encoder.trial import code_coefficients, round_coefficients
-from mixseq.errors import MixseqError, MixseqWarning
+from mixseq.errors import MixseqError, MixseqWarning, SettingsError
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.progress import Progress
+from mixseq.signals.between import largest_distance, quarter_times
 from mixseq.signals.model import Model
 from mixseq.spaces.temporal import insert_midpoints
 from mixseq.types import Float
@@ -47,19 +48,23 @@ STEP_FACTORS = (1, 2, 4, 8, 16, 32)
 
 
 def add_inbetweens(
-    coded: CompressedSequence, playback: Playback, size: int | None, progress: Progress
+    coded: CompressedSequence, playback: Playback, size: int | None, between: bool, progress: Progress
 ) -> CompressedSequence:
     """Add in-betweens to a compressed sequence of two or more frames, and the error between frames.
 
-    `size` is the largest number of bytes of the signals; None allows `MAX_SIZE_RATIO` more bytes than without.
+    `size` is the largest number of bytes of the signals; None allows `MAX_SIZE_RATIO` more bytes than without. If the
+    bound is to be kept `between` frames, levels take as many bytes as they need.
     """
     parameters = coded.parameters
     bytes_at_frames = sum(map(len, coded.basis)) + sum(len(c.coefficients) + len(c.residuals) for c in coded.chunks)
     max_bytes = MAX_SIZE_RATIO * bytes_at_frames if size is None else size - bytes_at_frames
+    max_bytes, max_error_ratio = (np.inf, np.inf) if between else (max_bytes, MAX_ERROR_RATIO)
     intervals = [inbetween_intervals(c.first, c.count, parameters.frame_count) for c in coded.chunks]
     try:
         model = CompressedModel.from_playback(playback, coded.parts).fit(progress)
     except MixseqError as error:
+        if between:
+            raise
         warnings.warn(
             f"there are no in-betweens, as no model fits the decoded frames: {error}", MixseqWarning, stacklevel=4
         )
@@ -89,7 +94,7 @@ def add_inbetweens(
                 break
         finer = _with_level(playback, rounded)
         largest_left, squares_left = _distances(finer, points, times)
-        if not is_small or squares_left > MAX_ERROR_RATIO**2 * squares:
+        if not is_small or squares_left > max_error_ratio**2 * squares:
             break
         playback, known, streams, step, largest_error = (
             finer,
@@ -99,7 +104,16 @@ def add_inbetweens(
             max(largest_error, largest_left),
         )
         times = insert_midpoints(playback.curve.times)[1::2]
+    if between:
+        times = quarter_times(playback.times)
+        largest = max(largest, largest_distance(model.blocks(times), playback.blocks(times)))
     largest_error = max(largest_error, largest) / parameters.diagonal
+    if between and largest_error > parameters.max_error:
+        raise SettingsError(
+            f"between frames, players would be {largest_error:.2g} diagonals from the model, not "
+            f"{parameters.max_error:g}; allow this error (max_error, --max-error), or give more frames: resample the "
+            "sequence first, at twice its frame rate or more (mixseq resample)"
+        )
     parameters = replace(parameters, inbetween_error=float(f"{largest_error:.3g}"))
     if playback.inbetweens:
         parameters = replace(parameters, inbetween_levels=len(playback.inbetweens), inbetween_step=step)

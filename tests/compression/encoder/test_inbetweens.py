@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -73,6 +74,26 @@ def rms(values: Float) -> float:
 
 def signal_size(coded: CompressedSequence) -> int:
     return sum(map(len, coded.basis)) + sum(len(c.coefficients) + len(c.residuals) for c in coded.chunks)
+
+
+def test_a_bound_holds_between_frames(coded: CompressedSequence) -> None:
+    bound = 0.9 * float(coded.parameters.inbetween_error or 0)
+    held = compress(bending_tube(), max_error=bound, between=True)
+    model, unit = CompressedModel.from_sequence(held), held.parameters.diagonal
+    times = insert_midpoints(insert_midpoints(model.times))
+    distances = np.linalg.norm(model.playback.decode_points(times) - model.fitted.decode_points(times), axis=2)
+    assert distances.max() / unit <= held.parameters.inbetween_error <= bound  # type: ignore[operator]
+
+
+def test_a_bound_that_does_not_hold_between_frames() -> None:
+    with pytest.raises(SettingsError, match=r"between frames, players would be .* resample the sequence first"):
+        compress(bending_tube(), max_error=1e-5, between=True)
+
+
+@pytest.mark.parametrize("settings", [{"kg": 1.0}, {"max_error": 1e-3, "inbetweens": False}])
+def test_between_is_about_max_error_and_in_betweens(settings: dict[str, Any]) -> None:
+    with pytest.raises(SettingsError, match="between keeps max_error by in-betweens"):
+        compress(bending_tube(), between=True, **settings)
 
 
 def test_players_are_nearer_to_the_model(coded: CompressedSequence) -> None:
