@@ -26,7 +26,8 @@ from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.mesh.measures import hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons, reversed_winding
 from mixseq.mesh.surface import CornerValues, FaceSet, Origin
-from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.frame_rates import estimate_frame_rate
+from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray, Index, Single
 from mixseq_io.alembic.library import (
     LIBRARY_ERRORS,
@@ -44,7 +45,6 @@ from mixseq_io.alembic.samples import (
     SampleInterpolation,
     Transforms,
     determinant,
-    estimate_frame_rate,
     locate_samples,
     sample_times,
     transform_points,
@@ -61,6 +61,7 @@ from mixseq_io.scene_meshes import (
     merge_times,
     read_valid_meshes,
     select_meshes,
+    snap_to_frames,
 )
 from mixseq_io.surfaces import ensure_alpha
 
@@ -350,11 +351,14 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
         meshes = _choose_meshes(path, archive, prim)
         is_moving = [prim is None and mesh.is_moving for mesh in meshes]
         metadata = archive.getTop().getMetaData()
-        declared_rate = metadata.get("_ai_DCC_FPS") or metadata.get("FramesPerTimeUnit")
+        try:
+            declared_rate = float(metadata.get("_ai_DCC_FPS") or metadata.get("FramesPerTimeUnit") or 0)
+        except ValueError:
+            declared_rate = 0.0
 
         def prepare(chosen: list[int]) -> Callable[[int], tuple[_AnimatedMesh, SceneMesh, float]]:
             times = _choose_times([meshes[index] for index in chosen])
-            fps = estimate_frame_rate(times, declared_rate)
+            fps = estimate_frame_rate(times, declared_rate) or DEFAULT_FPS
             vertex_counts = [0]
 
             def read(index: int) -> tuple[_AnimatedMesh, SceneMesh, float]:
@@ -376,7 +380,7 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
         header = SequenceHeader(
             polygons=polygons,
             vertex_count=animated_meshes[-1].source.vertices.stop,
-            times=animated_meshes[0].source.times,
+            times=snap_to_frames(animated_meshes[0].source.times, rates[0]),
             fps=rates[0],
             name=common_name([mesh.scene_object for mesh in read_meshes]) or path.stem,
             surface=surface,

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from itertools import takewhile
 from typing import Any
 
@@ -31,8 +30,7 @@ import numpy as np
 from mixseq.errors import FormatError
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix
-from mixseq.sequence.frame_rates import NTSC_RATES
-from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
+from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index, Single
 from mixseq_io.alembic.library import AbcCoreAbstract, sample_selector
 from mixseq_io.scene_meshes import SceneMesh
@@ -95,7 +93,6 @@ TIME_TOLERANCE = 0.999e-6
 """Distance in seconds below which times count as equal."""
 
 _MAX_SAMPLE_COUNT = 1_000_000
-_COMMON_FRAME_RATES = (24, 25, 30, 48, 50, 60, *NTSC_RATES, 100, 120, 240)
 
 
 def sample_times(sampled: Any) -> Float:
@@ -162,36 +159,6 @@ def locate_samples(times: Float, frames: Float) -> SampleInterpolation:
     since = frames - times[before]
     weight = np.divide(since, step, out=np.zeros_like(since), where=(step > 0) & (since > TIME_TOLERANCE))
     return SampleInterpolation(before, weight)
-
-
-def estimate_frame_rate(times: Float, declared: str) -> float:
-    """Return the frame rate of times ``(T,)``: the declared rate, the rate of uniform times, or a common rate.
-
-    Examples
-    --------
-    >>> estimate_frame_rate(np.array([0, 1, 2]) / 29.97, ""), estimate_frame_rate(np.array([0, 1, 4]) / 24, "")
-    (29.97, 24.0)
-    """
-    step = (times[-1] - times[0]) / max(len(times) - 1, 1)
-    is_uniform = len(times) > 1 and np.allclose(np.diff(times), step, rtol=0, atol=1e-6 * step + 1e-9)
-    rounding = float(np.spacing(np.abs(times).max())) / max(step, 1e-9)
-    rate = _undo_rounding(1 / step, 1e-12 + rounding) if is_uniform else 0.0
-    try:
-        declared_rate = float(declared or 0)
-    except ValueError:
-        declared_rate = 0.0
-    if np.isfinite(declared_rate) and declared_rate > 0 and not np.isclose(declared_rate, rate, rtol=1e-6):
-        return _undo_rounding(declared_rate, 1e-8)
-    for common in () if is_uniform else _COMMON_FRAME_RATES:
-        if len(times) > 1 and np.allclose(times * common, np.rint(times * common), rtol=0, atol=1e-3):
-            return float(common)
-    return rate or DEFAULT_FPS
-
-
-def _undo_rounding(rate: float, tolerance: float) -> float:
-    """Return a simple rate, such as 29.97 or 30000/1001, if it differs by the rounding of a reciprocal or a text."""
-    simple = float(Fraction(rate).limit_denominator(1001))
-    return simple if np.isclose(simple, rate, rtol=tolerance, atol=0) else float(f"{rate:.12g}")
 
 
 @dataclass(frozen=True, eq=False)
