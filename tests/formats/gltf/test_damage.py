@@ -204,7 +204,7 @@ def test_a_root_of_the_scene_that_is_a_child(made: Callable[..., MeshSequence]) 
         maker.node("body", mesh=maker.mesh(TRIANGLE))
         with pytest.warns(MixseqWarning, match=r"nodes\[1\] is a root of the scene, though a child of nodes\[0\]"):
             got = made(maker)
-        np.testing.assert_array_equal(got.points, [np.array(TRIANGLE) + [5, 0, 0]])
+        np.testing.assert_array_equal(got.points, np.add([TRIANGLE], [5, 0, 0]))
 
 
 def test_points_that_are_not_finite(made: Callable[..., MeshSequence]) -> None:
