@@ -79,6 +79,8 @@ class Comparison:
         Dihedral error; hinges where a face has no area, in either sequence, are skipped.
     volume : VolumeError or None
         Volume error; None unless the mesh is closed, consistently oriented and has a volume.
+    max_time_difference : float
+        Largest difference of the times of two frames that are compared, in seconds.
     per_frame_max : (T,) float64
         Largest distance of a vertex in every frame, in diagonals.
     """
@@ -94,6 +96,7 @@ class Comparison:
     edge_strain: Statistics
     dihedral_degrees: Statistics
     volume: VolumeError | None
+    max_time_difference: float
     per_frame_max: Float
 
     def as_dict(self, per_frame: bool = False) -> dict[str, Any]:
@@ -174,6 +177,7 @@ def compare(a: Frames, b: Frames) -> Comparison:
         edge_strain=strains.result(),
         dihedral_degrees=angles.result(),
         volume=_volume_error(np.concatenate(volumes, axis=1), unit.fraction) if is_closed else None,
+        max_time_difference=float(np.abs(header.times - b.header.times).max()),
         per_frame_max=np.array([error_ratio(value, unit.fraction) for value in per_frame]),
     )
 
@@ -216,23 +220,26 @@ def measure_between(source: Model | Frames, delivery: Model | Frames, progress: 
 
 
 def match_frames(a: SequenceHeader, b: SequenceHeader) -> NDArray[np.int64] | None:
-    """Return the frame indices ``(T,)`` of b at the times of a, or None if b has no frame at one of the times.
+    """Return the frame indices ``(T,)`` of b at the times of a, or with its numbers; None if b lacks one of the frames.
 
     Times in single precision are off by up to 1e-4 of a frame after a minute, so they count as equal within
-    `FRAME_TOLERANCE`, but not beyond a quarter of the smallest step between frames.
+    `FRAME_TOLERANCE`. Sequences of different rates, such as 24 and 23.976, are paired by the numbers of their frames.
     """
-    after = np.clip(np.searchsorted(b.times, a.times), 1, max(b.frame_count - 1, 1))
+    frames = _match_nearest(a.times, b.times, FRAME_TOLERANCE / a.fps)
+    return _match_nearest(a.times * a.fps, b.times * b.fps, FRAME_TOLERANCE) if frames is None else frames
+
+
+def _match_nearest(a: Float, b: Float, tolerance: float) -> NDArray[np.int64] | None:
+    """Return the index in b of each of the times in a ``(T,)``; None if one differs by more than the tolerance.
+
+    The tolerance is at most a quarter of the smallest step.
+    """
+    after = np.clip(np.searchsorted(b, a), 1, max(b.size - 1, 1))
     before = after - 1
-    after = np.minimum(after, b.frame_count - 1)
-    is_before = np.abs(b.times[before] - a.times) <= np.abs(b.times[after] - a.times)
-    frames = np.where(is_before, before, after)
-    return frames if (np.abs(b.times[frames] - a.times) <= _time_tolerance(a, b)).all() else None
-
-
-def _time_tolerance(a: SequenceHeader, b: SequenceHeader) -> float:
-    """Return the largest difference in seconds of times that count as equal."""
-    steps = np.concatenate([np.diff(a.times), np.diff(b.times)])
-    return float(min(FRAME_TOLERANCE / a.fps, steps.min(initial=np.inf) / 4))
+    after = np.minimum(after, b.size - 1)
+    frames = np.where(np.abs(b[before] - a) <= np.abs(b[after] - a), before, after)
+    tolerance = min(tolerance, np.concatenate([np.diff(a), np.diff(b)]).min(initial=np.inf) / 4)
+    return frames if (np.abs(b[frames] - a) <= tolerance).all() else None
 
 
 def match_reference(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
@@ -245,7 +252,7 @@ def match_reference(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
     renumbering = _match_mesh(header, b)
     _check_count("frames", header.frame_count, b.frame_count)
     if match_frames(header, b) is None:
-        frame = int(np.argmax(np.abs(header.times - b.times) > _time_tolerance(header, b)))
+        frame = int(np.argmax(np.abs(header.times - b.times) > FRAME_TOLERANCE / header.fps))
         raise InvalidSequenceError(
             f"{header.frame_name(frame)} is at {header.times[frame]:.9g} s in the reference, at "
             f"{b.times[frame]:.9g} s in the other sequence; give sequences with the same times"

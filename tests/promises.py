@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,13 +16,16 @@ from typing import Literal
 import numpy as np
 
 import mixseq
-from mixseq.errors import MixseqError
-from mixseq.sequence.sequence import MeshSequence
+from mixseq.cli.decode import _measure_rig
+from mixseq.errors import MixseqError, SettingsError
+from mixseq.mesh.measures import choose_origin
+from mixseq.sequence.sequence import MeshSequence, rounding_margin
 from mixseq.signals.detail import EXACT_TOLERANCE
 from mixseq.types import FloatArray, Index
 from mixseq_io.verification import read_compressed
+from tests.formats.vat.shader import looked_up, told, vertices_of
 
-Way = Literal["fit", "compress", "exact"]
+Way = str
 WAYS: tuple[Way, ...] = ("fit", "compress", "exact")
 
 Kind = Literal["kept", "refused", "broken", "verify wrong", "traceback"]
@@ -68,6 +71,99 @@ def _attempt(points: FloatArray, faces: Index, way: Way, bound: float) -> tuple[
     if not error <= bound:
         return "broken", error, ""
     return ("verify wrong" if wrong else "kept"), error, wrong
+
+
+DELIVERIES: tuple[Way, ...] = (
+    *("python", "javascript", "player", "a.npz", "a.usdc", "a.abc", "a.glb", "a.pc2"),
+    *("textures", "morph", "skin"),
+)
+"""What users get of a bound: `player` is JavaScript in single precision about its origin."""
+
+_PLAY = """
+import { readFileSync, writeFileSync } from "node:fs";
+import { readGlb } from "player/glb.js";
+import { open } from "decoder/sequence.js";
+const file = readFileSync(process.argv[2]), start = file.byteOffset;
+const { text, streams } = readGlb(file.buffer.slice(start, start + file.length));
+const sequence = await open(text, streams), double = process.argv[4] === "javascript";
+const frames = Array.from(sequence.times, (_, k) => {
+  const out = new (double ? Float64Array : Float32Array)(3 * sequence.vertexCount);
+  return Float64Array.from(sequence.frame(k, out), (value, at) => sequence.origin[at % 3] + value);
+});
+writeFileSync(process.argv[3], Buffer.concat(frames.map((frame) => new Uint8Array(frame.buffer))));
+"""
+
+
+def deliveries(
+    points: FloatArray,
+    faces: Index,
+    bound: float,
+    run_node: Callable[..., str] | None,
+    ways: Iterable[Way] = DELIVERIES,
+) -> Iterator[Outcome]:
+    """Ask for a bound, and measure what arrives in each way; without Node.js, JavaScript is left out."""
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for way in ways:
+            if run_node is None and way in ("javascript", "player"):
+                continue
+            try:
+                error = distance(points, _delivered(points, faces, bound, way, Path(folder), run_node))
+                kind: Kind = "kept" if error <= bound else "broken"
+                yield Outcome(way, bound, kind, error, "")
+            except MixseqError as refusal:
+                yield Outcome(way, bound, "refused", None, str(refusal))
+            except Exception as other:  # a traceback is what is looked for
+                yield Outcome(way, bound, "traceback", None, f"{type(other).__name__}: {other}")
+
+
+def _delivered(
+    points: FloatArray, faces: Index, bound: float, way: Way, folder: Path, run_node: Callable[..., str] | None
+) -> FloatArray:
+    """Return the frames that arrive in a way; raise MixseqError if the bound is refused."""
+    sequence = MeshSequence.from_arrays(points, faces)
+    if way == "textures":
+        mixseq.write_vat(folder / "a.vat", sequence, max_error=bound)
+        frames = np.stack([looked_up(folder / "a.vat", "points", frame) for frame in range(len(points))])
+        return _at_vertices(points, frames + np.array(told(folder / "a.vat")["origin"]), vertices_of(folder / "a.vat"))
+    if way in ("morph", "skin"):
+        rig = (
+            mixseq.fit_morph(sequence, max_error=bound)
+            if way == "morph"
+            else mixseq.fit_skin(sequence, bones=3, correctives=bound, max_targets=len(points))
+        )
+        if distance(points, np.concatenate(list(rig.blocks()))) > bound:
+            raise SettingsError("the rig does not reach the bound, which a warning says")
+        mixseq.write_rig(folder / "rig.glb", rig)
+        _measure_rig(folder / "rig.glb", rig, sequence, bound)
+        return mixseq.read(folder / "rig.glb").points
+    file = folder / f"{bound}.h5"
+    if not file.exists():
+        coded = mixseq.compress(sequence, max_error=bound, inbetweens=False)
+        mixseq.save(file, coded)
+        mixseq.save(file.with_suffix(".glb"), coded, still="none")
+    if way in ("javascript", "player"):
+        assert run_node is not None, "JavaScript is left out without Node.js"
+        near = points - choose_origin(points[0])
+        coordinates = [float(np.abs(each).max()) for each in (points, near)]
+        if way == "player" and not rounding_margin(bound * sequence.diagonal, *coordinates):
+            raise SettingsError("single precision does not hold the bound")
+        run_node(_PLAY, file.with_suffix(".glb"), folder / "frames", way)
+        return np.fromfile(folder / "frames").reshape(points.shape)
+    decoded = mixseq.load(file).sample()
+    if way == "python":
+        return decoded.points
+    mixseq.write(folder / way, decoded)
+    return mixseq.read(folder / way).points
+
+
+def _at_vertices(points: FloatArray, frames: FloatArray, vertices: Index) -> FloatArray:
+    """Return frames ``(T, V, 3)`` of those at vertices ``(n,)``, which may repeat; others stay as they are."""
+    result = points.astype(np.float64)
+    apart = np.square(frames - result[:, vertices]).sum(axis=2).max(axis=0)
+    order = np.argsort(apart)  # the farthest of repeated ones is kept
+    result[:, vertices[order]] = frames[:, order]
+    return result
 
 
 def distance(points: FloatArray, others: FloatArray) -> float:

@@ -342,3 +342,18 @@ def test_as_dict() -> None:
     full = result.as_dict(per_frame=True)
     assert json.loads(json.dumps(full)) == full
     assert full["per_frame_max"] == result.per_frame_max.tolist()
+
+
+def test_frames_pair_by_time_or_number_and_the_difference_is_told() -> None:
+    points = np.random.default_rng(0).normal(size=(40, 4, 3))
+    faces = [[0, 1, 2], [0, 2, 3]]
+    a = MeshSequence.from_arrays(points, faces, times=np.arange(1001, 1041) / 24, fps=24)
+    drifting = MeshSequence.from_arrays(points, faces, times=a.times + np.linspace(0, 4e-5, 40), fps=24)
+    ntsc = MeshSequence.from_arrays(points, faces, times=np.arange(1001, 1041) * 1.001 / 24, fps=24 / 1.001)
+    for b, difference in ((a, 0.0), (drifting, 4e-5), (ntsc, 1040 * 0.001 / 24)):
+        result = compare(a, b)
+        assert result.max_error == 0
+        assert result.max_time_difference == pytest.approx(difference, rel=1e-6, abs=1e-12)
+    late = MeshSequence.from_arrays(points, faces, times=a.times + 2e-3 / 24, fps=24)
+    with pytest.raises(InvalidSequenceError, match="with the same times"):
+        compare(a, late)

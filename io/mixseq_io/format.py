@@ -49,8 +49,9 @@ class Format:
     """File format: name in messages, lower-case extensions, capabilities, options, reader and writer.
 
     `reader` and `writer` are ``"module:function"``, imported at first use: ``(path, **options) -> SequenceReader`` and
-    ``(path, header, blocks, velocities, **options) -> None``. `signatures` are possible first bytes of files.
-    `numbered` formats store one frame per file. `isolated` formats are read in a worker, see `mixseq_io.isolation`.
+    ``(path, header, blocks, velocities, **options) -> None``. `signatures` are possible first bytes of files. Writers
+    of formats that `has_nodes` also get ``rounding``, see `RoundingMonitor`. `numbered` formats store one frame per
+    file. `isolated` formats are read in a worker, see `mixseq_io.isolation`.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Format:
     read_options: Mapping[str, str] = field(default_factory=dict)
     write_options: Mapping[str, str] = field(default_factory=dict)
     signatures: tuple[bytes, ...] = ()
+    has_nodes: bool = False
     numbered: bool = False
     isolated: bool = False
 
@@ -84,11 +86,13 @@ class Format:
     ) -> None:
         """Write a file; see `mixseq_io.write_blocks`."""
         self._check_options("written", self.write_options, options)
-        rounding = RoundingMonitor(header.provenance)
+        rounding = RoundingMonitor(path, self.name, header)
         if self.capabilities.points == SINGLE_PRECISION:
-            blocks = rounding.measure(blocks)
+            blocks = rounding.watch(blocks, self.has_nodes)
+        if self.has_nodes:
+            options["rounding"] = rounding
         import_function(self.writer)(path, header, blocks, velocities, **options)
-        rounding.warn(path, self.name, header)
+        rounding.warn()
 
     def _check_options(self, verb: str, known: Mapping[str, str], options: Mapping[str, Any]) -> None:
         for option in options:

@@ -51,6 +51,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, OutputError, SettingsError
+from mixseq.sequence.frame_rates import estimate_frame_rate
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.files import atomic_files
@@ -250,10 +251,8 @@ def _even_times(first: float, step: float, count: int, fps: float) -> NDArray[np
 
 
 _MDD_STRUCT = struct.Struct(">ii")
-_MAX_STEP_ERROR_RATIO = 1e-2
-"""Largest relative error of a single time step due to rounding of times."""
 _MAX_RATE_ERROR_RATIO = 2e-4
-"""Largest relative error of a rate computed from rounded times, less than the gap between 24 and 23.976."""
+"""Largest relative error of a rate that follows from rounded times without a warning."""
 
 
 def open_mdd(path: Path, mesh: MeshPath = None) -> SequenceReader:
@@ -269,24 +268,8 @@ def _read_mdd_header(file: IO[bytes]) -> CacheHeader:
     header_size = len(data) + 4 * frame_count
     _check_size(file, header_size, frame_count, point_count)
     times = np.frombuffer(file.read(4 * frame_count), ">f4").astype(np.float64)
-    fps = _estimate_fps(times)
+    fps = estimate_frame_rate(times)
     return CacheHeader(header_size, ">", point_count, snap_to_frames(times, fps) if fps else times, fps)
-
-
-def _estimate_fps(times: NDArray[np.float64]) -> float | None:
-    """Estimate the frame rate of float32 times ``(T,)``, snapped to a close whole or NTSC rate; None if unknown."""
-    step = float(np.quantile(np.diff(times), 0.5, method="lower")) if times.size > 1 else 0.0
-    if not (np.isfinite(step) and step > 0):
-        return None
-    span = float(times[-1] - times[0])
-    if not (np.isfinite(span) and span > 0):
-        return None  # non-increasing times are reported where they are used
-    overall = max(1, round(span / step)) / span  # more exact than one rounded step if all steps are equal
-    rate = overall if abs(overall * step - 1) < _MAX_STEP_ERROR_RATIO else 1 / step
-    for candidate in (round(rate), round(rate * 1.001) / 1.001):
-        if abs(candidate - rate) <= _MAX_RATE_ERROR_RATIO * rate:
-            return float(candidate)
-    return rate
 
 
 def write_mdd(
@@ -304,7 +287,7 @@ def write_mdd(
             f"frames {frame} and {frame + 1} are both at {times[frame]:.9g} s in float32, which MDD stores; write .npz "
             "or .h5"
         )
-    stored_fps = _estimate_fps(times.astype(np.float64))
+    stored_fps = estimate_frame_rate(times.astype(np.float64))
     is_exact = stored_fps is None or abs(stored_fps - header.fps) <= _MAX_RATE_ERROR_RATIO * header.fps
     losses = [] if is_exact else [f"{header.fps:g} frames per second"]
     cache_header = _MDD_STRUCT.pack(header.frame_count, header.vertex_count) + times.astype(">f4").tobytes()

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, MixseqWarning, SettingsError
+from mixseq.mesh.measures import choose_origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
 from mixseq.sequence.sequence import check_block
@@ -164,6 +165,7 @@ class SequenceReader(ABC):
         self.has_velocities = has_velocities
         self.can_evaluate = can_evaluate
         self._resources = resources or ExitStack()
+        self._point_type: DTypeLike | None = None
         self._closed = False
         self._memory_limit = max_memory()
         self._process_id = os.getpid()
@@ -256,6 +258,15 @@ class SequenceReader(ABC):
         if self._process_id != os.getpid():  # both processes would share one position in the file
             raise FormatError(f"{self.path} was opened before this process was forked; open it again here")
 
+    def _round(self, points: FloatArray) -> FloatArray:
+        """Round computed points ``(B, V, 3)`` to single precision, unless the first ones are far from zero."""
+        if self._point_type is None and points.size:
+            with np.errstate(all="ignore"):
+                is_exact = np.array_equal(points[0].astype(np.float32), points[0])
+            is_far = not is_exact and choose_origin(points[0]).any()
+            self._point_type = np.float64 if is_far else np.float32
+        return points.astype(self._point_type or np.float32, copy=False)
+
     def _checked(
         self,
         quantity: str,
@@ -295,8 +306,10 @@ class AnimationReader(SequenceReader):
         for start in range(0, frames.size, size):
             times = np.interp(frames[start : start + size], np.arange(self._frame_times.size), self._frame_times)
             with np.errstate(all="ignore"):  # points that are not finite are reported with their vertex
-                values = self._points_at(times, times) if quantity == "points" else self._velocities_at(times)
-                block = values.astype(np.float32, copy=False)
+                if quantity == "points":
+                    block = self._round(self._points_at(times, times))
+                else:
+                    block = self._velocities_at(times).astype(np.float32, copy=False)
             yield block
 
     def _velocities_at(self, times: Float) -> FloatArray:

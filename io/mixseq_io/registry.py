@@ -53,6 +53,7 @@ def _numbered_format(name: str, module: str, *signatures: bytes, **capabilities:
 FORMATS: tuple[Format, ...] = (
     Format(
         name="USD",
+        has_nodes=True,
         extensions=(".usd", ".usda", ".usdc", ".usdz"),
         capabilities=Capabilities(
             animation="point samples, transforms, skeletons, blend shapes, value clips",
@@ -86,6 +87,7 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format(
         name="Alembic",
+        has_nodes=True,
         extensions=(".abc",),
         capabilities=Capabilities(animation="point samples, transforms", velocities=True, materials="carried along"),
         reader="mixseq_io.alembic.reader:open_alembic",
@@ -97,6 +99,7 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format(
         name="glTF",
+        has_nodes=True,
         extensions=(".glb", ".gltf"),
         capabilities=Capabilities(
             animation="skins, morph targets, transforms, compressed models",

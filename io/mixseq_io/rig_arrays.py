@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mixseq.errors import AmbiguousError, FormatError
+from mixseq.mesh.measures import choose_origin
 from mixseq.rigging.rigs import Morph, Skin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import bounding_diagonal
@@ -23,6 +24,20 @@ if TYPE_CHECKING:
 
 _ROUNDING_FRACTION = 4 * float(np.finfo(np.float32).eps)
 """Largest motion that counts as a rounding error, relative to the largest magnitude."""
+
+
+def move_skin(skin: Skin) -> tuple[Skin, Float]:
+    """Return a skin relative to the origin ``(3,)`` of its rest shape, see `choose_origin`, and this origin."""
+    origin = choose_origin(skin.rest)
+    skeleton = replace(skin.skeleton, pivots=skin.skeleton.pivots - origin)
+    moved = replace(skin, rest=skin.rest - origin, skeleton=skeleton, translations=skin.translations - origin)
+    return moved, origin
+
+
+def move_morph(morph: Morph) -> tuple[Morph, Float]:
+    """Return a morph relative to the origin ``(3,)`` of its base, see `choose_origin`, and this origin."""
+    origin = choose_origin(morph.base)
+    return replace(morph, base=morph.base - origin), origin
 
 
 def four_influences(skin: Skin) -> tuple[Index, Single]:

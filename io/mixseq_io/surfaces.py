@@ -30,80 +30,102 @@ All arrays are optional; arrays whose names begin with the same word are stored 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.measures import Diagonal
+from mixseq.errors import InvalidSequenceError, OutputError
+from mixseq.mesh.measures import NO_ORIGIN, Diagonal, choose_origin
 from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.sequence.provenance import Provenance
-from mixseq.sequence.sequence import reference_diagonal
+from mixseq.sequence.sequence import reference_diagonal, rounding_margin
 from mixseq.types import Float, FloatArray, Index, IntArray, Single
 from mixseq_io.reader import warn
 
 VISIBLE_ERROR_DIAGONALS = 1e-4
 """Smallest reported displacement in diagonals, a fifth of the visually lossless displacement."""
 
-MAX_SILENT_BOUND_SHARE = 0.1
-"""Largest displacement by rounding that is not reported, as a share of the bound that a model promises."""
-
-_FRAMES_PER_MEASUREMENT = 8
-_RELATIVE_ROUNDING, _SMALLEST_ROUNDING = 2.0**-24, 2.0**-150
-"""Largest rounding error of float32: relative to the coordinate, and absolute for coordinates near zero."""
-
 
 class RoundingMonitor:
-    """Measurement of the largest displacement of points in a float32 file, in diagonals, and of its frame index.
+    """Origin of the points of a file in single precision, and their largest displacement by rounding, in diagonals.
 
-    Visible displacements are reported, and those that matter for the bound promised by the model the points are from.
+    Visible displacements are reported. Those beyond the margin of a bound that a model promises are an error.
     """
 
-    def __init__(self, provenance: Provenance | None = None) -> None:
+    def __init__(self, path: Path, format_name: str, header: SequenceHeader) -> None:
         self.error, self.frame = 0.0, 0
-        self._promise = None if provenance is None else _promised_bound(provenance)
-        self._silent = min(VISIBLE_ERROR_DIAGONALS, MAX_SILENT_BOUND_SHARE * (self._promise or 1.0))
+        self.origin = NO_ORIGIN
+        self._path, self._format_name, self._header = path, format_name, header
+        self._near, self._diagonal = NO_ORIGIN, Diagonal(0.0, 0)
+        self._largest = self._largest_local = 0.0
 
-    def measure(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        """Yield blocks ``(B, V, 3)``, and measure each block after the writer has checked it."""
-        diagonal, first = None, 0
+    def watch(self, blocks: Iterable[FloatArray], has_nodes: bool = False) -> Iterator[FloatArray]:
+        """Return an iterator over blocks ``(B, V, 3)``, which raises `OutputError` at its end if a promise is broken.
+
+        Formats with nodes get an `origin`, which is chosen at once, and their writers call `measure`.
+        """
+        remaining = iter(blocks)
+        for first in remaining:
+            points = np.asarray(first)
+            if points.ndim == 3 and points.size and points.dtype != np.float32:
+                self._near = choose_origin(points[0])
+            self.origin = self._near if has_nodes else NO_ORIGIN
+            return self._watch(chain([first], remaining), has_nodes)
+        return remaining
+
+    def _watch(self, blocks: Iterable[FloatArray], has_nodes: bool) -> Iterator[FloatArray]:
+        count = 0
         for block in blocks:
-            yield block
             points = np.asarray(block)
-            if points.size:
-                if diagonal is None or not diagonal.fraction:
-                    diagonal = reference_diagonal([points])
-                if points.dtype != np.float32:
-                    for start in range(0, len(points), _FRAMES_PER_MEASUREMENT):
-                        self._update(points[start : start + _FRAMES_PER_MEASUREMENT], first + start, diagonal)
-            first += len(points)
+            if points.ndim == 3 and points.size and not self._diagonal.fraction and np.isfinite(points).all():
+                self._diagonal = reference_diagonal([points])
+            yield block
+            if not has_nodes:
+                for frame, own in enumerate(points, count):
+                    self.measure(frame, own, own)
+            count += len(points)
+        self._check_promise()
 
-    def _update(self, points: FloatArray, first: int, diagonal: Diagonal) -> None:
-        largest = max(float(points.max()), -float(points.min()))
-        bound = 2 * max(_RELATIVE_ROUNDING * largest, _SMALLEST_ROUNDING)
-        if bound < self._silent * diagonal.length:
+    def measure(self, frame: int, points: FloatArray, written: FloatArray) -> None:
+        """Measure the distances of points ``(V, 3)`` of a frame from those that are written, or rounded, for them."""
+        if points.dtype == np.float32 or not points.size:
             return
+        self._largest = max(self._largest, float(np.abs(points).max()))
+        self._largest_local = max(self._largest_local, float(np.abs(points - self._near).max()))
         with np.errstate(over="ignore", under="ignore"):
-            errors: Float = diagonal.rescale(points - points.astype(np.float32))
-            errors = np.sqrt(np.square(errors).sum(axis=2).max(axis=1)) / (diagonal.fraction or 1.0)
-        if errors.max() > self.error:
-            self.error, self.frame = float(errors.max()), first + int(errors.argmax())
+            written = written.astype(np.float32) if written is points else written
+            errors: Float = self._diagonal.rescale(points - written)
+            error = float(np.sqrt(np.square(errors).sum(axis=1).max())) / (self._diagonal.fraction or 1.0)
+        if error > self.error:
+            self.error, self.frame = error, frame
 
-    def warn(self, path: Path, format_name: str, header: SequenceHeader) -> None:
-        """Warn of visible rounding, and of a promised bound that may be exceeded; `format_name` is such as "USD"."""
-        if self.error <= self._silent:
+    def _check_promise(self) -> None:
+        """Raise an error if rounding takes more of a promised bound than encoders leave for it."""
+        provenance, unit = self._header.provenance, self._diagonal.length or 1.0
+        bound = None if provenance is None else _promised_bound(provenance)
+        if bound is None or self.error <= rounding_margin(bound, self._largest / unit, self._largest_local / unit):
             return
-        bound = ""
-        if self._promise is not None:
-            bound = f" (by {self._promise + self.error:.2g} from the original, of which {self._promise:g} is promised)"
-        warn(
-            f"{path}: {format_name} holds points in single precision, and vertices are off by up to {self.error:.2g} "
-            f"of the diagonal{bound}, most in {header.frame_name(self.frame)}; write .npz, .h5 or .ply, which hold "
-            "doubles, or move the sequence to the origin"
+        alone = ", or a stand-alone USD, Alembic or glTF file (--flatten)" if self._near.any() else ""
+        raise OutputError(
+            f"{self._describe()}, which may exceed the promised {bound:g}; write .npz, .h5 or .ply, which hold "
+            f"doubles{alone}, or compress with a larger bound"
+        )
+
+    def warn(self) -> None:
+        """Warn of visible rounding."""
+        if self.error > VISIBLE_ERROR_DIAGONALS:
+            cure = "write .npz, .h5 or .ply, which hold doubles, or move the sequence to the origin"
+            warn(f"{self._describe()}; {cure}")
+
+    def _describe(self) -> str:
+        return (
+            f"{self._path}: {self._format_name} holds points in single precision, and vertices are off by up to "
+            f"{self.error:.2g} of the diagonal, most in {self._header.frame_name(self.frame)}"
         )
 
 

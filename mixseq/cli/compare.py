@@ -12,7 +12,7 @@ from mixseq.cli import options
 from mixseq.cli.files import at_times_of, between_row, check_options, counted, is_model, options_of
 from mixseq.cli.group import length_text, print_json, print_table, progress_bar, say
 from mixseq.errors import MixseqWarning
-from mixseq.sequence.frame_rates import format_frame, time_to_number
+from mixseq.sequence.frame_rates import FRAME_ROUNDING, format_frame, time_to_number
 
 if TYPE_CHECKING:
     from mixseq.metrics import Comparison
@@ -85,8 +85,11 @@ def _warn_of_axes(reference: Path, a: SequenceHeader, other: Path, b: SequenceHe
 
 def _rows(result: Comparison, header: SequenceHeader) -> list[tuple[str, str]]:
     volume, diagonal = result.volume, result.diagonal * header.metres_per_unit
+    difference = result.max_time_difference
+    times = [("times", f"differ by up to {difference:.2g} s ({difference * header.fps:.2g} frames)")]
     return [
         ("compared", f"{result.frames:,} frames of {result.vertices:,} vertices"),
+        *(times if difference * header.fps > FRAME_ROUNDING else []),
         ("KG error", f"{result.kg_percent:.4g} %"),
         ("rms error", length_text(result.rms_error, diagonal)),
         ("max error", length_text(result.max_error, diagonal)),

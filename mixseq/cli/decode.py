@@ -14,7 +14,7 @@ import mixseq
 from mixseq.cli import files, options
 from mixseq.cli.group import announce, format_bytes, length_text, print_table, progress_bar
 from mixseq.cli.options import in_diagonals
-from mixseq.errors import MixseqError, MixseqWarning, NoMeshError, SettingsError
+from mixseq.errors import MixseqError, MixseqWarning, NoMeshError, OutputError, SettingsError
 from mixseq.sequence.frame_rates import format_rate, snap_to_ntsc
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from mixseq.sequence.sequence import Frames, MeshSequence
     from mixseq.signals.decoding import Decodable, RigMotion
     from mixseq.signals.model import Model
+    from mixseq_io.rig_measuring import RigErrors
     from mixseq_io.vat.writer import TextureName, VatReport
 
 
@@ -113,15 +114,31 @@ def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
     return None
 
 
+def _measure_rig(path: Path, rig: Skin | Morph, sequence: MeshSequence, bound: float | None) -> RigErrors:
+    """Measure a written rig; raise an error if rounding to single precision breaks a bound that the rig keeps."""
+    from mixseq.signals.between import largest_distance
+    from mixseq_io.rig_measuring import measure_rig_file
+
+    measured = measure_rig_file(path, sequence)
+    if bound is None or measured.max_error <= bound:
+        return measured
+    if largest_distance(sequence.blocks(), rig.blocks()) <= bound * (sequence.diagonal or 1.0):
+        raise OutputError(
+            f"{path} holds numbers in single precision, and vertices are off by up to {measured.max_error:.3g} of the "
+            f"diagonal, more than {bound:g}; the file is written, but give a larger bound"
+        )
+    return measured
+
+
 def rows(
-    path: Path, rig: Skin | Morph, sequence: MeshSequence, motion: Decodable | None = None
+    path: Path, rig: Skin | Morph, sequence: MeshSequence, measured: RigErrors, motion: Decodable | None = None
 ) -> list[tuple[str, str]]:
     """Return table rows about the contents of a written rig file, and its distance from the sequence and the motion."""
     from mixseq.rigging.rigs import Skin
     from mixseq_io.rig_files import GLTF_EXTENSIONS
-    from mixseq_io.rig_measuring import measure_file_between, measure_rig_file, size_with_frame_targets
+    from mixseq_io.rig_measuring import measure_file_between, size_with_frame_targets
 
-    measured, diagonal = measure_rig_file(path, sequence), sequence.diagonal * sequence.metres_per_unit
+    diagonal = sequence.diagonal * sequence.metres_per_unit
     first, last = rig.header.times[[0, -1]]
     rate = format_rate(rig.header.fps)
     frames = f"{rig.header.frame_count:,} from {first:g} to {last:g} s at {rate} frames per second"
@@ -294,7 +311,9 @@ def command(
                 else:
                     rig_model = _fit_rig(kind or "", sequence, progress, **rig)
                 mixseq.write_rig(target, rig_model)
-                table = [] if quiet else rows(target, rig_model, sequence, motion)
+                bound = rig.get("correctives") or rig.get("max_error")
+                measured = None if quiet and bound is None else _measure_rig(target, rig_model, sequence, bound)
+                table = [] if quiet or measured is None else rows(target, rig_model, sequence, measured, motion)
     if not quiet:
         print_table(table)
     announce(target)

@@ -49,7 +49,8 @@ class SourceMotion:
         if not (self.parts is None or isinstance(self.parts, int | np.integer)):
             return segment_by_labels(self.parts, self.topology)
         samples = self.points[sample_frame_ids(len(self.points))]
-        poses = np.concatenate([self.rest[None], samples])
+        is_sampled = (samples == self.rest).all(axis=(1, 2)).any()  # then parts are those of a model of the frames
+        poses = samples if is_sampled else np.concatenate([self.rest[None], samples])
         return segment(poses, self.topology, "motion", None if self.parts is None else int(self.parts))
 
 

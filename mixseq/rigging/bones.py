@@ -29,12 +29,13 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
+from mixseq.mesh.measures import choose_origin
 from mixseq.mesh.rigid import kabsch, nearest_rotations
 from mixseq.rigging.rigs import Skeleton, Skin, remove_sign_flips
 from mixseq.runtime.jit import compiled
 from mixseq.segmentation.motion import moments, union_errors
 from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, load_frames
+from mixseq.sequence.sequence import Frames, load_frames, rounding_margin
 from mixseq.types import Float, Index
 
 MAX_ACTIVE_SET_ROUNDS = 60  # largest number of rounds, each of which adds a bone
@@ -360,6 +361,11 @@ class Centred:
         store = load_frames(sequence)
         points = np.asarray(store.points[: store.header.frame_count], dtype=np.float64)
         return cls(store.header, points, points.mean(axis=1), store.diagonal or 1.0)
+
+    def to_length(self, error: float) -> float:
+        """Return an error in diagonals as a length, less the margin for rounding to single precision in files."""
+        length, origin = error * self.diagonal, choose_origin(self.points[0])
+        return length - rounding_margin(length, max(float(np.abs(frame - origin).max()) for frame in self.points))
 
     @property
     def frames(self) -> Float:

@@ -306,7 +306,7 @@ def fit_skin(
         if correctives is None:
             return skin
         progress(2 * rounds, 2 * rounds + 1, "fitting correctives")
-        bound = correctives * centred.diagonal
+        bound = centred.to_length(correctives)
         skin, reached = fit_correctives(skin, centred.points, bound, max_targets)
     reached /= centred.diagonal
     _warn_if_missed(reached, correctives, len(skin.targets), "correctives", "bones or max_targets")
@@ -352,7 +352,7 @@ def fit_morph(
     progress(0, 1, "fitting targets")
     with one_blas_thread():
         base = centred.points.mean(axis=0)
-        bound = None if max_error is None else max_error * centred.diagonal
+        bound = None if max_error is None else centred.to_length(max_error)
         displacements = centred.points - base
         shapes, weights, error = fit_targets(
             displacements, bound, max_targets, lambda _, each: np.linalg.norm(each, axis=1)

@@ -14,6 +14,10 @@ from __future__ import annotations
 from math import isfinite
 from typing import Annotated
 
+import numpy as np
+
+from mixseq.types import Float
+
 Seconds = Annotated[float, "seconds"]
 """A time or duration that scripts may give as a number of frames."""
 
@@ -83,6 +87,96 @@ def snap_to_ntsc(fps: float, base: float | None = None) -> float:
         if abs(ratio - round(ratio)) < 1e-9:
             return fps
     return next((rate for rate in NTSC_RATES if abs(fps - rate) < _NTSC_TOLERANCE_FPS), fps)
+
+
+USUAL_RATES = (24.0, 30.0, 25.0, 60.0, 50.0, 48.0, 120.0, 100.0, 12.0, 15.0, 20.0, 10.0, *NTSC_RATES, 240.0)
+"""Frame rates in Hz, the most common first."""
+
+_RATE_ROUNDING = 2.0**-22
+"""Largest relative error of a rate if it, or the time between two frames, was stored in single precision."""
+
+_STEP_ROUNDING = 2e-4
+"""Largest relative error of the rate of a single step, less than the distance of 24 from 23.976."""
+
+_MAX_GRID_RATE = 60.0
+"""Highest rate in Hz whose frames alone are evidence; finer ones hold hundredths of seconds and ticks as well."""
+
+_EXACT_FRAMES = 1e-9
+"""Largest distance of times from frames, in frames, that needs more than single precision."""
+
+
+def snap_rate(fps: float, tolerance: float = _RATE_ROUNDING) -> float:
+    """Return the usual, whole or NTSC rate within a relative tolerance of a rate, or else the rate."""
+    if not (fps > 0 and isfinite(fps)):
+        return fps
+    candidates = (*USUAL_RATES, float(round(fps)), 1000 * round(1.001 * fps) / 1001)
+    nearest = min(candidates, key=lambda rate: abs(rate - fps))
+    return nearest if abs(nearest - fps) <= tolerance * fps else fps
+
+
+def is_on_frames(times: Float, fps: float, tolerance: float = FRAME_TOLERANCE) -> bool:
+    """Whether times ``(T,)`` in s are at frames of a rate, counted from 0 or from the first time."""
+    return any(bool(np.abs(n - np.rint(n)).max() <= tolerance) for n in (times * fps, (times - times[0]) * fps))
+
+
+def estimate_frame_rate(times: Float, declared: float = 0.0, lowest: float = 0.0) -> float | None:
+    """Return the frame rate of increasing times ``(T,)`` in s, in which single precision may have left its rounding.
+
+    It is that of even times, if at least `lowest`, or else the usual rate at whose frames all times are; None if there
+    is no such rate. A declared rate that is not this one has precedence, since times may be on twos.
+
+    Examples
+    --------
+    >>> estimate_frame_rate(np.arange(60) * np.float32(1 / 30)), estimate_frame_rate(np.arange(60) / 29.97)
+    (30.0, 29.97)
+    >>> estimate_frame_rate((np.arange(96) / 29.97).astype(np.float32).astype(float)) == 30000 / 1001
+    True
+    >>> estimate_frame_rate(np.array([0.0, 1, 2, 5]) / 12), estimate_frame_rate(np.array([0.0, 0.5, 0.6]))
+    (12.0, 30.0)
+    """
+    declared = snap_rate(declared) if isfinite(declared) and declared > 0 else 0.0
+    span = float(times[-1] - times[0]) if times.size > 1 else 0.0
+    if not (isfinite(span) and span > 0):
+        return declared or None
+    rate = _rate_of_even_times(times, span) or 0.0
+    if declared and abs(declared - rate) > _RATE_ROUNDING * declared:
+        return declared
+    if rate and rate >= lowest:
+        return rate
+    steps = np.diff(times)
+    median = 1 / float(np.median(steps))
+    likely = snap_rate(median, FRAME_TOLERANCE)
+    # Times that are few and far apart do not determine a rate by their spacing.
+    candidates = (likely, *USUAL_RATES) if median >= min(USUAL_RATES) else USUAL_RATES
+    frequent = snap_rate(1 / float(np.quantile(steps, 0.5, method="lower")), _STEP_ROUNDING)
+    fitting = [each for each in candidates if is_on_frames(times, each)]
+    fine = next(iter(fitting), None)
+    return next((each for each in fitting if each <= _MAX_GRID_RATE), frequent if frequent in USUAL_RATES else fine)
+
+
+def _rate_of_even_times(times: Float, span: float) -> float | None:
+    """Return the rate of times ``(T,)`` that are one frame apart, or None if they are uneven.
+
+    Several rates round to the same times: a usual rate is preferred, then that with the fewest digits.
+    """
+    count = times.size - 1
+    rate, frames = count / span, np.arange(count + 1)
+    distance = float(np.abs((times - times[0]) * rate - frames).max())
+    if distance > FRAME_TOLERANCE:
+        return None
+    last = round(float(times[-1]) * rate)
+    if last > count and abs(float(times[0]) * last / float(times[-1]) - (last - count)) <= FRAME_TOLERANCE:
+        rate, span = last / float(times[-1]), float(times[-1])  # more precise, since it counts from frame 0
+    error = max(2 * float(np.spacing(np.float32(np.abs(times).max()))) / span, _RATE_ROUNDING)
+    if distance <= _EXACT_FRAMES:
+        error = _RATE_ROUNDING
+    usual = snap_rate(rate, max(error, FRAME_TOLERANCE))
+    # Accumulated times drift from the frames of their rate, and rates such as 29.97 are rounded by exporters.
+    drifts = distance > _EXACT_FRAMES and is_on_frames(times - times[0], usual)
+    if abs(usual - rate) <= error * rate or drifts:
+        return usual
+    shortest = (round(rate, digits) for digits in range(4 if distance <= _EXACT_FRAMES else 6))
+    return next((each for each in shortest if abs(each - rate) <= error * rate), float(f"{rate:.12g}"))
 
 
 def format_rate(fps: float) -> str:

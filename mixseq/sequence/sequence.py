@@ -420,7 +420,7 @@ def rounding_margin(bound: float, *coordinates: float) -> float:
     It suffices for the first of the largest `coordinates` that it can suffice for: those relative to zero, and those
     relative to the origin of `choose_origin`. It is 0 if there is none.
     """
-    margins = [_SINGLE_ROUNDING * coordinate for coordinate in coordinates]
+    margins = [_SINGLE_ROUNDING * max(coordinate, 2.0**-126) for coordinate in coordinates]  # above subnormal numbers
     return next((margin for margin in margins if margin <= bound / 2), 0.0)
 
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.choices import BETWEENS, POSE_FORMS, BetweenName, PlacementName, PoseForm, SpaceName
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import wrap_angles
+from mixseq.mesh.measures import choose_origin, wrap_angles
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
@@ -27,7 +27,16 @@ from mixseq.runtime.public import public
 from mixseq.sequence.events import Events, distinct_poses, find_events
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import as_edited
-from mixseq.sequence.sequence import Frames, check_motion, is_rig, load_frames, own_parts
+from mixseq.sequence.sequence import (
+    Frames,
+    FrameStore,
+    check_motion,
+    is_rig,
+    largest_coordinate,
+    load_frames,
+    own_parts,
+    rounding_margin,
+)
 from mixseq.shells.gauss_newton import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.signals.decoding import RigMotion
@@ -291,7 +300,8 @@ def fit(
             max_error = largest_error(model, frames, workers=executor)
         else:
             search = stages.at(FIT_STAGES, MAX_TRIAL_MODELS)
-            model = fit_within_tolerance(encoded, frames, max_error, search, executor)
+            bound = max_error - _rounding_share(frames, max_error)
+            model = fit_within_tolerance(encoded, frames, bound, search, executor)
         header = frames.trace(max_error, promised=not is_reduced)
         if header.provenance and knots is None:
             text = replace(found, whole=chosen).describe(whole.header, between)
@@ -322,6 +332,13 @@ def as_motion(source: Model | RigMotion | Frames, progress: Progress = no_progre
     if is_rig(source):
         return RigMotion(source.header, source)
     return fit(source, exact=True, progress=progress)
+
+
+def _rounding_share(frames: FrameStore, tolerance: float) -> float:
+    """Return the part of a tolerance, in diagonals, that is left to files in single precision."""
+    unit, local = frames.diagonal or 1.0, frames.about(choose_origin(frames.points[:1][0]))
+    coordinates = [largest_coordinate(each.points) for each in (frames, local)]
+    return rounding_margin(tolerance * unit, *coordinates) / unit
 
 
 def _check_options(

@@ -255,7 +255,7 @@ def _bounded_slope(k: int, speeds: Float, durations: Float, first: int) -> Slope
 
 
 def _is_turn(k: int, velocities: Float, durations: Float) -> bool:
-    """Whether the acceleration at frame k is shared by the frames beside it."""
+    """Whether the acceleration at frame k is shared by the frames beside it, or is the only one."""
     if max(durations[k - 1 : k + 1]) > SPEED_RATIO * min(durations[k - 1 : k + 1]):
         return False
 
@@ -266,7 +266,7 @@ def _is_turn(k: int, velocities: Float, durations: Float) -> bool:
     beside = [acceleration(j) for j in (k - 1, k + 1) if 1 <= j < len(velocities)]
     size = float(np.linalg.norm(own))
     similarities = [own @ each / (size * max(size, float(np.linalg.norm(each)))) for each in beside]
-    return bool(similarities) and float(np.mean(similarities)) >= SHARED_ACCELERATION
+    return not similarities or float(np.mean(similarities)) >= SHARED_ACCELERATION
 
 
 def _slope_at_rest(times: Float, motion: Float) -> Float:

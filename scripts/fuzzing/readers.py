@@ -109,9 +109,7 @@ READERS: Mapping[str, Reader] = {
         _H5,
         has_checksums=True,
     ),
-    "compressed": Reader(
-        decode_compressed, (samples.compressed("model.h5"),), (*_H5, damage_coding), has_checksums=True
-    ),
+    "compressed": Reader(decode_compressed, (samples.compressed("model.h5"),), _H5, has_checksums=True),
     "compressed-glb": Reader(
         decode_compressed,
         (samples.compressed("model.glb", still="plain"),),

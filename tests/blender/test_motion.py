@@ -21,6 +21,7 @@ from mixseq.blender.motion import (
     part_names,
     part_slices,
 )
+from mixseq.compression.compressed_model import CompressedModel
 from mixseq.errors import FormatError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
@@ -60,6 +61,15 @@ def test_ends_are_held(pair: Model, time: float, shown: float) -> None:
     motion = Motion(pair, Placement("Z", 1))
     assert motion.clamp_time(time) == shown
     assert motion.points(time)[0, 0] == pytest.approx(3 * shown, abs=1e-6)
+
+
+def test_compressed_models_turn_between_frames(bent_bar: MeshSequence) -> None:
+    """They show the fitted model, not the splines of vertices that players show without in-betweens."""
+    model = CompressedModel.from_sequence(mixseq.compress(bent_bar, max_error=1e-4, inbetweens=False))
+    time = float(model.times[1] * 3 + model.times[2]) / 4
+    shown = Motion(model, Placement("Z", 1.0)).points(time)
+    np.testing.assert_allclose(shown, model.fitted(time), atol=1e-6 * bent_bar.diagonal)
+    assert np.abs(shown - model.playback(time)).max() > 1e-5 * bent_bar.diagonal
 
 
 def test_parts_are_found_by_path_and_by_name(pair: Model) -> None:

@@ -17,6 +17,7 @@ from mixseq.operations import resample
 from mixseq.runtime.parallel import serial_executor
 from mixseq.sequence.sequence import MeshSequence
 from tests.formats.gltf_maker import JOINTS, skinned
+from tests.motions import MESH, moving
 
 Run = Callable[..., Result]
 Contents = Callable[[], dict[str, bytes | None]]
@@ -301,3 +302,41 @@ def test_other_formats_have_no_stage(run: Run) -> None:
     result = run("resample", "model.h5", "new.npz", "--whole-stage")
     assert result.exit_code == 2
     assert "npz has no option 'whole_stage'" in result.stderr
+
+
+def test_cuts_and_twos_are_found_and_named(run: Run) -> None:
+    points = moving(np.arange(16.0))
+    points[9:] += 50
+    times = (1001 + np.arange(16)) / 24
+    mixseq.write("shot.npz", MeshSequence.from_arrays(points, MESH[1], times=times))
+    mixseq.write("twos.npz", MeshSequence.from_arrays(moving(np.floor(np.arange(20) / 2) * 2), MESH[1]))
+    assert "cut between 1009 and 1010" in succeed(run("resample", "shot.npz", "fast.npz", "--fps", "48"))
+    fast = mixseq.read("fast.npz")
+    steps = np.linalg.norm(np.diff(fast.points, axis=0), axis=2).min(axis=1)
+    assert np.flatnonzero(steps > 50).tolist() == [16]  # half-way from 1009 to 1010
+    assert "cut between 1003 and 1004; 1009" in succeed(run("encode", "shot.npz", "shot.h5", "--cuts", "1004,1010"))
+    assert "cut between 1003 and 1004; 1009" in succeed(run("info", "shot.h5"))
+    assert "motion" not in succeed(run("resample", "shot.npz", "smooth.npz", "--fps", "48", "--cuts", "none"))
+    steps = np.linalg.norm(np.diff(mixseq.read("smooth.npz").points, axis=0), axis=2).min(axis=1)
+    assert steps.max() < 45  # of 86.6, in two steps
+    kept = succeed(run("resample", "twos.npz", "kept.npz"))
+    assert "on twos: --between smooth makes ones" in kept
+    succeed(run("resample", "twos.npz", "ones.npz", "--between", "smooth"))
+    ones = mixseq.read("ones.npz").points[4:14]
+    np.testing.assert_allclose(ones, moving(np.arange(4.0, 14)), atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("model.h5 new.npz --between hold", "model.h5 is a model already; leave out --between"),
+        ("model.h5 new.npz --cuts none", "model.h5 is a model already; leave out --cuts"),
+        ("walk.npz new.npz --cuts some", "'some' is not auto, none, or frame numbers such as 1013,1050"),
+        ("walk.npz new.npz --cuts 99", "there is no frame 99; frames are"),
+    ],
+)
+def test_wrong_cuts_are_refused(run: Run, arguments: str, message: str) -> None:
+    mixseq.write("walk.npz", MeshSequence.from_arrays(moving(np.arange(4.0)), MESH[1]))
+    result = run("resample", *arguments.split())
+    assert result.exit_code == 2
+    assert message in result.stderr

@@ -6,43 +6,48 @@ import json
 import os
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import pytest
 
-from tests.compression.test_golden import CASES
+from mixseq.compression.bitstream.compressed_sequence import decode_basis, decode_coefficients
+from mixseq.compression.bitstream.signal_graph import mesh_graph
+from tests.compression.test_golden import CASES, stored
 
 pytestmark = pytest.mark.slow
 
 DECODE = """
-import json, sys, zlib
+import json
 from mixseq.runtime import jit
 if {fused}:
     jit._NUMBA_OPTIONS["fastmath"] = {{"contract"}}
-from mixseq.compression.bitstream.compressed_sequence import decode_basis, decode_coefficients
-from mixseq.compression.bitstream.signal_graph import mesh_graph
-from tests.compression.test_golden import stored
-
-found = {{}}
-for name in {names}:
-    coded = stored(name)[0]
-    basis = decode_basis(coded, mesh_graph(coded.header.faces, coded.header.vertex_count))
-    arrays = [block.vectors for block in basis.part_bases]
-    arrays += [decode_coefficients(coded, chunk, basis) * basis.norms[basis.varying, None] for chunk in coded.chunks]
-    found[name] = [zlib.crc32((array / coded.parameters.step).round(6).tobytes()) for array in arrays]
-print(json.dumps(found))
+from tests.compression.test_other_machines import checksums
+print(json.dumps(checksums()))
 """
 
 MACHINES: dict[str, dict[str, str]] = {
-    "this one": {},
     "no compiler": {"NUMBA_DISABLE_JIT": "1"},
     "fused sums": {"NUMBA_CPU_FEATURES": "+fma,+avx2"},
 }
 
 
+def checksums() -> dict[str, list[int]]:
+    """Return checksums of what golden streams decode to."""
+    found = {}
+    for name in CASES:
+        coded = stored(name)[0]
+        basis = decode_basis(coded, mesh_graph(coded.header.faces, coded.header.vertex_count))
+        arrays = [block.vectors for block in basis.part_bases]
+        norms = basis.norms[basis.varying, None]
+        arrays += [decode_coefficients(coded, chunk, basis) * norms for chunk in coded.chunks]
+        found[name] = [zlib.crc32((array / coded.parameters.step).round(6).tobytes()) for array in arrays]
+    return found
+
+
 def decoded(machine: str, cache: Path | None = None) -> dict[str, list[int]]:
-    """Return checksums of what golden streams decode to. Sums are fused where there is a cache for that."""
-    script = DECODE.format(names=list(CASES), fused=cache is not None)
+    """Return the checksums on another machine. Sums are fused where there is a cache for that."""
+    script = DECODE.format(fused=cache is not None)
     environment = {**os.environ, **MACHINES[machine]}
     if cache is not None:
         environment["NUMBA_CACHE_DIR"] = str(cache)
@@ -53,7 +58,7 @@ def decoded(machine: str, cache: Path | None = None) -> dict[str, list[int]]:
 
 @pytest.fixture(scope="module")
 def here() -> dict[str, list[int]]:
-    return decoded("this one")
+    return checksums()
 
 
 def test_streams_are_the_same_without_a_compiler(here: dict[str, list[int]]) -> None:

@@ -25,7 +25,7 @@ from mixseq.mesh.measures import (
 )
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.sequence import bounding_diagonal
-from mixseq.types import Float
+from mixseq.types import Float, Mask
 from tests.meshes import rigid_motions, tetrahedron, topology_of, tube
 from tests.shells.formulas import dihedral_gradients, length_gradients
 
@@ -293,7 +293,7 @@ def test_blocks_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     points = points + 0.1 * np.sin(7.0 * points[:, [1, 2, 0]])
     topology, frames = topology_of((points, faces)), np.stack([points, 1.5 * points])
 
-    def measured() -> list[Float]:
+    def measured() -> list[Float | Mask]:
         none = np.zeros((0, 4), dtype=np.int64)
         return [
             edge_lengths(frames, topology.edges),

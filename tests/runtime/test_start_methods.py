@@ -98,7 +98,7 @@ def here(folder: Path) -> dict[str, str]:
     return results(folder)
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
+@pytest.mark.parametrize("method", ["fork", "spawn", pytest.param("forkserver", marks=pytest.mark.exhaustive)])
 def test_the_same_bits(method: str, folder: Path, here: dict[str, str]) -> None:
     if method not in multiprocessing.get_all_start_methods():
         pytest.skip(f"there is no {method} on this system")

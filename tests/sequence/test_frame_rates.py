@@ -12,10 +12,12 @@ from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.operations import resample
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.sequence.frame_rates import (
+    estimate_frame_rate,
     format_frame,
     format_rate,
     hint_frame_number,
     number_to_time,
+    snap_rate,
     snap_to_ntsc,
     time_to_number,
 )
@@ -38,6 +40,31 @@ def test_other_rates_stay(rate: float) -> None:
 @pytest.mark.parametrize(("typed", "own"), [(23.976, 23.976), (47.952, 23.976), (29.97, 59.94)])
 def test_rates_that_fall_on_the_frames_of_a_motion_stay(typed: float, own: float) -> None:
     assert snap_to_ntsc(typed, base=own) == typed
+
+
+EVERY_RATE = [8.0, 12.0, 24.0, 25.0, 30.0, 48.0, 60.0, 90.0, 120.0, *(1000 * whole / 1001 for whole in (24, 30, 60))]
+
+
+@pytest.mark.parametrize("rate", EVERY_RATE)
+@pytest.mark.parametrize("first", [0, 1001])
+def test_rates_of_times_as_writers_round_them(rate: float, first: int) -> None:
+    frames = np.arange(first, first + 60)
+    period = np.float32(1) / np.float32(rate)
+    single = (frames / rate).astype(np.float32).astype(np.float64)
+    accumulated = first / rate + np.append(np.float32(0), np.cumsum(np.full(59, period))).astype(np.float64)
+    for times in (frames / rate, frames * float(period), single, accumulated):
+        assert estimate_frame_rate(times) == rate
+        assert estimate_frame_rate(times, declared=float(np.float32(rate))) == rate
+        assert estimate_frame_rate(times[::2], declared=rate) == rate  # on twos
+    assert snap_rate(float(np.float32(rate))) == snap_rate(1 / float(period)) == rate
+
+
+def test_rates_that_are_no_usual_ones_stay() -> None:
+    for rate in (14.7, 29.97, 12.3456789):
+        assert estimate_frame_rate(np.arange(50) / rate) == pytest.approx(rate, rel=1e-12)
+    assert snap_rate(29.97) == 29.97
+    assert estimate_frame_rate(np.array([0.5])) is None
+    assert estimate_frame_rate(np.array([0.5]), declared=25) == 25
 
 
 def test_words() -> None:

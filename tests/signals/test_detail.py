@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 import mixseq
 from mixseq.choices import SPACES, SpaceName
-from mixseq.creature import walk_cycle
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.sequence.sequence import MeshSequence
@@ -35,7 +34,7 @@ from mixseq.signals.modes import principal_modes
 from mixseq.spaces.making import make_space
 from mixseq.spaces.temporal import insert_midpoints
 from mixseq.types import Float, FloatArray
-from tests.meshes import bar
+from tests.meshes import bar, coarse_walk
 from tests.signals.test_pose import METRIC, vectors
 
 LONG = bar(sides=5, rings=13, frames=12)
@@ -43,7 +42,7 @@ LONG = bar(sides=5, rings=13, frames=12)
 
 @cache
 def walk() -> MeshSequence:
-    return walk_cycle()
+    return coarse_walk(frames=24)
 
 
 @cache

@@ -20,6 +20,9 @@ from mixseq.types import Float
 from mixseq.viewer.export_data import BYTE_ORDER_MARK, ESCAPE_UNIT, PAGE_ENCODING
 from mixseq_io.coded.streams import Container, read_sequence
 
+QUICK = "&fixedDpr=0.25"
+"""A quarter of the pixels each way: there is no graphics card here."""
+
 
 def eventually(holds: Callable[[], Any], seconds: float = 60.0) -> Any:
     """Wait until something holds, and return it."""

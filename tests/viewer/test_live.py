@@ -18,7 +18,7 @@ from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.signals.model import Model
 from tests.meshes import coarse_walk
 from tests.viewer.conftest import NewPage, own_port
-from tests.viewer.pages import eventually
+from tests.viewer.pages import QUICK, eventually
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -28,9 +28,6 @@ pytest.importorskip("viser", reason="the extra viewer is not installed")
 from mixseq.viewer.live.viewer import Viewer, ViewSettings, run_viewer
 
 pytestmark = pytest.mark.slow
-
-QUICK = "&fixedDpr=0.5"
-"""Half the pixels: there is no graphics card here."""
 
 ARRAY = """(name) => {
   let found = [];
@@ -244,7 +241,7 @@ def test_on_a_phone_the_panel_is_under_the_picture(new_page: NewPage, running: V
 
 def test_the_page_says_so_when_its_server_is_killed(browser: Browser, tmp_path: Path, model: Model) -> None:
     mixseq.save(tmp_path / "fox.h5", model)
-    command = [sys.executable, "-m", "mixseq", "view", "fox.h5", "--no-browser", "--port", "8301"]
+    command = [sys.executable, "-m", "mixseq", "view", "fox.h5", "--no-browser", "--port", str(own_port())]
     page = browser.new_page()  # its console tells of the line that is cut
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as server:
         try:

@@ -15,7 +15,7 @@ from mixseq.types import Float
 from mixseq_io.text.markers import write_markers
 from tests.retargeting.foxes import seen_from_left, short, tall
 from tests.viewer.conftest import Keep, NewPage, own_port
-from tests.viewer.pages import eventually
+from tests.viewer.pages import QUICK, eventually
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -47,7 +47,7 @@ class Hand:
 
     def __init__(self, page: Page, running: MarkingViewer) -> None:
         self.page, self.session = page, running.session
-        page.goto(running.address + "&fixedDpr=0.5")
+        page.goto(running.address + QUICK)
         ready = "() => window.__viserMutable?.nodeRefFromName?.['/mesh/1'] && document.getElementById('mixseq-hint')"
         page.wait_for_function(ready)
         eventually(lambda: page.get_by_text("Software WebGL").count())

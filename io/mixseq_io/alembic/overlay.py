@@ -55,10 +55,12 @@ from mixseq_io.alembic.samples import (
     make_unique_names,
     sample_times,
     select_samples,
+    transform_points,
 )
 from mixseq_io.originals import match_meshes, warn_of_unretimed_motion
 from mixseq_io.reader import prefix_errors, translate_read_errors, warn
 from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
+from mixseq_io.surfaces import RoundingMonitor
 
 _SCHEME_NAMES = {"catmullClark": "catmull-clark", "loop": "loop", "bilinear": "bilinear"}
 _CORNER_SCOPE = AbcGeom.GeometryScope.kFacevaryingScope
@@ -174,10 +176,12 @@ class NewMeshWriter:
     new_mesh: NewMesh
     mesh: Any
 
-    def write(self, first: int, points: FloatArray, velocities: FloatArray | None) -> None:
+    def write(self, first: int, points: FloatArray, velocities: FloatArray | None, rounding: RoundingMonitor) -> None:
         """Add samples of frames from `first` on: points and velocities ``(B, V, 3)`` of the sequence."""
         schema, vertices = self.mesh.getSchema(), self.new_mesh.scene_mesh.vertices
-        for frame, own_points in enumerate(points[:, vertices]):
+        for frame, world in enumerate(points[:, vertices]):
+            own_points = (world - rounding.origin).astype(np.float32)
+            rounding.measure(first + frame, world, own_points + rounding.origin)
             # A sample refers to its arrays, which must be alive until it is set.
             positions, own_velocities = create_array(imath.V3fArray, own_points), None
             sample = self.new_mesh.create_sample(positions, is_first=not schema.getNumSamples())
@@ -195,8 +199,11 @@ def plan_meshes(header: SequenceHeader) -> list[NewMesh]:
     return list(map(NewMesh, scene_meshes, choose_paths(header, scene_meshes)))
 
 
-def create_meshes(top: Any, new_meshes: Sequence[NewMesh], sampling: int) -> list[NewMeshWriter]:
-    """Create meshes below identity transforms, each transform with its first mesh: readers go depth-first."""
+def create_meshes(top: Any, new_meshes: Sequence[NewMesh], sampling: int, origin: Float) -> list[NewMeshWriter]:
+    """Create meshes below identity transforms, each transform with its first mesh: readers go depth-first.
+
+    Transforms at the top move the meshes to an origin ``(3,)``.
+    """
     objects: dict[ObjectPath, Any] = {(): top}
     writers = []
     for new_mesh in new_meshes:
@@ -204,6 +211,10 @@ def create_meshes(top: Any, new_meshes: Sequence[NewMesh], sampling: int) -> lis
             path = new_mesh.path[:end]
             if path not in objects:
                 objects[path] = AbcGeom.OXform(objects[path[:-1]], path[-1])
+                if end == 1 and origin.any():
+                    sample = AbcGeom.XformSample()
+                    sample.setTranslation(imath.V3d(*origin.tolist()))
+                    objects[path].getSchema().set(sample)
         writers.append(new_mesh.create(objects[new_mesh.path[:-1]], sampling))
     return writers
 
@@ -433,11 +444,12 @@ class CopiedMeshWriter:
             normals = AbcGeom.ON3fGeomParam(schema, "N", True, _CORNER_SCOPE, 1, sampling)
         return cls(match, positions, bounds, velocities, normals)
 
-    def write(self, first: int, points: FloatArray, velocities: FloatArray | None) -> None:
+    def write(self, first: int, points: FloatArray, velocities: FloatArray | None, rounding: RoundingMonitor) -> None:
         """Add samples of frames from `first` on: points and velocities ``(B, V, 3)`` of the sequence."""
         mesh, transform = self.match.scene_mesh, self.match.transform
         for frame, world in enumerate(points[:, mesh.vertices]):
             own = transform.to_mesh_points(world, first + frame)
+            rounding.measure(first + frame, world, transform_points(own, transform.matrices[first + frame]))
             # A sample refers to its array, which must be alive until it is set.
             array = create_array(imath.V3fArray, own)
             self.positions.setValue(array)

@@ -2,7 +2,8 @@
 
 Frames are at all samples of the points and of the transforms above them. In a copy of an original written by mixseq,
 frames are at the samples of the new points only. Values between samples are interpolated linearly. Points are float32,
-as in Alembic. Alembic has no units and no up axis; programs assume Y up. Instances are read as ordinary objects.
+as in Alembic, or float64 if transforms move them far from zero. Alembic has no units and no up axis; programs assume Y
+up. Instances are read as ordinary objects.
 
 Alembic lists the corners of a face clockwise, seen from outside; applications reverse this order. The "scope" of values
 is per face, vertex or corner; values may be indexed.
@@ -25,7 +26,8 @@ from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.mesh.measures import hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons, reversed_winding
 from mixseq.mesh.surface import CornerValues, FaceSet, Origin
-from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.frame_rates import estimate_frame_rate
+from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray, Index, Single
 from mixseq_io.alembic.library import (
     LIBRARY_ERRORS,
@@ -43,7 +45,6 @@ from mixseq_io.alembic.samples import (
     SampleInterpolation,
     Transforms,
     determinant,
-    estimate_frame_rate,
     locate_samples,
     sample_times,
     transform_points,
@@ -60,6 +61,7 @@ from mixseq_io.scene_meshes import (
     merge_times,
     read_valid_meshes,
     select_meshes,
+    snap_to_frames,
 )
 from mixseq_io.surfaces import ensure_alpha
 
@@ -349,11 +351,14 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
         meshes = _choose_meshes(path, archive, prim)
         is_moving = [prim is None and mesh.is_moving for mesh in meshes]
         metadata = archive.getTop().getMetaData()
-        declared_rate = metadata.get("_ai_DCC_FPS") or metadata.get("FramesPerTimeUnit")
+        try:
+            declared_rate = float(metadata.get("_ai_DCC_FPS") or metadata.get("FramesPerTimeUnit") or 0)
+        except ValueError:
+            declared_rate = 0.0
 
         def prepare(chosen: list[int]) -> Callable[[int], tuple[_AnimatedMesh, SceneMesh, float]]:
             times = _choose_times([meshes[index] for index in chosen])
-            fps = estimate_frame_rate(times, declared_rate)
+            fps = estimate_frame_rate(times, declared_rate) or DEFAULT_FPS
             vertex_counts = [0]
 
             def read(index: int) -> tuple[_AnimatedMesh, SceneMesh, float]:
@@ -375,7 +380,7 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
         header = SequenceHeader(
             polygons=polygons,
             vertex_count=animated_meshes[-1].source.vertices.stop,
-            times=animated_meshes[0].source.times,
+            times=snap_to_frames(animated_meshes[0].source.times, rates[0]),
             fps=rates[0],
             name=common_name([mesh.scene_object for mesh in read_meshes]) or path.stem,
             surface=surface,
@@ -413,12 +418,15 @@ class _AlembicReader(SequenceReader):
         read_vectors = _read_world_points if what == "points" else _read_world_velocities
         for start in range(0, self.header.frame_count, size):
             stop = min(start + size, self.header.frame_count)
-            block = np.empty((stop - start, self.header.vertex_count, 3), np.float32)
+            block = np.empty((stop - start, self.header.vertex_count, 3))
             with translate_read_errors(self.path, "Alembic", *LIBRARY_ERRORS), prefix_errors(self.path):
                 for frame in range(start, stop):
                     for animated in self._meshes:
                         block[frame - start, animated.source.vertices] = read_vectors(animated, frame)
-            yield block
+            with np.errstate(
+                over="ignore", under="ignore"
+            ):  # values that are not finite are reported with their vertex
+                yield self._round(block) if what == "points" else block.astype(np.float32)
 
 
 def _choose_times(meshes: list[Mesh]) -> Float:
@@ -476,7 +484,7 @@ def _interpolate(animated: _AnimatedMesh, array: Any, frame: int, label: str) ->
     return blend.astype(np.float32)
 
 
-def _read_world_points(animated: _AnimatedMesh, frame: int) -> Single:
+def _read_world_points(animated: _AnimatedMesh, frame: int) -> FloatArray:
     points = _interpolate(animated, animated.source.mesh.schema.getPositionsProperty(), frame, "points")
     matrix = animated.transforms.to_world(frame)
     if determinant(matrix) * (-1 if animated.source.is_mirrored else 1) < 0:
@@ -487,7 +495,7 @@ def _read_world_points(animated: _AnimatedMesh, frame: int) -> Single:
     return transform_points(points, matrix)
 
 
-def _read_world_velocities(animated: _AnimatedMesh, frame: int) -> Single:
+def _read_world_velocities(animated: _AnimatedMesh, frame: int) -> FloatArray:
     velocities = animated.source.mesh.schema.getVelocitiesProperty()
     if not velocities.valid():  # only static meshes may lack velocities
         return np.zeros((animated.source.vertex_count, 3), np.float32)

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from itertools import takewhile
 from typing import Any
 
@@ -31,8 +30,7 @@ import numpy as np
 from mixseq.errors import FormatError
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix
-from mixseq.sequence.frame_rates import NTSC_RATES
-from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
+from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index, Single
 from mixseq_io.alembic.library import AbcCoreAbstract, sample_selector
 from mixseq_io.scene_meshes import SceneMesh
@@ -95,7 +93,6 @@ TIME_TOLERANCE = 0.999e-6
 """Distance in seconds below which times count as equal."""
 
 _MAX_SAMPLE_COUNT = 1_000_000
-_COMMON_FRAME_RATES = (24, 25, 30, 48, 50, 60, *NTSC_RATES, 100, 120, 240)
 
 
 def sample_times(sampled: Any) -> Float:
@@ -164,36 +161,6 @@ def locate_samples(times: Float, frames: Float) -> SampleInterpolation:
     return SampleInterpolation(before, weight)
 
 
-def estimate_frame_rate(times: Float, declared: str) -> float:
-    """Return the frame rate of times ``(T,)``: the declared rate, the rate of uniform times, or a common rate.
-
-    Examples
-    --------
-    >>> estimate_frame_rate(np.array([0, 1, 2]) / 29.97, ""), estimate_frame_rate(np.array([0, 1, 4]) / 24, "")
-    (29.97, 24.0)
-    """
-    step = (times[-1] - times[0]) / max(len(times) - 1, 1)
-    is_uniform = len(times) > 1 and np.allclose(np.diff(times), step, rtol=0, atol=1e-6 * step + 1e-9)
-    rounding = float(np.spacing(np.abs(times).max())) / max(step, 1e-9)
-    rate = _undo_rounding(1 / step, 1e-12 + rounding) if is_uniform else 0.0
-    try:
-        declared_rate = float(declared or 0)
-    except ValueError:
-        declared_rate = 0.0
-    if np.isfinite(declared_rate) and declared_rate > 0 and not np.isclose(declared_rate, rate, rtol=1e-6):
-        return _undo_rounding(declared_rate, 1e-8)
-    for common in () if is_uniform else _COMMON_FRAME_RATES:
-        if len(times) > 1 and np.allclose(times * common, np.rint(times * common), rtol=0, atol=1e-3):
-            return float(common)
-    return rate or DEFAULT_FPS
-
-
-def _undo_rounding(rate: float, tolerance: float) -> float:
-    """Return a simple rate, such as 29.97 or 30000/1001, if it differs by the rounding of a reciprocal or a text."""
-    simple = float(Fraction(rate).limit_denominator(1001))
-    return simple if np.isclose(simple, rate, rtol=tolerance, atol=0) else float(f"{rate:.12g}")
-
-
 @dataclass(frozen=True, eq=False)
 class Transforms:
     """Transforms from a mesh to the world, the nearest to the mesh first, with the samples located at the frames."""
@@ -255,15 +222,23 @@ def interpolate_matrices(first: Float, second: Float, weight: float) -> Float:
     return blend
 
 
-def transform_points(points: FloatArray, matrix: Float) -> Single:
-    """Transform points ``(V, 3)`` by a matrix ``(4, 4)``, or vectors ``(V, 3)`` by a linear matrix ``(3, 3)``."""
+def transform_points(points: FloatArray, matrix: Float) -> FloatArray:
+    """Transform points ``(V, 3)`` by a matrix ``(4, 4)``, or vectors ``(V, 3)`` by a linear matrix ``(3, 3)``.
+
+    The result is in double precision unless the matrix is the identity.
+    """
     if np.array_equal(matrix, np.eye(len(matrix))):
-        return np.asarray(points, dtype=np.float32)
+        return points
     with np.errstate(all="ignore"):  # the reader reports overflow with its vertex
         world = points.astype(np.float64) @ matrix[:3, :3]
         if len(matrix) == 4:
             world += matrix[3, :3]
-        return world.astype(np.float32)
+        return np.asarray(world)
+
+
+def _as_single(values: FloatArray) -> Single:
+    with np.errstate(over="ignore", under="ignore"):
+        return values.astype(np.float32)
 
 
 _MIN_RELATIVE_DETERMINANT = 1e-12
@@ -298,12 +273,12 @@ class MeshTransform:
 
     def to_mesh_points(self, world: FloatArray, frame: int) -> Single:
         """Convert a frame's world-space points ``(V, 3)`` to mesh space."""
-        return transform_points(world, np.linalg.inv(self.matrices[frame]))
+        return _as_single(transform_points(world, np.linalg.inv(self.matrices[frame])))
 
     def to_mesh_velocities(self, world: FloatArray, points: FloatArray, frame: int) -> Single:
         """Convert a frame's world-space velocities ``(V, 3)`` to mesh space, given the points in mesh space."""
         inverse = np.linalg.inv(self.matrices[frame])[:3, :3]
-        return transform_points(world - self._transport(points, frame), inverse)
+        return _as_single(transform_points(world - self._transport(points, frame), inverse))
 
     def to_world_velocities(self, own: FloatArray, points: FloatArray, frame: int) -> Single:
         """Convert a frame's mesh-space velocities ``(V, 3)`` to world space, given the points in mesh space."""

@@ -1,8 +1,9 @@
 """Writer of Alembic files (.abc) in the Ogawa format.
 
 A sequence from an archive becomes a copy of this archive with new points. Any other sequence becomes a new archive with
-a mesh per object: a SubD if subdivided, else a PolyMesh. Points are float32. Texture coordinates are indexed values at
-corners. Meshes with hard edges have normals at corners in every frame. Face sets have assigned materials.
+a mesh per object: a SubD if subdivided, else a PolyMesh. Points are float32, and below a translation if they are far
+from zero. Texture coordinates are indexed values at corners. Meshes with hard edges have normals at corners in every
+frame. Face sets have assigned materials.
 
 Specification: https://docs.alembic.io/reference/index.html
 """
@@ -40,7 +41,7 @@ from mixseq_io.alembic.samples import create_time_sampling, make_valid_name
 from mixseq_io.files import atomic_file
 from mixseq_io.originals import open_original_file
 from mixseq_io.reader import FrameBlock, as_float32, summarize_error, validate_blocks
-from mixseq_io.surfaces import lost_scale, warn_of_losses
+from mixseq_io.surfaces import RoundingMonitor, lost_scale, warn_of_losses
 
 
 def write_alembic(
@@ -51,6 +52,7 @@ def write_alembic(
     flatten: bool = False,
     onto: str | os.PathLike[str] | None = None,
     sources: ArrayLike | None = None,
+    rounding: RoundingMonitor | None = None,
 ) -> None:
     """Write an Alembic file; options as in `FORMATS`. `sources` ``(T,)`` are the original's times in s at frames."""
     if sources is not None and np.shape(sources) != header.times.shape:
@@ -67,7 +69,8 @@ def write_alembic(
         else:
             size = sum(mesh.bound_size(header.frame_count, has_velocities) for mesh in new_meshes)
         _check_disk_space(temporary, size)
-        _write(path, temporary, header, original or new_meshes, numbered, has_velocities, sources)
+        monitor = rounding or RoundingMonitor(path, "Alembic", header)
+        _write(path, temporary, header, original or new_meshes, numbered, has_velocities, sources, monitor)
         with _translate_write_errors(path):
             open_archive(temporary)
 
@@ -92,6 +95,7 @@ def _write(
     numbered: Iterable[FrameBlock],
     has_velocities: bool,
     sources: ArrayLike | None,
+    rounding: RoundingMonitor,
 ) -> None:
     """Write all contents; on return, the archive's last object is released and the library completes the file."""
     with _translate_write_errors(path):
@@ -100,15 +104,15 @@ def _write(
         writers: Sequence[CopiedMeshWriter | NewMeshWriter] = (
             copy_archive(archive, path, contents, header, sampling, has_velocities, sources)
             if isinstance(contents, Original)
-            else create_meshes(archive.getTop(), contents, sampling)
+            else create_meshes(archive.getTop(), contents, sampling, rounding.origin)
         )
     for first, block, velocities in numbered:
-        points = as_float32(block, first, "Alembic", header=header)
+        as_float32(block, first, "Alembic", header=header)  # reports coordinates that are too large
         if velocities is not None:
             velocities = as_float32(velocities, first, "Alembic", "the velocity of vertex", header)
         with _translate_write_errors(path):
             for writer in writers:
-                writer.write(first, points, velocities)
+                writer.write(first, block, velocities, rounding)
 
 
 def _check_disk_space(path: Path, size: int) -> None:

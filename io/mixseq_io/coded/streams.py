@@ -434,6 +434,10 @@ def _parameters(path: Path, facts: Mapping[str, Any]) -> CodingParameters:
     unknown = sorted(set(coding) - {field.name for field in fields(CodingParameters)})
     if unknown:
         raise FormatError(f"{path}: the parameter {unknown[0]!r} is unknown to this mixseq; upgrade it")
+    if not (
+        isinstance(coding.get("ranks", []), list) and isinstance(origin := coding.get("origin", [0]), list) and origin
+    ):
+        raise FormatError(f"{path}: ranks or origin are no list of numbers; it is damaged")
     try:
         parameters = CodingParameters(**coding)
     except TypeError as error:

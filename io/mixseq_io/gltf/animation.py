@@ -15,8 +15,6 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from mixseq.errors import FormatError, SettingsError
-from mixseq.sequence.frame_rates import NTSC_RATES, snap_to_ntsc
-from mixseq.sequence.header import DEFAULT_FPS
 from mixseq.types import Float, FloatArray, Index, Single
 from mixseq_io.gltf.document import Document, Fields
 from mixseq_io.gltf.primitives import Weld, count_targets, read_deltas, read_influences
@@ -29,9 +27,6 @@ from mixseq_io.scene_meshes import (
     insert_times,
     snap_to_frames,
 )
-
-COMMON_FRAME_RATES = (24.0, 30.0, 25.0, 60.0, 50.0, 48.0, 120.0, 100.0, 12.0, 15.0, 20.0, 10.0, *NTSC_RATES)
-"""Frame rates in Hz, the most common first."""
 
 _MAX_FRAME_COUNT = 1_000_000
 MAX_GRID_RATE = 60.0
@@ -92,59 +87,6 @@ def insert_frames(keys: Float, rate: float) -> Float:
     frames, after = frames[is_inside], after[is_inside]
     distance = np.minimum(frames - keys[after - 1], keys[after] - frames) * rate
     return np.union1d(keys, frames[(distance >= 0.5 - _GRID_TOLERANCE_FRAMES) & is_wide[after - 1]])
-
-
-def estimate_frame_rate(times: Float) -> float:
-    """Return the frame rate of uniform key times ``(n,)``, else of the common-rate grid that holds all keys, else 24.
-
-    Examples
-    --------
-    >>> estimate_frame_rate(np.arange(96) / np.float32(29.97)) == 30000 / 1001
-    True
-    >>> estimate_frame_rate(np.array([0.0, 1, 2, 5]) / 12), estimate_frame_rate(np.array([0.0, 0.5, 0.6]))
-    (12.0, 30.0)
-    """
-    if times.size < 2:
-        return DEFAULT_FPS
-    uniform = _uniform_rate(times)
-    if uniform:
-        return uniform
-    offsets = times - times[0]
-    median = 1 / float(np.median(np.diff(times)))
-    likely = [rate for rate in COMMON_FRAME_RATES if abs(rate - median) < 1e-3 * median] or [median]
-    # Keys that are few and far apart do not determine a rate by their spacing.
-    for rate in (*(likely if median >= min(COMMON_FRAME_RATES) else []), *COMMON_FRAME_RATES):
-        frames = offsets * rate
-        if np.abs(frames - np.rint(frames)).max() < _GRID_TOLERANCE_FRAMES:
-            return rate
-    return DEFAULT_FPS
-
-
-def _uniform_rate(times: Float) -> float | None:
-    """Return the rate of float32 keys ``(n,)``, or None if they are not uniform or are far apart.
-
-    Several rates round to the same keys: a common rate is preferred, then the rate with the fewest digits.
-    """
-    count, span = times.size - 1, float(times[-1] - times[0])
-    rounding = 2 * float(np.spacing(np.float32(np.abs(times).max())))
-    rate = count / span if 0 < span < np.inf else 0.0
-    if not rate >= min(COMMON_FRAME_RATES):
-        return None
-    if not np.abs(times - times[0] - np.arange(count + 1) / rate).max() <= rounding:
-        return None
-    last, end = round(float(times[-1]) * rate), float(times[-1])
-    if last > count:
-        frames = np.arange(last - count, last + 1)
-        if np.abs(times * (last / times[-1]) - frames).max() < _GRID_TOLERANCE_FRAMES:
-            rate, span = last / end, end  # more precise, since it counts from frame 0
-    error = rate * rounding / span
-    common = min((*COMMON_FRAME_RATES, round(rate * 1.001) / 1.001), key=lambda common: abs(common - rate))
-    # A rate such as 29.97, rounded by exporters, becomes the NTSC rate if every key stays at its frame.
-    is_rounded = snap_to_ntsc(rate) == common
-    if abs(common - rate) <= max(error, _GRID_TOLERANCE_FRAMES * rate / count if is_rounded else 0.0):
-        return common
-    rounded = (round(rate, digits) for digits in range(6))
-    return next((simple for simple in rounded if abs(simple - rate) <= error), rate)
 
 
 _PROPERTY_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}

@@ -7,7 +7,7 @@ and borders of materials, since glTF primitives have one material and one index 
 The first frame is the base mesh, and every other frame a morph target: ``x_k = x_0 + sum_j w_j(t_k) d_j`` with
 ``d_j = x_j - x_0`` and weights ``w_j(t_k)`` one where ``j = k``, else zero. Viewers interpolate weights linearly
 between keys, and therefore points and normals. ``x_0`` and ``d_j`` are rounded to float32. The error of a point is at
-most 2**-24 of its displacement from the first frame, plus the rounding of the point.
+most 2**-24 of its displacement from the first frame.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-targets
 """
@@ -78,7 +78,7 @@ class MorphFrameWriter:
         keep_start: bool = False,
         others: OtherMotion = NO_OTHER_MOTION,
     ) -> None:
-        self._meshes = meshes
+        self._meshes, self._header = meshes, header
         self._add_animation(layout, header, keep_start, others)
         self._frames = [self._reserve(layout, frame) for frame in range(header.frame_count)]
         self._first: tuple[FloatArray, list[Single]] | None = None
@@ -123,27 +123,31 @@ class MorphFrameWriter:
                     append(each.entry, "targets", attributes)
         return layout.document["bufferViews"][view]["byteOffset"], unbounded
 
-    def write(self, frame: int, points: Single, writer: BufferWriter) -> None:
-        """Write a frame's points ``(V, 3)``; raise `InvalidSequenceError` if displacements exceed float32."""
-        normals = [mesh.compute_normals(points[None])[0] for mesh in self._meshes]
+    def write(self, frame: int, points: FloatArray, writer: BufferWriter) -> FloatArray:
+        """Write a frame's points ``(V, 3)``, and return what readers get for them; displacements may exceed float32."""
+        single = as_float32(points[None], frame, "glTF", header=self._header)[0]
+        normals = [mesh.compute_normals(single[None])[0] for mesh in self._meshes]
+        written: Float = single.astype(np.float64)
         if self._first is None:
-            self._first = points.astype(np.float64), normals
+            self._first = written, normals
         else:
             base_points, base_normals = self._first
-            points = as_float32((points - base_points)[None], frame, "glTF")[0]
+            single = as_float32((points - base_points)[None], frame, "glTF")[0]
+            written = np.asarray(base_points + single, dtype=np.float64)
             normals = [own - base for own, base in zip(normals, base_normals, strict=True)]
         start, unbounded = self._frames[frame]
         accessors = iter(unbounded)
         chunks: list[Single] = []
         for mesh, own_normals in zip(self._meshes, normals, strict=True):
             for each in mesh.primitives:
-                positions = points[mesh.scene_mesh.vertices][each.vertex_ids]
+                positions = single[mesh.scene_mesh.vertices][each.vertex_ids]
                 accessor = next(accessors)
                 accessor["min"], accessor["max"] = compute_bounds(positions)
                 chunks.append(positions)
                 if each.normal_ids is not None:
                     chunks.append(own_normals[each.normal_ids])
         writer.put(start, chunks)
+        return written
 
 
 def create_animation(layout: Layout, header: SequenceHeader, keep_start: bool = False) -> tuple[int, Json]:

@@ -30,7 +30,7 @@ from mixseq.errors import InvalidSequenceError, NoMeshError
 from mixseq.mesh.measures import hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, FaceSet, Origin
-from mixseq.sequence.frame_rates import format_frame
+from mixseq.sequence.frame_rates import estimate_frame_rate, format_frame
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.gltf.animation import (
@@ -39,7 +39,6 @@ from mixseq_io.gltf.animation import (
     MeshNode,
     MeshSkin,
     choose_animation,
-    estimate_frame_rate,
     evaluate_pose,
     find_transform_nodes,
     insert_frames,
@@ -336,6 +335,10 @@ def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
         return _GltfReader(document, mesh_nodes, scene_meshes, (), np.zeros(1), DEFAULT_FPS, 0.0)
 
 
+_MIN_KEY_RATE = 10.0
+"""Lowest rate in Hz of even keys that are taken for frames."""
+
+
 def _choose_times(
     path: Path, channels: Sequence[Channel], fps: float | None, stored_rate: float | None
 ) -> tuple[Float, float]:
@@ -344,7 +347,7 @@ def _choose_times(
     if fps is not None:
         times = sample_times(path, keys, fps)
         return times if times.size else np.zeros(1), fps
-    rate = stored_rate or estimate_frame_rate(keys)
+    rate = stored_rate or estimate_frame_rate(keys, lowest=_MIN_KEY_RATE) or DEFAULT_FPS
     if any(channel.is_animated and not channel.is_linear_motion for channel in channels):
         filling_rate = rate if stored_rate or rate <= MAX_GRID_RATE else DEFAULT_FPS
         times = insert_frames(keys, filling_rate)

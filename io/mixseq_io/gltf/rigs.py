@@ -12,8 +12,8 @@ bind matrix maps the axes ``A_b`` at ``p_b`` to the world axes at the origin,
           \begin{pmatrix} A_b^T & -A_b^T p_b \\ 0 & 1 \end{pmatrix},
 
 so that a point is mapped to ``R_tb (r_v - p_b) + c_tb``, the skin's formula; morph targets are applied before.
-Constant properties are not animated. The root joints have a common parent that converts axes and units, since only
-joints and their ancestors move a skinned mesh.
+Constant properties are not animated. The root joints have a common parent that converts axes and units, and is at the
+origin of meshes far from zero, since only joints and their ancestors move a skinned mesh.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#skins
 """
@@ -28,7 +28,7 @@ import numpy as np
 from mixseq.errors import OutputError
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import Single
+from mixseq.types import Float, Single
 from mixseq_io.gltf.codecs import ARRAY_BUFFER, Json, Layout, append
 from mixseq_io.gltf.new_document import (
     MovingMesh,
@@ -42,6 +42,8 @@ from mixseq_io.reader import as_float32
 from mixseq_io.rig_arrays import (
     four_influences,
     local_joint_transforms,
+    move_morph,
+    move_skin,
     normalise_morph_weights,
     numbered_names,
 )
@@ -85,7 +87,8 @@ _MIN_SINGULAR_VALUE_RATIO = 1e-6
 
 def create_morphed_scene(morph: Morph) -> Layout:
     """Create a document of a mesh with morph targets and the animation of their weights."""
-    layout, meshes = create_scene(morph.header)
+    morph, origin = move_morph(morph)
+    layout, meshes = create_scene(morph.header, origin)
     add_animation(layout, morph.header, add_morph_targets(layout, meshes, normalise_morph_weights(morph)))
     return layout
 
@@ -143,10 +146,11 @@ def create_skinned_scene(skin: Skin) -> Layout:
         raise OutputError(
             f"the skin has {skin.bone_count} bones, glTF allows {_MAX_BONE_COUNT}; fit it with fewer (bones=N)"
         )
+    skin, origin = move_skin(skin)
     layout, meshes = create_meshes(skin.header)
     document = layout.document
     morph_tracks = add_morph_targets(layout, meshes, normalise_morph_weights(skin))
-    root, joints, joint_tracks = _add_joints(document, skin)
+    root, joints, joint_tracks = _add_joints(document, skin, origin)
     document["skins"] = [
         {
             **name_member(skin.header.name),
@@ -170,11 +174,11 @@ def create_skinned_scene(skin: Skin) -> Layout:
     return layout
 
 
-def _add_joints(document: Json, skin: Skin) -> tuple[int, list[int], list[Track]]:
+def _add_joints(document: Json, skin: Skin, origin: Float) -> tuple[int, list[int], list[Track]]:
     """Add a node for every bone in its first-frame pose, and a common root; return the root, nodes and tracks."""
     skeleton = skin.skeleton
     rotations, translations = local_joint_transforms(skin, "glTF")
-    root = append(document, "nodes", {"name": "skeleton", "children": [], **node_transform(skin.header)})
+    root = append(document, "nodes", {"name": "skeleton", "children": [], **node_transform(skin.header, origin)})
     joints: list[int] = []
     tracks: list[Track] = []
     for bone, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents.tolist(), strict=True)):

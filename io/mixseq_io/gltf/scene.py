@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from mixseq.rigging.rigs import rotation_matrices
 from mixseq.types import Float
 from mixseq_io.gltf.document import Document, Fields
+from mixseq_io.reader import warn
 from mixseq_io.scene_meshes import SceneObject
 
 WORLD_SPACE_MARK = "mixseq:world"
@@ -149,7 +150,7 @@ def _read_roots(document: Document, parents: Sequence[int]) -> list[int]:
     for root in roots:
         document.item("nodes", root)
         if parents[root] >= 0:
-            raise scene.error(f"has nodes[{root}] as a root, which is a child of nodes[{parents[root]}]")
+            warn(f"{document.path}: nodes[{root}] is a root of the scene, though a child of nodes[{parents[root]}]")
     return roots
 
 

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from mixseq.mesh.measures import NO_ORIGIN
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import FloatArray, Index
+from mixseq.types import Float, FloatArray, Index
 from mixseq_io.files import atomic_file
 from mixseq_io.gltf.codecs import (
     ELEMENT_ARRAY_BUFFER,
@@ -64,9 +64,9 @@ from mixseq_io.gltf.new_document import (
 from mixseq_io.gltf.primitives import TRIANGLES_MODE, Primitive, Weld, weld_vertices
 from mixseq_io.gltf.scene import WORLD_SPACE_MARK, Scene, invert_transform, read_scene
 from mixseq_io.originals import describe_difference_up_to_winding, match_meshes, open_original_file
-from mixseq_io.reader import as_float32, translate_read_errors, validate_blocks, warn
+from mixseq_io.reader import translate_read_errors, validate_blocks, warn
 from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
-from mixseq_io.surfaces import lost_colours, lost_subdivision, warn_of_losses
+from mixseq_io.surfaces import RoundingMonitor, lost_colours, lost_subdivision, warn_of_losses
 
 _MAX_BROWSER_FRAMES = 1000
 """Usual limit of morph targets in WebGL: 1024 or 4096 uniforms for weights, 2048 texture layers for targets."""
@@ -130,11 +130,12 @@ def _orient(triangles: NDArray[Any], mirrored: bool) -> NDArray[Any]:
 
 
 def overlay_sequence(
-    document: Document, header: SequenceHeader, sources: ArrayLike | None = None
+    document: Document, header: SequenceHeader, origin: Float = NO_ORIGIN, sources: ArrayLike | None = None
 ) -> tuple[Layout, list[MovingMesh], OtherMotion]:
     """Return a copy of a document with its data, the meshes to write, and the animation outside the sequence.
 
-    `sources` ``(T,)`` are the times in s of the original's animation at the frames.
+    Points are relative to an origin ``(3,)``. `sources` ``(T,)`` are the times in s of the original's animation at the
+    frames.
     """
     scene = read_scene(document)
     matches = find_matches(document, scene, header)
@@ -148,13 +149,13 @@ def overlay_sequence(
     scenes = [each for each in copied.get("scenes", ()) if roots.intersection(each.get("nodes", ()))]
     parents = {scene.parents[node] for node in nodes}
     animated = {channel.node for channel in others.channels}
-    inverses = [None if node_transform(header) else _find_inverse(scene, node, animated) for node in nodes]
+    inverses = [None if node_transform(header) else _find_inverse(scene, node, animated, origin) for node in nodes]
     in_place = None not in inverses
     others = others.replace_nodes({node: detach_node(copied, node, in_place) for node in nodes})
     for node, inverse in zip(nodes, inverses, strict=True):
         _set_transform(copied["nodes"][node], inverse if in_place else None)
     if not in_place:
-        root = group_nodes(copied, nodes, header, NO_ORIGIN, find_unused_root(copied, scene, parents))
+        root = group_nodes(copied, nodes, header, origin, find_unused_root(copied, scene, parents))
         for each in scenes:
             each["nodes"] = [root, *(node for node in each.get("nodes", ()) if node != root)]
     copied["asset"]["generator"] = GENERATOR_NAME
@@ -171,14 +172,19 @@ def overlay_sequence(
     return layout, meshes, others
 
 
-def _find_inverse(scene: Scene, node: int, animated: Set[int]) -> Json | None:
-    """Return the inverse of the transforms above a node; None if the node is hidden or no static TRS inverse exists."""
+def _find_inverse(scene: Scene, node: int, animated: Set[int], origin: Float) -> Json | None:
+    """Return the transform of a node whose points are relative to an origin, not to the transforms above it.
+
+    It is None if the node is hidden or no static TRS inverse exists.
+    """
     parent = scene.parents[node]
     if node in scene.hidden or not animated.isdisjoint(scene.lineage(parent)):
         return None
     if not isinstance(scene.nodes[node].values.get("extras", {}), dict):
         return None  # no member for the mark can be added
-    return invert_transform(scene.world_matrices([parent], {})[parent][0])
+    from_world = np.eye(4)
+    from_world[:3, 3] = -origin
+    return invert_transform(from_world @ scene.world_matrices([parent], {})[parent][0])
 
 
 def _set_transform(entry: Json, inverse: Json | None) -> None:
@@ -264,18 +270,21 @@ def write_gltf(
     onto: str | os.PathLike[str] | None = None,
     keep_start: bool = False,
     sources: ArrayLike | None = None,
+    rounding: RoundingMonitor | None = None,
 ) -> None:
     """Write a glTF file, binary ``.glb`` or text ``.gltf``, without velocities; options as in `FORMATS`.
 
     The original's other contents are kept by default. `sources` ``(T,)`` are the original's times in s at the frames.
     """
+    rounding = rounding or RoundingMonitor(path, "glTF", header)
+    origin = rounding.origin
 
     def load_original(file: Path) -> tuple[Layout, list[MovingMesh], OtherMotion]:
         with translate_read_errors(file, "glTF", *MALFORMED_JSON_ERRORS):
-            return overlay_sequence(decompress_document(load_document(file)), header, sources)
+            return overlay_sequence(decompress_document(load_document(file)), header, origin, sources)
 
     overlay = open_original_file(path, header, flatten, onto, "glTF", load_original)
-    layout, meshes, others = overlay or (*create_scene(header), NO_OTHER_MOTION)
+    layout, meshes, others = overlay or (*create_scene(header, origin), NO_OTHER_MOTION)
     lost = [] if overlay else standalone_losses(header)
     warn_of_changes(path, header, [*(["velocities"] if velocities is not None else []), *lost], keep_start)
     if header.frame_count > _MAX_BROWSER_FRAMES:
@@ -289,7 +298,8 @@ def write_gltf(
         for first, block, _ in numbered:
             # Frames are written one by one, since a block may be the whole sequence.
             for frame, points in enumerate(block, start=first):
-                morphs.write(frame, as_float32(points[None], frame, "glTF", header=header)[0], writer)
+                written = morphs.write(frame, points - origin if origin.any() else points, writer)
+                rounding.measure(frame, points, written + origin)
 
 
 def standalone_losses(header: SequenceHeader) -> list[str]:

@@ -7,7 +7,7 @@ them by checksums. A dataset may unpack to gzip's limit of 1032 bytes per stored
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from math import prod
 from pathlib import Path
@@ -143,23 +143,34 @@ def load_attributes(path: Path) -> Contents:
     """Read a file's attributes for `mixseq_io.hdf5.contents.read_attributes`."""
     limit_time(_ATTRIBUTE_TIME_FRACTION)
     with open_inspected(path) as file:
-        return Contents(path, _read_attributes(file), {})
+        return Contents(path, _read_attributes(_list_objects(file)[0]), {})
 
 
 def load_contents(path: Path, kind: str | None) -> Contents:
     """Read a file for `mixseq_io.hdf5.contents.read_contents`."""
     limit_time(_ATTRIBUTE_TIME_FRACTION)
     with open_inspected(path) as file:
-        contents = Contents(path, _read_attributes(file), {})
+        groups, datasets = _list_objects(file)
+        contents = Contents(path, _read_attributes(groups), {})
         if kind not in (None, contents.kind):
             return contents
         limit_time(1)
-        return load_datasets(path, file)
+        return Contents(path, contents.attributes, _read_arrays(path, datasets, ()))
 
 
-def load_datasets(path: Path, file: h5py.File, excluded: Collection[str] = ()) -> Contents:
+def load_datasets(path: Path, file: h5py.File, excluded: Collection[str]) -> Contents:
     """Read the attributes and datasets of an open file, except for the datasets `excluded`."""
-    _, datasets = _list_objects(file)
+    groups, datasets = _list_objects(file)
+    return Contents(path, _read_attributes(groups), _read_arrays(path, datasets, excluded))
+
+
+def _read_attributes(groups: Mapping[str, h5py.Group]) -> dict[str, dict[str, Any]]:
+    return {name: dict(group.attrs) for name, group in groups.items()}
+
+
+def _read_arrays(
+    path: Path, datasets: Mapping[str, h5py.Dataset], excluded: Collection[str]
+) -> dict[str, NDArray[Any]]:
     needed = sum(_memory_bytes(dataset, name in excluded) for name, dataset in datasets.items())
     check_memory(path, needed, "its datasets")
     arrays: dict[str, NDArray[Any]] = {}
@@ -169,11 +180,7 @@ def load_datasets(path: Path, file: h5py.File, excluded: Collection[str] = ()) -
                 arrays[name] = dataset[...]
             except OSError as error:
                 raise FormatError(f"{path}: {name} is damaged; restore the file") from error
-    return Contents(path, _read_attributes(file), arrays)
-
-
-def _read_attributes(file: h5py.File) -> dict[str, dict[str, Any]]:
-    return {name: dict(group.attrs) for name, group in _list_objects(file)[0].items()}
+    return arrays
 
 
 def _memory_bytes(dataset: h5py.Dataset, by_chunk: bool) -> int:

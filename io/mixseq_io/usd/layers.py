@@ -40,6 +40,7 @@ from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.files import backup_path, raise_system_error, temporary_prefix
 from mixseq_io.reader import FrameBlock, as_float32, warn
 from mixseq_io.scene_meshes import SceneMesh
+from mixseq_io.surfaces import RoundingMonitor
 from mixseq_io.usd.stage import UDIM_PLACEHOLDER, clips_folder, save_layer
 
 FrameValues = tuple[float, Mapping[str, Any]]
@@ -52,6 +53,15 @@ class LocalSpace:
 
     to_world: Float
     to_local: Float
+
+    @staticmethod
+    def at_origin(origin: Float) -> LocalSpace:
+        """Return the space of points relative to an origin ``(3,)``; `WORLD_SPACE` if it is zero."""
+        if not origin.any():
+            return WORLD_SPACE
+        to_world, to_local = np.eye(4), np.eye(4)
+        to_world[3, :3], to_local[3, :3] = origin, -origin
+        return LocalSpace(to_world, to_local)
 
 
 WORLD_SPACE = LocalSpace(np.eye(4), np.eye(4))
@@ -116,20 +126,29 @@ def compute_frame_values(
     codes: NDArray[np.float64],
     times: NDArray[np.float64],
     blocks: Iterable[FrameBlock],
+    rounding: RoundingMonitor,
 ) -> Iterator[FrameValues]:
     """Yield the attribute values of every frame, given the frames' time codes and times in s ``(T,)``."""
     for first_frame, block, velocity_block in blocks:
         for frame, points in enumerate(block, first_frame):
             velocities = None if velocity_block is None else velocity_block[frame - first_frame]
-            values = _attribute_values(prims, frame, float(times[frame]), points, velocities)
+            values = _attribute_values(prims, frame, float(times[frame]), points, velocities, rounding)
             yield float(codes[frame]), dict(values)
 
 
 def _attribute_values(
-    prims: SampledPrims, frame: int, time: float, points: FloatArray, velocities: FloatArray | None
+    prims: SampledPrims,
+    frame: int,
+    time: float,
+    points: FloatArray,
+    velocities: FloatArray | None,
+    rounding: RoundingMonitor,
 ) -> Iterator[tuple[str, Any]]:
     spaces = [mesh.space(time) for mesh in prims.meshes]
-    local = as_float32(_to_local(points, prims, spaces, 1.0)[None], frame, "USD")[0]
+    to_local = [space.to_local for space in spaces]
+    local = as_float32(_transform(points, prims, to_local, 1.0)[None], frame, "USD")[0]
+    if points.dtype != np.float32:
+        rounding.measure(frame, points, _transform(local, prims, [space.to_world for space in spaces], 1.0))
     for mesh, space in zip(prims.meshes, spaces, strict=True):
         mesh_points = mesh.point_values(local)
         yield f"{mesh.path}.points", Vt.Vec3fArrayFromBuffer(mesh_points)
@@ -138,7 +157,7 @@ def _attribute_values(
             normals = _compute_normals(mesh.normals, mesh.scene_mesh, points, space)
             yield f"{mesh.path}.{mesh.normals.attribute}", Vt.Vec3fArrayFromBuffer(normals)
     if velocities is not None:
-        local_velocities = _to_local(velocities, prims, spaces, 0.0)
+        local_velocities = _transform(velocities, prims, to_local, 0.0)
         local = as_float32(local_velocities[None], frame, "USD", "the velocity of vertex")[0]
         for mesh in prims.meshes:
             if mesh.has_velocities:
@@ -147,17 +166,16 @@ def _attribute_values(
         yield f"{extent.path}.extent", compute_extent(_box_corners(extent, points, time))
 
 
-def _to_local(vectors: FloatArray, prims: SampledPrims, spaces: Sequence[LocalSpace], weight: float) -> FloatArray:
-    """Transform world-space points (weight 1) or directions (weight 0) ``(V, 3)`` to the meshes' local spaces."""
-    if all(space is WORLD_SPACE for space in spaces):
+def _transform(vectors: FloatArray, prims: SampledPrims, matrices: Sequence[Float], weight: float) -> FloatArray:
+    """Transform the points (weight 1) or directions (weight 0) ``(V, 3)`` of every mesh by its matrix ``(4, 4)``."""
+    identities = (WORLD_SPACE.to_local, WORLD_SPACE.to_world)
+    if all(any(matrix is each for each in identities) for matrix in matrices):
         return vectors
-    local = vectors.astype(np.float64)
-    for mesh, space in zip(prims.meshes, spaces, strict=True):
-        if space is not WORLD_SPACE:
-            vertices = mesh.scene_mesh.vertices
-            shift = space.to_local[3, :3] if weight else 0.0
-            local[vertices] = local[vertices] @ space.to_local[:3, :3] + shift
-    return local
+    transformed = vectors.astype(np.float64)
+    for mesh, matrix in zip(prims.meshes, matrices, strict=True):
+        vertices = mesh.scene_mesh.vertices
+        transformed[vertices] = transformed[vertices] @ matrix[:3, :3] + (matrix[3, :3] if weight else 0.0)
+    return transformed
 
 
 def _compute_normals(

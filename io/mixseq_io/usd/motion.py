@@ -28,7 +28,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import IntArray
+from mixseq.types import FloatArray, IntArray
 from mixseq_io.surfaces import are_valid_indices, renumber_by_appearance
 from mixseq_io.usd.stage import PrimWarnings, WorldTransform, is_animated, self_and_ancestors, time_codes
 
@@ -376,7 +376,7 @@ class AnimatedMesh:
             determinant *= skin.query.GetGeomBindTransform(Usd.TimeCode(self.start)).GetDeterminant3()
         return determinant < 0
 
-    def points(self, code: float, pose: Pose | None) -> NDArray[np.float32]:
+    def points(self, code: float, pose: Pose | None) -> FloatArray:
         """Return the vertices ``(V, 3)`` in world space at a time code, given the skeleton's pose."""
         path = self.mesh.GetPath()
         is_first = code == self.start
@@ -398,7 +398,7 @@ class AnimatedMesh:
             )
         return _transform_vectors(value, matrix, 1.0)[self.weld.point_of_vertex]
 
-    def velocities(self, code: float) -> NDArray[np.float32]:
+    def velocities(self, code: float) -> FloatArray:
         """Return the velocities ``(V, 3)`` in world space, in units per second."""
         value = self.mesh.GetVelocitiesAttr().Get(Usd.TimeCode(code))
         if value is None or len(value) != self.point_count:
@@ -426,11 +426,11 @@ class AnimatedMesh:
         return False
 
 
-def _transform_vectors(value: Vt.Vec3fArray, to_world: Gf.Matrix4d, weight: float) -> NDArray[np.float32]:
-    """Return points (homogeneous weight 1) or directions (weight 0) ``(n, 3)`` in world space."""
+def _transform_vectors(value: Vt.Vec3fArray, to_world: Gf.Matrix4d, weight: float) -> FloatArray:
+    """Return points (weight 1) or directions (weight 0) ``(n, 3)`` in world space; in double precision if they move."""
     vectors = np.array(value, dtype=np.float32).reshape(-1, 3)
     if to_world == Gf.Matrix4d(1.0):
         return vectors
     matrix = np.array(to_world, dtype=np.float64)
     with np.errstate(all="ignore"):  # the reader reports overflow with its vertex
-        return np.asarray(vectors @ matrix[:3, :3] + weight * matrix[3, :3], dtype=np.float32)
+        return np.asarray(vectors @ matrix[:3, :3] + weight * matrix[3, :3])

@@ -1,9 +1,9 @@
 """Reader of USD files (.usd, .usda, .usdc, .usdz) as animated meshes in world space.
 
 Values are read from the composed stage, with references, layers, variants and value clips. Several meshes are joined.
-Points are float32, as in USD. Frames are at all samples of the points, transforms, skeletons and blend shapes that move
-a mesh. If anything other than points is animated, vertices may move along arcs between samples. Frames at the stage's
-rate then fill the gaps, as in `UsdSkel.BakeSkinning`.
+Points are float32, as in USD, or float64 if transforms move them far from zero. Frames are at all samples of the
+points, transforms, skeletons and blend shapes that move a mesh. If anything other than points is animated, vertices may
+move along arcs between samples. Frames at the stage's rate then fill the gaps, as in `UsdSkel.BakeSkinning`.
 
 Specification: https://openusd.org/release/api/class_usd_stage.html (time codes and frames per second)
 """
@@ -21,7 +21,7 @@ from scipy.sparse import csr_array
 
 from mixseq.errors import FormatError, InvalidSequenceError, NoMeshError
 from mixseq.mesh.surface import FaceSet, Origin
-from mixseq.sequence.frame_rates import format_frame
+from mixseq.sequence.frame_rates import estimate_frame_rate, format_frame, is_on_frames, snap_rate
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray
 from mixseq_io.reader import AnimationReader, SequenceReader, prefix_errors, warn
@@ -35,6 +35,7 @@ from mixseq_io.scene_meshes import (
     join_meshes,
     merge_times,
     read_valid_meshes,
+    snap_to_frames,
 )
 from mixseq_io.text.labels import (
     GROUPS_SOURCE,
@@ -160,13 +161,16 @@ class _UsdReader(AnimationReader):
         assert animation is not None, "the file is open"
         values_at = animation.points if quantity == "points" else animation.velocities
         ends = np.cumsum([mesh.vertex_count for mesh in animation.meshes])
-        block = np.empty((len(codes), self.header.vertex_count, 3), np.float32)
+        block = np.empty((len(codes), self.header.vertex_count, 3))
         with capture_diagnostics(), translate_usd_read_errors(self.path):
             for row, code in enumerate(codes.tolist()):
-                with prefix_errors(f"{self.path}: {_describe_frame(code, self.header.fps)}"):
+                with prefix_errors(
+                    f"{self.path}: {_describe_frame(code, animation.stage.GetTimeCodesPerSecond(), self.header.fps)}"
+                ):
                     for end, values in zip(ends, values_at(code), strict=True):
                         block[row, end - len(values) : end] = values
-        return block
+        with np.errstate(over="ignore", under="ignore"):  # points that are not finite are reported with their vertex
+            return self._round(block) if quantity == "points" else block.astype(np.float32)
 
 
 def _mesh_motions(path: Path, stage: Usd.Stage, prim: str | None, warnings: PrimWarnings) -> list[MeshMotion]:
@@ -195,31 +199,45 @@ def _load_animation(
 def _read_mesh(animated: AnimatedMesh, rate: float, warnings: PrimWarnings) -> tuple[AnimatedMesh, SceneMesh]:
     """Return a mesh with its surface; raise an error if its points in the first frame cannot be computed."""
     scene_mesh, skin = read_scene_mesh(animated, warnings), animated.motion.skin
-    frame_name = _describe_frame(animated.start, rate)
+    frame_name = _describe_frame(animated.start, rate, rate)
     with prefix_errors(frame_name):
         points = animated.points(animated.start, skin.skeleton.pose(animated.start) if skin else None)
     check_finite(points, frame_name)
     return animated, scene_mesh
 
 
-def _describe_frame(code: float, rate: float) -> str:
-    return f"frame {format_frame(code / rate, rate)} (time code {code:g})"
+def _describe_frame(code: float, code_rate: float, fps: float) -> str:
+    return f"frame {format_frame(code / code_rate, fps)} (time code {code:g})"
 
 
 def _header(path: Path, animation: _Animation, scene_meshes: Sequence[SceneMesh]) -> SequenceHeader:
     stage, meshes = animation.stage, animation.meshes
-    rate = stage.GetTimeCodesPerSecond()
+    times = animation.codes / stage.GetTimeCodesPerSecond()
+    rate = _choose_rate(stage, times)
     polygons, surface = join_meshes(scene_meshes, Origin("USD", absolute_path(path)))
     return SequenceHeader(
         polygons=polygons,
         vertex_count=sum(mesh.vertex_count for mesh in meshes),
-        times=animation.codes / rate,
+        times=snap_to_frames(times, rate),
         fps=rate,
         up_axis=str(UsdGeom.GetStageUpAxis(stage)),
         metres_per_unit=UsdGeom.GetStageMetersPerUnit(stage),
         name=common_name(scene_objects_of([mesh.mesh for mesh in meshes])) or path.stem,
         surface=surface,
     )
+
+
+_MAX_CODE_RATE = 240.0
+"""Largest number of time codes per second that may be frames; more are ticks."""
+
+
+def _choose_rate(stage: Usd.Stage, times: Float) -> float:
+    """Return the stage's frames per second, or its time codes per second if only these fit the times ``(T,)``."""
+    codes = snap_rate(stage.GetTimeCodesPerSecond())
+    frames = snap_rate(stage.GetFramesPerSecond()) if stage.HasAuthoredMetadata("framesPerSecond") else 0.0
+    if codes > _MAX_CODE_RATE:
+        return frames or estimate_frame_rate(times) or codes
+    return frames if frames and (is_on_frames(times, frames) or not is_on_frames(times, codes)) else codes
 
 
 def _frame_codes(path: Path, stage: Usd.Stage, motions: Sequence[MeshMotion]) -> NDArray[np.float64]:

@@ -31,9 +31,12 @@ from mixseq_io.rig_arrays import (
     choose_skeleton,
     four_influences,
     local_joint_transforms,
+    move_morph,
+    move_skin,
     normalise_morph_weights,
     numbered_names,
 )
+from mixseq_io.surfaces import RoundingMonitor
 from mixseq_io.usd.layers import (
     SampledMesh,
     compute_extent,
@@ -98,11 +101,14 @@ def find_skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Pr
 
 def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
     """Author a skin or a morph in a layer."""
+    rig, origin = move_skin(rig) if isinstance(rig, Skin) else move_morph(rig)
     shape = normalise_morph_weights(rig)
-    prims = define_component(layer, target, rig.header, has_velocities=False)
+    prims = define_component(layer, target, rig.header, has_velocities=False, origin=origin)
     declare_attributes(layer, prims)
-    base_block = (0, shape.base[None], None)
-    ((_, values),) = compute_frame_values(prims, np.zeros(1), np.zeros(1), [base_block])
+    base_block = (0, shape.base[None] + origin, None)
+    ((_, values),) = compute_frame_values(
+        prims, np.zeros(1), np.zeros(1), [base_block], RoundingMonitor(target, "USD", rig.header)
+    )
     for path, value in values.items():
         layer.GetAttributeAtPath(path).default = value
     stage = Usd.Stage.Open(layer)

@@ -281,7 +281,7 @@ def _describe_missing(path: Path, stage: Usd.Stage) -> str:
                 files[file] = None
     for prim in stage.TraverseAll():
         for clips in prim.GetMetadata("clips").values() if prim.HasMetadata("clips") else ():
-            files |= {asset.path: None for asset in clips.get("assetPaths", ()) if not asset.resolvedPath}
+            files |= {asset.path: None for asset in (clips or {}).get("assetPaths", ()) if not asset.resolvedPath}
     problems = []
     if files:
         problems.append(f"files that it refers to are missing or cannot be read: {format_names(list(files), str)}")
@@ -416,7 +416,7 @@ def _are_inverse(first: UsdGeom.XformOp, second: UsdGeom.XformOp) -> bool:
     if len(a_codes) != len(b_codes) or is_spline(a) or is_spline(b):
         return False
     # USD scales the time codes of a sublayer with another rate, which causes rounding.
-    if not np.allclose(a_codes, b_codes, rtol=1e-12, atol=1e-9):
+    if not np.allclose(a_codes, b_codes, rtol=2.0**-22, atol=1e-9):
         return False
     return all(a.Get(a_code) == b.Get(b_code) for a_code, b_code in zip(a_codes, b_codes, strict=True))
 

@@ -2,7 +2,8 @@
 
 A sequence from a USD file becomes a layer over this file (`overlay`). Any other sequence becomes a stand-alone
 component file, whose default prim ``/<name>`` is an Xform with one Mesh per object and materials in ``/<name>/Looks``.
-Meshes are right-handed and in world space. Normals are written only for unsubdivided meshes with hard edges.
+Meshes are right-handed and in world space, or below a translation if they are far from zero. Normals are written only
+for unsubdivided meshes with hard edges.
 
 Materials are copied from the original's composed stage as flattened networks; connections that leave a material are
 lost. Textures are not copied; their asset paths are rewritten. Parts are a family of subsets that partitions the faces
@@ -22,18 +23,20 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pxr import Ar, Kind, Sdf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
+from pxr import Ar, Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
 from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet, Origin
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import FloatArray, IntArray
+from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.files import atomic_file
 from mixseq_io.reader import validate_blocks, warn
 from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
+from mixseq_io.surfaces import RoundingMonitor
 from mixseq_io.text.labels import LABEL_SUBSET_FAMILY
 from mixseq_io.usd.layers import (
     FrameValues,
+    LocalSpace,
     SampledMesh,
     SampledNormals,
     SampledPrims,
@@ -209,11 +212,16 @@ def _rebase_texture(target: Path, asset: str, origin: str) -> str:
     return Ar.JoinPackageRelativePath(path, inner) if inner else path
 
 
-def define_component(layer: Sdf.Layer, target: Path, header: SequenceHeader, has_velocities: bool) -> SampledPrims:
-    """Author a stand-alone file without samples, and return the prims that get samples."""
+def define_component(
+    layer: Sdf.Layer, target: Path, header: SequenceHeader, has_velocities: bool, origin: Float
+) -> SampledPrims:
+    """Author a stand-alone file without samples, whose root is at an origin ``(3,)``; return the prims for samples."""
     stage = Usd.Stage.Open(layer)
     name = identifier(header.name)
-    root = UsdGeom.Xform.Define(stage, f"/{name}").GetPrim()
+    xform = UsdGeom.Xform.Define(stage, f"/{name}")
+    if origin.any():
+        xform.AddTranslateOp().Set(Gf.Vec3d(*origin.tolist()))
+    space, root = LocalSpace.at_origin(origin), xform.GetPrim()
     _set_display_name(root, header.name)
     stage.SetDefaultPrim(root)
     Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
@@ -228,7 +236,14 @@ def define_component(layer: Sdf.Layer, target: Path, header: SequenceHeader, has
         normals = None
         if scene_mesh.hard_edges is not None and scene_mesh.subdivision == "none":
             normals = SampledNormals("normals", UsdGeom.Tokens.faceVarying, *[scene_mesh.hard_edges] * 2)
-        meshes.append(SampledMesh(path=path, scene_mesh=scene_mesh, normals=normals, has_velocities=has_velocities))
+        mesh = SampledMesh(
+            path=path,
+            scene_mesh=scene_mesh,
+            space=lambda time: space,
+            normals=normals,
+            has_velocities=has_velocities,
+        )
+        meshes.append(mesh)
     return SampledPrims(tuple(meshes))
 
 
@@ -386,6 +401,7 @@ def write_usd(
     sources: ArrayLike | None = None,
     whole_stage: bool = False,
     parts: FaceParts | None = None,
+    rounding: RoundingMonitor | None = None,
 ) -> None:
     """Write a USD file; options as in `FORMATS`.
 
@@ -409,6 +425,7 @@ def write_usd(
     original_rate = original.stage.GetTimeCodesPerSecond() if original else header.fps
     time_map = TimeMap.from_header(header, original_rate, times if whole_stage else None)
     _, frame_blocks = validate_blocks(header, blocks, velocities)
+    monitor = rounding or RoundingMonitor(path, "USD", header)
 
     def create_layer(file: Path) -> tuple[Sdf.Layer, SampledPrims, Iterable[FrameValues]]:
         layer = Sdf.Layer.CreateNew(str(file))
@@ -417,7 +434,7 @@ def write_usd(
         if original:
             prims = author_overlay(layer, path, original, time_map, has_velocities)
         else:
-            prims = define_component(layer, path, header, has_velocities)
+            prims = define_component(layer, path, header, has_velocities, monitor.origin)
         declare_attributes(layer, prims)
         if original and whole_stage:
             retime_other_attributes(layer, path, original, time_map)
@@ -425,7 +442,7 @@ def write_usd(
             warn_of_other_motion(path, header, original, times)
         if parts is not None:
             _author_parts(layer, [mesh.path for mesh in prims.meshes], parts, original)
-        return layer, prims, compute_frame_values(prims, time_map.codes, header.times, frame_blocks)
+        return layer, prims, compute_frame_values(prims, time_map.codes, header.times, frame_blocks, monitor)
 
     left_out: list[str] = []
     with (

@@ -32,9 +32,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import MissingExtraError, SettingsError
+from mixseq.mesh.measures import NO_ORIGIN
 from mixseq.rigging.low_rank import LowRank
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import FloatArray, Index
+from mixseq.types import Float, FloatArray, Index
 from mixseq_io.gltf.codecs import ARRAY_BUFFER, Layout
 from mixseq_io.gltf.new_document import MovingMesh, create_scene
 
@@ -55,9 +56,17 @@ class EncodedImage:
 
     @property
     def decoded(self) -> NDArray[np.float64]:
-        """Values that a shader decodes from the pixels."""
+        """Values that a shader decodes from the pixels, in single precision."""
         largest = {"f": 1, "u": 2 ** (8 * self.pixels.itemsize) - 1}[self.pixels.dtype.kind]
-        return np.asarray(self.offset + self.scale * (self.pixels.astype(np.float64) / largest))
+        fractions = self.pixels.astype(np.float32) / np.float32(largest)
+        return _decode_fractions(fractions, self.offset, self.scale)
+
+
+def _decode_fractions(
+    fractions: NDArray[np.float32], offset: NDArray[np.float64] | float, scale: NDArray[np.float64] | float
+) -> NDArray[np.float64]:
+    """Return o + s p of fractions p, computed in single precision as in shaders."""
+    return np.asarray(np.float32(offset) + np.float32(scale) * fractions).astype(np.float64)
 
 
 def encode_pixels(
@@ -95,7 +104,9 @@ def encode_coarse_and_fine(
     fine = np.minimum(np.rint(fine / _FINE_STEP) * _FINE_STEP, _COARSE_LEVELS)
     pixels = np.concatenate([coarse, fine]).astype(np.uint16)
     image = EncodedImage(pixels, np.full(3, -largest), np.full(3, 2 * largest))
-    return image, -largest + 2 * largest * (coarse + fine / _COARSE_LEVELS) / _COARSE_LEVELS
+    single, most = np.stack([coarse, fine]).astype(np.float32), np.float32(_COARSE_LEVELS)
+    fractions = np.asarray((single[0] + single[1] / most) / most)
+    return image, _decode_fractions(fractions, -largest, 2 * largest)
 
 
 MAX_TEXTURE_SIDE_PIXELS = 16384
@@ -159,6 +170,7 @@ class Texels:
     """Texels of a sequence, and a glTF document to which `add_vertices` adds points."""
 
     header: SequenceHeader
+    origin: Float  # (3,) of points in textures and document
     layout: Layout
     meshes: list[MovingMesh]
     vertices: Index  # (N,)
@@ -166,9 +178,9 @@ class Texels:
     primitive_texels: list[Index]  # for every primitive, the texels (n,) of its glTF vertices
 
     @staticmethod
-    def from_header(header: SequenceHeader) -> Texels:
+    def from_header(header: SequenceHeader, origin: Float = NO_ORIGIN) -> Texels:
         """Find the texels of a sequence."""
-        layout, meshes = create_scene(header)
+        layout, meshes = create_scene(header, origin)
         pairs, first = [], 0
         for mesh in meshes:
             scene_mesh = mesh.scene_mesh
@@ -180,7 +192,7 @@ class Texels:
             first += scene_mesh.vertex_count if hard_edges is None else int(hard_edges.max(initial=-1)) + 1
         distinct, ids = np.unique(np.concatenate(pairs), axis=0, return_inverse=True)
         primitive_texels = np.split(ids.reshape(-1), np.cumsum([len(own) for own in pairs])[:-1])
-        return Texels(header, layout, meshes, distinct[:, 0], distinct[:, 1], primitive_texels)
+        return Texels(header, origin, layout, meshes, distinct[:, 0], distinct[:, 1], primitive_texels)
 
     @property
     def count(self) -> int:
@@ -321,9 +333,10 @@ def encode_low_rank(fitted: LowRank, frames: VertexFrames, texels: Texels, pixel
 def _sum_basis_vectors(
     basis: NDArray[np.float64], parts: NDArray[np.int64], coefficients: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the sums ``(T, N, 3)`` of basis vectors ``(layers, N, 4)`` that the shader computes."""
-    flat = basis.swapaxes(0, 1).reshape(len(parts), -1)
-    return np.stack([np.einsum("nk,nki->ni", flat, frame[parts]) for frame in coefficients])
+    """Return the sums ``(T, N, 3)`` of basis vectors ``(layers, N, 4)`` that shaders compute in single precision."""
+    flat = basis.swapaxes(0, 1).reshape(len(parts), -1).astype(np.float32)
+    frames = coefficients.astype(np.float32)
+    return np.stack([np.einsum("nk,nki->ni", flat, frame[parts]) for frame in frames]).astype(np.float64)
 
 
 def _fit_normal_basis(

@@ -1,7 +1,7 @@
 """Write vertex animation textures: images, a mesh with coordinates in these images, ``vat.json``, and shaders.
 
-`mixseq_io.vat.textures` describes the encoding. Reported errors are measured on decoded images; they exclude float32
-rounding in shaders.
+`mixseq_io.vat.textures` describes the encoding. Reported errors are measured on images decoded in single precision, as
+in shaders. Points far from zero are relative to an origin, at which the node of the mesh is.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mixseq.errors import OutputError, SettingsError
+from mixseq.mesh.measures import choose_origin
 from mixseq.rigging.low_rank import fit_low_rank
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
@@ -191,8 +192,14 @@ def _encode(
     motion: Decodable | None,
     progress: Progress,
 ) -> _Encoding:
-    """Encode a sequence as textures, plain ones without `max_error`, and measure them."""
-    texels = Texels.from_header(sequence.header)
+    """Encode a sequence as textures, plain ones without `max_error`, and measure them.
+
+    The returned sequence is relative to the origin of the texels.
+    """
+    origin = choose_origin(sequence.points[0])
+    if origin.any():
+        sequence = sequence.with_points(sequence.points - origin)
+    texels = Texels.from_header(sequence.header, origin)
     frames = VertexFrames.from_points(sequence.points, texels)
     if max_error is None:
         textures = encode_plain(frames, texels, pixel_type)
@@ -201,7 +208,7 @@ def _encode(
         textures, report = _fit_within_bound(sequence, frames, texels, pixel_type, max_error, progress)
     if motion is not None:
         times = quarter_times(sequence.times)
-        expected = (block[:, texels.vertices] for block in motion.blocks(times))
+        expected = (block[:, texels.vertices] - origin for block in motion.blocks(times))
         largest = largest_distance(expected, straight_blocks([textures.decoded.points], times))
         report = replace(report, between_error=largest / (sequence.diagonal or 1.0))
     return sequence, texels, textures, report
@@ -312,6 +319,7 @@ def _make_metadata(
         "height": images["points"]["height"],
         "rows": texels.rows,
         "textures": images,
+        "origin": texels.origin.tolist(),
         "bounds": {"min": points.min(axis=(0, 1)).tolist(), "max": points.max(axis=(0, 1)).tolist()},
         "up_axis": header.up_axis,
         "metres_per_unit": header.metres_per_unit,

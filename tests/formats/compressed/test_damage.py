@@ -127,6 +127,8 @@ def changed(path: Path, change: Callable[[dict[str, object]], object]) -> None:
         (lambda facts: facts["coding"].update(correction=-1), "correction is -1; a non-negative"),
         (lambda facts: facts["coding"].update(diagonal=1e-320), "a number is 1e-320; 0, or from"),
         (lambda facts: facts["coding"].update(step=10**400), "a number is 1000.*; 0, or from"),
+        (lambda facts: facts["coding"].update(origin=""), "ranks or origin are no list of numbers"),
+        (lambda facts: facts["coding"].update(ranks=""), "ranks or origin are no list of numbers"),
         (lambda facts: facts["coding"].update(rank=True), "rank is True; a whole number above zero"),
         (lambda facts: facts["coding"].update(promised=1), "promised is 1; true or false"),
         (lambda facts: facts["coding"].update(frame_count=15), "two numbers of frames differ"),

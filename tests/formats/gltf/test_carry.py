@@ -99,9 +99,14 @@ UNEVEN = {
 }
 
 
+def in_single_precision(sequence: MeshSequence) -> MeshSequence:
+    """Round what transforms move far from zero, so that no origin is needed."""
+    return sequence.with_points(sequence.points.astype(np.float32))
+
+
 def test_what_is_nearly_undone_is_read_exactly(rig: Path, tmp_path: Path) -> None:
     change(rig, lambda document: document["nodes"][0].update(UNEVEN))
-    sequence = read(rig, prim="rig/body")
+    sequence = in_single_precision(read(rig, prim="rig/body"))
     written(tmp_path / "new.glb", sequence)
     again = read(tmp_path / "new.glb", prim="rig/body")
     np.testing.assert_array_equal(again.points, sequence.points)
@@ -126,7 +131,7 @@ def test_what_cannot_be_undone_is_left(rig: Path, tmp_path: Path, edit: Callable
     """The node becomes a root, its children stay."""
     change(rig, edit)
     with lossy():
-        sequence = read(rig)
+        sequence = in_single_precision(read(rig))
     file = written(tmp_path / "new.glb", sequence)
     nodes, roots = file.json["nodes"], file.json["scenes"][0]["nodes"]
     np.testing.assert_array_equal(read(tmp_path / "new.glb", prim="body").points, sequence.points)

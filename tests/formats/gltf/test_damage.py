@@ -105,10 +105,6 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         lambda it: it.update(skins=[{"joints": [5]}]) or it["nodes"][0].update(skin=0),
         r"nodes\[5\] is referenced",
     ),
-    "root below": (
-        lambda it: it["nodes"].append({"children": [0]}) or it.update(scenes=[{"nodes": [0]}]),
-        r"has nodes\[0\] as a root",
-    ),
     "no such scene": (lambda it: it.update(scene=4, scenes=[{}]), r"scenes\[4\]"),
     "count": (
         lambda it: it["accessors"][0].update(count=2**40),
@@ -198,6 +194,17 @@ def test_morph_weights_that_do_not_fit(made: Callable[..., MeshSequence]) -> Non
     maker = split_square(targets=[{}])
     with pytest.raises(FormatError, match="has 1 morph targets, another primitive of the mesh 0"):
         made(maker)
+
+
+def test_a_root_of_the_scene_that_is_a_child(made: Callable[..., MeshSequence]) -> None:
+    """The transform of its parent counts, whether the scene lists the parent or not."""
+    for roots in ([1], [0, 1], [1, 0]):
+        maker = Maker(scene=0, scenes=[{"nodes": roots}])
+        maker.node("above", children=[1], translation=[5, 0, 0])
+        maker.node("body", mesh=maker.mesh(TRIANGLE))
+        with pytest.warns(MixseqWarning, match=r"nodes\[1\] is a root of the scene, though a child of nodes\[0\]"):
+            got = made(maker)
+        np.testing.assert_array_equal(got.points, np.add([TRIANGLE], [5, 0, 0]))
 
 
 def test_points_that_are_not_finite(made: Callable[..., MeshSequence]) -> None:

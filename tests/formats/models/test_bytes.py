@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.creature import walk_cycle
-from tests.meshes import bar
+from tests.meshes import bar, coarse_walk
 
 
 @pytest.mark.parametrize(("settings", "most"), [({}, 0.5), ({"exact": True}, 1.3)], ids=str)
 def test_models_take_few_bytes(settings: dict[str, Any], most: float, tmp_path: Path) -> None:
     """Beside coordinates in single precision."""
-    walk = walk_cycle(frames=24)
+    walk = coarse_walk(frames=24)
     mixseq.save(tmp_path / "walk.h5", mixseq.fit(walk, **settings))
     assert (tmp_path / "walk.h5").stat().st_size < most * 4 * walk.points.size
 

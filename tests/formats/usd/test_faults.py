@@ -129,3 +129,34 @@ def test_missing_files_are_named(tmp_path: Path, kind: str, has_mesh: bool) -> N
     else:
         with pytest.raises(NoMeshError, match=named):
             read(tmp_path / "shot.usda")
+
+
+@pytest.mark.parametrize(
+    ("codes_per_second", "frames_per_second", "codes", "fps", "numbers"),
+    [
+        (1000, 25, (0, 40, 80), 25, [0, 1, 2]),
+        (4800, 24, (0, 200, 300), 24, [0, 1, 1.5]),
+        (1, 30, (0, 0.0333333, 0.0666667), 30, [0, 1, 2]),
+        (24, 24, (1001, 1002, 1003), 24, [1001, 1002, 1003]),
+        (30, 24, (0, 1, 2), 30, [0, 1, 2]),  # frames of the time codes only
+        (6000, None, (0, 240, 480), 25, [0, 1, 2]),
+        (float(np.float32(24000 / 1001)), None, (0, 1, 2), 24000 / 1001, [0, 1, 2]),
+    ],
+)
+def test_frame_rate(
+    tmp_path: Path, codes_per_second: float, frames_per_second: float | None, codes: Any, fps: float, numbers: Any
+) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "stage.usda"))
+    stage.SetTimeCodesPerSecond(codes_per_second)
+    if frames_per_second:
+        stage.SetFramesPerSecond(frames_per_second)
+    mesh = UsdGeom.Mesh.Define(stage, "/mesh")
+    mesh.CreateFaceVertexCountsAttr([4, 3])
+    mesh.CreateFaceVertexIndicesAttr(INDICES)
+    for code in codes:
+        mesh.CreatePointsAttr().Set(raised(code), code)
+    stage.Save()
+    got = read(tmp_path / "stage.usda")
+    assert got.fps == fps
+    np.testing.assert_allclose(got.times * fps, numbers, atol=2e-6)
+    np.testing.assert_array_equal(got.points, [raised(code) for code in codes])

@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import mixseq
 from mixseq.creature import walk_cycle
@@ -17,8 +16,8 @@ from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq_io.vat.textures import Texels
 from mixseq_io.vat.writer import VatReport, write_vat
-from tests.formats.gltf_files import Gltf, validate
-from tests.formats.vat.test_images import unpacked
+from tests.formats.gltf_files import validate
+from tests.formats.vat.shader import looked_up, told, vertices_of
 from tests.meshes import bar, rotation
 from tests.viewer.conftest import browser, new_page, page
 
@@ -28,51 +27,6 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.slow
 
 __all__ = ["browser", "new_page", "page"]
-
-Json = dict[str, Any]
-
-
-def told(folder: Path) -> Json:
-    found: Json = json.loads((folder / "vat.json").read_text())
-    return found
-
-
-def numbers(folder: Path, name: str) -> NDArray[np.float64]:
-    """What a shader makes of the pixels of a texture."""
-    texture = told(folder)["textures"][name]
-    pixels = unpacked((folder / texture["file"]).read_bytes())
-    assert pixels.shape[:2] == (texture["height"], texture["width"])
-    return np.asarray(texture["offset"] + np.array(texture["scale"]) * (pixels / np.iinfo(pixels.dtype).max))
-
-
-def looked_up(folder: Path, name: str, frame: int) -> NDArray[np.float64]:
-    """Do what the shaders do, texel by texel: points or normals ``(n, 3)`` of the vertices of the mesh."""
-    vat, mesh = told(folder), Gltf(folder / "mesh.glb")
-    lookup = np.concatenate(
-        [
-            mesh.accessor(primitive["attributes"]["TEXCOORD_1"])
-            for each in mesh.json["meshes"]
-            for primitive in each["primitives"]
-        ]
-    )
-    x, y = np.floor(lookup * [vat["width"], vat["height"]]).astype(int).T
-    texels = numbers(folder, name)
-    if vat["kind"] == "plain":
-        return np.asarray(texels[y + frame * vat["rows"], x])
-    parts = unpacked((folder / "points.png").read_bytes())[y, x, 0].astype(int)
-    above = 1 if name == "points" else 0
-    basis = np.concatenate([texels[y + (j + above) * vat["rows"], x] for j in range(vat["layers"])], axis=1)
-    coarse = unpacked((folder / "coefficients.png").read_bytes()).astype(np.float64)
-    table = vat["textures"]["coefficients"]
-    shares = (coarse[frame] + coarse[vat["frames"] + frame] / 65535) / 65535
-    coefficients = (table["offset"] + table["scale"] * shares).reshape(-1, 4 * vat["layers"], 3)
-    return np.asarray(np.einsum("nk,nki->ni", basis, coefficients[parts]))
-
-
-def vertices_of(folder: Path) -> NDArray[np.int64]:
-    mesh = Gltf(folder / "mesh.glb")
-    primitives = [primitive for each in mesh.json["meshes"] for primitive in each["primitives"]]
-    return np.concatenate([mesh.accessor(each["attributes"]["_VERTEX"]) for each in primitives]).astype(int)
 
 
 def test_points_are_as_far_off_as_is_told(written: tuple[Path, VatReport], fox: MeshSequence) -> None:
