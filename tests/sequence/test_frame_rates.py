@@ -52,7 +52,7 @@ def test_rates_of_times_as_writers_round_them(rate: float, first: int) -> None:
     period = np.float32(1) / np.float32(rate)
     single = (frames / rate).astype(np.float32).astype(np.float64)
     accumulated = first / rate + np.append(np.float32(0), np.cumsum(np.full(59, period))).astype(np.float64)
-    for times in (frames / rate, frames * float(period), single, accumulated):
+    for times in np.stack([frames / rate, frames * float(period), single, accumulated]):
         assert estimate_frame_rate(times) == rate
         assert estimate_frame_rate(times, declared=float(np.float32(rate))) == rate
         assert estimate_frame_rate(times[::2], declared=rate) == rate  # on twos
