@@ -111,8 +111,7 @@ def add_inbetweens(
     if between and largest_error > parameters.max_error:
         raise SettingsError(
             f"between frames, players would be {largest_error:.2g} diagonals from the model, not "
-            f"{parameters.max_error:g}; allow this error (max_error, --max-error), or give more frames: resample the "
-            "sequence first, at twice its frame rate or more (mixseq resample)"
+            f"{parameters.max_error:g}; allow this error (max_error, --max-error)"
         )
     parameters = replace(parameters, inbetween_error=float(f"{largest_error:.3g}"))
     if playback.inbetweens:
