@@ -105,9 +105,11 @@ def strictly_between(times: Float, start: float, end: float) -> Float:
 def merge_sites(edges: Float, knots: Float, breaks: ArrayLike = ()) -> Float:
     """Return the sites of a spline with breakpoints `edges` ``(n,)`` and, unless too close, `knots` ``(m,)``.
 
-    Where the curve breaks, at inner `breaks`, there is one spline on each side.
+    Where the curve breaks, at inner `breaks` that are no edges, there is one spline on each side.
     """
     inner = strictly_between(np.unique(breaks), edges[0], edges[-1])
+    span = edges[-1] - edges[0]
+    inner = inner[(np.abs(inner[:, None] - edges) > MIN_KNOT_SPACING_RATIO * span).all(axis=1)]
     if len(inner):
         splines = pairwise([edges[0], *inner, edges[-1]])
         return np.concatenate(
@@ -117,7 +119,7 @@ def merge_sites(edges: Float, knots: Float, breaks: ArrayLike = ()) -> Float:
             ]
         )
     knots = np.unique(knots)
-    min_distance = MIN_KNOT_SPACING_RATIO * (edges[-1] - edges[0]) / (len(edges) + len(knots))
+    min_distance = MIN_KNOT_SPACING_RATIO * span / (len(edges) + len(knots))
     after = np.clip(np.searchsorted(edges, knots), 1, len(edges) - 1)
     edge_distances = np.minimum(np.abs(knots - edges[after - 1]), np.abs(knots - edges[after]))
     knots = knots[edge_distances > min_distance]

@@ -106,7 +106,7 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
     >>> import mixseq
     >>> from mixseq.creature import walk_cycle
     >>> from mixseq.operations import key_poses, with_shapes
-    >>> model = mixseq.fit(walk_cycle(frames=6), rank=3, pose="keys")
+    >>> model = mixseq.fit(walk_cycle(frames=6), rank=5, pose="keys")
     >>> keys = key_poses(model)
     >>> tall = mixseq.MeshSequence.from_arrays(keys.points * [1.0, 1.5, 1.0], keys.faces, fps=1.0)
     >>> with_shapes(model, tall).sample().frame_count

@@ -16,11 +16,12 @@ rounding errors, or if it is noise, which is not alike at both ends a and b of m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixseq.choices import BetweenName
 from mixseq.runtime.low_memory import LargeArray, new_large_array
@@ -66,6 +67,9 @@ MAX_POSE_RATIO = 4
 
 PHASE_RATIO = 3.0
 """Least ratio of the median bend at the phase of the keys to the medians at other phases."""
+
+ROWS_PER_BLOCK = 32
+"""Number of frames, steps or bends that are measured at a time."""
 
 MAX_KEY_PERIOD, MAX_PULLDOWN_PERIOD = 8, 12
 """Largest period, in frames, of baked keys and of single duplicates."""
@@ -189,13 +193,16 @@ def find_events(points: LargeArray, times: Float, topology: Topology) -> Sequenc
         chosen = [np.repeat(evenly_spaced(topology.vertex_count, SAMPLED_EDGES)[:, None], 2, axis=1)]
     vertex_ids, rows = np.unique(np.concatenate(chosen), return_inverse=True)
     edges = np.split(rows.reshape(-1, 2), np.cumsum([len(each) for each in chosen])[:-1])
-    samples = np.concatenate([block[:, vertex_ids].astype(np.float64) for block in iterate_blocks(points)])
+    samples, first = np.empty((len(times), len(vertex_ids), 3)), 0
+    for block in iterate_blocks(points):
+        samples[first : first + len(block)] = block[:, vertex_ids]
+        first += len(block)
     diagonal = float(np.median(np.linalg.norm(np.ptp(samples, axis=1), axis=1)))
     motion = _measure(times, samples, np.concatenate(edges))
     whole = _find(motion, diagonal, CUT_RATIO)
     if len(edges) == 1:
         return SequenceEvents(whole)
-    lengths = np.linalg.norm(np.diff(samples, axis=0), axis=2)
+    lengths = _each_step(samples, lambda fields: np.linalg.norm(fields, axis=2))
     most = [k for k in whole.cuts if np.mean(lengths[k] > CUT_RATIO / 2 * _largest_beside(lengths, k)) > 0.5]
     whole = replace(whole, cuts=tuple(most), pops=())
     components = []
@@ -214,8 +221,8 @@ def find_events(points: LargeArray, times: Float, topology: Topology) -> Sequenc
 
 def _measure(times: Float, points: Float, edges: Index, whole: _Motion | None = None) -> _Motion:
     """Measure steps of points ``(T, n, 3)``; few vertices are equal where the whole is, up to its noise."""
-    unit, steps = _rounding_unit(points), _rms(np.diff(points, axis=0))
-    is_null = _is_null(np.diff(points, axis=0), unit, edges)
+    unit, steps = _rounding_unit(points), _each_step(points, _rms)
+    is_null = _each_step(points, lambda fields: _is_null(fields, unit, edges))
     is_equal, first = np.zeros(len(steps), dtype=bool), 0
     for k in np.flatnonzero(is_null):  # also equal to the first of its run, so that slow motion is no hold
         first = first if k and is_equal[k - 1] else int(k)
@@ -223,6 +230,17 @@ def _measure(times: Float, points: Float, edges: Index, whole: _Motion | None = 
     if whole is not None and whole.is_equal.any():
         is_equal |= whole.is_equal & (steps <= 1.5 * whole.noise)
     return _Motion(times, points, edges, unit, is_equal, steps)
+
+
+def _each_step(points: Float, measure: Callable[[Float], NDArray[Any]]) -> NDArray[Any]:
+    """Measure the steps of points ``(T, n, 3)``."""
+    return _in_blocks(len(points) - 1, lambda first, end: measure(np.diff(points[first : end + 1], axis=0)))
+
+
+def _in_blocks(count: int, measure: Callable[[int, int], NDArray[Any]]) -> NDArray[Any]:
+    """Measure rows from first to end, of `count`, in blocks: all at once would take several times their memory."""
+    firsts = range(0, count, ROWS_PER_BLOCK)
+    return np.concatenate([measure(first, min(first + ROWS_PER_BLOCK, count)) for first in firsts])
 
 
 def _rounding_unit(points: Float) -> float:
@@ -236,6 +254,11 @@ def _rounding_unit(points: Float) -> float:
 def _rms(fields: Float) -> Float:
     """Return root mean square lengths ``(N,)`` of vectors ``(N, n, 3)``."""
     return np.asarray(np.sqrt(np.einsum("nvi,nvi->n", fields, fields) / max(fields.shape[1], 1)))
+
+
+def _extents(points: Float) -> Float:
+    """Return root mean square distances ``(N,)`` of points ``(N, n, 3)`` from their centres."""
+    return _rms(points - points.mean(axis=1, keepdims=True))
 
 
 def _is_null(fields: Float, unit: float, edges: Index) -> Mask:
@@ -253,7 +276,7 @@ def _find(motion: _Motion, diagonal: float, cut_ratio: float) -> Events:
     is_equal, steps = motion.is_equal, motion.steps
     if is_equal.all():
         return Events()
-    extents = _rms(motion.points - motion.points.mean(axis=1, keepdims=True))
+    extents = _in_blocks(len(motion.points), lambda first, end: _extents(motion.points[first:end]))
     size = float(np.median(extents[extents > COLLAPSED_RATIO * extents.max()])) if extents.any() else 0.0
     is_gone = extents < COLLAPSED_RATIO * size
     larger = np.maximum(extents[:-1], extents[1:])
@@ -262,7 +285,8 @@ def _find(motion: _Motion, diagonal: float, cut_ratio: float) -> Events:
     firsts = np.append(0, np.flatnonzero(~is_equal) + 1)
     lasts = np.append(firsts[1:] - 1, len(steps))
     events, pattern = _find_repeats(motion, firsts, lasts)
-    is_exact = np.abs(np.diff(motion.points, axis=0)).max(axis=(1, 2)) <= ROUNDING_UNITS * motion.unit
+    largest = _each_step(motion.points, lambda fields: np.abs(fields).max(axis=(1, 2)))
+    is_exact = largest <= ROUNDING_UNITS * motion.unit
     holds = tuple(
         (int(a), int(b))
         for run, (a, b) in enumerate(zip(firsts, lasts, strict=True))
@@ -349,13 +373,17 @@ def _find_cuts(times: Float, poses: Float, diagonal: float, ratio: float, floor:
     durations = np.diff(times)
     usual = float(np.median(durations))
     durations = np.maximum(durations, 1e-9 * usual)
-    moves = np.diff(poses, axis=0)
-    steps, velocities = _rms(moves), moves / durations[:, None, None]
+    steps = _each_step(poses, _rms)
     speeds = steps / durations
-    errors = np.full(len(steps), np.nan)  # distance of a step from the one that the speeds beside it predict
     share = (durations[2:] / (durations[:-2] + durations[2:]))[:, None, None]
-    predicted = share * velocities[:-2] + (1 - share) * velocities[2:]
-    errors[1:-1] = _rms((velocities[1:-1] - predicted) * durations[1:-1, None, None])
+
+    def measure_errors(first: int, end: int) -> Float:
+        velocities = np.diff(poses[first : end + 3], axis=0) / durations[first : end + 2, None, None]
+        predicted = share[first:end] * velocities[:-2] + (1 - share[first:end]) * velocities[2:]
+        return _rms((velocities[1:-1] - predicted) * durations[first + 1 : end + 1, None, None])
+
+    errors = np.full(len(steps), np.nan)  # distance of a step from the one that the speeds beside it predict
+    errors[1:-1] = _in_blocks(len(steps) - 2, measure_errors)
     cuts = []
     for k in range(1, len(steps) - 1):  # a single frame at an end is no evidence
         fastest = float(_largest_beside(speeds, k))
@@ -387,8 +415,14 @@ def _find_keys(motion: _Motion, events: Events) -> tuple[int, ...]:
     if count < 3 * MIN_EVIDENCE:
         return ()
     share = (durations[:-1] / (durations[:-1] + durations[1:]))[:, None, None]
-    fields = points[1:-1] - (1 - share) * points[:-2] - share * points[2:]  # at frames 1, 2, ...
-    bends, is_zero = _rms(fields), _is_null(fields, unit, motion.edges)
+
+    def measure_bends(first: int, end: int) -> Float:  # at frames 1, 2, ...
+        before, own, after = (points[first + k : end + k] for k in range(3))
+        fields = own - (1 - share[first:end]) * before - share[first:end] * after
+        return np.stack([_rms(fields), _is_null(fields, unit, motion.edges)], axis=1)
+
+    bends, is_null = _in_blocks(count - 2, measure_bends).T
+    is_zero = is_null > 0
     least = MOVING_UNITS * unit
     is_cut = np.isin(np.arange(count - 1), [*events.cuts, *events.pops])
     is_stopped = is_cut | motion.is_equal | (steps <= least)

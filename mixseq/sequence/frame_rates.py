@@ -12,11 +12,10 @@ the first number. In Python frames are indexed from 0; messages show numbers.
 from __future__ import annotations
 
 from math import isfinite
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
-
-from mixseq.types import Float
+if TYPE_CHECKING:
+    from mixseq.types import Float
 
 Seconds = Annotated[float, "seconds"]
 """A time or duration that scripts may give as a number of frames."""
@@ -116,6 +115,8 @@ def snap_rate(fps: float, tolerance: float = _RATE_ROUNDING) -> float:
 
 def is_on_frames(times: Float, fps: float, tolerance: float = FRAME_TOLERANCE) -> bool:
     """Whether times ``(T,)`` in s are at frames of a rate, counted from 0 or from the first time."""
+    import numpy as np
+
     return any(bool(np.abs(n - np.rint(n)).max() <= tolerance) for n in (times * fps, (times - times[0]) * fps))
 
 
@@ -127,6 +128,7 @@ def estimate_frame_rate(times: Float, declared: float = 0.0, lowest: float = 0.0
 
     Examples
     --------
+    >>> import numpy as np
     >>> estimate_frame_rate(np.arange(60) * np.float32(1 / 30)), estimate_frame_rate(np.arange(60) / 29.97)
     (30.0, 29.97)
     >>> estimate_frame_rate((np.arange(96) / 29.97).astype(np.float32).astype(float)) == 30000 / 1001
@@ -134,6 +136,8 @@ def estimate_frame_rate(times: Float, declared: float = 0.0, lowest: float = 0.0
     >>> estimate_frame_rate(np.array([0.0, 1, 2, 5]) / 12), estimate_frame_rate(np.array([0.0, 0.5, 0.6]))
     (12.0, 30.0)
     """
+    import numpy as np
+
     declared = snap_rate(declared) if isfinite(declared) and declared > 0 else 0.0
     span = float(times[-1] - times[0]) if times.size > 1 else 0.0
     if not (isfinite(span) and span > 0):
@@ -159,6 +163,8 @@ def _rate_of_even_times(times: Float, span: float) -> float | None:
 
     Several rates round to the same times: a usual rate is preferred, then that with the fewest digits.
     """
+    import numpy as np
+
     count = times.size - 1
     rate, frames = count / span, np.arange(count + 1)
     distance = float(np.abs((times - times[0]) * rate - frames).max())

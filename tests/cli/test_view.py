@@ -122,7 +122,8 @@ def test_a_page(run: Run, monkeypatch: pytest.MonkeyPatch, files: list[str]) -> 
     monkeypatch.setitem(sys.modules, "viser", None)  # which pages do not need
     result = run("view", *files, "--export", "new.html")
     assert (result.exit_code, result.stderr) == (0, "")
-    said = r"o vertex is off by more than 0\.001 of the diagonal, \S+ units: 1e-3 from \S+.*\n"
+    between = r"between frames, \S+ of the diagonal from the model"
+    said = rf"o vertex is off by more than 0\.001 of the diagonal, \S+ units; {between}: 1e-3 from \S+.*\n"
     lines = [f"{re.escape(file)}: n{said}" for file in files] if len(files) > 1 else [f"n{said}"]
     assert re.fullmatch(r"wrote new\.html \(.*\)\n" + "".join(lines), result.stdout)
     page = Opened(Path("new.html"))

@@ -200,7 +200,7 @@ def read_facts(path: Path, container: Container) -> dict[str, Any]:
     try:
         facts = json.loads(container.text, parse_int=_number, parse_float=_number, parse_constant=_number)
     except (ValueError, RecursionError) as error:
-        raise FormatError(f"{path}: the attribute coding is not valid JSON ({error}); it is damaged") from error
+        raise FormatError(f"{path}: the attribute coding is not valid ({error}); it is damaged") from error
     if not isinstance(facts, dict) or not isinstance(facts.get("coding"), dict):
         raise FormatError(f"{path}: the attribute coding has no parameters; it is damaged")
     return facts
@@ -210,7 +210,7 @@ def _number(text: str) -> float:
     """Parse a number of the text as decoders in JavaScript do; whole numbers become integers."""
     number = float(text)
     if number and not _MIN_NUMBER <= abs(number) <= _MAX_NUMBER:
-        raise DamageError(f"a number is {text[:20]}; 0, or from {_MIN_NUMBER} to {_MAX_NUMBER} is expected")
+        raise DamageError(f"a number is {number:g}; 0, or from {_MIN_NUMBER} to {_MAX_NUMBER} is expected")
     return int(number) if number.is_integer() and abs(number) <= _MAX_INTEGER else number
 
 
