@@ -220,13 +220,15 @@ def measure_between(source: Model | Frames, delivery: Model | Frames, progress: 
 
 
 def match_frames(a: SequenceHeader, b: SequenceHeader) -> NDArray[np.int64] | None:
-    """Return the frame indices ``(T,)`` of b at the times of a, or with its numbers; None if b lacks one of the frames.
+    """Return the frame indices ``(T,)`` of b at the times of a, or with its numbers; None if b lacks one of them.
 
     Times in single precision are off by up to 1e-4 of a frame after a minute, so they count as equal within
-    `FRAME_TOLERANCE`. Sequences of different rates, such as 24 and 23.976, are paired by the numbers of their frames.
+    `FRAME_TOLERANCE`. Sequences of as many frames at other rates, such as 24 and 23.976, are paired by number.
     """
     frames = _match_nearest(a.times, b.times, FRAME_TOLERANCE / a.fps)
-    return _match_nearest(a.times * a.fps, b.times * b.fps, FRAME_TOLERANCE) if frames is None else frames
+    if frames is None and a.frame_count == b.frame_count:
+        return _match_nearest(a.times * a.fps, b.times * b.fps, FRAME_TOLERANCE)
+    return frames
 
 
 def _match_nearest(a: Float, b: Float, tolerance: float) -> NDArray[np.int64] | None:

@@ -302,6 +302,8 @@ def test_shared_frames() -> None:
     chosen = match_frames(slow, fast)
     assert chosen is not None
     assert chosen.tolist() == [0, 2, 4, 6, 8]
+    uneven = slow.with_times(np.arange(12) / 25, fps=25)  # the same numbers are other moments
+    assert match_frames(slow, uneven) is None
     assert match_frames(fast, slow) is None
     assert match_frames(slow, slow.with_times(np.arange(9) / 20 + 0.01)) is None
     one = slow.with_times([0.2])

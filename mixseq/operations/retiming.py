@@ -208,13 +208,14 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
 def _compose(model: Model, curve: Curve, retiming: Retiming, kink_sites: Float, norm: DeviationNorm) -> Curve:
     """Compose a signal of the model with a retiming; `kink_sites` ``(m,)`` are additional sites."""
 
+    def inside(times: Float) -> Float:
+        return strictly_between(times, retiming.start, retiming.end)
+
     def passes(times: Float) -> Float:
         found = [np.zeros(0), *(retiming.curve.solve(time, extrapolate=False) for time in times)]
-        return strictly_between(
-            np.concatenate(found), retiming.start, retiming.end
-        )  # NaN where the source stands still
+        return inside(np.concatenate(found))  # solutions are NaN where the source stands still
 
-    knots = np.concatenate([passes(breakpoints(curve)), strictly_between(kink_sites, retiming.start, retiming.end)])
+    knots = np.concatenate([passes(breakpoints(curve)), inside(kink_sites)])
     pieces = []
     for start, end in pairwise([retiming.start, *np.unique(passes(curve.breaks)), retiming.end]):
         edges = np.array([start, *strictly_between(retiming.curve.x, start, end), end])

@@ -275,11 +275,13 @@ def join_curves(sections: Sequence[CurveSection], seams: Sequence[Seam]) -> Curv
     breaks = [strictly_between(section.curve.breaks, section.start, section.end) for section in sections]
     sites = merge_sites(edges, np.concatenate(knots), np.concatenate(breaks))
     section_ids = np.searchsorted(edges[1:-1], sites, side="left")
+    min_distance = MIN_KNOT_SPACING_RATIO * (edges[-1] - edges[0])
     values = []
     for index, (section, own) in enumerate(zip(sections, offsets, strict=True)):
         times = left_limits(sites)[section_ids == index]
-        if section.end in section.curve.breaks:
-            times = np.minimum(times, np.nextafter(section.end, -np.inf))
+        at_end = section.curve.breaks[np.abs(section.curve.breaks - section.end) <= min_distance]
+        if len(at_end):
+            times = np.minimum(times, np.nextafter(at_end[0], -np.inf))
         values.append(section.curve(times) + sum((offset(times) for offset in own), start=np.zeros(())))
     return Curve(sites, np.concatenate(values))
 

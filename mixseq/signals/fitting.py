@@ -24,7 +24,7 @@ from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, no_progress
 from mixseq.runtime.public import public
-from mixseq.sequence.events import Events, distinct_poses, find_events
+from mixseq.sequence.events import Events, SequenceEvents, distinct_poses, find_events
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import (
@@ -231,7 +231,7 @@ def fit(
         between them; "linear" goes straight from frame to frame; "hold" keeps every frame until the next.
     cuts : {"auto", "none"} or sequence of int
         Cuts, where the motion jumps half-way between two frames: found (default), none, or the first frames after them.
-        A sequence with `knots` has none.
+        With `knots` there are none.
 
     Returns
     -------
@@ -268,6 +268,8 @@ def fit(
     if parts is None and space == "mixed":
         parts = own_parts(sequence)
     _check_options(exact, tolerance, rank, knots, pose, between)
+    if knots is not None and (between, cuts) != ("auto", "auto"):
+        raise SettingsError("a model with given knots is smooth everywhere; leave out between and cuts, or knots")
     options = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
     max_error = VISUALLY_LOSSLESS_TOLERANCE if tolerance is None else float(tolerance)
     is_reduced = rank is not None or knots is not None
@@ -281,11 +283,12 @@ def fit(
     executor = workers or thread_executor()
     with one_blas_thread():
         frames = whole = load_frames(sequence, stages.at(0))
-        found = find_events(
-            frames.points, frames.header.times, Topology(frames.header.faces, frames.header.vertex_count)
-        )
-        chosen = _with_cuts(found.whole, cuts, frames.header) if knots is None else Events()
-        timing = Timing(chosen, between)
+        found = SequenceEvents()
+        if knots is None:
+            topology = Topology(frames.header.faces, frames.header.vertex_count)
+            found = find_events(frames.points, frames.header.times, topology)
+            found = replace(found, whole=_with_cuts(found.whole, cuts, frames.header))
+        timing = Timing(found.whole, between)
         if between == "smooth":
             frames, events = distinct_poses(frames, timing.events)
             timing = replace(timing, events=events)
@@ -303,9 +306,9 @@ def fit(
             bound = max_error - _rounding_share(frames, max_error)
             model = fit_within_tolerance(encoded, frames, bound, search, executor)
         header = frames.trace(max_error, promised=not is_reduced)
-        if header.provenance and knots is None:
-            text = replace(found, whole=chosen).describe(whole.header, between)
-            header = replace(header, provenance=replace(header.provenance, events=text))
+        if header.provenance:
+            events_text = found.describe(whole.header, between)
+            header = replace(header, provenance=replace(header.provenance, events=events_text))
         if frames is not whole:
             header = replace(header, times=whole.header.times, provenance=as_edited(header.provenance))
         return replace(model, header=header)

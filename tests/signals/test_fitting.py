@@ -45,6 +45,7 @@ SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
         ({"joint_width": 0}, r"joint_width is 0; at least 1"),
         ({"exact": True, "rank": 2}, r"leave out tolerance, rank and knots"),
         ({"tolerance": 1e-3, "knots": 2}, r"tolerance chooses rank and knots"),
+        ({"knots": 2, "cuts": [2]}, r"smooth everywhere; leave out between and cuts, or knots"),
         ({"tolerance": 0.0}, r"tolerance is 0.0; a positive number"),
         ({"tolerance": np.nan}, r"tolerance is nan; a positive number"),
         ({"rank": -1}, r"rank is -1; a whole number of shape modes, zero or more"),
