@@ -97,7 +97,7 @@ _RATE_ROUNDING = 2.0**-22
 _STEP_ROUNDING = 2e-4
 """Largest relative error of the rate of a single step, less than the distance of 24 from 23.976."""
 
-_MAX_GRID_RATE = 60.0
+MAX_GRID_RATE = 60.0
 """Highest rate in Hz whose frames alone are evidence; finer ones hold hundredths of seconds and ticks as well."""
 
 _EXACT_FRAMES = 1e-9
@@ -155,7 +155,7 @@ def estimate_frame_rate(times: Float, declared: float = 0.0, lowest: float = 0.0
     frequent = snap_rate(1 / float(np.quantile(steps, 0.5, method="lower")), _STEP_ROUNDING)
     fitting = [each for each in candidates if is_on_frames(times, each)]
     fine = next(iter(fitting), None)
-    return next((each for each in fitting if each <= _MAX_GRID_RATE), frequent if frequent in USUAL_RATES else fine)
+    return next((each for each in fitting if each <= MAX_GRID_RATE), frequent if frequent in USUAL_RATES else fine)
 
 
 def _rate_of_even_times(times: Float, span: float) -> float | None:

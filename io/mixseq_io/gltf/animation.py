@@ -29,9 +29,6 @@ from mixseq_io.scene_meshes import (
 )
 
 _MAX_FRAME_COUNT = 1_000_000
-MAX_GRID_RATE = 60.0
-"""Highest frame rate in Hz that is derived from keys; finer key grids are hundredths of seconds or ticks."""
-
 _MIN_GAP_FRAMES = 1.5
 _GRID_TOLERANCE_FRAMES = 2e-3
 """Largest distance in frames between a frame and a float32 key that counts as at this frame."""

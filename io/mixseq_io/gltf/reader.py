@@ -30,11 +30,10 @@ from mixseq.errors import InvalidSequenceError, NoMeshError
 from mixseq.mesh.measures import hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, FaceSet, Origin
-from mixseq.sequence.frame_rates import estimate_frame_rate, format_frame
+from mixseq.sequence.frame_rates import MAX_GRID_RATE, estimate_frame_rate, format_frame
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.gltf.animation import (
-    MAX_GRID_RATE,
     Channel,
     MeshNode,
     MeshSkin,
