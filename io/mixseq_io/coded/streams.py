@@ -92,6 +92,9 @@ _OPTIONAL_STREAMS = {"uvs": "uv_steps", "labels": LABEL_COUNT}
 _MIN_NUMBER, _MAX_NUMBER, _MAX_INTEGER = 1e-100, 1e100, 2**53
 """Range of numbers in the text, whose squares are finite and not zero, and of integers. Frozen: part of the format."""
 
+MAX_SHOWN_DIGITS = 24
+"""Number of characters of a number in messages."""
+
 
 @dataclass(frozen=True)
 class Container:
@@ -210,7 +213,8 @@ def _number(text: str) -> float:
     """Parse a number of the text as decoders in JavaScript do; whole numbers become integers."""
     number = float(text)
     if number and not _MIN_NUMBER <= abs(number) <= _MAX_NUMBER:
-        raise DamageError(f"a number is {number:g}; 0, or from {_MIN_NUMBER} to {_MAX_NUMBER} is expected")
+        shown = text if len(text) <= MAX_SHOWN_DIGITS else f"{text[:MAX_SHOWN_DIGITS]}..."
+        raise DamageError(f"a number is {shown}; 0, or from {_MIN_NUMBER} to {_MAX_NUMBER} is expected")
     return int(number) if number.is_integer() and abs(number) <= _MAX_INTEGER else number
 
 

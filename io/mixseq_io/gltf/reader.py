@@ -94,9 +94,10 @@ def _find_moving_nodes(
     return is_moving
 
 
-def _make_scene_mesh(document: Document, mesh_node: MeshNode, pose: Pose, frame_name: str) -> SceneMesh:
+def _make_scene_mesh(
+    document: Document, mesh_node: MeshNode, pose: Pose, world: Mapping[int, Float], frame_name: str
+) -> SceneMesh:
     """Return the mesh of a node with its surface, in the pose of a frame, where its points have to be finite."""
-    world = _world_matrices([mesh_node], pose)
     check_finite(mesh_node.world_points(pose, world, 1)[0], frame_name)
     weld, scene, primitives = mesh_node.weld, mesh_node.scene, mesh_node.weld.primitives
     order = [0, 2, 1] if mesh_node.orientation(world)[0] < 0 else [0, 1, 2]
@@ -310,10 +311,13 @@ def open_gltf(
             times, rate = _choose_times(path, channels, fps, stored_rate)
             frame_name = f"frame {format_frame(times[0] + start, rate)}"
             pose, read = evaluate_pose(channels, times[:1]), _mesh_node_reader(document, scene, channels)
+            world: dict[int, Float] = {}  # of ancestors of all meshes, computed once
 
             def read_mesh(index: int) -> tuple[MeshNode, SceneMesh]:
                 mesh_node = read(nodes[index])
-                return mesh_node, _make_scene_mesh(document, mesh_node, pose, frame_name)
+                for node in mesh_node.transform_nodes:
+                    scene.add_world_matrices(world, node, pose)
+                return mesh_node, _make_scene_mesh(document, mesh_node, pose, world, frame_name)
 
             return read_mesh
 
@@ -330,7 +334,8 @@ def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
         skin = _select_skin(document, skeleton)
         read = _mesh_node_reader(document, scene, ())
         mesh_nodes = [_bind(document, read(node), skin) for node in _select_nodes_of_skin(document, scene, skin)]
-        scene_meshes = [_make_scene_mesh(document, mesh_node, {}, "the bind pose") for mesh_node in mesh_nodes]
+        world = _world_matrices(mesh_nodes, {})
+        scene_meshes = [_make_scene_mesh(document, each, {}, world, "the bind pose") for each in mesh_nodes]
         return _GltfReader(document, mesh_nodes, scene_meshes, (), np.zeros(1), DEFAULT_FPS, 0.0)
 
 

@@ -98,18 +98,23 @@ class Scene:
 
     def world_matrices(self, nodes: Iterable[int], pose: Pose) -> dict[int, Float]:
         """Return the local-to-world matrices of nodes and their ancestors, ``(B, 4, 4)`` or constant ``(1, 4, 4)``."""
-        world: dict[int, Float] = {-1: np.eye(4)[None]}
+        world: dict[int, Float] = {}
         for node in nodes:
-            missing = []
-            while node not in world:
-                missing.append(node)
-                node = self.parents[node]
-            for each in reversed(missing):
-                matrices = world[self.parents[each]] @ _local_matrices(self.nodes[each], each, pose)
-                extras = self.nodes[each].values.get("extras")
-                is_marked = isinstance(extras, dict) and WORLD_SPACE_MARK in extras
-                world[each] = np.eye(4)[None] if is_marked and is_nearly_identity(matrices) else matrices
+            self.add_world_matrices(world, node, pose)
         return world
+
+    def add_world_matrices(self, world: dict[int, Float], node: int, pose: Pose) -> None:
+        """Add the matrices of a node and its ancestors to `world`, unless they are there."""
+        world.setdefault(-1, np.eye(4)[None])
+        missing = []
+        while node not in world:
+            missing.append(node)
+            node = self.parents[node]
+        for each in reversed(missing):
+            matrices = world[self.parents[each]] @ _local_matrices(self.nodes[each], each, pose)
+            extras = self.nodes[each].values.get("extras")
+            is_marked = isinstance(extras, dict) and WORLD_SPACE_MARK in extras
+            world[each] = np.eye(4)[None] if is_marked and is_nearly_identity(matrices) else matrices
 
 
 def read_scene(document: Document) -> Scene:
