@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,8 +11,8 @@ from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.checks import check_facing, check_markers, check_orientation, check_rest_frame
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing, pair_components
-from mixseq.retargeting.matching import CorrespondenceQuality, MatchingSettings, assess, match
-from mixseq.retargeting.registration import RegistrationSettings, register
+from mixseq.retargeting.matching import CorrespondenceQuality, assess, match
+from mixseq.retargeting.registration import LAST_STIFFNESS, STIFFNESS_STEPS, register
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
@@ -24,21 +23,12 @@ MAX_FILLED_FACE_SHARE = 0.05  # largest share of target triangles without a matc
 MAX_FLIPPED_FACE_SHARE = 0.01  # largest share of flipped target triangles; tested pairs have none
 
 
-@dataclass(frozen=True)
-class CorrespondenceSettings:
-    """Settings of registration and matching."""
-
-    registration: RegistrationSettings = field(default_factory=RegistrationSettings)
-    matching: MatchingSettings = field(default_factory=MatchingSettings)
-
-
 @public
 def correspond(
     source: MeshSequence,
     target: MeshSequence,
     markers: Markers,
     rest: int = 0,
-    settings: CorrespondenceSettings | None = None,
     progress: Progress = no_progress,
 ) -> Correspondence:
     """Find a dense correspondence of two meshes from a few markers.
@@ -53,8 +43,6 @@ def correspond(
         At least four pairs of vertices, spread over the meshes.
     rest : int
         Frame of the source with a pose like the target's.
-    settings : CorrespondenceSettings, optional
-        Settings of registration and matching.
     progress : callable
         Called with the progress.
 
@@ -75,7 +63,7 @@ def correspond(
     MixseqWarning
         If markers seem exchanged or wrong, components are inside out, or most of a mesh's area has no markers.
     """
-    return correspond_and_assess(source, target, markers, rest, settings, progress)[0]
+    return correspond_and_assess(source, target, markers, rest, progress)[0]
 
 
 @one_blas_thread()
@@ -84,11 +72,11 @@ def correspond_and_assess(
     target: MeshSequence,
     markers: Markers,
     rest: int = 0,
-    settings: CorrespondenceSettings | None = None,
     progress: Progress = no_progress,
+    last_stiffness: float = LAST_STIFFNESS,
+    steps: int = STIFFNESS_STEPS,
 ) -> tuple[Correspondence, CorrespondenceQuality]:
     """Find a correspondence like `correspond`, and return it with its quality."""
-    settings = CorrespondenceSettings() if settings is None else settings
     check_rest_frame(source, rest)
     markers = markers.renumbered(source, target)
     source_mesh, target_mesh = _triangle_mesh(source, rest, "source"), _triangle_mesh(target, 0, "target")
@@ -96,11 +84,11 @@ def correspond_and_assess(
     pairings = pair_components(source_mesh.topology, target_mesh.topology, markers)
     _check_areas(source_mesh, target_mesh, pairings)
     check_orientation(source_mesh, target_mesh)
-    points = register(source_mesh, target_mesh, pairings, markers, settings.registration, progress)
+    points = register(source_mesh, target_mesh, pairings, markers, progress, last_stiffness, steps)
     registered = TriangleMesh(points, source_mesh.topology)
     check_facing(registered, target_mesh)
-    matches = match(registered, target_mesh, pairings, settings.matching)
-    quality = assess(registered, target_mesh, pairings, markers, matches, settings.matching)
+    matches = match(registered, target_mesh, pairings)
+    quality = assess(registered, target_mesh, pairings, markers, matches)
     _warn_of_poor_matches(quality, matches.correspondence)
     return matches.correspondence, quality
 

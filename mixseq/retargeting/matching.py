@@ -29,19 +29,8 @@ from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing
 from mixseq.types import Float, FloatArray, Index, IntArray, Mask
 
-
-@dataclass(frozen=True)
-class MatchingSettings:
-    """Limits of closest points in matching."""
-
-    largest_angle: float = 75.0  # largest angle between the normals, in degrees
-    largest_distance: float = 0.05  # largest distance, in diagonals of the target
-
-    def __post_init__(self) -> None:
-        if not 0 < self.largest_angle <= 180:
-            raise SettingsError(f"the largest angle is {self.largest_angle}; give degrees from 0 to 180")
-        if not self.largest_distance > 0:
-            raise SettingsError(f"the largest distance is {self.largest_distance}; it must be positive")
+MAX_NORMAL_ANGLE_DEGREES = 75.0  # largest angle between the normals of a point and its match
+MAX_MATCH_DISTANCE_DIAGONALS = 0.05  # largest distance of a match, in diagonals of the target
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,20 +59,14 @@ class CorrespondenceQuality:
     marker_distances: Float  # (n,) distances of registered source markers from target markers
     markers: Markers  # markers of the registration
 
-    def worst_markers(self, count: int = 5) -> list[tuple[str, float]]:
+    def worst_markers(self, count: int) -> list[tuple[str, float]]:
         """Return names and distances of the markers with the largest distances, the largest first."""
         order = np.argsort(-self.marker_distances, kind="stable")[:count]
         return [(self.markers.name(int(k)), float(self.marker_distances[k])) for k in order]
 
 
-def match(
-    registered: TriangleMesh,
-    target: TriangleMesh,
-    pairings: tuple[Pairing, ...],
-    settings: MatchingSettings | None = None,
-) -> Matches:
+def match(registered: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairing, ...]) -> Matches:
     """Match the vertices and triangles of a target to a registered source by closest points."""
-    settings = MatchingSettings() if settings is None else settings
     vertex_count, face_count = len(target.points), len(target.faces)
     # Query points are vertices, then centroids of triangles, in the order of the surface graph's nodes.
     queries = np.concatenate([target.points, target.centroids])
@@ -98,8 +81,8 @@ def match(
         for pairing in pairings
     ]
     for search, query_ids in searches:
-        closest = search.query(queries[query_ids], normals[query_ids], settings.largest_angle)
-        is_near = closest.distances <= settings.largest_distance * target.diagonal
+        closest = search.query(queries[query_ids], normals[query_ids], MAX_NORMAL_ANGLE_DEGREES)
+        is_near = closest.distances <= MAX_MATCH_DISTANCE_DIAGONALS * target.diagonal
         matched_ids = query_ids[is_near]
         faces[matched_ids], weights[matched_ids] = closest.faces[is_near], closest.weights[is_near]
         distances[matched_ids] = closest.distances[is_near]
@@ -133,7 +116,6 @@ def assess(
     pairings: tuple[Pairing, ...],
     markers: Markers,
     matches: Matches,
-    settings: MatchingSettings,
 ) -> CorrespondenceQuality:
     """Measure the quality of a correspondence of `match`."""
     diagonal = target.diagonal
@@ -141,12 +123,10 @@ def assess(
     covered_area = 0.0
     for pairing in pairings:
         face_ids = pairing.source_faces
-        search, normals = (
-            ClosestPointQuery.from_mesh(target.points, target.faces, pairing.target_faces),
-            registered.face_normals[face_ids],
-        )
-        closest = search.query(registered.centroids[face_ids], normals, settings.largest_angle)
-        is_near = closest.distances <= settings.largest_distance * diagonal
+        search = ClosestPointQuery.from_mesh(target.points, target.faces, pairing.target_faces)
+        centroids, normals = registered.centroids[face_ids], registered.face_normals[face_ids]
+        closest = search.query(centroids, normals, MAX_NORMAL_ANGLE_DEGREES)
+        is_near = closest.distances <= MAX_MATCH_DISTANCE_DIAGONALS * diagonal
         covered_area += float(registered.face_areas[face_ids[is_near]].sum())
     distances = matches.distances[matches.has_vertex_match] / diagonal
     mean, p99, largest = (
