@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.triangle_mesh import TriangleMesh
-from mixseq.retargeting.markers import Correspondence, Markers, pair_components
-from mixseq.retargeting.matching import (
+from mixseq.retargeting.correspond import (
     CorrespondenceQuality,
     Matches,
     assess,
@@ -21,6 +20,7 @@ from mixseq.retargeting.matching import (
     from_vertices,
     match,
 )
+from mixseq.retargeting.markers import Correspondence, Markers, pair_components
 from tests.meshes import Mesh, grid, joined, pages, tetrahedron, topology_of, torus, tube
 from tests.retargeting.pairs import subdivided
 
