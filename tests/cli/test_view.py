@@ -87,7 +87,7 @@ PATIENCE = 60.0
     ],
 )
 def test_failure(run: Run, contents: Contents, monkeypatch: pytest.MonkeyPatch, line: str, message: str) -> None:
-    monkeypatch.setattr(live, "check_viser", lambda: None)
+    monkeypatch.setattr("mixseq.viewer.live.check_viser", lambda: None)
     monkeypatch.setattr(live, "run_viewer", None)  # nothing gets so far
     before = contents()
     result = run(*line.split())
