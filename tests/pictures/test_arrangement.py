@@ -30,6 +30,7 @@ from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.signals.model import Model
 from mixseq.types import ByteArray, Float, FloatArray, IntArray
 from tests.meshes import bar, tetrahedron, tube
+from tests.pictures.conftest import LOW_RESOLUTION
 
 
 def box(size: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0)) -> MeshSequence:
@@ -311,11 +312,10 @@ def test_faces_above_are_brighter_than_below(ax: Any, gem: MeshSequence) -> None
 
 def test_a_picture_has_the_pixels_of_its_panel(ax: Any, gem: MeshSequence) -> None:
     width, low = ax.get_window_extent().width, draw(ax, gem.points[0], gem.faces)
+    assert low.shape[1] == pytest.approx(width, abs=1)
     ax.clear()
-    ax.figure.dpi = 300
-    high = draw(ax, gem.points[0], gem.faces)
-    assert low.shape[1] == pytest.approx(1.5 * width, abs=1)  # 150 dots per inch, where the figure has 100
-    assert high.shape[1] == pytest.approx(3 * width, abs=1)
+    ax.figure.dpi = LOW_RESOLUTION / 2
+    assert draw(ax, gem.points[0], gem.faces).shape[1] == pytest.approx(width * LOW_RESOLUTION / 100, abs=1)
 
 
 def test_degenerate_triangles_are_survived(ax: Any) -> None:
