@@ -74,7 +74,7 @@ class Retime(PageMessage):
 Message = Drawn | Seek | Drag | Sketch | Retime
 State = TypeVar("State")
 
-_MESSAGE_DECODER = Decoder(Message)
+_MESSAGE_DECODER: Decoder[Message] = Decoder(Message)
 
 
 def parse_message(text: str) -> Message | None:

@@ -56,10 +56,12 @@ class Hand:
         eventually(lambda: len(self.session.proposals) == 8 and self.session._mirrors is not None)
 
     def wait_until_still(self) -> None:
-        def place() -> object:
-            return self.page.evaluate(PLACE, [0, 0])
+        def is_still() -> bool:
+            before = self.page.evaluate(PLACE, [0, 0])
+            self.page.wait_for_timeout(250)
+            return bool(self.page.evaluate(PLACE, [0, 0]) == before)
 
-        eventually(lambda: place() == (self.page.wait_for_timeout(250), place())[1])
+        eventually(is_still)
 
     def button(self, name: str) -> None:
         self.page.get_by_role("button", name=name, exact=True).click()
