@@ -125,7 +125,7 @@ def between_rows(
     `points_at` returns points of the motion ``(B, V, 3)`` at times ``(N,)`` of the file.
     """
     from mixseq.sequence.sequence import UnitConversion, reference_diagonal
-    from mixseq_io.rig_measuring import measure_file_between
+    from mixseq_io.rig_files import measure_file_between
 
     if path.suffix.lower() not in GLTF_EXTENSIONS or header.frame_count == 1:
         return []
