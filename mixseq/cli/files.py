@@ -354,7 +354,7 @@ def files_in_the_way(target: Path, clips: bool = False) -> list[Path]:
     from mixseq_io.registry import FORMATS
 
     numbered = any(form.numbered and target.suffix.lower() in form.extensions for form in FORMATS)
-    numbered_files = [file for _, file in sorted(find_numbered_files(target))] if numbered else []
+    numbered_files = [file for _, file in find_numbered_files(target)] if numbered else []
     folder = [target.with_name(f"{target.name}.clips")] if clips else []
     return [file for file in (*numbered_files, target, *_beside(target), *folder) if file.exists()]
 
