@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
     from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence
+    from mixseq.signals.decoding import Decodable
     from mixseq.signals.model import Model
     from mixseq.types import Float, FloatArray
     from mixseq_io.reader import SequenceReader
@@ -143,7 +144,7 @@ def between_row(error: float | None, diagonal: float) -> list[tuple[str, str]]:
 
 def write_frames(
     path: Path,
-    model: Model,
+    model: Decodable,
     header: SequenceHeader,
     velocities: bool,
     writing: Mapping[str, Any],
