@@ -41,9 +41,7 @@ from mixseq_io.coded.packing import pack
 from mixseq_io.coded.streams import Container
 from mixseq_io.files import atomic_file, check_memory
 from mixseq_io.gltf.codecs import (
-    ARRAY_BUFFER,
     COMPONENT_TYPES,
-    ELEMENT_ARRAY_BUFFER,
     FLOAT_COMPONENT,
     GENERATOR_NAME,
     UNSIGNED_COMPONENT,
@@ -68,13 +66,11 @@ from mixseq_io.gltf.document import (
 from mixseq_io.gltf.edits import collect_extensions, read_image
 from mixseq_io.gltf.new_document import (
     SplitPrimitive,
-    add_colours,
     add_material,
+    add_triangles,
     assign_face_sets,
-    flip_v,
     material_name,
     name_member,
-    narrow_indices,
     node_transform,
     split_primitives,
 )
@@ -245,7 +241,7 @@ def add_still(
     """Add the primitives of a still of points ``(V, 3)`` to a document."""
     positions = as_float32(points[None], 0, "glTF")[0]
     normals = corner_normals(positions[None], mesh.polygons, mesh.hard_edges)[0].astype(np.float32)
-    add = {"draco": _add_draco, "plain": _add_plain, "none": _add_degenerate}[still]
+    add = {"draco": _add_draco, "plain": add_triangles, "none": _add_degenerate}[still]
     entries = []
     for each in split_primitives(mesh):
         entry = add(layout, *_select_used(each, positions, normals))
@@ -266,42 +262,29 @@ def _select_used(
         "POSITION": positions[primitive.vertex_ids[used]],
         "NORMAL": normals[primitive.normal_ids[used]],
     }
-    if primitive.uvs is not None:
-        attributes["TEXCOORD_0"] = flip_v(primitive.uvs[used])
-    if primitive.colours is not None:
-        attributes["COLOR_0"] = primitive.colours[used]
+    attributes |= {name: values[used] for name, values in primitive.attributes.items()}
     return corners.reshape(-1, 3).astype(np.uint32), attributes
-
-
-def _add_plain(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
-    accessors = {
-        name: add_colours(layout, values) if name == "COLOR_0" else layout.add_array(values, target=ARRAY_BUFFER)
-        for name, values in attributes.items()
-    }
-    layout.set_bounds(accessors["POSITION"], compute_bounds(attributes["POSITION"]))
-    return {
-        "attributes": accessors,
-        "indices": layout.add_array(narrow_indices(triangles.reshape(-1)), target=ELEMENT_ARRAY_BUFFER),
-    }
 
 
 def _add_draco(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
     compressed = compress_triangles(triangles, attributes)
     if compressed is None:
         warn("Draco compresses no triangles without area; the still of these is plain")
-        return _add_plain(layout, triangles, attributes)
-    view = layout.add([compressed.data], len(compressed.data))
+        return add_triangles(layout, triangles, attributes)
+    data, triangle_count, coded = compressed
+    view = layout.add([data], len(data))
     accessors = {
         name: _add_empty_accessor(layout, len(values), f"VEC{values.shape[1]}", COMPONENT_TYPES[values.dtype.str[1:]])
-        for name, values in compressed.attributes.items()
+        for name, (_, values) in coded.items()
     }
     if "COLOR_0" in accessors:
         layout.document["accessors"][accessors["COLOR_0"]]["normalized"] = True
-    layout.set_bounds(accessors["POSITION"], compute_bounds(compressed.attributes["POSITION"]))
+    layout.set_bounds(accessors["POSITION"], compute_bounds(coded["POSITION"][1]))
+    ids = {name: unique_id for name, (unique_id, _) in coded.items()}
     return {
         "attributes": accessors,
-        "indices": _add_empty_accessor(layout, 3 * compressed.triangle_count, "SCALAR", UNSIGNED_COMPONENT),
-        "extensions": {DRACO_EXTENSION: {"bufferView": view, "attributes": dict(compressed.attribute_ids)}},
+        "indices": _add_empty_accessor(layout, 3 * triangle_count, "SCALAR", UNSIGNED_COMPONENT),
+        "extensions": {DRACO_EXTENSION: {"bufferView": view, "attributes": ids}},
     }
 
 

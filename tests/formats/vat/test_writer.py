@@ -134,7 +134,7 @@ def test_exr_holds_the_numbers_themselves(fox: MeshSequence, tmp_path: Path) -> 
     np.testing.assert_array_equal(rows, expected)
 
 
-def test_what_is_refused(fox: MeshSequence, tmp_path: Path) -> None:
+def test_what_is_refused(fox: MeshSequence, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(OutputError, match=r"end its name in .vat"):
         write_vat(tmp_path / "fox", fox)
     (tmp_path / "file.vat").write_text("")
@@ -143,12 +143,12 @@ def test_what_is_refused(fox: MeshSequence, tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="max_error is 0"):
         write_vat(tmp_path / "fox.vat", fox, 0)
     with pytest.raises(SettingsError, match=r"rounding to 16 bits alone.*--texture exr"):
-        write_vat(tmp_path / "fox.vat", fox, 1e-7)
+        write_vat(tmp_path / "bar.vat", bar(frames=2), 1e-7)
     with pytest.raises(SettingsError, match="one of png16, exr"):
         write_vat(tmp_path / "fox.vat", fox, texture="bmp")  # type: ignore[arg-type]
-    long = MeshSequence.from_arrays(np.tile(bar(frames=1).points, (17000, 1, 1)), bar(frames=1).faces)
-    with pytest.raises(SettingsError, match=r"17000 frames of .* texels take 17000 rows"):
-        write_vat(tmp_path / "long.vat", long)
+    monkeypatch.setattr("mixseq_io.vat.textures.MAX_TEXTURE_SIDE_PIXELS", 16)
+    with pytest.raises(SettingsError, match=r"17 frames of .* texels take 17 rows"):
+        write_vat(tmp_path / "long.vat", bar(frames=17))
     assert [each.name for each in tmp_path.iterdir()] == ["file.vat"]
 
 
