@@ -22,6 +22,8 @@ from mixseq.runtime.lazy import connect, lazy_getattr
 from mixseq.version import __version__
 
 if TYPE_CHECKING:
+    from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
+    from mixseq.compression.compressed_model import CompressedModel
     from mixseq.compression.encoder.compress import compress
     from mixseq.mesh.polygons import Polygons
     from mixseq.mesh.topology import Topology
@@ -50,6 +52,8 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "Comparison": "mixseq.metrics",
+    "CompressedModel": "mixseq.compression.compressed_model",
+    "CompressedSequence": "mixseq.compression.bitstream.compressed_sequence",
     "Correspondence": "mixseq.retargeting.markers",
     "Curve": "mixseq.signals.curve",
     "Markers": "mixseq.retargeting.markers",
@@ -91,6 +95,8 @@ _MODULES = {
 
 __all__ = [
     "Comparison",
+    "CompressedModel",
+    "CompressedSequence",
     "Correspondence",
     "Curve",
     "Markers",
