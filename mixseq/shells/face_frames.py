@@ -25,7 +25,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -33,7 +32,7 @@ from scipy.sparse import csgraph
 
 from mixseq.mesh.topology import connected_components
 from mixseq.runtime.jit import compiled, inlined
-from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.shells.solvers import Factor, factorise_laplacian
 from mixseq.types import Float, Index, IntArray, Mask
 
@@ -293,10 +292,6 @@ class FrameGraph(PickledWithoutCaches):
     def factor(self) -> Factor:
         """Factor of the averaging matrix, in which known frames are softly constrained."""
         return factorise_laplacian(self.pairs, self.weights, np.where(self.known_mask, 1.0, 0.0))
-
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return self.factor, self._layers
 
     def average(self, frames: Float, rotations: Float, rounds: int) -> Float:
         """Return frames ``(n, 4)`` averaged to reduce the misfits to relative rotations ``(h, 4)``."""

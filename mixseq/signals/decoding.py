@@ -55,9 +55,8 @@ class Decodable(ABC):
     def decode_moving(self, times: Float) -> tuple[Float, Float]:
         """Return points and velocities ``(N, V, 3)`` at times ``(N,)`` from start to end, on this thread."""
 
-    @abstractmethod
-    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
-        """Compute what frames at times ``(N,)`` have in common, before threads decode them."""
+    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:  # noqa: B027
+        """Compute what frames at times ``(N,)`` have in common, before threads decode them; by default nothing."""
 
     def __call__(self, time: float) -> Float:
         """Return the vertex positions ``(V, 3)`` at a time in seconds.
@@ -211,6 +210,3 @@ class RigMotion(Decodable):
         """Return points and velocities ``(N, V, 3)`` at times ``(N,)`` from start to end."""
         velocities = np.concatenate(list(self.rig.velocity_blocks_at(times, len(times))))
         return self.decode_points(times), velocities.astype(np.float64)
-
-    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
-        """Do nothing, since frames are independent."""

@@ -37,7 +37,7 @@ from mixseq.sequence.sequence import (
     own_parts,
     rounding_margin,
 )
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.signals.decoding import RigMotion
 from mixseq.signals.detail import (

@@ -21,7 +21,7 @@ from mixseq.types import Float, FloatArray, Index
 
 if TYPE_CHECKING:
     from mixseq.segmentation.joints import Decomposition
-    from mixseq.shells.gauss_newton import ShellReport
+    from mixseq.shells.fitting import ShellReport
 
 
 ANGLE_WEIGHT = 0.3

@@ -29,8 +29,8 @@ volume term.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import NamedTuple, Protocol, Self
+from functools import partial
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy import sparse
@@ -48,13 +48,12 @@ from mixseq.mesh.measures import (
     unwrap_angles,
 )
 from mixseq.mesh.topology import Topology, connected_components
-from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.face_frames import FrameGraph, bridging_mask, flat_triangles, rotate_sides, triangle_frames
-from mixseq.shells.fitting import Patch, ShellProblem, fit_shell, linear_initialisation
-from mixseq.shells.gauss_newton import ShellReport, ShellSettings
-from mixseq.shells.shell import ZERO_AREA_HEIGHT_RATIO, Relaxation, Relaxed, Shell
+from mixseq.shells.fitting import Patch, ShellProblem, ShellReport, ShellSettings, fit_shell, linear_initialisation
+from mixseq.shells.shell import ZERO_AREA_HEIGHT_RATIO, Relaxed, Shell
 from mixseq.spaces.base import ANGLE_WEIGHT
 from mixseq.spaces.pieces import Pieces, PosedSpace
 from mixseq.types import Float, FloatArray, Index, IntArray
@@ -75,9 +74,6 @@ class EdgeProjection(Protocol):
 
     *Rows* are the vertices of all pieces, piece after piece, see `mixseq.spaces.pieces`.
     """
-
-    def precompute(self) -> Self:
-        """Compute the values shared by all frames, as `PickledWithoutCaches.precompute` does."""
 
     def fit(self, targets: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Fit rows ``(N, 3)`` of pieces in any pose; raise `ReconstructionError` for lengths or angles not finite."""
@@ -123,10 +119,6 @@ class DiscreteShell(PickledWithoutCaches):
             patch = Patch.from_joint(self.topology, joint, np.zeros(len(joint.vertices), dtype=bool))
             shells.append(ShellPiece(rows, patch, joint.edge_ids, joint.hinge_ids))
         return tuple(shells)
-
-    def cached_values(self) -> list[object]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return [piece.patch for piece in self.shell_pieces if piece is not None]
 
     def piece_volumes(self, x: FloatArray) -> Float:
         """Return the signed volumes ``(p,)`` of the pieces of a frame ``(V, 3)``, 0 for unused vertices."""
@@ -191,7 +183,6 @@ class RelaxedShell(PickledWithoutCaches):
     topology: Topology  # connectivity of the mesh
     pieces: Pieces  # its hinge-connected pieces, with shapes of typical lengths
     typical_lengths: Float  # (E,) typical lengths of all edges
-    bending: float  # weight of an angle in radians relative to a relative change of length
 
     @cached_property
     def _piece_mesh(self) -> tuple[Topology, Index, Index]:
@@ -210,7 +201,7 @@ class RelaxedShell(PickledWithoutCaches):
         position_weights = np.zeros(topology.vertex_count)
         position_weights[[rows.start for rows in self.pieces.row_slices]] = 1.0
         typical = self.typical_lengths[edge_ids]
-        return Shell(topology, self.pieces.shapes, typical, position_weights, self.bending)
+        return Shell(topology, self.pieces.shapes, typical, position_weights)
 
     @cached_property
     def _bridging_hinge_ids(self) -> Index:
@@ -230,10 +221,6 @@ class RelaxedShell(PickledWithoutCaches):
             np.maximum(self.shell.relative_angle_weights[self._bridging_hinge_ids], ZERO_AREA_HEIGHT_RATIO),
             known,
         )
-
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return self.frame_graph, self.shell
 
     def fit(self, targets: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Implement `EdgeProjection.fit`; only the tolerance of the settings is used."""
@@ -329,7 +316,7 @@ class EdgeSpace(PosedSpace):
         """Projection of lengths and angles to a mesh."""
         if self.settings.projection == "dso":
             return self.discrete_shell
-        return RelaxedShell(self.topology, self.pieces, self.reference_lengths, Relaxation().bending)
+        return RelaxedShell(self.topology, self.pieces, self.reference_lengths)
 
     @cached_property
     def discrete_shell(self) -> DiscreteShell:
@@ -367,10 +354,6 @@ class EdgeSpace(PosedSpace):
             volumes = np.divide(1.0, areas, out=np.zeros_like(areas), where=areas > 0)
         angles = ANGLE_WEIGHT * lengths[self.topology.hinge_edges]
         return np.concatenate([np.ones(len(lengths)), angles, volumes])
-
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return self.projection, self._volume_weights, self.pieces.radii
 
     def measure_shape(self, x: Float) -> Float:
         """Implement `PosedSpace.measure_shape`."""

@@ -24,7 +24,7 @@ from mixseq.segmentation.joints import (
 )
 from mixseq.segmentation.methods import Segmentation, resolve_segmentation, segment, segment_by_labels
 from mixseq.sequence.sequence import FrameStore, MeshSequence, iterate_blocks
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces.base import ShapeSpace, mean_edge_lengths
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace

@@ -14,7 +14,7 @@ from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, wrap_angles
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
-from mixseq.shells.gauss_newton import ShellReport, ShellSettings
+from mixseq.shells.fitting import ShellReport, ShellSettings
 from mixseq.spaces.edge import EdgeProjection, ShellTargets
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float
@@ -40,7 +40,6 @@ class Rebuilder:
         projection = MultiScale(self.topology, self.pieces, **numbers)
         self.projection: EdgeProjection = projection
         self.multiscale = projection
-        projection.precompute()
 
     def measure(self, points: Float) -> tuple[Float, Float]:
         return edge_lengths(points, self.topology.edges), dihedral_angles(points, self.topology.hinges)

@@ -36,7 +36,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap

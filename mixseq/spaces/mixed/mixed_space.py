@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -42,16 +41,15 @@ from mixseq.mesh.rotations import (
     rotvec_to_quat,
 )
 from mixseq.mesh.topology import Topology
+from mixseq.runtime.lazy import cached_property
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import Decomposition
-from mixseq.shells.shell import Relaxation
 from mixseq.spaces.base import ANGLE_WEIGHT, ShapeSpace, flatten_blocks, radii_of_gyration
 from mixseq.spaces.mixed import posing_kernels as kernels
 from mixseq.spaces.mixed.articulation import Articulation, PartPoses, Steadiness, find_articulation
 from mixseq.spaces.mixed.assembly import Assembly, FreeFrame
 from mixseq.spaces.mixed.joint_projection import (
-    BENDING_WEIGHT,
     JointProjection,
     RealOrComplex,
     from_complex_step,
@@ -184,7 +182,7 @@ class MixedSpace(ShapeSpace):
             self.edge_ids,
             self.hinge_ids,
             self.reference,
-            Relaxation(BENDING_WEIGHT, self.projection.steps),
+            self.projection.steps,
         )
 
     @cached_property
@@ -222,15 +220,6 @@ class MixedSpace(ShapeSpace):
             self.steadiness,
             self.projection.relations,
         )
-
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        _ = self.articulation._systems, self.articulation._tree, self._skinning, self.block_sizes
-        if self.placement == "free":
-            return (self.assembly,)
-        if self.projection.steps:
-            return self.joint_projection, self.joint_projection.shell
-        return (self.joint_projection,) if self.projection.share else ()
 
     @cached_property
     def _block_shapes(self) -> tuple[tuple[int, ...], ...]:
