@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from mixseq.metrics import error_ratio
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.signals.between import largest_distance, played_blocks, quarter_times
+from mixseq.signals.decoding import largest_distance, played_blocks, quarter_times
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.gltf.codecs import compute_glb_size
 from mixseq_io.gltf.new_document import MorphFrameWriter, create_scene, node_transform

@@ -39,7 +39,7 @@ from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.segmentation.joints import Joint
-from mixseq.shells.face_frames import HingeFrames, flat_triangles, triangle_frames
+from mixseq.shells.face_frames import HingeFrames, flat_triangles, rotate_sides, triangle_frames
 from mixseq.shells.kernels import conjugate_gradients, shell_equations, shell_residuals
 from mixseq.shells.solvers import BlockPattern, PoissonSystem, index_of
 from mixseq.types import Float, Index, Mask
@@ -359,8 +359,7 @@ def linear_initialisation(patch: Patch, lengths: Float, angles: Float, positions
     """Rebuild a patch linearly from lengths ``(e,)``, angles ``(h,)`` and fixed positions ``(n, 3)``."""
     flat = flat_triangles(lengths[patch.face_edges])
     frames = _initial_frames(patch, flat, angles, positions)
-    sides = np.einsum("fij,fkj->fki", frames[:, :, :2], np.roll(flat, -1, axis=1) - flat)
-    return patch.poisson_system.solve(sides.reshape(-1, 3), positions)
+    return patch.poisson_system.solve(rotate_sides(frames, flat).reshape(-1, 3), positions)
 
 
 def _initial_frames(patch: Patch, flat: Float, angles: Float, positions: Float) -> Float:

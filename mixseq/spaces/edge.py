@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -47,9 +47,10 @@ from mixseq.mesh.measures import (
     triangle_areas,
     unwrap_angles,
 )
+from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.mesh.topology import Topology, connected_components
 from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import no_progress
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.face_frames import FrameGraph, bridging_mask, flat_triangles, rotate_sides, triangle_frames
 from mixseq.shells.fitting import Patch, ShellProblem, ShellReport, ShellSettings, fit_shell, linear_initialisation
@@ -67,16 +68,6 @@ class ShellTargets(NamedTuple):
     angles: Float  # (H,) dihedral angles in radians, modulo full turns
     volumes: Float  # (p,) volumes of the pieces; empty without volume terms
     volume_weights: Float  # (p,) volume weights, divided by typical volumes; 0 for sheets
-
-
-class EdgeProjection(Protocol):
-    """Projection of lengths and angles to the hinge-connected pieces of a mesh.
-
-    *Rows* are the vertices of all pieces, piece after piece, see `mixseq.spaces.pieces`.
-    """
-
-    def fit(self, targets: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Fit rows ``(N, 3)`` of pieces in any pose; raise `ReconstructionError` for lengths or angles not finite."""
 
 
 MIN_VOLUME_RATIO = 1e-3
@@ -100,7 +91,7 @@ class ShellPiece(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DiscreteShell(PickledWithoutCaches):
-    """An `EdgeProjection` by Gauss-Newton over each piece of a mesh."""
+    """Projection of lengths and angles by Gauss-Newton over each piece of a mesh."""
 
     topology: Topology  # connectivity of the mesh
     pieces: Pieces  # its hinge-connected pieces
@@ -140,7 +131,10 @@ class DiscreteShell(PickledWithoutCaches):
         return [(x[ids], no_faces if piece is None else piece.patch.faces) for ids, piece in pairs]
 
     def fit(self, targets: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Implement `EdgeProjection.fit`."""
+        """Fit rows ``(N, 3)`` of pieces in any pose; raise `ReconstructionError` for lengths or angles not finite.
+
+        *Rows* are the vertices of all pieces, piece after piece, see `mixseq.spaces.pieces`.
+        """
         rows, reports = np.zeros_like(self.pieces.shapes), []
         for number, piece in enumerate(self.shell_pieces):
             if piece is None:
@@ -178,7 +172,7 @@ STEPS_PER_CYCLE = 20
 
 @dataclass(frozen=True, eq=False)
 class RelaxedShell(PickledWithoutCaches):
-    """An `EdgeProjection` by constant matrices."""
+    """Projection of lengths and angles to a mesh by constant matrices."""
 
     topology: Topology  # connectivity of the mesh
     pieces: Pieces  # its hinge-connected pieces, with shapes of typical lengths
@@ -223,7 +217,7 @@ class RelaxedShell(PickledWithoutCaches):
         )
 
     def fit(self, targets: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Implement `EdgeProjection.fit`; only the tolerance of the settings is used."""
+        """Fit rows as `DiscreteShell.fit` does; only the tolerance of the settings is used."""
         topology, edge_ids, hinge_ids = self._piece_mesh
         lengths = clamp_lengths(targets.lengths, targets.length_weights)[edge_ids]
         angles = targets.angles[hinge_ids]
@@ -234,7 +228,7 @@ class RelaxedShell(PickledWithoutCaches):
         frames = self.frame_graph.average(frames, rotations, CHAIN_AVERAGING_ROUNDS)
         best, steps = Relaxed(self.pieces.shapes, np.inf), 0
         for _ in range(MAX_CYCLES):
-            start = self.shell.integrate(rotate_sides(frames, flat), best.points)
+            start = self.shell.integrate(rotate_sides(quat_to_matrix(frames), flat), best.points)
             points = self.shell.relax(start, lengths, angles, STEPS_PER_CYCLE).points
             steps += STEPS_PER_CYCLE
             energy = self.shell.energy(points, lengths, angles)
@@ -312,7 +306,7 @@ class EdgeSpace(PosedSpace):
         return self.settings.shell or ShellSettings()
 
     @cached_property
-    def projection(self) -> EdgeProjection:
+    def projection(self) -> DiscreteShell | RelaxedShell:
         """Projection of lengths and angles to a mesh."""
         if self.settings.projection == "dso":
             return self.discrete_shell
@@ -385,7 +379,7 @@ class EdgeSpace(PosedSpace):
         return self.decode_with_reports(vectors, shell=self.shell.for_differences())[0]
 
     def decode_with_reports(
-        self, vectors: Float, progress: Progress = no_progress, shell: ShellSettings | None = None
+        self, vectors: Float, shell: ShellSettings | None = None
     ) -> tuple[Float, list[list[ShellReport]]]:
         """Decode vectors ``(T, D)`` to points ``(T, V, 3)``, and return the reports of the fits of every frame."""
         reports: list[list[ShellReport]] = []
@@ -395,4 +389,4 @@ class EdgeSpace(PosedSpace):
             reports.append(report)
             return rows
 
-        return self._decode_with(vectors, rebuild, progress), reports
+        return self._decode_with(vectors, rebuild, no_progress), reports

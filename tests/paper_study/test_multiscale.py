@@ -15,7 +15,7 @@ from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, w
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.shells.fitting import ShellReport, ShellSettings
-from mixseq.spaces.edge import EdgeProjection, ShellTargets
+from mixseq.spaces.edge import ShellTargets
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float
 from scripts.paper_study.msgi.multiscale import MultiScale
@@ -38,7 +38,7 @@ class Rebuilder:
         self.topology = Topology(faces, len(points))
         self.pieces = Pieces.from_mesh(self.topology, points)
         projection = MultiScale(self.topology, self.pieces, **numbers)
-        self.projection: EdgeProjection = projection
+        self.projection = projection
         self.multiscale = projection
 
     def measure(self, points: Float) -> tuple[Float, Float]:

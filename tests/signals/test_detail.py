@@ -30,7 +30,7 @@ from mixseq.signals.detail import (
 )
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
-from mixseq.signals.modes import principal_modes
+from mixseq.signals.pose import principal_modes
 from mixseq.spaces.making import make_space
 from mixseq.spaces.temporal import insert_midpoints
 from mixseq.types import Float, FloatArray

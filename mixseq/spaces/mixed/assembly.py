@@ -172,8 +172,8 @@ class Assembly(PickledWithoutCaches):
         frames = self.frame_graph.chain(rotations, self._seed_frames(frame))
         frames = self.frame_graph.average(frames, rotations, ASSEMBLY_AVERAGING_ROUNDS)
         sides = np.empty((len(t.faces), 3, 3))
-        sides[joint] = rotate_sides(frames[self._node_of_face[joint]], flat[joint])
-        matrices = quat_to_matrix(frames[: len(self._rigid_parts)])
+        matrices = quat_to_matrix(frames)
+        sides[joint] = rotate_sides(matrices[self._node_of_face[joint]], flat[joint])
         corners = frame.rest_vertices[rigid_faces]
         rest_sides = np.roll(corners, -1, axis=1) - corners
         sides[~joint] = rest_sides @ np.swapaxes(matrices, 1, 2)[self._node_of_face[~joint]]

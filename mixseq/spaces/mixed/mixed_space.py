@@ -22,8 +22,8 @@ are derivatives by a complex step.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -220,6 +220,15 @@ class MixedSpace(ShapeSpace):
             self.steadiness,
             self.projection.relations,
         )
+
+    def with_weights(self, **changes: Any) -> MixedSpace:
+        """Return the space with other steadiness, joint faces or projection, and the same bodies and relations."""
+        space = replace(self, **changes)
+        weights: dict[str, Any] = {"relation_weight": space.projection.relations}
+        if space.steadiness is not None:
+            weights["steadiness"] = space.steadiness
+        space.__dict__["articulation"] = replace(self.articulation, **weights)  # bodies take long to find
+        return space
 
     @cached_property
     def _block_shapes(self) -> tuple[tuple[int, ...], ...]:

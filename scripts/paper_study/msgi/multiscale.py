@@ -161,7 +161,7 @@ class Merge(PickledWithoutCaches):
 
 @dataclass(frozen=True, eq=False)
 class MultiScale(PickledWithoutCaches):
-    """Rebuilds meshes patch by patch; an `EdgeProjection`.
+    """Rebuilds meshes patch by patch, as a projection of the edge space.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ class MultiScale(PickledWithoutCaches):
         return tuple(steps)
 
     def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Implement `EdgeProjection.fit`, with a report for every leaf."""
+        """Fit rows as `DiscreteShell.fit` does, with a report for every leaf."""
         lengths, angles, weights = wanted.lengths, wanted.angles, wanted.length_weights
         for name, values, of in (("length", lengths, "edge"), ("angle", angles, "hinge")):
             wrong = np.flatnonzero(~np.isfinite(values))

@@ -18,7 +18,7 @@ from mixseq.mesh.measures import (
 )
 from mixseq.mesh.rigid import kabsch
 from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
-from mixseq.spaces.edge import DiscreteShell, EdgeProjection, RelaxedShell, ShellTargets, is_sheet
+from mixseq.spaces.edge import DiscreteShell, RelaxedShell, ShellTargets, is_sheet
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float
 from tests.meshes import (
@@ -43,7 +43,7 @@ STRAY: Mesh = np.concatenate([MESH[0], [[9.0, 9, 9]]]), MESH[1]
 KINDS = "steps", "dso"
 
 
-def projection_of(kind: str, mesh: Mesh) -> EdgeProjection:
+def projection_of(kind: str, mesh: Mesh) -> DiscreteShell | RelaxedShell:
     topology = topology_of(mesh)
     pieces = Pieces.from_mesh(topology, mesh[0])
     if kind == "dso":

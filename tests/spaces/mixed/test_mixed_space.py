@@ -27,7 +27,7 @@ from mixseq.mesh.rotations import (
 from mixseq.segmentation.joints import decompose
 from mixseq.segmentation.methods import segment_by_labels
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.spaces.base import ANGLE_WEIGHT
+from mixseq.spaces.base import ANGLE_WEIGHT, VertexSpace
 from mixseq.spaces.mixed.construction import Purpose, mixed_space
 from mixseq.spaces.mixed.mixed_space import (
     ARTICULATION_WEIGHT,
@@ -38,7 +38,6 @@ from mixseq.spaces.mixed.mixed_space import (
     as_mixed,
 )
 from mixseq.spaces.temporal import Poses, TemporalOperator, insert_midpoints, interpolate_poses
-from mixseq.spaces.vertex import VertexSpace
 from mixseq.types import Float
 from tests.meshes import SEQUENCES, Mesh, bending, bent, rigid_motions, rotation, seeds, topology_of, tube
 from tests.spaces.mixed.made import (
