@@ -208,7 +208,7 @@ class Free(Anchored):
             lengths, angles = assembly.targets(frame)
             start = assembly.integrate(frame, lengths, angles)
             first = clock.lap()
-            relaxed = assembly.shell.relax(start, lengths, angles, assembly.relaxation.steps)
+            relaxed = assembly.shell.relax(start, lengths, angles, assembly.steps)
             points = assembly.place_components(frame.skinned_vertices, relaxed.points)
         return Blended(points * space.scale, []), (first, 0.0, clock.lap())
 
