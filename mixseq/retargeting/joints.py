@@ -32,7 +32,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -259,13 +259,6 @@ def limit_bends(angles: Float, skinned_angles: Float) -> Float:
     return np.asarray(skinned_angles + np.sin(differences) * np.exp(BEND_CONCENTRATION * (np.cos(differences) - 1.0)))
 
 
-class JointMetrics(Protocol):
-    """Transfer of edge lengths and dihedral angles to the target's joints."""
-
-    def lengths_and_angles(self, points: Float) -> tuple[Float, Float]:
-        """Return lengths ``(E',)``, in the unit of the target's space, and angles ``(H',)`` for a frame ``(V, 3)``."""
-
-
 @dataclass(frozen=True, eq=False)
 class EdgewiseMetrics:
     """Length ratios and angle differences of each edge and hinge, for meshes of the same connectivity."""
@@ -293,7 +286,10 @@ class EdgewiseMetrics:
         return lengths, angles, target_lengths, target_angles
 
     def lengths_and_angles(self, points: Float) -> tuple[Float, Float]:
-        """Implement `JointMetrics.lengths_and_angles`; edges of zero length on the source keep their rest length."""
+        """Return lengths ``(E',)``, in the unit of the target's space, and angles ``(H',)`` for a frame ``(V, 3)``.
+
+        Edges of zero length on the source keep their rest length.
+        """
         lengths, angles, target_lengths, target_angles = self._rest
         current_lengths = edge_lengths(points, self._edges)
         ratios = np.divide(current_lengths, lengths, out=np.ones_like(current_lengths), where=lengths > 0)
@@ -347,7 +343,7 @@ class GradientMetrics:
         return dihedral_angles(self.gradients.target.reference, self._topology.hinges[self.joints.hinge_ids])
 
     def lengths_and_angles(self, points: Float) -> tuple[Float, Float]:
-        """Implement `JointMetrics.lengths_and_angles`."""
+        """Return lengths ``(E',)``, in the unit of the target's space, and angles ``(H',)`` for a frame ``(V, 3)``."""
         gradients = self._target_gradients(points)
         rest, edges = self.gradients.target.reference, self._topology.edges[self.joints.edge_ids]
         face_rows, edge_rows = self._edge_faces

@@ -303,7 +303,7 @@ def test_cuts_are_found_chosen_or_left_out() -> None:
     for unknown in ([0], [16], [1.5]):
         with pytest.raises(SettingsError, match="first frames after cuts are expected, whole numbers from 1 to 15"):
             fit(shot, cuts=unknown)
-    with pytest.raises(SettingsError, match="between is 'fast'; auto, smooth, linear, hold are possible"):
+    with pytest.raises(SettingsError, match="between is 'fast'; auto, smooth, linear, hold, vertices are possible"):
         fit(shot, between="fast")  # type: ignore[arg-type]
 
 

@@ -18,7 +18,7 @@
     /signals/placement/        times, rotations, translations
     /signals/correction/       times, rotations, translations               (mixed space)
 
-See ``docs/file-format.md``. `mixseq_io.hdf5.coded_files` describes the layout of compressed models.
+See ``docs/file-format.md``, also for compressed models.
 """
 
 from __future__ import annotations
