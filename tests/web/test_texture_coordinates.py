@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from mixseq.compression.bitstream.corner_values import (
+    MAX_COORDINATE,
     decode_hard_edges,
     decode_uvs,
     encode_hard_edges,
     to_grid,
 )
-from mixseq.compression.bitstream.uv_values import MAX_COORDINATE
 from mixseq.compression.encoder.uvs import encode_uvs
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
@@ -28,8 +28,8 @@ from tests.web.test_connectivity import GOLDEN, SHAPES, shuffled, soups, vertice
 DECODE = """
 import { readFileSync } from "fs";
 import { MixseqError } from "decoder/errors.js";
-import { decodeHardEdges } from "decoder/hard_edges.js";
-import { decodeUvs } from "decoder/texture_coordinates.js";
+import { decodeHardEdges } from "decoder/corner_values.js";
+import { decodeUvs } from "decoder/corner_values.js";
 const told = [], decode = { uvs: decodeUvs, edges: decodeHardEdges };
 for (const [kind, bytes, counts, corners, vertices] of JSON.parse(readFileSync(process.argv[2]))) {
   try {
@@ -119,7 +119,7 @@ def test_quotients_of_large_products_are_exact(node: Node) -> None:
         whole, quotient = 2 * int(random.integers(1, 1 << 32)), int(random.integers(-(1 << 27), 1 << 27))
         cases += [[whole, quotient, whole // 2 - below, 1, whole] for below in (0, 1)]
     script = """
-    import { nearest } from "decoder/uv_copies.js";
+    import { nearest } from "decoder/uv_seams.js";
     console.log(JSON.stringify(JSON.parse(process.argv[2]).map((each) => nearest(...each))));
     """
     expected = [(2 * (a * b + c * d) + whole) // (2 * whole) for a, b, c, d, whole in cases]
