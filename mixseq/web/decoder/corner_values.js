@@ -7,7 +7,7 @@ import { AROUND, BESIDE, COPIED, SEAM_KINDS, canBeImage, guessCopy, inheritImage
 const GUESS_GROUPS = 4, MAX_NUMBER_BITS = 40, MAX_COORDINATE = 1 << 26, MAX_COPY_ERROR = 8, REGION_KIND = 2 * GUESS_GROUPS, IMAGE_KIND = 2 * GUESS_GROUPS + 1;
 
 /** Kinds of bits with weights of their own, after those of seams. */
-export const VALUE_KINDS = 2 * GUESS_GROUPS + 2;
+const VALUE_KINDS = 2 * GUESS_GROUPS + 2;
 
 /** Read the values `Int32Array(2N)` of all nodes. */
 function readValues(bits, corners, order, count) {

@@ -70,10 +70,10 @@ export function splineWeights(knots, time, smooth) {
 
 // The temporal operator: weights of frames at any time.
 
-export const WINDOW_FRAMES = 48; // nearest frames that have weights
+const WINDOW_FRAMES = 48; // nearest frames that have weights
 
 /** Weights of frames at `times`: `length` of the covariance, null if infinite; weights of the usual `cubic` spline at both ends. */
-export class TemporalOperator {
+class TemporalOperator {
   constructor(times, { length, cubic }) {
     Object.assign(this, { times, length, cubic });
     this.step = (times[times.length - 1] - times[0]) / Math.max(times.length - 1, 1) || 1;

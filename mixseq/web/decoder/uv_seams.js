@@ -59,9 +59,9 @@ const isShared = (node, other) => (node < 0 || other < 0 ? 2 : node === other ? 
 /** Kinds of guesses. */
 export const COPIED = 0;
 export const AROUND = 1;
-export const BEYOND = 2;
+const BEYOND = 2;
 export const BESIDE = 3;
-export const ANYWHERE = 4;
+const ANYWHERE = 4;
 
 /** An empty guess; the names are those of the Python module, with `kind`, `count` and `spread` for `facts`. */
 export const newGuess = () => ({ value: [0, 0], drawBack: [0, 0], low: [0, 0], high: [0, 0], kind: ANYWHERE, count: 0, spread: 0 });

@@ -2,7 +2,7 @@
 import { MixseqError } from "../decoder/errors.js";
 
 /** Texels in a row of a texture, which all graphics cards support. */
-export const WIDTH = 2048;
+const WIDTH = 2048;
 
 /**
  * Fields as texels of four numbers: four fields of a part at its first vertex, at its second, and so on, then the next four.

@@ -5,16 +5,16 @@ import { uvsOf } from "../decoder/surface.js";
 import { drawnMesh } from "./drawn_mesh.js";
 
 /** The name of Workers that decode. */
-export const NAME = "mixseq";
+const NAME = "mixseq";
 
 /** Methods of a sequence that can be called. */
-export const COPIED = ["polygons", "triangles", "fields", "load", "share", "drawn"];
+const COPIED = ["polygons", "triangles", "fields", "load", "share", "drawn"];
 
 /** Methods whose results are new arrays, which are transferred. */
-export const TRANSFERRED = ["uvs", "weights", "residuals", "at", "frame"];
+const TRANSFERRED = ["uvs", "weights", "residuals", "at", "frame"];
 
 /** Answer the messages {number, method, given} of a port with {number, result}, or {number, error}. */
-export function serve(port) {
+function serve(port) {
   let sequence;
 
   async function answer(method, given) {
