@@ -102,7 +102,7 @@ def test_golden_file(node: Node, tmp_path: Path) -> None:
     assert found.uvs.tobytes() == model.header.surface.uvs.at_corners.tobytes()
 
 
-@pytest.mark.parametrize("offset", [0.0, 1e2, 1e3, 1e4, 1e5, 1e6])
+@pytest.mark.parametrize("offset", [0.0, 1e3, 1e6])
 def test_bounds_hold_far_from_the_origin(node: Node, tmp_path: Path, offset: float) -> None:
     """A point is the origin, in double precision, plus what the player draws, in single precision."""
     for precision in (np.float32, np.float64):
@@ -118,7 +118,7 @@ def test_bounds_hold_far_from_the_origin(node: Node, tmp_path: Path, offset: flo
 def test_double_precision_holds_bounds_that_single_precision_cannot(node: Node, tmp_path: Path) -> None:
     """A mesh that grows by 2^20 is played exactly in a Float64Array."""
     mesh = bar(sides=5, rings=9, frames=12)
-    growing = mesh.with_points(mesh.points * 4.0 ** np.arange(12)[:, None, None])
+    growing = mesh.with_points(mesh.points * 4.0 ** np.arange(8)[:, None, None])
     coded = compress(growing, max_error=1e-3, inbetweens=False)
     found = played(node, tmp_path, coded, growing.times)
     assert distance(growing.points, found.positions) > 1e-3
@@ -172,7 +172,7 @@ def random_sequence(seed: int) -> MeshSequence:
     return MeshSequence.from_header(replace(sequence.header, surface=surface), sequence.points)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(8))
 def test_random_sequences(node: Node, tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     sequence = random_sequence(seed)
     if seed % 5 == 0:
