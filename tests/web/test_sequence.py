@@ -118,7 +118,7 @@ def test_bounds_hold_far_from_the_origin(node: Node, tmp_path: Path, offset: flo
 def test_double_precision_holds_bounds_that_single_precision_cannot(node: Node, tmp_path: Path) -> None:
     """A mesh that grows by 2^20 is played exactly in a Float64Array."""
     mesh = bar(sides=5, rings=9, frames=12)
-    growing = mesh.with_points(mesh.points * 4.0 ** np.arange(8)[:, None, None])
+    growing = mesh.with_points(mesh.points * 4.0 ** np.arange(12)[:, None, None])
     coded = compress(growing, max_error=1e-3, inbetweens=False)
     found = played(node, tmp_path, coded, growing.times)
     assert distance(growing.points, found.positions) > 1e-3
