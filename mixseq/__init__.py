@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from mixseq_io.verification import Verification as Verification
     from mixseq_io.verification import verify as verify
 
-_NAMES = {
+_NAMES_BY_MODULE = {
     "mixseq.compression.encoder.compress": ("compress",),
     "mixseq.mesh.polygons": ("Polygons",),
     "mixseq.mesh.topology": ("Topology",),
@@ -88,11 +88,11 @@ _NAMES = {
 }
 """Public names by the module from which they are imported at first use."""
 
-_MODULES = {name: module for module, names in _NAMES.items() for name in names}
+_MODULES_BY_NAME = {name: module for module, names in _NAMES_BY_MODULE.items() for name in names}
 
-__all__ = sorted([*_MODULES, "__version__", "operations"])
+__all__ = sorted([*_MODULES_BY_NAME, "__version__", "operations"])
 
-_find = lazy_getattr(__name__, _MODULES)
+_find = lazy_getattr(__name__, _MODULES_BY_NAME)
 
 
 def __getattr__(name: str) -> Any:
