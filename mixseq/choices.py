@@ -23,9 +23,9 @@ ProjectionName = Literal["steps", "dso"]
 PROJECTIONS: tuple[ProjectionName, ...] = get_args(ProjectionName)
 """Projections of the edge space to meshes: a few steps, or Gauss-Newton iteration until convergence."""
 
-BetweenName = Literal["auto", "smooth", "linear", "hold"]
+BetweenName = Literal["auto", "smooth", "linear", "hold", "vertices"]
 BETWEENS: tuple[BetweenName, ...] = get_args(BetweenName)
-"""Motion between frames: as found in the frames, smooth through repeated poses and baked keys, straight, or none."""
+"""Motion between frames: as found in them, smooth through repeated poses and keys, straight, none, or of vertices."""
 
 PoseForm = Literal["modes", "keys"]
 POSE_FORMS: tuple[PoseForm, ...] = get_args(PoseForm)

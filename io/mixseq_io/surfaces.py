@@ -40,8 +40,7 @@ from numpy.typing import NDArray
 from mixseq.errors import InvalidSequenceError, OutputError
 from mixseq.mesh.measures import NO_ORIGIN, Diagonal, choose_origin
 from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet, MeshObject, Origin, Surface
-from mixseq.sequence.frame_rates import FRAME_TOLERANCE
-from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
+from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
 from mixseq.sequence.sequence import reference_diagonal, rounding_margin
 from mixseq.types import Float, FloatArray, Index, IntArray, Single
@@ -198,18 +197,6 @@ def lost_scale(header: SequenceHeader, has_velocities: bool) -> list[str]:
         lost.append(f"{header.metres_per_unit:g} metres per unit")
     if has_velocities:
         lost.append("velocities")
-    return lost
-
-
-def lost_times(header: SequenceHeader, first_number: float) -> list[str]:
-    """Describe the losses in formats that number frames from `first_number` on and imply 24 frames per second."""
-    if header.frame_count == 1:
-        return []
-    lost = []
-    if header.fps != DEFAULT_FPS:
-        lost.append(f"{header.fps:g} frames per second")
-    if not np.abs(header.times * header.fps - (first_number + np.arange(header.frame_count))).max() <= FRAME_TOLERANCE:
-        lost.append("the times of the frames")
     return lost
 
 

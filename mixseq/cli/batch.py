@@ -9,7 +9,7 @@ import json
 import os
 import re
 import warnings
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -35,9 +35,6 @@ from mixseq.version import __version__
 if TYPE_CHECKING:
     from mixseq.runtime.cluster import ClusterExecutor
     from mixseq.runtime.parallel import Executor
-
-
-_LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
 
 
 @dataclass(frozen=True)
@@ -122,12 +119,12 @@ def stem_of(source: Path) -> str:
 
 
 def _sequences_in(folder: Path) -> Iterator[Path]:
+    from mixseq_io.numbered.files import group_numbered_files
     from mixseq_io.registry import FORMATS
 
     formats = {extension: form for form in FORMATS for extension in form.extensions}
-    series: dict[str, list[str]] = defaultdict(list)
     caches = set()
-    single = []
+    numbered = []
     for file in sorted(folder.iterdir()):
         form = formats.get(file.suffix.lower())
         if form is None or file.name.startswith(".") or not file.is_file():
@@ -137,17 +134,14 @@ def _sequences_in(folder: Path) -> Iterator[Path]:
                 if "mesh" in form.read_options:
                     caches.add(file.stem)
                 yield file
-        elif number := _LAST_NUMBER.search(file.stem):
-            before_and_after = file.stem[: number.start()], file.stem[number.end() :] + file.suffix
-            series["\0".join(before_and_after)].append(number[1])
         else:
-            single.append(file.name)
-    for names, numbers in series.items():
-        before, after = names.split("\0")
-        if len(numbers) > 1:
-            yield folder / f"{before}{'#' * min(map(len, numbers))}{after}"
+            numbered.append(file)
+    single = []
+    for pattern, files in group_numbered_files(numbered):
+        if len(files) > 1:
+            yield folder / pattern
         else:
-            single.append(f"{before}{numbers[0]}{after}")
+            single.append(files[0][1].name)
     left_out = [name for name in single if Path(name).stem not in caches]
     if left_out:
         shown = ", ".join(left_out[:5]) + (f" and {len(left_out) - 5} more" if len(left_out) > 5 else "")

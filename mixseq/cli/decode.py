@@ -18,14 +18,14 @@ from mixseq.errors import MixseqError, MixseqWarning, NoMeshError, OutputError, 
 from mixseq.sequence.frame_rates import format_rate, snap_to_ntsc
 
 if TYPE_CHECKING:
+    from mixseq.choices import BetweenName
     from mixseq.rigging.rigs import Morph, Skin
     from mixseq.runtime.parallel import Executor
     from mixseq.runtime.progress import Progress
     from mixseq.sequence.header import SequenceHeader
     from mixseq.sequence.sequence import Frames, MeshSequence
-    from mixseq.signals.decoding import Decodable, RigMotion
-    from mixseq.signals.model import Model
-    from mixseq_io.rig_measuring import RigErrors
+    from mixseq.signals.decoding import Decodable
+    from mixseq_io.rig_files import RigErrors
     from mixseq_io.vat.writer import TextureName, VatReport
 
 
@@ -71,7 +71,7 @@ def _hold_rig_between(
     kind: str, sequence: MeshSequence, motion: Decodable, progress: Progress, max_error: float, **settings: Any
 ) -> tuple[Skin | Morph, MeshSequence]:
     """Fit a rig to as many frames of a motion as keep the bound between them; also return these frames."""
-    from mixseq.signals.between import hold_between, largest_distance, quarter_times
+    from mixseq.signals.decoding import hold_between, largest_distance, quarter_times
 
     def fit(frames: MeshSequence, bound: float) -> tuple[tuple[Skin | Morph, MeshSequence], float]:
         rig, times = _fit_rig(kind, frames, progress, max_error=bound, **settings), quarter_times(frames.times)
@@ -81,7 +81,7 @@ def _hold_rig_between(
     return hold_between(motion, sequence, max_error, fit)
 
 
-def _motion_of(frames: Model | Frames, progress: Progress, is_needed: bool) -> Model | RigMotion | None:
+def _motion_of(frames: Decodable | Frames, progress: Progress, is_needed: bool) -> Decodable | None:
     """Return the motion of frames at any time; None with a warning if no model fits them, unless it is needed."""
     from mixseq.signals.fitting import as_motion
 
@@ -116,8 +116,8 @@ def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
 
 def _measure_rig(path: Path, rig: Skin | Morph, sequence: MeshSequence, bound: float | None) -> RigErrors:
     """Measure a written rig; raise an error if rounding to single precision breaks a bound that the rig keeps."""
-    from mixseq.signals.between import largest_distance
-    from mixseq_io.rig_measuring import measure_rig_file
+    from mixseq.signals.decoding import largest_distance
+    from mixseq_io.rig_files import measure_rig_file
 
     measured = measure_rig_file(path, sequence)
     if bound is None or measured.max_error <= bound:
@@ -135,8 +135,8 @@ def rows(
 ) -> list[tuple[str, str]]:
     """Return table rows about the contents of a written rig file, and its distance from the sequence and the motion."""
     from mixseq.rigging.rigs import Skin
-    from mixseq_io.rig_files import GLTF_EXTENSIONS
-    from mixseq_io.rig_measuring import measure_file_between, size_with_frame_targets
+    from mixseq_io.gltf.new_document import size_with_frame_targets
+    from mixseq_io.rig_files import GLTF_EXTENSIONS, measure_file_between
 
     diagonal = sequence.diagonal * sequence.metres_per_unit
     first, last = rig.header.times[[0, -1]]
@@ -205,6 +205,12 @@ def _seconds(text: str) -> tuple[float, ...]:
     options.option("--start S", type=float, help="First time in seconds.  [default: that of the model]"),
     options.option("--end S", type=float, help="Last time in seconds.  [default: that of the model]"),
 )
+@options.setting(
+    "--between",
+    type=click.Choice(["auto", "vertices"]),
+    default="auto",
+    help="Motion between frames: the model's, or along splines of vertices, as players show compressed models.",
+)
 @options.velocities()
 @options.option(
     "--as",
@@ -251,6 +257,7 @@ def command(
     source: Path,
     target: Path,
     frame_options: dict[str, Any],
+    between: BetweenName,
     velocities: bool,
     kind: str | None,
     rig: dict[str, Any],
@@ -277,7 +284,7 @@ def command(
             raise SettingsError(f"vertex animation textures (.vat) have no place for {option}; leave it out")
     else:
         _check_rig(kind)
-    between = rig.pop("between_frames", False)
+    hold = rig.pop("between_frames", False)
     if "max_error" not in rig:
         options.refuse("between_frames", why="is about --max-error; give both")
     claim(target)
@@ -291,22 +298,22 @@ def command(
         check_rig_target(target)
     with workers as work, progress_bar(quiet) as progress, ExitStack() as opened:
         if kind is None and not textures:
-            model = mixseq.load(source)
+            model = _load(source, between, progress)
             header = _header_of_frames(model, **frame_options)
             files.write_frames(target, model, header, velocities, writing, progress, work)
             table = [] if quiet else files.time_rows(header) + files.between_rows(target, header, model.blocks, writing)
         else:
-            sequence, frames = _frames_to_fit(source, frame_options, progress, work, opened)
+            sequence, frames = _frames_to_fit(source, frame_options, between, progress, work, opened)
             files.check_origin(target, sequence)
             rig = in_diagonals(rig, sequence, "max_error", "correctives")
-            motion = None if quiet and not between else _motion_of(frames, progress, between)
+            motion = None if quiet and not hold else _motion_of(frames, progress, hold)
             if textures:
                 report = mixseq.write_vat(
-                    target, sequence, rig.get("max_error"), texture, progress, motion=motion, between_frames=between
+                    target, sequence, rig.get("max_error"), texture, progress, motion=motion, between_frames=hold
                 )
                 table = texture_rows(report, sequence.diagonal * sequence.metres_per_unit)
             else:
-                if between and motion is not None:
+                if hold and motion is not None:
                     rig_model, sequence = _hold_rig_between(kind or "", sequence, motion, progress, **rig)
                 else:
                     rig_model = _fit_rig(kind or "", sequence, progress, **rig)
@@ -319,9 +326,22 @@ def command(
     announce(target)
 
 
+def _load(source: Path, between: BetweenName, progress: Progress) -> Decodable:
+    """Load a model, or the motion of its vertices alone."""
+    from mixseq.operations.resampling import vertex_motion
+
+    model = mixseq.load(source)
+    return vertex_motion(model, progress) if between == "vertices" else model
+
+
 def _frames_to_fit(
-    source: Path, frame_options: Mapping[str, Any], progress: Progress, workers: Executor, opened: ExitStack
-) -> tuple[MeshSequence, Model | Frames]:
+    source: Path,
+    frame_options: Mapping[str, Any],
+    between: BetweenName,
+    progress: Progress,
+    workers: Executor,
+    opened: ExitStack,
+) -> tuple[MeshSequence, Decodable | Frames]:
     """Decode the chosen frames of a model into memory, or read a sequence; also return the model, rig or sequence."""
     from mixseq.sequence.sequence import is_rig, join_blocks
 
@@ -332,16 +352,17 @@ def _frames_to_fit(
                 f"{source} is a sequence, whose frames are fitted as they are; leave out --fps, --times, --frames, "
                 "--start and --end, or turn it into a model first, with mixseq encode"
             )
+        options.refuse("between", why=f"is for models, and {source} is a sequence; leave it out")
         sequence = files.read_sequence(source, {}, progress)
         reader = opened.enter_context(mixseq.open_sequence(source))
         return sequence, reader if is_rig(reader) else sequence
-    model = mixseq.load(source)
+    model = _load(source, between, progress)
     header = _header_of_frames(model, **frame_options)
     return join_blocks(header, model.blocks(header.times, progress=progress, workers=workers)), model
 
 
 def _header_of_frames(
-    model: Model,
+    model: Decodable,
     fps: float | None = None,
     times: tuple[float, ...] | None = None,
     frames: options.FrameChoice | None = None,
@@ -362,7 +383,7 @@ def _header_of_frames(
     raise SettingsError("--times chooses all times; leave out --start and --end")
 
 
-def _range(model: Model, fps: float | None, start: float | None, end: float | None) -> SequenceHeader:
+def _range(model: Decodable, fps: float | None, start: float | None, end: float | None) -> SequenceHeader:
     """Return the header of frames from `start` to `end`: at the rate `fps`, or the original frames if it is None."""
     import numpy as np
 

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
     from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence
+    from mixseq.signals.decoding import Decodable
     from mixseq.signals.model import Model
     from mixseq.types import Float, FloatArray
     from mixseq_io.reader import SequenceReader
@@ -125,7 +126,7 @@ def between_rows(
     `points_at` returns points of the motion ``(B, V, 3)`` at times ``(N,)`` of the file.
     """
     from mixseq.sequence.sequence import UnitConversion, reference_diagonal
-    from mixseq_io.rig_measuring import measure_file_between
+    from mixseq_io.rig_files import measure_file_between
 
     if path.suffix.lower() not in GLTF_EXTENSIONS or header.frame_count == 1:
         return []
@@ -143,7 +144,7 @@ def between_row(error: float | None, diagonal: float) -> list[tuple[str, str]]:
 
 def write_frames(
     path: Path,
-    model: Model,
+    model: Decodable,
     header: SequenceHeader,
     velocities: bool,
     writing: Mapping[str, Any],
@@ -354,7 +355,7 @@ def files_in_the_way(target: Path, clips: bool = False) -> list[Path]:
     from mixseq_io.registry import FORMATS
 
     numbered = any(form.numbered and target.suffix.lower() in form.extensions for form in FORMATS)
-    numbered_files = [file for _, file in sorted(find_numbered_files(target))] if numbered else []
+    numbered_files = [file for _, file in find_numbered_files(target)] if numbered else []
     folder = [target.with_name(f"{target.name}.clips")] if clips else []
     return [file for file in (*numbered_files, target, *_beside(target), *folder) if file.exists()]
 
@@ -454,7 +455,7 @@ def picture_path(target: Path, what: str, picture: Path | None = None, no_pictur
 
 def check_picture(picture: Path) -> None:
     """Raise an error before the work if a picture has an unsupported extension or the drawing library is missing."""
-    from mixseq.pictures.page import import_matplotlib
+    from mixseq.pictures.charts import import_matplotlib
 
     if picture.suffix.lower() != ".png":
         raise OutputError(f"{picture}: the picture is a PNG file; end the name in .png")

@@ -408,8 +408,8 @@ timing = group(
     setting(
         "--between",
         type=click.Choice(BETWEENS),
-        help="Motion between frames: as found in them, smooth through poses on twos and baked keys, straight, or "
-        "none.  [default: auto]",
+        help="Motion between frames: as found in them, smooth through poses on twos and baked keys, straight, "
+        "none, or along splines of vertices without parts and joints.  [default: auto]",
     ),
     setting(
         "--cuts auto|none|FRAMES",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mixseq.runtime.parallel import Executor
     from mixseq.runtime.progress import Progress
     from mixseq.sequence.sequence import Rig
-    from mixseq.signals.model import Model
+    from mixseq.signals.decoding import Decodable
 
 
 @options.command(
@@ -144,8 +144,9 @@ def _motion(
     progress: Progress,
     workers: Executor,
     opened: ExitStack,
-) -> Model | Rig:
+) -> Decodable | Rig:
     """Load a model, open a rig until `opened` closes, or fit a model to a sequence while reading it."""
+    from mixseq.operations.resampling import vertex_motion
     from mixseq.sequence.sequence import is_rig, without_velocities
 
     if not is_model(source):
@@ -159,11 +160,13 @@ def _motion(
             detail = in_diagonals(detail, reader, "tolerance") | options.at_frames(timing, reader.header)
             frames = without_velocities(reader) if velocities else reader  # the model's replace them
             return mixseq.fit(frames, **detail, progress=progress, workers=workers)
-    given = options.given_options("tolerance", *timing)
+    is_vertex_motion = timing == {"between": "vertices"}
+    given = options.given_options("tolerance", *() if is_vertex_motion else timing)
     if given or reading:
         what = given[0] if given else "the options for reading sequences"
         raise SettingsError(f"{source} is a model already; leave out {what}")
-    return mixseq.load(source)
+    model = mixseq.load(source)
+    return vertex_motion(model, progress) if is_vertex_motion else model
 
 
 def _rows(planned: Resampling) -> list[tuple[str, str]]:

@@ -23,7 +23,7 @@ from mixseq.runtime.progress import forward_warnings
 if TYPE_CHECKING:
     from mixseq.choices import TransferName
     from mixseq.retargeting.contacts import ContactReport
-    from mixseq.retargeting.matching import CorrespondenceQuality
+    from mixseq.retargeting.correspond import CorrespondenceQuality
     from mixseq.retargeting.report import Coverage, FrameCounts, TransferReport
     from mixseq.retargeting.transfer import Transfer
     from mixseq.runtime.low_memory import Statistics

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mixseq.choices import BetweenName
+from mixseq.compression.compressed_model import CompressedModel
 from mixseq.errors import SettingsError
 from mixseq.operations.retiming import Retiming
 from mixseq.runtime.parallel import Executor
@@ -22,8 +23,8 @@ from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import FRAME_ROUNDING, FRAME_TOLERANCE, snap_to_ntsc
 from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
 from mixseq.sequence.provenance import as_edited
-from mixseq.sequence.sequence import Frames, MeshSequence, Rig, is_rig, join_blocks, without_velocities
-from mixseq.signals.decoding import FRAMES_PER_BLOCK, Decodable, RigMotion
+from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence, Rig, is_rig, join_blocks, without_velocities
+from mixseq.signals.decoding import FRAMES_PER_BLOCK, Decodable
 from mixseq.signals.fitting import CutChoice, as_motion, fit
 from mixseq.signals.model import Model
 from mixseq.types import Float
@@ -62,7 +63,7 @@ class Resampling:
 
 
 def plan(
-    motion: Model | RigMotion | Rig,
+    motion: Decodable | Rig,
     fps: float | None = None,
     start: float | None = None,
     end: float | None = None,
@@ -111,6 +112,14 @@ def _frame_times(start: float, end: float, fps: float, slack: float) -> Float:
     return np.asarray(np.arange(int(first), int(last) + 1) / fps)
 
 
+def vertex_motion(model: Model, progress: Progress = no_progress) -> Decodable:
+    """Return the motion of a model's vertices alone: splines through its frames, of compressed ones as players do."""
+    if isinstance(model, CompressedModel):
+        return model.playback
+    frames = LazyFrames(model.header, lambda size: model.blocks(model.times, size))
+    return fit(frames, exact=True, between="vertices", progress=progress)
+
+
 @public
 def resample(
     source: Model | Frames,
@@ -148,7 +157,8 @@ def resample(
     velocities : bool
         Also compute velocities, in units per second of the output; those of rigs by central differences.
     between, cuts
-        Motion between frames, and cuts, of a sequence that is fitted; see `mixseq.fit`.
+        Motion between frames, and cuts, of a sequence that is fitted; see `mixseq.fit`. Of a model, "vertices" moves
+        vertices along splines through its frames; in a compressed one, these are the splines of players.
     progress : callable, optional
         Function called after every block of frames.
 
@@ -175,8 +185,10 @@ def resample(
     >>> slow.frame_count, slow.points[1, 0].round(9).tolist(), slow.velocities[1, 0].round(6).tolist()
     (9, [0.5, 0.5, 0.5], [12.0, 12.0, 12.0])
     """
-    motion: Model | RigMotion
-    if isinstance(source, Model) or is_rig(source):
+    motion: Decodable
+    if isinstance(source, Model) and (between, cuts) == ("vertices", "auto"):
+        motion = vertex_motion(source, progress)
+    elif isinstance(source, Model) or is_rig(source):
         if (between, cuts) != ("auto", "auto"):
             raise SettingsError("between and cuts are for frames; give them to mixseq.fit, and resample its model")
         motion = as_motion(source)

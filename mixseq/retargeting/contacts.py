@@ -49,37 +49,22 @@ from mixseq.retargeting.parts import PartPoses, assign_vertices_to_parts
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.header import UP_AXES, SequenceHeader
 from mixseq.sequence.sequence import iterate_blocks
 from mixseq.types import Float, FloatArray, Index, Mask
 
 FAST_SPEED_PERCENTILE = 95.0  # percentile of a contact's speeds that is its fast speed; robust against outliers
-
-
-@dataclass(frozen=True)
-class StanceSettings:
-    """Thresholds of stances, as pairs of a narrow and a wide threshold."""
-
-    speed_ratio: tuple[float, float] = (0.05, 0.1)  # a: speed, relative to the contact's fast speed
-    rest_speed: tuple[float, float] = (0.01, 0.02)  # a_0: speed at rest in any motion, in body sizes per second
-    height_ratio: tuple[float, float] = (0.15, 0.3)  # b: height, relative to the contact's range of heights
-    rest_height: tuple[float, float] = (0.005, 0.01)  # b_0: height on the ground in any motion, in body sizes
-
-    def __post_init__(self) -> None:
-        for name in ("speed_ratio", "rest_speed", "height_ratio", "rest_height"):
-            narrow, wide = getattr(self, name)
-            if not 0 <= narrow <= wide < np.inf:
-                raise SettingsError(
-                    f"the thresholds {name} are {narrow:g} and {wide:g}; give two finite numbers from 0, the narrow "
-                    "one first"
-                )
+# Narrow and wide thresholds of stances.
+SPEED_RATIOS = 0.05, 0.1  # a: speed, relative to the contact's fast speed
+REST_SPEEDS = 0.01, 0.02  # a_0: speed at rest in any motion, in body sizes per second
+HEIGHT_RATIOS = 0.15, 0.3  # b: height, relative to the contact's range of heights
+REST_HEIGHTS = 0.005, 0.01  # b_0: height on the ground in any motion, in body sizes
 
 
 @dataclass(frozen=True)
 class Stance:
     """Range of frames in which a contact is at rest."""
 
-    group: str  # name of the contact
     start: int  # first frame
     stop: int  # frame after the last frame
 
@@ -89,51 +74,28 @@ class Stance:
         return slice(self.start, self.stop)
 
 
-def find_stances(
-    group: str,
-    trajectory: FloatArray,
-    up: str,
-    fps: float,
-    size: float,
-    settings: StanceSettings | None = None,
-) -> tuple[Stance, ...]:
-    """Find the disjoint stances of a contact ``(T, k, 3)``, in order of time; `size` is the diagonal of the body.
+def find_stances(path: Float, axis: int, fps: float) -> tuple[Stance, ...]:
+    """Find the disjoint stances of a contact ``(T, k, 3)`` in body sizes, in order of time; `axis` points up.
 
     The result is one stance for a single frame, and for a contact that never moves.
     """
-    settings = settings or StanceSettings()
-    points = np.asarray(trajectory, dtype=np.float64)
-    if points.ndim != 3 or points.shape[2] != 3 or 0 in points.shape or not np.isfinite(points).all():
-        raise SettingsError(
-            f"the path of contact '{group}' has shape {points.shape}; finite points (T, k, 3) with at least one frame "
-            "and one vertex are expected"
-        )
-    if not (0 < fps < np.inf and 0 < size < np.inf):
-        raise SettingsError(f"fps is {fps:g} and size is {size:g}; positive numbers are expected")
-    if len(points) == 1:
-        return (Stance(group, 0, 1),)
-    speeds = fps * np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
-    heights = points[:, :, axis_index(up)].mean(axis=1)
+    if len(path) == 1:
+        return (Stance(0, 1),)
+    speeds = fps * np.linalg.norm(np.diff(path, axis=0), axis=2).mean(axis=1)
+    heights = path[:, :, axis].mean(axis=1)
     heights = heights - heights.min()
     step_heights = np.maximum(heights[1:], heights[:-1])
     fast_speed = np.percentile(speeds, FAST_SPEED_PERCENTILE)
 
     def at_rest(level: int) -> Mask:
-        max_speed = max(settings.speed_ratio[level] * fast_speed, settings.rest_speed[level] * size)
-        max_height = max(settings.height_ratio[level] * heights.max(), settings.rest_height[level] * size)
+        max_speed = max(SPEED_RATIOS[level] * fast_speed, REST_SPEEDS[level])
+        max_height = max(HEIGHT_RATIOS[level] * heights.max(), REST_HEIGHTS[level])
         return np.asarray((speeds < max_speed) & (step_heights < max_height))
 
     narrow, wide = at_rest(0), at_rest(1)
     edges = np.flatnonzero(np.diff(wide, prepend=False, append=False))
     runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    return tuple(Stance(group, first, last + 1) for first, last in runs if narrow[first:last].any())
-
-
-def axis_index(up: str) -> int:
-    """Return the coordinate index of the up axis."""
-    if up not in ("X", "Y", "Z"):
-        raise SettingsError(f"the up axis is {up!r}; X, Y or Z is expected")
-    return "XYZ".index(up)
+    return tuple(Stance(first, last + 1) for first, last in runs if narrow[first:last].any())
 
 
 HermiteKnot = tuple[int, Float, Float]
@@ -143,15 +105,16 @@ MIN_SHIFT_PERIOD_SECONDS = 0.5  # shortest period of the body's shift
 SHIFT_DECAY_SECONDS = 2.0  # decay time of the body's shift while no foot is on the ground
 BODY_HEIGHT_WEIGHT = 0.05  # gamma: weight of vertical shifts, relative to a foot on the ground
 MAX_FADE_SECONDS = 0.25  # longest blend of a contact before and after a stance
+MIN_SLIDE_DIAGONALS = 1e-9  # offset below which contacts are left unchanged and reported as 0, in diagonals
 
 
-def anchor_offsets(paths: Float, stances: Sequence[Sequence[Stance]], negligible: float) -> Float:
+def anchor_offsets(paths: Float, stances: Sequence[Sequence[Stance]]) -> Float:
     """Return offsets ``(g, T, 3)`` of contacts to their mean in each stance, or zero if in the air or negligible."""
     offsets = np.zeros_like(paths)
     for contact_offsets, path, contact_stances in zip(offsets, paths, stances, strict=True):
         for stance in contact_stances:
             offset = path[stance.frames].mean(axis=0) - path[stance.frames]
-            if np.abs(offset).max() > negligible:
+            if np.abs(offset).max() > MIN_SLIDE_DIAGONALS:
                 contact_offsets[stance.frames] = offset
     return offsets
 
@@ -238,9 +201,6 @@ def _hermite(frames: Index, start: HermiteKnot, stop: HermiteKnot) -> Float:
     return np.asarray(a + s * s * (3 - 2 * s) * (b - a) + slope_terms)
 
 
-MIN_SLIDE_DIAGONALS = 1e-9  # offset below which contacts are left unchanged and reported as 0, in diagonals
-
-
 @dataclass(frozen=True)
 class GroupReport:
     """Sliding of one contact before and after its correction, in diagonals of the target."""
@@ -275,29 +235,15 @@ def remove_footskate(
     rotations: Float,
     centres: Float,
     contacts: Sequence[Contact],
-    trajectories: Sequence[FloatArray],
-    up: str,
+    source_paths: Sequence[Float],
+    axis: int,
     fps: float,
-    diagonal: float,
-    settings: StanceSettings | None = None,
 ) -> PlantedMotion:
     """Fix contacts in the stances of the source: rotations ``(T, p, 3, 3)``, centres ``(T, p, 3)``.
 
-    `trajectories` has the source points ``(T, k, 3)`` of every contact, in the unit of the target.
+    The unit is the diagonal of the target. For every contact, `source_paths` has the source points ``(T, k, 3)``.
     """
-    frame_counts = [len(path) for path in trajectories]
-    if frame_counts != len(contacts) * [len(centres)]:
-        raise SettingsError(
-            f"there are {len(contacts)} contacts and motions of {len(centres)} frames, but {len(frame_counts)} paths "
-            f"of {', '.join(map(str, frame_counts)) or 'no'} frames; give one path for each contact, over all frames"
-        )
-    for contact in contacts:
-        body.limb(contact)
-    axis = axis_index(up)
-    stances = tuple(
-        find_stances(contact.name, path, up, fps, diagonal, settings)
-        for contact, path in zip(contacts, trajectories, strict=True)
-    )
+    stances = tuple(find_stances(path, axis, fps) for path in source_paths)
     for contact, contact_stances in zip(contacts, stances, strict=True):
         if not contact_stances:
             warnings.warn(
@@ -306,21 +252,20 @@ def remove_footskate(
                 MixseqWarning,
                 stacklevel=2,
             )
-    centre_paths = _contact_centre_paths(body, contacts, rotations, centres)
-    offsets = anchor_offsets(centre_paths, stances, MIN_SLIDE_DIAGONALS * diagonal)
+    paths = _contact_centre_paths(body, contacts, rotations, centres)
+    offsets = anchor_offsets(paths, stances)
     if not offsets.any():
-        residuals = np.zeros(len(contacts))
-        groups = _report_groups(contacts, stances, centre_paths, centre_paths, residuals, diagonal)
+        groups = _report_groups(contacts, stances, paths, paths, np.zeros(len(contacts)))
         return PlantedMotion(rotations, centres, ContactReport(groups))
     shift, remaining = solve_body_shift(offsets, stances, axis, fps)
     moves = np.stack([fade_moves(*pair, fps) for pair in zip(remaining, stances, strict=True)], axis=1)
     result = solve_limbs(body, rotations, centres + shift[:, None], contacts, moves)
     planted_paths = _contact_centre_paths(body, contacts, result.rotations, result.centres)
     residuals = np.linalg.norm(result.residual_moves, axis=2).max(axis=0)
-    groups = _report_groups(contacts, stances, centre_paths, planted_paths, residuals, diagonal)
+    groups = _report_groups(contacts, stances, paths, planted_paths, residuals)
     min_trace = np.trace(result.limb_rotations, axis1=2, axis2=3).min(initial=3.0)
     max_turn_degrees = float(np.degrees(np.arccos(np.clip((min_trace - 1.0) / 2.0, -1.0, 1.0))))
-    report = ContactReport(groups, float(np.linalg.norm(shift, axis=1).max()) / diagonal, max_turn_degrees)
+    report = ContactReport(groups, float(np.linalg.norm(shift, axis=1).max()), max_turn_degrees)
     return PlantedMotion(result.rotations, result.centres, report)
 
 
@@ -328,8 +273,7 @@ def _contact_centre_paths(
     body: ArticulatedBody, contacts: Sequence[Contact], rotations: Float, centres: Float
 ) -> Float:
     """Return the paths ``(g, T, 3)`` of the contacts' middles."""
-    paths = [body.contact_path(contact, rotations, centres).mean(axis=1) for contact in contacts]
-    return np.array(paths).reshape(len(contacts), len(centres), 3)
+    return np.array([body.contact_path(contact, rotations, centres).mean(axis=1) for contact in contacts])
 
 
 def _report_groups(
@@ -338,18 +282,17 @@ def _report_groups(
     before: Float,
     after: Float,
     residuals: Float,
-    diagonal: float,
 ) -> tuple[GroupReport, ...]:
     def slide(path: Float, found: Sequence[Stance]) -> float:
         lengths = [np.linalg.norm(np.diff(path[each.frames], axis=0), axis=1).sum() for each in found]
-        return without_noise(float(sum(lengths)) / diagonal)
+        return without_noise(float(sum(lengths)))
 
     def without_noise(value: float) -> float:
         return value if value > MIN_SLIDE_DIAGONALS else 0.0
 
     rows = zip(contacts, stances, before, after, residuals.tolist(), strict=True)
     return tuple(
-        GroupReport(contact.name, found, slide(old, found), slide(new, found), without_noise(residual / diagonal))
+        GroupReport(contact.name, found, slide(old, found), slide(new, found), without_noise(residual))
         for contact, found, old, new, residual in rows
     )
 
@@ -396,10 +339,9 @@ def plant_contacts(
         np.concatenate(rotations),
         np.concatenate(centres),
         [replace(contact, local_points=local) for contact, local in zip(target_contacts, local_paths, strict=True)],
-        [gradients.alignment.rotate_points(path) for path in contact_paths],
-        header.up_axis,
+        [path @ gradients.alignment.rotation.T for path in contact_paths],
+        UP_AXES.index(header.up_axis),
         header.fps,
-        1.0,
     )
     return method, planted
 

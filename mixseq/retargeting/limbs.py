@@ -89,16 +89,12 @@ class ArticulatedBody:
     def limb(self, contact: Contact) -> tuple[int, ...]:
         """Return the parts of a limb, from a child of the root to the lowest part common to all contact vertices."""
         name, parts = contact.name, np.unique(contact.parts).tolist()
-        if not parts or contact.points.shape != (len(contact.parts), 3):
-            raise SettingsError(
-                f"contact '{name}' has {len(contact.points)} vertices and {len(contact.parts)} parts; "
-                "give at least one vertex, and the part of each"
-            )
         disconnected = [part for part in parts if part != self.root and part not in self.parents]
         if disconnected:
-            part = disconnected[0]
-            cause = "no part" if part < 0 else f"part {part}, which is not connected to the root"
-            raise SettingsError(f"vertices of contact '{name}' follow {cause}; choose vertices of a foot")
+            raise SettingsError(
+                f"vertices of contact '{name}' follow part {disconnected[0]}, which is not connected to the root; "
+                "choose vertices of a foot"
+            )
         chains = [self._chain(part) for part in parts]
         common = 0
         while all(len(chain) > common and chain[common] == chains[0][common] for chain in chains):
@@ -159,11 +155,6 @@ def leg_ratio(
     target_contacts: Sequence[Contact],
 ) -> float:
     """Return the ratio of the target's total leg length to the source's."""
-    if not source_contacts or len(source_contacts) != len(target_contacts):
-        raise SettingsError(
-            f"there are {len(source_contacts)} contacts of the source and {len(target_contacts)} of the target; "
-            "give the same number, and at least one"
-        )
     target_length = sum(leg_length(target, contact) for contact in target_contacts)
     source_length = sum(leg_length(source, contact) for contact in source_contacts)
     if not source_length > 0:

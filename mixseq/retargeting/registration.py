@@ -38,7 +38,6 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from mixseq.errors import SettingsError
 from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.topology import Topology
@@ -48,6 +47,8 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.shells.solvers import Analysis, analyse
 from mixseq.types import Float, Index
 
+BENDING_LENGTH = 0.1  # l: length over which affine maps are similar, in diagonals of the target
+SHEAR_WEIGHT = 0.1  # mu: weight that attracts affine maps to similarities
 _EDGE_WEIGHT_BOUNDS = 0.05, 20.0  # bounds of w_ij, which limit the influence of slivers; regular meshes have 0.6
 _MIN_VERTEX_AREA_RATIO = 1e-6  # lower bound of a_i, relative to the mean; determines maps of components without area
 
@@ -66,9 +67,7 @@ class SoftConstraints:
 class Energy:
     """Deformation energy of a mesh, which has a positive area and no unused vertices."""
 
-    mesh: TriangleMesh  # the undeformed mesh, in a unit of about its size
-    bending: float  # l: length over which affine maps are similar
-    shear: float  # mu: weight that attracts affine maps to similarities
+    mesh: TriangleMesh  # the undeformed mesh, in diagonals of the target
 
     @cached_property
     def areas(self) -> Float:
@@ -88,8 +87,8 @@ class Energy:
             [(4 * b, 1.0), (4 * a, -1.0), *((4 * a + 1 + d, x[a, d] - x[b, d]) for d in range(3))]
             for a, b in ((i, j), (j, i))
         ]
-        map_terms = [[(4 * i + 1 + d, self.bending), (4 * j + 1 + d, -self.bending)] for d in range(3)]
-        similarity_weights = np.outer(self.areas, [0.0, self.shear, self.shear, self.shear]).reshape(-1)
+        map_terms = [[(4 * i + 1 + d, BENDING_LENGTH), (4 * j + 1 + d, -BENDING_LENGTH)] for d in range(3)]
+        similarity_weights = np.outer(self.areas, [0.0, *3 * [SHEAR_WEIGHT]]).reshape(-1)
         total = sparse.diags_array(similarity_weights).tocsr()
         for terms, scale in ((edge_terms, 0.5), (map_terms, 1.0)):
             for row in terms:
@@ -116,7 +115,7 @@ class Energy:
         values = stiffness * self._matrix.data
         right_side = np.zeros((vertex_count, 4, 3))
         similarities = nearest_similarities(maps).transpose(0, 2, 1)
-        right_side[:, 1:] = stiffness * self.shear * self.areas[:, None, None] * similarities
+        right_side[:, 1:] = stiffness * SHEAR_WEIGHT * self.areas[:, None, None] * similarities
         for constraint in constraints:
             weighted = constraint.barycentric * constraint.weights[:, None]
             for k in range(constraint.corners.shape[1]):
@@ -151,34 +150,13 @@ def _difference_rows(terms: Sequence[tuple[Index, Float | float]], scales: Float
     return sparse.coo_array((values, entries), (row_count, size)).tocsr()
 
 
-_MARKER_ONLY_ROUNDS = 3  # number of minimisations with markers alone, which update the similarities
-
-
-@dataclass(frozen=True)
-class RegistrationSettings:
-    """Settings of registration; results on horse to camel and cat to lion hardly depend on them."""
-
-    stiffest: float = 1.0  # first stiffness
-    softest: float = 1e-5  # last stiffness
-    steps: int = 10  # number of stiffnesses, evenly spaced in their logarithm
-    rounds: int = 2  # rounds of closest points per stiffness
-    bending: float = 0.1  # length over which affine maps are similar, in diagonals of the target
-    shear: float = 0.1  # weight that attracts affine maps to similarities
-    markers: float = 1.0  # total weight of markers; the vertices of each surface have a total weight of 1
-    largest_angle: float = 60.0  # largest angle between normals of closest points, in degrees
-    largest_distance: float = 0.1  # search radius at the first stiffness, in diagonals of the target
-    last_distance: float = 0.02  # search radius at the last stiffness, in diagonals of the target
-
-    def __post_init__(self) -> None:
-        positive = ("softest", "steps", "rounds", "bending", "shear", "markers", "last_distance")
-        for name in positive:
-            if not getattr(self, name) > 0:
-                raise SettingsError(f"{name} of a registration is {getattr(self, name)}; it must be positive")
-        for small, large in (("softest", "stiffest"), ("last_distance", "largest_distance")):
-            if getattr(self, small) > getattr(self, large):
-                raise SettingsError(f"{small} of a registration is above its {large}; exchange them")
-        if not 0 < self.largest_angle <= 180:
-            raise SettingsError(f"the largest angle is {self.largest_angle}; give degrees from 0 to 180")
+FIRST_STIFFNESS, LAST_STIFFNESS = 1.0, 1e-5  # results on horse to camel and cat to lion hardly depend on these values
+STIFFNESS_STEPS = 10  # number of stiffnesses, evenly spaced in their logarithm
+ROUNDS_PER_STEP = 2  # rounds of closest points per stiffness
+MARKER_ONLY_ROUNDS = 3  # number of minimisations with markers alone, which update the similarities
+MARKER_WEIGHT = 1.0  # total weight of markers; the vertices of each surface have a total weight of 1
+MAX_NORMAL_ANGLE_DEGREES = 60.0  # largest angle between normals of closest points
+FIRST_SEARCH_DIAGONALS, LAST_SEARCH_DIAGONALS = 0.1, 0.02  # search radii at the first and at the last stiffness
 
 
 def register(
@@ -186,31 +164,28 @@ def register(
     target: TriangleMesh,
     pairings: tuple[Pairing, ...],
     markers: Markers,
-    settings: RegistrationSettings | None = None,
     progress: Progress = no_progress,
+    last_stiffness: float = LAST_STIFFNESS,
+    steps: int = STIFFNESS_STEPS,
 ) -> Float:
     """Deform the paired components of a source onto a target in a similar pose; return the vertices ``(V, 3)``."""
-    settings = RegistrationSettings() if settings is None else settings
     similarity = fit_similarity(source.points[markers.source], target.points[markers.target])
     # Centred coordinates in diagonals of the target avoid rounding errors far from the origin.
     diagonal, centre = target.diagonal, target.centroids.mean(axis=0)
     aligned = TriangleMesh((similarity(source.points) - centre) / diagonal, source.topology)
     normalised_target = TriangleMesh((target.points - centre) / diagonal, target.topology)
-    data_term = DataTerm.from_pairings(aligned, normalised_target, pairings, markers, settings.markers)
-    energy = Energy(data_term.mesh, settings.bending, settings.shear)
+    data_term = DataTerm.from_pairings(aligned, normalised_target, pairings, markers)
+    energy = Energy(data_term.mesh)
     maps = np.broadcast_to(np.eye(3), (len(data_term.vertices), 3, 3))
-    refinement_rounds = settings.steps * settings.rounds
-    round_count = _MARKER_ONLY_ROUNDS + refinement_rounds
-    for round_id in range(_MARKER_ONLY_ROUNDS):
+    stiffnesses = np.repeat(np.geomspace(FIRST_STIFFNESS, last_stiffness, steps), ROUNDS_PER_STEP).tolist()
+    radii = np.repeat(np.linspace(FIRST_SEARCH_DIAGONALS, LAST_SEARCH_DIAGONALS, steps), ROUNDS_PER_STEP).tolist()
+    round_count = MARKER_ONLY_ROUNDS + len(radii)
+    for round_id in range(MARKER_ONLY_ROUNDS):
         progress(round_id, round_count, "registering")
-        points, maps = energy.minimise(settings.stiffest, maps, [data_term.markers])
-    stiffnesses = np.geomspace(settings.stiffest, settings.softest, settings.steps)
-    radii = np.linspace(settings.largest_distance, settings.last_distance, settings.steps)
-    for round_id in range(refinement_rounds):
-        progress(_MARKER_ONLY_ROUNDS + round_id, round_count, "registering")
-        step = round_id // settings.rounds
-        constraints = data_term.constraints(points, settings.largest_angle, float(radii[step]))
-        points, maps = energy.minimise(float(stiffnesses[step]), maps, constraints)
+        points, maps = energy.minimise(FIRST_STIFFNESS, maps, [data_term.markers])
+    for round_id, (stiffness, radius) in enumerate(zip(stiffnesses, radii, strict=True), start=MARKER_ONLY_ROUNDS):
+        progress(round_id, round_count, "registering")
+        points, maps = energy.minimise(stiffness, maps, data_term.constraints(points, radius))
     progress(round_count, round_count, "registering")
     return np.asarray(_move_unfitted_vertices(aligned, data_term.vertices, points, maps) * diagonal + centre)
 
@@ -240,14 +215,9 @@ class DataTerm:
 
     @classmethod
     def from_pairings(
-        cls,
-        source: TriangleMesh,
-        target: TriangleMesh,
-        pairings: tuple[Pairing, ...],
-        markers: Markers,
-        weight: float,
+        cls, source: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairing, ...], markers: Markers
     ) -> DataTerm:
-        """Select the paired components of a source; `weight` is the total weight of the markers."""
+        """Select the paired components of a source."""
         vertices = np.unique(np.concatenate([pairing.source_vertices for pairing in pairings]))
         row_of_vertex = np.full(len(source.points), -1)
         row_of_vertex[vertices] = np.arange(len(vertices))
@@ -266,7 +236,7 @@ class DataTerm:
             row_of_vertex[markers.source][:, None],
             np.ones((len(markers), 1)),
             target.points[markers.target],
-            np.full(len(markers), weight / len(markers)),
+            np.full(len(markers), MARKER_WEIGHT / len(markers)),
         )
         mesh = TriangleMesh(source.points[vertices], topology)
         return cls(vertices, mesh, target, local_pairings, marker_constraints)
@@ -283,14 +253,14 @@ class DataTerm:
         source_areas, target_areas = self.mesh.vertex_areas, self.target.vertex_areas
         return source_areas / source_areas.sum(), target_areas / target_areas.sum()
 
-    def constraints(self, points: Float, largest_angle: float, radius: float) -> list[SoftConstraints]:
+    def constraints(self, points: Float, radius: float) -> list[SoftConstraints]:
         """Return the constraints of fitted points ``(n, 3)``: markers, and closest points on both surfaces."""
         deformed, target = TriangleMesh(points, self.mesh.topology), self.target
         source_areas, target_areas = self._areas
         constraints = [self.markers]
         for pairing, target_search in zip(self.pairings, self._target_searches, strict=True):
             vertices = pairing.source_vertices
-            closest = target_search.query(points[vertices], deformed.vertex_normals[vertices], largest_angle)
+            closest = target_search.query(points[vertices], deformed.vertex_normals[vertices], MAX_NORMAL_ANGLE_DEGREES)
             near = np.flatnonzero(closest.distances <= radius)
             goals = target.points_on(closest.faces[near], closest.weights[near])
             corners, weights = vertices[near][:, None], source_areas[vertices[near]]
@@ -299,7 +269,7 @@ class DataTerm:
             vertices = pairing.target_vertices
             source_search = ClosestPointQuery.from_mesh(deformed.points, deformed.faces, pairing.source_faces)
             normals = target.vertex_normals[vertices]
-            closest = source_search.query(target.points[vertices], normals, largest_angle)
+            closest = source_search.query(target.points[vertices], normals, MAX_NORMAL_ANGLE_DEGREES)
             near = np.flatnonzero(closest.distances <= radius)
             corners, goals = deformed.faces[closest.faces[near]], target.points[vertices[near]]
             weights = target_areas[vertices[near]]

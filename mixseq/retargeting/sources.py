@@ -116,10 +116,6 @@ class Alignment:
         """Rotate and scale displacements ``(..., 3)`` of the source."""
         return np.asarray(self.scale * vectors @ self.rotation.T)
 
-    def rotate_points(self, points: Float) -> Float:
-        """Rotate points ``(..., 3)`` of the source."""
-        return np.asarray(points @ self.rotation.T)
-
     def rotate_matrices(self, matrices: Float) -> Float:
         """Conjugate deformations ``(..., 3, 3)`` of the source by the rotation."""
         return np.asarray(self.rotation @ matrices @ self.rotation.T)

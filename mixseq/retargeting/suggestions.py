@@ -42,9 +42,8 @@ from mixseq.mesh.decimation import decimate
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.checks import Suspicion, check_rest_frame, find_suspicious_markers
-from mixseq.retargeting.correspond import CorrespondenceSettings, correspond_and_assess
+from mixseq.retargeting.correspond import correspond_and_assess
 from mixseq.retargeting.markers import Markers, Similarity, fit_similarity
-from mixseq.retargeting.registration import RegistrationSettings
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.public import public
 from mixseq.segmentation.silhouettes import Diffusion
@@ -331,7 +330,7 @@ def _guided_positions(first: Extremities, similarity: Similarity, paired_ids: In
 
 MIN_EXAMINED_MARKERS = 10  # smallest number of markers for a registration with meaningful residuals
 TRIAL_VERTEX_COUNT = 1200  # number of vertices of the decimated meshes in an examination
-STIFF_SETTINGS = CorrespondenceSettings(RegistrationSettings(softest=1e-2, steps=5))
+TRIAL_STIFFNESS, TRIAL_STEPS = 1e-2, 5  # last stiffness, and number of stiffnesses, of the stiff registration
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,7 +361,9 @@ def examine_markers(source: MeshSequence, target: MeshSequence, markers: Markers
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MixseqWarning)  # stiff registrations have poor matches
         try:
-            _, quality = correspond_and_assess(coarse_source, coarse_target, coarse, settings=STIFF_SETTINGS)
+            _, quality = correspond_and_assess(
+                coarse_source, coarse_target, coarse, last_stiffness=TRIAL_STIFFNESS, steps=TRIAL_STEPS
+            )
         except SettingsError as error:
             return Examination(suspicions, refusal=str(error))
     return Examination(suspicions, quality.marker_distances, quality.target_coverage)

@@ -14,9 +14,9 @@ from mixseq.compression.numbering import match_headers
 from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.contacts import ContactReport, PlantedMotion, plant_contacts
+from mixseq.retargeting.correspond import CorrespondenceQuality, RestMesh, correspond_and_assess
 from mixseq.retargeting.gradient_transfer import gradient_transfer
 from mixseq.retargeting.markers import Correspondence, Markers, check_numbers
-from mixseq.retargeting.matching import CorrespondenceQuality, RestMesh
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.retargeting.parts import PartCorrespondence, PartPoses
 from mixseq.retargeting.sources import SourceMotion, prepare_source
@@ -26,7 +26,7 @@ from mixseq.runtime.public import public
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import with_other_motion
 from mixseq.sequence.sequence import Frames, MeshSequence, block_size, check_frames, join_blocks
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.model import Model
 from mixseq.types import Float, FloatArray
 
@@ -89,29 +89,20 @@ class Transfer:
         size = block_size(max(self.source.header.vertex_count, self.header.vertex_count))
         slices = [slice(start, start + size) for start in range(0, frame_count, size)]
         frames, planted = (self.source.points[block] for block in slices), self.planted
-        if planted is not None and isinstance(self.method, MixedTransfer):
-            poses = (PartPoses(planted.rotations[block], planted.centres[block]) for block in slices)
-            blocks = run(_transfer_posed_block, self.method, zip(frames, poses, strict=True))
-        else:
-            blocks = run(_transfer_block, self.method, frames)
-        for block in blocks:
+        poses = (planted and PartPoses(planted.rotations[block], planted.centres[block]) for block in slices)
+        for block in run(_transfer_block, self.method, zip(frames, poses, strict=True)):
             yield block
             done_count += len(block)
             progress(done_count, frame_count, "transferring frames")
 
 
-def _transfer_block(method: TransferMethod, frames: FloatArray) -> Float:
-    return np.stack([method.transfer_frame(points) for points in frames])
-
-
-def _transfer_posed_block(method: MixedTransfer, block: tuple[FloatArray, PartPoses]) -> Float:
+def _transfer_block(method: TransferMethod, block: tuple[FloatArray, PartPoses | None]) -> Float:
+    """Transfer frames ``(B, V, 3)``, with planted poses of parts if given."""
     frames, poses = block
-    return np.stack(
-        [
-            method.transfer_frame(points, PartPoses(rotations, centres))
-            for points, rotations, centres in zip(frames, *poses, strict=True)
-        ]
-    )
+    if poses is None or not isinstance(method, MixedTransfer):
+        return np.stack([method.transfer_frame(points) for points in frames])
+    posed = zip(frames, map(PartPoses, *poses), strict=True)
+    return np.stack([method.transfer_frame(points, pose) for points, pose in posed])
 
 
 def plan_transfer(
@@ -158,8 +149,6 @@ def _find_correspondence(
         mapping.check(*sizes)
         return mapping, None
     if markers is not None:
-        from mixseq.retargeting.correspond import correspond_and_assess
-
         pairs = markers if isinstance(markers, Markers) else Markers.from_pairs(markers)
         source_mesh = MeshSequence.from_header(source.header.with_times([0.0]), source.rest[None])
         target_mesh = MeshSequence.from_header(header.with_times([0.0]), rest[None])

@@ -202,7 +202,7 @@ _NO_CONTACT_SEPARATION = 1.0  # penalty added to the separation of bones without
 def build_bone_tree(faces: Index, binding: Binding, motions: Float) -> tuple[Index, Joints]:
     """Build a tree of bones with motions ``(B, 4, 3T)``; return the bones ``(B,)``, parents first, and the joints."""
     bone_count, frame_count = len(motions), motions.shape[2] // 3
-    weights = _weight_matrix(binding, bone_count)
+    weights = sparse.csr_array(binding.matrix(bone_count)[:, 3::4])
     masses = np.asarray(weights.sum(axis=0), dtype=np.float64).reshape(-1)
     is_touching, middles = _contacts(faces, weights, binding.rest, masses)
     flat = motions.reshape(4 * bone_count, -1)
@@ -223,12 +223,6 @@ def build_bone_tree(faces: Index, binding: Binding, motions: Float) -> tuple[Ind
     joint_positions = pivots[order, parent_bones]
     joint_positions[0] = middles[order[0], order[0]]
     return order, Joints(parents, joint_positions, parents < 0)
-
-
-def _weight_matrix(binding: Binding, bone_count: int) -> sparse.csr_array:
-    vertices = np.repeat(np.arange(len(binding.rest)), binding.weights.shape[1])
-    entries = (binding.weights.reshape(-1), (vertices, binding.influences.reshape(-1)))
-    return sparse.csr_array(entries, shape=(len(binding.rest), bone_count))
 
 
 def _contacts(faces: Index, weights: sparse.csr_array, rest: Float, masses: Float) -> tuple[Mask, Float]:

@@ -194,20 +194,6 @@ def _predict_count(rough_error: Callable[[int], float], too_few: int, limit: int
     return count
 
 
-def measure_errors(skin: Skin, sequence: Centred) -> tuple[float, float]:
-    r"""Return the largest distance from a sequence in diagonals, and the KG error in percent.
-
-    .. math:: KG = 100 \frac{\lVert y - x \rVert_F}{\lVert x - \bar x \rVert_F}
-    """
-    largest = squares = spread = 0.0
-    for frame, block in enumerate(skin.blocks(1)):
-        squared_distances = np.square(block[0] - sequence.points[frame]).sum(axis=1)
-        largest = max(largest, float(squared_distances.max()))
-        squares += float(squared_distances.sum())
-        spread += float(np.square(sequence.points[frame] - sequence.centres[frame]).sum())
-    return float(np.sqrt(largest)) / sequence.diagonal, 100 * float(np.sqrt(squares / (spread or 1.0)))
-
-
 @public
 def fit_skin(
     sequence: Frames,
@@ -300,7 +286,7 @@ def fit_skin(
 
             if max_error is None and kg is None:
                 free = fit_free_bones(centred, bones, rounds, report)
-                skin = fit_tree_skin(centred, free, rounds, lambda done: report(rounds + done))
+                skin, _ = fit_tree_skin(centred, free, rounds, lambda done: report(rounds + done))
             else:
                 skin = _fit_to_error(centred, max_error, kg, rounds, report)
         if correctives is None:
@@ -378,8 +364,8 @@ def _fit_to_error(
         return fit_free_bones(sequence, count, rounds, report)
 
     def fit_tree(count: int) -> tuple[Skin, float]:
-        skin = fit_tree_skin(sequence, free_bones(count), rounds, lambda done: report(rounds + done))
-        return skin, measure_errors(skin, sequence)[index]
+        skin, errors = fit_tree_skin(sequence, free_bones(count), rounds, lambda done: report(rounds + done))
+        return skin, errors[index]
 
     max_count = min(MAX_BONES, len(sequence.header.faces))
     skin, reached = fit_fewest_bones(

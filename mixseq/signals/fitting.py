@@ -37,9 +37,9 @@ from mixseq.sequence.sequence import (
     own_parts,
     rounding_margin,
 )
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
-from mixseq.signals.decoding import RigMotion
+from mixseq.signals.decoding import Decodable, RigMotion
 from mixseq.signals.detail import (
     EXACT_ROUNDING_STEP,
     EXACT_TOLERANCE,
@@ -105,7 +105,7 @@ def select_share(encoded: EncodedSequence, frames: LargeArray) -> EncodedSequenc
         projected = [space.joint_projection.project(*vector, share) for vector in vectors]
         gains.append(1.0 - float((_rms_errors(space, projected, expected) / errors_without).max()))
     share = CANDIDATE_SHARES[int(np.argmax(np.array(gains) >= SUFFICIENT_GAIN * max(gains) - 1e-12))]
-    return replace(encoded, space=replace(space, projection=replace(space.projection, share=share)))
+    return replace(encoded, space=space.with_weights(projection=replace(space.projection, share=share)))
 
 
 def _interpolated_vectors(encoded: EncodedSequence, space: MixedSpace, weights: FrameWeights) -> Float:
@@ -225,10 +225,11 @@ def fit(
         (almost) every frame, or the fewest knots that `tolerance` allows.
     pose : {"modes", "keys"}
         Key shapes: mean and modes (default), or frames of the sequence; see `mixseq.signals.pose`.
-    between : {"auto", "smooth", "linear", "hold"}
+    between : {"auto", "smooth", "linear", "hold", "vertices"}
         Motion between frames. By default, holds, repeated poses (on twos) and linear motion between keys are found in
         the frames and kept. "smooth" goes smoothly through repeated poses and keys, and does not keep the frames
-        between them; "linear" goes straight from frame to frame; "hold" keeps every frame until the next.
+        between them; "linear" goes straight from frame to frame; "hold" keeps every frame until the next; "vertices"
+        is "auto" in the vertex space.
     cuts : {"auto", "none"} or sequence of int
         Cuts, where the motion jumps half-way between two frames: found (default), none, or the first frames after them.
         With `knots` there are none.
@@ -265,9 +266,13 @@ def fit(
     check_motion(sequence)
     knots, pose = settings.pop("knots", None), settings.pop("pose", "modes")
     between, cuts = settings.pop("between", "auto"), settings.pop("cuts", "auto")
+    _check_options(exact, tolerance, rank, knots, pose, between)
+    if between == "vertices":
+        if space not in ("mixed", "vertex"):
+            raise SettingsError(f"between='vertices' is the vertex space; leave it out, or space={space!r}")
+        space, between = "vertex", "auto"
     if parts is None and space == "mixed":
         parts = own_parts(sequence)
-    _check_options(exact, tolerance, rank, knots, pose, between)
     if knots is not None and (between, cuts) != ("auto", "auto"):
         raise SettingsError("a model with given knots is smooth everywhere; leave out between and cuts, or knots")
     options = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
@@ -328,9 +333,9 @@ def _with_cuts(events: Events, cuts: CutChoice, header: SequenceHeader) -> Event
     return replace(events, cuts=tuple(frame - 1 for frame in frames), pops=())
 
 
-def as_motion(source: Model | RigMotion | Frames, progress: Progress = no_progress) -> Model | RigMotion:
+def as_motion(source: Decodable | Frames, progress: Progress = no_progress) -> Decodable:
     """Return a motion at any time: a model as it is, a rig as its file says, and other frames fitted exactly."""
-    if isinstance(source, Model | RigMotion):
+    if isinstance(source, Decodable):
         return source
     if is_rig(source):
         return RigMotion(source.header, source)

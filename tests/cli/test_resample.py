@@ -326,9 +326,19 @@ def test_cuts_and_twos_are_found_and_named(run: Run) -> None:
     np.testing.assert_allclose(ones, moving(np.arange(4.0, 14)), atol=0.01)
 
 
+def test_vertices_alone_between_the_frames_of_a_model(run: Run) -> None:
+    model = mixseq.load("model.h5")
+    expected = resample(model, fps=48, between="vertices").points
+    assert np.abs(model.sample(fps=48).points - expected).max() > 1e-3
+    for command in ("resample", "decode"):
+        succeed(run(command, "model.h5", "new.npz", "--fps", "48", "--between", "vertices", "--overwrite"))
+        np.testing.assert_allclose(mixseq.read("new.npz").points, expected, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        ("model.h5 new.npz --between vertices --cuts none", "model.h5 is a model already; leave out --between"),
         ("model.h5 new.npz --between hold", "model.h5 is a model already; leave out --between"),
         ("model.h5 new.npz --cuts none", "model.h5 is a model already; leave out --cuts"),
         ("walk.npz new.npz --cuts some", "'some' is not auto, none, or frame numbers such as 1013,1050"),

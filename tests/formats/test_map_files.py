@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mixseq.errors import FormatError, OutputError
+from mixseq.retargeting.correspond import RestMesh, from_barycentric, from_vertices
 from mixseq.retargeting.markers import Correspondence
-from mixseq.retargeting.matching import RestMesh, from_barycentric, from_vertices
 from mixseq_io.text.maps import mesh_checksum, read_map, to_correspondence, write_map
 from tests.meshes import grid, tetrahedron, torus
 

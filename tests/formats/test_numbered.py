@@ -18,7 +18,13 @@ from mixseq.errors import (
 )
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import read, write
-from mixseq_io.numbered.files import find_frame_files, frame_file_name, is_pattern
+from mixseq_io.numbered.files import (
+    find_frame_files,
+    find_numbered_files,
+    frame_file_name,
+    group_numbered_files,
+    is_pattern,
+)
 
 KINDS = ("obj", "ply", "stl", "off")
 
@@ -35,6 +41,62 @@ def moving(frames: int) -> MeshSequence:
 def test_numbers_in_names(pattern: str, name: str) -> None:
     assert frame_file_name(Path(pattern), 7) == name
     assert is_pattern(Path(pattern)) == (pattern != name)
+
+
+def test_signs_and_subframes_in_names() -> None:
+    assert [frame_file_name(Path("a.%04d.ply"), number) for number in (-7, 7.25)] == ["a.-007.ply", "a.0007.25.ply"]
+
+
+NAMED_FRAMES = {  # stems of files in order, and their numbers
+    "sub-frames, whole ones without a point": (["w.0001", "w.0001.5", "w.0002", "w.0002.5"], [1, 1.5, 2, 2.5]),
+    "sub-frames, all with a point": (["w_9.00", "w_9.25", "w_9.75", "w_10.00"], [9, 9.25, 9.75, 10]),
+    "signs after a separator": (["w_-010", "w_-009", "w_-008"], [-10, -9, -8]),
+    "signs of printf": (["w.-001", "w.0000", "w.0001"], [-1, 0, 1]),
+    "signs after a letter": (["w-2", "w-1", "w0", "w1"], [-2, -1, 0, 1]),
+    "hyphens as separators": (["w-0001", "w-0002"], [1, 2]),
+    "a version before a point": (["w_2.0001", "w_2.0002"], [1, 2]),
+    "a date": (["2026-11-27_1", "2026-11-27_2"], [1, 2]),
+    "a word after the number": (["w_-1_high", "w_0_high"], [-1, 0]),
+    "negative sub-frames": (["w.-1", "w.-0.5", "w.0"], [-1, -0.5, 0]),
+}
+
+
+@pytest.mark.parametrize("case", NAMED_FRAMES)
+def test_numbers_of_files_in_a_folder(tmp_path: Path, case: str) -> None:
+    stems, numbers = NAMED_FRAMES[case]
+    files = [tmp_path / f"{stem}.obj" for stem in stems]
+    for frame, file in enumerate(files):
+        write(file, MeshSequence.from_arrays(moving(len(stems)).points[frame : frame + 1], [[0, 1, 2]]))
+    assert find_frame_files(tmp_path, False) == (files, numbers)
+    sequence = read(tmp_path)
+    np.testing.assert_array_equal(sequence.times, np.array(numbers) / 24)
+    np.testing.assert_array_equal(sequence.points, moving(len(stems)).points)
+    [series] = group_numbered_files(files)
+    assert [file for _, file in find_numbered_files(tmp_path / series.pattern)] == files
+
+
+def test_versions_are_several_sequences(tmp_path: Path) -> None:
+    for version in (1, 2):
+        write(tmp_path / f"w_{version}.####.obj", moving(3), start=1)
+    with pytest.raises(AmbiguousError, match=r"several sequences: w_1\.####\.obj, w_2\.####\.obj; give one"):
+        read(tmp_path)
+    assert read(tmp_path / "w_2.####.obj").frame_count == 3
+    with pytest.raises(FormatError, match="no numbered files of this name"):
+        read(tmp_path / "w_#.obj")  # 1.0001, 1.0002, ... are no sub-frames
+
+
+def test_patterns_find_subframes(tmp_path: Path) -> None:
+    numbers = np.array([0.75, 1, 1.25, 1.75, 2, 2.25])
+    sequence = moving(6)
+    shot = MeshSequence.from_header(sequence.header.with_times(numbers / 24), sequence.points)
+    write(tmp_path / "w.##.obj", shot)  # without a warning
+    assert sorted(file.name for file in tmp_path.iterdir())[:2] == ["w.00.75.obj", "w.01.25.obj"]
+    for path in (tmp_path, tmp_path / "w.##.obj", tmp_path / "w.%02d.obj", tmp_path / "w.*.obj"):
+        np.testing.assert_array_equal(read(path).times, shot.times)
+    assert read(tmp_path).header.name == "mesh"
+    (tmp_path / "w.02.obj").unlink()
+    with pytest.raises(InvalidSequenceError, match=r"numbers 2 are missing between w\.00\.75\.obj"):
+        read(tmp_path / "w.##.obj")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -70,7 +132,7 @@ def test_numbers_of_written_files(tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("first", "files"), [(0, (0, 1)), (1001, (1001, 1002)), (7.5, (1, 2)), (-3, (1, 2))])
+@pytest.mark.parametrize(("first", "files"), [(0, (0, 1)), (1001, (1001, 1002)), (7.5, (1, 2)), (-3, (-3, -2))])
 def test_files_have_the_numbers_of_their_frames(
     tmp_path: Path, kind: str, first: float, files: tuple[int, int]
 ) -> None:
@@ -79,7 +141,7 @@ def test_files_have_the_numbers_of_their_frames(
     held = first == files[0]
     with nullcontext() if held else pytest.warns(MixseqWarning, match="the times of the frames"):
         write(tmp_path / f"a_#.{kind}", shot)
-    assert sorted(file.name for file in tmp_path.iterdir()) == [f"a_{number}.{kind}" for number in files]
+    assert {file.name for file in tmp_path.iterdir()} == {f"a_{number}.{kind}" for number in files}
     if held:
         np.testing.assert_array_equal(read(tmp_path).times, shot.times)
 

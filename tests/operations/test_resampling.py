@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
+from mixseq.compression.compressed_model import CompressedModel
+from mixseq.compression.encoder.compress import compress
 from mixseq.errors import SettingsError
 from mixseq.operations.resampling import plan, resample
 from mixseq.operations.retiming import Retiming
@@ -191,6 +193,22 @@ def test_resampling_keeps_the_mesh() -> None:
     output = resample(model, fps=7)
     assert (output.up_axis, output.metres_per_unit, output.name, output.fps) == ("Z", 0.01, "bent", 7)
     assert output.polygons.same_as(bent.polygons)
+
+
+def test_motion_of_vertices_alone() -> None:
+    bent = bar(sides=5, rings=15, frames=5)
+    expected = resample(fit(bent, exact=True, space="vertex"), fps=30).points
+    assert np.abs(resample(bent, fps=30).points - expected).max() > 1e-3
+    for source in (bent, fit(bent, exact=True)):
+        np.testing.assert_allclose(resample(source, fps=30, between="vertices").points, expected, atol=1e-9)
+    small = CompressedModel.from_sequence(compress(bent, max_error=1e-3))
+    played = resample(small, fps=30, between="vertices", velocities=True)
+    np.testing.assert_array_equal(played.points, small.playback.sample(played.times).points)
+    assert small.__dict__["_fitted"] is None
+    with pytest.raises(SettingsError, match="between='vertices' is the vertex space; leave it out, or space='edge'"):
+        fit(bent, space="edge", between="vertices")
+    with pytest.raises(SettingsError, match="between and cuts are for frames"):
+        resample(small, between="hold")
 
 
 def test_frames_are_decoded_on_demand(model: Model) -> None:

@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.triangle_mesh import TriangleMesh
-from mixseq.retargeting.markers import Correspondence, Markers, pair_components
-from mixseq.retargeting.matching import (
+from mixseq.retargeting.correspond import (
     CorrespondenceQuality,
     Matches,
-    MatchingSettings,
     assess,
     from_barycentric,
     from_triangles,
     from_vertices,
     match,
 )
+from mixseq.retargeting.markers import Correspondence, Markers, pair_components
 from tests.meshes import Mesh, grid, joined, pages, tetrahedron, topology_of, torus, tube
 from tests.retargeting.pairs import subdivided
 
@@ -30,13 +29,11 @@ def surface(mesh: Mesh) -> TriangleMesh:
     return TriangleMesh(mesh[0], topology_of(mesh))
 
 
-def matched(
-    source: Mesh, target: Mesh, pairs: list[tuple[int, int]], settings: MatchingSettings | None = None
-) -> Matches:
+def matched(source: Mesh, target: Mesh, pairs: list[tuple[int, int]]) -> Matches:
     """Match meshes that lie on each other."""
     markers = Markers.from_pairs(pairs)
     start, goal = surface(source), surface(target)
-    return match(start, goal, pair_components(start.topology, goal.topology, markers), settings)
+    return match(start, goal, pair_components(start.topology, goal.topology, markers))
 
 
 def test_a_mesh_matches_itself() -> None:
@@ -139,21 +136,14 @@ def test_matching_is_deterministic() -> None:
     assert np.array_equal(first.weights, second.weights)
 
 
-@pytest.mark.parametrize("bad", [{"largest_angle": 0.0}, {"largest_distance": -1.0}])
-def test_settings_are_checked(bad: dict[str, float]) -> None:
-    with pytest.raises(SettingsError, match="the largest"):
-        MatchingSettings(**bad)
-
-
 # Quality --------------------------------------------------------------------------------------------------
 
 
 def quality(source: Mesh, target: Mesh, markers: Markers) -> CorrespondenceQuality:
     """Of meshes that lie on each other."""
-    settings = MatchingSettings()
     start, goal = (TriangleMesh(mesh[0], topology_of(mesh)) for mesh in (source, target))
     pairings = pair_components(start.topology, goal.topology, markers)
-    return assess(start, goal, pairings, markers, match(start, goal, pairings, settings), settings)
+    return assess(start, goal, pairings, markers, match(start, goal, pairings))
 
 
 def test_quality_of_a_mesh_on_itself_is_perfect() -> None:

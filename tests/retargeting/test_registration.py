@@ -12,7 +12,6 @@ from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Markers, fit_similarity, pair_components
 from mixseq.retargeting.registration import (
     Energy,
-    RegistrationSettings,
     SoftConstraints,
     nearest_similarities,
     register,
@@ -81,7 +80,7 @@ def test_a_sharp_bend_is_covered() -> None:
 
 def test_energy_is_invariant_to_similarities() -> None:
     mesh = torus(12, 8)
-    energy = Energy(surface(mesh), 0.1, 0.1)
+    energy = Energy(surface(mesh))
     turned = 1.7 * rotation((1.0, 2.0, 0.5))
     goals = mesh[0] @ turned.T + [1.0, 2, 3]
     marked = np.array([[0], [30], [60], [77]])
@@ -94,7 +93,7 @@ def test_energy_is_invariant_to_similarities() -> None:
 def test_a_pull_on_a_triangle_is_a_pull_on_its_point() -> None:
     """Four points that all go the same way take the mesh along."""
     mesh = torus(12, 8)
-    energy = Energy(surface(mesh), 0.1, 0.1)
+    energy = Energy(surface(mesh))
     corners, weights = mesh[1][[3, 40, 90, 150]], np.array([[0.2, 0.3, 0.5]] * 4)
     moved = mesh[0] + np.array([0.5, 0.0, -1.0])
     goals = np.einsum("nk,nkc->nc", weights, moved[corners])
@@ -140,8 +139,7 @@ def test_progress_is_reported() -> None:
     markers = Markers(MARKED, MARKED)
     mesh = surface(TUBE)
     pairings = pair_components(mesh.topology, mesh.topology, markers)
-    settings = RegistrationSettings(steps=2, rounds=2)
-    register(mesh, mesh, pairings, markers, settings, lambda *step: told.append(step))
+    register(mesh, mesh, pairings, markers, lambda *step: told.append(step), steps=2)
     assert [done for done, _, _ in told] == list(range(8))  # three rounds with markers alone, and four
     assert {total for _, total, _ in told} == {7}
 
@@ -149,19 +147,3 @@ def test_progress_is_reported() -> None:
 def test_markers_in_one_place_are_refused() -> None:
     with pytest.raises(SettingsError, match="in one place"):
         fit_similarity(np.zeros((5, 3)), np.random.default_rng(0).normal(size=(5, 3)))
-
-
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        ({"softest": 0.0}, "softest"),
-        ({"steps": 0}, "steps"),
-        ({"softest": 2.0}, "stiffest"),
-        ({"last_distance": 0.5}, "largest_distance"),
-        ({"largest_angle": 200.0}, "degrees"),
-        ({"markers": float("nan")}, "markers"),
-    ],
-)
-def test_settings_are_checked(bad: dict[str, float], message: str) -> None:
-    with pytest.raises(SettingsError, match=message):
-        RegistrationSettings(**bad)  # type: ignore[arg-type]

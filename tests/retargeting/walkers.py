@@ -1,4 +1,4 @@
-"""Walkers in closed form: a body on two legs of thigh, shank and foot, one after the other on the ground."""
+"""Walkers in closed form, in their own size: a body on two legs of thigh, shank and foot, in turn on the ground."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from mixseq.retargeting.contacts import PlantedMotion, remove_footskate
 from mixseq.retargeting.limbs import ArticulatedBody, Contact
 from mixseq.types import Float
 
-CYCLE, DUTY, STRIDE, LIFT = 40, 0.6, 0.5, 0.08
-BONES = {"thigh": 0.5, "shank": 0.45, "foot": 0.06}
-HIP = 0.86 + BONES["foot"]  # height of the hip: knees stay bent
+CYCLE, DUTY, STRIDE, LIFT = 40, 0.6, 0.25, 0.04
+BONES = {"thigh": 0.25, "shank": 0.225, "foot": 0.03}
+HIP = 0.43 + BONES["foot"]  # height of the hip: knees stay bent
 PHASES = (0.0, 0.5)
 
 
@@ -29,19 +29,11 @@ class Walk:
     centres: Float
     paths: list[Float]
     fps: float = 30.0
-    up: str = "Y"
-    diagonal: float = 2.0
+    axis: int = 1  # that points up
 
     def planted(self) -> PlantedMotion:
         return remove_footskate(
-            self.target,
-            self.rotations,
-            self.centres,
-            self.contacts,
-            self.paths,
-            self.up,
-            self.fps,
-            self.diagonal,
+            self.target, self.rotations, self.centres, self.contacts, self.paths, self.axis, self.fps
         )
 
     def joints(self, rotations: Float, centres: Float) -> Float:
@@ -81,8 +73,8 @@ def body(legs: float) -> tuple[ArticulatedBody, list[Contact]]:
     """The walker at rest on straight legs: parts 0, and 1 to 3, 4 to 6."""
     lengths = legs * np.array(list(BONES.values()))
     top = lengths.sum()
-    centres, pivots, links, contacts = [[0.0, top + 0.2, 0.0]], [], [], []
-    for leg, side in enumerate((-0.1, 0.1)):
+    centres, pivots, links, contacts = [[0.0, top + 0.1, 0.0]], [], [], []
+    for leg, side in enumerate((-0.05, 0.05)):
         height = top
         for bone, length in enumerate(lengths):
             part = 3 * leg + bone + 1
@@ -90,7 +82,7 @@ def body(legs: float) -> tuple[ArticulatedBody, list[Contact]]:
             links.append([part, part - 1] if bone else [0, part])
             centres.append([0.0, height - length / 2, side])
             height -= length
-        sole = np.array([[-0.05, 0.0, side], [0.05, 0.0, side - 0.02], [0.05, 0.0, side + 0.02]])
+        sole = np.array([[-0.025, 0.0, side], [0.025, 0.0, side - 0.01], [0.025, 0.0, side + 0.01]])
         contacts.append(Contact("right" if leg else "left", sole, np.full(3, 3 * leg + 3)))
     return ArticulatedBody(np.array(centres), np.array(links), np.array(pivots), 0), contacts
 
@@ -101,7 +93,7 @@ def walk(legs: float = 1.4, travel: float = 1.0, frames: int = 100) -> Walk:
     target, contacts = body(legs)
     phase = np.arange(frames) / CYCLE
     rotations = np.tile(np.eye(3), (frames, 7, 1, 1))
-    sway = 0.01 * np.sin(4 * np.pi * phase)
+    sway = 0.005 * np.sin(4 * np.pi * phase)
     hip = np.stack([STRIDE * phase, HIP + sway], axis=-1)
     for leg, offset in enumerate(PHASES):
         forward, height, _ = foot(phase + offset)

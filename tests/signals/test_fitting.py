@@ -16,7 +16,7 @@ from mixseq.operations.interpolation import segment
 from mixseq.segmentation.methods import METHODS, segment_by_labels
 from mixseq.segmentation.motion import MotionSettings
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.detail import EncodedSequence, encode_sequence
 from mixseq.signals.fitting import (
     CANDIDATE_SHARES,
@@ -303,7 +303,7 @@ def test_cuts_are_found_chosen_or_left_out() -> None:
     for unknown in ([0], [16], [1.5]):
         with pytest.raises(SettingsError, match="first frames after cuts are expected, whole numbers from 1 to 15"):
             fit(shot, cuts=unknown)
-    with pytest.raises(SettingsError, match="between is 'fast'; auto, smooth, linear, hold are possible"):
+    with pytest.raises(SettingsError, match="between is 'fast'; auto, smooth, linear, hold, vertices are possible"):
         fit(shot, between="fast")  # type: ignore[arg-type]
 
 

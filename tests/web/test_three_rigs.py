@@ -13,7 +13,7 @@ import mixseq
 from mixseq.rigging.rigs import Morph, Skeleton, Skin
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
-from mixseq_io.rig_measuring import measure_rig_file
+from mixseq_io.rig_files import measure_rig_file
 from tests.formats.conftest import lossy
 from tests.formats.gltf_files import validate
 from tests.formats.rig_maker import carried, hinge, swelling

@@ -210,7 +210,7 @@ def _local_matrices(node: Fields, index: int, pose: Pose) -> Float:
         return matrix.reshape(1, 4, 4).transpose(0, 2, 1)
     translation, rotation, scale = (_read_property(node, index, name, pose) for name in _IDENTITY_TRS)
     matrices = np.zeros((max(map(len, (translation, rotation, scale))), 4, 4))
-    matrices[:, :3, :3] = _quaternion_matrices(rotation) * scale[:, None, :]
+    matrices[:, :3, :3] = rotation_matrices(rotation) * scale[:, None, :]
     matrices[:, :3, 3] = translation
     matrices[:, 3, 3] = 1.0
     return matrices
@@ -222,10 +222,3 @@ def _read_property(node: Fields, index: int, name: str, pose: Pose) -> Float:
         return pose[index, name]
     values = node.numbers(name, len(_IDENTITY_TRS[name]))
     return np.array(_IDENTITY_TRS[name] if values is None else values)[None]
-
-
-def _quaternion_matrices(quaternions: Float) -> Float:
-    """Return rotation matrices ``(n, 3, 3)`` of quaternions ``(n, 4)``; zero quaternions give the identity."""
-    lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    unit = quaternions / np.where(lengths > 0, lengths, 1)
-    return rotation_matrices(np.where(lengths > 0, unit, _IDENTITY_TRS["rotation"]))

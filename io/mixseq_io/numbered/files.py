@@ -11,16 +11,17 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, starmap
+from math import ceil, floor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import Surface
-from mixseq.sequence.frame_rates import time_to_number
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_number, time_to_number
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
 from mixseq_io.files import atomic_files
@@ -32,10 +33,14 @@ from mixseq_io.reader import (
     validate_blocks,
     warn,
 )
-from mixseq_io.surfaces import lost_scale, lost_times, scale_text_colours, warn_of_losses
+from mixseq_io.surfaces import lost_scale, scale_text_colours, warn_of_losses
 
 _FRAME_PATTERN = re.compile(r"#+|%0?(\d*)d")
-_LAST_NUMBER_PATTERN = re.compile(r"(\d+)(?=\D*$)")
+_LAST_WHOLE_NUMBER = re.compile(r"(?:(?<![^\W_])-)?\d+(?=\D*$)")  # a minus after a letter or digit is no sign
+_LAST_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?=\D*$)")
+
+MIN_FRAME_STEP = 0.02
+"""Shortest step between sub-frames in frames; ``v2.0001`` and ``v2.0002`` are frames 1 and 2 of a second version."""
 
 
 def is_pattern(path: Path) -> bool:
@@ -43,15 +48,16 @@ def is_pattern(path: Path) -> bool:
     return _FRAME_PATTERN.search(path.name) is not None
 
 
-def frame_file_name(pattern: Path, number: int) -> str:
+def frame_file_name(pattern: Path, number: float) -> str:
     """Insert a frame number into the name of a pattern; a name without a placeholder is unchanged."""
-    return _FRAME_PATTERN.sub(lambda match: str(number).zfill(_digit_count(match)), pattern.name, count=1)
+    whole, point, part = format_number(number).partition(".")
+    return _FRAME_PATTERN.sub(lambda match: whole.zfill(_digit_count(match)) + point + part, pattern.name, count=1)
 
 
-def find_frame_files(path: Path, allow_gaps: bool, extension: str = ".obj") -> tuple[list[Path], list[int]]:
+def find_frame_files(path: Path, allow_gaps: bool, extension: str = ".obj") -> tuple[list[Path], list[float]]:
     """Return the files of a sequence and their frame numbers, in order of the numbers."""
     if path.is_file():
-        return [path], [0]
+        return [path], [0.0]
     if path.is_dir():
         numbered = _number_files(path, [file for file in path.iterdir() if file.suffix.lower() == extension])
     elif is_pattern(path):
@@ -62,36 +68,79 @@ def find_frame_files(path: Path, allow_gaps: bool, extension: str = ".obj") -> t
         raise FormatError(f"{path} does not exist")
     if not numbered:
         raise FormatError(f"{path}: there are no numbered files of this name")
-    numbered.sort()
     numbers = [number for number, _ in numbered]
     _check_numbers(path, numbered, allow_gaps)
     return [file for _, file in numbered], numbers
 
 
-def find_numbered_files(path: Path) -> list[tuple[int, Path]]:
-    """Return the files that match a pattern, with their frame numbers, unsorted."""
+def find_numbered_files(path: Path) -> list[tuple[float, Path]]:
+    """Return the files that match a pattern, with their frame numbers, in order of these."""
     placeholder = _FRAME_PATTERN.search(path.name)
     if placeholder is None or not path.parent.is_dir():
         return []
     before, after = path.name[: placeholder.start()], path.name[placeholder.end() :]
-    expression = re.compile(rf"{re.escape(before)}(\d{{{_digit_count(placeholder)},}}){re.escape(after)}")
+    digits = _digit_count(placeholder)  # a sign counts as one
+    number = rf"((?:\d|-(?=\d))\d{{{digits - 1},}}(?:\.\d+)?)"
+    expression = re.compile(rf"{re.escape(before)}{number}{re.escape(after)}")
     matches = ((expression.fullmatch(file.name), file) for file in path.parent.iterdir())
-    return [(int(match[1]), file) for match, file in matches if match]
+    numbered = sorted((float(match[1]), file) for match, file in matches if match)
+    has_subframes = _are_frames([number for number, _ in numbered])
+    return [each for each in numbered if has_subframes or each[0].is_integer()]
 
 
-def _number_files(path: Path, files: Iterable[Path]) -> list[tuple[int, Path]]:
-    """Return each file with the last number in its name; apart from this number all names must be equal."""
-    series: dict[str, list[tuple[int, Path]]] = defaultdict(list)
+class NumberedFiles(NamedTuple):
+    """The files of a sequence in a folder."""
+
+    pattern: str  # file name with ``#`` for the digits of the frame number; without a number, the name
+    files: list[tuple[float, Path]]  # by frame number, 0 if there is none
+
+
+def group_numbered_files(files: Iterable[Path]) -> list[NumberedFiles]:
+    """Group files whose names are equal without the last number.
+
+    Whole numbers count, with a sign after a separator. Numbers with sub-frames (``w_0001.5.obj``) and with a sign after
+    a letter (``w-1.obj``) count if otherwise one sequence would be several.
+    """
+    found: list[NumberedFiles] = []
+    for joined in _group(files, _LAST_NUMBER):
+        separate = _group([file for _, file in joined.files], _LAST_WHOLE_NUMBER)
+        is_one = len(separate) > 1 and _are_frames([number for number, _ in joined.files])
+        found += [joined] if is_one else separate
+    return found
+
+
+def _group(files: Iterable[Path], number_pattern: re.Pattern[str]) -> list[NumberedFiles]:
+    groups: dict[tuple[str, ...], list[tuple[str, Path]]] = defaultdict(list)
     for file in sorted(files):
-        if file.name.startswith("."):
-            continue
-        number = _LAST_NUMBER_PATTERN.search(file.stem)
-        pattern = _LAST_NUMBER_PATTERN.sub("*", file.stem) + file.suffix.lower()
-        series[pattern].append((int(number[1]) if number else 0, file))
+        number = number_pattern.search(file.stem)
+        before, _, after = number_pattern.sub("\0", file.stem).partition("\0")
+        groups[before, "#" * bool(number), after, file.suffix.lower()].append((number[0] if number else "0", file))
+    found = []
+    for (before, placeholder, after, _), group in groups.items():
+        digits = min(len(text.lstrip("-").partition(".")[0]) for text, _ in group)
+        pattern = f"{before}{digits * placeholder}{after}{group[0][1].suffix}"
+        found.append(NumberedFiles(pattern, sorted((float(text), file) for text, file in group)))
+    return found
+
+
+def _are_frames(numbers: Sequence[float]) -> bool:
+    """Whether increasing numbers are whole numbers, and maybe sub-frames of these."""
+    wholes = [number for number in numbers if float(number).is_integer()]
+    steps = [b - a for a, b in pairwise(numbers) if b > a]
+    return bool(wholes) and (len(wholes) == len(numbers) or min(steps) >= MIN_FRAME_STEP)
+
+
+def _missing_between(number: float, following: float) -> range:
+    return range(floor(number) + 1, ceil(following))
+
+
+def _number_files(path: Path, files: Iterable[Path]) -> list[tuple[float, Path]]:
+    """Return the files of a sequence with their numbers; without these, all names must be equal."""
+    series = group_numbered_files(file for file in files if not file.name.startswith("."))
     if len(series) > 1:
-        names = ", ".join(sorted(series)[:10])
+        names = ", ".join(sorted(each.pattern for each in series)[:10])
         raise AmbiguousError(f"{path} matches several sequences: {names}; give one of these patterns")
-    return next(iter(series.values()), [])
+    return series[0].files if series else []
 
 
 def _digit_count(placeholder: re.Match[str]) -> int:
@@ -100,15 +149,15 @@ def _digit_count(placeholder: re.Match[str]) -> int:
     return len(text) if text.startswith("#") else int(placeholder[1] or 1)
 
 
-def _check_numbers(path: Path, numbered: Sequence[tuple[int, Path]], allow_gaps: bool) -> None:
+def _check_numbers(path: Path, numbered: Sequence[tuple[float, Path]], allow_gaps: bool) -> None:
     missing = []
     for (number, file), (following, following_file) in pairwise(numbered):
         if number == following:
             raise InvalidSequenceError(
                 f"{path}: {file.name} and {following_file.name} have the same number; remove one"
             )
-        if following > number + 1:
-            missing.append(str(number + 1) if following == number + 2 else f"{number + 1}-{following - 1}")
+        if gap := _missing_between(number, following):
+            missing.append(f"{gap[0]}" if len(gap) == 1 else f"{gap[0]}-{gap[-1]}")
     if missing and not allow_gaps:
         more = ", ..." if len(missing) > 10 else ""
         raise InvalidSequenceError(
@@ -153,6 +202,9 @@ class FrameFormat:
         if not (np.isfinite(fps) and fps > 0):
             raise SettingsError(f"fps is {fps}; a positive number is expected")
         files, numbers = find_frame_files(path, allow_gaps, f".{self.name.lower()}")
+        name = files[0].stem
+        for _ in range(1 if numbers[0].is_integer() else 2):
+            name = name.rstrip("0123456789").rstrip("_-. ")
         with prefix_errors(files[0]):
             first = self.read(files[0])
             header = SequenceHeader(
@@ -160,7 +212,7 @@ class FrameFormat:
                 vertex_count=len(first.points),
                 times=np.array(numbers) / fps,
                 fps=fps,
-                name=first.name or files[0].stem.rstrip("0123456789").rstrip("_-. ") or "mesh",
+                name=first.name or name or "mesh",
                 surface=first.surface,
             )
         return _FilesReader(path, header, files, first, self)
@@ -180,8 +232,9 @@ class FrameFormat:
     ) -> None:
         """Write one file per frame, without velocities, named by a pattern such as ``walk_####.obj``.
 
-        Numbers begin at `start`, by default the first frame's number, or 1 if this number is negative or fractional.
-        Raise `OutputError` for failed writes or several frames without a pattern, `SettingsError` for negative `start`.
+        Numbers are those of the frames if they are whole and have no gaps, or are sub-frames between such; otherwise
+        they begin at 1. With `start`, they count from it. Raise `OutputError` for failed writes or several frames
+        without a pattern, `SettingsError` for negative `start`.
         """
         if start is not None and start < 0:
             raise SettingsError(f"start is {start}; files are numbered from 0 or more")
@@ -190,12 +243,20 @@ class FrameFormat:
                 f"{path}: {with_article(self.name)} holds one frame, this sequence has {header.frame_count}; give a "
                 f"pattern such as {path.stem.rstrip('*')}_####{path.suffix}"
             )
-        own = time_to_number(header.times[0], header.fps)  # number of the first frame
-        first = start if start is not None else int(own) if own >= 0 and own.is_integer() else 1
-        losses = lost_times(header, first if start is None else own)
+        numbers = np.array([time_to_number(time, header.fps) for time in header.times]).round(3)
+        counted = np.arange(header.frame_count)
+        is_lost = not _are_frames(numbers) or any(starmap(_missing_between, pairwise(numbers)))
+        if start is not None:
+            is_lost = bool(np.abs(numbers - numbers[0] - counted).max() > FRAME_TOLERANCE)
+        if is_lost or start is not None:
+            numbers = counted + (1 if start is None else start)
+        losses = ["the times of the frames"] * is_lost
+        if header.fps != DEFAULT_FPS:
+            losses.insert(0, f"{header.fps:g} frames per second")
+        losses *= header.frame_count > 1
         losses += lost_scale(header, velocities is not None) + self.find_losses(header)
         warn_of_losses(path, f"{self.name} files", losses)
-        names = [frame_file_name(path, number) for number in range(first, first + header.frame_count)]
+        names = [frame_file_name(path, number) for number in numbers]
         encode = self.make_encoder(path, header)
         with atomic_files(path) as folder:
             _, frame_blocks = validate_blocks(header, blocks, velocities)

@@ -3,7 +3,7 @@
 ``.npz``, written and read by `write_map`: arrays ``version`` (1), ``corners``, ``weights``, ``faces``, ``leaders`` and
 ``sizes`` of a `Correspondence`, and the checksums ``source`` and ``target`` of both meshes' triangles, which detect
 other meshes. Archives by other programs need ``vertices`` (V',), or ``triangles`` (F',), or both ``corners`` and
-``weights`` (V', 3), as in `mixseq.retargeting.matching`.
+``weights`` (V', 3), as in `mixseq.retargeting.correspond`.
 
 ``.json``: ``{"vertices": list}``, ``{"triangles": list}`` or ``{"barycentric": list}``, or only a list, which maps
 vertices. Each item of a list is a row in the form below, as a list of numbers.
@@ -36,8 +36,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, OutputError, SettingsError
+from mixseq.retargeting.correspond import RestMesh, from_barycentric, from_triangles, from_vertices
 from mixseq.retargeting.markers import Correspondence
-from mixseq.retargeting.matching import RestMesh, from_barycentric, from_triangles, from_vertices
 from mixseq.types import Float, IntArray, PathLike
 from mixseq_io.files import atomic_file
 from mixseq_io.npz import open_archive

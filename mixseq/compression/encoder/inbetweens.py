@@ -29,7 +29,7 @@ from mixseq.compression.encoder.trial import code_coefficients, round_coefficien
 from mixseq.errors import MixseqError, MixseqWarning, SettingsError
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.progress import Progress
-from mixseq.signals.between import largest_distance, quarter_times
+from mixseq.signals.decoding import largest_distance, quarter_times
 from mixseq.signals.model import Model
 from mixseq.spaces.temporal import insert_midpoints
 from mixseq.types import Float
