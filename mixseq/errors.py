@@ -7,6 +7,7 @@
     ├── SegmentationError      a segmentation that does not fit the mesh or the request
     ├── ReconstructionError    a point of the shape space for which no mesh was found
     ├── SettingsError          a setting outside its range, or two that exclude each other
+    │   └── SizeError          a size with no room for any motion
     ├── FormatError            a file that cannot be read: wrong type, damaged, too new
     │   ├── AmbiguousError     a file with several candidates, where one must be chosen
     │   └── NoMeshError        a file without a mesh, or without one on its skeleton
@@ -41,6 +42,10 @@ class ReconstructionError(MixseqError):
 
 class SettingsError(MixseqError):
     """A setting outside its range, or two settings that exclude each other."""
+
+
+class SizeError(SettingsError):
+    """A size in bytes with no room for any motion."""
 
 
 class FormatError(MixseqError):
