@@ -5,39 +5,35 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from mixseq.errors import AmbiguousError, FormatError
+from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError
 from mixseq.mesh.measures import choose_origin
-from mixseq.rigging.rigs import Morph, Skin
+from mixseq.mesh.rigid import nearest_rotations
+from mixseq.rigging.rigs import Morph, Skeleton, Skin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import bounding_diagonal
 from mixseq.types import Float, Index, Single
 from mixseq_io.reader import as_float32
 from mixseq_io.scene_meshes import format_names
 
-if TYPE_CHECKING:
-    from mixseq.rigging.rigs import Skeleton
-
+RigType = TypeVar("RigType", Skin, Morph)
 
 _ROUNDING_FRACTION = 4 * float(np.finfo(np.float32).eps)
 """Largest motion that counts as a rounding error, relative to the largest magnitude."""
 
 
-def move_skin(skin: Skin) -> tuple[Skin, Float]:
-    """Return a skin relative to the origin ``(3,)`` of its rest shape, see `choose_origin`, and this origin."""
-    origin = choose_origin(skin.rest)
-    skeleton = replace(skin.skeleton, pivots=skin.skeleton.pivots - origin)
-    moved = replace(skin, rest=skin.rest - origin, skeleton=skeleton, translations=skin.translations - origin)
-    return moved, origin
-
-
-def move_morph(morph: Morph) -> tuple[Morph, Float]:
-    """Return a morph relative to the origin ``(3,)`` of its base, see `choose_origin`, and this origin."""
-    origin = choose_origin(morph.base)
-    return replace(morph, base=morph.base - origin), origin
+def move_rig(rig: RigType) -> tuple[RigType, Float]:
+    """Return a rig relative to the origin ``(3,)`` of its rest or base shape, see `choose_origin`, and this origin."""
+    if isinstance(rig, Morph):
+        origin = choose_origin(rig.base)
+        return replace(rig, base=rig.base - origin), origin
+    origin = choose_origin(rig.rest)
+    skeleton = replace(rig.skeleton, pivots=rig.skeleton.pivots - origin)
+    return replace(rig, rest=rig.rest - origin, skeleton=skeleton, translations=rig.translations - origin), origin
 
 
 def four_influences(skin: Skin) -> tuple[Index, Single]:
@@ -80,10 +76,10 @@ def normalise_morph_weights(rig: Skin | Morph) -> Morph:
     )
 
 
-def numbered_names(prefix: str, count: int) -> list[str]:
-    """Return names with zero-padded numbers: "bone_00", "bone_01"."""
+def target_names(count: int) -> list[str]:
+    """Return names of morph targets with zero-padded numbers: "mode_00", "mode_01"."""
     width = max(2, len(str(count - 1)))
-    return [f"{prefix}_{number:0{width}d}" for number in range(count)]
+    return [f"mode_{number:0{width}d}" for number in range(count)]
 
 
 def remove_rounding_motion(values: Float, unit: float) -> Float:
@@ -95,10 +91,10 @@ def remove_rounding_motion(values: Float, unit: float) -> Float:
 
 def local_joint_transforms(skin: Skin, file_format: str, header: SequenceHeader | None = None) -> tuple[Single, Single]:
     """Return parent-relative rotations ``(T, B, 4)`` and translations ``(T, B, 3)`` in float32 for a file format."""
-    local = skin.local_motion()
-    rotations = remove_rounding_motion(local.rotations, 1.0).astype(np.float32)
-    translations = remove_rounding_motion(local.translations, bounding_diagonal(skin.rest))
-    return rotations, as_float32(translations, 0, file_format, "bone", header)
+    rotations, translations = skin.local_motion()
+    rotations = remove_rounding_motion(rotations, 1.0)
+    translations = remove_rounding_motion(translations, bounding_diagonal(skin.rest))
+    return rotations.astype(np.float32), as_float32(translations, 0, file_format, "bone", header)
 
 
 def choose_skeleton(file: Path, names: Sequence[tuple[str, ...]], name: str | None) -> int:
@@ -119,12 +115,6 @@ def choose_skeleton(file: Path, names: Sequence[tuple[str, ...]], name: str | No
 
 def build_skeleton(names: Sequence[str], parents: Sequence[int], bind: Float) -> Skeleton:
     """Build a skeleton from joints in any order, their parents (-1 for none) and bind matrices ``(B, 4, 4)``."""
-    from scipy.spatial.transform import Rotation
-
-    from mixseq.errors import InvalidSequenceError
-    from mixseq.mesh.rigid import nearest_rotations
-    from mixseq.rigging.rigs import Skeleton
-
     if not np.isfinite(bind).all():
         joint = int(np.argmin(np.isfinite(bind).all(axis=(1, 2))))
         raise InvalidSequenceError(f"the bind pose of joint {joint} ({names[joint]!r}) is not finite")

@@ -1,17 +1,23 @@
-"""Write skins and morphs to glTF and USD files, and read skeletons and bind poses from them."""
+"""Write skins and morphs to glTF and USD, read skeletons and bind poses, and measure the errors of written files."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from mixseq.errors import FormatError, OutputError
 from mixseq.runtime.public import public
-from mixseq.types import PathLike
+from mixseq.types import Float, FloatArray, IntArray, PathLike
 from mixseq_io.reader import check_regular_file, prefix_errors
 
 if TYPE_CHECKING:
     from mixseq.rigging.rigs import Morph, Skeleton, Skin
+    from mixseq.sequence.header import SequenceHeader
     from mixseq.sequence.sequence import MeshSequence
 
 
@@ -68,14 +74,13 @@ def write_rig(path: PathLike, rig: Skin | Morph) -> None:
 
 def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
     from mixseq.rigging.rigs import Skin
-    from mixseq_io.files import atomic_file
     from mixseq_io.gltf.codecs import open_buffer_writer
     from mixseq_io.gltf.rigs import create_morphed_scene, create_skinned_scene
     from mixseq_io.gltf.writer import standalone_losses, warn_of_changes
 
     layout = create_skinned_scene(rig) if isinstance(rig, Skin) else create_morphed_scene(rig)
     warn_of_changes(file, rig.header, standalone_losses(rig.header))
-    with atomic_file(file) as temporary, open_buffer_writer(file, temporary, layout):
+    with open_buffer_writer(file, layout):
         pass  # the layout already has all data
 
 
@@ -162,3 +167,73 @@ def _check_skeleton_file(file: Path) -> None:
     check_regular_file(file, "a file")
     if file.suffix.lower() not in RIG_EXTENSIONS:
         raise FormatError(f"{file}: skeletons are read from glTF and USD; give a file that ends in {_EXTENSION_LIST}")
+
+
+@dataclass(frozen=True)
+class RigErrors:
+    """Errors of a rig file, compared with its original sequence; formulas are in `mixseq.metrics`."""
+
+    max_error: float  # in diagonals
+    rms_error: float  # in diagonals
+    kg_percent: float
+
+
+def measure_rig_file(path: Path, sequence: MeshSequence) -> RigErrors:
+    """Compare a written rig with its sequence, at the times of its frames."""
+    from mixseq.metrics import error_ratio
+    from mixseq_io.registry import open_sequence
+
+    vertex_ids, rotation, scale = _placement(path, sequence.header)
+    largest = squares = spread = 0.0
+    with open_sequence(path, prim="/") as reader:
+        times = reader.header.times
+        # Frames are matched by nearest times: glTF has float32 times, and static files have a single frame.
+        nearest = np.searchsorted((times[1:] + times[:-1]) / 2, sequence.times)
+        for file_frame, written in enumerate(chain.from_iterable(reader.blocks())):
+            for points in sequence.points[nearest == file_frame]:
+                expected = points[vertex_ids].astype(np.float64) @ rotation
+                squared_distances = np.square(written.astype(np.float64) / scale - expected).sum(axis=1)
+                largest = max(largest, float(squared_distances.max()))
+                squares += float(squared_distances.sum())
+                spread += float(np.square(expected - expected.mean(axis=0)).sum())
+    return RigErrors(
+        max_error=error_ratio(np.sqrt(largest), sequence.diagonal),
+        rms_error=error_ratio(np.sqrt(squares / (sequence.frame_count * len(vertex_ids))), sequence.diagonal),
+        kg_percent=100 * error_ratio(np.sqrt(squares), np.sqrt(spread)),
+    )
+
+
+def measure_file_between(
+    path: Path, header: SequenceHeader, points_at: Callable[[Float], Iterable[FloatArray]]
+) -> float | None:
+    """Return the largest distance of a written file from a motion, at the quarters between its frames, in its units.
+
+    `points_at` returns the motion's points in blocks ``(B, V, 3)`` at times ``(N,)`` of the file. The result is None if
+    the file has other meshes as well.
+    """
+    from mixseq.signals.decoding import largest_distance, played_blocks, quarter_times
+    from mixseq_io.registry import open_sequence
+
+    vertex_ids, rotation, scale = _placement(path, header)
+    times = quarter_times(header.times)
+    expected = (block[:, vertex_ids] @ rotation for block in points_at(times))
+    with open_sequence(path, prim="/") as reader:
+        if reader.header.vertex_count != len(vertex_ids):
+            return None
+        return largest_distance(expected, (block / scale for block in played_blocks(reader, times)))
+
+
+def _placement(path: Path, header: SequenceHeader) -> tuple[IntArray, Float, float]:
+    """Return the vertices ``(n,)`` that a file has, and how it rotates ``(3, 3)`` and scales them."""
+    from mixseq_io.gltf.new_document import node_transform
+    from mixseq_io.scene_meshes import split_meshes
+
+    vertices = np.arange(header.vertex_count)
+    if path.suffix.lower() not in GLTF_EXTENSIONS:
+        return vertices, np.eye(3), 1.0
+    # glTF omits objects without polygons.
+    vertex_ids = [vertices[mesh.vertices] for mesh in split_meshes(header) if mesh.polygons.counts.size]
+    matrix = node_transform(header).get("matrix", np.eye(4))
+    scale = header.metres_per_unit
+    # The file stores columns, so rows are transposed.
+    return np.concatenate(vertex_ids), np.reshape(matrix, (4, 4))[:3, :3] / scale, scale

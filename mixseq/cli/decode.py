@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mixseq.sequence.header import SequenceHeader
     from mixseq.sequence.sequence import Frames, MeshSequence
     from mixseq.signals.decoding import Decodable
-    from mixseq_io.rig_measuring import RigErrors
+    from mixseq_io.rig_files import RigErrors
     from mixseq_io.vat.writer import TextureName, VatReport
 
 
@@ -71,7 +71,7 @@ def _hold_rig_between(
     kind: str, sequence: MeshSequence, motion: Decodable, progress: Progress, max_error: float, **settings: Any
 ) -> tuple[Skin | Morph, MeshSequence]:
     """Fit a rig to as many frames of a motion as keep the bound between them; also return these frames."""
-    from mixseq.signals.between import hold_between, largest_distance, quarter_times
+    from mixseq.signals.decoding import hold_between, largest_distance, quarter_times
 
     def fit(frames: MeshSequence, bound: float) -> tuple[tuple[Skin | Morph, MeshSequence], float]:
         rig, times = _fit_rig(kind, frames, progress, max_error=bound, **settings), quarter_times(frames.times)
@@ -116,8 +116,8 @@ def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
 
 def _measure_rig(path: Path, rig: Skin | Morph, sequence: MeshSequence, bound: float | None) -> RigErrors:
     """Measure a written rig; raise an error if rounding to single precision breaks a bound that the rig keeps."""
-    from mixseq.signals.between import largest_distance
-    from mixseq_io.rig_measuring import measure_rig_file
+    from mixseq.signals.decoding import largest_distance
+    from mixseq_io.rig_files import measure_rig_file
 
     measured = measure_rig_file(path, sequence)
     if bound is None or measured.max_error <= bound:
@@ -135,8 +135,8 @@ def rows(
 ) -> list[tuple[str, str]]:
     """Return table rows about the contents of a written rig file, and its distance from the sequence and the motion."""
     from mixseq.rigging.rigs import Skin
-    from mixseq_io.rig_files import GLTF_EXTENSIONS
-    from mixseq_io.rig_measuring import measure_file_between, size_with_frame_targets
+    from mixseq_io.gltf.new_document import size_with_frame_targets
+    from mixseq_io.rig_files import GLTF_EXTENSIONS, measure_file_between
 
     diagonal = sequence.diagonal * sequence.metres_per_unit
     first, last = rig.header.times[[0, -1]]

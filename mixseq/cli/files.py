@@ -126,7 +126,7 @@ def between_rows(
     `points_at` returns points of the motion ``(B, V, 3)`` at times ``(N,)`` of the file.
     """
     from mixseq.sequence.sequence import UnitConversion, reference_diagonal
-    from mixseq_io.rig_measuring import measure_file_between
+    from mixseq_io.rig_files import measure_file_between
 
     if path.suffix.lower() not in GLTF_EXTENSIONS or header.frame_count == 1:
         return []
@@ -455,7 +455,7 @@ def picture_path(target: Path, what: str, picture: Path | None = None, no_pictur
 
 def check_picture(picture: Path) -> None:
     """Raise an error before the work if a picture has an unsupported extension or the drawing library is missing."""
-    from mixseq.pictures.page import import_matplotlib
+    from mixseq.pictures.charts import import_matplotlib
 
     if picture.suffix.lower() != ".png":
         raise OutputError(f"{picture}: the picture is a PNG file; end the name in .png")

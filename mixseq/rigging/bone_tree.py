@@ -41,7 +41,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree, shortest_path
 
 from mixseq.mesh.rigid import aligning_rotations
 from mixseq.rigging.bones import Binding
@@ -156,14 +156,13 @@ class _MotionFit:
 
     def fit_translations(self, bone: int) -> None:
         """Fit the translations of a bone, which move the bone and its subtree."""
-        residual, weight = self.subtree_residual(bone)
+        residual, weight = self._subtree_residual(bone)
         if weight > _ROTATION_STIFFNESS:
-            lever = self._subtree_lever(bone)
-            self._apply(lever[None], (self.products @ lever)[:, None], residual[None] / weight)
+            self._translate_subtree(bone, residual / weight)
 
     def fit_joint(self, bone: int) -> None:
         """Fit the position of a joint; a shift of the joint moves the subtree of its bone."""
-        residual, weight = self.subtree_residual(bone)
+        residual, weight = self._subtree_residual(bone)
         if weight <= _ROTATION_STIFFNESS:
             return
         # Transposed differences between the rotations of parent and bone.
@@ -171,10 +170,9 @@ class _MotionFit:
         normal = weight * (np.einsum("ati,bti->ab", d, d) + _JOINT_STIFFNESS * d.shape[1] * np.eye(3))
         step = np.linalg.solve(normal, np.einsum("ati,ti->a", d, residual.reshape(-1, 3)))
         self.pivots[bone] += step
-        lever = self._subtree_lever(bone)
-        self._apply(lever[None], (self.products @ lever)[:, None], (step @ d.reshape(3, -1))[None])
+        self._translate_subtree(bone, step @ d.reshape(3, -1))
 
-    def subtree_residual(self, bone: int) -> tuple[Float, float]:
+    def _subtree_residual(self, bone: int) -> tuple[Float, float]:
         """Return the residual ``(3T,)`` summed over the subtree of a bone, and the sum of h_v^2."""
         lever = self._subtree_lever(bone)
         return lever @ self.residual, float(lever @ self.products @ lever)
@@ -189,6 +187,10 @@ class _MotionFit:
         lever[self.descendants[bone], 3] = 1.0
         return lever.reshape(-1)
 
+    def _translate_subtree(self, bone: int, change: Float) -> None:
+        lever = self._subtree_lever(bone)
+        self._apply(lever[None], (self.products @ lever)[:, None], change[None])
+
     def _apply(self, lever: Float, products: Float, change: Float) -> None:
         self.motions += (lever.T @ change).reshape(self.motions.shape)
         self.residual -= products @ change
@@ -202,7 +204,7 @@ _NO_CONTACT_SEPARATION = 1.0  # penalty added to the separation of bones without
 def build_bone_tree(faces: Index, binding: Binding, motions: Float) -> tuple[Index, Joints]:
     """Build a tree of bones with motions ``(B, 4, 3T)``; return the bones ``(B,)``, parents first, and the joints."""
     bone_count, frame_count = len(motions), motions.shape[2] // 3
-    weights = _weight_matrix(binding, bone_count)
+    weights = sparse.csr_array(binding.matrix(bone_count)[:, 3::4])
     masses = np.asarray(weights.sum(axis=0), dtype=np.float64).reshape(-1)
     is_touching, middles = _contacts(faces, weights, binding.rest, masses)
     flat = motions.reshape(4 * bone_count, -1)
@@ -225,12 +227,6 @@ def build_bone_tree(faces: Index, binding: Binding, motions: Float) -> tuple[Ind
     return order, Joints(parents, joint_positions, parents < 0)
 
 
-def _weight_matrix(binding: Binding, bone_count: int) -> sparse.csr_array:
-    vertices = np.repeat(np.arange(len(binding.rest)), binding.weights.shape[1])
-    entries = (binding.weights.reshape(-1), (vertices, binding.influences.reshape(-1)))
-    return sparse.csr_array(entries, shape=(len(binding.rest), bone_count))
-
-
 def _contacts(faces: Index, weights: sparse.csr_array, rest: Float, masses: Float) -> tuple[Mask, Float]:
     """Return contacts ``(B, B)`` of bones, and contact middles ``(B, B, 3)`` (else the lighter bone's centre)."""
     corners = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
@@ -250,21 +246,10 @@ def _contacts(faces: Index, weights: sparse.csr_array, rest: Float, masses: Floa
 
 def _order_from_root(links: sparse.csr_array, masses: Float) -> tuple[Index, Index]:
     """Return the bones ``(B,)`` of a tree, parents first, and the position of each bone's parent in this order."""
-    bone_count = len(masses)
-
-    def order_from(root: int) -> tuple[Index, Index]:
-        order, predecessors = breadth_first_order(links, root, directed=False)
-        positions = np.empty(bone_count, dtype=np.int64)
-        positions[order] = np.arange(bone_count)
-        predecessors = predecessors[order]
-        parents = np.where(predecessors < 0, -1, positions[np.maximum(predecessors, 0)])
-        return order.astype(np.int64), parents.astype(np.int64)
-
-    def depth(root: int) -> float:
-        order, parents = order_from(root)
-        depths = np.zeros(bone_count)
-        for position, parent in enumerate(parents.tolist()):
-            depths[position] = 0 if parent < 0 else depths[parent] + 1
-        return float(depths @ masses[order])
-
-    return order_from(min(range(bone_count), key=depth))
+    depths = shortest_path(links, directed=False, unweighted=True)
+    order, predecessors = breadth_first_order(links, int((depths @ masses).argmin()), directed=False)
+    positions = np.empty(len(masses), dtype=np.int64)
+    positions[order] = np.arange(len(masses))
+    predecessors = predecessors[order]
+    parents = np.where(predecessors < 0, -1, positions[np.maximum(predecessors, 0)])
+    return order.astype(np.int64), parents.astype(np.int64)

@@ -181,25 +181,31 @@ class FreeBones:
 
     binding: Binding  # skinning weights, and rest positions in diagonals
     motions: Float  # (B, 4, 3T) transposed motions
-    errors: tuple[float, float]  # largest distance from the sequence in diagonals, and KG error in percent
+    errors: tuple[float, float]  # see `measure_errors`
 
 
 def fit_free_bones(
     sequence: Centred, bones: int | ArrayLike | None, rounds: int, report: Callable[[int], None]
 ) -> FreeBones:
     """Fit free bones; `bones` is their largest number, labels ``(F,)`` of triangles, or None for segmented parts."""
-    tracks = sequence.tracks
-    binding, motions = decompose_tracks(tracks, *_initial_labels(sequence, bones), rounds, report)
+    binding, motions = decompose_tracks(sequence.tracks, *_initial_labels(sequence, bones), rounds, report)
+    return FreeBones(binding, motions, measure_errors(sequence.tracks, binding, motions))
+
+
+def measure_errors(tracks: Float, binding: Binding, motions: Float) -> tuple[float, float]:
+    """Return the largest distance from tracks ``(V, 3T)`` in diagonals, and the KG error in percent."""
     residuals = tracks - binding.matrix(len(motions)) @ motions.reshape(-1, motions.shape[2])
     squares = np.square(residuals).reshape(len(residuals), -1, 3).sum(axis=2)
     spread = float(np.square(tracks).sum()) or 1.0
-    errors = float(np.sqrt(squares.max())), 100 * float(np.sqrt(squares.sum() / spread))
-    return FreeBones(binding, motions, errors)
+    return float(np.sqrt(squares.max())), 100 * float(np.sqrt(squares.sum() / spread))
 
 
-def fit_tree_skin(sequence: Centred, free: FreeBones, rounds: int, report: Callable[[int], None]) -> Skin:
-    """Connect free bones to a tree, and return the skin of all bones that move vertices."""
+def fit_tree_skin(
+    sequence: Centred, free: FreeBones, rounds: int, report: Callable[[int], None]
+) -> tuple[Skin, tuple[float, float]]:
+    """Connect free bones to a tree; return the skin of all bones that move vertices, and its errors."""
     binding, motions, joints = connect_bones(sequence, free, rounds, report)
+    errors = measure_errors(sequence.tracks, binding, motions)
     is_kept = joints.moves_vertices(binding)
     new_ids = np.cumsum(is_kept) - 1
     parents = joints.parents[is_kept]
@@ -207,7 +213,7 @@ def fit_tree_skin(sequence: Centred, free: FreeBones, rounds: int, report: Calla
     pivots = sequence.diagonal * joints.pivots[is_kept] + origin
     skeleton = replace(Skeleton.from_pivots(pivots), parents=np.where(parents < 0, -1, new_ids[parents]))
     binding = replace(binding, influences=new_ids[binding.influences])
-    return sequence.to_skin(binding, motions[is_kept], skeleton, origin)
+    return sequence.to_skin(binding, motions[is_kept], skeleton, origin), errors
 
 
 def _initial_labels(sequence: Centred, bones: int | ArrayLike | None) -> tuple[Index, int]:

@@ -100,13 +100,13 @@ def fit_correctives(skin: Skin, points: Float, bound: float, max_targets: int) -
     )
     displacements = np.empty_like(points)
     for frame, block in enumerate(without_targets.blocks(1)):
-        mean_rotations = _mean_rotations(without_targets, rotations[frame])
+        mean_rotations = without_targets.blend_matrices(rotations[frame])
         normal = np.swapaxes(mean_rotations, 1, 2) @ mean_rotations + _PULLBACK_DAMPING * np.eye(3)
         right_side = np.einsum("vji,vj->vi", mean_rotations, points[frame] - block[0])
         displacements[frame] = np.linalg.solve(normal, right_side[:, :, None])[:, :, 0]
 
     def measure_distances(frame: int, residual: Float) -> Float:
-        skinned = np.einsum("vij,vj->vi", _mean_rotations(without_targets, rotations[frame]), residual)
+        skinned = np.einsum("vij,vj->vi", without_targets.blend_matrices(rotations[frame]), residual)
         return np.asarray(np.linalg.norm(skinned, axis=1))
 
     shapes, weights, _ = fit_targets(displacements, bound, max_targets, measure_distances)
@@ -121,17 +121,9 @@ def _prevent_collapse(skin: Skin, rotations: Float) -> Float:
     """Return skinning weights with a single bone for every vertex whose mean rotation is nearly singular."""
     determinants = np.full(len(skin.rest), np.inf)
     for frame_rotations in rotations:
-        np.minimum(determinants, np.linalg.det(_mean_rotations(skin, frame_rotations)), out=determinants)
+        np.minimum(determinants, np.linalg.det(skin.blend_matrices(frame_rotations)), out=determinants)
     single = np.eye(1, BONES_PER_VERTEX)
     return np.where(determinants[:, None] < _MIN_ROTATION_DETERMINANT, single, skin.weights)
-
-
-def _mean_rotations(skin: Skin, rotations: Float) -> Float:
-    """Return the mean rotation ``(V, 3, 3)`` of every vertex by skinning weights: rotations ``(B, 3, 3)``."""
-    means = np.zeros((len(skin.rest), 3, 3))
-    for column in range(BONES_PER_VERTEX):
-        means += skin.weights[:, column, None, None] * rotations[skin.influences[:, column]]
-    return means
 
 
 MAX_BONES = 128
@@ -192,20 +184,6 @@ def _predict_count(rough_error: Callable[[int], float], too_few: int, limit: int
         else:
             too_few = middle
     return count
-
-
-def measure_errors(skin: Skin, sequence: Centred) -> tuple[float, float]:
-    r"""Return the largest distance from a sequence in diagonals, and the KG error in percent.
-
-    .. math:: KG = 100 \frac{\lVert y - x \rVert_F}{\lVert x - \bar x \rVert_F}
-    """
-    largest = squares = spread = 0.0
-    for frame, block in enumerate(skin.blocks(1)):
-        squared_distances = np.square(block[0] - sequence.points[frame]).sum(axis=1)
-        largest = max(largest, float(squared_distances.max()))
-        squares += float(squared_distances.sum())
-        spread += float(np.square(sequence.points[frame] - sequence.centres[frame]).sum())
-    return float(np.sqrt(largest)) / sequence.diagonal, 100 * float(np.sqrt(squares / (spread or 1.0)))
 
 
 @public
@@ -300,7 +278,7 @@ def fit_skin(
 
             if max_error is None and kg is None:
                 free = fit_free_bones(centred, bones, rounds, report)
-                skin = fit_tree_skin(centred, free, rounds, lambda done: report(rounds + done))
+                skin, _ = fit_tree_skin(centred, free, rounds, lambda done: report(rounds + done))
             else:
                 skin = _fit_to_error(centred, max_error, kg, rounds, report)
         if correctives is None:
@@ -378,8 +356,8 @@ def _fit_to_error(
         return fit_free_bones(sequence, count, rounds, report)
 
     def fit_tree(count: int) -> tuple[Skin, float]:
-        skin = fit_tree_skin(sequence, free_bones(count), rounds, lambda done: report(rounds + done))
-        return skin, measure_errors(skin, sequence)[index]
+        skin, errors = fit_tree_skin(sequence, free_bones(count), rounds, lambda done: report(rounds + done))
+        return skin, errors[index]
 
     max_count = min(MAX_BONES, len(sequence.header.faces))
     skin, reached = fit_fewest_bones(

@@ -16,21 +16,17 @@ parts minimises the size of the textures. The constants were chosen empirically.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
 
-from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.rigging.bones import Centred, label_vertices, merge_bones
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.runtime.public import public
 from mixseq.segmentation.methods import segment
-from mixseq.sequence.header import SequenceHeader
-from mixseq.sequence.sequence import Frames, check_frames
+from mixseq.sequence.sequence import Frames
 from mixseq.types import Float, Index
 
 _PART_COUNT_RATIO = 2 / 3  # ratio of successive numbers of parts in the search
@@ -42,62 +38,25 @@ _MIN_GAIN_SHARE = 0.1  # smallest gain of a reassignment, relative to the bound;
 
 @dataclass(frozen=True, eq=False)
 class LowRank:
-    """Sequence of a mesh whose parts are sums of basis vectors."""
+    """Frames of a mesh whose parts are sums of basis vectors."""
 
-    header: SequenceHeader  # mesh and times
     parts: Index  # (V,) part of every vertex, 0 to P - 1
     basis: Float  # (V, K) basis vectors, scaled to a maximum magnitude of 1 in each part; unused vectors are 0
     coefficients: Float  # (T, P, K, 3) coefficients of the basis vectors in every frame, in the file's units
-
-    def __post_init__(self) -> None:
-        vertices, rank = self.basis.shape
-        frames, parts = self.coefficients.shape[:2]
-        fits = (
-            vertices == self.header.vertex_count == len(self.parts)
-            and frames == self.header.frame_count
-            and self.coefficients.shape[2:] == (rank, 3)
-            and (not vertices or (self.parts.min() >= 0 and self.parts.max() < parts))
-        )
-        if not fits:
-            raise InvalidSequenceError(
-                f"{len(self.parts)} parts of vertices, a basis {self.basis.shape} and coefficients "
-                f"{self.coefficients.shape} do not fit {self.header.frame_count} frames of "
-                f"{self.header.vertex_count} vertices"
-            )
 
     @property
     def rank(self) -> int:
         """Number of basis vectors K."""
         return int(self.basis.shape[1])
 
-    def blocks(self, size: int = 16) -> Iterator[Float]:
-        """Iterate over the points in blocks ``(n, V, 3)`` of at most `size` frames."""
-        for start in range(0, self.header.frame_count, size):
-            frames = self.coefficients[start : start + size]
-            yield np.stack([np.einsum("vk,vki->vi", self.basis, frame[self.parts]) for frame in frames])
 
-    def points(self) -> Float:
-        """Return all frames ``(T, V, 3)``."""
-        return np.concatenate(list(self.blocks()))
-
-
-@public
-def fit_low_rank(
-    sequence: Frames, max_error: float = 1e-3, parts: int | None = None, progress: Progress = no_progress
-) -> LowRank:
-    """Fit a sequence within `max_error`, in diagonals, by few basis vectors in at most `parts` parts.
-
-    All frames are held in memory as float64. Raises InvalidSequenceError if `sequence` is not a sequence, and
-    SettingsError if `max_error` is not positive.
-    """
-    check_frames(sequence)
-    if not max_error > 0:
-        raise SettingsError(f"max_error is {max_error:g}; a positive number of diagonals is expected")
+def fit_low_rank(sequence: Frames, max_error: float, progress: Progress = no_progress) -> LowRank:
+    """Fit a sequence within `max_error`, in diagonals, by few basis vectors per part."""
     centred = Centred.from_sequence(sequence)
     header, points, diagonal = centred.header, centred.points, centred.diagonal
     faces = header.faces.astype(np.int64)
     with one_blas_thread():
-        labels = segment(points, Topology(faces, header.vertex_count), parts=parts)
+        labels = segment(points, Topology(faces, header.vertex_count))
         start = label_vertices(faces, labels, header.vertex_count)
         trajectories = points.swapaxes(0, 1).reshape(header.vertex_count, -1) / diagonal
         clusters = _fit_clusters(trajectories, start, max_error, progress)
@@ -106,14 +65,13 @@ def fit_low_rank(
     for part in range(clusters.count):
         is_own = clusters.parts == part
         directions = clusters.vectors(part)
-        coordinates = trajectories[is_own] @ directions.T
+        coordinates, rank = trajectories[is_own] @ directions.T, len(directions)
         scale = np.abs(coordinates).max(axis=0, initial=0)
         scale[scale == 0] = 1
-        rank = len(directions)
         basis[is_own, :rank] = coordinates / scale
         shapes = (directions * scale[:, None] * diagonal).reshape(rank, header.frame_count, 3)
         coefficients[:, part, :rank] = shapes.swapaxes(0, 1)
-    return LowRank(header, clusters.parts, basis, coefficients)
+    return LowRank(clusters.parts, basis, coefficients)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ Skins and morphs yield blocks of frames like `mixseq.sequence.sequence.MeshSeque
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -32,7 +33,7 @@ from scipy.spatial.transform import Rotation
 
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import read_only
-from mixseq.mesh.rotations import quat_to_matrix
+from mixseq.mesh.rotations import align_quat_signs, normalise_quat, quat_to_matrix
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
 
@@ -78,15 +79,12 @@ class Skeleton:
         invalid = [name for name, uses in Counter(self.names).items() if not name or uses > 1]
         if invalid:
             raise InvalidSequenceError(f"the name {invalid[0]!r} of a bone is empty or occurs twice; rename it")
-        parents = np.asarray(self.parents, dtype=np.int64)
-        if parents.shape != (count,):
-            raise InvalidSequenceError(f"parents have shape {parents.shape}; ({count},) is expected")
-        object.__setattr__(self, "parents", read_only(parents))
-        is_early = (parents < -1) | (parents >= np.arange(count))
+        _set_array(self, "parents", (count,), np.int64)
+        is_early = (self.parents < -1) | (self.parents >= np.arange(count))
         if is_early.any():
             bone = int(np.argmax(is_early))
             raise InvalidSequenceError(
-                f"the parent of bone {bone} is {parents[bone]}; a bone before it, or -1 for none, is expected"
+                f"the parent of bone {bone} is {self.parents[bone]}; a bone before it, or -1 for none, is expected"
             )
         _set_array(self, "pivots", (count, 3))
         _set_array(self, "axes", (count, 4))
@@ -110,14 +108,14 @@ class Skeleton:
         """Number of bones B."""
         return len(self.names)
 
-    def local_rest(self) -> LocalMotion:
+    def local_rest(self) -> tuple[Float, Float]:
         """Return rotations ``(B, 4)`` and translations ``(B, 3)`` of the joints at rest, relative to their parents."""
         identity = np.tile([0.0, 0.0, 0.0, 1.0], (1, self.bone_count, 1))
-        rest = self.to_local(identity, self.pivots[None])
-        return LocalMotion(rest.rotations[0], rest.translations[0])
+        rotations, translations = self.to_local(identity, self.pivots[None])
+        return rotations[0], translations[0]
 
-    def to_local(self, rotations: Float, translations: Float) -> LocalMotion:
-        """Convert a world motion, R ``(T, B, 4)`` and c ``(T, B, 3)``, to motions relative to the parents."""
+    def to_local(self, rotations: Float, translations: Float) -> tuple[Float, Float]:
+        """Convert a world motion, R ``(T, B, 4)`` and c ``(T, B, 3)``, to Q and q relative to the parents."""
         local_rotations, local_translations = np.empty_like(rotations), np.array(translations)
         world = [Rotation.from_quat(rotations[:, bone]) * self._axes(bone) for bone in range(self.bone_count)]
         for bone, parent in enumerate(self.parents.tolist()):
@@ -127,17 +125,17 @@ class Skeleton:
             local_rotations[:, bone] = (world[parent].inv() * world[bone]).as_quat()
             offsets = translations[:, bone] - translations[:, parent]
             local_translations[:, bone] = world[parent].apply(offsets, inverse=True)
-        return LocalMotion(local_rotations, local_translations)
+        return local_rotations, local_translations
 
-    def to_world(self, local: LocalMotion) -> tuple[Float, Float]:
-        """Convert motions relative to the parents to a world motion, R ``(T, B, 4)`` and c ``(T, B, 3)``."""
-        rotations, translations = np.empty_like(local.rotations), np.array(local.translations)
+    def to_world(self, local_rotations: Float, local_translations: Float) -> tuple[Float, Float]:
+        """Convert motions Q ``(T, B, 4)`` and q ``(T, B, 3)`` relative to the parents to a world motion, R and c."""
+        rotations, translations = np.empty_like(local_rotations), np.array(local_translations)
         world: list[Rotation] = []
         for bone, parent in enumerate(self.parents.tolist()):
-            rotation = Rotation.from_quat(local.rotations[:, bone])
+            rotation = Rotation.from_quat(local_rotations[:, bone])
             world.append(rotation if parent < 0 else world[parent] * rotation)
             if parent >= 0:
-                offsets = world[parent].apply(local.translations[:, bone])
+                offsets = world[parent].apply(local_translations[:, bone])
                 translations[:, bone] = translations[:, parent] + offsets
             rotations[:, bone] = (world[bone] * self._axes(bone).inv()).as_quat()
         return rotations, translations
@@ -146,16 +144,27 @@ class Skeleton:
         return Rotation.from_quat(self.axes[bone])
 
 
+class _RigFrames(ABC):
+    """Frames of a rig, computed on demand."""
+
+    header: SequenceHeader
+
+    @abstractmethod
+    def _frames(self, frames: slice) -> Float:
+        """Return the points ``(n, V, 3)`` of a range of frames."""
+
+    def blocks(self, size: int = 16) -> Iterator[Float]:
+        """Iterate over the points in blocks ``(n, V, 3)`` of at most `size` frames."""
+        for start in range(0, self.header.frame_count, size):
+            yield self._frames(slice(start, start + size))
+
+    def points(self) -> Float:
+        """Return all frames ``(T, V, 3)``."""
+        return np.concatenate(list(self.blocks()))
+
+
 @dataclass(frozen=True, eq=False)
-class LocalMotion:
-    """Rotations and translations of joints relative to their parents; roots are relative to the world."""
-
-    rotations: Float  # (..., B, 4) unit quaternions x, y, z, w, from joint axes to parent axes
-    translations: Float  # (..., B, 3) offsets from the parent's joint, in the parent's axes
-
-
-@dataclass(frozen=True, eq=False)
-class Skin:
+class Skin(_RigFrames):
     """Mesh skinned to moving bones, optionally with morph targets.
 
     Attributes
@@ -204,11 +213,7 @@ class Skin:
         _set_array(self, "weights", (v, BONES_PER_VERTEX))
         _set_array(self, "targets", (m, v, 3))
         _set_array(self, "target_weights", (t, m))
-        object.__setattr__(self, "influences", read_only(np.asarray(self.influences, dtype=np.int64)))
-        if self.influences.shape != (v, BONES_PER_VERTEX):
-            raise InvalidSequenceError(
-                f"influences have shape {self.influences.shape}; ({v}, {BONES_PER_VERTEX}) is expected"
-            )
+        _set_array(self, "influences", (v, BONES_PER_VERTEX), np.int64)
         is_outside = (self.influences < 0) | (self.influences >= b)
         if is_outside.any():
             vertex, column = np.argwhere(is_outside)[0]
@@ -241,20 +246,10 @@ class Skin:
         """Pivots p ``(B, 3)`` of the bones in the rest shape."""
         return self.skeleton.pivots
 
-    def local_motion(self) -> LocalMotion:
+    def local_motion(self) -> tuple[Float, Float]:
         """Return rotations ``(T, B, 4)``, without sign flips, and translations ``(T, B, 3)`` relative to parents."""
-        local = self.skeleton.to_local(self.rotations, self.translations)
-        return replace(local, rotations=remove_sign_flips(local.rotations))
-
-    def blocks(self, size: int = 16) -> Iterator[Float]:
-        """Iterate over the points in blocks ``(n, V, 3)`` of at most `size` frames."""
-        for start in range(0, self.header.frame_count, size):
-            frames = range(start, min(start + size, self.header.frame_count))
-            yield np.stack([self._frame(frame) for frame in frames])
-
-    def points(self) -> Float:
-        """Return all frames ``(T, V, 3)``."""
-        return np.concatenate(list(self.blocks()))
+        rotations, translations = self.skeleton.to_local(self.rotations, self.translations)
+        return remove_sign_flips(rotations), translations
 
     def resampled(self, times: ArrayLike, fps: float | None = None) -> Skin:
         """Resample the skin at other times, interpolating keys as engines do.
@@ -278,12 +273,10 @@ class Skin:
         """
         header = self.header.with_times(times, fps)
         before, after, fraction = _bracket_times(self.header, header.times)
-        local = self.local_motion()
-        p, q = local.rotations[before], local.rotations[after]
-        q = q * np.where(np.sum(p * q, axis=2, keepdims=True) < 0, -1.0, 1.0)
-        rotations = _slerp(p, q, fraction[:, None, None])
-        translations = _interpolate(local.translations, before, after, fraction)
-        rotations, translations = self.skeleton.to_world(LocalMotion(rotations, translations))
+        rotations, translations = self.local_motion()
+        rotations = slerp(rotations[before], rotations[after], fraction[:, None, None])
+        translations = _interpolate(translations, before, after, fraction)
+        rotations, translations = self.skeleton.to_world(rotations, translations)
         return replace(
             self,
             header=header,
@@ -292,20 +285,28 @@ class Skin:
             target_weights=_interpolate(self.target_weights, before, after, fraction),
         )
 
+    def _frames(self, frames: slice) -> Float:
+        return np.stack([self._frame(frame) for frame in range(self.header.frame_count)[frames]])
+
     def _frame(self, frame: int) -> Float:
         """Return the points ``(V, 3)`` of a frame by linear blend skinning."""
         rotations = rotation_matrices(self.rotations[frame])
         offsets = self.translations[frame] - np.einsum("bij,bj->bi", rotations, self.pivots)
         motions = np.concatenate([rotations, offsets[:, :, None]], axis=2)
         shape = self.rest + np.einsum("m,mvi->vi", self.target_weights[frame], self.targets)
-        blended = np.zeros((len(shape), 3, 4))
-        for column in range(BONES_PER_VERTEX):
-            blended += self.weights[:, column, None, None] * motions[self.influences[:, column]]
+        blended = self.blend_matrices(motions)
         return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], shape) + blended[:, :, 3])
+
+    def blend_matrices(self, matrices: Float) -> Float:
+        """Return the mean matrix ``(V, 3, k)`` of every vertex by skinning weights: matrices ``(B, 3, k)``."""
+        blended = np.zeros((len(self.rest), *matrices.shape[1:]))
+        for column in range(BONES_PER_VERTEX):
+            blended += self.weights[:, column, None, None] * matrices[self.influences[:, column]]
+        return blended
 
 
 @dataclass(frozen=True, eq=False)
-class Morph:
+class Morph(_RigFrames):
     """Mesh with morph targets (blend shapes).
 
     Attributes
@@ -336,16 +337,9 @@ class Morph:
         _set_array(self, "targets", (m, v, 3))
         _set_array(self, "weights", (t, m))
 
-    def blocks(self, size: int = 16) -> Iterator[Float]:
-        """Iterate over the points in blocks ``(n, V, 3)`` of at most `size` frames."""
-        flat = self.targets.reshape(len(self.targets), self.base.size)
-        for start in range(0, self.header.frame_count, size):
-            displacements = self.weights[start : start + size] @ flat
-            yield self.base + displacements.reshape(-1, *self.base.shape)
-
-    def points(self) -> Float:
-        """Return all frames ``(T, V, 3)``."""
-        return np.concatenate(list(self.blocks()))
+    def _frames(self, frames: slice) -> Float:
+        displacements = self.weights[frames] @ self.targets.reshape(len(self.targets), self.base.size)
+        return np.asarray(self.base + displacements.reshape(-1, *self.base.shape))
 
     def resampled(self, times: ArrayLike, fps: float | None = None) -> Morph:
         """Resample the morph at other times, by linear interpolation of weights.
@@ -363,31 +357,26 @@ class Morph:
 
 
 def rotation_matrices(quaternions: FloatArray) -> Float:
-    """Return the rotation matrices ``(..., 3, 3)`` of unit quaternions ``(..., 4)`` in the order x, y, z, w."""
+    """Return the rotation matrices ``(..., 3, 3)`` of quaternions ``(..., 4)``, in the order x, y, z, w."""
     return quat_to_matrix(np.roll(quaternions, 1, axis=-1))
 
 
 def remove_sign_flips(quaternions: FloatArray) -> Float:
     """Choose signs of quaternions ``(T, ..., 4)``: w >= 0 in the first frame, then closest to the previous frame."""
-    q = np.array(quaternions, dtype=np.float64)
-    flips = np.ones(q.shape[:-1])
-    flips[:1] = np.where(q[:1, ..., 3] < 0, -1.0, 1.0)
-    flips[1:] = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0, -1.0, 1.0)
-    return np.asarray(q * np.cumprod(flips, axis=0)[..., None])
+    identity = np.broadcast_to([0.0, 0.0, 0.0, 1.0], quaternions.shape[1:])
+    return align_quat_signs(quaternions, identity)
 
 
-def _slerp(p: Float, q: Float, fraction: Float) -> Float:
-    """Interpolate spherically from unit quaternions p to q, which are less than half a turn apart."""
+def slerp(p: Float, q: Float, fraction: Float) -> Float:
+    """Interpolate unit quaternions ``(..., 4)`` spherically from p to q, along the shorter arc."""
+    q = np.where(np.sum(p * q, axis=-1, keepdims=True) < 0, -q, q)
     # The angle is computed from chord lengths, which is accurate for small angles.
     chord, sum_length = (np.linalg.norm(each, axis=-1, keepdims=True) for each in (p - q, p + q))
     angle = 2 * np.arctan2(chord, sum_length)
-    sine = np.sin(angle)
-    is_small = sine < 1e-8
-    safe_sine = np.where(is_small, 1.0, sine)
-    first = np.where(is_small, 1 - fraction, np.sin((1 - fraction) * angle) / safe_sine)
-    second = np.where(is_small, fraction, np.sin(fraction * angle) / safe_sine)
-    blended = first * p + second * q
-    return np.asarray(blended / np.linalg.norm(blended, axis=-1, keepdims=True))
+    is_small = np.sin(angle) < 1e-8
+    first = np.where(is_small, 1 - fraction, np.sin((1 - fraction) * angle))
+    second = np.where(is_small, fraction, np.sin(fraction * angle))
+    return normalise_quat(first * p + second * q)
 
 
 def _bracket_times(header: SequenceHeader, times: Float) -> tuple[Index, Index, Float]:
@@ -410,9 +399,9 @@ def _interpolate(values: Float, before: Index, after: Index, fraction: Float) ->
     return np.asarray((1 - fraction) * values[before] + fraction * values[after])
 
 
-def _set_array(rig: object, name: str, shape: tuple[int, ...]) -> None:
-    """Replace an array of a rig by a read-only float64 array; raise if its shape differs from `shape`."""
-    array = np.ascontiguousarray(getattr(rig, name), dtype=np.float64)
+def _set_array(rig: object, name: str, shape: tuple[int, ...], dtype: type = np.float64) -> None:
+    """Replace an array of a rig by a read-only array of finite numbers; raise if its shape differs from `shape`."""
+    array = np.ascontiguousarray(getattr(rig, name), dtype=dtype)
     if array.shape != shape:
         raise InvalidSequenceError(f"{name} have shape {array.shape}; {shape} is expected")
     if not np.isfinite(array).all():

@@ -14,7 +14,7 @@ from mixseq.creature import walk_cycle
 from mixseq.rigging.rigs import Morph, Skin
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray
-from mixseq_io.rig_measuring import measure_rig_file
+from mixseq_io.rig_files import measure_rig_file
 from tests.blender.environment import show
 from tests.blender.live_rows import LiveRow
 from tests.blender.seen import Seen

@@ -14,7 +14,7 @@ import mixseq
 from mixseq.errors import MixseqWarning
 from mixseq.rigging.bones import Centred
 from mixseq.rigging.decomposition import fit_free_bones, fit_tree_skin
-from mixseq.rigging.fitting import fit_fewest_bones, fit_skin, measure_errors
+from mixseq.rigging.fitting import fit_fewest_bones, fit_skin
 from tests.rigging.test_rig_fitting import skinned_bar
 
 
@@ -75,22 +75,14 @@ def test_bones_that_are_too_far_off_are_hung_only_if_no_others_are_allowed() -> 
 
 
 @pytest.mark.slow
-def test_errors_of_free_bones_are_those_of_their_shapes() -> None:
+def test_errors_are_those_of_a_comparison() -> None:
     sequence = skinned_bar()
     centred = Centred.from_sequence(sequence)
     free = fit_free_bones(centred, 1, 60, lambda _: None)
-    skin = fit_tree_skin(centred, free, 60, lambda _: None)
-    assert free.errors == pytest.approx(measure_errors(skin, centred), rel=1e-3)
-
-
-@pytest.mark.slow
-def test_errors_are_those_of_a_comparison() -> None:
-    sequence = skinned_bar()
-    skin = fit_skin(sequence, 1)
+    skin, errors = fit_tree_skin(centred, free, 60, lambda _: None)
     found = mixseq.compare(sequence, skin)
-    assert measure_errors(skin, Centred.from_sequence(sequence)) == pytest.approx(
-        (found.max_error, found.kg_percent), rel=1e-6
-    )
+    assert errors == pytest.approx((found.max_error, found.kg_percent), rel=1e-6)
+    assert free.errors == pytest.approx(errors, rel=1e-3)
 
 
 @pytest.mark.slow

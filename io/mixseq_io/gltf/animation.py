@@ -15,6 +15,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from mixseq.errors import FormatError, SettingsError
+from mixseq.rigging.rigs import slerp
 from mixseq.types import Float, FloatArray, Index, Single
 from mixseq_io.gltf.document import Document, Fields
 from mixseq_io.gltf.primitives import Weld, count_targets, read_deltas, read_influences
@@ -152,21 +153,6 @@ def hermite(a: Float, out_tangent: Float, b: Float, in_tangent: Float, s: Float)
         + (3 * s**2 - 2 * s**3) * b
         + (s**3 - s**2) * in_tangent
     )
-
-
-_MIN_SLERP_ANGLE = 1e-6
-"""Angle in radians below which an arc differs from a straight line by rounding only."""
-
-
-def slerp(a: Float, b: Float, s: Float) -> Float:
-    """Interpolate quaternions from `a` to `b` ``(n, 4)`` along the shorter arc, at fractions `s` ``(n, 1)``."""
-    cosine = np.sum(a * b, axis=1, keepdims=True)
-    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    is_straight = angle < _MIN_SLERP_ANGLE
-    sine = np.where(is_straight, 1.0, np.sin(angle))
-    first = np.where(is_straight, 1 - s, np.sin((1 - s) * angle) / sine)
-    second = np.where(is_straight, s, np.sin(s * angle) / sine)
-    return first * a + np.where(cosine < 0, -second, second) * b
 
 
 def evaluate_pose(channels: Collection[Channel], times: Float, step_times: Float | None = None) -> Pose:

@@ -21,9 +21,11 @@ import struct
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
@@ -33,6 +35,7 @@ from numpy.typing import NDArray
 from mixseq.errors import MissingExtraError, OutputError
 from mixseq.types import Single
 from mixseq.version import __version__
+from mixseq_io.files import atomic_file
 from mixseq_io.gltf.document import DRACO_EXTENSION, MESHOPT_EXTENSIONS, Document, Fields, element_layout
 from mixseq_io.isolation import call_isolated
 from mixseq_io.surfaces import colours_to_bytes
@@ -131,22 +134,20 @@ class BufferWriter:
 
     def put(self, offset: int, data: Iterable[Chunk]) -> None:
         """Write the chunks of a view that begins at `offset`."""
-        self._append(bytes(offset - self.position))
-        for chunk in data:
-            self._append(chunk.tobytes() if isinstance(chunk, np.ndarray) else bytes(chunk))
-
-    def _append(self, data: bytes) -> None:
-        self._write(data)
-        self.position += len(data)
+        for chunk in chain([bytes(offset - self.position)], data):
+            content = chunk.tobytes() if isinstance(chunk, np.ndarray) else bytes(chunk)
+            self._write(content)
+            self.position += len(content)
 
 
 @contextmanager
-def open_buffer_writer(path: Path, temporary: Path, layout: Layout) -> Iterator[BufferWriter]:
-    """Write the data of a layout; on exit from the context, complete the buffer and write the final document."""
+def open_buffer_writer(path: Path, layout: Layout) -> Iterator[BufferWriter]:
+    """Write the data of a layout; on exit from the context, complete the buffer and the document in the file."""
     is_binary = path.suffix.lower() == ".glb"
     layout.document["buffers"] = [{"byteLength": layout.length}]
     _check_size(path, layout, is_binary)
-    with temporary.open("wb") as file, (_write_glb if is_binary else _write_text)(file, layout) as writer:
+    write = _write_glb if is_binary else _write_text
+    with atomic_file(path) as temporary, temporary.open("wb") as file, write(file, layout) as writer:
         for offset, data in layout.contents:
             writer.put(offset, data)
         yield writer
@@ -241,8 +242,8 @@ class _AccessorLayout:
 
     unique_id: int | None
     dtype: np.dtype[Any]
-    count: int
     width: int
+    count: int
 
     @property
     def size(self) -> int:
@@ -298,18 +299,13 @@ _ATTRIBUTE_NAMES = {0: "POSITION", 1: "NORMAL", 2: "COLOR_0", 3: "TEXCOORD_0"}
 """glTF attribute names by Draco type."""
 
 
-@dataclass(frozen=True, eq=False)
-class DracoTriangles:
-    """Compressed triangles, with the decoded attributes ``(n, k)`` and the Draco ids of attributes by glTF name."""
+def compress_triangles(
+    triangles: NDArray[np.uint32], attributes: Mapping[str, Single]
+) -> tuple[bytes, int, dict[str, tuple[int, NDArray[Any]]]] | None:
+    """Compress triangles ``(F, 3)`` and attributes ``(n, k)`` by glTF name; return None if none has an area.
 
-    data: bytes
-    attributes: Mapping[str, NDArray[Any]]
-    attribute_ids: Mapping[str, int]
-    triangle_count: int
-
-
-def compress_triangles(triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> DracoTriangles | None:
-    """Compress triangles ``(F, 3)`` and attributes ``(n, k)`` by glTF name; return None if none has an area."""
+    The bytes, the number of triangles, and the Draco id and decoded values of each attribute are returned.
+    """
     if find_spec("DracoPy") is None:
         raise MissingExtraError(
             "a compressed still needs DracoPy: pip install 'mixseq[gltf]', or write a plain one (--still plain)"
@@ -334,110 +330,82 @@ def compress_triangles(triangles: NDArray[np.uint32], attributes: Mapping[str, S
         return None
     except (DracoPy.FileTypeException, ValueError) as error:
         raise OutputError(f"Draco cannot compress the first frame ({error}); use --still plain") from error
-    by_name = {_ATTRIBUTE_NAMES[each["attribute_type"]]: each for each in decoded.attributes}
-    return DracoTriangles(
-        data,
-        {name: attribute["data"] for name, attribute in by_name.items()},
-        {name: int(attribute["unique_id"]) for name, attribute in by_name.items()},
-        len(decoded.faces),
-    )
+    coded = {
+        _ATTRIBUTE_NAMES[each["attribute_type"]]: (int(each["unique_id"]), each["data"]) for each in decoded.attributes
+    }
+    return data, len(decoded.faces), coded
 
 
 def decompress_document(document: Document) -> Document:
     """Return an uncompressed form of a document, whose compressed data are unpacked on access."""
-    edit = _Decompression(document)
-    for index, view in enumerate(document.items("bufferViews")):
-        extensions = view.object("extensions")
-        name = next((name for name in MESHOPT_EXTENSIONS if name in extensions), None)
-        if name is not None:
-            edit.unpack_view(index, view, extensions.object(name))
-    for mesh_index, mesh in enumerate(document.items("meshes")):
-        for index, primitive in enumerate(mesh.objects("primitives")):
-            if DRACO_EXTENSION in primitive.object("extensions"):
-                edit.unpack_primitive(mesh_index, index, primitive)
-    return edit.document()
+    compressions = (DRACO_EXTENSION, *MESHOPT_EXTENSIONS)
+    views = [
+        (index, view, view.object("extensions").object(name))
+        for index, view in enumerate(document.items("bufferViews"))
+        for name in [each for each in MESHOPT_EXTENSIONS if each in view.object("extensions")][:1]
+    ]
+    primitives = [
+        (mesh_index, index, primitive)
+        for mesh_index, mesh in enumerate(document.items("meshes"))
+        for index, primitive in enumerate(mesh.objects("primitives"))
+        if DRACO_EXTENSION in primitive.object("extensions")
+    ]
+    declared = {member: document.top.texts(member) for member in ("extensionsUsed", "extensionsRequired")}
+    if not (views or primitives or any(name in names for names in declared.values() for name in compressions)):
+        return document
+    edited = replace(document, json=deepcopy(document.json), unpackers={})
+    for member, names in declared.items():
+        edited.json.pop(member, None)
+        others = [name for name in names if name not in compressions]
+        if others:
+            edited.json[member] = others
+    for buffer in edited.json.get("buffers", ()):
+        buffer.pop("extensions", None)
+    for index, view, packed in views:
+        _replace_view(document, edited, index, view, packed)
+    for mesh_index, index, primitive in primitives:
+        _replace_primitive(document, edited, primitive)
+        entry = edited.json["meshes"][mesh_index]["primitives"][index]
+        del entry["extensions"][DRACO_EXTENSION]
+        if not entry["extensions"]:
+            del entry["extensions"]
+    return edited
 
 
-class _Decompression:
-    """Conversion of a document's compressed views and primitives to uncompressed ones."""
+def _replace_view(document: Document, edited: Document, index: int, view: Fields, packed: Fields) -> None:
+    """Let a meshopt-compressed view of the edited document refer to a buffer of unpacked data."""
+    count, stride = packed.integer("count"), packed.integer("byteStride")
+    if stride < 1 or count * stride != view.integer("byteLength"):
+        raise packed.error(
+            f"has {count} elements of {stride} bytes, unlike the length of the view; the file is damaged"
+        )
+    document.check_effort(-(-count * stride // 4), packed.place)
+    buffer = append(edited.json, "buffers", {"byteLength": count * stride})
+    edited.unpackers[buffer] = partial(_unpack_view, document, packed)
+    kept = {key: value for key, value in view.values.items() if key in ("byteStride", "target", "name")}
+    edited.json["bufferViews"][index] = {"buffer": buffer, "byteLength": count * stride, **kept}
 
-    def __init__(self, document: Document) -> None:
-        self._compressed = document
-        self._json = dict(document.json)
-        for kind in ("accessors", "buffers", "bufferViews", "meshes"):
-            if kind in self._json:
-                self._json[kind] = list(self._json[kind])
-        self._unpackers: dict[int, Callable[[], bytes]] = {}
-        self._unpacked_accessors: set[int] = set()
 
-    def document(self) -> Document:
-        """Return the converted document."""
-        for member in ("extensionsUsed", "extensionsRequired"):
-            names = self._compressed.top.texts(member)
-            others = [name for name in names if name not in (DRACO_EXTENSION, *MESHOPT_EXTENSIONS)]
-            self._json.pop(member, None)
-            if others:
-                self._json[member] = others
-        if "buffers" in self._json:
-            self._json["buffers"] = [
-                {key: value for key, value in each.items() if key != "extensions"} for each in self._json["buffers"]
-            ]
-        return replace(self._compressed, json=self._json, unpackers=self._unpackers)
-
-    def unpack_view(self, index: int, view: Fields, packed: Fields) -> None:
-        """Let a meshopt-compressed view refer to a buffer of unpacked data."""
-        count, stride = packed.integer("count"), packed.integer("byteStride")
-        if stride < 1 or count * stride != view.integer("byteLength"):
-            raise packed.error(
-                f"has {count} elements of {stride} bytes, unlike the length of the view; the file is damaged"
-            )
-        self._compressed.check_effort(-(-count * stride // 4), packed.place)
-        buffer = self._add_buffer(count * stride, partial(_unpack_view, self._compressed, packed))
-        kept = {key: value for key, value in view.values.items() if key in ("byteStride", "target", "name")}
-        self._json["bufferViews"][index] = {"buffer": buffer, "byteLength": count * stride, **kept}
-
-    def unpack_primitive(self, mesh: int, index: int, primitive: Fields) -> None:
-        """Let accessors without uncompressed data refer to the unpacked data of a Draco primitive."""
-        packed = primitive.object("extensions").object(DRACO_EXTENSION)
-        ids, attributes = packed.object("attributes"), primitive.object("attributes")
-        position = attributes.index("POSITION")
-        if position is not None and "bufferView" not in self._compressed.item("accessors", position):
-            indices = primitive.integer("indices")
-            accessors = {attributes.integer(name): ids.integer(name) for name in ids.values}
-            layouts = [self._layout(indices, None), *(self._layout(*each) for each in accessors.items())]
-            sizes = [_align(layout.size) for layout in layouts]
-            self._compressed.check_effort(sum(sizes) // 2, packed.place)
-            unpack = partial(_unpack_primitive, self._compressed, packed, layouts, sizes)
-            buffer = self._add_buffer(sum(sizes), unpack)
-            starts = np.cumsum([0, *sizes]).tolist()
-            for accessor, layout, start in zip((indices, *accessors), layouts, starts, strict=False):
-                if accessor not in self._unpacked_accessors:  # primitives may share accessors
-                    view = {"buffer": buffer, "byteOffset": start, "byteLength": layout.size}
-                    self._set_view(accessor, view)
-        self._remove_extension(mesh, index)
-
-    def _layout(self, accessor: int, unique_id: int | None) -> _AccessorLayout:
-        fields = self._compressed.item("accessors", accessor)
-        dtype, width = element_layout(fields)
-        return _AccessorLayout(unique_id, dtype, fields.integer("count"), width)
-
-    def _set_view(self, accessor: int, view: Json) -> None:
-        self._unpacked_accessors.add(accessor)
-        reference = {"bufferView": append(self._json, "bufferViews", view), "byteOffset": 0}
-        self._json["accessors"][accessor] = {**self._json["accessors"][accessor], **reference}
-
-    def _remove_extension(self, mesh: int, index: int) -> None:
-        entry = self._json["meshes"][mesh]
-        primitive = dict(entry["primitives"][index])
-        extensions = dict(primitive.pop("extensions"))
-        del extensions[DRACO_EXTENSION]
-        if extensions:
-            primitive["extensions"] = extensions
-        primitives = [*entry["primitives"][:index], primitive, *entry["primitives"][index + 1 :]]
-        self._json["meshes"][mesh] = {**entry, "primitives": primitives}
-
-    def _add_buffer(self, length: int, unpack: Callable[[], bytes]) -> int:
-        """Add a buffer that is unpacked when read; return its index."""
-        index = append(self._json, "buffers", {"byteLength": length})
-        self._unpackers[index] = unpack
-        return index
+def _replace_primitive(document: Document, edited: Document, primitive: Fields) -> None:
+    """Let accessors without uncompressed data refer to the unpacked data of a Draco primitive."""
+    packed = primitive.object("extensions").object(DRACO_EXTENSION)
+    ids, attributes = packed.object("attributes"), primitive.object("attributes")
+    position = attributes.index("POSITION")
+    if position is None or "bufferView" in document.item("accessors", position):
+        return
+    unique_ids: dict[int, int | None] = {primitive.integer("indices"): None}
+    unique_ids |= {attributes.integer(name): ids.integer(name) for name in ids.values}
+    layouts = []
+    for accessor, unique_id in unique_ids.items():
+        fields = document.item("accessors", accessor)
+        layouts.append(_AccessorLayout(unique_id, *element_layout(fields), fields.integer("count")))
+    sizes = [_align(layout.size) for layout in layouts]
+    document.check_effort(sum(sizes) // 2, packed.place)
+    buffer, start = append(edited.json, "buffers", {"byteLength": sum(sizes)}), 0
+    edited.unpackers[buffer] = partial(_unpack_primitive, document, packed, layouts, sizes)
+    for accessor, layout, size in zip(unique_ids, layouts, sizes, strict=True):
+        entry = edited.json["accessors"][accessor]
+        if "bufferView" not in entry:  # primitives may share accessors
+            view = {"buffer": buffer, "byteOffset": start, "byteLength": layout.size}
+            entry.update(bufferView=append(edited.json, "bufferViews", view), byteOffset=0)
+        start += size

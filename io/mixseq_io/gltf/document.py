@@ -283,7 +283,7 @@ class Document:
     json: dict[str, Any]
     chunk: Data | None
     size: int
-    unpackers: Mapping[int, Callable[[], bytes]] = field(default_factory=dict, repr=False)
+    unpackers: dict[int, Callable[[], bytes]] = field(default_factory=dict, repr=False)
     _buffers: dict[int, Data] = field(default_factory=dict, repr=False)
 
     @cached_property

@@ -1,17 +1,5 @@
 """Reader and writer of the glTF extension ``MIXSEQ_mesh_sequence``: frames as the streams of a compressed model.
 
-::
-
-    "meshes": [{
-        "primitives": [...],                 the first frame, for viewers without the extension
-        "extensions": {"MIXSEQ_mesh_sequence": {
-            "version": 1,                    of compressed models
-            "coding": 5,                     buffer view: the JSON text
-            "streams": 6,                    buffer view: the index, then all streams
-            "polygons": [0, 120, 1, 80]      if there are several primitives: the first 120 polygons are of primitive
-        }}                                   0, the next 80 of primitive 1, and so on
-    }]
-
 The text and streams are identical to the text and streams of an HDF5 file. They hold vertices, faces, texture
 coordinates and hard edges, so a decoder reads only materials from primitives. Specification: ``docs/file-format.md``.
 
@@ -23,7 +11,7 @@ and still are relative to the origin of the text, at which the node is.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from copy import deepcopy
 from pathlib import Path
 
@@ -39,11 +27,9 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Single
 from mixseq_io.coded.packing import pack
 from mixseq_io.coded.streams import Container
-from mixseq_io.files import atomic_file, check_memory
+from mixseq_io.files import check_memory
 from mixseq_io.gltf.codecs import (
-    ARRAY_BUFFER,
     COMPONENT_TYPES,
-    ELEMENT_ARRAY_BUFFER,
     FLOAT_COMPONENT,
     GENERATOR_NAME,
     UNSIGNED_COMPONENT,
@@ -65,16 +51,14 @@ from mixseq_io.gltf.document import (
     open_data,
     read_glb_chunks,
 )
-from mixseq_io.gltf.edits import collect_extensions, read_image
+from mixseq_io.gltf.edits import collect_extensions, embed_image, iterate_references
 from mixseq_io.gltf.new_document import (
     SplitPrimitive,
-    add_colours,
     add_material,
+    add_triangles,
     assign_face_sets,
-    flip_v,
     material_name,
     name_member,
-    narrow_indices,
     node_transform,
     split_primitives,
 )
@@ -96,7 +80,7 @@ def has_sequence(path: Path) -> bool:
         text, _ = read_glb_chunks(path, data)
     if f'"{SEQUENCE_EXTENSION}"'.encode() not in text:  # avoids parsing files without a sequence
         return False
-    return next(_iterate_sequences(load_document(path)), None) is not None
+    return bool(_list_sequences(load_document(path)))
 
 
 def read_container(path: Path) -> Container:
@@ -121,7 +105,7 @@ def overhead_size(path: Path) -> int:
 
 def _find_sequence(document: Document) -> Fields:
     """Return the extension object of the only mesh sequence."""
-    sequences = list(_iterate_sequences(document))
+    sequences = _list_sequences(document)
     if not sequences:
         raise FormatError(f"{document.path} has no compressed model; make one with mixseq encode --max-error")
     if len(sequences) > 1:
@@ -129,11 +113,9 @@ def _find_sequence(document: Document) -> Fields:
     return sequences[0]
 
 
-def _iterate_sequences(document: Document) -> Iterator[Fields]:
-    for mesh in document.items("meshes"):
-        extensions = mesh.object("extensions")
-        if SEQUENCE_EXTENSION in extensions:
-            yield extensions.object(SEQUENCE_EXTENSION)
+def _list_sequences(document: Document) -> list[Fields]:
+    extensions = [mesh.object("extensions") for mesh in document.items("meshes")]
+    return [each.object(SEQUENCE_EXTENSION) for each in extensions if SEQUENCE_EXTENSION in each]
 
 
 def _read_data(document: Document, extension: Fields, key: str) -> bytes:
@@ -144,76 +126,41 @@ def _read_data(document: Document, extension: Fields, key: str) -> bytes:
 
 
 def copy_materials(layout: Layout, names: Collection[str], origin: Origin | None) -> dict[str, int]:
-    """Copy materials of the original file into a document; return the indices of the copies by name."""
+    """Copy the first material of each name from the original file; return the indices of the copies by name."""
     if origin is None or origin.format != "glTF" or not names:
         return {}
     path = Path(origin.path)
     try:
         with translate_read_errors(path, "glTF", *MALFORMED_JSON_ERRORS):
-            return _Copier(layout, load_document(path)).copy_materials(names)
+            original = load_document(path)
+            copied: dict[tuple[str, int], int] = {}
+            indices: dict[str, int] = {}
+            for index, fields in enumerate(original.items("materials")):
+                name = fields.text("name") or f"material {index}"
+                if name in names and name not in indices:
+                    indices[name] = _copy_entry(layout, original, copied, "materials", index)
+            return indices
     except FormatError as error:
         warn(f"{error}; materials keep their names, but are plain")
         return {}
 
 
-class _Copier:
-    """Copier of entries from an original to a new document; every entry is copied once."""
-
-    def __init__(self, layout: Layout, original: Document) -> None:
-        self._layout, self._original = layout, original
-        self._copied: dict[tuple[str, int], int] = {}
-
-    def copy_materials(self, names: Collection[str]) -> dict[str, int]:
-        """Copy the first material of each name; return the indices of the copies by name."""
-        indices: dict[str, int] = {}
-        for index, fields in enumerate(self._original.items("materials")):
-            name = fields.text("name") or f"material {index}"
-            if name in names and name not in indices:
-                indices[name] = self._copy("materials", index)
-        return indices
-
-    def _copy(self, kind: str, index: int) -> int:
-        """Copy an entry of a list and all entries that it references; return its new index."""
-        if (kind, index) not in self._copied:
-            original = self._original.top.objects(kind)[index]
-            entry = deepcopy(dict(original.values))
-            if kind == "images":
-                self._embed_image(entry, original)
-            for owner, key, target in _iterate_references(kind, entry):
-                owner[key] = self._copy(target, Fields(original.file, original.place, owner).integer(key))
-            self._copied[kind, index] = append(self._layout.document, kind, entry)
-        return self._copied[kind, index]
-
-    def _embed_image(self, entry: Json, image: Fields) -> None:
-        if "bufferView" in image:
-            view = self._original.item("bufferViews", image.integer("bufferView"))
-            content = self._original.read_view(view)
+def _copy_entry(layout: Layout, original: Document, copied: dict[tuple[str, int], int], kind: str, index: int) -> int:
+    """Copy an entry of a list and all entries that it references, unless they are `copied`; return its new index."""
+    if (kind, index) not in copied:
+        fields = original.top.objects(kind)[index]
+        entry = deepcopy(dict(fields.values))
+        if kind == "images" and "bufferView" not in entry:
+            embed_image(layout, entry, fields)
+        elif kind == "images":
+            content = original.read_view(original.item("bufferViews", fields.integer("bufferView")))
+            entry["bufferView"] = layout.add([content], len(content))
         else:
-            try:
-                content, entry["mimeType"] = read_image(image)
-            except FormatError as error:
-                warn(f"{error}; the image is not copied, only the reference to it")
-                return
-        entry.pop("uri", None)
-        entry["bufferView"] = self._layout.add([content], len(content))
-
-
-def _iterate_references(kind: str, entry: Json) -> Iterator[tuple[Json, str, str]]:
-    """Yield every reference of a material or texture as its owner, its member and the list it refers to."""
-    if kind == "textures":
-        for owner in (entry, *entry.get("extensions", {}).values()):
-            if "source" in owner:
-                yield owner, "source", "images"
-        if "sampler" in entry:
-            yield entry, "sampler", "samplers"
-    elif kind == "materials":
-        stack = [entry]
-        while stack:
-            for key, value in stack.pop().items():
-                if isinstance(value, dict):
-                    stack.append(value)
-                    if key.endswith("Texture") and "index" in value:
-                        yield value, "index", "textures"
+            for owner, key, target in iterate_references(kind, entry):
+                reference = Fields(original.path, fields.place, owner).integer(key)
+                owner[key] = _copy_entry(layout, original, copied, target, reference)
+        copied[kind, index] = append(layout.document, kind, entry)
+    return copied[kind, index]
 
 
 def as_one_mesh(header: SequenceHeader) -> SceneMesh:
@@ -245,7 +192,7 @@ def add_still(
     """Add the primitives of a still of points ``(V, 3)`` to a document."""
     positions = as_float32(points[None], 0, "glTF")[0]
     normals = corner_normals(positions[None], mesh.polygons, mesh.hard_edges)[0].astype(np.float32)
-    add = {"draco": _add_draco, "plain": _add_plain, "none": _add_degenerate}[still]
+    add = {"draco": _add_draco, "plain": add_triangles, "none": _add_degenerate}[still]
     entries = []
     for each in split_primitives(mesh):
         entry = add(layout, *_select_used(each, positions, normals))
@@ -266,42 +213,29 @@ def _select_used(
         "POSITION": positions[primitive.vertex_ids[used]],
         "NORMAL": normals[primitive.normal_ids[used]],
     }
-    if primitive.uvs is not None:
-        attributes["TEXCOORD_0"] = flip_v(primitive.uvs[used])
-    if primitive.colours is not None:
-        attributes["COLOR_0"] = primitive.colours[used]
+    attributes |= {name: values[used] for name, values in primitive.attributes.items()}
     return corners.reshape(-1, 3).astype(np.uint32), attributes
-
-
-def _add_plain(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
-    accessors = {
-        name: add_colours(layout, values) if name == "COLOR_0" else layout.add_array(values, target=ARRAY_BUFFER)
-        for name, values in attributes.items()
-    }
-    layout.set_bounds(accessors["POSITION"], compute_bounds(attributes["POSITION"]))
-    return {
-        "attributes": accessors,
-        "indices": layout.add_array(narrow_indices(triangles.reshape(-1)), target=ELEMENT_ARRAY_BUFFER),
-    }
 
 
 def _add_draco(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
     compressed = compress_triangles(triangles, attributes)
     if compressed is None:
         warn("Draco compresses no triangles without area; the still of these is plain")
-        return _add_plain(layout, triangles, attributes)
-    view = layout.add([compressed.data], len(compressed.data))
+        return add_triangles(layout, triangles, attributes)
+    data, triangle_count, coded = compressed
+    view = layout.add([data], len(data))
     accessors = {
         name: _add_empty_accessor(layout, len(values), f"VEC{values.shape[1]}", COMPONENT_TYPES[values.dtype.str[1:]])
-        for name, values in compressed.attributes.items()
+        for name, (_, values) in coded.items()
     }
     if "COLOR_0" in accessors:
         layout.document["accessors"][accessors["COLOR_0"]]["normalized"] = True
-    layout.set_bounds(accessors["POSITION"], compute_bounds(compressed.attributes["POSITION"]))
+    layout.set_bounds(accessors["POSITION"], compute_bounds(coded["POSITION"][1]))
+    ids = {name: unique_id for name, (unique_id, _) in coded.items()}
     return {
         "attributes": accessors,
-        "indices": _add_empty_accessor(layout, 3 * compressed.triangle_count, "SCALAR", UNSIGNED_COMPONENT),
-        "extensions": {DRACO_EXTENSION: {"bufferView": view, "attributes": dict(compressed.attribute_ids)}},
+        "indices": _add_empty_accessor(layout, 3 * triangle_count, "SCALAR", UNSIGNED_COMPONENT),
+        "extensions": {DRACO_EXTENSION: {"bufferView": view, "attributes": ids}},
     }
 
 
@@ -336,7 +270,7 @@ def write_container(
 ) -> None:
     """Write a .glb with text, streams and a still of `points` ``(V, 3)``, whose node is at an origin ``(3,)``."""
     layout = _create_layout(header, points, origin, container, still)
-    with atomic_file(path) as temporary, open_buffer_writer(path, temporary, layout):
+    with open_buffer_writer(path, layout):
         pass
 
 

@@ -14,8 +14,9 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ from mixseq_io.gltf.codecs import (
     Layout,
     append,
     compute_bounds,
+    compute_glb_size,
 )
 from mixseq_io.gltf.edits import NO_OTHER_MOTION, OtherMotion
 from mixseq_io.reader import as_float32
@@ -150,6 +152,13 @@ class MorphFrameWriter:
         return written
 
 
+def size_with_frame_targets(header: SequenceHeader) -> int:
+    """Return the size in bytes of a .glb with a morph target per frame; the text of bounds may differ in length."""
+    layout, meshes = create_scene(header)
+    MorphFrameWriter(layout, meshes, header)
+    return compute_glb_size(layout)
+
+
 def create_animation(layout: Layout, header: SequenceHeader, keep_start: bool = False) -> tuple[int, Json]:
     """Add float32 key times ``(T,)`` of the frames; return their accessor, and an animation without channels.
 
@@ -181,7 +190,7 @@ def choose_start(header: SequenceHeader, keep_start: bool = False) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SplitPrimitive:
-    """Triangles ``(F, 3)`` of one material on n split vertices, with uvs ``(n, 2)`` (v up) and colours ``(n, 4)``.
+    """Triangles ``(F, 3)`` of one material on n split vertices, with attributes ``(n, k)`` by glTF name.
 
     Split vertices are copies of the mesh vertices `vertex_ids` ``(n,)``, with the shared normals `normal_ids` ``(n,)``
     (see `mixseq.mesh.measures.corner_normals`).
@@ -189,8 +198,7 @@ class SplitPrimitive:
 
     vertex_ids: IntArray
     normal_ids: IntArray
-    uvs: Single | None
-    colours: Single | None
+    attributes: Mapping[str, Single]
     triangles: NDArray[np.uint32]
     face_set: FaceSet | None
 
@@ -201,7 +209,7 @@ def split_primitives(mesh: SceneMesh) -> list[SplitPrimitive]:
     Vertices keep their order within a primitive. Vertices without polygons belong to the first primitive.
     """
     owner_of_corner = np.repeat(assign_face_sets(mesh), mesh.polygons.counts)
-    layers = {name: layer for name, layer in (("uvs", mesh.uvs), ("colours", mesh.colours)) if layer is not None}
+    layers = {name: layer for name, layer in (("TEXCOORD_0", mesh.uvs), ("COLOR_0", mesh.colours)) if layer is not None}
     keys = {"vertices": mesh.polygons.indices, **{name: layer.indices for name, layer in layers.items()}}
     if mesh.hard_edges is not None:
         keys["normals"] = mesh.hard_edges
@@ -220,15 +228,16 @@ def split_primitives(mesh: SceneMesh) -> list[SplitPrimitive]:
         first, copies = _unique_tuples(list(own_keys.values()))
         split_vertex[corners] = copies[: corners.size]
         indices = {name: key[first] for name, key in own_keys.items()}
-        values = {name: layer.values[indices[name]] for name, layer in layers.items()}
+        attributes = {name: layer.values[indices[name]] for name, layer in layers.items()}
+        if "TEXCOORD_0" in attributes:
+            attributes["TEXCOORD_0"] = (attributes["TEXCOORD_0"] * (1, -1) + (0, 1)).astype(np.float32)  # v downwards
         # Unused vertices get normal 0: with hard edges, the vertex index is not a valid normal index.
         normal_ids = np.where(first < corners.size, indices.get("normals", indices["vertices"]), 0)
         primitives.append(
             SplitPrimitive(
                 vertex_ids=indices["vertices"],
                 normal_ids=normal_ids,
-                uvs=values.get("uvs"),
-                colours=values.get("colours"),
+                attributes=attributes,
                 triangles=split_vertex[triangles[own_triangles]],
                 face_set=None if owner < 0 else mesh.face_sets[owner],
             )
@@ -345,14 +354,7 @@ def _add_mesh(layout: Layout, scene_mesh: SceneMesh, name: str, materials: dict[
 def _add_primitive(
     layout: Layout, primitive: SplitPrimitive, scene_mesh: SceneMesh, materials: dict[str, int]
 ) -> MovingPrimitive:
-    attributes: dict[str, int] = {}
-    if primitive.uvs is not None:
-        attributes["TEXCOORD_0"] = layout.add_array(flip_v(primitive.uvs), target=ARRAY_BUFFER)
-    if primitive.colours is not None:
-        attributes["COLOR_0"] = add_colours(layout, primitive.colours)
-    indices = narrow_indices(primitive.triangles.reshape(-1))
-    entry: Json = {"attributes": attributes}
-    entry["indices"] = layout.add_array(indices, target=ELEMENT_ARRAY_BUFFER)
+    entry = add_triangles(layout, primitive.triangles, primitive.attributes)
     if primitive.face_set is not None:
         entry["material"] = add_material(layout.document, material_name(primitive.face_set), materials)
     moving = MovingPrimitive(entry, primitive.vertex_ids, primitive.normal_ids)
@@ -360,23 +362,24 @@ def _add_primitive(
     return moving
 
 
-def flip_v(uvs: Single) -> Single:
-    """Flip texture coordinates ``(n, 2)`` to v downwards, as in glTF."""
-    return (uvs * (1, -1) + (0, 1)).astype(np.float32)
+def add_triangles(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
+    """Add triangles ``(F, 3)`` and attributes ``(n, k)`` by glTF name; return the primitive's JSON entry."""
+    add = {"POSITION": layout.add_points, "COLOR_0": partial(_add_colours, layout)}
+    add_values = partial(layout.add_array, target=ARRAY_BUFFER)
+    accessors = {name: add.get(name, add_values)(values) for name, values in attributes.items()}
+    corners = triangles.reshape(-1)
+    # glTF reserves the largest uint16.
+    narrow = corners.astype(np.uint16) if corners.max(initial=0) < _MAX_UINT16_INDEX else corners
+    return {"attributes": accessors, "indices": layout.add_array(narrow, target=ELEMENT_ARRAY_BUFFER)}
 
 
-def add_colours(layout: Layout, colours: Single) -> int:
+def _add_colours(layout: Layout, colours: Single) -> int:
     """Add colours ``(n, 4)``, as bytes if bytes are exact; return their accessor's index."""
     exact = colours_to_exact_bytes(colours)
     accessor = layout.add_array(clip_to_unit(colours) if exact is None else exact, target=ARRAY_BUFFER)
     if exact is not None:
         layout.document["accessors"][accessor]["normalized"] = True
     return accessor
-
-
-def narrow_indices(indices: NDArray[np.uint32]) -> NDArray[np.uint32] | NDArray[np.uint16]:
-    """Return indices ``(n,)`` as uint16 if they fit; glTF reserves the largest uint16."""
-    return indices.astype(np.uint16) if indices.max(initial=0) < _MAX_UINT16_INDEX else indices
 
 
 def add_vertex_numbers(layout: Layout, primitive: MovingPrimitive, vertex_count: int) -> None:

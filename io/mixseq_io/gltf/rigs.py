@@ -42,10 +42,9 @@ from mixseq_io.reader import as_float32
 from mixseq_io.rig_arrays import (
     four_influences,
     local_joint_transforms,
-    move_morph,
-    move_skin,
+    move_rig,
     normalise_morph_weights,
-    numbered_names,
+    target_names,
 )
 
 _ACCESSOR_TYPES = {"translation": "VEC3", "rotation": "VEC4", "weights": "SCALAR"}
@@ -87,7 +86,7 @@ _MIN_SINGULAR_VALUE_RATIO = 1e-6
 
 def create_morphed_scene(morph: Morph) -> Layout:
     """Create a document of a mesh with morph targets and the animation of their weights."""
-    morph, origin = move_morph(morph)
+    morph, origin = move_rig(morph)
     layout, meshes = create_scene(morph.header, origin)
     add_animation(layout, morph.header, add_morph_targets(layout, meshes, normalise_morph_weights(morph)))
     return layout
@@ -104,7 +103,7 @@ def add_morph_targets(layout: Layout, meshes: Sequence[MovingMesh], morph: Morph
     for mesh in meshes:
         entry = layout.document["meshes"][layout.document["nodes"][mesh.node]["mesh"]]
         entry["weights"] = morph.weights[0].astype(np.float32).tolist()
-        entry["extras"] = {"targetNames": numbered_names("mode", len(targets))}
+        entry["extras"] = {"targetNames": target_names(len(targets))}
     return [Track([mesh.node for mesh in meshes], "weights", morph.weights.astype(np.float32))]
 
 
@@ -146,7 +145,7 @@ def create_skinned_scene(skin: Skin) -> Layout:
         raise OutputError(
             f"the skin has {skin.bone_count} bones, glTF allows {_MAX_BONE_COUNT}; fit it with fewer (bones=N)"
         )
-    skin, origin = move_skin(skin)
+    skin, origin = move_rig(skin)
     layout, meshes = create_meshes(skin.header)
     document = layout.document
     morph_tracks = add_morph_targets(layout, meshes, normalise_morph_weights(skin))

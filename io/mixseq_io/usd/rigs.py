@@ -31,10 +31,9 @@ from mixseq_io.rig_arrays import (
     choose_skeleton,
     four_influences,
     local_joint_transforms,
-    move_morph,
-    move_skin,
+    move_rig,
     normalise_morph_weights,
-    numbered_names,
+    target_names,
 )
 from mixseq_io.surfaces import RoundingMonitor
 from mixseq_io.usd.layers import (
@@ -101,7 +100,7 @@ def find_skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Pr
 
 def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
     """Author a skin or a morph in a layer."""
-    rig, origin = move_skin(rig) if isinstance(rig, Skin) else move_morph(rig)
+    rig, origin = move_rig(rig)
     shape = normalise_morph_weights(rig)
     prims = define_component(layer, target, rig.header, has_velocities=False, origin=origin)
     declare_attributes(layer, prims)
@@ -119,7 +118,7 @@ def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
     skeleton = UsdSkel.Skeleton.Define(stage, skeleton_path)
     animation = UsdSkel.Animation.Define(stage, skeleton.GetPath().AppendChild("animation"))
     codes = time_codes(rig.header.times, rig.header.fps)
-    shape_names = numbered_names("mode", len(shape.targets))
+    shape_names = target_names(len(shape.targets))
     if isinstance(rig, Skin):
         _define_joints(skeleton, rig.skeleton)
         _animate_joints(animation, skeleton, rig, codes)
@@ -146,11 +145,10 @@ def _define_joints(skeleton: UsdSkel.Skeleton, joints: Skeleton) -> None:
     for name, parent in zip(joints.names, joints.parents.tolist(), strict=True):
         identifier = siblings.setdefault(parent, Identifiers()).reserve(name)
         paths.append(identifier if parent < 0 else f"{paths[parent]}/{identifier}")
-    rest = joints.local_rest()
     skeleton.CreateJointsAttr(Vt.TokenArray(paths))
     skeleton.CreateJointNamesAttr(Vt.TokenArray(joints.names))
     skeleton.CreateBindTransformsAttr(_matrices(joints.axes, joints.pivots))
-    skeleton.CreateRestTransformsAttr(_matrices(rest.rotations, rest.translations))
+    skeleton.CreateRestTransformsAttr(_matrices(*joints.local_rest()))
 
 
 def _matrices(rotations: Float, translations: Float) -> Any:

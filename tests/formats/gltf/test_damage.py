@@ -223,18 +223,26 @@ def test_channels_named_too_often(made: Callable[..., MeshSequence]) -> None:
         made(maker)
 
 
+@pytest.fixture
+def low_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small files repeat too much with fewer numbers, which are quicker to read."""
+    monkeypatch.setattr("mixseq_io.gltf.document._MAX_UNSTORED_NUMBERS", 1000)
+
+
+@pytest.mark.usefixtures("low_limit")
 def test_skeletons_named_too_often(made: Callable[..., MeshSequence]) -> None:
     maker = skinned([[1, 0, 0, 0]] * 3, JOINTS)
-    maker.json["skins"] = [{"joints": [0] * 2000}]
-    maker.json["nodes"] += [{"mesh": 0, "skin": 0}] * 1000
+    maker.json["skins"] = [{"joints": [0] * 200}]
+    maker.json["nodes"] += [{"mesh": 0, "skin": 0}] * 100
     with pytest.raises(FormatError, match="skeletons of all meshes together have"):
         made(maker)
 
 
+@pytest.mark.usefixtures("low_limit")
 def test_instances_named_too_often(made: Callable[..., MeshSequence]) -> None:
     maker = Maker()
-    mesh = maker.mesh(np.arange(6000).reshape(2000, 3), mode=5)
-    maker.json["nodes"] = [{"mesh": mesh}] * 2000
+    mesh = maker.mesh(np.arange(600).reshape(200, 3), mode=5)
+    maker.json["nodes"] = [{"mesh": mesh}] * 100
     with pytest.raises(FormatError, match="meshes of all nodes together have"):
         made(maker)
 
@@ -308,9 +316,8 @@ def hammer(path: Path, damaged: Path, percent: float, flips: int) -> None:
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize("file", ["RiggedSimple", "RiggedFigure"])
-def test_damage_to_real_files(data: Path, tmp_path: Path, file: str) -> None:
-    hammer(data / "gltf" / f"{file}.glb", tmp_path / "damaged.glb", 2, 100)
+def test_damage_to_a_real_file(data: Path, tmp_path: Path) -> None:
+    hammer(data / "gltf" / "RiggedSimple.glb", tmp_path / "damaged.glb", 2, 100)
 
 
 # Texture coordinates that a material transforms, in closed form

@@ -15,9 +15,10 @@ import mixseq
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.signals.between import quarter_times, straight_blocks
+from mixseq.signals.decoding import quarter_times, straight_blocks
+from mixseq_io.gltf.new_document import size_with_frame_targets
 from mixseq_io.rig_arrays import four_influences
-from mixseq_io.rig_measuring import measure_file_between, measure_rig_file, size_with_frame_targets
+from mixseq_io.rig_files import measure_file_between, measure_rig_file
 from tests.formats.conftest import dressed, lossy
 from tests.formats.gltf_files import Gltf, read, validate
 from tests.formats.rig_maker import AXES, QUARTER, carried, hinge, random_skin, swelling

@@ -14,7 +14,7 @@ from mixseq.errors import InvalidSequenceError, OutputError
 from mixseq.rigging.rigs import Morph, Skin
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
-from mixseq_io.rig_measuring import measure_rig_file
+from mixseq_io.rig_files import measure_rig_file
 from tests.formats.conftest import dressed, lossy
 from tests.formats.rig_maker import QUARTER, carried, hinge, random_skin, swelling
 from tests.formats.usd_maker import problems
@@ -67,7 +67,7 @@ def test_between_keys_bones_turn_on_arcs(tmp_path: Path) -> None:
     stage = written(tmp_path / "a.usda", skin)
     query = UsdSkel.Cache().GetAnimQuery(animation_of(stage))
     _, rotations, _ = query.ComputeJointLocalTransformComponents(Usd.TimeCode(0.5))
-    between = skin.resampled([0.05]).local_motion().rotations[0]
+    between = skin.resampled([0.05]).local_motion()[0][0]
     np.testing.assert_allclose([[*each.imaginary, each.real] for each in rotations], between, atol=1e-6)
 
 
