@@ -49,7 +49,7 @@ def random_sequence(seed: int) -> MeshSequence:
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.file_name + "+".join(target.options))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_random_meshes(target: Any, seed: int) -> None:
     sequence = random_sequence(seed)
@@ -79,7 +79,7 @@ def test_objects_that_stand_still_stay(target: Any, store: Store) -> None:
     assert_kept(target, dressed.with_points(points), read(store(target, dressed.with_points(points))))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_objects_of_any_tree_keep_their_order(target: Any, store: Store, seed: int) -> None:
     """Squares anywhere in a random tree of groups, in the order of the tree or any other, are read in their order."""
     rng = np.random.default_rng(seed)
@@ -299,7 +299,7 @@ def test_flipped_bits_give_an_error_or_a_sound_sequence(
     content = file.read_bytes()
     rng = np.random.default_rng(7)
     checksummed = target.file_name.endswith((".npz", ".h5", ".hdf5"))
-    places = rng.integers(0, len(content), 60)
+    places = rng.integers(0, len(content), 24)
     for place in places:
         damaged = bytearray(content)
         damaged[place] ^= 1 << int(rng.integers(8))
@@ -314,11 +314,10 @@ def test_flipped_bits_give_an_error_or_a_sound_sequence(
             assert got.polygons.same_as(plain.polygons)
 
 
-@pytest.mark.parametrize("extension", ["usd", "usda", "usdc", "usdz", "npz", "h5", "hdf5", "obj"])
-@pytest.mark.parametrize("seed", range(3))
-def test_garbage(tmp_path: Path, extension: str, seed: int, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("extension", ["usd", "usda", "usdc", "usdz", "npz", "h5", "obj"])
+def test_garbage(tmp_path: Path, extension: str, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / f"noise.{extension}"
-    path.write_bytes(np.random.default_rng(seed).bytes(3000))
+    path.write_bytes(np.random.default_rng(0).bytes(3000))
     with pytest.raises(FormatError, match="noise"):
         read(path)
     assert capfd.readouterr() == ("", "")  # nothing of the libraries' own reports

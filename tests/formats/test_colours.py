@@ -310,6 +310,7 @@ def test_models_and_operations_carry_them(painted_bar: MeshSequence, tmp_path: P
 def test_a_painted_character_through_all_formats(data: Path, tmp_path: Path) -> None:
     """CesiumMan, painted by height, is the same in each format and in each after another."""
     man = read(data / "gltf" / "CesiumMan.glb")
+    man = MeshSequence.from_header(man.header.with_times(man.times[:2]), man.points[:2])
     height = man.points[0, :, 2]
     shade = np.rint(255 * (height - height.min()) / np.ptp(height)).astype(np.uint8)
     values = bytes_to_colours(np.column_stack([shade, 255 - shade, shade // 2, np.full_like(shade, 255)]))

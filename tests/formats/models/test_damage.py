@@ -77,7 +77,7 @@ print(refused, silent)
 def test_a_flipped_byte_is_refused_or_does_no_harm(stored: Path, tmp_path: Path) -> None:
     """In a process of its own: a byte that makes HDF5 crash must not take the tests along."""
     result = subprocess.run(
-        [sys.executable, "-W", "error", "-c", SPOILER, stored, tmp_path / "spoilt.h5", "3", "300"],
+        [sys.executable, "-W", "error", "-c", SPOILER, stored, tmp_path / "spoilt.h5", "3", "100"],
         capture_output=True,
         text=True,
         check=False,
@@ -85,8 +85,8 @@ def test_a_flipped_byte_is_refused_or_does_no_harm(stored: Path, tmp_path: Path)
     )
     assert result.returncode == 0, result.stderr
     refused, harmless = map(int, result.stdout.split())
-    assert refused + harmless == 300
-    assert refused > 100
+    assert refused + harmless == 100
+    assert refused > 33
 
 
 def test_noise_after_a_valid_start_is_refused(stored: Path, tmp_path: Path) -> None:
