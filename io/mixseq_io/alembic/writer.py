@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.errors import FormatError, OutputError, SettingsError
+from mixseq.errors import FormatError, OutputError
 from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.polygons import reversed_winding
 from mixseq.mesh.surface import CornerValues
@@ -265,8 +265,6 @@ def write_alembic(
     rounding: RoundingMonitor | None = None,
 ) -> None:
     """Write an Alembic file; options as in `FORMATS`. `sources` ``(T,)`` are the original's times in s at frames."""
-    if sources is not None and np.shape(sources) != header.times.shape:
-        raise SettingsError(f"sources are {np.size(sources)} times for {header.frame_count} frames; give one per frame")
     match = partial(match_archive, header=header)
     original = open_original_file(path, header, flatten, onto, "Alembic", match)
     new_meshes = [] if original else plan_meshes(header)

@@ -199,8 +199,6 @@ class FrameFormat:
 
     def open(self, path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
         """Open the numbered files of a sequence."""
-        if not (np.isfinite(fps) and fps > 0):
-            raise SettingsError(f"fps is {fps}; a positive number is expected")
         files, numbers = find_frame_files(path, allow_gaps, f".{self.name.lower()}")
         name = files[0].stem
         for _ in range(1 if numbers[0].is_integer() else 2):

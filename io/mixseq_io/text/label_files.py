@@ -206,7 +206,7 @@ def _markings_sources(reader: SequenceReader, header: SequenceHeader, min_ratio:
     sources: Sources = {name: partial(labels_from_sets, own, polygons) for name, own in sets}
     colours = reader.header.surface.colours
     if colours is not None:
-        sources[COLOURS_SOURCE] = partial(_labels_from_colours, file, colours.at_corners, polygons)
+        sources[COLOURS_SOURCE] = partial(labels_from_colours, file, colours.at_corners, polygons)
     if markings.skinning is not None:
         sources[SKELETON_SOURCE] = partial(labels_from_skinning, markings.skinning, polygons, min_ratio)
     if face_ids is None:
@@ -221,13 +221,6 @@ def _object_sizes(header: SequenceHeader) -> list[int]:
 def _reorder_labels(labels: Labels, face_ids: Index) -> Labels:
     """Reorder labels by face ids ``(F,)``."""
     return replace(labels, part_of_face=labels.part_of_face[face_ids])
-
-
-def _labels_from_colours(file: Path, colours: FloatArray, polygons: Polygons) -> Labels:
-    try:
-        return labels_from_colours(colours, polygons)
-    except FormatError as error:
-        raise FormatError(f"{file} {error}") from None
 
 
 def _match_faces(file: Path, header: SequenceHeader, polygons: Polygons, sizes: Sequence[int]) -> Index | None:
