@@ -1,16 +1,6 @@
 """Read and write HDF5 sequences: complete mesh sequences, deflated, with checksums.
 
-::
-
-    /                    format = "mixseq-sequence", version = 1, name, fps,
-                         up_axis, metres_per_unit
-    /points              (T, V, 3) float32 or float64, in chunks of whole frames
-    /velocities          units per second, in the form of points; optional
-    /times               (T,) float64, seconds
-    /polygons/counts     (P,) int32
-    /polygons/indices    (sum of counts,) int32
-    /surface/...         surface data such as texture coordinates, see `mixseq_io.surfaces`; optional
-
+``docs/file-format.md`` describes all datasets and attributes. Points and velocities are stored in chunks of whole frames.
 A file whose `format` is "mixseq-model" holds a model instead; see `mixseq_io.loading`.
 """
 

@@ -1,16 +1,8 @@
 """Read labels from one of several sources in a file, check that they fit the mesh, and write labels.
 
-=============  ==========================================================================================
-source         meaning
-=============  ==========================================================================================
-``labels``     npz: an array ``part_of_face`` or ``labels`` with a number or name for every triangle or every
-               polygon; USD: the family ``mixseq`` of subsets. Both are written by ``mixseq segment``.
-``groups``     named sets of faces: OBJ groups, Alembic face sets, USD subsets without a family
-*a family*     USD: the subsets of any other family
-``materials``  the faces of every material
-``colours``    colours of vertices, faces or corners, in all formats with colours
-``skeleton``   skinning weights: UsdSkel, glTF
-=============  ==========================================================================================
+Sources are label arrays (npz) and the family ``mixseq`` of subsets (USD), both named ``labels``; named sets of faces
+(``groups``), any other family of USD subsets, ``materials``, ``colours``, and skinning weights (``skeleton``).
+``docs/formats.md`` lists them by format.
 
 By default `labels` are preferred, since they were stored as labels. Other sources need at least two labels.
 

@@ -1,26 +1,14 @@
 """Read and write markers, which are pairs of vertices of a source and a target mesh, and read contacts.
 
-=================  =================================================================================================
-file               contents
-=================  =================================================================================================
-``.json``          a list of markers, or ``{"markers": list}``, or ``{"source": list, "target": list, "names": list}``
-``.yml, .yaml``    as in ``.json``; a comment after a marker is its name
-other files        one marker per line: two numbers, separated by a space, comma, colon, semicolon or ``->``. A comment
-                   (``#``) after a marker is its name. Empty lines and lines with only a comment are skipped. The
-                   first line may be the number of markers, or the words ``source`` and ``target``
-=================  =================================================================================================
-
-In lists, a marker is a pair of numbers ``[750, 3386]``, a text ``"750:3386"`` in the form of a line, or an object
-``{"source": 750, "target": 3386, "name": "nose"}``. Published files for Sumner and Popović's meshes have these forms:
-``.cons`` and ``.corr`` have lines, YAML files have lists of ``"750:3386"``. YAML defines ``12:34`` as a time of day
-(754 seconds), but here it is read as a pair.
+Files are JSON, YAML, or text with a marker per line; ``docs/transfer.md`` describes all three. Published files for
+Sumner and Popović's meshes have these forms. YAML defines ``12:34`` as a time of day (754 seconds), but here it is read
+as a pair.
 
 The viewer also writes checksums of both meshes, and every marked vertex in the order of a walk over the mesh, by which
 markers are found in files with other numbers: ``"meshes": {"source": object, "target": object}`` in JSON, or a comment
 ``# meshes`` with this object. Each has the fields of `NumberedVertices`.
 
-Contacts are named groups of target vertices that rest on the ground, such as feet. Their JSON file is ``{"left foot":
-[12, 13, 20], "right foot": [40, 41]}``, optionally inside ``{"contacts": ...}``. Vertices are numbered from 0.
+Contacts are named groups of target vertices that rest on the ground, such as feet. Vertices are numbered from 0.
 """
 
 from __future__ import annotations
@@ -110,7 +98,7 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
     Parameters
     ----------
     path : path-like
-        File in a form described at the head of this module.
+        File in JSON, YAML or with a marker per line, see ``docs/transfer.md``.
     reverse : bool
         Exchange source and target, for files in which the target's vertices come first.
 
@@ -158,7 +146,7 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
 
 
 def write_markers(path: PathLike, markers: Markers) -> None:
-    """Write markers in the form that the file's extension selects; see the head of this module."""
+    """Write markers in the form that the file's extension selects; see ``docs/transfer.md``."""
     file = Path(path)
     names = [" ".join(name.split()) for name in markers.names or [""] * len(markers)]
     rows = list(zip(markers.source.tolist(), markers.target.tolist(), names, strict=True))
