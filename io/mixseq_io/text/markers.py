@@ -231,8 +231,9 @@ def _parse_yaml(file: Path, text: str) -> list[_RawMarker]:
             if isinstance(token, yaml.AnchorToken | yaml.AliasToken):
                 line = token.start_mark.line + 1
                 raise FormatError(f"{file}, line {line}: anchors (&) and aliases (*) are not read; write it out")
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-        values = _find_list(file, _to_plain(root))
+        loader = yaml.BaseLoader(text)  # keeps numbers as text
+        root = loader.get_single_node()
+        values = _find_list(file, loader.construct_document(root) if root else None)
     except (yaml.YAMLError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         problem = getattr(error, "problem", None) or summarize_error(error)
@@ -250,17 +251,6 @@ def _parse_yaml(file: Path, text: str) -> list[_RawMarker]:
         rest = lines[end.line][end.column :] if end.line == node.start_mark.line else ""
         markers.append(_RawMarker(f"line {node.start_mark.line + 1}", value, rest.partition("#")[2]))
     return markers
-
-
-def _to_plain(node: Any) -> Any:
-    """Convert a YAML node to lists, dictionaries and texts."""
-    if node is None:
-        return None
-    if isinstance(node.value, str):
-        return node.value
-    if node.id == "sequence":
-        return [_to_plain(child) for child in node.value]
-    return {_to_plain(key) if key.id == "scalar" else "": _to_plain(value) for key, value in node.value}
 
 
 def _find_list(file: Path, tree: Any) -> list[Any]:

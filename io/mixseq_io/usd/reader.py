@@ -101,7 +101,7 @@ def open_usd_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
         if not motions:
             raise NoMeshError(f"{path} has no mesh on {prim.GetPath()}; export the character with its mesh")
         codes = np.array([stage.GetStartTimeCode()])
-        meshes = [AnimatedMesh(motion, codes) for motion in motions]
+        meshes = [AnimatedMesh(motion.mesh, motion.skin, codes) for motion in motions]
         header = _header(path, stage, meshes, [read_scene_mesh(mesh, warnings) for mesh in meshes])
         return _UsdReader(path, header, stage, meshes, has_velocities=False, pose_at=bind_pose)
 
@@ -116,7 +116,7 @@ class _UsdReader(AnimationReader):
         has_velocities: bool,
         pose_at: Callable[[Skeleton, float], Pose] = Skeleton.pose,
     ) -> None:
-        moves = any(mesh.motion.animated_attributes for mesh in meshes)
+        moves = any(mesh.animated_attributes for mesh in meshes)
         is_cache = any(is_animated(mesh.mesh.GetPointsAttr()) for mesh in meshes)
         super().__init__(path, header, has_velocities=has_velocities, can_evaluate=moves and not is_cache)
         self._frame_times = meshes[0].codes
@@ -153,7 +153,7 @@ class _UsdReader(AnimationReader):
 
     def _frame_points(self, code: float) -> list[FloatArray]:
         """Return the points ``(V, 3)`` of each mesh at a time code; each skeleton is posed once."""
-        skins = [mesh.motion.skin for mesh in self._meshes]
+        skins = [mesh.skin for mesh in self._meshes]
         poses = {skeleton: self._pose_at(skeleton, code) for skeleton in {skin.skeleton for skin in skins if skin}}
         pairs = zip(self._meshes, skins, strict=True)
         return [mesh.points(code, poses[skin.skeleton] if skin else None) for mesh, skin in pairs]
@@ -178,7 +178,7 @@ def _read_meshes(
 
     def prepare(chosen: list[int]) -> Callable[[int], tuple[AnimatedMesh, SceneMesh]]:
         codes = _frame_codes(path, stage, [motions[index] for index in chosen])
-        return lambda index: _read_mesh(AnimatedMesh(motions[index], codes), rate, warnings)
+        return lambda index: _read_mesh(AnimatedMesh(motions[index].mesh, motions[index].skin, codes), rate, warnings)
 
     animated_meshes, scene_meshes = zip(*read_valid_meshes(path, objects, is_moving, prepare), strict=True)
     return animated_meshes, scene_meshes
@@ -186,7 +186,7 @@ def _read_meshes(
 
 def _read_mesh(animated: AnimatedMesh, rate: float, warnings: PrimWarnings) -> tuple[AnimatedMesh, SceneMesh]:
     """Return a mesh with its surface; raise an error if its points in the first frame cannot be computed."""
-    scene_mesh, skin = read_scene_mesh(animated, warnings), animated.motion.skin
+    scene_mesh, skin = read_scene_mesh(animated, warnings), animated.skin
     frame_name = _describe_frame(animated.start, rate, rate)
     with prefix_errors(frame_name):
         points = animated.points(animated.start, skin.skeleton.pose(animated.start) if skin else None)
@@ -260,7 +260,7 @@ def _frame_rate_codes(stage: Usd.Stage, first: float, last: float) -> tuple[NDAr
 
 def _read_markings(header: SequenceHeader, meshes: Sequence[AnimatedMesh]) -> Markings:
     """Return the families of subsets and the skinning weights of meshes."""
-    is_skinned = any(mesh.motion.skin and mesh.motion.skin.has_joints for mesh in meshes)
+    is_skinned = any(mesh.skin and mesh.skin.has_joints for mesh in meshes)
     materials = {source: sets for source, sets in group_face_sets(header).items() if source == MATERIALS_SOURCE}
     return Markings(
         sets=_face_sets_by_family(meshes) | materials,
@@ -295,7 +295,7 @@ def _face_sets_by_family(meshes: Sequence[AnimatedMesh]) -> dict[str, tuple[Face
 
 
 def _read_skinning(animated: AnimatedMesh) -> Skinning:
-    skin = animated.motion.skin
+    skin = animated.skin
     if skin is None or not skin.has_joints:
         return Skinning.rigid(str(animated.mesh.GetPath()), animated.vertex_count)
     names = [str(each) for each in skin.query.GetJointOrder() or skin.skeleton.query.GetJointOrder()]
