@@ -166,7 +166,8 @@ class _NpzReader(SequenceReader):
                 return
             for start in range(0, frames, size):
                 block = np.empty((min(size, frames - start), *header.shape[1:]), header.dtype)
-                _read_into(stream, block)
+                for frame in block:  # zipfile raises an error if the data ends early
+                    frame[...] = np.frombuffer(stream.read(frame.nbytes), frame.dtype).reshape(frame.shape)
                 if start + size >= frames:
                     stream.read(1)  # at the end zipfile compares the checksum
                 yield _as_floats(block)
@@ -216,16 +217,6 @@ def _has_velocities(path: Path, archive: Archive, shape: tuple[int, ...]) -> boo
     if velocities_shape != shape:
         warn(f"{path}: velocities have shape {velocities_shape}, points {shape}; they are left out")
     return velocities_shape == shape
-
-
-def _read_into(stream: IO[bytes], block: NDArray[Any]) -> None:
-    target = block.reshape(-1).view(np.uint8).data
-    while target:
-        chunk = stream.read(min(len(target), 1 << 24))
-        if not chunk:
-            raise EOFError("an array ends early")
-        target[: len(chunk)] = chunk
-        target = target[len(chunk) :]
 
 
 def _as_floats(points: NDArray[Any]) -> FloatArray:

@@ -243,7 +243,7 @@ class FrameFormat:
             )
         numbers = np.array([time_to_number(time, header.fps) for time in header.times]).round(3)
         counted = np.arange(header.frame_count)
-        is_lost = not _are_frames(numbers) or any(starmap(_missing_between, pairwise(numbers)))
+        is_lost = not _are_frames(numbers.tolist()) or any(starmap(_missing_between, pairwise(numbers)))
         if start is not None:
             is_lost = bool(np.abs(numbers - numbers[0] - counted).max() > FRAME_TOLERANCE)
         if is_lost or start is not None:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,13 +82,8 @@ _HEADING_PATTERN = re.compile(r"source\s*(?:->|[\s,:;])\s*target", re.IGNORECASE
 _PAIR_TEXT = "two vertex numbers, from 0, are expected, separated by a space, comma, colon, semicolon or '->'"
 
 
-@dataclass(frozen=True)
-class _RawMarker:
-    """Unvalidated marker from a file."""
-
-    location: str  # location in the file
-    value: Any
-    comment: str = ""
+_RawMarkers = list[tuple[str, Any, str]]
+"""Location in the file, value and comment of every marker, before they are checked."""
 
 
 @public
@@ -131,12 +126,12 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
         raw_markers = _parse_yaml(file, text)
     elif extension == ".json":
         values = enumerate(_find_list(file, parse_json(file, text)), start=1)
-        raw_markers = [_RawMarker(f"marker {number}", value) for number, value in values]
+        raw_markers = [(f"marker {number}", value, "") for number, value in values]
     else:
         raw_markers = _parse_lines(file, text)
     if not raw_markers:
         raise FormatError(f"{file} has no markers; {_PAIR_TEXT}")
-    markers = [_parse_marker(f"{file}, {raw.location}", raw) for raw in raw_markers]
+    markers = [_parse_marker(f"{file}, {location}", *raw) for location, *raw in raw_markers]
     pairs = [(target, source) if reverse else (source, target) for source, target, _ in markers]
     names = tuple(name for _, _, name in markers)
     meshes = _parse_meshes(file, text)
@@ -198,8 +193,8 @@ def _parse_meshes(file: Path, text: str) -> tuple[NumberedVertices, NumberedVert
     return source, target
 
 
-def _parse_lines(file: Path, text: str) -> list[_RawMarker]:
-    markers: list[_RawMarker] = []
+def _parse_lines(file: Path, text: str) -> _RawMarkers:
+    markers: _RawMarkers = []
     expected_count = None
     for number, line in enumerate(text.splitlines(), start=1):
         value, _, comment = line.partition("#")
@@ -208,7 +203,7 @@ def _parse_lines(file: Path, text: str) -> list[_RawMarker]:
         if is_first and _COUNT_PATTERN.fullmatch(value):
             expected_count = int(value)
         elif value and not (is_first and _HEADING_PATTERN.fullmatch(value)):
-            markers.append(_RawMarker(f"line {number}", value, comment))
+            markers.append((f"line {number}", value, comment))
     if expected_count is not None and expected_count != len(markers):
         raise FormatError(
             f"{file}: its first line announces {expected_count} markers, but {len(markers)} follow; "
@@ -217,7 +212,7 @@ def _parse_lines(file: Path, text: str) -> list[_RawMarker]:
     return markers
 
 
-def _parse_yaml(file: Path, text: str) -> list[_RawMarker]:
+def _parse_yaml(file: Path, text: str) -> _RawMarkers:
     """Return unvalidated markers of YAML, named by comments; numbers stay text, as YAML reads ``12:34`` as a time."""
     try:
         import yaml
@@ -243,13 +238,13 @@ def _parse_yaml(file: Path, text: str) -> list[_RawMarker]:
     if isinstance(root, yaml.MappingNode):
         nodes = next((value for key, value in root.value if key.value == "markers"), None)
     if not isinstance(nodes, yaml.SequenceNode):  # separate lists of sources and of targets
-        return [_RawMarker(f"marker {number}", value) for number, value in enumerate(values, start=1)]
+        return [(f"marker {number}", value, "") for number, value in enumerate(values, start=1)]
     lines = text.splitlines()
-    markers = []
+    markers: _RawMarkers = []
     for node, value in zip(nodes.value, values, strict=True):
         end = node.end_mark
         rest = lines[end.line][end.column :] if end.line == node.start_mark.line else ""
-        markers.append(_RawMarker(f"line {node.start_mark.line + 1}", value, rest.partition("#")[2]))
+        markers.append((f"line {node.start_mark.line + 1}", value, rest.partition("#")[2]))
     return markers
 
 
@@ -274,9 +269,8 @@ def _find_list(file: Path, tree: Any) -> list[Any]:
     return tree
 
 
-def _parse_marker(where: str, raw: _RawMarker) -> tuple[int, int, str]:
+def _parse_marker(where: str, value: Any, name: str) -> tuple[int, int, str]:
     """Return the source vertex, target vertex and name of one marker."""
-    value, name = raw.value, raw.comment
     if isinstance(value, str):
         match = _PAIR_PATTERN.fullmatch(value.strip())
         if match is None:
