@@ -43,8 +43,7 @@ from mixseq.mesh.rotations import rotate_vectors
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.gradient_transfer import GradientTransfer, average_matrices, normalise_rows
 from mixseq.segmentation.joints import Decomposition, Joint
-from mixseq.shells.fitting import Patch, SoftConstraint, rebuild_patch
-from mixseq.shells.gauss_newton import ShellReport, ShellSettings
+from mixseq.shells.fitting import Patch, ShellReport, ShellSettings, SoftConstraint, rebuild_patch
 from mixseq.types import Float, Index
 
 BEND_CONCENTRATION = 4.0
@@ -122,9 +121,10 @@ class HarmonicSkin:
     def from_patch(cls, patch: Patch, part_of_vertex: Index, rest: Float) -> HarmonicSkin:
         """Solve for the skinning weights of a patch: part_of_vertex ``(n,)``; rest ``(n, 3)``."""
         parts, part_index = np.unique(part_of_vertex[patch.fixed_mask], return_inverse=True)
-        boundary = np.eye(len(parts))[part_index.reshape(-1)]
-        coupling = patch.laplacian[patch.free_ids][:, patch.fixed_mask]
-        return cls(parts, -patch.laplacian_factor.solve(coupling @ boundary), rest[patch.free_ids])
+        weights = np.zeros((len(part_of_vertex), len(parts)))
+        weights[patch.fixed_mask] = np.eye(len(parts))[part_index.reshape(-1)]
+        equal = np.zeros((3 * len(patch.faces), len(parts)))  # no differences along sides
+        return cls(parts, patch.poisson_system.solve(equal, weights)[patch.free_ids], rest[patch.free_ids])
 
     def deform(self, rotations: Float, translations: Float) -> Float:
         """Skin the free vertices ``(f, 3)`` by motions ``x -> R x + t`` of all parts from the reference frame."""
@@ -221,7 +221,6 @@ class JointSolver:
                 frame.length_weights[edges],
                 start,
                 settings,
-                guess,
                 SoftConstraint(guess, frame.offset_weights[free]),
             )
             points[joint.vertices[patch.free_ids]] = rebuilt[patch.free_ids]

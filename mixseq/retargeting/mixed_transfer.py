@@ -42,7 +42,7 @@ from mixseq.segmentation.joints import (
     measure_part_motion,
     sample_frame_ids,
 )
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.types import Float, FloatArray, Index
 

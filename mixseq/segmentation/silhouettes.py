@@ -46,8 +46,7 @@ from scipy import sparse
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, triangle_areas, wrap_angles
 from mixseq.mesh.topology import Topology
-from mixseq.segmentation.elements import check_part_count, face_areas, find_passes
-from mixseq.segmentation.joints import sample_frame_ids
+from mixseq.segmentation.elements import check_part_count, face_areas, find_passes, sample_frames
 from mixseq.types import Float, FloatArray, Index, Mask, index_mask
 
 if TYPE_CHECKING:
@@ -55,14 +54,6 @@ if TYPE_CHECKING:
 
 
 _SMALLEST_FLOAT = np.finfo(np.float64).tiny
-
-
-def sample_frames(points: FloatArray, max_count: int) -> Float:
-    """Return evenly spaced frames ``(T, V, 3)``, in diagonals of the first frame, or of the largest if that is 0."""
-    x = points[sample_frame_ids(len(points), max_count)].astype(np.float64)
-    x -= x[0].mean(axis=0)
-    diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
-    return np.asarray(x / (diagonals[0] or diagonals.max() or 1.0))
 
 
 def angle_variation(points: FloatArray, topology: Topology) -> Float:
