@@ -41,7 +41,7 @@ from mixseq.compression.bitstream.arithmetic import (
     code_modelled_bit,
     new_bit_models,
 )
-from mixseq.compression.bitstream.signal_coder import NumberModels, Reader, SignalCoder, Writer
+from mixseq.compression.bitstream.signal_coder import Reader, SignalCoder, Writer, new_number_models
 from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
 from mixseq.runtime.jit import compiled
@@ -259,7 +259,7 @@ def read_basis(
     graph: SignalGraph,
 ) -> tuple[list[Float], list[Index]]:
     """Read the basis vectors ``(K, c, n)`` of every part; return vectors and vertices by part."""
-    models, labels = NumberModels(), np.zeros(graph.size, dtype=np.int64)
+    models, labels = new_number_models(), np.zeros(graph.size, dtype=np.int64)
     readers = [Reader(stream) for stream in streams]
     if len(ranks) > 1:
         labels = read_labels(readers[0], len(ranks), graph)
@@ -308,7 +308,7 @@ def read_coefficients(basis: SpatialBasis, stream: bytes, counts: Sequence[int],
     """
     scales, part_ids = basis.norms[basis.varying] / step, basis.part_ids[basis.varying]
     dim = 3 if basis.kind == "trajectories" else 1
-    models, reader, levels = NumberModels(), Reader(stream), []
+    models, reader, levels = new_number_models(), Reader(stream), []
     for count in counts:
         graph, coefficients = path_graph(count), np.empty((count, len(scales), dim))
         coders = [SignalCoder(graph, dim, models) for _ in basis.part_bases]
