@@ -129,8 +129,9 @@ def add_channels(
 
 
 def compute_glb_size(layout: Layout) -> int:
-    """Return the size of a .glb in bytes, except for the document's ``buffers`` list, which the writer adds."""
-    return _GLB_OVERHEAD_BYTES + _align(len(_encode(layout.document))) + _align(layout.length)
+    """Return the size in bytes of the .glb that is written of a layout."""
+    document = layout.document | {"buffers": [{"byteLength": layout.length}]}
+    return _GLB_OVERHEAD_BYTES + _align(len(_encode(document))) + _align(layout.length)
 
 
 class BufferWriter:
