@@ -294,10 +294,15 @@ class Skin(_RigFrames):
         offsets = self.translations[frame] - np.einsum("bij,bj->bi", rotations, self.pivots)
         motions = np.concatenate([rotations, offsets[:, :, None]], axis=2)
         shape = self.rest + np.einsum("m,mvi->vi", self.target_weights[frame], self.targets)
-        blended = np.zeros((len(shape), 3, 4))
-        for column in range(BONES_PER_VERTEX):
-            blended += self.weights[:, column, None, None] * motions[self.influences[:, column]]
+        blended = self.blend_matrices(motions)
         return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], shape) + blended[:, :, 3])
+
+    def blend_matrices(self, matrices: Float) -> Float:
+        """Return the mean matrix ``(V, 3, k)`` of every vertex by skinning weights: matrices ``(B, 3, k)``."""
+        blended = np.zeros((len(self.rest), *matrices.shape[1:]))
+        for column in range(BONES_PER_VERTEX):
+            blended += self.weights[:, column, None, None] * matrices[self.influences[:, column]]
+        return blended
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from mixseq_io.scene_meshes import format_names
 _PRUNED_LISTS = ("meshes", "accessors", "bufferViews")  # each list refers to the next
 
 _PRUNABLE_PREFIXES = ("KHR_node_", "KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_xmp")
-"""Prefixes of extensions whose references to the pruned lists, if any, are in `_iterate_references`."""
+"""Prefixes of extensions whose references to the pruned lists, if any, are in `iterate_references`."""
 
 
 def prune(path: Path, document: Json) -> None:

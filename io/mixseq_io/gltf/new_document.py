@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -363,12 +364,9 @@ def _add_primitive(
 
 def add_triangles(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
     """Add triangles ``(F, 3)`` and attributes ``(n, k)`` by glTF name; return the primitive's JSON entry."""
-    accessors = {
-        name: _add_colours(layout, values) if name == "COLOR_0" else layout.add_array(values, target=ARRAY_BUFFER)
-        for name, values in attributes.items()
-    }
-    if "POSITION" in attributes:
-        layout.set_bounds(accessors["POSITION"], compute_bounds(attributes["POSITION"]))
+    add = {"POSITION": layout.add_points, "COLOR_0": partial(_add_colours, layout)}
+    add_values = partial(layout.add_array, target=ARRAY_BUFFER)
+    accessors = {name: add.get(name, add_values)(values) for name, values in attributes.items()}
     corners = triangles.reshape(-1)
     # glTF reserves the largest uint16.
     narrow = corners.astype(np.uint16) if corners.max(initial=0) < _MAX_UINT16_INDEX else corners
