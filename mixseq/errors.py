@@ -27,6 +27,10 @@ class SettingsError(MixseqError, ValueError):
     """A setting outside its range, or two settings that exclude each other."""
 
 
+class SizeError(SettingsError):
+    """A size in bytes with no room for any motion."""
+
+
 class FormatError(MixseqError):
     """A file that cannot be read: wrong type, damaged, or too new."""
 

@@ -119,9 +119,19 @@ def append(document: Json, member: str, entry: Json) -> int:
     return len(entries) - 1
 
 
+def add_channels(
+    animation: Json, times: int, values: int, nodes: Iterable[int], path: str, interpolation: str = "LINEAR"
+) -> None:
+    """Add a sampler of the accessors of times and values to an animation, and a channel for every node."""
+    sampler = append(animation, "samplers", {"input": times, "output": values, "interpolation": interpolation})
+    for node in nodes:
+        append(animation, "channels", {"sampler": sampler, "target": {"node": node, "path": path}})
+
+
 def compute_glb_size(layout: Layout) -> int:
-    """Return the size of a .glb in bytes, except for the document's ``buffers`` list, which the writer adds."""
-    return _GLB_OVERHEAD_BYTES + _align(len(_encode(layout.document))) + _align(layout.length)
+    """Return the size in bytes of the .glb that is written of a layout."""
+    document = layout.document | {"buffers": [{"byteLength": layout.length}]}
+    return _GLB_OVERHEAD_BYTES + _align(len(_encode(document))) + _align(layout.length)
 
 
 class BufferWriter:

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from mixseq.choices import StillName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
-from mixseq.errors import AmbiguousError, FormatError, OutputError
-from mixseq.mesh.measures import NO_ORIGIN, choose_origin, corner_normals
+from mixseq.errors import AmbiguousError, FormatError
+from mixseq.mesh.measures import NO_ORIGIN, corner_normals
 from mixseq.mesh.surface import Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Single
@@ -199,8 +199,6 @@ def add_still(
         if each.face_set is not None:
             entry["material"] = add_material(layout.document, material_name(each.face_set), materials)
         entries.append(entry)
-    if not entries:
-        raise OutputError("glTF cannot hold a mesh without faces; write .h5")
     return entries
 
 
@@ -255,17 +253,14 @@ def _add_empty_accessor(layout: Layout, count: int, kind: str, component: int) -
     return append(layout.document, "accessors", entry)
 
 
-_MAX_TEXT_BYTES = 1000
-"""Upper bound on the size of the JSON text in bytes, without long names."""
-
-_STILL_SIZE_MARGIN = 1.02
-"""Largest size ratio of the still of a decoded frame to the still of the exact frame."""
-
-
 def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> None:
     """Write a compressed sequence as a .glb."""
-    points, origin = decode(coded)(coded.header.times[0]), np.array(coded.parameters.origin or NO_ORIGIN)
-    write_container(path, pack(coded), coded.header, points, origin, still)
+    write_container(path, pack(coded), coded.header, *first_frame(coded), still)
+
+
+def first_frame(coded: CompressedSequence) -> tuple[Float, Float]:
+    """Decode the first frame ``(V, 3)`` of a compressed sequence; return it and the origin ``(3,)``."""
+    return decode(coded)(coded.header.times[0]), np.array(coded.parameters.origin or NO_ORIGIN)
 
 
 def write_container(
@@ -277,11 +272,11 @@ def write_container(
         pass
 
 
-def bound_overhead_size(header: SequenceHeader, points: FloatArray, still: StillName) -> int:
-    """Return an upper bound in bytes of a .glb without its streams, with a still of `points` ``(V, 3)``."""
-    container = Container(bytes(_MAX_TEXT_BYTES + 6 * len(header.name)), b"")
-    layout = _create_layout(header, points, choose_origin(points), container, still)
-    return int(_STILL_SIZE_MARGIN * compute_glb_size(layout))
+def container_size(
+    container: Container, header: SequenceHeader, points: FloatArray, origin: Float, still: StillName
+) -> int:
+    """Return the size in bytes of the .glb that `write_container` writes."""
+    return compute_glb_size(_create_layout(header, points, origin, container, still))
 
 
 def _create_layout(

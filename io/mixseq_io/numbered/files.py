@@ -206,8 +206,6 @@ class FrameFormat:
 
     def open(self, path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
         """Open the numbered files of a sequence."""
-        if not (np.isfinite(fps) and fps > 0):
-            raise SettingsError(f"fps is {fps}; a positive number is expected")
         files, numbers = find_frame_files(path, allow_gaps, f".{self.name.lower()}")
         name = files[0].stem
         for _ in range(1 if numbers[0].is_integer() else 2):
@@ -252,7 +250,7 @@ class FrameFormat:
             )
         numbers = np.array([time_to_number(time, header.fps) for time in header.times]).round(3)
         counted = np.arange(header.frame_count)
-        is_lost = not _are_frames(numbers) or any(starmap(_missing_between, pairwise(numbers)))
+        is_lost = not _are_frames(numbers.tolist()) or any(starmap(_missing_between, pairwise(numbers)))
         if start is not None:
             is_lost = bool(np.abs(numbers - numbers[0] - counted).max() > FRAME_TOLERANCE)
         if is_lost or start is not None:
