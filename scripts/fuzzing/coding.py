@@ -30,6 +30,7 @@ NAMES = (
     "source",
     "label_count",
     "inbetween_levels",
+    "inbetween_parts",
     "__proto__",
     "revision",
 )

@@ -118,7 +118,7 @@ READERS: Mapping[str, Reader] = {
     ),
     "coding": Reader(
         calling(decode_twice),
-        tuple(map(samples.golden, ("", "-between", "-inbetweens", "-uvs"))),
+        tuple(map(samples.golden, ("", "-between", "-inbetweens", "-parts", "-uvs"))),
         (damage_coding,),
     ),
     "usd": Reader(
