@@ -1,22 +1,5 @@
 """All errors and warnings of mixseq.
 
-::
-
-    MixseqError
-    ├── InvalidSequenceError   points, faces or times that are not a mesh sequence
-    ├── SegmentationError      a segmentation that does not fit the mesh or the request
-    ├── ReconstructionError    a point of the shape space for which no mesh was found
-    ├── SettingsError          a setting outside its range, or two that exclude each other
-    ├── FormatError            a file that cannot be read: wrong type, damaged, too new
-    │   ├── AmbiguousError     a file with several candidates, where one must be chosen
-    │   └── NoMeshError        a file without a mesh, or without one on its skeleton
-    ├── OutputError            a file that cannot be written
-    ├── ClusterError           workers that cannot be reached, do not fit, or were lost
-    │   └── GivenUpError       a task that killed several workers
-    └── MissingExtraError      an optional package or program that is not installed
-
-    MixseqWarning              data that a format cannot hold, or that were repaired
-
 Messages name the file, frame, part or face, and a remedy.
 """
 

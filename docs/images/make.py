@@ -41,14 +41,14 @@ from mixseq.operations import (
     swap_key,
     transition,
 )
-from mixseq.pictures.charts import FAINT_COLOUR, LINE_COLOURS, chart_style, draw_embedding, new_page
+from mixseq.pictures.charts import FAINT_COLOUR, LINE_COLOURS, chart_style, draw_embedding, import_matplotlib, new_page
 from mixseq.pictures.colours import JOINT_RED, segmentation_colours
 from mixseq.pictures.models import plot_model
-from mixseq.pictures.page import Sheet, draw_mesh, import_matplotlib
-from mixseq.pictures.raster import area_normals
+from mixseq.pictures.raster import area_normals, draw_mesh
 from mixseq.pictures.scene import CLAY_COLOUR, INK_COLOUR, three_quarter_view
 from mixseq.pictures.scene import shared_limits as limits_of
 from mixseq.pictures.sheets import (
+    Sheet,
     contact_sheet,
     draw_segmentation,
     opposite_views,

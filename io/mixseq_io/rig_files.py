@@ -212,7 +212,7 @@ def measure_file_between(
     `points_at` returns the motion's points in blocks ``(B, V, 3)`` at times ``(N,)`` of the file. The result is None if
     the file has other meshes as well.
     """
-    from mixseq.signals.between import largest_distance, played_blocks, quarter_times
+    from mixseq.signals.decoding import largest_distance, played_blocks, quarter_times
     from mixseq_io.registry import open_sequence
 
     vertex_ids, rotation, scale = _placement(path, header)

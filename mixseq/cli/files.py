@@ -455,7 +455,7 @@ def picture_path(target: Path, what: str, picture: Path | None = None, no_pictur
 
 def check_picture(picture: Path) -> None:
     """Raise an error before the work if a picture has an unsupported extension or the drawing library is missing."""
-    from mixseq.pictures.page import import_matplotlib
+    from mixseq.pictures.charts import import_matplotlib
 
     if picture.suffix.lower() != ".png":
         raise OutputError(f"{picture}: the picture is a PNG file; end the name in .png")

@@ -153,7 +153,7 @@ def command(
         claim(page)
     else:
         options.refuse("every", "max_error", "inbetweens", "overwrite", why="is about pages; give --export as well")
-        from mixseq.viewer.live.viewer import check_viser
+        from mixseq.viewer.live import check_viser
 
         check_viser()
     viewing = {"material": "toon5" if shading == "simple" else "standard", **live, **looks}

@@ -1,7 +1,7 @@
 """Draw pictures and films of mesh sequences in software; pictures need matplotlib (the extra ``plot``).
 
-`scene` defines meshes, frame times and cameras; `colours` defines colourings. `page`, `sheets`, `charts` and `models`
-draw with matplotlib. `raster` draws the frames of a `film`, and `film_encoding` writes the film.
+`scene` defines meshes, frame times and cameras; `colours` defines colourings. `raster` draws meshes; `charts`, `models`
+and `sheets` arrange pages with matplotlib. `film` draws films, and `film_encoding` writes them.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from mixseq.runtime.lazy import lazy_getattr
 if TYPE_CHECKING:
     from mixseq.pictures.charts import draw_coefficients, draw_embedding, draw_singular_values
     from mixseq.pictures.models import draw_frame_errors, draw_parts, draw_vertex_errors, plot_model
-    from mixseq.pictures.page import draw_mesh
+    from mixseq.pictures.raster import draw_mesh
     from mixseq.pictures.scene import shared_limits, three_quarter_view
     from mixseq.pictures.sheets import contact_sheet, draw_segmentation
 
@@ -35,7 +35,7 @@ __all__ = [
 _NAMES = {
     "charts": "draw_coefficients draw_embedding draw_singular_values",
     "models": "draw_frame_errors draw_parts draw_vertex_errors plot_model",
-    "page": "draw_mesh",
+    "raster": "draw_mesh",
     "scene": "shared_limits three_quarter_view",
     "sheets": "contact_sheet draw_segmentation",
 }

@@ -18,9 +18,9 @@ from scipy.ndimage import gaussian_filter1d
 from mixseq.choices import COLOURS, Colour
 from mixseq.compression.numbering import match_vertices
 from mixseq.errors import SettingsError
+from mixseq.pictures.charts import import_matplotlib
 from mixseq.pictures.colours import Colouring, ReferencePose, format_two_digits, make_colouring
 from mixseq.pictures.film_encoding import check_film, encode_film, film_format, import_pillow
-from mixseq.pictures.page import import_matplotlib
 from mixseq.pictures.raster import Picture, blank_picture, render_mesh
 from mixseq.pictures.scene import (
     INK_COLOUR,

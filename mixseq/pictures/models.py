@@ -18,12 +18,15 @@ from mixseq.errors import SettingsError
 from mixseq.pictures.charts import (
     LINE_COLOURS,
     Format,
+    Target,
     chart_style,
     check_frames,
     draw_coefficients,
     draw_embedding,
     draw_singular_values,
     embedding_limits,
+    error_map,
+    import_matplotlib,
     log_axis,
     new_page,
     picture_format,
@@ -36,7 +39,7 @@ from mixseq.pictures.colours import (
     segmentation_colours,
     vertex_distances,
 )
-from mixseq.pictures.page import Target, draw_mesh, error_map, import_matplotlib
+from mixseq.pictures.raster import draw_mesh, visible_labels
 from mixseq.pictures.scene import INK_COLOUR, Limits, View, aspect_ratio, resolve_view, to_y_up
 from mixseq.pictures.sheets import opposite_views, views_aspect
 from mixseq.runtime.progress import Progress, no_progress
@@ -44,7 +47,7 @@ from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence.frame_rates import format_frame
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.model import Model
-from mixseq.types import Float, FloatArray, Index, IntArray
+from mixseq.types import Float, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -150,7 +153,6 @@ def draw_vertex_errors(
         colours = colour_map.to_rgba(error[original.faces].max(axis=1))[:, :3]
         for ax, (side, limits) in zip(axes, sides, strict=True):
             draw_mesh(ax, points, original.faces, colours, original.up_axis, side, limits, contrast=0.25)
-            ax.set_rasterization_zorder(3)  # as pixels also in SVG, where thousands of triangles are slow
             screen = to_y_up(points, original.up_axis) @ side.rotation.T
             if not _is_hidden(worst_vertex, screen, original.faces):
                 _draw_ring(ax, screen[worst_vertex])
@@ -213,7 +215,6 @@ def draw_parts(panels: Sequence[Axes], model: Model, points: FloatArray, view: V
     views = opposite_views(points[None], header.up_axis, view)[0]
     for ax, (side, limits) in zip(panels, views, strict=True):
         draw_mesh(ax, points, header.faces, colours, header.up_axis, side, limits)
-        ax.set_rasterization_zorder(3)  # as pixels also in SVG, where thousands of triangles are slow
         screen = to_y_up(points, header.up_axis) @ side.rotation.T
         for part, (x, y) in _number_positions(screen, header.faces, part_of_drawn_face, limits).items():
             ax.text(x, y, f"{part}", fontsize=8, ha="center", va="center", path_effects=halo, zorder=4)
@@ -262,7 +263,7 @@ def _number_positions(
 ) -> dict[int, tuple[float, float]]:
     """Return the centre of each part's widest visible region, for faces ``(F, 3)`` and screen points ``(V, 3)``."""
     left, right, bottom, top = limits
-    visible = _visible_parts(screen, faces, part_of_face, limits)
+    visible = visible_labels(screen, faces, part_of_face, limits, _VISIBILITY_PIXELS)
     rows, columns = visible.shape
     positions = {}
     for part in np.unique(visible[visible >= 0]).tolist():
@@ -272,25 +273,6 @@ def _number_positions(
             x, y = (column + 0.5) / columns, (row + 0.5) / rows
             positions[part] = left + x * (right - left), bottom + y * (top - bottom)
     return positions
-
-
-def _visible_parts(screen: Float, faces: IntArray, part_of_face: IntArray, limits: Limits) -> Index:
-    """Return an image of the visible part numbers, lowest row first, with -1 in the background."""
-    size = _VISIBILITY_PIXELS, max(1, round(_VISIBILITY_PIXELS * aspect_ratio(limits)))
-    figure = import_matplotlib("figure").Figure(figsize=size, dpi=1, facecolor="black")
-    canvas = import_matplotlib("backends.backend_agg").FigureCanvasAgg(figure)
-    ax = figure.add_axes((0, 0, 1, 1), xlim=limits[:2], ylim=limits[2:])
-    ax.set_axis_off()
-    order = np.argsort(screen[faces, 2].mean(axis=1), kind="stable")
-    rgb = ((part_of_face[order, None] + 1) >> np.array([16, 8, 0]) & 255) / 255  # encodes the part number
-    ax.add_collection(
-        import_matplotlib("collections").PolyCollection(
-            screen[faces[order], :2], facecolors=rgb, edgecolors="none", antialiaseds=False
-        )
-    )
-    canvas.draw()
-    image = np.asarray(canvas.buffer_rgba())[::-1, :, :3].astype(np.int64)
-    return np.asarray(image @ [1 << 16, 1 << 8, 1] - 1)
 
 
 MAX_ERROR_FRAMES = 12

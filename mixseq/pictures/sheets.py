@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
+from mixseq.pictures.charts import Target, error_map, import_matplotlib
 from mixseq.pictures.colours import part_colours, segmentation_colours
-from mixseq.pictures.page import Sheet, Target, draw_mesh, error_map
+from mixseq.pictures.raster import DOTS_PER_INCH, draw_mesh
 from mixseq.pictures.scene import (
     CLAY_COLOUR,
     INK_COLOUR,
@@ -29,7 +30,75 @@ from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, IntArray
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from mixseq.retargeting.transfer import Transfer
+
+
+PAGE_WIDTH = 12.0  # in inches, like all page lengths
+ROW_GAP = 0.15
+BOTTOM_MARGIN = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A page with rows of equal panels."""
+
+    figure: Figure  # the page
+    panels: list[list[Axes]]  # panels row by row, without axis frames
+
+    @classmethod
+    def from_grid(
+        cls, rows: int, columns: int, aspect: float, title: str, left: float = 0.1, right: float = 0.1
+    ) -> Sheet:
+        """Lay out panels with an aspect ratio clamped to 0.3..2.5; `left` and `right` are margins in inches."""
+        top = 0.65 if title else 0.3
+        width = (PAGE_WIDTH - left - right) / columns
+        height = width * float(np.clip(aspect, 0.3, 2.5))
+        page_height = top + rows * (height + ROW_GAP) - ROW_GAP + BOTTOM_MARGIN
+
+        size = PAGE_WIDTH, page_height
+        figure: Figure = import_matplotlib("figure").Figure(figsize=size, facecolor="white")
+        figure.text(0.1 / PAGE_WIDTH, 1 - 0.1 / page_height, title, fontsize=13, color=INK_COLOUR, va="top")
+
+        def panel(row: int, column: int) -> Axes:
+            x, y = left + column * width, BOTTOM_MARGIN + (rows - 1 - row) * (height + ROW_GAP)
+            ax = figure.add_axes((x / PAGE_WIDTH, y / page_height, width / PAGE_WIDTH, height / page_height))
+            ax.set_axis_off()
+            return ax
+
+        return cls(figure, [[panel(row, column) for column in range(columns)] for row in range(rows)])
+
+    def label_row(self, row: int, text: str) -> None:
+        """Write a label to the left of a row."""
+        self.panels[row][0].annotate(
+            text,
+            (0, 0.5),
+            (-8, 0),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            ha="right",
+            va="center",
+            fontsize=10,
+            color=INK_COLOUR,
+        )
+
+    def add_colour_bar(self, mappable: Any, label: str) -> None:
+        """Add a colour bar in scientific notation to the right of the last row."""
+        ticker = import_matplotlib("ticker")
+        box = self.panels[-1][-1].get_position(original=True)
+        x, width = box.x1 + 0.08 / PAGE_WIDTH, 0.12 / PAGE_WIDTH
+        cax = self.figure.add_axes((x, box.y0 + 0.1 * box.height, width, 0.8 * box.height))
+        bar = self.figure.colorbar(mappable, cax=cax, ticks=ticker.LinearLocator(3))
+        bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.1e}" if value else "0")
+        bar.ax.tick_params(labelsize=7, colors=INK_COLOUR, length=2)
+        bar.outline.set_visible(False)
+        bar.set_label(label, fontsize=7, color=INK_COLOUR)
+
+    def save(self, target: Target) -> None:
+        """Write the page as a PNG without metadata, so that equal pictures give identical files."""
+        self.figure.savefig(target, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})
 
 
 def draw_segmentation(

@@ -1,9 +1,10 @@
-"""The contract of all shape spaces, and the weights of angles and rotations in their metrics."""
+"""The contract of all shape spaces, the weights of their metrics, and the smallest space, that of vertex positions."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from mixseq.types import Float, FloatArray, Index
 
 if TYPE_CHECKING:
     from mixseq.segmentation.joints import Decomposition
-    from mixseq.shells.gauss_newton import ShellReport
+    from mixseq.shells.fitting import ShellReport
 
 
 ANGLE_WEIGHT = 0.3
@@ -251,11 +252,9 @@ class ShapeSpace(PickledWithoutCaches, ABC):
             If a vector cannot be decoded to a mesh.
         """
 
-    def decode_with_reports(
-        self, vectors: Float, progress: Progress = no_progress
-    ) -> tuple[Float, list[list[ShellReport]]]:
+    def decode_with_reports(self, vectors: Float) -> tuple[Float, list[list[ShellReport]]]:
         """Decode vectors, and return the fit reports of every frame, which are empty in spaces without fits."""
-        return self.decode(vectors, progress), [[] for _ in vectors]
+        return self.decode(vectors), [[] for _ in vectors]
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
         """Return the change ``(S,)`` of a vector's shape from decoded points to edited points ``(V, 3)``.
@@ -279,3 +278,39 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         ahead, behind = (self.decode_for_differences(v) for v in (vectors + change, vectors - change))
         inverse = np.divide(0.5, step, out=np.zeros_like(step), where=step > 0)
         return points, (ahead - behind) * inverse[:, None, None]
+
+
+@dataclass(frozen=True)
+class VertexSpace(ShapeSpace):
+    """The linear space of vertex positions S_v, for meshes without articulation: blends shrink rotating parts."""
+
+    vertex_count: int
+    scale: float  # unit of errors, see `reference_diagonal`, in the units of the sequence
+    name = "vertex"
+
+    @property
+    def dim(self) -> int:
+        """Length of a vector, 3 V."""
+        return 3 * self.vertex_count
+
+    @property
+    def weights(self) -> Float:
+        """Ones: coordinates are in diagonals."""
+        return np.ones(self.dim)
+
+    def encode_independently(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_independently`."""
+        return points.astype(np.float64).reshape(len(points), -1) / self.scale
+
+    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
+        """Implement `ShapeSpace.decode`."""
+        points = self.check_vectors(vectors).reshape(len(vectors), self.vertex_count, 3)
+        return np.asarray(points * self.scale)
+
+    def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
+        """Implement `ShapeSpace.shape_difference`."""
+        return np.asarray((after - before).reshape(-1) / self.scale)
+
+    def decode_with_velocities(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
+        """Implement `ShapeSpace.decode_with_velocities`."""
+        return self.decode(vectors), self.decode(rates)

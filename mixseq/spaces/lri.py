@@ -22,15 +22,13 @@ the pieces as in `PosedSpace`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.triangle_mesh import DEGENERATE_HEIGHT_RATIO, normalise, perpendicular, vertex_normals
-from mixseq.shells.gauss_newton import BlockPattern
-from mixseq.shells.solvers import index_of
-from mixseq.spaces.gradient import PoissonSystem
+from mixseq.runtime.lazy import cached_property
+from mixseq.shells.solvers import BlockPattern, PoissonSystem, index_of
 from mixseq.spaces.pieces import PosedSpace
 from mixseq.types import Float, Index
 
@@ -71,7 +69,8 @@ class LRISpace(PosedSpace):
     @cached_property
     def poisson_system(self) -> PoissonSystem:
         """Poisson system of the vertices."""
-        return PoissonSystem(self.edge_rows, np.ones(len(self.edge_rows)), len(self.pieces.vertex_of_row))
+        fixed_mask = np.zeros(len(self.pieces.vertex_of_row), dtype=bool)
+        return PoissonSystem(self.edge_rows, np.ones(len(self.edge_rows)), fixed_mask)
 
     @cached_property
     def unknown_index(self) -> Index:
@@ -83,10 +82,6 @@ class LRISpace(PosedSpace):
         """Block pattern of unknown frames, coupled by edges."""
         count = len(self.poisson_system.unknown_ids)
         return BlockPattern.from_pairs(count, self.unknown_index[self.edge_rows])
-
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return self.poisson_system, self.frame_pattern
 
     @property
     def shape_dim(self) -> int:

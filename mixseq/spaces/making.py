@@ -24,14 +24,13 @@ from mixseq.segmentation.joints import (
 )
 from mixseq.segmentation.methods import Segmentation, resolve_segmentation, segment, segment_by_labels
 from mixseq.sequence.sequence import FrameStore, MeshSequence, iterate_blocks
-from mixseq.shells.gauss_newton import ShellSettings
-from mixseq.spaces.base import ShapeSpace, mean_edge_lengths
+from mixseq.shells.fitting import ShellSettings
+from mixseq.spaces.base import ShapeSpace, VertexSpace, mean_edge_lengths
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mixed.construction import Purpose, mixed_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace
-from mixseq.spaces.vertex import VertexSpace
 from mixseq.types import Index
 
 SPACE_STAGES = 3

@@ -28,7 +28,7 @@ from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.measures import NO_ORIGIN
 from mixseq.mesh.surface import Surface
-from mixseq.pictures.chart_data import chart_data
+from mixseq.pictures.charts import chart_data
 from mixseq.pictures.colours import MEASURES, Colouring, SceneColours
 from mixseq.pictures.scene import SceneItem, View, resolve_view, to_y_up
 from mixseq.runtime.low_memory import LargeArray, new_large_array
@@ -79,7 +79,7 @@ class PageItem:
 
     mesh: SceneItem  # the moving mesh
     colourings: Mapping[str, Colouring]  # available colourings, the initial one first
-    signals: Mapping[str, Any] | None = None  # chart data of a model (mixseq.pictures.chart_data)
+    signals: Mapping[str, Any] | None = None  # chart data of a model (mixseq.pictures.charts)
     compressed: CompressedSequence | None = None  # the opened file of the mesh, if compressed
 
 

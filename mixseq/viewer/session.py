@@ -9,102 +9,80 @@ Picking intersects a ray from the pointer with all triangles (Möller & Trumbore
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Annotated, Generic, Protocol, TypeVar
 
-import numpy as np
+from msgspec import DecodeError, Meta, Struct
+from msgspec.json import Decoder
 
 from mixseq.errors import OutputError
 from mixseq.operations.retiming import retime
 from mixseq.pictures.scene import Scene
 from mixseq.signals.model import Model
-from mixseq.types import Float
 from mixseq.viewer.playback import JobQueue, Playback
 
 MAX_MESSAGE_POINTS = 5000
 """Largest number of points of a sketch, and of keys of a retiming."""
 
-
 MAX_MESSAGE_NUMBER = 1e6
 """Largest time in seconds, and largest coordinate in diagonals."""
 
 
-@dataclass(frozen=True)
-class Drawn:
+Number = Annotated[float, Meta(ge=-MAX_MESSAGE_NUMBER, le=MAX_MESSAGE_NUMBER)]
+Point = tuple[Number, Number]
+Points = Annotated[list[Point], Meta(min_length=1, max_length=MAX_MESSAGE_POINTS)]
+
+
+class PageMessage(Struct, tag_field="kind", tag=str.lower, frozen=True):
+    """Message of the page; further fields are ignored."""
+
+
+class Drawn(PageMessage):
     """Confirmation that the page has drawn a frame."""
 
 
-@dataclass(frozen=True)
-class Seek:
+class Seek(PageMessage):
     """Request to show the model at a time in seconds."""
 
-    time: float
+    time: Number
 
 
-@dataclass(frozen=True, eq=False)
-class Drag:
-    """Drag of the time curve's point at a given time to a point ``(2,)`` of the embedding."""
+class Drag(PageMessage):
+    """Drag of the time curve's point at a given time to a point of the embedding."""
 
-    time: float
-    target: Float
-    is_done: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Sketch:
-    """Curve ``(N, 2)`` that the user drew in the embedding."""
-
-    points: Float
+    time: Number
+    to: Point
+    done: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Retime:
-    """Keys ``(n, 2)`` of a retiming: output and source times."""
+class Sketch(PageMessage):
+    """Curve that the user drew in the embedding."""
 
-    keys: Float
-    is_done: bool
+    points: Points
+
+
+class Retime(PageMessage):
+    """Keys of a retiming: output and source times."""
+
+    keys: Points
+    done: bool
 
 
 Message = Drawn | Seek | Drag | Sketch | Retime
 State = TypeVar("State")
 
+_MESSAGE_DECODER: Decoder[Message] = Decoder(Message)
+
 
 def parse_message(text: str) -> Message | None:
     """Parse a message of the page; return None if it is invalid."""
     try:
-        message = json.loads(text)
-        match message:
-            case {"kind": "drawn"}:
-                return Drawn()
-            case {"kind": "seek", "time": time}:
-                return Seek(_parse_number(time))
-            case {"kind": "drag", "time": time, "to": to, "done": bool(done)}:
-                return Drag(_parse_number(time), _parse_pairs([to])[0], done)
-            case {"kind": "sketch", "points": points}:
-                return Sketch(_parse_pairs(points))
-            case {"kind": "retime", "keys": keys, "done": bool(done)}:
-                return Retime(_parse_pairs(keys), done)
-    except (ValueError, TypeError, RecursionError):
+        return _MESSAGE_DECODER.decode(text)
+    except (DecodeError, TypeError, RecursionError):
         return None
-    return None
-
-
-def _parse_number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= MAX_MESSAGE_NUMBER:
-        raise ValueError
-    return float(value)
-
-
-def _parse_pairs(rows: Any) -> Float:
-    if not isinstance(rows, list) or not 0 < len(rows) <= MAX_MESSAGE_POINTS:
-        raise ValueError
-    if any(not isinstance(row, list) or len(row) != 2 for row in rows):
-        raise ValueError
-    return np.array([[_parse_number(value) for value in row] for row in rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +91,7 @@ class Step:
 
     name: str  # name of the edit, such as "repeat"; empty for the opened model
     model: Model  # model after the edit
-    keys: tuple[tuple[float, float], ...] = ()  # keys of a retiming: output and source times in seconds
+    keys: tuple[Point, ...] = ()  # keys of a retiming: output and source times in seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,13 +229,12 @@ class Session(JobQueue[_Job]):
 
         self._enqueue_change(name, change, preview)
 
-    def retime(self, keys: Float, preview: bool = False) -> None:
-        """Retime the model by keys ``(n, 2)`` of output and source seconds; replace the last step if it retimes."""
+    def retime(self, keys: Sequence[Point], preview: bool = False) -> None:
+        """Retime the model by keys, output and source seconds; replace the last step if it retimes."""
 
         def change(history: EditHistory) -> EditHistory:
             before = history.undo() if history.current.keys else history
-            key_times = tuple((float(output), float(source)) for output, source in keys)
-            return before.push(Step("retime", retime(before.current.model, keys), key_times))
+            return before.push(Step("retime", retime(before.current.model, keys), tuple(keys)))
 
         self._enqueue_change("retime", change, preview)
 

@@ -87,7 +87,7 @@ PATIENCE = 60.0
     ],
 )
 def test_failure(run: Run, contents: Contents, monkeypatch: pytest.MonkeyPatch, line: str, message: str) -> None:
-    monkeypatch.setattr(live, "check_viser", lambda: None)
+    monkeypatch.setattr("mixseq.viewer.live.check_viser", lambda: None)
     monkeypatch.setattr(live, "run_viewer", None)  # nothing gets so far
     before = contents()
     result = run(*line.split())
@@ -355,8 +355,7 @@ def test_addresses_that_cannot_be(run: Run, folder: Path, options: str, message:
 
 
 @pytest.mark.usefixtures("interruptible")
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
-def test_it_runs_until_it_is_ended(folder: Path, number: signal.Signals, code: int) -> None:
+def test_it_runs_until_it_is_interrupted(folder: Path) -> None:
     pytest.importorskip("viser", reason="the extra viewer is not installed")
     before = sorted(folder.iterdir())
     command = [MIXSEQ, "view", "model.h5", "bar.npz", "--no-browser", "--port", str(free_port())]
@@ -371,11 +370,11 @@ def test_it_runs_until_it_is_ended(folder: Path, number: signal.Signals, code: i
                 assert response.status == 200
                 assert b"<html" in response.read()
             begin = time.monotonic()
-            process.send_signal(number)
+            process.send_signal(signal.SIGINT)
             stdout, stderr = process.communicate(timeout=PATIENCE)
         finally:
             process.kill()
-    assert (process.returncode, stdout.strip(), stderr) == (code, "", "")
+    assert (process.returncode, stdout.strip(), stderr) == (0, "", "")
     assert time.monotonic() - begin < 15.0
     with pytest.raises(OSError, match="refused"):
         urlopen(found[1], timeout=PATIENCE)

@@ -8,6 +8,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+LOW_RESOLUTION = 30
+"""Dots per inch of pages in tests, which is a fifth of what users get."""
+
+
+def set_resolution(monkeypatch: pytest.MonkeyPatch, dots_per_inch: int) -> None:
+    """Draw pages with fewer pixels, or more."""
+    for module in ("raster", "charts", "sheets"):
+        monkeypatch.setattr(f"mixseq.pictures.{module}.DOTS_PER_INCH", dots_per_inch)
+
+
+@pytest.fixture(autouse=True)
+def _low_resolution(monkeypatch: pytest.MonkeyPatch) -> None:
+    set_resolution(monkeypatch, LOW_RESOLUTION)
+
 
 @pytest.fixture
 def parts() -> NDArray[np.int64]:

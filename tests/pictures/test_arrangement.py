@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mixseq.errors import SettingsError
-from mixseq.pictures.page import draw_mesh
+from mixseq.pictures.raster import draw_mesh
 from mixseq.pictures.scene import (
     FIELD_OF_VIEW_DEGREES,
     FRAMING_RATIO,
@@ -28,8 +28,9 @@ from mixseq.pictures.scene import (
 )
 from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.signals.model import Model
-from mixseq.types import Float, FloatArray, IntArray
+from mixseq.types import ByteArray, Float, FloatArray, IntArray
 from tests.meshes import bar, tetrahedron, tube
+from tests.pictures.conftest import LOW_RESOLUTION
 
 
 def box(size: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0)) -> MeshSequence:
@@ -272,44 +273,49 @@ def test_limits_of_a_single_point_are_not_empty() -> None:
     assert left < right and bottom < top
 
 
-# A drawn mesh: which faces, in which order, in which light
+# A mesh on a page; `test_raster.py` has the renderer
 
 
-def draw(ax: Any, points: FloatArray, faces: IntArray, **options: Any) -> Any:
-    """Draw a mesh and return its polygons."""
+def draw(ax: Any, points: FloatArray, faces: IntArray, **options: Any) -> ByteArray:
+    """Draw a mesh and return its picture."""
     draw_mesh(ax, points, faces, **options)
-    (collection,) = ax.collections
-    return collection
+    (image,) = ax.images
+    return np.asarray(image.get_array())
 
 
-@pytest.mark.parametrize("corners", [[0, 1, 2], [2, 1, 0]])
-def test_back_faces_of_a_closed_mesh_are_left_out(ax: Any, gem: MeshSequence, corners: list[int]) -> None:
-    polygons = draw(ax, gem.points[0], gem.faces[:, corners]).get_paths()
-    assert 0 < len(polygons) < len(gem.faces)
-
-
-def test_an_open_mesh_shows_both_sides(ax: Any, gem: MeshSequence) -> None:
-    assert len(draw(ax, gem.points[0], gem.faces[:6]).get_paths()) == 6
+def test_both_sides_look_alike(ax: Any, gem: MeshSequence) -> None:
+    front = draw(ax, gem.points[0], gem.faces[:6])
+    ax.clear()
+    np.testing.assert_array_equal(draw(ax, gem.points[0], gem.faces[:6, ::-1]), front)
 
 
 @pytest.mark.parametrize("order", [[0, 1], [1, 0]])
-def test_near_faces_are_drawn_last(ax: Any, order: list[int]) -> None:
+def test_near_faces_hide_far_faces(ax: Any, order: list[int]) -> None:
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1.0]])
     faces, colours = np.array([[0, 1, 2], [3, 4, 5]])[order], np.array([[1, 0, 0], [0, 0, 1.0]])[order]
-    last = draw(ax, points, faces, colours=colours, view=View(0, 0), contrast=0).get_facecolor()[-1]
-    assert np.allclose(last[:3], [0, 0, 1])
+    picture = draw(ax, points, faces, colours=colours, view=View(0, 0), contrast=0)
+    assert (picture == [0, 0, 255]).all(axis=2).any()
+    assert not (picture == [255, 0, 0]).all(axis=2).any()
 
 
 def test_flat_colours_stay_as_given(ax: Any, gem: MeshSequence) -> None:
-    collection = draw(ax, gem.points[0], gem.faces, colours=(0.2, 0.4, 0.6), contrast=0)
-    assert np.allclose(collection.get_facecolor()[:, :3], [0.2, 0.4, 0.6])
+    picture = draw(ax, gem.points[0], gem.faces, colours=(0.2, 0.4, 0.6), contrast=0)
+    assert picture[tuple(np.array(picture.shape[:2]) // 2)].tolist() == [51, 102, 153]
 
 
 def test_faces_above_are_brighter_than_below(ax: Any, gem: MeshSequence) -> None:
-    collection = draw(ax, gem.points[0] * [1, 0.2, 1], gem.faces, view=View(0, 0))
-    heights = np.array([path.vertices[:3, 1].mean() for path in collection.get_paths()])
-    light = collection.get_facecolor()[:, :3].sum(axis=1)
-    assert light[heights > 0].min() > light[heights < 0].max()
+    picture = draw(ax, gem.points[0] * [1, 0.2, 1], gem.faces, view=View(0, 0)).astype(int)
+    rows = np.nonzero(picture.sum(axis=2) < 3 * 255)[0]
+    above, below = (picture[round(np.quantile(rows, share)), picture.shape[1] // 2].sum() for share in (0.3, 0.7))
+    assert above > below
+
+
+def test_a_picture_has_the_pixels_of_its_panel(ax: Any, gem: MeshSequence) -> None:
+    width, low = ax.get_window_extent().width, draw(ax, gem.points[0], gem.faces)
+    assert low.shape[1] == pytest.approx(width, abs=1)
+    ax.clear()
+    ax.figure.dpi = LOW_RESOLUTION / 2
+    assert draw(ax, gem.points[0], gem.faces).shape[1] == pytest.approx(width * LOW_RESOLUTION / 100, abs=1)
 
 
 def test_degenerate_triangles_are_survived(ax: Any) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from mixseq.errors import OutputError, SettingsError
-from mixseq.pictures.chart_data import singular_values
 from mixseq.pictures.charts import (
     Format,
     chart_style,
@@ -24,6 +23,7 @@ from mixseq.pictures.charts import (
     picture_format,
     round_frames,
     save_page,
+    singular_values,
     time_axis,
 )
 from mixseq.sequence.sequence import MeshSequence

@@ -17,7 +17,7 @@ from mixseq.retargeting.transfer import Transfer, TransferSettings, plan_transfe
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
 from tests.meshes import bar, rotation, tetrahedron
-from tests.pictures.test_sheets import png_size
+from tests.pictures.test_sheets import PAGE_PIXELS, png_size
 
 pytestmark = pytest.mark.slow
 
@@ -42,10 +42,10 @@ def sheet(made: Transfer, frames: tuple[int, ...] = (1, 3)) -> bytes:
 
 
 @pytest.mark.parametrize("method", ["mixed", "gradients"])
-def test_sheet_is_1800_pixels_wide_and_reproducible(body: MeshSequence, method: str) -> None:
+def test_sheet_has_the_width_of_a_page_and_is_reproducible(body: MeshSequence, method: str) -> None:
     made = planned(body, body.points[0] * [1, 1.2, 1], method=method)
     first = sheet(made)
-    assert png_size(first)[0] == 1800
+    assert png_size(first)[0] == PAGE_PIXELS
     assert first == sheet(made)
 
 
@@ -57,7 +57,7 @@ def test_more_columns_make_smaller_panels(body: MeshSequence) -> None:
 def test_sheet_goes_to_a_path(body: MeshSequence, tmp_path: Path) -> None:
     made = planned(body, body.points[0])
     transfer_sheet(tmp_path / "sheet.png", made, [1], next(made.blocks())[1:2], title="bar")
-    assert png_size((tmp_path / "sheet.png").read_bytes())[0] == 1800
+    assert png_size((tmp_path / "sheet.png").read_bytes())[0] == PAGE_PIXELS
 
 
 def test_of_a_turned_target_the_sheet_is_the_same_but_for_its_size(body: MeshSequence) -> None:

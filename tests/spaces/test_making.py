@@ -39,10 +39,10 @@ def test_spaces_do_not_depend_on_who_works(name: SpaceName) -> None:
 def test_spaces_can_be_sent(name: SpaceName) -> None:
     space = make_space(LONG, name)
     vectors = space.encode(LONG.points[:3])
-    space.precompute()
+    decoded = space.decode(vectors)
     sent = pickle.loads(pickle.dumps(space))
     np.testing.assert_array_equal(sent.encode(LONG.points[:3]), vectors)
-    np.testing.assert_array_equal(sent.decode(vectors), space.decode(vectors))
+    np.testing.assert_array_equal(sent.decode(vectors), decoded)
 
 
 @pytest.mark.parametrize("name", SPACES)

@@ -10,7 +10,7 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 
 from mixseq.operations.sketch import drag
-from mixseq.pictures.chart_data import chart_data
+from mixseq.pictures.charts import chart_data
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model

@@ -24,7 +24,7 @@ from mixseq.compression.encoder.compress import compress
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.surface import CornerValues, Surface
-from mixseq.pictures.chart_data import chart_data
+from mixseq.pictures.charts import chart_data
 from mixseq.pictures.colours import Colouring, SceneColours, available_colourings
 from mixseq.pictures.scene import Scene, SceneItem, View, shared_limits, three_quarter_view, to_y_up
 from mixseq.runtime import low_memory

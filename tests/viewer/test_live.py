@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,11 +16,11 @@ from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.signals.model import Model
 from tests.meshes import coarse_walk
-from tests.viewer.conftest import NewPage, own_port
+from tests.viewer.conftest import Keep, Watched, own_port
 from tests.viewer.pages import QUICK, eventually
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Page
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
@@ -51,11 +50,12 @@ def save(path: Path, model: Model, replace: bool) -> str:
 
 
 @pytest.fixture
-def running(model: Model, tmp_path: Path) -> Iterator[Viewer]:
+def started(model: Model, tmp_path: Path) -> Iterator[tuple[Viewer, Callable[[], None]]]:
+    """A running viewer, and what ends it."""
     scene = Scene((SceneItem("fox.h5", model),))
     settings = ViewSettings(port=own_port(), folder=tmp_path, threads=1, material="toon5")
-    with run_viewer(SceneColours(scene), settings, save) as started:
-        yield started
+    with ExitStack() as stack:
+        yield stack.enter_context(run_viewer(SceneColours(scene), settings, save)), stack.close
 
 
 MIDDLE = """() => {
@@ -145,10 +145,27 @@ class Window:
         self.page.get_by_role("option", name=option, exact=True).click()
 
 
-def test_a_session(new_page: NewPage, running: Viewer, screenshots: Path, model: Model, tmp_path: Path) -> None:
-    window = Window(new_page(), running.address)
+EDGES = """() => {
+  const { left, top, right } = document.querySelector(".mixseq-sheet").getBoundingClientRect();
+  return [window.__viserMutable.canvas.getBoundingClientRect().bottom, left, top, right];
+}"""
+"""Where the picture ends, and the left, upper and right edge of the panel."""
+
+
+# One test, as a page takes seconds to load.
+def test_a_session(
+    watched: Watched, started: tuple[Viewer, Callable[[], None]], keep: Keep, model: Model, tmp_path: Path
+) -> None:
+    running, end = started
+    window = Window(watched.open(), running.address)
     page, session, playback = window.page, running.session, running.playback
-    page.screenshot(path=screenshots / "view.png")
+    keep(page, "view")
+
+    assert window.part() == "whole body"
+    window.click("Hold")
+    eventually(lambda: page.get_by_text("cannot be held").count())
+    assert session.model is model
+    assert not session.history.index
 
     first = window.array("position")
     window.changes("position", lambda: window.click("Play"))
@@ -171,12 +188,11 @@ def test_a_session(new_page: NewPage, running: Viewer, screenshots: Path, model:
 
     for now, colour in (("clay", "parts"), ("parts", "strain")):
         window.changes("color", partial(window.choose, now, colour))
-        page.wait_for_timeout(300)
-        page.screenshot(path=screenshots / f"view_{colour}.png")
+        keep(page, f"view_{colour}")
 
     window.drag(3, (30, 25))
     eventually(lambda: session.history.current.name == "drag")
-    page.screenshot(path=screenshots / "view_dragged.png")
+    keep(page, "view_dragged")
     edited = session.model
     assert np.abs(edited.time(edited.times) - model.time(model.times)).max() > 1e-3
 
@@ -192,35 +208,12 @@ def test_a_session(new_page: NewPage, running: Viewer, screenshots: Path, model:
     again = mixseq.load(saved)
     np.testing.assert_allclose(again.time(again.times), edited.time(edited.times), atol=1e-12)
 
-    page.set_viewport_size({"width": 1920, "height": 1080})
     drawn = window.array("position")
-    other = Window(page, running.address)  # loads the page again
-    assert other.array("position") == drawn
-    assert session.model is edited
-    page.screenshot(path=screenshots / "view_wide.png")
-
-
-def test_the_whole_body_is_not_held(new_page: NewPage, running: Viewer, model: Model) -> None:
-    """It has cannot be held: that is told, and nothing changes."""
-    window = Window(new_page(), running.address)
-    assert window.part() == "whole body"
-    window.click("Hold")
-    eventually(lambda: window.page.get_by_text("cannot be held").count())
-    assert running.session.model is model
-    assert not running.session.history.index
-
-
-EDGES = """() => {
-  const { left, top, right } = document.querySelector(".mixseq-sheet").getBoundingClientRect();
-  return [window.__viserMutable.canvas.getBoundingClientRect().bottom, left, top, right];
-}"""
-"""Where the picture ends, and the left, upper and right edge of the panel."""
-
-
-def test_on_a_phone_the_panel_is_under_the_picture(new_page: NewPage, running: Viewer, screenshots: Path) -> None:
-    page = new_page(390, 844)
+    page.set_viewport_size({"width": 390, "height": 844})
     page.goto(running.address + QUICK)
     page.locator(".mixseq-sheet").wait_for()
+    eventually(lambda: window.array("position") == drawn)
+    assert session.model is edited
 
     def meet() -> bool:
         """Whether the sheet begins where the picture ends, and has the width of the window."""
@@ -236,20 +229,9 @@ def test_on_a_phone_the_panel_is_under_the_picture(new_page: NewPage, running: V
         return bool((seen[:, :2].min(axis=0) > 0).all() and (seen[:, :2].max(axis=0) < [390, top]).all())
 
     eventually(fits)
-    page.screenshot(path=screenshots / "view_phone.png")
+    keep(page, "view_phone")
 
-
-def test_the_page_says_so_when_its_server_is_killed(browser: Browser, tmp_path: Path, model: Model) -> None:
-    mixseq.save(tmp_path / "fox.h5", model)
-    command = [sys.executable, "-m", "mixseq", "view", "fox.h5", "--no-browser", "--port", str(own_port())]
-    page = browser.new_page()  # its console tells of the line that is cut
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as server:
-        try:
-            assert server.stdout
-            page.goto(server.stdout.readline().split()[2] + QUICK)
-            page.wait_for_function("() => window.mixseqLive")
-            eventually(lambda: page.locator("#mixseq-ended").is_hidden())
-        finally:
-            server.kill()
+    watched.check()  # its console is told of the connection that is lost now
+    assert page.locator("#mixseq-ended").is_hidden()
+    end()
     page.get_by_role("alert").get_by_text("This viewer has ended").wait_for()
-    page.close()

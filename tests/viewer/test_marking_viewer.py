@@ -14,7 +14,7 @@ from mixseq.retargeting.markers import Markers
 from mixseq.types import Float
 from mixseq_io.text.markers import write_markers
 from tests.retargeting.foxes import seen_from_left, short, tall
-from tests.viewer.conftest import Keep, NewPage, own_port
+from tests.viewer.conftest import Keep, Watched, own_port
 from tests.viewer.pages import QUICK, eventually
 
 if TYPE_CHECKING:
@@ -52,7 +52,16 @@ class Hand:
         page.wait_for_function(ready)
         eventually(lambda: page.get_by_text("Software WebGL").count())
         page.locator(".mantine-Notification-closeButton").first.click()
-        page.wait_for_timeout(500)  # panels dock, and the camera steps back
+        self.wait_until_still()  # panels dock, and the camera steps back
+        eventually(lambda: len(self.session.proposals) == 8 and self.session._mirrors is not None)
+
+    def wait_until_still(self) -> None:
+        def is_still() -> bool:
+            before = self.page.evaluate(PLACE, [0, 0])
+            self.page.wait_for_timeout(250)
+            return bool(self.page.evaluate(PLACE, [0, 0]) == before)
+
+        eventually(is_still)
 
     def button(self, name: str) -> None:
         self.page.get_by_role("button", name=name, exact=True).click()
@@ -71,7 +80,7 @@ class Hand:
     def see_left(self) -> None:
         """Foxes look along x, which is no format's front: their left is at its back."""
         self.button("Back")
-        self.page.wait_for_timeout(1500)
+        self.wait_until_still()
 
     def text(self, name: str) -> str:
         return self.page.locator(f"#mixseq-{name}").inner_text()
@@ -82,10 +91,16 @@ class Hand:
         return [(FOXES[0].bones[source], FOXES[1].bones[target]) for source, target in pairs]
 
 
-@pytest.fixture
-def running(tmp_path: Path) -> Iterator[MarkingViewer]:
+@pytest.fixture(scope="module")
+def target(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file that markers are saved to."""
+    return tmp_path_factory.mktemp("marking") / "pairs.txt"
+
+
+@pytest.fixture(scope="module")
+def running(target: Path) -> Iterator[MarkingViewer]:
     def save(markers: Markers) -> str:
-        write_markers(tmp_path / "pairs.txt", markers)
+        write_markers(target, markers)
         return "saved"
 
     nothing = Markers.from_pairs(np.zeros((0, 2), np.int64))
@@ -94,10 +109,22 @@ def running(tmp_path: Path) -> Iterator[MarkingViewer]:
         yield started
 
 
-def test_from_nothing_to_a_file(new_page: NewPage, running: MarkingViewer, keep: Keep, tmp_path: Path) -> None:
-    hand = Hand(new_page(), running)
-    page, session = hand.page, running.session
-    eventually(lambda: len(session.proposals) == 8 and session._mirrors is not None)
+@pytest.fixture(scope="module")
+def opened(watched: Watched, running: MarkingViewer) -> Hand:
+    return Hand(watched.open(), running)
+
+
+@pytest.fixture
+def hand(opened: Hand, watched: Watched) -> Iterator[Hand]:
+    """A page without markers, which tests share, as it takes seconds to load."""
+    yield opened
+    while opened.session._history.index:
+        opened.session.undo()
+    watched.check()
+
+
+def test_from_nothing_to_a_file(hand: Hand, keep: Keep, target: Path) -> None:
+    page, session = hand.page, hand.session
     eventually(lambda: "8 to confirm" in hand.text("proposed"))
     keep(page, "markers_proposed")
 
@@ -122,7 +149,6 @@ def test_from_nothing_to_a_file(new_page: NewPage, running: MarkingViewer, keep:
 
     eventually(lambda: "(median)" in hand.text("map"))
     assert "100 % of the target covered" in hand.text("map")
-    page.wait_for_timeout(500)
     keep(page, "markers_set")
 
     page.keyboard.press("Control+z")
@@ -132,37 +158,32 @@ def test_from_nothing_to_a_file(new_page: NewPage, running: MarkingViewer, keep:
 
     assert "changed since it was saved" in hand.text("saved")
     hand.button("Save")
-    eventually((tmp_path / "pairs.txt").exists)
+    eventually(target.exists)
     eventually(lambda: "as in the file" in hand.text("saved"))
-    saved = mixseq.read_markers(tmp_path / "pairs.txt")
+    saved = mixseq.read_markers(target)
     assert np.array_equal(saved.source, session.marking.markers.source)
     assert np.array_equal(saved.target, session.marking.markers.target)
-    mixseq.correspond(FOXES[0].mesh, FOXES[1].mesh, saved)  # which warnings would make fail
 
 
-def test_a_marker_is_chosen_moved_and_deleted(new_page: NewPage, running: MarkingViewer) -> None:
-    hand = Hand(new_page(), running)
-    eventually(lambda: len(running.session.proposals) == 8)
+def test_a_marker_is_chosen_moved_and_deleted(hand: Hand) -> None:
     hand.button("Accept all")
     eventually(lambda: len(hand.bones()) == 8)
     hand.see_left()
     number = hand.bones().index(("nose", "nose"))
-    hand.click_vertex(0, running.session.marking.pairs[number].vertices[0])  # its ball
+    hand.click_vertex(0, hand.session.marking.pairs[number].vertices[0])  # its ball
     eventually(lambda: f"{number + 1} is selected" in hand.text("hint"))
     hand.click(0, "thigh.l")
     assert hand.bones()[number] == ("thigh.l", "nose")
-    hand.click_vertex(0, running.session.marking.pairs[number].vertices[0])
-    assert running.session.marking.selected == number
+    hand.click_vertex(0, hand.session.marking.pairs[number].vertices[0])
+    assert hand.session.marking.selected == number
     hand.button("Delete")
     eventually(lambda: len(hand.bones()) == 7)
     hand.button("Undo")
     eventually(lambda: len(hand.bones()) == 8)
 
 
-def test_no_mesh_hides_the_other(new_page: NewPage, running: MarkingViewer) -> None:
+def test_no_mesh_hides_the_other(hand: Hand, running: MarkingViewer) -> None:
     """They stay beside each other while the camera turns, and it finds the same place of the other one."""
-    hand = Hand(new_page(), running)
-    eventually(lambda: len(running.session.proposals) == 8)
     mouse, stage = hand.page.mouse, running._stage
     before = stage.arrangement.view.azimuth
     mouse.move(500, 500)
@@ -170,7 +191,7 @@ def test_no_mesh_hides_the_other(new_page: NewPage, running: MarkingViewer) -> N
     mouse.move(300, 500, steps=10)
     mouse.up()
     eventually(lambda: abs(stage.arrangement.view.azimuth - before) > 30)
-    hand.page.wait_for_timeout(1000)
+    hand.wait_until_still()
     ends = [
         [hand.page.evaluate(PLACE, [side, vertex])[0] for vertex in range(0, fox.mesh.vertex_count, 40)]
         for side, fox in enumerate(FOXES)
@@ -193,12 +214,3 @@ def test_no_mesh_hides_the_other(new_page: NewPage, running: MarkingViewer) -> N
     assert away().min() < 0.45, "it looks past the mesh"
     hand.button("Other mesh")
     eventually(lambda: looked_at() == first)
-
-
-def test_on_a_phone(new_page: NewPage, running: MarkingViewer, keep: Keep) -> None:
-    page = new_page(390, 844)
-    page.goto(running.address)
-    page.wait_for_function("() => window.__viserMutable?.nodeRefFromName?.['/mesh/1']")
-    eventually(lambda: len(running.session.proposals) == 8)
-    page.wait_for_timeout(3000)
-    keep(page, "markers_phone")

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.mesh.surface import CornerValues, Surface
-from mixseq.pictures.chart_data import chart_data
+from mixseq.pictures.charts import chart_data
 from mixseq.pictures.colours import MEASURES, available_colourings
 from mixseq.pictures.scene import SceneItem
 from mixseq.sequence.sequence import MeshSequence

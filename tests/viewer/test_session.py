@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import asdict
 
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.operations import repeat
-from mixseq.pictures.chart_data import HANDLE_COUNT, MAX_CHART_FRAMES, MAX_CHART_POINTS, chart_data
+from mixseq.pictures.charts import HANDLE_COUNT, MAX_CHART_FRAMES, MAX_CHART_POINTS, chart_data
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
@@ -338,13 +339,13 @@ def test_settling_shows_the_model_again(room: Room, bar_model: Model) -> None:
 
 def test_keys_of_a_retiming_can_be_moved_on(room: Room, bar_model: Model) -> None:
     session, end = room.session, bar_model.end
-    session.retime(np.array([[0.0, 0.0], [2.0 * end, end]]))
-    session.retime(np.array([[0.0, 0.0], [3.0 * end, end]]))
+    session.retime([(0.0, 0.0), (2.0 * end, end)])
+    session.retime([(0.0, 0.0), (3.0 * end, end)])
     eventually(lambda: session.model.end == pytest.approx(3.0 * end))
     assert session.history.current.keys == ((0.0, 0.0), (3.0 * end, end))
     assert (session.history.index, session.history.undo().current.model) == (1, bar_model)
     session.edit("loop", same)
-    session.retime(np.array([[0.0, 0.0], [end, 3.0 * end]]))  # of what came after an edit
+    session.retime([(0.0, 0.0), (end, 3.0 * end)])  # of what came after an edit
     eventually(lambda: session.history.index == 3)
     assert session.model.end == pytest.approx(end)
     session.undo()
@@ -591,7 +592,7 @@ nearly = st.fixed_dictionaries(
 
 def arrays(message: Message) -> list[Any]:
     """Every number of a message."""
-    return [np.asarray(value) for value in vars(message).values()]
+    return [np.asarray(value) for value in asdict(message).values()]
 
 
 @given(numbers)
@@ -610,21 +611,21 @@ def test_nothing_is_so_far_away(time: float) -> None:
 def test_drag(time: float, to: list[float], done: bool) -> None:
     said = parse_message(json.dumps({"kind": "drag", "time": time, "to": to, "done": done}))
     assert isinstance(said, Drag)
-    assert (said.time, said.target.tolist(), said.is_done) == (time, to, done)
+    assert (said.time, list(said.to), said.done) == (time, to, done)
 
 
 @given(st.lists(pairs, min_size=1))
 def test_sketch(points: list[list[float]]) -> None:
     said = parse_message(json.dumps({"kind": "sketch", "points": points}))
     assert isinstance(said, Sketch)
-    assert said.points.tolist() == points
+    assert list(map(list, said.points)) == points
 
 
 @given(st.lists(pairs, min_size=1), st.booleans())
 def test_retime(keys: list[list[float]], done: bool) -> None:
     said = parse_message(json.dumps({"kind": "retime", "keys": keys, "done": done}))
     assert isinstance(said, Retime)
-    assert (said.keys.tolist(), said.is_done) == (keys, done)
+    assert (list(map(list, said.keys)), said.done) == (keys, done)
 
 
 def test_drawn_and_what_else_the_page_adds() -> None:

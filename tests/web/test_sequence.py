@@ -104,7 +104,7 @@ def test_golden_file(node: Node, tmp_path: Path) -> None:
     assert found.uvs.tobytes() == model.header.surface.uvs.at_corners.tobytes()
 
 
-@pytest.mark.parametrize("offset", [0.0, 1e2, 1e3, 1e4, 1e5, 1e6])
+@pytest.mark.parametrize("offset", [0.0, 1e3, 1e6])
 def test_bounds_hold_far_from_the_origin(node: Node, tmp_path: Path, offset: float) -> None:
     """A point is the origin, in double precision, plus what the player draws, in single precision."""
     for precision in (np.float32, np.float64):
@@ -174,13 +174,13 @@ def random_sequence(seed: int) -> MeshSequence:
     return MeshSequence.from_header(replace(sequence.header, surface=surface), sequence.points)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(8))
 def test_random_sequences(node: Node, tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     sequence = random_sequence(seed)
     if seed % 5 == 0:
         monkeypatch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("shapes",))
     max_error, kg = (2e-3, None) if seed % 4 else (None, 1.0)
-    coded = compress(sequence, max_error, kg, chunk=16)
+    coded = compress(sequence, max_error, kg, chunk=16, inbetweens=seed % 4 == 1)
     found = plays_as_in_python(node, tmp_path, coded)
     if coded.header.surface.uvs is not None:
         assert found.uvs.tobytes() == coded.header.surface.uvs.at_corners.tobytes()
@@ -196,7 +196,7 @@ def test_only_chunks_that_are_needed_are_decoded(node: Node, tmp_path: Path) -> 
     points, faces = torus(6, 5)
     angles: Float = np.arange(400) / 40
     frames = [points @ rotation((0.2, angle, 0.0)).T for angle in angles]
-    coded = compress(MeshSequence.from_arrays(np.stack(frames), faces), kg=1, chunk=100)
+    coded = compress(MeshSequence.from_arrays(np.stack(frames), faces), kg=1, chunk=100, inbetweens=False)
     assert len(coded.chunks) == 4
     times = coded.header.times
     wanted = np.array([times[0], times[3] / 2, times[99], times[250], (times[301] + times[300]) / 2])

@@ -29,23 +29,21 @@ from mixseq.mesh.surface import CornerValues, FaceSet, Origin
 from mixseq.sequence.frame_rates import estimate_frame_rate
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray, Index, Single
-from mixseq_io.alembic.library import (
+from mixseq_io.alembic.samples import (
     LIBRARY_ERRORS,
+    TIME_TOLERANCE,
     Abc,
     AbcGeom,
     AbcMaterial,
-    open_archive,
-    read_sample,
-    sample_length,
-    sample_selector,
-)
-from mixseq_io.alembic.samples import (
-    TIME_TOLERANCE,
     MeshTransform,
     SampleInterpolation,
     Transforms,
     determinant,
     locate_samples,
+    open_archive,
+    read_sample,
+    sample_length,
+    sample_selector,
     sample_times,
     transform_points,
 )

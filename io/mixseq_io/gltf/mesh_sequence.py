@@ -63,7 +63,7 @@ from mixseq_io.gltf.document import (
     open_data,
     read_glb_chunks,
 )
-from mixseq_io.gltf.edits import collect_extensions, read_image
+from mixseq_io.gltf.edits import collect_extensions, embed_image, iterate_references
 from mixseq_io.gltf.new_document import (
     SplitPrimitive,
     add_material,
@@ -140,76 +140,41 @@ def _read_data(document: Document, extension: Fields, key: str) -> bytes:
 
 
 def copy_materials(layout: Layout, names: Collection[str], origin: Origin | None) -> dict[str, int]:
-    """Copy materials of the original file into a document; return the indices of the copies by name."""
+    """Copy the first material of each name from the original file; return the indices of the copies by name."""
     if origin is None or origin.format != "glTF" or not names:
         return {}
     path = Path(origin.path)
     try:
         with translate_read_errors(path, "glTF", *MALFORMED_JSON_ERRORS):
-            return _Copier(layout, load_document(path)).copy_materials(names)
+            original = load_document(path)
+            copied: dict[tuple[str, int], int] = {}
+            indices: dict[str, int] = {}
+            for index, fields in enumerate(original.items("materials")):
+                name = fields.text("name") or f"material {index}"
+                if name in names and name not in indices:
+                    indices[name] = _copy_entry(layout, original, copied, "materials", index)
+            return indices
     except FormatError as error:
         warn(f"{error}; materials keep their names, but are plain")
         return {}
 
 
-class _Copier:
-    """Copier of entries from an original to a new document; every entry is copied once."""
-
-    def __init__(self, layout: Layout, original: Document) -> None:
-        self._layout, self._original = layout, original
-        self._copied: dict[tuple[str, int], int] = {}
-
-    def copy_materials(self, names: Collection[str]) -> dict[str, int]:
-        """Copy the first material of each name; return the indices of the copies by name."""
-        indices: dict[str, int] = {}
-        for index, fields in enumerate(self._original.items("materials")):
-            name = fields.text("name") or f"material {index}"
-            if name in names and name not in indices:
-                indices[name] = self._copy("materials", index)
-        return indices
-
-    def _copy(self, kind: str, index: int) -> int:
-        """Copy an entry of a list and all entries that it references; return its new index."""
-        if (kind, index) not in self._copied:
-            original = self._original.top.objects(kind)[index]
-            entry = deepcopy(dict(original.values))
-            if kind == "images":
-                self._embed_image(entry, original)
-            for owner, key, target in _iterate_references(kind, entry):
-                owner[key] = self._copy(target, Fields(original.file, original.place, owner).integer(key))
-            self._copied[kind, index] = append(self._layout.document, kind, entry)
-        return self._copied[kind, index]
-
-    def _embed_image(self, entry: Json, image: Fields) -> None:
-        if "bufferView" in image:
-            view = self._original.item("bufferViews", image.integer("bufferView"))
-            content = self._original.read_view(view)
+def _copy_entry(layout: Layout, original: Document, copied: dict[tuple[str, int], int], kind: str, index: int) -> int:
+    """Copy an entry of a list and all entries that it references, unless they are `copied`; return its new index."""
+    if (kind, index) not in copied:
+        fields = original.top.objects(kind)[index]
+        entry = deepcopy(dict(fields.values))
+        if kind == "images" and "bufferView" not in entry:
+            embed_image(layout, entry, fields)
+        elif kind == "images":
+            content = original.read_view(original.item("bufferViews", fields.integer("bufferView")))
+            entry["bufferView"] = layout.add([content], len(content))
         else:
-            try:
-                content, entry["mimeType"] = read_image(image)
-            except FormatError as error:
-                warn(f"{error}; the image is not copied, only the reference to it")
-                return
-        entry.pop("uri", None)
-        entry["bufferView"] = self._layout.add([content], len(content))
-
-
-def _iterate_references(kind: str, entry: Json) -> Iterator[tuple[Json, str, str]]:
-    """Yield every reference of a material or texture as its owner, its member and the list it refers to."""
-    if kind == "textures":
-        for owner in (entry, *entry.get("extensions", {}).values()):
-            if "source" in owner:
-                yield owner, "source", "images"
-        if "sampler" in entry:
-            yield entry, "sampler", "samplers"
-    elif kind == "materials":
-        stack = [entry]
-        while stack:
-            for key, value in stack.pop().items():
-                if isinstance(value, dict):
-                    stack.append(value)
-                    if key.endswith("Texture") and "index" in value:
-                        yield value, "index", "textures"
+            for owner, key, target in iterate_references(kind, entry):
+                reference = Fields(original.path, fields.place, owner).integer(key)
+                owner[key] = _copy_entry(layout, original, copied, target, reference)
+        copied[kind, index] = append(layout.document, kind, entry)
+    return copied[kind, index]
 
 
 def as_one_mesh(header: SequenceHeader) -> SceneMesh:

@@ -42,7 +42,7 @@ from mixseq_io.gltf.edits import (
     NO_OTHER_MOTION,
     OtherMotion,
     detach_node,
-    embed_images,
+    embed_image,
     find_animated_nodes,
     find_unused_root,
     prune,
@@ -257,7 +257,9 @@ def _copy_buffers(copied: Json, document: Document) -> Layout:
         for key in ("buffer", "byteOffset", "byteLength"):
             view.pop(key, None)
         layout.add([data], len(data), **view)
-    embed_images(layout, document)
+    for entry, image in zip(copied.get("images", ()), document.top.objects("images"), strict=True):
+        if not image.text("uri", "data:").startswith("data:"):
+            embed_image(layout, entry, image)
     return layout
 
 

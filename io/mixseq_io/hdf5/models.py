@@ -18,7 +18,7 @@
     /signals/placement/        times, rotations, translations
     /signals/correction/       times, rotations, translations               (mixed space)
 
-See ``docs/file-format.md``. `mixseq_io.hdf5.coded_files` describes the layout of compressed models.
+See ``docs/file-format.md``, also for compressed models.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from mixseq.mesh.topology import Topology
 from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
+from mixseq.spaces.base import VertexSpace
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mixed.articulation import STEADINESS_RANGE, Steadiness
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
-from mixseq.spaces.vertex import VertexSpace
 from mixseq.types import Float, index_mask
 from mixseq.version import __version__
 from mixseq_io.hdf5.contents import MODEL_FORMAT, Contents, check_version, read_header

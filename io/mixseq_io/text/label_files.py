@@ -47,6 +47,9 @@ from mixseq_io.text.labels import (
     MIN_JOINT_FACE_RATIO,
     SKELETON_SOURCE,
     Labels,
+    labels_from_colours,
+    labels_from_sets,
+    labels_from_skinning,
     polygon_labels,
     triangle_labels,
 )
@@ -194,8 +197,6 @@ def _labels_from_array(
 
 def _markings_sources(reader: SequenceReader, header: SequenceHeader, min_ratio: float) -> Sources:
     """Return the sources of labels in an open file, for a mesh with the same faces in any order."""
-    from mixseq_io.text.derived_labels import labels_from_sets, labels_from_skinning
-
     if not 0 <= min_ratio <= 1:
         raise SettingsError(f"smallest_joint is {min_ratio}; a fraction of the faces is expected, 0 to 1")
     file, polygons = reader.path, reader.header.polygons
@@ -223,8 +224,6 @@ def _reorder_labels(labels: Labels, face_ids: Index) -> Labels:
 
 
 def _labels_from_colours(file: Path, colours: FloatArray, polygons: Polygons) -> Labels:
-    from mixseq_io.text.derived_labels import labels_from_colours
-
     try:
         return labels_from_colours(colours, polygons)
     except FormatError as error:

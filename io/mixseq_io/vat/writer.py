@@ -21,8 +21,7 @@ from mixseq.rigging.low_rank import fit_low_rank
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import Frames, MeshSequence
-from mixseq.signals.between import hold_between, largest_distance, quarter_times, straight_blocks
-from mixseq.signals.decoding import Decodable
+from mixseq.signals.decoding import Decodable, hold_between, largest_distance, quarter_times, straight_blocks
 from mixseq.signals.fitting import as_motion
 from mixseq.signals.model import Model
 from mixseq_io.files import atomic_folder

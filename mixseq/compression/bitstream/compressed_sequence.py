@@ -15,6 +15,7 @@ import numpy as np
 
 from mixseq.choices import OrderName
 from mixseq.compression.bitstream.arithmetic import DAMAGE_CURE
+from mixseq.compression.bitstream.corner_values import MAX_COORDINATE
 from mixseq.compression.bitstream.residual_layer import CodedResidualLayer
 from mixseq.compression.bitstream.signal_graph import SignalGraph, mesh_graph
 from mixseq.compression.bitstream.spatial_basis import (
@@ -28,7 +29,6 @@ from mixseq.compression.bitstream.spatial_basis import (
     read_basis,
     read_coefficients,
 )
-from mixseq.compression.bitstream.uv_values import MAX_COORDINATE
 from mixseq.errors import FormatError, SettingsError
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread

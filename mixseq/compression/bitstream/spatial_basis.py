@@ -44,7 +44,7 @@ from mixseq.compression.bitstream.arithmetic import (
     code_modelled_bit,
     new_bit_models,
 )
-from mixseq.compression.bitstream.signal_coder import NumberModels, Reader, SignalCoder, Writer
+from mixseq.compression.bitstream.signal_coder import Reader, SignalCoder, Writer, new_number_models
 from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
 from mixseq.runtime.jit import compiled
@@ -277,7 +277,7 @@ def read_basis(
     graph: SignalGraph,
 ) -> tuple[list[Float], list[Index]]:
     """Read the basis vectors ``(K, c, n)`` of every part; return vectors and vertices by part."""
-    models, labels = NumberModels(), np.zeros(graph.size, dtype=np.int64)
+    models, labels = new_number_models(), np.zeros(graph.size, dtype=np.int64)
     readers = [Reader(stream) for stream in streams]
     if len(ranks) > 1:
         labels = read_labels(readers[0], len(ranks), graph)
@@ -339,7 +339,7 @@ def read_coefficients(basis: SpatialBasis, stream: bytes, counts: Sequence[int],
     The stream of a chunk has the coefficients at its frames; another one has those of its levels of in-betweens.
     """
     scales, part_ids, shape = basis.norms[basis.varying] / step, basis.part_ids[basis.varying], basis.coefficient_shape
-    models, reader, levels = NumberModels(), Reader(stream), []
+    models, reader, levels = new_number_models(), Reader(stream), []
     for count in counts:
         graph, coefficients = path_graph(count), np.empty((count, *shape))
         coders = [SignalCoder(graph, shape[1], models) for _ in basis.part_bases]

@@ -246,7 +246,7 @@ def _search_streams(
         ranks=best.ranks if len(best.ranks) > 1 else (),
         origin=tuple(origin.tolist()) if origin.any() else (),
     )
-    return CompressedSequence(frames.header, parameters, best.coding.streams.basis, best.chunks)
+    return CompressedSequence(frames.header, parameters, best.streams()[0], best.chunks)
 
 
 def _measure_errors(

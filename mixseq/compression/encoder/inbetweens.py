@@ -34,7 +34,7 @@ from mixseq.compression.encoder.trial import code_coefficients, round_coefficien
 from mixseq.errors import MixseqError, MixseqWarning, SettingsError
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.progress import Progress
-from mixseq.signals.between import largest_distance, quarter_times
+from mixseq.signals.decoding import largest_distance, quarter_times
 from mixseq.signals.model import Model
 from mixseq.spaces.temporal import insert_midpoints
 from mixseq.types import Float
@@ -154,7 +154,9 @@ def _add_levels(
         for factor in (1,) if level else STEP_FACTORS:
             rounded, signals = round_coefficients(basis, offsets, factor * step, spans)
             signals = [[*earlier, *of_level] for earlier, of_level in zip(known, signals, strict=True)]
-            longer = [code_coefficients(chunk) if _has_numbers(chunk) else b"" for chunk in signals]
+            longer = [
+                code_coefficients(chunk) if any(signal.numbers.any() for signal in chunk) else b"" for chunk in signals
+            ]
             is_small = sum(map(len, longer)) <= max_bytes
             if is_small:
                 break
@@ -210,7 +212,3 @@ def _project(playback: Playback, times: Float, points: LargeArray) -> Float:
         nearest = solve_damped(unit @ unit.T, products.reshape(len(unit), -1)).reshape(products.shape)
         coefficients[:, part_ids == part] = nearest.transpose(1, 0, 2)
     return coefficients / norms[:, None]
-
-
-def _has_numbers(signals: list[Signal]) -> bool:
-    return any(signal.numbers.any() for signal in signals)

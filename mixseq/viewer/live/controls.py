@@ -20,7 +20,7 @@ from mixseq.operations.filters import exaggerate
 from mixseq.operations.limbs import exaggerate_part, hold
 from mixseq.operations.sketch import default_reach, drag, sketch
 from mixseq.operations.timeline import cut, loop, repeat, reverse
-from mixseq.pictures.chart_data import chart_data
+from mixseq.pictures.charts import chart_data
 from mixseq.pictures.colours import Colouring, SceneColours
 from mixseq.pictures.scene import Scene
 from mixseq.sequence.frame_rates import format_frame, number_to_time, time_to_number
@@ -329,16 +329,16 @@ class Charts:
         match message:
             case Seek(time):
                 self._playback.seek(scene.frame_at(time - session.model.start))
-            case Drag(time, target, is_done):
+            case Drag(time, to, done):
                 if not self._playback.is_playing:  # show the dragged frame
                     self._playback.seek(scene.frame_at(time - session.model.start))
-                edit = partial(drag, time=time, to=target.tolist(), reach=self._reach, plane=self._plane)
-                session.edit("drag", edit, preview=not is_done)
+                edit = partial(drag, time=time, to=to, reach=self._reach, plane=self._plane)
+                session.edit("drag", edit, preview=not done)
             case Sketch(points):
                 edit = partial(sketch, curve=points, duration=self._seconds, plane=self._plane)
                 session.edit("sketch", edit)
-            case Retime(keys, is_done):
-                session.retime(keys, preview=not is_done)
+            case Retime(keys, done):
+                session.retime(keys, preview=not done)
 
     @property
     def _plane(self) -> Plane:

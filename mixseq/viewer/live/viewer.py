@@ -16,7 +16,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from mixseq.errors import MissingExtraError, SettingsError
+from mixseq.errors import SettingsError
 from mixseq.mesh.nearest import RayHit
 from mixseq.pictures.colours import SceneColours
 from mixseq.runtime.progress import forward_warnings
@@ -50,18 +50,9 @@ parent.mixseqLive.connect({script_json(text_input._impl.uuid)});
     server.gui.add_html(f'<iframe style="display: none" title="mixseq" srcdoc="{escape(document)}"></iframe>')
 
 
-def check_viser() -> None:
-    """Raise MissingExtraError if viser is not installed."""
-    try:
-        import viser  # noqa: F401
-    except ImportError:
-        raise MissingExtraError("the viewer needs viser; get it with: pip install 'mixseq[viewer]'") from None
-
-
 @contextmanager
 def run_server(host: str, requested_port: int | None) -> Iterator[tuple[Any, str]]:
     """Run a server during the context; yield the server and its address, which contains the token."""
-    check_viser()
     import viser
 
     from mixseq.viewer.live.guard import Access, Guard

@@ -1,8 +1,8 @@
 // The affine basis of in-betweens: in every labelled part, fields 1, x, y and z of the position in the first frame. Mirrors
 // affine_basis and label_vertices of mixseq/compression/bitstream/spatial_basis.py.
-import { readLabels } from "./part_labels.js";
 import { Reader } from "./signal_coder.js";
 import { meshGraph } from "./signal_graph.js";
+import { readLabels } from "./spatial_basis.js";
 
 const MIN_FIELD_NORM = 1e-6; // in diagonals, up to which fields have no weights
 

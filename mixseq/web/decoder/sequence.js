@@ -1,17 +1,13 @@
 // A compressed sequence: its mesh, and its frames at any time.
-import { decodePolygons } from "./connectivity.js";
+import { decodePolygons, triangulated } from "./connectivity.js";
 import { Curve } from "./curve.js";
-import { decompressed } from "./decompression.js";
 import { MixseqError, guarded } from "./errors.js";
 import { readFacts } from "./parameters.js";
 import { addPartFields, readPartVertices } from "./part_fields.js";
-import { triangulated } from "./polygons.js";
-import { evaluate } from "./evaluation.js";
 import { ResidualLayer } from "./residual_layer.js";
 import { meshGraph } from "./signal_graph.js";
-import { readBasis, readLevels, readWeights } from "./spatial_basis.js";
-import { checkSizes, readIndex } from "./stream_index.js";
-import { readTimes } from "./times.js";
+import { evaluate, readBasis, readLevels, readWeights } from "./spatial_basis.js";
+import { checkSizes, decompressed, readIndex, readTimes } from "./stream_index.js";
 export { MixseqError };
 
 const SURFACE_BYTES_PER_CORNER = 64, TEXT_BYTES = 1 << 24; // limits of the size of a surface

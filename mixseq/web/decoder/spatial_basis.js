@@ -2,12 +2,53 @@
 //
 // A frame is a sum of fields over the mesh, numbers at its vertices, times weights (x, y, z) that change over time. A basis
 // vector of trajectories is one field. One of shapes is three fields, for x, y and z only.
+import { BitModels } from "./arithmetic.js";
 import { MixseqError } from "./errors.js";
-import { readLabels } from "./part_labels.js";
+import { graphStencils } from "./predictor.js";
 import { UNITS_PER_STEP } from "./predictor_kernels.js";
 import { Reader, SignalCoder, newNumberModels } from "./signal_coder.js";
-import { meshGraph, pathGraph } from "./signal_graph.js";
-import { graphStencils } from "./stencils.js";
+import { NEIGHBOUR_COUNTS, meshGraph, pathGraph } from "./signal_graph.js";
+
+// Decode the part of the mesh that every vertex belongs to.
+
+const LABEL_BITS = 7; // of a label
+
+/** Read the labels of all vertices. */
+export function readLabels(reader, partCount, { order, width, neighbours, counts }) {
+  const models = new BitModels(2, NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS, 2 + (1 << LABEL_BITS)), stream = reader.stream();
+  const nodes = new Int32Array(order.length), labels = new Int32Array(order.length), votes = new Int32Array(1 << LABEL_BITS);
+  for (let node = 0; node < order.length; node++) {
+    const begin = node * width, end = begin + counts[node] - 1;
+    for (let at = begin; at <= end; at++) votes[nodes[neighbours[at]]]++;
+    const first = majorityLabel(nodes, neighbours, begin, end, votes, -1), second = majorityLabel(nodes, neighbours, begin, end, votes, first), firstVotes = first < 0 ? 0 : votes[first];
+    models.contexts[0] = firstVotes * NEIGHBOUR_COUNTS + (second < 0 ? 0 : votes[second]);
+    models.contexts[1] = firstVotes * NEIGHBOUR_COUNTS + counts[node];
+    for (let at = begin; at <= end; at++) votes[nodes[neighbours[at]]] = 0;
+    if (first >= 0 && models.read(stream, 0)) nodes[node] = first;
+    else if (second >= 0 && models.read(stream, 1)) nodes[node] = second;
+    else {
+      models.contexts.fill(0);
+      let prefix = 1;
+      for (let bit = 0; bit < LABEL_BITS; bit++) prefix = 2 * prefix + models.read(stream, 1 + prefix);
+      nodes[node] = prefix - (1 << LABEL_BITS);
+    }
+  }
+  reader.addToChecksum(nodes);
+  const used = new Set(nodes);
+  if (used.size !== partCount || Math.max(...used) >= partCount) throw new MixseqError("labels are not those of the parts; it is damaged");
+  for (let node = 0; node < order.length; node++) labels[order[node]] = nodes[node];
+  return labels;
+}
+
+/** The label with the most votes, without one; ties go to the label of the nearest neighbour, the last one. */
+function majorityLabel(nodes, neighbours, begin, end, votes, without) {
+  let best = -1;
+  for (let at = end; at >= begin; at--) {
+    const label = nodes[neighbours[at]];
+    if (label !== without && (best < 0 || votes[label] > votes[best])) best = label;
+  }
+  return best;
+}
 
 const FIRST_GROUP_SIZE = 12; // basis vectors in the first group
 const MAX_EXACT = 2 ** 24; // largest whole number up to which all are exact in single precision
@@ -151,4 +192,25 @@ function spreadAxes(weights, width, first, values) {
   values.forEach((value, frame) => {
     for (let axis = 0; axis < 3; axis++) weights[frame * width + first + 4 * axis] = value;
   });
+}
+
+/** Write the positions of all vertices: the sums of fields (`Sequence.fields`) times weights. */
+export function evaluate({ parts }, weights, positions) {
+  for (const { vertices, fields, values } of parts) {
+    const count = fields.length, own = new Float64Array(3 * count);
+    fields.forEach((field, k) => own.set(weights.subarray(3 * field, 3 * field + 3), 3 * k));
+    for (let i = 0, at = 0; i < vertices.length; i++) {
+      let x = 0, y = 0, z = 0;
+      for (let k = 0; k < own.length; k += 3) {
+        const value = values[at++];
+        x += value * own[k];
+        y += value * own[k + 1];
+        z += value * own[k + 2];
+      }
+      const place = 3 * vertices[i];
+      positions[place] = x;
+      positions[place + 1] = y;
+      positions[place + 2] = z;
+    }
+  }
 }

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixseq.pictures.charts import LINE_COLOURS, chart_style, new_page
 from mixseq.pictures.colours import segmentation_colours
-from mixseq.pictures.page import Sheet, draw_mesh
+from mixseq.pictures.raster import draw_mesh
 from mixseq.pictures.scene import CLAY_COLOUR, Limits, View, shared_limits, three_quarter_view, to_y_up
+from mixseq.pictures.sheets import Sheet
 from mixseq.segmentation.joints import Decomposition
 from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses

@@ -11,7 +11,7 @@ import numpy as np
 import mixseq
 from mixseq.mesh.measures import edge_lengths
 from mixseq.pictures.charts import chart_style, draw_embedding, new_page
-from mixseq.pictures.page import draw_mesh
+from mixseq.pictures.raster import draw_mesh
 from mixseq.pictures.scene import shared_limits, three_quarter_view, to_y_up
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float

@@ -10,13 +10,16 @@ import pytest
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import FaceSet
-from mixseq_io.text.derived_labels import (
+from mixseq_io.text.labels import (
+    Skinning,
+    concatenate_skinning,
     labels_from_colours,
     labels_from_sets,
     labels_from_skinning,
     merge_small_regions,
+    polygon_labels,
+    triangle_labels,
 )
-from mixseq_io.text.labels import Skinning, concatenate_skinning, polygon_labels, triangle_labels
 from tests.formats.labels.labelled_files import FACES, told
 from tests.meshes import grid
 

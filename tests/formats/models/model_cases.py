@@ -16,8 +16,8 @@ import mixseq
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.detail import Detail, build_model, encode_sequence
 from mixseq.signals.model import Model
+from mixseq.spaces.base import VertexSpace
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
-from mixseq.spaces.vertex import VertexSpace
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 
