@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from math import prod
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Literal
+from typing import IO, Any, Literal
 
 import h5py
 import numpy as np
@@ -24,13 +24,9 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MAX_LENGTH, MIN_LENGTH
 from mixseq.signals.curve import is_increasing
 from mixseq.types import Float, Index
-from mixseq.version import __version__
 from mixseq_io.files import atomic_file
-from mixseq_io.hdf5.contents import MODEL_FORMAT, Contents
+from mixseq_io.hdf5.contents import Contents
 from mixseq_io.surfaces import surface_to_arrays
-
-if TYPE_CHECKING:
-    from mixseq_io.coded.streams import Container
 
 STORAGE_OPTIONS: dict[str, Any] = {
     "fletcher32": True,
@@ -83,21 +79,6 @@ def write_header(file: h5py.File, header: SequenceHeader) -> None:
 
 H5_VERSIONS = ("v110", "v110")
 """Oldest and newest version of HDF5 whose layouts files have."""
-
-
-def write_container(file: h5py.File, container: Container) -> None:
-    """Store the text of a compressed model as an attribute, and all streams as one dataset, as each takes bytes.
-
-    Strings have fixed length, since a string of variable length takes 4 KiB.
-    """
-    for name, text in (
-        ("format", MODEL_FORMAT.encode()),
-        ("created_by", f"mixseq {__version__}".encode()),
-        ("coding", container.text),
-    ):
-        file.attrs.create(name, text, dtype=h5py.string_dtype("ascii", len(text)))
-    file.attrs["version"] = container.version
-    file.create_dataset("streams", data=np.frombuffer(container.streams, dtype=np.uint8), track_times=False)
 
 
 @contextmanager
