@@ -74,14 +74,13 @@ def write_rig(path: PathLike, rig: Skin | Morph) -> None:
 
 def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
     from mixseq.rigging.rigs import Skin
-    from mixseq_io.files import atomic_file
     from mixseq_io.gltf.codecs import open_buffer_writer
     from mixseq_io.gltf.rigs import create_morphed_scene, create_skinned_scene
     from mixseq_io.gltf.writer import standalone_losses, warn_of_changes
 
     layout = create_skinned_scene(rig) if isinstance(rig, Skin) else create_morphed_scene(rig)
     warn_of_changes(file, rig.header, standalone_losses(rig.header))
-    with atomic_file(file) as temporary, open_buffer_writer(file, temporary, layout):
+    with open_buffer_writer(file, layout):
         pass  # the layout already has all data
 
 

@@ -405,27 +405,29 @@ def merge_bones(tracks: Float, labels: Index, count: int) -> Index:
     """Merge labels ``(V,)`` to `count` bones, first those whose common rigid motion increases the error least."""
     labels = np.unique(labels, return_inverse=True)[1]
     positions = tracks.reshape(len(tracks), -1, 3)
-    bone_count = int(labels.max()) + 1
-    bone_positions = [positions[labels == bone] for bone in range(bone_count)]
+    bones = np.arange(int(labels.max()) + 1)
+    if len(bones) <= count:
+        return np.asarray(labels, dtype=np.int64)
+    bone_positions = [positions[labels == bone] for bone in bones]
     bone_moments = [moments(points[:, 0], points, np.ones(len(points))) for points in bone_positions]
     errors = np.array([each.error() for each in bone_moments])
-    remaining = list(range(bone_count))
-    costs = np.full((bone_count, bone_count), np.inf)  # above the diagonal
-    if bone_count > count:
-        for i in range(bone_count - 1):
-            unions = union_errors(bone_moments[i], bone_moments[i + 1 :])
-            costs[i, i + 1 :] = unions - errors[i] - errors[i + 1 :]
-    while len(remaining) > count:
-        keep, drop = divmod(int(costs.argmin()), bone_count)
+    costs = np.full((len(bones), len(bones)), np.inf)  # above the diagonal
+
+    def update_costs(bone: int, others: Index) -> None:
+        if others.size:
+            unions = union_errors(bone_moments[bone], [bone_moments[other] for other in others])
+            costs[np.minimum(bone, others), np.maximum(bone, others)] = unions - errors[bone] - errors[others]
+
+    for bone in bones.tolist():
+        update_costs(bone, bones[bone + 1 :])
+    while len(bones) > count:
+        keep, drop = divmod(int(costs.argmin()), len(costs))
         labels[labels == drop] = keep
-        remaining.remove(drop)
+        bones = bones[bones != drop]
         bone_moments[keep] += bone_moments[drop]
         errors[keep] = bone_moments[keep].error()
         costs[drop] = costs[:, drop] = np.inf
-        others = np.array([bone for bone in remaining if bone != keep], dtype=np.int64)
-        if others.size:
-            unions = union_errors(bone_moments[keep], [bone_moments[bone] for bone in others])
-            costs[np.minimum(keep, others), np.maximum(keep, others)] = unions - errors[keep] - errors[others]
+        update_costs(keep, bones[bones != keep])
     return np.asarray(np.unique(labels, return_inverse=True)[1], dtype=np.int64)
 
 

@@ -80,32 +80,6 @@ def average_members(values: Single, members: Table, factors: Single, result: Sin
 
 
 @compiled
-def assign_lowest(updated: Single, columns: Index, costs: Single, labels: Index, lowest: Single) -> None:
-    """Write updated costs ``(E, n)`` to columns of costs ``(E, K)``; write each row's lowest cost and its column."""
-    for e in range(len(costs)):
-        row = costs[e]
-        for i in range(len(columns)):
-            row[columns[i]] = updated[e, i]
-        best = 0
-        for k in range(1, len(row)):
-            if row[k] < row[best]:
-                best = k
-        labels[e] = best
-        lowest[e] = row[best]
-
-
-@compiled
-def list_neighbours(pairs: Index, table: Table) -> None:
-    """Write the neighbours of elements, given as pairs ``(n, 2)``, to columns 1, 2, ... of a table ``(E, m)``."""
-    next_column = np.ones(len(table), dtype=np.int32)
-    for side in range(2):
-        for pair in range(len(pairs)):
-            e = pairs[pair, side]
-            table[e, next_column[e]] = pairs[pair, 1 - side]
-            next_column[e] += 1
-
-
-@compiled
 def partition_cells(starts: Table, neighbours: Table, owner: Table) -> Index:
     """Partition vertices into cells of a centre and unassigned neighbours; write owners ``(V,)``, return centres."""
     centres = np.empty(len(owner), dtype=np.int64)

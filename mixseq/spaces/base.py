@@ -11,12 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import edge_lengths
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.runtime.low_memory import LargeArray
-from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.sequence.sequence import iterate_blocks
 from mixseq.spaces.temporal import Poses, TemporalOperator, interpolate_poses
 from mixseq.types import Float, FloatArray, Index
 
@@ -37,23 +33,6 @@ def radii_of_gyration(shapes: Float, parts: Sequence[Index]) -> Float:
     sizes = [len(vertex_ids) for vertex_ids in parts]
     sums = np.add.reduceat(np.square(shapes).sum(axis=1), np.cumsum([0, *sizes[:-1]]))
     return np.maximum(np.sqrt(sums / sizes), MIN_GYRATION_RADIUS)
-
-
-def mean_edge_lengths(
-    points: LargeArray, edges: NDArray[np.integer], scale: float, workers: Executor, progress: Progress
-) -> Float:
-    """Return mean lengths ``(E,)`` of edges ``(E, 2)`` over frames ``(T, V, 3)``, divided by the scale."""
-    total, done = np.zeros(len(edges)), 0
-    for block in workers(_edge_lengths_of_block, edges, iterate_blocks(points)):
-        for lengths in block:  # frame by frame, so that the sum does not depend on the blocks
-            total += lengths
-        done += len(block)
-        progress(done, len(points), "measuring edges")
-    return total / (done * scale)
-
-
-def _edge_lengths_of_block(edges: NDArray[np.integer], points: FloatArray) -> list[Float]:
-    return [edge_lengths(frame.astype(np.float64), edges) for frame in points]
 
 
 def flatten_blocks(blocks: Iterable[NDArray[Any]]) -> NDArray[Any]:

@@ -27,7 +27,6 @@ from mixseq.mesh.measures import NO_ORIGIN
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
-from mixseq_io.files import atomic_file
 from mixseq_io.gltf.codecs import (
     ELEMENT_ARRAY_BUFFER,
     GENERATOR_NAME,
@@ -296,7 +295,7 @@ def write_gltf(
         )
     morphs = MorphFrameWriter(layout, meshes, header, keep_start, others)
     _, numbered = validate_blocks(header, blocks, velocities)
-    with atomic_file(path) as temporary, open_buffer_writer(path, temporary, layout) as writer:
+    with open_buffer_writer(path, layout) as writer:
         for first, block, _ in numbered:
             # Frames are written one by one, since a block may be the whole sequence.
             for frame, points in enumerate(block, start=first):

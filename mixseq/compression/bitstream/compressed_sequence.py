@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mixseq.choices import OrderName
 from mixseq.compression.bitstream.arithmetic import DAMAGE_CURE
@@ -30,10 +31,11 @@ from mixseq.compression.bitstream.spatial_basis import (
     read_coefficients,
 )
 from mixseq.errors import FormatError, SettingsError
-from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.lazy import PickledWithoutCaches, connected
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress
 from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
 from mixseq.spaces.temporal import TemporalOperator, insert_midpoints, select_operator
@@ -164,9 +166,22 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-@dataclass(frozen=True)
-class CompressedSequence:
-    """A compressed sequence as stored in a file."""
+@dataclass(frozen=True, repr=False)
+class CompressedSequence(PickledWithoutCaches):
+    """A compressed sequence as stored in a file. `mixseq.compress` makes one, and `mixseq.save` stores it.
+
+    ``max_error`` and ``kg_percent`` are in `parameters`; ``sample(times=, fps=)`` is that of `model`.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    >>> growing = np.linspace(1, 2, 5)[:, None, None] * corners
+    >>> sequence = mixseq.MeshSequence.from_arrays(growing, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    >>> coded = mixseq.compress(sequence, max_error=1e-3)
+    >>> coded.parameters.max_error, len(coded.sample(fps=48)), coded([0.0, 0.05]).shape
+    (0.001, 9, (2, 4, 3))
+    """
 
     header: SequenceHeader  # mesh and times
     parameters: CodingParameters  # parameters of the streams
@@ -179,6 +194,31 @@ class CompressedSequence:
     between: TemporalInterpolation | None = None
     # Part (F,) of every triangle, used by `CompressedModel` between frames. None if found from the decoded frames.
     parts: Index | None = None
+
+    def __repr__(self) -> str:
+        bound = f"{'within' if self.parameters.promised else 'error'} {self.parameters.max_error:.3g} diagonals"
+        return f"CompressedSequence({self.header!r}, {self.nbytes} bytes of signals, {bound})"
+
+    @property
+    def nbytes(self) -> int:
+        """Number of bytes of the signals; a file also holds the mesh."""
+        chunks = (part for each in self.chunks for part in (each.coefficients, each.residuals, each.inbetweens))
+        return sum(map(len, (*self.basis, *chunks)))
+
+    @cached_property
+    def model(self) -> Decodable:
+        """The decoded model, which `mixseq.load` returns for a file of this sequence."""
+        find_name, _ = connected()  # the model knows spaces and fitting, which decoders at frames do without
+        model: Decodable = find_name("CompressedModel").from_sequence(self)
+        return model
+
+    def __call__(self, times: ArrayLike) -> Float:
+        """Return the vertex positions ``(V, 3)`` at a time in seconds, or ``(N, V, 3)`` at times ``(N,)``."""
+        return self.model(times)
+
+    def sample(self, *args: Any, **kwargs: Any) -> MeshSequence:
+        """Decode frames of the motion to a mesh sequence; see `Model.sample`."""
+        return self.model.sample(*args, **kwargs)
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,8 +30,8 @@ from mixseq.compression.bitstream.spatial_basis import encode_face_labels, read_
 from mixseq.compression.encoder import compress as compressing
 from mixseq.compression.encoder import parts, trial
 from mixseq.compression.encoder.parts import initial_parts, merge_parts
-from mixseq.compression.encoder.search import TARGET_TOLERANCE
-from mixseq.errors import FormatError, SettingsError
+from mixseq.compression.encoder.search import TARGET_TOLERANCE, _error_at_size
+from mixseq.errors import FormatError, MixseqWarning, SettingsError, SizeError
 from mixseq.runtime.parallel import thread_count
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence, load_frames
@@ -127,6 +127,46 @@ def test_more_bytes_are_more_accurate() -> None:
     assert (np.diff(sizes) > 0).all()
 
 
+@pytest.mark.filterwarnings("ignore:.*of the motion is left")
+def test_the_error_never_grows_with_the_size() -> None:
+    sequence = bar(sides=6, rings=15, frames=12)
+    sizes = [120, 150, 190, 240, 310, 400, 520, 680]
+    coded = [compress(sequence, size=size, inbetweens=False) for size in sizes]
+    used = np.array([size_of(each) for each in coded]) / sizes
+    assert (used <= 1).all() and (used[-4:] > 0.95).all()
+    assert (np.diff([kg_of(sequence, check(sequence, each)) for each in coded]) < 0).all()
+
+
+def test_errors_at_sizes_are_powers_between_trials() -> None:
+    known = [(100.0, 8.0), (1000.0, 0.5), (400.0, 2.0)]
+    assert _error_at_size(200, known) == pytest.approx(4)  # size^-1 from 100 to 400
+    assert _error_at_size(100, known) == pytest.approx(8)
+    assert _error_at_size(3200, known) == pytest.approx(0.5 * 3.2**-2.5)
+    assert _error_at_size(50, known) == pytest.approx(8 * 2**2.5)
+
+
+def test_little_motion_that_is_left_is_told() -> None:
+    """A bar that turns by 3 degrees: at 10 % of its radius from the still mean, most of the motion is lost."""
+    points, faces = tube(8, 12)
+    angles = np.radians(3) * np.sin(np.arange(12))
+    rows = [[np.cos(angles), -np.sin(angles)], [np.sin(angles), np.cos(angles)]]
+    turned = np.repeat(points[None], 12, axis=0)
+    turned[..., :2] = np.einsum("ijt,vj->tvi", np.array(rows), points[:, :2])
+    sequence = MeshSequence.from_arrays(turned, faces)
+    with pytest.warns(MixseqWarning, match=r"\d+ % of the motion is left in this size; give more"):
+        rough = compress(sequence, size=120, inbetweens=False)
+    still = kg_of(sequence, np.repeat(turned.mean(axis=0)[None], 12, axis=0))
+    assert kg_of(sequence, check(sequence, rough)) > 0.5 * still
+    finer = compress(sequence, size=600, inbetweens=False)  # without a warning
+    assert kg_of(sequence, check(sequence, finer)) < 0.5 * still
+
+
+@pytest.mark.parametrize("size", [1, 5, 12])
+def test_sizes_without_any_motion_are_refused(size: int) -> None:
+    with pytest.raises(SizeError, match="too few bytes for any motion; give more"):
+        compress(bar(sides=6, rings=15), size=size)
+
+
 @pytest.mark.parametrize("chunk", [16, 50])
 def test_chunks_are_as_long_as_was_asked_for(chunk: int) -> None:
     sequence = bar(sides=5, rings=9, frames=100)
@@ -179,7 +219,7 @@ AWKWARD = {
 }
 
 
-@pytest.mark.filterwarnings("ignore:there are no in-betweens")
+@pytest.mark.filterwarnings("ignore:there are no in-betweens", "ignore:.*of the motion is left")
 @pytest.mark.parametrize("name", AWKWARD)
 def test_awkward_sequences(name: str) -> None:
     sequence = AWKWARD[name]
