@@ -117,11 +117,12 @@ class ModelReader(SequenceReader):
 
 def open_h5(path: Path) -> SequenceReader:
     """Open an HDF5 file with a sequence or a model."""
-    if is_model(path):
+    contents = read_attributes(path)
+    if contents.kind == MODEL_FORMAT:
         return ModelReader(path)
-    from mixseq_io.hdf5 import sequences
+    from mixseq_io.hdf5.sequences import open_h5_sequence
 
-    return sequences.open_h5(path)
+    return open_h5_sequence(contents)
 
 
 def open_gltf(path: Path, **options: Any) -> SequenceReader:

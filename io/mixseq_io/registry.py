@@ -4,12 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
+from mixseq.errors import (
+    AmbiguousError,
+    FormatError,
+    InvalidSequenceError,
+    MissingFileError,
+    OutputError,
+    SettingsError,
+)
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader
@@ -77,8 +85,11 @@ class Format:
     def open(self, path: Path, **options: Any) -> SequenceReader:
         """Open a file for reading; see `mixseq_io.open_sequence`."""
         self._check_options("read", self.read_options, options)
-        if options.get("fps") is not None:
-            options["fps"] = snap_to_ntsc(options["fps"])
+        fps = options.get("fps")
+        if fps is not None:
+            if not 0 < fps < inf:
+                raise SettingsError(f"fps is {fps}; a positive number is expected")
+            options["fps"] = snap_to_ntsc(fps)
         if self.isolated:
             return open_isolated(self.reader, path, options)
         reader: SequenceReader = import_function(self.reader)(path, **options)
@@ -94,6 +105,11 @@ class Format:
     ) -> None:
         """Write a file; see `mixseq_io.write_blocks`."""
         self._check_options("written", self.write_options, options)
+        sources = options.get("sources")
+        if sources is not None and np.shape(sources) != header.times.shape:
+            raise SettingsError(
+                f"sources are {np.size(sources)} times for {header.frame_count} frames; give one for every frame"
+            )
         rounding = RoundingMonitor(path, self.name, header)
         if self.capabilities.points == SINGLE_PRECISION:
             blocks = rounding.watch(blocks, self.has_nodes)
@@ -420,7 +436,7 @@ def _format_to_read(path: Path) -> Format:
     if file_format := _find_format(path):
         return file_format
     if not path.exists():
-        raise FormatError(f"{path} does not exist")
+        raise MissingFileError(f"{path} does not exist")
     name = _detect_format_name(path)
     contents = f"it holds {name} data" if name else "its contents are of no known format"
     raise FormatError(

@@ -63,12 +63,12 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
         return
     with create_h5(target) as (file, _):
         if isinstance(model, CompressedSequence):
-            _write_container(file, pack(model))
+            write_container(file, pack(model))
         else:
             write_model(file, model)
 
 
-def _write_container(file: h5py.File, container: Container) -> None:
+def write_container(file: h5py.File, container: Container) -> None:
     """Store the text of a compressed model as an attribute, and all streams as one dataset, as each takes bytes.
 
     Strings have fixed length, since a string of variable length takes 4 KiB.

@@ -34,14 +34,13 @@ import numpy as np
 
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.measures import clamp_lengths, dihedral_angles, edge_lengths, signed_volume, volume_gradient
-from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.segmentation.joints import Joint
 from mixseq.shells.face_frames import HingeFrames, flat_triangles, rotate_sides, triangle_frames
 from mixseq.shells.kernels import conjugate_gradients, shell_equations, shell_residuals
-from mixseq.shells.solvers import BlockPattern, PoissonSystem, index_of
+from mixseq.shells.solvers import BlockPattern, PoissonSystem, index_of, solve_frames
 from mixseq.types import Float, Index, Mask
 
 
@@ -363,41 +362,11 @@ def linear_initialisation(patch: Patch, lengths: Float, angles: Float, positions
 
 
 def _initial_frames(patch: Patch, flat: Float, angles: Float, positions: Float) -> Float:
-    frames = np.zeros((len(patch.faces), 3, 3))
-    is_known = patch.fixed_face_mask.copy()
-    if is_known.any():
-        frames[is_known] = quat_to_matrix(triangle_frames(positions, patch.faces[is_known]))
-    else:
-        is_known[0] = True
-        frames[0] = np.eye(3)
-    index = patch.unknown_face_index
-    unknown_ids = np.flatnonzero(index >= 0)
-    if not unknown_ids.size:
-        return frames
-
-    # Rows of F (one per world coordinate) are independent: F_j - F_i T = 0 reads f_j - T^T f_i = 0 for rows f.
-    i, j = patch.hinge_faces.T
+    known = np.tile(np.eye(3), (len(patch.faces), 1, 1))
+    fixed = patch.fixed_face_mask
+    known[fixed] = quat_to_matrix(triangle_frames(positions, patch.faces[fixed]))
     rotations = quat_to_matrix(patch.hinge_frames.rotations(flat, angles))
-    right = np.zeros((unknown_ids.size, 3, 3))  # (face, column of F, world coordinate)
-    for target, source, rotation in ((j, i, rotations), (i, j, np.swapaxes(rotations, 1, 2))):
-        border = is_known[source] & ~is_known[target]
-        predicted = frames[source[border]] @ rotation[border]
-        np.add.at(right, index[target[border]], np.swapaxes(predicted, 1, 2))
-
-    pattern = patch.frame_pattern
-    values = np.zeros(len(pattern.rows))
-    counts = np.bincount(patch.hinge_faces.reshape(-1), minlength=len(patch.faces))
-    values[pattern.diagonal] = np.repeat(counts[unknown_ids].astype(np.float64), 3)
-    inner = ~is_known[i] & ~is_known[j]
-    first, second = index[i[inner]], index[j[inner]]
-    # -T^T couples row block j to column block i; in the lower triangle, the higher number is the row.
-    inner_rotations = rotations[inner]
-    blocks = -np.where((second > first)[:, None, None], np.swapaxes(inner_rotations, 1, 2), inner_rotations)
-    places = pattern.places[pattern.find_blocks(first, second)][:, None, :] + np.arange(3)[:, None]
-    np.add.at(values, places, blocks)
-    solution = pattern.analysis.factor(values).solve(right.reshape(-1, 3)).reshape(-1, 3, 3)
-    frames[unknown_ids] = nearest_rotations(np.swapaxes(solution, 1, 2))
-    return frames
+    return solve_frames(patch.frame_pattern, patch.unknown_face_index, patch.hinge_faces, rotations, known)
 
 
 def rebuild_patch(

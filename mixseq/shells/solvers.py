@@ -30,6 +30,7 @@ from scipy.sparse.linalg import splu
 
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.measures import scatter_add
+from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.topology import connected_components
 from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.types import Float, Index, Mask
@@ -152,6 +153,42 @@ class BlockPattern(PickledWithoutCaches):
     def analysis(self) -> Analysis:
         """Symbolic factorisation, shared by all matrices of the pattern."""
         return analyse(self.starts, self.rows)
+
+
+def solve_frames(pattern: BlockPattern, index: Index, pairs: Index, connections: Float, known: Float) -> Float:
+    r"""Return rotations ``(n, 3, 3)`` with connections ``(h, 3, 3)`` between pairs ``(h, 2)``, by least squares.
+
+    Minimise :math:`\sum |F_j - F_i M|^2 + |F_i - F_j M^T|^2` over frames with an index ``(n,)`` of at least zero, then
+    project to rotations; other frames are `known` ``(n, 3, 3)``. The pattern couples pairs of indices.
+    """
+    frames, unknown_ids = known.copy(), np.flatnonzero(index >= 0)
+    if not unknown_ids.size:
+        return frames
+    # Rows of F (one per world coordinate) are independent: F_j - F_i M = 0 reads f_j - M^T f_i = 0 for rows f.
+    count, forward = len(unknown_ids), np.swapaxes(connections, 1, 2)
+    i, j = index[pairs].T
+    diagonal, right = np.zeros((2, count, 3, 3))  # right: (frame, column of F, world coordinate)
+    for target, source, end, matrices in ((j, i, 0, forward), (i, j, 1, connections)):
+        is_free = target >= 0
+        # f_target - matrix f_source, and f_source - matrix^T f_target
+        squares = np.eye(3) + matrices @ np.swapaxes(matrices, 1, 2)
+        diagonal += scatter_add(squares[is_free].reshape(-1, 9), target[is_free], count).reshape(-1, 3, 3)
+        is_border = is_free & (source < 0)
+        predicted = 2.0 * matrices[is_border] @ np.swapaxes(known[pairs[is_border, end]], 1, 2)
+        right += scatter_add(predicted.reshape(-1, 9), target[is_border], count).reshape(-1, 3, 3)
+    values = np.zeros(len(pattern.rows))
+    for column in range(3):
+        for row in range(column, 3):
+            values[pattern.places[:count, column] + row] = diagonal[:, row, column]
+    is_inner = (i >= 0) & (j >= 0)
+    first, second = i[is_inner], j[is_inner]
+    # In the lower triangle, the higher number is the row.
+    blocks = -2.0 * np.where((second > first)[:, None, None], forward[is_inner], connections[is_inner])
+    places = pattern.places[pattern.find_blocks(first, second)][:, None, :] + np.arange(3)[:, None]
+    np.add.at(values, places, blocks)
+    solution = pattern.analysis.factor(values).solve(right.reshape(-1, 3)).reshape(-1, 3, 3)
+    frames[unknown_ids] = nearest_rotations(np.swapaxes(solution, 1, 2))
+    return frames
 
 
 @dataclass(frozen=True, eq=False)
