@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
+from mixseq.errors import (
+    AmbiguousError,
+    FormatError,
+    InvalidSequenceError,
+    MissingFileError,
+    OutputError,
+    SettingsError,
+)
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader
@@ -429,7 +436,7 @@ def _format_to_read(path: Path) -> Format:
     if file_format := _find_format(path):
         return file_format
     if not path.exists():
-        raise FormatError(f"{path} does not exist")
+        raise MissingFileError(f"{path} does not exist")
     name = _detect_format_name(path)
     contents = f"it holds {name} data" if name else "its contents are of no known format"
     raise FormatError(
