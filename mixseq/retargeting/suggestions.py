@@ -32,6 +32,7 @@ import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, permutations
+from typing import cast
 
 import numpy as np
 from scipy import sparse
@@ -45,7 +46,7 @@ from mixseq.retargeting.checks import Suspicion, check_rest_frame, find_suspicio
 from mixseq.retargeting.correspond import correspond_and_assess
 from mixseq.retargeting.markers import Markers, Similarity, fit_similarity
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.segmentation.silhouettes import Diffusion
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, IntArray
@@ -376,7 +377,7 @@ def _decimate_mesh(points: Float, faces: IntArray, keep: Index) -> tuple[Index, 
 
 
 @public
-def suggest_markers(source: MeshSequence, target: MeshSequence, rest: int = 0) -> Markers:
+def suggest_markers(source: FileOr[MeshSequence], target: FileOr[MeshSequence], rest: int = 0) -> Markers:
     """Suggest markers at corresponding tips of limbs, tails, noses and ears.
 
     Both meshes are in about the same pose, in any orientation and size.
@@ -408,6 +409,8 @@ def suggest_markers(source: MeshSequence, target: MeshSequence, rest: int = 0) -
     >>> len(markers.source) == len(markers.target)
     True
     """
+    source = cast("MeshSequence", source)
+    target = cast("MeshSequence", target)
     check_rest_frame(source, rest)
     with one_blas_thread():
         first, second = _find_extremities(source, rest), _find_extremities(target, 0)
