@@ -23,7 +23,9 @@ from mixseq.compression.bitstream.spatial_basis import (
     MAX_PARTS,
     BasisKind,
     SpatialBasis,
+    affine_basis,
     assemble_basis,
+    label_vertices,
     part_groups,
     read_basis,
     read_coefficients,
@@ -90,6 +92,8 @@ class CodingParameters:
     inbetween_step: float | None = None
     # Largest measured distance between frames from the fitted model, in diagonals. None if it was not fitted.
     inbetween_error: float | None = None
+    # True if in-betweens move in the affine basis of the labelled parts, None if in the spatial basis.
+    inbetween_parts: bool | None = None
 
     def __post_init__(self) -> None:
         kinds = get_args(BasisKind)
@@ -133,6 +137,10 @@ class CodingParameters:
             raise SettingsError(f"inbetween_step is {step!r}; a positive number is expected")
         if error is not None and not (_is_number(error) and 0 <= error < inf):
             raise SettingsError(f"inbetween_error is {error!r}; a non-negative number is expected")
+        if self.inbetween_parts is not None and (self.inbetween_parts is not True or levels is None):
+            raise SettingsError(
+                f"inbetween_parts is {self.inbetween_parts!r}; true is expected, beside inbetween_levels"
+            )
         if not isinstance(self.promised, bool):
             raise SettingsError(f"promised is {self.promised!r}; true or false is expected")
 
@@ -226,18 +234,26 @@ class Playback(Decodable, PickledWithoutCaches):
     # between its knots.
     inbetweens: tuple[Float, ...] = ()
     origin: tuple[float, ...] = ()  # origin (x, y, z) of positions; empty if it is zero
+    parts_basis: SpatialBasis | None = None  # affine basis of in-betweens; None if it is the spatial basis
+
+    @property
+    def inbetween_basis(self) -> SpatialBasis:
+        """The basis of in-betweens."""
+        return self.parts_basis or self.basis
 
     @cached_property
     def curve(self) -> Curve:
-        """The coefficients over time, K d coordinates."""
+        """The coefficients over time, K d coordinates, and those of `parts_basis`."""
         times = insert_midpoints(self.header.times)
         operator = TemporalOperator(self.header.times, self.between.length, self.between.cubic)
         values = operator.weights_at(times).interpolate(self.coefficients.reshape(len(self.coefficients), -1))
+        if self.parts_basis is not None:
+            values = np.pad(values, ((0, 0), (0, 3 * len(self.parts_basis.part_ids))))
         for level, offsets in enumerate(self.inbetweens):
             if level:
                 finer = insert_midpoints(times)
                 times, values = finer, Curve(times, values)(finer)
-            values[1::2] += offsets.reshape(len(offsets), -1)
+            values[1::2, -offsets[0].size :] += offsets.reshape(len(offsets), -1)
         return Curve(times, values)
 
     def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
@@ -262,9 +278,12 @@ class Playback(Decodable, PickledWithoutCaches):
     def _decode_coefficients(self, values: Float) -> Float:
         """Return the points ``(N, V, 3)`` of coefficients ``(N, K d)``."""
         points = np.empty((len(values), self.header.vertex_count, 3))
+        shape, size = self.coefficients.shape[1:], self.coefficients[0].size
         with one_blas_thread():
             for row, value in zip(points, values, strict=True):  # row by row, so that each is independent of the others
-                row[:] = self.basis.frames(value.reshape(1, *self.coefficients.shape[1:]))[0]
+                row[:] = self.basis.frames(value[:size].reshape(1, *shape))[0]
+                if self.parts_basis is not None:
+                    row += self.parts_basis.frames(value[size:].reshape(1, -1, 3))[0]
         return points
 
 
@@ -276,7 +295,8 @@ def decode(coded: CompressedSequence) -> Playback:
     with one_blas_thread(), np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         basis = decode_basis(coded, graph)
         coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
-        inbetweens = _decode_inbetweens(coded, basis, coefficients.shape[1:])
+        parts_basis = parts_basis_of(coded, basis, coefficients) if coded.parameters.inbetween_parts else None
+        inbetweens = _decode_inbetweens(coded, parts_basis or basis)
         if not all(np.isfinite(values).all() for values in (basis.norms, coefficients, *inbetweens)):
             raise FormatError(f"the coded signals are damaged, they are not finite; {DAMAGE_CURE}")
     residual_layer = None
@@ -290,7 +310,17 @@ def decode(coded: CompressedSequence) -> Playback:
         displacements = coefficients * basis.norms[basis.varying, None]
         operator = select_operator(header.times, displacements.reshape(len(displacements), -1))
         between = TemporalInterpolation(operator.length_scale, operator.cubic_shares)
-    return Playback(header, basis, coefficients, between, residual_layer, inbetweens, coded.parameters.origin)
+    origin = coded.parameters.origin
+    return Playback(header, basis, coefficients, between, residual_layer, inbetweens, origin, parts_basis)
+
+
+def parts_basis_of(coded: CompressedSequence, basis: SpatialBasis, coefficients: Float) -> SpatialBasis:
+    """Return the affine basis of the labelled parts, for the first frame of coefficients ``(T, K, d)``."""
+    header = coded.header
+    if coded.parts is None:
+        raise FormatError(f"in-betweens are of parts, and no triangle has a label; {DAMAGE_CURE}")
+    labels = label_vertices(coded.parts, header.faces, header.vertex_count)
+    return affine_basis(basis.frames(coefficients[:1])[0], labels, coded.parameters.diagonal)
 
 
 def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
@@ -316,8 +346,8 @@ def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialB
     return read_coefficients(basis, chunk.coefficients, [chunk.count], coded.parameters.step)[0]
 
 
-def _decode_inbetweens(coded: CompressedSequence, basis: SpatialBasis, shape: tuple[int, ...]) -> tuple[Float, ...]:
-    """Decode the in-betweens ``((T - 1) 2^l, K, d)`` of every level l; `shape` is ``(K, d)``."""
+def _decode_inbetweens(coded: CompressedSequence, basis: SpatialBasis) -> tuple[Float, ...]:
+    """Decode the in-betweens ``((T - 1) 2^l, K, d)`` of every level l."""
     levels, step = range(coded.parameters.inbetween_levels or 0), coded.parameters.inbetween_step or 0.0
     chunks = []
     for chunk in coded.chunks if levels else ():
@@ -326,7 +356,7 @@ def _decode_inbetweens(coded: CompressedSequence, basis: SpatialBasis, shape: tu
         if chunk.inbetweens:
             chunks.append(read_coefficients(basis, chunk.inbetweens, counts, step))
         else:
-            chunks.append([np.zeros((count, *shape)) for count in counts])
+            chunks.append([np.zeros((count, *basis.coefficient_shape)) for count in counts])
     return tuple(map(np.concatenate, zip(*chunks, strict=True)))
 
 
