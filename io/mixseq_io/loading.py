@@ -61,6 +61,12 @@ def load(path: PathLike, *, max_memory: float | None = None) -> Model:
     FormatError
         If the file is missing, damaged, not a model, or written by another version of mixseq, if it needs more than
         `max_memory`, or if its signals contradict each other.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> mixseq.load("arm.h5").sample(fps=40)
+    MeshSequence('bar': 13 frames, 77 vertices, 150 faces, 40 fps)
     """
     with memory_limit(max_memory):
         source = Path(path)
@@ -117,11 +123,12 @@ class ModelReader(SequenceReader):
 
 def open_h5(path: Path) -> SequenceReader:
     """Open an HDF5 file with a sequence or a model."""
-    if is_model(path):
+    contents = read_attributes(path)
+    if contents.kind == MODEL_FORMAT:
         return ModelReader(path)
-    from mixseq_io.hdf5 import sequences
+    from mixseq_io.hdf5.sequences import open_h5_sequence
 
-    return sequences.open_h5(path)
+    return open_h5_sequence(contents)
 
 
 def open_gltf(path: Path, **options: Any) -> SequenceReader:

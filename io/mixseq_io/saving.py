@@ -45,6 +45,11 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
         If `still` needs Draco and it is not installed.
     SettingsError
         If `still` is not one of these names.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> mixseq.save("model.h5", mixseq.fit("arm.usdc"))
     """
     target = Path(path)
     if still not in STILLS:
@@ -63,12 +68,12 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
         return
     with create_h5(target) as (file, _):
         if isinstance(model, CompressedSequence):
-            _write_container(file, pack(model))
+            write_container(file, pack(model))
         else:
             write_model(file, model)
 
 
-def _write_container(file: h5py.File, container: Container) -> None:
+def write_container(file: h5py.File, container: Container) -> None:
     """Store the text of a compressed model as an attribute, and all streams as one dataset, as each takes bytes.
 
     Strings have fixed length, since a string of variable length takes 4 KiB.

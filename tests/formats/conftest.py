@@ -146,12 +146,6 @@ TARGETS = (
 )
 
 
-@pytest.fixture(params=list(CASES))
-def sequence(request: pytest.FixtureRequest) -> MeshSequence:
-    """Every case in turn."""
-    return CASES[request.param]()
-
-
 @pytest.fixture(params=TARGETS, ids=lambda target: target.file_name + "+".join(target.options))
 def target(request: pytest.FixtureRequest) -> Target:
     """Every format in turn."""

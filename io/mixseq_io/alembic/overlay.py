@@ -10,9 +10,9 @@ Specification: https://docs.alembic.io/reference/index.html (``Abc``)
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +69,9 @@ _CHILD_PROPERTIES = frozenset([".childBnds"])
 _ARCHIVE_PROPERTIES = re.compile(r"\.childBnds|statistics|\d+\.samples")
 """Names of properties of the top object that summarise the archive, such as bounds."""
 
+
+WriteSamples = Callable[[int, FloatArray, FloatArray | None, RoundingMonitor], None]
+"""Function that adds a mesh's samples of frames from the first index on; points and velocities are the sequence's."""
 
 KeptSamples = tuple[range, int]
 """Range of a property's copied samples, and the index of their time sampling in the copy."""
@@ -200,6 +203,38 @@ class MeshMatch:
     transform: MeshTransform
     is_mirrored: bool
 
+    def replace_points(self, schema: Any, sampling: int, has_velocities: bool) -> WriteSamples:
+        """Create the properties that depend on points in a copied schema; return the writer of their samples."""
+        stored = self.mesh.schema
+        header = stored.getPositionsProperty().getHeader()
+        positions = Abc.OArrayProperty(schema, "P", header.getDataType(), header.getMetaData(), sampling)
+        bounds = Abc.OBox3dProperty(schema, ".selfBnds", sampling)
+        own_velocities = Abc.OV3fArrayProperty(schema, ".velocities", sampling) if has_velocities else None
+        normals = None
+        if not self.mesh.is_subdivided and stored.getNormalsParam().valid():
+            normals = AbcGeom.ON3fGeomParam(schema, "N", True, CORNER_SCOPE, 1, sampling)
+            normal_ids = create_array(imath.UnsignedIntArray, self.scene_mesh.normal_groups[self.corners])
+
+        def write(first: int, points: FloatArray, velocities: FloatArray | None, rounding: RoundingMonitor) -> None:
+            mesh, transform = self.scene_mesh, self.transform
+            for frame, world in enumerate(points[:, mesh.vertices]):
+                own = transform.to_mesh_points(world, first + frame)
+                rounding.measure(first + frame, world, transform_points(own, transform.matrices[first + frame]))
+                # A sample refers to its array, which must be alive until it is set.
+                array = create_array(imath.V3fArray, own)
+                positions.setValue(array)
+                bounds.setValue(_compute_bounds(own))
+                if own_velocities is not None and velocities is not None:
+                    rates = transform.to_mesh_velocities(velocities[frame, mesh.vertices], own, first + frame)
+                    array = create_array(imath.V3fArray, rates)
+                    own_velocities.setValue(array)
+                if normals is not None:
+                    unit = corner_normals(own[None], mesh.polygons, mesh.normal_groups)[0]
+                    array = create_array(imath.V3fArray, -unit if self.is_mirrored else unit)
+                    normals.set(AbcGeom.ON3fGeomParamSample(array, normal_ids, CORNER_SCOPE))
+
+        return write
+
 
 @dataclass(frozen=True, eq=False)
 class Original:
@@ -261,53 +296,6 @@ _MAX_COPY_GROWTH = 2
 """Largest size ratio of a copy to its archive, since moving instances become separate objects."""
 
 
-@dataclass(frozen=True, eq=False)
-class CopiedMeshWriter:
-    """Writer of the points, bounds, velocities and normals of a copied mesh."""
-
-    match: MeshMatch
-    positions: Any
-    bounds: Any
-    velocities: Any | None
-    normals: Any | None
-
-    @classmethod
-    def create(cls, match: MeshMatch, schema: Any, sampling: int, has_velocities: bool) -> CopiedMeshWriter:
-        """Create the replaced properties in a copied schema; `write` adds their samples."""
-        stored = match.mesh.schema
-        header = stored.getPositionsProperty().getHeader()
-        positions = Abc.OArrayProperty(schema, "P", header.getDataType(), header.getMetaData(), sampling)
-        bounds = Abc.OBox3dProperty(schema, ".selfBnds", sampling)
-        velocities = Abc.OV3fArrayProperty(schema, ".velocities", sampling) if has_velocities else None
-        normals = None
-        if not match.mesh.is_subdivided and stored.getNormalsParam().valid():
-            normals = AbcGeom.ON3fGeomParam(schema, "N", True, CORNER_SCOPE, 1, sampling)
-        return cls(match, positions, bounds, velocities, normals)
-
-    def write(self, first: int, points: FloatArray, velocities: FloatArray | None, rounding: RoundingMonitor) -> None:
-        """Add samples of frames from `first` on: points and velocities ``(B, V, 3)`` of the sequence."""
-        mesh, transform = self.match.scene_mesh, self.match.transform
-        for frame, world in enumerate(points[:, mesh.vertices]):
-            own = transform.to_mesh_points(world, first + frame)
-            rounding.measure(first + frame, world, transform_points(own, transform.matrices[first + frame]))
-            # A sample refers to its array, which must be alive until it is set.
-            array = create_array(imath.V3fArray, own)
-            self.positions.setValue(array)
-            self.bounds.setValue(_compute_bounds(own))
-            if self.velocities is not None and velocities is not None:
-                rates = transform.to_mesh_velocities(velocities[frame, mesh.vertices], own, first + frame)
-                array = create_array(imath.V3fArray, rates)
-                self.velocities.setValue(array)
-            if self.normals is not None:
-                normals = corner_normals(own[None], mesh.polygons, mesh.normal_groups)[0]
-                array = create_array(imath.V3fArray, -normals if self.match.is_mirrored else normals)
-                self.normals.set(AbcGeom.ON3fGeomParamSample(array, self._normal_ids, CORNER_SCOPE))
-
-    @cached_property
-    def _normal_ids(self) -> Any:
-        return create_array(imath.UnsignedIntArray, self.match.scene_mesh.normal_groups[self.match.corners])
-
-
 def _compute_bounds(points: FloatArray) -> Any:
     """Return the bounding box of points ``(n, 3)``, or an empty box without points."""
     if not len(points):
@@ -332,7 +320,7 @@ def copy_archive(
     sampling: int,
     has_velocities: bool,
     sources: ArrayLike | None = None,
-) -> list[CopiedMeshWriter]:
+) -> list[WriteSamples]:
     """Copy an archive into the empty archive `copy`, and return writers of the meshes that get new points.
 
     `sampling` is the index of the frames' time sampling, `sources` ``(T,)`` are the archive's times in s at the
@@ -345,6 +333,5 @@ def copy_archive(
         warn(f"{path}: of {original.path} the library cannot copy {format_names(copier.lost)}; they are left out")
     warn_of_unretimed_motion(path, header, dict(sorted(copier.spans.items())), sources)
     return [
-        CopiedMeshWriter.create(match, copier.schemas[match.mesh.path], sampling, has_velocities)
-        for match in original.matches
+        match.replace_points(copier.schemas[match.mesh.path], sampling, has_velocities) for match in original.matches
     ]

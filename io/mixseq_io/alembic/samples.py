@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from mixseq.errors import FormatError, MissingExtraError
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix
-from mixseq.types import Float, FloatArray, Index, Single
+from mixseq.types import Float, FloatArray, Single
 
 try:
     import imath as imath
@@ -162,33 +162,25 @@ def create_time_sampling(times: Float, step: float) -> Any:
     return AbcCoreAbstract.TimeSampling(acyclic, vector)
 
 
-@dataclass(frozen=True, eq=False)
-class SampleInterpolation:
-    """Index of the sample before every frame ``(T,)``, and the weight of the next sample."""
-
-    before: Index
-    weight: Float
-
-    def at(self, frame: int) -> tuple[int, float]:
-        """Return the index of the sample before a frame, and the weight of the next sample."""
-        return int(self.before[frame]), float(self.weight[frame])
+LocatedFrames = list[tuple[int, float]]
+"""Index of the sample before every frame, and the weight of the next sample."""
 
 
-def locate_samples(times: Float, frames: Float) -> SampleInterpolation:
+def locate_frames(times: Float, frames: Float) -> LocatedFrames:
     """Locate frame times ``(T,)`` between sample times ``(N,)``."""
     last = len(times) - 1
     before = np.clip(np.searchsorted(times, frames + TIME_TOLERANCE, side="right") - 1, 0, last)
     step = times[np.minimum(before + 1, last)] - times[before]
     since = frames - times[before]
     weight = np.divide(since, step, out=np.zeros_like(since), where=(step > 0) & (since > TIME_TOLERANCE))
-    return SampleInterpolation(before, weight)
+    return list(zip(before.tolist(), weight.tolist(), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
 class Transforms:
     """Transforms from a mesh to the world, the nearest to the mesh first, with the samples located at the frames."""
 
-    samples: tuple[tuple[Any, SampleInterpolation], ...]
+    samples: tuple[tuple[Any, LocatedFrames], ...]
 
     @classmethod
     def from_schemas(
@@ -199,15 +191,15 @@ class Transforms:
         for schema in schemas:
             times = np.zeros(1) if schema.isConstant() else sample_times(schema)
             kept = slice(0, len(times)) if window is None else select_samples(times, window)
-            located = locate_samples(times[kept], frames)
-            samples.append((schema, SampleInterpolation(located.before + kept.start, located.weight)))
+            located = locate_frames(times[kept], frames)
+            samples.append((schema, [(before + kept.start, weight) for before, weight in located]))
         return cls(tuple(samples))
 
     def to_world(self, frame: int) -> Float:
         """Return the mesh-to-world matrix ``(4, 4)`` of a frame."""
         world = np.eye(4)
-        for schema, samples in self.samples:
-            matrix, inherits = _local_matrix(schema, *samples.at(frame))
+        for schema, located in self.samples:
+            matrix, inherits = _local_matrix(schema, *located[frame])
             with np.errstate(all="ignore"):
                 world = world @ matrix
             if not inherits:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from errno import ENOSPC
@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.errors import FormatError, OutputError, SettingsError
+from mixseq.errors import FormatError, OutputError
 from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.polygons import reversed_winding
 from mixseq.mesh.surface import CornerValues
@@ -38,6 +38,7 @@ from mixseq_io.alembic.overlay import (
     CORNER_SCOPE,
     SAMPLE_OVERHEAD_BYTES,
     Original,
+    WriteSamples,
     bound_copy_size,
     copy_archive,
     match_archive,
@@ -119,10 +120,6 @@ _RGBA_TYPES = (AbcGeom.OC4fGeomParam, AbcGeom.OC4fGeomParamSample, imath.C4fArra
 
 _OBJECT_OVERHEAD_BYTES = 8000
 """Upper bound in bytes on an object's names and headers in the file."""
-
-
-WriteSamples = Callable[[int, FloatArray, FloatArray | None, RoundingMonitor], None]
-"""Function that adds a mesh's samples of frames from the first index on; points and velocities are the sequence's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,8 +262,6 @@ def write_alembic(
     rounding: RoundingMonitor | None = None,
 ) -> None:
     """Write an Alembic file; options as in `FORMATS`. `sources` ``(T,)`` are the original's times in s at frames."""
-    if sources is not None and np.shape(sources) != header.times.shape:
-        raise SettingsError(f"sources are {np.size(sources)} times for {header.frame_count} frames; give one per frame")
     match = partial(match_archive, header=header)
     original = open_original_file(path, header, flatten, onto, "Alembic", match)
     new_meshes = [] if original else plan_meshes(header)
@@ -312,8 +307,7 @@ def _write(
         archive = Abc.CreateArchiveWithInfo(str(temporary), header.fps, f"mixseq {__version__}", "")
         sampling = archive.addTimeSampling(create_time_sampling(header.times, 1 / header.fps))
         if isinstance(contents, Original):
-            copies = copy_archive(archive, path, contents, header, sampling, has_velocities, sources)
-            writers: list[WriteSamples] = [copy.write for copy in copies]
+            writers = copy_archive(archive, path, contents, header, sampling, has_velocities, sources)
         else:
             writers = create_meshes(archive.getTop(), contents, sampling, rounding.origin)
     for first, block, velocities in numbered:

@@ -1,24 +1,6 @@
 """Read and write HDF5 models: a shape space and the signals of a sequence, in datasets that users may edit.
 
-::
-
-    /                          format = "mixseq-model", version = 1, created_by, settings (JSON), space,
-                               provenance (JSON), name, fps, up_axis, metres_per_unit, vertex_count
-    /polygons/                 counts, indices
-    /segmentation/             part_of_face, widths                         (mixed space)
-    /segmentation/parts/       vertices, sizes                              (mixed space)
-    /segmentation/joints/      faces, sizes                                 (mixed space)
-    /space/                    scale; reference (all but vertex, basis); shapes, joint_faces (mixed space);
-                               reference_lengths (edge space); fields (basis space)
-    /space/skinning/           sizes, parts, weights                        (mixed space)
-    /space/steadiness/         turns, centres, relation_turns, relation_points  (mixed space)
-    /signals/time/             frames, times, values
-    /signals/pose/             offset, matrix
-    /signals/shape/            blocks of shape vectors, see `shape_blocks`
-    /signals/placement/        times, rotations, translations
-    /signals/correction/       times, rotations, translations               (mixed space)
-
-See ``docs/file-format.md``, also for compressed models.
+``docs/file-format.md`` describes all datasets and attributes, also those of compressed models (`mixseq_io.coded`).
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -166,13 +167,13 @@ def labels_from_sets(sets: Sequence[FaceSet], polygons: Polygons) -> Labels:
     return Labels(triangle_labels(rank[labels], polygons), tuple(name or UNNAMED_LABEL for name in names))
 
 
-def labels_from_colours(colours: FloatArray, polygons: Polygons) -> Labels:
-    """Label polygons by the colours ``(sum of counts, k)`` of their corners."""
+def labels_from_colours(file: Path, colours: FloatArray, polygons: Polygons) -> Labels:
+    """Label polygons by the colours ``(sum of counts, k)`` of their corners in a file."""
     bytes_ = np.rint(255 * np.clip(np.nan_to_num(colours), 0, _MAX_COLOUR_VALUE)).astype(np.int64)
     distinct, of_corner = np.unique(bytes_, axis=0, return_inverse=True)
     if len(distinct) > MAX_LABEL_COLOURS:
         raise FormatError(
-            f"has {len(distinct)} vertex colours, too many for a segmentation; paint every part in one colour, "
+            f"{file} has {len(distinct)} vertex colours, too many for a segmentation; paint every part in one colour, "
             f"{MAX_LABEL_COLOURS} at most"
         )
     polygon_ids = np.repeat(np.arange(len(polygons.counts)), polygons.counts)

@@ -165,9 +165,10 @@ def test_the_golden_file_still_decodes_to_the_same() -> None:
 def test_real_coordinates_take_two_bytes(data: Path, name: str, tmp_path: Path) -> None:
     """A ten-thousandth of the square at two bytes for u and v."""
     file = tmp_path / "small.h5"
-    with mixseq.open_sequence(data / "gltf" / name, animation=0) as reader:
-        mixseq.save(file, mixseq.compress(reader, kg=5, uv_error=1e-4))
-        assert mixseq.verify(file, reader).holds
+    whole = mixseq.read(data / "gltf" / name, animation=0)
+    frames = mixseq.MeshSequence.from_header(whole.header.with_times(whole.times[:6]), whole.points[:6])
+    mixseq.save(file, mixseq.compress(frames, kg=5, uv_error=1e-4))
+    assert mixseq.verify(file, frames).holds
     uvs = mixseq.load(file).header.surface.uvs
     assert uvs is not None
     assert compressed_sizes(file)["uvs"] <= 2 * len(uvs.values) + 4  # and what they decode to
