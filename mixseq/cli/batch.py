@@ -23,7 +23,7 @@ import click
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.compressed import aiming, compressed
+from mixseq.cli.encode import aiming, compressed
 from mixseq.cli.files import Claim, check_options, decoded, is_model, options_of, overwriting
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.group import format_bytes, length_text, print_table, printable, progress_bar, say

@@ -212,8 +212,7 @@ def _make_layout(
         panels.append(Panel(item.header, colouring.face_colours, panel_camera, rectangle))
     if not unit:
         return Layout(panels, draw_backdrop(width, height, rectangles, names))
-    scale = import_matplotlib("cm").ScalarMappable(None, "viridis").get_cmap()
-    palette = np.asarray(scale(np.arange(256))[:, :3], dtype=np.float64)
+    palette = colourings[0].palette / 255
     backdrop = draw_backdrop(width, height, rectangles, names, palette, colourings[0].top / unit_size, unit)
     return Layout(panels, backdrop, palette)
 

@@ -135,22 +135,14 @@ class ExportSettings:
             )
 
 
-@dataclass(frozen=True)
-class ExportReport:
-    """Report on a page."""
-
-    size: int  # bytes of the file
-    items: tuple[PageItemReport, ...]  # reports on the meshes
-
-
 def export_page(
     target: Path,
     items: Sequence[PageItem],
     settings: ExportSettings | None = None,
     progress: Progress = no_progress,
     workers: Executor | None = None,
-) -> ExportReport:
-    """Write a page that plays meshes; equal input gives a page of equal bytes."""
+) -> list[PageItemReport]:
+    """Write a page that plays meshes, and return a report on each; equal input gives a page of equal bytes."""
     settings = settings or ExportSettings()
     if not items:
         raise SettingsError("there is no mesh to show; give a sequence or a model")
@@ -174,9 +166,8 @@ def export_page(
         "period": _period(items, times),
         "items": descriptions,
     }
-    text = page_text(description, list(chain.from_iterable(data)))
-    target.write_bytes(text)
-    return ExportReport(len(text), reports)
+    target.write_bytes(page_text(description, list(chain.from_iterable(data))))
+    return list(reports)
 
 
 def _times(item: PageItem, settings: ExportSettings) -> Float:

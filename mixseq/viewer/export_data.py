@@ -206,16 +206,13 @@ EXTENT_DIGITS = 5
 
 @dataclass(frozen=True)
 class PageItemReport:
-    """Errors and sizes of an exported mesh."""
+    """Errors of an exported mesh."""
 
     name: str  # name above the mesh
-    frames: int  # number of poses
     max_error: float  # bound of vertex errors, in diagonals of the first pose
     error: float  # the same bound in units of the mesh
     between: float | None  # distance from the model between frames in diagonals, if it was measured
     history: str  # what the bound refers to, see `mixseq.sequence.provenance`
-    positions: int  # bytes of mesh and motion before encoding as text
-    colours: int  # bytes of colours before encoding as text
 
 
 def encode_mesh(
@@ -269,8 +266,7 @@ def encode_mesh(
         "signals": item.signals,
     }
     history = str(compressed.header.provenance or "")
-    sizes = len(container.streams), sum(map(len, stored))
-    report = PageItemReport(item.mesh.name, len(elapsed), parameters.max_error, error, between, history, *sizes)
+    report = PageItemReport(item.mesh.name, parameters.max_error, error, between, history)
     return description, [container.streams, *stored], report
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import colorsys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from threading import Lock
 from typing import Any
@@ -24,9 +24,10 @@ from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.suggestions import MIN_EXAMINED_MARKERS, Examination
 from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.types import Float, Index
+from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.controls import notify_all
 from mixseq.viewer.live.stage import LiveStage
-from mixseq.viewer.live.viewer import ViewSettings, add_bridge, run_server
+from mixseq.viewer.live.viewer import add_bridge, run_server
 from mixseq.viewer.marking import SOURCE, TARGET, Marking, MarkingSession, Pair
 from mixseq.viewer.playback import Playback
 from mixseq.viewer.session import Drawn, Message
@@ -371,8 +372,8 @@ class MarkingViewer:
         scene = meshes.scene
         topologies = [Topology(mesh.faces, mesh.vertex_count) for mesh in (meshes.source, meshes.target)]
         self._balls = MarkingStage(server, topologies, lambda side, row: self.session.click_ball(side, row))
-        camera = settings.camera or VIEWS["Left"]
-        self._stage = LiveStage(server, SceneColours(scene), settings.material, False, lambda _: None, camera)
+        from_left = replace(settings, camera=settings.camera or VIEWS["Left"])
+        self._stage = LiveStage(server, SceneColours(scene), from_left, lambda _: None)
         playback = Playback(scene, self._stage, self._on_playback_failure, threads=1)
         self._playback = stack.enter_context(playback)
         self.session = stack.enter_context(MarkingSession(meshes.source, meshes.target, meshes.markers, self))
