@@ -49,9 +49,6 @@ if TYPE_CHECKING:
 _SCALE_UNITS = {"error": ("diagonals", 1.0), "strain": ("strain", 100.0), "curvature": ("degrees", 1.0)}
 """Units of colour scales in film settings, each with its factor to the unit of the `Colouring`."""
 
-MIN_COLOUR_SCALE = 1e-12
-"""Smallest end of the colour scale, above rounding errors."""
-
 
 @dataclass(frozen=True)
 class FilmSettings:
@@ -185,7 +182,7 @@ def _with_common_scale(
     if settings.colour not in _SCALE_UNITS:
         return colourings
     _, unit = _SCALE_UNITS[settings.colour]
-    top = unit * settings.scale if settings.scale else unit * MIN_COLOUR_SCALE
+    top = unit * settings.scale if settings.scale else 1e-12 * unit  # above rounding errors
     if settings.scale is None:
         for item, colouring in zip(items, colourings, strict=True):
             ends = (colouring.scale_end(item.pose(frame), float(time)) for frame, time in enumerate(times))
@@ -215,10 +212,6 @@ def _make_layout(
     palette = colourings[0].palette / 255
     backdrop = draw_backdrop(width, height, rectangles, names, palette, colourings[0].top / unit_size, unit)
     return Layout(panels, backdrop, palette)
-
-
-FOLLOW_SMOOTHING_SECONDS = 0.25
-"""Standard deviation of the Gaussian filter that smooths the path of a following camera."""
 
 
 def make_cameras(items: Sequence[DecodedItem], settings: FilmSettings, fps: float) -> list[Camera]:
@@ -259,13 +252,13 @@ def _make_camera(items: Sequence[DecodedItem], settings: FilmSettings, fps: floa
 
 
 def travel_path(item: DecodedItem, fps: float) -> Float:
-    """Return the smoothed ground path ``(N, 3)`` of a mesh, Y up, relative to its first position."""
+    """Return the ground path ``(N, 3)`` of a mesh, Y up, from its first position, smoothed over 0.25 s."""
     centroids = np.stack(
         [to_y_up(item.pose(frame), item.header.up_axis).mean(axis=0) for frame in range(len(item.pose_of_frame))]
     )
     centroids = (centroids - centroids[0]) * [1, 0, 1]
     line = np.linspace(0, 1, len(centroids))[:, None] * centroids[-1]
-    return np.asarray(line + gaussian_filter1d(centroids - line, FOLLOW_SMOOTHING_SECONDS * fps, axis=0))
+    return np.asarray(line + gaussian_filter1d(centroids - line, 0.25 * fps, axis=0))
 
 
 Rectangle = tuple[slice, slice]
@@ -368,10 +361,6 @@ def _shorten(text: str, font: FreeTypeFont, max_width: float) -> str:
     return shortened
 
 
-HEAT_CONTRAST = 0.25
-"""Strength of the shading of measured colours, weak enough to keep the colours readable."""
-
-
 @dataclass(frozen=True, eq=False)
 class Panel:
     """One panel of a film."""
@@ -416,7 +405,7 @@ def draw_moment(layout: Layout, moment: Moment) -> Picture:
         faces, camera = panel.header.faces, panel.camera
         colours, contrast = panel.colours, 1.0
         if entries is not None and layout.palette is not None:
-            colours, contrast = layout.palette[entries[faces]], HEAT_CONTRAST
+            colours, contrast = layout.palette[entries[faces]], 0.25  # colours stay readable
         centre = camera.centres[frame]
         world = to_y_up(points, panel.header.up_axis) - centre
         view = camera.view_at(frame)

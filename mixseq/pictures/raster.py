@@ -136,8 +136,6 @@ def blend_shadow(alpha: Float, colour: Float, picture: ByteArray) -> None:
 
 
 KEY_LIGHT = np.array([-0.45, 0.62, 0.64])
-SHADE_TINT = np.array([1.0, 0.6, 0.0])
-"""Relative loss of red, green and blue in the shade, as under an open sky."""
 
 
 def area_normals(points: Float, faces: IntArray) -> Float:
@@ -156,7 +154,8 @@ def shade(rgb: Float, normals: Float, contrast: float) -> Float:
     """Shade face colours ``(F, 3)`` with a key light from the upper left and a soft fill light from above."""
     light = 0.50 + 0.14 * normals[:, 1] + 0.52 * np.maximum(normals @ KEY_LIGHT, 0) + 0.06 * normals[:, 2]
     light = 1 + contrast * (light[:, None] - 1)
-    tint = 1 - 0.10 * contrast * np.clip(1 - light, 0, 1) * SHADE_TINT
+    # less red and green in the shade, as under an open sky
+    tint = 1 - 0.10 * contrast * np.clip(1 - light, 0, 1) * np.array([1.0, 0.6, 0.0])
     return np.asarray(np.clip(rgb * light * tint, 0, 1))
 
 
@@ -165,12 +164,6 @@ def _normalize(vectors: Float) -> Float:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
 
 
-SHADOW_PIXELS = 240
-"""Number of shadow pixels along the longer side of the picture."""
-
-FEATHER_PIXELS = 10
-"""Width over which shadows fade out at the edge of the picture."""
-
 SHADOW_COLOUR = (0.25, 0.24, 0.28)
 
 
@@ -178,7 +171,7 @@ def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limit
     """Return the shadow RGBA ``(rows, columns, 4)`` of a mesh ``(V, 3)`` on the ground, darker close to the mesh."""
     left, right, bottom, top = limits
     extent = np.array([top - bottom, right - left])
-    shape = np.ceil(SHADOW_PIXELS * extent / extent.max()).astype(int)
+    shape = np.ceil(240 * extent / extent.max()).astype(int)  # pixels
     pixel = extent / shape
 
     size = bounding_diagonal(world) or 1.0
@@ -197,9 +190,9 @@ def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limit
 
 
 def _feather(count: int) -> Float:
-    """Return a ramp ``(count,)`` from 0 to 1 and back to 0."""
+    """Return a ramp ``(count,)`` from 0 to 1 over 10 pixels, and back to 0 at the end."""
     index = np.arange(count)
-    return np.clip(np.minimum(index, index[::-1]) / FEATHER_PIXELS, 0, 1)
+    return np.clip(np.minimum(index, index[::-1]) / 10, 0, 1)
 
 
 SAMPLES_PER_SIDE = 2

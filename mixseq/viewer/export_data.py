@@ -69,10 +69,6 @@ def deflate_rows(rows: Iterable[NDArray[np.uint8]]) -> bytes:
     return b"".join([*chunks, deflate.flush()])
 
 
-MAX_COMMON_SIZE_RATIO = 2.0
-"""Largest common extent of two meshes with the same scale, relative to the smaller mesh, which must stay visible."""
-
-
 @dataclass(frozen=True, eq=False)
 class PageItem:
     """A mesh of a page, with one pose per frame of this mesh."""
@@ -193,15 +189,12 @@ def measure_extent(world: FloatArray, views: Sequence[View]) -> Extent:
 
 
 def _share_scale(one: Extent, other: Extent) -> bool:
-    """Whether both meshes are large enough to be shown at the same scale."""
-    return one.union(other).side <= MAX_COMMON_SIZE_RATIO * min(one.side, other.side)
+    """Whether both meshes are visible at the same scale: the smaller one has half of their common extent."""
+    return one.union(other).side <= 2 * min(one.side, other.side)
 
 
 PALETTE_STEP = 15
 """Step between the stored entries of a palette of measured values; the page interpolates the omitted entries."""
-
-EXTENT_DIGITS = 5
-"""Significant digits of extents, sufficient for the resolution of a screen."""
 
 
 @dataclass(frozen=True)
@@ -307,7 +300,8 @@ def _has_frame_times(header: SequenceHeader, elapsed: Float) -> bool:
 
 
 def _describe_extent(extent: Extent, page_poses: PagePoses) -> dict[str, Any]:
-    digits = EXTENT_DIGITS - int(np.ceil(np.log10(extent.side or 1.0)))
+    # 5 significant digits are enough for a screen
+    digits = 5 - int(np.ceil(np.log10(extent.side or 1.0)))
     low, high, screen = (
         np.round(values, digits).tolist() for values in (extent.low, extent.high, extent.rectangles(page_poses.views))
     )

@@ -36,9 +36,6 @@ SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 SLIDER_HOLD_SECONDS = 0.5
 """Time in seconds for which a dragged slider keeps its value, because displayed frames lag behind the mouse."""
 
-FRAME_DECIMALS = 3
-"""Decimals of fractional frame numbers."""
-
 SIDE_BY_SIDE, OVERLAID = "side by side", "in one place"
 
 
@@ -69,7 +66,7 @@ class TimeBase:
     def slider(self) -> tuple[float, float, float, int]:
         """Range of the frame slider: smallest and largest number, step, and number of decimals."""
         low, high, step = self.number(0.0), self.number(self.last), self.fps / self.rate
-        digits = 0 if all(number == round(number) for number in (low, high, step)) else FRAME_DECIMALS
+        digits = 0 if all(number == round(number) for number in (low, high, step)) else 3
         scale = 10.0**digits  # for rounding inwards
         return floor(low * scale + 1e-6) / scale, ceil(high * scale - 1e-6) / scale, step, digits
 

@@ -269,9 +269,6 @@ MAX_CONNECTIONS = 256
 LOG_LINE_RATE = 0.5, 20.0
 """Lines on the terminal per second, and in a burst; further lines are dropped."""
 
-CLOSE_TIMEOUT_SECONDS = 1.0
-"""Time in seconds to wait for the page's reply when a connection is closed."""
-
 HEADERS = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -312,7 +309,7 @@ class Guard:
                 "process_request": partial(self._answer, settings["process_request"]),
                 "create_connection": partial(_Connection, self),
                 "max_size": MAX_MESSAGE_BYTES,
-                "close_timeout": CLOSE_TIMEOUT_SECONDS,
+                "close_timeout": 1.0,  # seconds to wait for the reply of a page
                 "logger": self._log,
             }
             return original_serve(handler, host, port, **settings)

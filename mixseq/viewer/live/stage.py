@@ -22,9 +22,6 @@ PICK_COLOUR = (20, 20, 20)
 GRID_CELL = SCENE_SIZE / 2
 """Cell size of the ground's grid, in scene units."""
 
-ASPECT_TOLERANCE = 0.02
-"""Relative change of a window's aspect ratio below which the camera is unchanged."""
-
 
 class LiveStage:
     """Meshes in the scene of a viser server, a `mixseq.viewer.playback.Stage`.
@@ -217,7 +214,7 @@ class LiveStage:
             position, aspect = self._client_views[client.client_id]
             initial = self._server.initial_camera.position  # the page may report it late
             is_unmoved = any(np.allclose(camera.position, known, rtol=1e-3, atol=1e-3) for known in (position, initial))
-            if is_unmoved and abs(camera.aspect / aspect - 1) > ASPECT_TOLERANCE:
+            if is_unmoved and abs(camera.aspect / aspect - 1) > 0.02:
                 self._update_camera(client)
 
         self._update_camera(client)
