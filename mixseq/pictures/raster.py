@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
+from mixseq.mesh.measures import scatter_add
+from mixseq.mesh.triangle_mesh import area_normals, normalise
 from mixseq.pictures.scene import (
     CLAY_COLOUR,
     Limits,
@@ -138,16 +140,9 @@ def blend_shadow(alpha: Float, colour: Float, picture: ByteArray) -> None:
 KEY_LIGHT = np.array([-0.45, 0.62, 0.64])
 
 
-def area_normals(points: Float, faces: IntArray) -> Float:
-    """Return face normals ``(F, 3)`` whose lengths are twice the face areas."""
-    a, b, c = np.moveaxis(points[faces], 1, 0)
-    return np.cross(b - a, c - a)
-
-
 def vertex_normals(normals: Float, faces: IntArray, vertex_count: int) -> Float:
     """Return unit vertex normals ``(V, 3)``, the normalized area-weighted means of face normals ``(F, 3)``."""
-    sums = [np.bincount(faces.ravel(), np.repeat(column, 3), vertex_count) for column in normals.T]
-    return _normalize(np.stack(sums, axis=1, dtype=np.float64))
+    return normalise(scatter_add(np.repeat(normals, 3, axis=0), faces.ravel(), vertex_count))
 
 
 def shade(rgb: Float, normals: Float, contrast: float) -> Float:
@@ -157,11 +152,6 @@ def shade(rgb: Float, normals: Float, contrast: float) -> Float:
     # less red and green in the shade, as under an open sky
     tint = 1 - 0.10 * contrast * np.clip(1 - light, 0, 1) * np.array([1.0, 0.6, 0.0])
     return np.asarray(np.clip(rgb * light * tint, 0, 1))
-
-
-def _normalize(vectors: Float) -> Float:
-    """Scale vectors ``(N, 3)`` to unit length; zero vectors stay zero."""
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
 
 
 SHADOW_COLOUR = (0.25, 0.24, 0.28)
