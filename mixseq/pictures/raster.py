@@ -154,11 +154,11 @@ def shade(rgb: Float, normals: Float, contrast: float) -> Float:
     return np.asarray(np.clip(rgb * light * tint, 0, 1))
 
 
-SHADOW_COLOUR = (0.25, 0.24, 0.28)
+SHADOW_COLOUR = 255 * np.array([0.25, 0.24, 0.28])
 
 
 def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limits: Limits) -> Float:
-    """Return the shadow RGBA ``(rows, columns, 4)`` of a mesh ``(V, 3)`` on the ground, darker close to the mesh."""
+    """Return the opacity ``(rows, columns)`` of a mesh's shadow on the ground, lowest row first, darker close to it."""
     left, right, bottom, top = limits
     extent = np.array([top - bottom, right - left])
     shape = np.ceil(240 * extent / extent.max()).astype(int)  # pixels
@@ -175,8 +175,7 @@ def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limit
     foreshortening = max(np.sin(np.radians(view.elevation)), 0.05)  # foreshortening of the ground on the screen
     blur = 0.019 * size / pixel * [foreshortening, 1]
     cover = gaussian_filter(cover / (pixel.prod() * foreshortening), np.maximum(blur, 1))
-    alpha = 0.42 * (1 - np.exp(-0.9 * cover)) * np.outer(*map(_feather, shape))
-    return np.concatenate([np.broadcast_to(SHADOW_COLOUR, (*shape, 3)), alpha[..., None]], axis=2)
+    return np.asarray(0.42 * (1 - np.exp(-0.9 * cover)) * np.outer(*map(_feather, shape)))
 
 
 def _feather(count: int) -> Float:
@@ -216,7 +215,7 @@ def render_mesh(
     rows, columns = picture.shape[:2]
     floor = float(world[:, 1].min()) if ground is None else ground
     shadow = ground_shadow(world, faces, floor, view, limits)
-    blend_shadow(np.ascontiguousarray(shadow[..., 3]), 255 * shadow[0, 0, :3], picture)
+    blend_shadow(shadow, SHADOW_COLOUR, picture)
 
     x, y, z = world.T
     # sum in a fixed order to get the same result on every machine
