@@ -179,7 +179,7 @@ def _hinge_angles(points: FloatArray, topology: Topology) -> tuple[Float, NDArra
     """Return the dihedral angles ``(H,)`` of hinges, and a mask ``(H,)`` of hinges whose faces both have an area."""
     x = np.asarray(points, dtype=np.float64)
     is_degenerate = degenerate_faces(x, topology.faces, MIN_NORMAL_HEIGHT_RATIO)[topology.hinge_faces]
-    return dihedral_angles(x, topology.hinges), ~is_degenerate.any(axis=1)
+    return dihedral_angles(x, topology.hinges), np.asarray(~is_degenerate.any(axis=1))
 
 
 MAX_PALETTE_COLOURS = 256
