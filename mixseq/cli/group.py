@@ -256,11 +256,9 @@ class LazyGroup(click.Group):
         self,
         package: str,
         sections: Mapping[str, tuple[str, ...]],
-        shared: Sequence[click.Option] = (),
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
-        self.shared = shared
         self._package = package
         self._sections = sections
 
@@ -273,7 +271,8 @@ class LazyGroup(click.Group):
         if cmd_name not in self.list_commands(ctx):
             return None
         command: click.Command = import_module(f"{self._package}.{cmd_name.replace('-', '_')}").command
-        command.params += [each for each in self.shared if each not in command.params]
+        if max_memory not in command.params:
+            command.params.append(max_memory)
         return command
 
     def resolve_command(

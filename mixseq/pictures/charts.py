@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MAX_COORDINATES = 5
-"""Largest number of coordinates drawn over time; the coordinates with the largest movement are drawn."""
-
 MAX_CHART_POINTS = 800
 """Largest number of points of a chart line, about two per pixel."""
 
@@ -87,10 +84,10 @@ def _round(values: Float, largest: float) -> list[Any]:
 
 
 def largest_coordinates(model: Model) -> tuple[IntArray, Float]:
-    """Return the time-signal coordinates ``(n,)`` with the largest movement, and their units ``(n,)`` in diagonals."""
+    """Return the 5 time-signal coordinates ``(n,)`` that move most, and their units ``(n,)`` in diagonals."""
     units = np.sqrt(np.diagonal(_step_gram(model)))
     sizes = units * np.linalg.norm(_centred(model), axis=0)
-    coordinate_ids = np.sort(np.argsort(-sizes, kind="stable")[:MAX_COORDINATES])
+    coordinate_ids = np.sort(np.argsort(-sizes, kind="stable")[:5])
     return coordinate_ids, units[coordinate_ids]
 
 

@@ -350,9 +350,6 @@ SCENE_SIZE = 2.0
 FIELD_OF_VIEW_DEGREES = 35.0
 """Vertical field of view of the camera."""
 
-CLOSE_UP_DISTANCE_RATIO = 0.7
-"""Ratio of camera distance to the distance that shows all meshes, below which the camera shows a single mesh."""
-
 FRAMING_RATIO = 1.15
 """Size of the picture relative to the size of the projected meshes."""
 
@@ -412,7 +409,7 @@ class Arrangement:
         offsets = _row_offsets(self.boxes, azimuth)
         shifts = (self.offsets - offsets) * [1, 0, 1]
         position, centre = self.camera(aspect=1.0)
-        if distance < CLOSE_UP_DISTANCE_RATIO * np.linalg.norm(position - centre):
+        if distance < 0.7 * np.linalg.norm(position - centre):
             shift = shifts[np.linalg.norm(self.centres - target, axis=1).argmin()]
         else:
             shift = shifts.mean(axis=0)

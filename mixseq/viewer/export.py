@@ -55,9 +55,6 @@ PLAYER_SCRIPTS = (
 )
 """Scripts of the mesh player."""
 
-POSE_SCRIPTS = ("normals.js", "topology.js", "measures.js", "poses.js")
-"""Scripts that are loaded with the decoder to convert streams to poses."""
-
 
 def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
     """Return the bytes of a page from the description and the data of its meshes."""
@@ -82,10 +79,9 @@ def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
 @cache
 def decoder_script() -> str:
     """Return the script that decodes streams to poses, in a worker or in the page."""
+    scripts = ("normals.js", "topology.js", "measures.js", "poses.js")
     decoder = re.sub(r"^export const ?{.*}=(\w+);$", r"return \1;", bundled(), flags=re.MULTILINE)
-    return f"var mixseqDecoder = (() => {{\n{decoder}}})();\n" + "".join(
-        minify(read_script(name)) for name in POSE_SCRIPTS
-    )
+    return f"var mixseqDecoder = (() => {{\n{decoder}}})();\n" + "".join(minify(read_script(name)) for name in scripts)
 
 
 @cache

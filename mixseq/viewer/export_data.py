@@ -193,10 +193,6 @@ def _share_scale(one: Extent, other: Extent) -> bool:
     return one.union(other).side <= 2 * min(one.side, other.side)
 
 
-PALETTE_STEP = 15
-"""Step between the stored entries of a palette of measured values; the page interpolates the omitted entries."""
-
-
 @dataclass(frozen=True)
 class PageItemReport:
     """Errors of an exported mesh."""
@@ -313,7 +309,7 @@ def _describe_colouring(
 ) -> tuple[dict[str, Any], bytes | None]:
     """Return the description of a colouring for a page, and its stored data, if any."""
     if not colouring.is_constant:
-        palette = colouring.palette[::PALETTE_STEP]
+        palette = colouring.palette[::15]  # the page interpolates the others
         measured = {"name": colouring.name, "palette": palette.tolist(), "top": top, "unit": colouring.unit}
         if colouring.name in MEASURES:
             return measured, None

@@ -226,10 +226,6 @@ def notify_all(server: Any, title: str, text: str, is_success: bool = False) -> 
         notify(client, title, text, is_success)
 
 
-MAX_NAME_BYTES = 200
-"""Largest file name in bytes: file systems allow 255, and writers temporarily add a suffix."""
-
-
 class SaveControls:
     """Controls that save edits in the folder where the viewer was started."""
 
@@ -264,7 +260,8 @@ class SaveControls:
 def _is_file_name(name: str) -> bool:
     """Whether a text is a valid file name without folders on all operating systems."""
     has_no_path = name not in ("", ".", "..") and not any(separator in name for separator in "/\\:")
-    return has_no_path and name.isprintable() and len(name.encode(errors="replace")) <= MAX_NAME_BYTES
+    # file systems allow 255 bytes, and writers temporarily add a suffix
+    return has_no_path and name.isprintable() and len(name.encode(errors="replace")) <= 200
 
 
 class Charts:
@@ -355,11 +352,6 @@ def _fits(model: Model, plane: Plane) -> bool:
 
 
 WHOLE_BODY = "whole body"
-
-NO_HOLD_MESSAGE = (
-    "the whole body cannot be held; click a part of the mesh, or choose one under Part. To freeze the whole body, drag "
-    "keys of the retiming"
-)
 
 MIN_DURATION = 1e-3
 """Smallest duration that controls allow, in seconds."""
@@ -470,7 +462,11 @@ class Editor:
         elif name == "Exaggerate":
             self._session.edit("exaggerate part", partial(exaggerate_part, part=int(part), gain=gain))
         elif part == WHOLE_BODY:
-            notify(client, "Hold: not done", NO_HOLD_MESSAGE)
+            text = (
+                "the whole body cannot be held; click a part of the mesh, or choose one under Part. To freeze the whole "
+                "body, drag keys of the retiming"
+            )
+            notify(client, "Hold: not done", text)
         else:
             start, end = self._section_times
             time = self._current_time

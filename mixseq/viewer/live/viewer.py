@@ -73,14 +73,10 @@ def _stop(server: Any) -> None:
         server.stop()
 
 
-FIRST_PORT, PORT_COUNT = 8080, 100
-"""Ports that are tried if no port is requested."""
-
-
 def find_port(host: str, requested: int | None) -> int:
     """Return the requested port, by default the first free port; raise SettingsError if the port cannot be used."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    for port in [requested] if requested is not None else range(FIRST_PORT, FIRST_PORT + PORT_COUNT):
+    for port in [requested] if requested is not None else range(8080, 8180):
         try:
             with socket.create_server((host, port), family=family):
                 return port
@@ -90,7 +86,7 @@ def find_port(host: str, requested: int | None) -> int:
             reason = str(error.strerror or error).partition(" (")[0]
             cure = "give another --port" if error.errno in (errno.EADDRINUSE, errno.EACCES) else "give another --host"
             raise SettingsError(f"cannot listen at {host}:{port}: {reason}; {cure}") from None
-    raise SettingsError(f"the ports {FIRST_PORT} to {FIRST_PORT + PORT_COUNT - 1} are all taken; give a --port")
+    raise SettingsError("the ports 8080 to 8179 are all taken; give a --port")
 
 
 class Viewer:
