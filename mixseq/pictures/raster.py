@@ -167,9 +167,8 @@ def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limit
     size = bounding_diagonal(world) or 1.0
     centre = world[faces].mean(axis=1)
     darkness = 0.25 + np.exp((floor - centre[:, 1]) / (0.05 * size))
-    area = (
-        np.abs(area_normals(world, np.asarray(faces, dtype=np.int64))[:, 1]) / 4
-    )  # projected area, halved as upper and lower faces both count
+    # a quarter of the normals is half of the projected area, as upper and lower faces both count
+    area = np.abs(area_normals(world, np.asarray(faces, dtype=np.int64))[:, 1]) / 4
     x, y, _ = ((centre * [1, 0, 1] + [0, floor, 0]) @ view.rotation.T).T
     bounds = [[bottom, top], [left, right]]
     cover = np.histogram2d(y, x, bins=shape, range=bounds, weights=area * darkness)[0]

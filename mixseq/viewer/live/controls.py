@@ -463,8 +463,8 @@ class Editor:
             self._session.edit("exaggerate part", partial(exaggerate_part, part=int(part), gain=gain))
         elif part == WHOLE_BODY:
             text = (
-                "the whole body cannot be held; click a part of the mesh, or choose one under Part. To freeze the whole "
-                "body, drag keys of the retiming"
+                "the whole body cannot be held; click a part of the mesh, or choose one under Part. To freeze the "
+                "whole body, drag keys of the retiming"
             )
             notify(client, "Hold: not done", text)
         else:
