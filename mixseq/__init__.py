@@ -19,121 +19,84 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from mixseq.runtime.lazy import connect, lazy_getattr
-from mixseq.version import __version__
+from mixseq.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from mixseq.compression.encoder.compress import compress
-    from mixseq.mesh.polygons import Polygons
-    from mixseq.mesh.topology import Topology
-    from mixseq.metrics import Comparison, compare, measure_between
-    from mixseq.operations.interpolation import interpolate, segment
-    from mixseq.retargeting.correspond import correspond
-    from mixseq.retargeting.markers import Correspondence, Markers
-    from mixseq.retargeting.suggestions import suggest_markers
-    from mixseq.retargeting.transfer import transfer
-    from mixseq.rigging.fitting import fit_morph, fit_skin
-    from mixseq.rigging.rigs import Morph, Skeleton, Skin
-    from mixseq.sequence.header import SequenceHeader
-    from mixseq.sequence.sequence import MeshSequence, convert_units
-    from mixseq.signals.curve import Curve
-    from mixseq.signals.fitting import fit
-    from mixseq.signals.model import Model
-    from mixseq.signals.pose import PoseMap
-    from mixseq_io.loading import load
-    from mixseq_io.registry import open_sequence, read, write, write_blocks
-    from mixseq_io.rig_files import read_bind_pose, read_skeleton, write_rig
-    from mixseq_io.saving import save
-    from mixseq_io.text.markers import read_markers
-    from mixseq_io.vat.writer import write_vat
-    from mixseq_io.verification import Verification, verify
+    from mixseq.compression.bitstream.compressed_sequence import CompressedSequence as CompressedSequence
+    from mixseq.compression.compressed_model import CompressedModel as CompressedModel
+    from mixseq.compression.encoder.compress import compress as compress
+    from mixseq.mesh.polygons import Polygons as Polygons
+    from mixseq.mesh.topology import Topology as Topology
+    from mixseq.metrics import Comparison as Comparison
+    from mixseq.metrics import compare as compare
+    from mixseq.metrics import measure_between as measure_between
+    from mixseq.operations.interpolation import interpolate as interpolate
+    from mixseq.operations.interpolation import segment as segment
+    from mixseq.retargeting.correspond import correspond as correspond
+    from mixseq.retargeting.markers import Correspondence as Correspondence
+    from mixseq.retargeting.markers import Markers as Markers
+    from mixseq.retargeting.suggestions import suggest_markers as suggest_markers
+    from mixseq.retargeting.transfer import transfer as transfer
+    from mixseq.rigging.fitting import fit_morph as fit_morph
+    from mixseq.rigging.fitting import fit_skin as fit_skin
+    from mixseq.rigging.rigs import Morph as Morph
+    from mixseq.rigging.rigs import Skeleton as Skeleton
+    from mixseq.rigging.rigs import Skin as Skin
+    from mixseq.sequence.header import SequenceHeader as SequenceHeader
+    from mixseq.sequence.sequence import MeshSequence as MeshSequence
+    from mixseq.sequence.sequence import convert_units as convert_units
+    from mixseq.signals.curve import Curve as Curve
+    from mixseq.signals.fitting import fit as fit
+    from mixseq.signals.model import Model as Model
+    from mixseq.signals.pose import PoseMap as PoseMap
+    from mixseq_io.loading import load as load
+    from mixseq_io.registry import open_sequence as open_sequence
+    from mixseq_io.registry import read as read
+    from mixseq_io.registry import write as write
+    from mixseq_io.registry import write_blocks as write_blocks
+    from mixseq_io.rig_files import read_bind_pose as read_bind_pose
+    from mixseq_io.rig_files import read_skeleton as read_skeleton
+    from mixseq_io.rig_files import write_rig as write_rig
+    from mixseq_io.saving import save as save
+    from mixseq_io.text.markers import read_markers as read_markers
+    from mixseq_io.vat.writer import write_vat as write_vat
+    from mixseq_io.verification import Verification as Verification
+    from mixseq_io.verification import verify as verify
 
-
-_MODULES = {
-    "Comparison": "mixseq.metrics",
-    "Correspondence": "mixseq.retargeting.markers",
-    "Curve": "mixseq.signals.curve",
-    "Markers": "mixseq.retargeting.markers",
-    "MeshSequence": "mixseq.sequence.sequence",
-    "Model": "mixseq.signals.model",
-    "Morph": "mixseq.rigging.rigs",
-    "Polygons": "mixseq.mesh.polygons",
-    "PoseMap": "mixseq.signals.pose",
-    "SequenceHeader": "mixseq.sequence.header",
-    "Skeleton": "mixseq.rigging.rigs",
-    "Skin": "mixseq.rigging.rigs",
-    "Topology": "mixseq.mesh.topology",
-    "Verification": "mixseq_io.verification",
-    "compare": "mixseq.metrics",
-    "compress": "mixseq.compression.encoder.compress",
-    "convert_units": "mixseq.sequence.sequence",
-    "correspond": "mixseq.retargeting.correspond",
-    "fit": "mixseq.signals.fitting",
-    "fit_morph": "mixseq.rigging.fitting",
-    "fit_skin": "mixseq.rigging.fitting",
-    "interpolate": "mixseq.operations.interpolation",
-    "load": "mixseq_io.loading",
-    "measure_between": "mixseq.metrics",
-    "open_sequence": "mixseq_io",
-    "read": "mixseq_io",
-    "read_markers": "mixseq_io.text.markers",
-    "read_bind_pose": "mixseq_io",
-    "read_skeleton": "mixseq_io",
-    "save": "mixseq_io.saving",
-    "segment": "mixseq.operations.interpolation",
-    "suggest_markers": "mixseq.retargeting.suggestions",
-    "transfer": "mixseq.retargeting.transfer",
-    "verify": "mixseq_io.verification",
-    "write": "mixseq_io",
-    "write_blocks": "mixseq_io",
-    "write_rig": "mixseq_io",
-    "write_vat": "mixseq_io.vat.writer",
+_NAMES_BY_MODULE = {
+    "mixseq.compression.bitstream.compressed_sequence": ("CompressedSequence",),
+    "mixseq.compression.compressed_model": ("CompressedModel",),
+    "mixseq.compression.encoder.compress": ("compress",),
+    "mixseq.mesh.polygons": ("Polygons",),
+    "mixseq.mesh.topology": ("Topology",),
+    "mixseq.metrics": ("Comparison", "compare", "measure_between"),
+    "mixseq.operations.interpolation": ("interpolate", "segment"),
+    "mixseq.retargeting.correspond": ("correspond",),
+    "mixseq.retargeting.markers": ("Correspondence", "Markers"),
+    "mixseq.retargeting.suggestions": ("suggest_markers",),
+    "mixseq.retargeting.transfer": ("transfer",),
+    "mixseq.rigging.fitting": ("fit_morph", "fit_skin"),
+    "mixseq.rigging.rigs": ("Morph", "Skeleton", "Skin"),
+    "mixseq.sequence.header": ("SequenceHeader",),
+    "mixseq.sequence.sequence": ("MeshSequence", "convert_units"),
+    "mixseq.signals.curve": ("Curve",),
+    "mixseq.signals.fitting": ("fit",),
+    "mixseq.signals.model": ("Model",),
+    "mixseq.signals.pose": ("PoseMap",),
+    "mixseq_io": ("open_sequence", "read", "read_bind_pose", "read_skeleton", "write", "write_blocks", "write_rig"),
+    "mixseq_io.loading": ("load",),
+    "mixseq_io.saving": ("save",),
+    "mixseq_io.text.markers": ("read_markers",),
+    "mixseq_io.vat.writer": ("write_vat",),
+    "mixseq_io.verification": ("Verification", "verify"),
 }
+"""Public names by the module from which they are imported at first use."""
 
-__all__ = [
-    "Comparison",
-    "Correspondence",
-    "Curve",
-    "Markers",
-    "MeshSequence",
-    "Model",
-    "Morph",
-    "Polygons",
-    "PoseMap",
-    "SequenceHeader",
-    "Skeleton",
-    "Skin",
-    "Topology",
-    "Verification",
-    "__version__",
-    "compare",
-    "compress",
-    "convert_units",
-    "correspond",
-    "fit",
-    "fit_morph",
-    "fit_skin",
-    "interpolate",
-    "load",
-    "measure_between",
-    "open_sequence",
-    "operations",
-    "read",
-    "read_bind_pose",
-    "read_markers",
-    "read_skeleton",
-    "save",
-    "segment",
-    "suggest_markers",
-    "transfer",
-    "verify",
-    "write",
-    "write_blocks",
-    "write_rig",
-    "write_vat",
-]
+_MODULES_BY_NAME = {name: module for module, names in _NAMES_BY_MODULE.items() for name in names}
 
+__all__ = sorted([*_MODULES_BY_NAME, "__version__", "operations"])
 
-_find = lazy_getattr(__name__, _MODULES)
+_find = lazy_getattr(__name__, _MODULES_BY_NAME)
 
 
 def __getattr__(name: str) -> Any:

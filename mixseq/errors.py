@@ -1,23 +1,7 @@
 """All errors and warnings of mixseq.
 
-::
-
-    MixseqError
-    ├── InvalidSequenceError   points, faces or times that are not a mesh sequence
-    ├── SegmentationError      a segmentation that does not fit the mesh or the request
-    ├── ReconstructionError    a point of the shape space for which no mesh was found
-    ├── SettingsError          a setting outside its range, or two that exclude each other
-    ├── FormatError            a file that cannot be read: wrong type, damaged, too new
-    │   ├── AmbiguousError     a file with several candidates, where one must be chosen
-    │   └── NoMeshError        a file without a mesh, or without one on its skeleton
-    ├── OutputError            a file that cannot be written
-    ├── ClusterError           workers that cannot be reached, do not fit, or were lost
-    │   └── GivenUpError       a task that killed several workers
-    └── MissingExtraError      an optional package or program that is not installed
-
-    MixseqWarning              data that a format cannot hold, or that were repaired
-
-Messages name the file, frame, part or face, and a remedy.
+Messages name the file, frame, part or face, and a remedy. Errors about values are also `ValueError`, and those about
+missing files also `FileNotFoundError`.
 """
 
 from __future__ import annotations
@@ -27,11 +11,11 @@ class MixseqError(Exception):
     """Base class of all errors that mixseq raises on purpose."""
 
 
-class InvalidSequenceError(MixseqError):
+class InvalidSequenceError(MixseqError, ValueError):
     """Points, faces or times that do not form a mesh sequence."""
 
 
-class SegmentationError(MixseqError):
+class SegmentationError(MixseqError, ValueError):
     """A segmentation that does not fit the mesh or the request."""
 
 
@@ -39,12 +23,20 @@ class ReconstructionError(MixseqError):
     """A point of the shape space for which no mesh was found."""
 
 
-class SettingsError(MixseqError):
+class SettingsError(MixseqError, ValueError):
     """A setting outside its range, or two settings that exclude each other."""
+
+
+class SizeError(SettingsError):
+    """A size in bytes with no room for any motion."""
 
 
 class FormatError(MixseqError):
     """A file that cannot be read: wrong type, damaged, or too new."""
+
+
+class MissingFileError(FormatError, FileNotFoundError):
+    """A file that does not exist."""
 
 
 class AmbiguousError(FormatError):

@@ -35,7 +35,7 @@ from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, reference_diagonal
-from mixseq.signals.between import largest_distance, played_blocks, quarter_times
+from mixseq.signals.decoding import largest_distance, played_blocks, quarter_times
 from mixseq.signals.fitting import as_motion
 from mixseq.signals.model import Model
 from mixseq.types import Float

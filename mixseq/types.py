@@ -8,11 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "ByteArray", "Float", "FloatArray", "Index", "Int32", "IntArray", "Mask", "PathLike", "Single", "evenly_spaced",
-    "index_mask",
-]  # fmt: skip
-
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
 Index = NDArray[np.int64]

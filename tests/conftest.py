@@ -21,6 +21,9 @@ settings.register_profile("untimed", deadline=None, max_examples=50)
 settings.register_profile("few", deadline=None, max_examples=10)
 settings.load_profile("untimed")
 
+# Processes of pytest-xdist have one core each; more threads of BLAS only wait for each other. They inherit this.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 
 LONG = ("test_docs", "test_live", "test_marking_viewer", "test_notebooks", "test_other_machines", "test_packages")
 """Files whose tests take up to half a minute each: they come first, so that no process is left with them at the end."""

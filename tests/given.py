@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,16 @@ from tests.meshes import bending, bent, tube
 CUT = '[[edit]]\noperation = "cut"\nstart = 0.5\nend = 1.0\n'
 
 
-def walk(frames: int = 49, sides: int = 5, rings: int = 15) -> MeshSequence:
-    """A bar that bends, 24 frames per second."""
+def walk(frames: int = 25, sides: int = 5, rings: int = 15) -> MeshSequence:
+    """A bar that bends for a second, 24 frames per second."""
     mesh = tube(sides, rings)
     return MeshSequence.from_arrays(bending(mesh, frames), mesh[1], fps=24, name="walk")
+
+
+@cache
+def fitted(tolerance: float | None = None) -> mixseq.Model:
+    """A model of the bar, which pages share."""
+    return mixseq.fit(walk()) if tolerance is None else mixseq.fit(walk(), tolerance=tolerance)
 
 
 def horse() -> MeshSequence:
@@ -106,7 +113,7 @@ def moving(path: Path) -> None:
 
 def model(path: Path) -> None:
     """Write a model of the bar."""
-    mixseq.save(path, mixseq.fit(walk(), tolerance=0.002))
+    mixseq.save(path, fitted(0.002))
 
 
 def text(content: str) -> Callable[[Path], None]:
@@ -151,6 +158,6 @@ def make(name: str) -> None:
 def names() -> dict[str, Any]:
     """What parts of programs take as given: a sequence, its times and its model, and three poses."""
     sequence = walk()
-    poses = MeshSequence.from_arrays(sequence.points[[0, 24, 48]], sequence.faces)
-    given = {"walk": sequence, "times": sequence.times, "model": mixseq.fit(sequence), "poses": poses}
+    poses = MeshSequence.from_arrays(sequence.points[[0, 12, 24]], sequence.faces)
+    given = {"walk": sequence, "times": sequence.times, "model": fitted(), "poses": poses}
     return {"mixseq": mixseq, "np": np, **given}

@@ -31,8 +31,7 @@ from mixseq.compression.bitstream.compressed_sequence import CodingParameters, T
 from mixseq.operations.script import OPERATIONS, Readers, read_script
 from mixseq.segmentation.motion import MotionSettings
 from mixseq.segmentation.silhouettes import SilhouetteSettings, SpanningTreeSettings
-from mixseq.shells.gauss_newton import ShellSettings
-from mixseq.shells.shell import Relaxation
+from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.mixed.mixed_space import Projection
 from mixseq_io import FORMATS
@@ -353,11 +352,10 @@ def test_specification_has_every_array_of_surfaces() -> None:
         ("docs/segmentation.md", "Augmented silhouettes", SilhouetteSettings()),
         ("docs/segmentation.md", "Spanning-tree cut", SpanningTreeSettings()),
         ("docs/reconstruction.md", "Settings of the mixed space", Projection()),
-        ("docs/reconstruction.md", "Frames, vertices, steps", Relaxation()),
         ("docs/reconstruction.md", "Gauss-Newton", ShellSettings()),
         ("docs/spaces.md", "Edge", EdgeSettings()),
     ],
-    ids=["motion", "silhouettes", "spanning tree", "projection", "relaxation", "shell", "edge"],
+    ids=["motion", "silhouettes", "spanning tree", "projection", "shell", "edge"],
 )
 def test_defaults_are_those_of_the_code(name: str, heading: str, settings: Any) -> None:
     table = {row[0]: row[1] for row in rows_of(section(name, heading))}

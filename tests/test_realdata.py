@@ -25,12 +25,12 @@ class Case(NamedTuple):
 
 
 CASES = (
-    Case("fox_run", 6),
-    Case("q_wolf_gallop", 6),
-    Case("q_man_run", 6),
-    Case("horse_gallop", 3),
+    Case("fox_run", 4),
+    Case("q_wolf_gallop", 4),
+    Case("q_man_run", 4),
     Case("lion_poses", 3),
     Case("camel_poses", 2),
+    Case("horse_gallop", 3),
     Case("robotexpressive_dance", 5),
 )
 
@@ -48,7 +48,7 @@ def some_frames(folder: Path, case: Case) -> MeshSequence:
         (case, placement)
         for number, case in enumerate(CASES)
         for which, placement in enumerate(PLACEMENTS)
-        if case.frames == 6 or number % len(PLACEMENTS) == which  # both where that is quick
+        if case.frames == 4 or number % len(PLACEMENTS) == which  # both where that is quick
     ],
     ids=str,
 )
@@ -56,7 +56,7 @@ def test_frames_come_back(data: Path, case: Case, placement: PlacementName) -> N
     sequence = some_frames(data, case)
     model = mixseq.fit(sequence, exact=True, placement=placement)
     error = np.linalg.norm(model.sample().points - sequence.points, axis=2).max() / sequence.diagonal
-    assert error < 1e-6
+    assert error < (1e-9 if placement == "anchored" else 1e-6)
 
 
 def test_half_way_between_two_lions(data: Path) -> None:

@@ -5,8 +5,7 @@ Readers run in a worker (`mixseq_io.worker`), a second Python process with limit
 time per request. If the worker dies, the file is reported as damaged. ``MIXSEQ_READER_SECONDS`` limits the processor
 time, by default to 120 s. Wall-clock time may be four times longer.
 
-Workers are started on demand, serve one open file at a time, and are reused. If more than `MAX_WORKERS` files are open,
-the least recently used file releases its worker. Its next request opens the file again and continues at the same block.
+Workers are started on demand, serve one open file at a time, and are reused. A forked process starts its own workers.
 """
 
 from __future__ import annotations
@@ -35,89 +34,8 @@ from mixseq_io.files import format_gigabytes, max_memory
 from mixseq_io.reader import SequenceReader, warn
 from mixseq_io.text.labels import Markings
 
-MAX_WORKERS = 8
-"""Largest number of open files with a worker; exceeded only if more threads read at the same time."""
-
 _MAX_IDLE_WORKERS = 2
 _EXIT_SECONDS = 5.0
-
-
-class OpenFile:
-    """File that is open in a worker."""
-
-    def __init__(self, path: Path, reader: str, options: dict[str, Any]) -> None:
-        self.path = path
-        self.worker: WorkerProcess | None = None
-        self.last_request = 0
-        self._open_request = ("open", reader, str(path), options, str(Path.cwd()), max_memory())
-        self._identity = _file_identity(path)
-        self._open_count = 0
-        self._iteration_ids = count()
-        self.lock = threading.RLock()
-        with self.lock:
-            header, self.has_velocities, self.can_evaluate = self._open()
-        self.header = _frozen(header)
-        _open_files.add(self)
-
-    def request(self, *request: Any) -> Any:
-        """Return the answer to a request; see `mixseq_io.worker`."""
-        with self.lock:
-            return self._require_worker().request(self.path, *request)
-
-    def iterate(self, quantity: str, size: int, frames: Float | None = None) -> Iterator[Any]:
-        """Yield blocks of the given quantity, points or velocities, of at most `size` frames, or evaluate `frames`."""
-        iteration, block_count, open_count = next(self._iteration_ids), 0, 0
-        while True:
-            with self.lock:
-                worker = self._require_worker()
-                if open_count != self._open_count:
-                    request = "iterate", iteration, quantity, size, block_count, frames
-                    worker.request(self.path, *request, repeated=block_count > 0)
-                    open_count = self._open_count
-                block = worker.request(self.path, "next", iteration)
-            if block is None:
-                return
-            yield block
-            block_count += 1
-
-    def close(self) -> None:
-        """Close the file and release its worker."""
-        with self.lock:
-            worker, self.worker = self.worker, None
-        if worker is not None:
-            release_worker(worker)
-
-    def close_if_unused(self) -> bool:
-        """Release the worker unless a request is running; return whether a worker was released."""
-        if not self.lock.acquire(blocking=False):
-            return False
-        try:
-            has_worker = self.worker is not None
-            self.close()
-        finally:
-            self.lock.release()
-        return has_worker
-
-    def _require_worker(self) -> WorkerProcess:
-        if self.worker is None:
-            if _file_identity(self.path) != self._identity:
-                raise FormatError(f"{self.path} has changed since it was opened; open it again")
-            self._open()
-        assert self.worker is not None
-        self.last_request = next(_request_numbers)
-        return self.worker
-
-    def _open(self) -> Any:
-        _release_surplus_workers()
-        self.worker = acquire_worker()
-        try:
-            answer = self.worker.request(self.path, *self._open_request, repeated=self._open_count > 0)
-        except BaseException:
-            self.close()
-            raise
-        self._open_count += 1
-        self.last_request = next(_request_numbers)
-        return answer
 
 
 class WorkerProcess:
@@ -138,18 +56,10 @@ class WorkerProcess:
         # End the process if its reader is dropped unclosed. No locks are used, since this thread may hold them.
         finalize(self, _kill, self._process).atexit = False
         self._lock = threading.Lock()
+        _all_workers.add(self)
 
-    def request(
-        self,
-        path: Path,
-        *request: Any,
-        repeated: bool = False,
-        meanwhile: Callable[[], object] | None = None,
-    ) -> Any:
-        """Send a request about a file; return the value of the answer, or raise its error.
-
-        Warnings of the worker are issued unless the request is `repeated`. `meanwhile` is called before waiting.
-        """
+    def request(self, path: Path, *request: Any, meanwhile: Callable[[], object] | None = None) -> Any:
+        """Send a request, call `meanwhile`, and return the value of the answer or raise its error."""
         try:
             with self._lock:
                 pickle.dump(request, self._stdin)
@@ -163,7 +73,7 @@ class WorkerProcess:
             # After Ctrl-C, the next request would otherwise receive the pending answer.
             self._process.kill()
             raise
-        for message in () if repeated else warnings:
+        for message in warnings:
             warn(message)
         if error is not None:
             raise error
@@ -233,8 +143,8 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
                 pipe.close()
 
 
-_open_files: WeakSet[OpenFile] = WeakSet()
-_request_numbers = count(1)
+_all_workers: WeakSet[WorkerProcess] = WeakSet()
+_iteration_ids = count()  # unique among all files, since workers are reused
 idle_workers: list[WorkerProcess] = []
 _workers_of_parent: list[WorkerProcess] = []
 _lock = threading.Lock()
@@ -263,34 +173,12 @@ def release_worker(worker: WorkerProcess) -> None:
     worker.close()
 
 
-def _release_surplus_workers() -> None:
-    """Release the workers of the least recently used files until another worker may be acquired."""
-    files = [file for file in list(_open_files) if file.worker is not None]
-    surplus = len(files) - MAX_WORKERS + 1
-    for file in sorted(files, key=lambda file: file.last_request):
-        if surplus > 0:
-            surplus -= file.close_if_unused()
-
-
-def _file_identity(path: Path) -> tuple[int, int, int] | None:
-    """Return a file's inode, size and modification time in ns, or None if the file does not exist."""
-    try:
-        state = path.stat()
-    except OSError:
-        return None
-    return state.st_ino, state.st_size, state.st_mtime_ns
-
-
 def _detach_workers() -> None:
     """Drop the inherited workers in a forked process, since two processes cannot share a pipe."""
     global _lock
     _lock = threading.Lock()  # a thread that was not forked may hold the inherited lock
-    _workers_of_parent.extend(idle_workers)
+    _workers_of_parent.extend(_all_workers)
     idle_workers.clear()
-    for file in list(_open_files):
-        if file.worker is not None:
-            _workers_of_parent.append(file.worker)
-        file.worker, file.lock = None, threading.RLock()
     for worker in _workers_of_parent:
         worker.detach()
 
@@ -311,10 +199,12 @@ def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceR
     if not can_isolate():
         local_reader: SequenceReader = import_function(reader)(path, **options)
         return local_reader
+    worker = acquire_worker()
     with ExitStack() as resources:
-        file = OpenFile(path, reader, options)
-        resources.callback(file.close)
-        return _IsolatedReader(path, file, resources.pop_all())
+        resources.callback(release_worker, worker)
+        answer = worker.request(path, "open", reader, str(path), options, str(Path.cwd()), max_memory())
+        header, has_velocities, can_evaluate = answer
+        return _IsolatedReader(path, _frozen(header), resources.pop_all(), has_velocities, can_evaluate, worker)
 
 
 def call_isolated(function: str, path: Path, *arguments: Any, meanwhile: Callable[[], object] | None = None) -> Any:
@@ -352,24 +242,35 @@ def can_isolate() -> bool:
 
 
 class _IsolatedReader(SequenceReader):
-    def __init__(self, path: Path, file: OpenFile, resources: ExitStack) -> None:
-        super().__init__(path, file.header, resources, file.has_velocities, file.can_evaluate)
-        self._file = file
+    def __init__(
+        self,
+        path: Path,
+        header: SequenceHeader,
+        resources: ExitStack,
+        has_velocities: bool,
+        can_evaluate: bool,
+        worker: WorkerProcess,
+    ) -> None:
+        super().__init__(path, header, resources, has_velocities, can_evaluate)
+        self._worker = worker
 
     def markings(self) -> Markings:
         """Return the face sets and skinning weights of the mesh."""
         self._check_open()
-        markings: Markings = self._file.request("markings")
+        markings: Markings = self._worker.request(self.path, "markings")
         return markings
 
-    def _check_process(self) -> None:
-        """Do nothing, since a forked process opens the file again in a new worker."""
-
     def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
-        return self._file.iterate(quantity, size)
+        return self._iterate(quantity, size, None)
 
     def _evaluate(self, quantity: str, frames: Float, size: int) -> Iterator[FloatArray]:
-        return self._file.iterate(quantity, size, frames)
+        return self._iterate(quantity, size, frames)
+
+    def _iterate(self, quantity: str, size: int, frames: Float | None) -> Iterator[FloatArray]:
+        iteration = next(_iteration_ids)
+        self._worker.request(self.path, "iterate", iteration, quantity, size, frames)
+        while (block := self._worker.request(self.path, "next", iteration)) is not None:
+            yield block
 
 
 def _frozen(header: SequenceHeader) -> SequenceHeader:

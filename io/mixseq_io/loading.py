@@ -12,20 +12,27 @@ from mixseq.errors import FormatError, SettingsError
 from mixseq.runtime.public import public
 from mixseq.types import FloatArray, IntArray, PathLike
 from mixseq_io.files import check_memory, memory_limit
-from mixseq_io.format import HDF5_SIGNATURE
-from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents, translate_h5_errors
+from mixseq_io.hdf5.contents import (
+    MODEL_FORMAT,
+    parse_container,
+    read_attributes,
+    read_contents,
+    translate_h5_errors,
+)
 from mixseq_io.reader import SequenceReader
+from mixseq_io.registry import HDF5_SIGNATURE
 
 if TYPE_CHECKING:
     from mixseq.signals.model import Model
 
-GLB_EXTENSION, HDF5_EXTENSIONS = ".glb", (".h5", ".hdf5")
+GLB_EXTENSION = ".glb"
+MODEL_EXTENSIONS = (".h5", ".hdf5", GLB_EXTENSION)
 
 
 def is_model(path: Path) -> bool:
     """Whether a file holds a model instead of a sequence."""
     extension = path.suffix.lower()
-    if extension not in (GLB_EXTENSION, *HDF5_EXTENSIONS) or not path.is_file():
+    if extension not in MODEL_EXTENSIONS or not path.is_file():
         return False
     if extension == GLB_EXTENSION:
         from mixseq_io.gltf.mesh_sequence import has_sequence
@@ -82,7 +89,6 @@ def _load_h5(source: Path) -> Model:
     with translate_h5_errors(source):
         if "coding" in file.attrs:
             from mixseq_io.coded.streams import decode_model, read_sequence
-            from mixseq_io.hdf5.coded_files import parse_container
 
             return decode_model(source, read_sequence(source, parse_container(file)))
         from mixseq_io.hdf5.models import read_model
@@ -111,11 +117,12 @@ class ModelReader(SequenceReader):
 
 def open_h5(path: Path) -> SequenceReader:
     """Open an HDF5 file with a sequence or a model."""
-    if is_model(path):
+    contents = read_attributes(path)
+    if contents.kind == MODEL_FORMAT:
         return ModelReader(path)
-    from mixseq_io.hdf5 import sequences
+    from mixseq_io.hdf5.sequences import open_h5_sequence
 
-    return sequences.open_h5(path)
+    return open_h5_sequence(contents)
 
 
 def open_gltf(path: Path, **options: Any) -> SequenceReader:

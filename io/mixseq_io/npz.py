@@ -1,21 +1,6 @@
 """Read and write NumPy archives (zip files of arrays) in blocks of frames; pickled arrays are rejected.
 
-==================  ====================  =====================================================
-array               shape                 meaning
-==================  ====================  =====================================================
-``points``          (T, V, 3) float       vertex positions, kept as float32 or float64
-``velocities``      (T, V, 3) float       optional, units per second
-``faces``           (F, K) int            polygons with K corners each; or instead the next two arrays
-``face_counts``     (P,) int              number of corners of each polygon
-``face_indices``    (sum of counts,) int  vertex of each corner
-``fps``             float                 optional, default 24
-``times``           (T,) float            optional, seconds
-``up_axis``         str                   optional, "X", "Y" or "Z"
-``metres_per_unit`` float                 optional, default 1
-``name``            str                   optional, default is the file's name
-==================  ====================  =====================================================
-
-Archives may also have the arrays of `mixseq_io.surfaces`: texture coordinates, hard edges, face sets, objects.
+``docs/formats.md`` lists the arrays, among which are those of `mixseq_io.surfaces`.
 
 A small zip file can unpack to any size, and its headers can be wrong. The stored size of an array must match its shape,
 and all arrays that are read at once must fit the memory limit. Compression methods that NumPy does not write are
@@ -181,7 +166,8 @@ class _NpzReader(SequenceReader):
                 return
             for start in range(0, frames, size):
                 block = np.empty((min(size, frames - start), *header.shape[1:]), header.dtype)
-                _read_into(stream, block)
+                for frame in block:  # zipfile raises an error if the data ends early
+                    frame[...] = np.frombuffer(stream.read(frame.nbytes), frame.dtype).reshape(frame.shape)
                 if start + size >= frames:
                     stream.read(1)  # at the end zipfile compares the checksum
                 yield _as_floats(block)
@@ -231,16 +217,6 @@ def _has_velocities(path: Path, archive: Archive, shape: tuple[int, ...]) -> boo
     if velocities_shape != shape:
         warn(f"{path}: velocities have shape {velocities_shape}, points {shape}; they are left out")
     return velocities_shape == shape
-
-
-def _read_into(stream: IO[bytes], block: NDArray[Any]) -> None:
-    target = block.reshape(-1).view(np.uint8).data
-    while target:
-        chunk = stream.read(min(len(target), 1 << 24))
-        if not chunk:
-            raise EOFError("an array ends early")
-        target[: len(chunk)] = chunk
-        target = target[len(chunk) :]
 
 
 def _as_floats(points: NDArray[Any]) -> FloatArray:

@@ -24,7 +24,7 @@ def argument_reader(name: str, types: Collection[str]) -> ArgumentReader | None:
     if name in _READERS_BY_NAME and set(types) - {"int", "NoneType"}:  # counts are not read from files
         return _READERS_BY_NAME[name]
     if {"Frames", "Model"} <= set(types):
-        return _open_frames
+        return partial(_read_frames, open_frames=open_sequence)  # which may be a rig
     if {"Frames", "MeshSequence"} & set(types):
         return _read_frames
     return _read_model if "Model" in types else None
@@ -38,20 +38,11 @@ def _reader(reference: str) -> ArgumentReader:
 _read_model = _reader("mixseq_io.loading:load")
 
 
-def _read_frames(path: str, arguments: Arguments) -> Any:
-    """Load a model, or read a sequence."""
-    return _read_model(path, arguments) if _is_model(path) else read(path)
-
-
-def _open_frames(path: str, arguments: Arguments) -> Any:
-    """Load a model, or open a sequence, which may be a rig; the caller closes it."""
-    return _read_model(path, arguments) if _is_model(path) else open_sequence(path)
-
-
-def _is_model(path: str) -> bool:
+def _read_frames(path: str, arguments: Arguments, open_frames: Callable[[str], Any] = read) -> Any:
+    """Load a model, or read a sequence, which the caller closes if it is opened."""
     from mixseq_io.loading import is_model
 
-    return is_model(Path(path))
+    return _read_model(path, arguments) if is_model(Path(path)) else open_frames(path)
 
 
 def _read_mesh(path: str, _: Arguments) -> Any:

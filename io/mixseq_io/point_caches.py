@@ -50,7 +50,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, OutputError, SettingsError
+from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, OutputError
 from mixseq.sequence.frame_rates import estimate_frame_rate
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import FloatArray
@@ -65,6 +65,7 @@ from mixseq_io.reader import (
     translate_read_errors,
     validate_blocks,
 )
+from mixseq_io.registry import open_sequence
 from mixseq_io.scene_meshes import snap_to_frames
 from mixseq_io.surfaces import lost_scale, warn_of_losses
 
@@ -149,8 +150,6 @@ def _find_mesh(path: Path, format_name: str) -> Path:
 
 
 def _read_mesh_header(path: Path) -> SequenceHeader:
-    from mixseq_io.registry import open_sequence  # imported here, since the registry imports all formats
-
     with open_sequence(path) as reader:
         return reader.header
 
@@ -208,8 +207,6 @@ _MAX_TIME_ERROR_FRAMES = 1e-3
 
 def open_pc2(path: Path, mesh: MeshPath = None, fps: float = DEFAULT_FPS) -> SequenceReader:
     """Open a PC2 file."""
-    if not (np.isfinite(fps) and fps > 0):
-        raise SettingsError(f"fps is {fps}; a positive number is expected")
     return open_cache(path, "PC2", mesh, partial(_read_pc2_header, fps=fps))
 
 

@@ -2,24 +2,127 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import fields, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
+from mixseq.errors import (
+    AmbiguousError,
+    FormatError,
+    InvalidSequenceError,
+    MissingFileError,
+    OutputError,
+    SettingsError,
+)
 from mixseq.runtime.public import public
+from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence, join_blocks
 from mixseq.types import FloatArray, PathLike
 from mixseq_io.files import memory_limit
-from mixseq_io.format import HDF5_SIGNATURE, OPAQUE_PER_VERTEX, PER_VERTEX, Capabilities, Format
+from mixseq_io.isolation import import_function, open_isolated
 from mixseq_io.reader import SequenceReader, check_regular_file, prefix_errors
+from mixseq_io.surfaces import RoundingMonitor
 
 if TYPE_CHECKING:
     from mixseq.signals.model import Model
+
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""First bytes of every HDF5 file."""
+
+SINGLE_PRECISION = "float32"
+PER_VERTEX, OPAQUE_PER_VERTEX = "of vertices", "of vertices, opaque"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capabilities:
+    """Parts of a sequence that a format can store, which are shown as cells of the table of formats.
+
+    `colours` is a text if colours are stored per vertex instead of per corner. `materials` is "names" if only the names
+    of materials are stored. Writers warn of parts that their format cannot store.
+    """
+
+    animation: str
+    polygons: str = "any"
+    points: str = SINGLE_PRECISION
+    times: str = "any"
+    uvs: bool = True
+    colours: bool | str = True
+    hard_edges: bool = True
+    face_sets: bool = True
+    objects: bool = True
+    units: bool = False
+    velocities: bool = False
+    materials: str = "names"
+
+
+@dataclass(frozen=True)
+class Format:
+    """File format: name in messages, lower-case extensions, capabilities, options, reader and writer.
+
+    `reader` and `writer` are ``"module:function"``, imported at first use: ``(path, **options) -> SequenceReader`` and
+    ``(path, header, blocks, velocities, **options) -> None``. `signatures` are possible first bytes of files. Writers
+    of formats that `has_nodes` also get ``rounding``, see `RoundingMonitor`. `numbered` formats store one frame per
+    file. `isolated` formats are read in a worker, see `mixseq_io.isolation`.
+    """
+
+    name: str
+    extensions: tuple[str, ...]
+    capabilities: Capabilities
+    reader: str
+    writer: str
+    read_options: Mapping[str, str] = field(default_factory=dict)
+    write_options: Mapping[str, str] = field(default_factory=dict)
+    signatures: tuple[bytes, ...] = ()
+    has_nodes: bool = False
+    numbered: bool = False
+    isolated: bool = False
+
+    def open(self, path: Path, **options: Any) -> SequenceReader:
+        """Open a file for reading; see `mixseq_io.open_sequence`."""
+        self._check_options("read", self.read_options, options)
+        fps = options.get("fps")
+        if fps is not None:
+            if not 0 < fps < inf:
+                raise SettingsError(f"fps is {fps}; a positive number is expected")
+            options["fps"] = snap_to_ntsc(fps)
+        if self.isolated:
+            return open_isolated(self.reader, path, options)
+        reader: SequenceReader = import_function(self.reader)(path, **options)
+        return reader
+
+    def write(
+        self,
+        path: Path,
+        header: SequenceHeader,
+        blocks: Iterable[FloatArray],
+        velocities: Iterable[FloatArray] | None = None,
+        **options: Any,
+    ) -> None:
+        """Write a file; see `mixseq_io.write_blocks`."""
+        self._check_options("written", self.write_options, options)
+        sources = options.get("sources")
+        if sources is not None and np.shape(sources) != header.times.shape:
+            raise SettingsError(
+                f"sources are {np.size(sources)} times for {header.frame_count} frames; give one for every frame"
+            )
+        rounding = RoundingMonitor(path, self.name, header)
+        if self.capabilities.points == SINGLE_PRECISION:
+            blocks = rounding.watch(blocks, self.has_nodes)
+        if self.has_nodes:
+            options["rounding"] = rounding
+        import_function(self.writer)(path, header, blocks, velocities, **options)
+        rounding.warn()
+
+    def _check_options(self, verb: str, known: Mapping[str, str], options: Mapping[str, Any]) -> None:
+        for option in options:
+            if option not in known:
+                takes = "with " + ", ".join(known) if known else "without options"
+                raise SettingsError(f"{self.name} has no option {option!r}; it is {verb} {takes}")
 
 
 _FPS_OPTION = "frames per second, 24 by default"
@@ -333,7 +436,7 @@ def _format_to_read(path: Path) -> Format:
     if file_format := _find_format(path):
         return file_format
     if not path.exists():
-        raise FormatError(f"{path} does not exist")
+        raise MissingFileError(f"{path} does not exist")
     name = _detect_format_name(path)
     contents = f"it holds {name} data" if name else "its contents are of no known format"
     raise FormatError(

@@ -74,14 +74,13 @@ def write_rig(path: PathLike, rig: Skin | Morph) -> None:
 
 def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
     from mixseq.rigging.rigs import Skin
-    from mixseq_io.files import atomic_file
     from mixseq_io.gltf.codecs import open_buffer_writer
     from mixseq_io.gltf.rigs import create_morphed_scene, create_skinned_scene
     from mixseq_io.gltf.writer import standalone_losses, warn_of_changes
 
     layout = create_skinned_scene(rig) if isinstance(rig, Skin) else create_morphed_scene(rig)
     warn_of_changes(file, rig.header, standalone_losses(rig.header))
-    with atomic_file(file) as temporary, open_buffer_writer(file, temporary, layout):
+    with open_buffer_writer(file, layout):
         pass  # the layout already has all data
 
 
@@ -212,7 +211,7 @@ def measure_file_between(
     `points_at` returns the motion's points in blocks ``(B, V, 3)`` at times ``(N,)`` of the file. The result is None if
     the file has other meshes as well.
     """
-    from mixseq.signals.between import largest_distance, played_blocks, quarter_times
+    from mixseq.signals.decoding import largest_distance, played_blocks, quarter_times
     from mixseq_io.registry import open_sequence
 
     vertex_ids, rotation, scale = _placement(path, header)

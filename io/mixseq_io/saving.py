@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import h5py
+import numpy as np
+
 from mixseq.choices import STILLS, StillName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import OutputError, SettingsError
 from mixseq.runtime.public import public
 from mixseq.signals.model import Model
 from mixseq.types import PathLike
+from mixseq.version import __version__
 from mixseq_io.coded.packing import pack
-from mixseq_io.hdf5.coded_files import write_container
+from mixseq_io.coded.streams import Container
+from mixseq_io.hdf5.contents import MODEL_FORMAT
 from mixseq_io.hdf5.datasets import create_h5
 from mixseq_io.hdf5.models import write_model
-
-MODEL_EXTENSIONS = (".h5", ".hdf5", ".glb")
+from mixseq_io.loading import GLB_EXTENSION, MODEL_EXTENSIONS
 
 
 @public
@@ -47,7 +51,7 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
         raise SettingsError(f"still is {still!r}; one of {', '.join(STILLS)} is expected")
     if target.suffix.lower() not in MODEL_EXTENSIONS:
         raise OutputError(f"{target}: models are HDF5 or GLB files; end the name in {' or '.join(MODEL_EXTENSIONS)}")
-    if target.suffix.lower() == ".glb":
+    if target.suffix.lower() == GLB_EXTENSION:
         from mixseq_io.gltf.mesh_sequence import write_sequence
 
         if not isinstance(model, CompressedSequence):
@@ -62,3 +66,18 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
             write_container(file, pack(model))
         else:
             write_model(file, model)
+
+
+def write_container(file: h5py.File, container: Container) -> None:
+    """Store the text of a compressed model as an attribute, and all streams as one dataset, as each takes bytes.
+
+    Strings have fixed length, since a string of variable length takes 4 KiB.
+    """
+    for name, text in (
+        ("format", MODEL_FORMAT.encode()),
+        ("created_by", f"mixseq {__version__}".encode()),
+        ("coding", container.text),
+    ):
+        file.attrs.create(name, text, dtype=h5py.string_dtype("ascii", len(text)))
+    file.attrs["version"] = container.version
+    file.create_dataset("streams", data=np.frombuffer(container.streams, dtype=np.uint8), track_times=False)

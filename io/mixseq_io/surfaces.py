@@ -2,29 +2,8 @@
 
 A float32 has 24 binary digits, so rounding displaces a vertex at c diagonals from the origin by up to about 1e-7 c
 diagonals. This is visible on meshes that are far from the origin or extremely small. Colours become RGBA; values are
-not converted between linear and sRGB. The formats npz and HDF5 store these named arrays:
-
-========================  ====================  =====================================================
-array                     shape                 meaning
-========================  ====================  =====================================================
-``uv_values``             (n, 2) float32        texture coordinates, v upwards
-``uv_indices``            (corners,) int32      row of ``uv_values`` for every corner of the polygons
-``colour_values``         (n, 4) float32        red, green, blue, alpha, from 0 to 1; or uint8, where 255 means 1
-``colour_indices``        (corners,) int32      row of ``colour_values`` for every corner
-``creases``               (corners,) int32      corners with the same number share a normal
-``face_set_names``        (S,) str              names of the face sets
-``face_set_materials``    (S,) str              materials of the face sets, "" for none
-``face_set_sizes``        (S,) int32            number of polygons of each face set
-``face_set_polygons``     (sum of sizes,) int32 polygons of all face sets
-``object_names``          (M,) str              names of the meshes that the sequence joins
-``object_paths``          (M,) str              paths of these meshes in the original file
-``object_sizes``          (M, 2) int32          numbers of vertices and polygons of each mesh
-``object_subdivisions``   (M,) str              subdivision scheme of each mesh, absent if all have the same
-``subdivision``           (1,) str              subdivision scheme of most meshes, absent for "none"
-``origin``                (2,) str              format and path of the original file
-========================  ====================  =====================================================
-
-All arrays are optional; arrays whose names begin with the same word are stored together.
+not converted between linear and sRGB. The formats npz and HDF5 store the arrays that are described
+as ``surface/...`` in docs/file-format.md.
 """
 
 from __future__ import annotations

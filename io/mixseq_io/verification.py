@@ -33,8 +33,7 @@ from mixseq.signals.model import Model
 from mixseq.types import FloatArray, PathLike
 from mixseq_io.coded.streams import Container, decode_model, read_index, read_sequence
 from mixseq_io.gltf import mesh_sequence
-from mixseq_io.hdf5 import coded_files
-from mixseq_io.hdf5.contents import MODEL_FORMAT, read_attributes, read_contents
+from mixseq_io.hdf5.contents import MODEL_FORMAT, parse_container, read_attributes, read_contents
 from mixseq_io.loading import load
 
 
@@ -50,7 +49,7 @@ def read_container(path: Path) -> Container:
     """Read the text and the streams of a compressed model without decoding them."""
     if mesh_sequence.is_glb(path):
         return mesh_sequence.read_container(path)
-    return coded_files.parse_container(read_contents(path, MODEL_FORMAT))
+    return parse_container(read_contents(path, MODEL_FORMAT))
 
 
 def read_compressed(path: Path) -> CompressedSequence:

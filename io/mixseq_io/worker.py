@@ -5,8 +5,8 @@ Requests and answers are pickles on stdin and stdout. Requests and the values of
 - ``("open", reader, path, options, folder, limit)``: header of the opened file, whether it has velocities,
   and whether it can be evaluated at any time
 - ``("markings",)``: face sets and skinning weights of the mesh
-- ``("iterate", iteration, quantity, size, start, frames)``: None; iterate over points or velocities from a block on,
-  evaluated at fractional frame indices unless `frames` is None
+- ``("iterate", iteration, quantity, size, frames)``: None; iterate over points or velocities, evaluated at fractional
+  frame indices unless `frames` is None
 - ``("next", iteration)``: next block of an iteration, or None at its end
 - ``("close",)``: None; the file is closed
 - ``("call", function, path, arguments, folder, limit)``: result of a function that is called with a path
@@ -86,14 +86,11 @@ class RequestHandler:
         assert self._reader is not None
         return self._reader.markings()
 
-    def _iterate(self, iteration: int, quantity: str, size: int, start: int, frames: Float | None) -> None:
+    def _iterate(self, iteration: int, quantity: str, size: int, frames: Float | None) -> None:
         reader = self._reader
         assert reader is not None
         blocks = reader._read(quantity, size) if frames is None else reader._evaluate(quantity, frames, size)
         self._iterations[iteration] = blocks
-        for _ in range(start):
-            next(blocks, None)
-            limit_time(1)  # restarted for every skipped block, as in the first iteration
 
     def _next(self, iteration: int) -> Any:
         block = next(self._iterations[iteration], None)

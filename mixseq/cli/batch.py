@@ -28,7 +28,15 @@ from mixseq.cli.files import Claim, check_options, decoded, is_model, options_of
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.group import format_bytes, length_text, print_table, printable, progress_bar, say
 from mixseq.cli.options import in_diagonals
-from mixseq.errors import FormatError, GivenUpError, MixseqError, MixseqWarning, OutputError, SettingsError
+from mixseq.errors import (
+    FormatError,
+    GivenUpError,
+    MissingFileError,
+    MixseqError,
+    MixseqWarning,
+    OutputError,
+    SettingsError,
+)
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.version import __version__
 
@@ -98,7 +106,7 @@ def find_sources(paths: Iterable[Path]) -> list[Path]:
             raise FormatError(f"{path}: there are no sequences in this folder; `mixseq formats` lists what can be read")
         for source in candidates:
             if not files_of(source):
-                raise FormatError(f"{source} does not exist")
+                raise MissingFileError(f"{source} does not exist")
             sources[source.parent.resolve() / source.name] = None
     return list(sources)
 

@@ -71,7 +71,7 @@ def _hold_rig_between(
     kind: str, sequence: MeshSequence, motion: Decodable, progress: Progress, max_error: float, **settings: Any
 ) -> tuple[Skin | Morph, MeshSequence]:
     """Fit a rig to as many frames of a motion as keep the bound between them; also return these frames."""
-    from mixseq.signals.between import hold_between, largest_distance, quarter_times
+    from mixseq.signals.decoding import hold_between, largest_distance, quarter_times
 
     def fit(frames: MeshSequence, bound: float) -> tuple[tuple[Skin | Morph, MeshSequence], float]:
         rig, times = _fit_rig(kind, frames, progress, max_error=bound, **settings), quarter_times(frames.times)
@@ -116,7 +116,7 @@ def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
 
 def _measure_rig(path: Path, rig: Skin | Morph, sequence: MeshSequence, bound: float | None) -> RigErrors:
     """Measure a written rig; raise an error if rounding to single precision breaks a bound that the rig keeps."""
-    from mixseq.signals.between import largest_distance
+    from mixseq.signals.decoding import largest_distance
     from mixseq_io.rig_files import measure_rig_file
 
     measured = measure_rig_file(path, sequence)

@@ -96,17 +96,12 @@ def compressed(
     frames: Frames, aim: Mapping[str, Any], progress: Progress, still: StillName | None = None
 ) -> CompressedSequence:
     """Compress a sequence to a target; a target size is the size of the file, a .glb if `still` is given."""
-    from mixseq_io.coded.packing import room_for_signals
-
     aim = in_diagonals(aim, frames, "max_error")
-    if "size" in aim:
-        container = {name: value for name, value in aim.items() if name in ("uv_error", "uvs", "order")}
-        if still is not None:
-            from mixseq_io.gltf.mesh_sequence import bound_overhead_size
+    if "size" not in aim:
+        return mixseq.compress(frames, **aim, progress=progress)
+    from mixseq_io.coded.sizes import compress_to_size
 
-            container["container"] = bound_overhead_size(frames.header, next(iter(frames.blocks(1)))[0], still)
-        aim = {**aim, "size": room_for_signals(frames.header, aim["size"], **container)}
-    return mixseq.compress(frames, **aim, progress=progress)
+    return compress_to_size(frames, still=still, progress=progress, **aim)
 
 
 @options.command(

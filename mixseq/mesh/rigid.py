@@ -105,6 +105,7 @@ def nearest_rotation_kernel(matrices: Float, min_ratio: float) -> Float:
 
 
 POINTS_PER_BLOCK = 1 << 12  # points per block of `mean_shape`, in all frames
+MEAN_SHAPE_TOLERANCE = 1e-10  # relative change of a mean shape at which its iteration stops
 FRAMES_PER_BLOCK = 256  # frames per block of `largest_rotation`, each compared with all frames
 
 
@@ -147,7 +148,7 @@ def transform_points(points: FloatArray, rotation: FloatArray, translation: Floa
     return np.asarray(points @ np.swapaxes(rotation, -1, -2) + translation[..., None, :], dtype=np.float64)
 
 
-def mean_shape(points: FloatArray, sweeps: int = 50, tolerance: float = 1e-10) -> Float:
+def mean_shape(points: FloatArray, sweeps: int = 50) -> Float:
     """Return the mean shape ``(N, 3)`` of points ``(T, N, 3)`` by generalised Procrustes analysis without scale."""
     count = points.shape[1]
     centres = points.mean(axis=1, dtype=np.float64)
@@ -170,7 +171,7 @@ def mean_shape(points: FloatArray, sweeps: int = 50, tolerance: float = 1e-10) -
         updated = np.swapaxes(aligning_rotations(covariances), 1, 2).reshape(-1, 3) / len(points)
         change = norm(updated - mean)
         mean = updated
-        if change <= tolerance * norm(mean):
+        if change <= MEAN_SHAPE_TOLERANCE * norm(mean):
             break
     mean = mean @ aligning_rotations(products[:3] @ mean).T
     shape = np.empty((count, 3))

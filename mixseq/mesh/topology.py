@@ -9,14 +9,13 @@ faces, so that lengths and hinge angles also determine the shape of non-manifold
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.types import Index, Int32, IntArray, Mask, index_mask
 
 

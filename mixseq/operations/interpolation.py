@@ -29,7 +29,7 @@ from mixseq.runtime.public import public
 from mixseq.segmentation.methods import MethodSettings
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, FrameStore, MeshSequence, check_frames, load_frames, own_parts
-from mixseq.shells.gauss_newton import ShellReport
+from mixseq.shells.fitting import ShellReport
 from mixseq.signals.detail import encode_sequence
 from mixseq.signals.model import Model
 from mixseq.spaces.base import ShapeSpace
@@ -160,7 +160,6 @@ class PoseInterpolator(PickledWithoutCaches):
         except (TypeError, ValueError) as error:
             raise SettingsError("weights are not a table of numbers, with a row for every blend") from error
         rows = [normalise_weights(row, len(self.vectors)) for row in np.atleast_1d(table)]
-        self.space.precompute()
         executor = workers or thread_executor()
         for done, points in enumerate(executor(PoseInterpolator.blend, self, rows), start=1):
             yield points

@@ -32,7 +32,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -43,8 +43,7 @@ from mixseq.mesh.rotations import rotate_vectors
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.gradient_transfer import GradientTransfer, average_matrices, normalise_rows
 from mixseq.segmentation.joints import Decomposition, Joint
-from mixseq.shells.fitting import Patch, SoftConstraint, rebuild_patch
-from mixseq.shells.gauss_newton import ShellReport, ShellSettings
+from mixseq.shells.fitting import Patch, ShellReport, ShellSettings, SoftConstraint, rebuild_patch
 from mixseq.types import Float, Index
 
 BEND_CONCENTRATION = 4.0
@@ -122,9 +121,10 @@ class HarmonicSkin:
     def from_patch(cls, patch: Patch, part_of_vertex: Index, rest: Float) -> HarmonicSkin:
         """Solve for the skinning weights of a patch: part_of_vertex ``(n,)``; rest ``(n, 3)``."""
         parts, part_index = np.unique(part_of_vertex[patch.fixed_mask], return_inverse=True)
-        boundary = np.eye(len(parts))[part_index.reshape(-1)]
-        coupling = patch.laplacian[patch.free_ids][:, patch.fixed_mask]
-        return cls(parts, -patch.laplacian_factor.solve(coupling @ boundary), rest[patch.free_ids])
+        weights = np.zeros((len(part_of_vertex), len(parts)))
+        weights[patch.fixed_mask] = np.eye(len(parts))[part_index.reshape(-1)]
+        equal = np.zeros((3 * len(patch.faces), len(parts)))  # no differences along sides
+        return cls(parts, patch.poisson_system.solve(equal, weights)[patch.free_ids], rest[patch.free_ids])
 
     def deform(self, rotations: Float, translations: Float) -> Float:
         """Skin the free vertices ``(f, 3)`` by motions ``x -> R x + t`` of all parts from the reference frame."""
@@ -221,7 +221,6 @@ class JointSolver:
                 frame.length_weights[edges],
                 start,
                 settings,
-                guess,
                 SoftConstraint(guess, frame.offset_weights[free]),
             )
             points[joint.vertices[patch.free_ids]] = rebuilt[patch.free_ids]
@@ -260,13 +259,6 @@ def limit_bends(angles: Float, skinned_angles: Float) -> Float:
     return np.asarray(skinned_angles + np.sin(differences) * np.exp(BEND_CONCENTRATION * (np.cos(differences) - 1.0)))
 
 
-class JointMetrics(Protocol):
-    """Transfer of edge lengths and dihedral angles to the target's joints."""
-
-    def lengths_and_angles(self, points: Float) -> tuple[Float, Float]:
-        """Return lengths ``(E',)``, in the unit of the target's space, and angles ``(H',)`` for a frame ``(V, 3)``."""
-
-
 @dataclass(frozen=True, eq=False)
 class EdgewiseMetrics:
     """Length ratios and angle differences of each edge and hinge, for meshes of the same connectivity."""
@@ -294,7 +286,10 @@ class EdgewiseMetrics:
         return lengths, angles, target_lengths, target_angles
 
     def lengths_and_angles(self, points: Float) -> tuple[Float, Float]:
-        """Implement `JointMetrics.lengths_and_angles`; edges of zero length on the source keep their rest length."""
+        """Return lengths ``(E',)``, in the unit of the target's space, and angles ``(H',)`` for a frame ``(V, 3)``.
+
+        Edges of zero length on the source keep their rest length.
+        """
         lengths, angles, target_lengths, target_angles = self._rest
         current_lengths = edge_lengths(points, self._edges)
         ratios = np.divide(current_lengths, lengths, out=np.ones_like(current_lengths), where=lengths > 0)
@@ -348,7 +343,7 @@ class GradientMetrics:
         return dihedral_angles(self.gradients.target.reference, self._topology.hinges[self.joints.hinge_ids])
 
     def lengths_and_angles(self, points: Float) -> tuple[Float, Float]:
-        """Implement `JointMetrics.lengths_and_angles`."""
+        """Return lengths ``(E',)``, in the unit of the target's space, and angles ``(H',)`` for a frame ``(V, 3)``."""
         gradients = self._target_gradients(points)
         rest, edges = self.gradients.target.reference, self._topology.edges[self.joints.edge_ids]
         face_rows, edge_rows = self._edge_faces

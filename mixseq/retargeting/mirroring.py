@@ -14,9 +14,9 @@ extremities; their weights decrease with distance. Quality is the distance of a 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import permutations
 
 import numpy as np
 from scipy import sparse
@@ -131,7 +131,9 @@ def _find_exchange(extremities: Extremities) -> Index | None:
     if count < MIN_EXTREMITIES:
         return None
     best, min_cost = None, np.inf
-    for exchange in _pair_exchanges(range(count)):
+    for exchange in permutations(range(count)):
+        if any(exchange[partner] != number for number, partner in enumerate(exchange)):
+            continue  # not all are the partners of their partners
         partners = np.array(exchange, dtype=np.int64)
         pair_count = int((partners != np.arange(count)).sum()) // 2
         if not pair_count:
@@ -141,26 +143,6 @@ def _find_exchange(extremities: Extremities) -> Index | None:
         if cost <= MAX_EXCHANGE_COST and cost - PAIR_BONUS * pair_count < min_cost:
             best, min_cost = partners, float(cost) - PAIR_BONUS * pair_count
     return best if min_cost < 0 else None
-
-
-def _pair_exchanges(numbers: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    """Yield all permutations that exchange disjoint pairs of numbers, as tuples of partners.
-
-    >>> list(_pair_exchanges(range(3)))
-    [(0, 1, 2), (0, 2, 1), (1, 0, 2), (2, 1, 0)]
-    """
-
-    def assign(remaining: list[int], assigned: dict[int, int]) -> Iterator[tuple[int, ...]]:
-        if not remaining:
-            yield tuple(assigned[number] for number in numbers)
-            return
-        number, candidates = remaining[0], remaining[1:]
-        yield from assign(candidates, assigned | {number: number})
-        for partner in candidates:
-            others = [candidate for candidate in candidates if candidate != partner]
-            yield from assign(others, assigned | {number: partner, partner: number})
-
-    yield from assign(list(numbers), {})
 
 
 def _most_similar_rows(rows: Float, candidates: Float, weights: Float) -> Index:

@@ -22,7 +22,7 @@ import numpy as np
 from mixseq.mesh.measures import length_weights
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer
-from mixseq.retargeting.joints import EdgewiseMetrics, GradientMetrics, JointFrame, JointMetrics, JointSolver
+from mixseq.retargeting.joints import EdgewiseMetrics, GradientMetrics, JointFrame, JointSolver
 from mixseq.retargeting.limbs import ArticulatedBody
 from mixseq.retargeting.parts import (
     PartCorrespondence,
@@ -42,7 +42,7 @@ from mixseq.segmentation.joints import (
     measure_part_motion,
     sample_frame_ids,
 )
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.types import Float, FloatArray, Index
 
@@ -115,7 +115,7 @@ class MixedTransfer(PickledWithoutCaches):
         return PivotSolver(self.body, *self._pivots.boundary_sizes(self._rest))
 
     @cached_property
-    def joint_metrics(self) -> JointMetrics:
+    def joint_metrics(self) -> EdgewiseMetrics | GradientMetrics:
         """Metrics of the joints: edgewise for meshes with the same parts, otherwise by gradients."""
         source, target, joints = self.gradients.source, self.gradients.target, self.joint_solver.joints
         if self.parts.target is self.parts.source:

@@ -41,7 +41,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree, shortest_path
 
 from mixseq.mesh.rigid import aligning_rotations
 from mixseq.rigging.bones import Binding
@@ -156,14 +156,13 @@ class _MotionFit:
 
     def fit_translations(self, bone: int) -> None:
         """Fit the translations of a bone, which move the bone and its subtree."""
-        residual, weight = self.subtree_residual(bone)
+        residual, weight = self._subtree_residual(bone)
         if weight > _ROTATION_STIFFNESS:
-            lever = self._subtree_lever(bone)
-            self._apply(lever[None], (self.products @ lever)[:, None], residual[None] / weight)
+            self._translate_subtree(bone, residual / weight)
 
     def fit_joint(self, bone: int) -> None:
         """Fit the position of a joint; a shift of the joint moves the subtree of its bone."""
-        residual, weight = self.subtree_residual(bone)
+        residual, weight = self._subtree_residual(bone)
         if weight <= _ROTATION_STIFFNESS:
             return
         # Transposed differences between the rotations of parent and bone.
@@ -171,10 +170,9 @@ class _MotionFit:
         normal = weight * (np.einsum("ati,bti->ab", d, d) + _JOINT_STIFFNESS * d.shape[1] * np.eye(3))
         step = np.linalg.solve(normal, np.einsum("ati,ti->a", d, residual.reshape(-1, 3)))
         self.pivots[bone] += step
-        lever = self._subtree_lever(bone)
-        self._apply(lever[None], (self.products @ lever)[:, None], (step @ d.reshape(3, -1))[None])
+        self._translate_subtree(bone, step @ d.reshape(3, -1))
 
-    def subtree_residual(self, bone: int) -> tuple[Float, float]:
+    def _subtree_residual(self, bone: int) -> tuple[Float, float]:
         """Return the residual ``(3T,)`` summed over the subtree of a bone, and the sum of h_v^2."""
         lever = self._subtree_lever(bone)
         return lever @ self.residual, float(lever @ self.products @ lever)
@@ -188,6 +186,10 @@ class _MotionFit:
         lever = np.zeros((len(self.motions), 4))  # H
         lever[self.descendants[bone], 3] = 1.0
         return lever.reshape(-1)
+
+    def _translate_subtree(self, bone: int, change: Float) -> None:
+        lever = self._subtree_lever(bone)
+        self._apply(lever[None], (self.products @ lever)[:, None], change[None])
 
     def _apply(self, lever: Float, products: Float, change: Float) -> None:
         self.motions += (lever.T @ change).reshape(self.motions.shape)
@@ -244,21 +246,10 @@ def _contacts(faces: Index, weights: sparse.csr_array, rest: Float, masses: Floa
 
 def _order_from_root(links: sparse.csr_array, masses: Float) -> tuple[Index, Index]:
     """Return the bones ``(B,)`` of a tree, parents first, and the position of each bone's parent in this order."""
-    bone_count = len(masses)
-
-    def order_from(root: int) -> tuple[Index, Index]:
-        order, predecessors = breadth_first_order(links, root, directed=False)
-        positions = np.empty(bone_count, dtype=np.int64)
-        positions[order] = np.arange(bone_count)
-        predecessors = predecessors[order]
-        parents = np.where(predecessors < 0, -1, positions[np.maximum(predecessors, 0)])
-        return order.astype(np.int64), parents.astype(np.int64)
-
-    def depth(root: int) -> float:
-        order, parents = order_from(root)
-        depths = np.zeros(bone_count)
-        for position, parent in enumerate(parents.tolist()):
-            depths[position] = 0 if parent < 0 else depths[parent] + 1
-        return float(depths @ masses[order])
-
-    return order_from(min(range(bone_count), key=depth))
+    depths = shortest_path(links, directed=False, unweighted=True)
+    order, predecessors = breadth_first_order(links, int((depths @ masses).argmin()), directed=False)
+    positions = np.empty(len(masses), dtype=np.int64)
+    positions[order] = np.arange(len(masses))
+    predecessors = predecessors[order]
+    parents = np.where(predecessors < 0, -1, positions[np.maximum(predecessors, 0)])
+    return order.astype(np.int64), parents.astype(np.int64)

@@ -133,12 +133,8 @@ def _active_set(
             slope = 0.0
             for i in range(n):
                 slope += h[b, bones[i]] * w[i]
-            if slope < lowest_slope:
-                is_chosen = False
-                for i in range(n):
-                    is_chosen = is_chosen or bones[i] == b
-                if not is_chosen:
-                    best_bone, lowest_slope = b, slope
+            if slope < lowest_slope and not (bones[:n] == b).any():
+                best_bone, lowest_slope = b, slope
         if best_bone < 0:
             break
         bones[n], w[n] = best_bone, 0.0
@@ -154,25 +150,18 @@ def _remove_least_bones(h: Float, scale: float, bones: Index, w: Float, limit: i
     while n > limit:
         lowest_value, best_n = np.inf, 0
         for removed in range(n):
-            m = 0
-            for i in range(n):
-                if i != removed:
-                    rest[m], trial[m] = bones[i], w[i]
-                    m += 1
-            total = 0.0
-            for i in range(m):
-                total += trial[i]
-            for i in range(m):
-                trial[i] = trial[i] / total if total > 0.0 else 1.0 / m
+            m = n - 1
+            rest[:removed], rest[removed:m] = bones[:removed], bones[removed + 1 : n]
+            trial[:removed], trial[removed:m] = w[:removed], w[removed + 1 : n]
+            total = trial[:m].sum()
+            trial[:m] = trial[:m] / total if total > 0.0 else np.full(m, 1.0 / m)
             m = _minimise_convex(h, rest, m, trial, scale, a, z)
             value = _squared_error(h, rest, m, trial)
             if value < lowest_value:
                 lowest_value, best_n = value, m
-                for i in range(m):
-                    best_bones[i], best_weights[i] = rest[i], trial[i]
+                best_bones[:m], best_weights[:m] = rest[:m], trial[:m]
         n = best_n
-        for i in range(n):
-            bones[i], w[i] = best_bones[i], best_weights[i]
+        bones[:n], w[:n] = best_bones[:n], best_weights[:n]
     return n
 
 
@@ -191,22 +180,10 @@ def _homogeneous_form(p: Float, x: float, y: float, z: float) -> float:
 @compiled
 def _choose_candidates(errors: Float, influences: Index, weights: Float, candidates: Index) -> int:
     """Choose the bones of smallest errors, the best first, then the current bones; return the number of candidates."""
-    n = 0
-    for _ in range(min(NEAREST_CANDIDATES, len(errors))):
-        best = -1
-        for b in range(len(errors)):
-            is_candidate = False
-            for i in range(n):
-                is_candidate = is_candidate or candidates[i] == b
-            if not is_candidate and (best < 0 or errors[b] < errors[best]):
-                best = b
-        candidates[n] = best
-        n += 1
+    n = min(NEAREST_CANDIDATES, len(errors))
+    candidates[:n] = np.argsort(errors, kind="mergesort")[:n]
     for i in range(len(influences)):
-        is_candidate = weights[i] <= 0.0
-        for j in range(n):
-            is_candidate = is_candidate or candidates[j] == influences[i]
-        if not is_candidate:
+        if weights[i] > 0.0 and not (candidates[:n] == influences[i]).any():
             candidates[n] = influences[i]
             n += 1
     return n
@@ -263,11 +240,9 @@ def fit_vertices(
             m = _active_set(h, scale, candidates[:n_candidates], old, old_weights, m, max_count, a, z)
             if _squared_error(h, old, m, old_weights) < _squared_error(h, selected, count, w):
                 count = m
-                for i in range(count):
-                    selected[i], w[i] = old[i], old_weights[i]
-        for i in range(max_count):
-            influences[v, i] = selected[i] if i < count else selected[0]
-            weights[v, i] = w[i] if i < count else 0.0
+                selected[:m], w[:m] = old[:m], old_weights[:m]
+        influences[v], weights[v] = selected[0], 0.0
+        influences[v, :count], weights[v, :count] = selected[:count], w[:count]
         errors[v] = max(_squared_error(h, selected, count, w), 0.0)
         if free_rest:
             # Normal equations of sum_t |A_t r + b_t - x_t|^2; A_t and b_t are weighted means of the motions.
@@ -430,27 +405,29 @@ def merge_bones(tracks: Float, labels: Index, count: int) -> Index:
     """Merge labels ``(V,)`` to `count` bones, first those whose common rigid motion increases the error least."""
     labels = np.unique(labels, return_inverse=True)[1]
     positions = tracks.reshape(len(tracks), -1, 3)
-    bone_count = int(labels.max()) + 1
-    bone_positions = [positions[labels == bone] for bone in range(bone_count)]
+    bones = np.arange(int(labels.max()) + 1)
+    if len(bones) <= count:
+        return np.asarray(labels, dtype=np.int64)
+    bone_positions = [positions[labels == bone] for bone in bones]
     bone_moments = [moments(points[:, 0], points, np.ones(len(points))) for points in bone_positions]
     errors = np.array([each.error() for each in bone_moments])
-    remaining = list(range(bone_count))
-    costs = np.full((bone_count, bone_count), np.inf)  # above the diagonal
-    if bone_count > count:
-        for i in range(bone_count - 1):
-            unions = union_errors(bone_moments[i], bone_moments[i + 1 :])
-            costs[i, i + 1 :] = unions - errors[i] - errors[i + 1 :]
-    while len(remaining) > count:
-        keep, drop = divmod(int(costs.argmin()), bone_count)
+    costs = np.full((len(bones), len(bones)), np.inf)  # above the diagonal
+
+    def update_costs(bone: int, others: Index) -> None:
+        if others.size:
+            unions = union_errors(bone_moments[bone], [bone_moments[other] for other in others])
+            costs[np.minimum(bone, others), np.maximum(bone, others)] = unions - errors[bone] - errors[others]
+
+    for bone in bones.tolist():
+        update_costs(bone, bones[bone + 1 :])
+    while len(bones) > count:
+        keep, drop = divmod(int(costs.argmin()), len(costs))
         labels[labels == drop] = keep
-        remaining.remove(drop)
+        bones = bones[bones != drop]
         bone_moments[keep] += bone_moments[drop]
         errors[keep] = bone_moments[keep].error()
         costs[drop] = costs[:, drop] = np.inf
-        others = np.array([bone for bone in remaining if bone != keep], dtype=np.int64)
-        if others.size:
-            unions = union_errors(bone_moments[keep], [bone_moments[bone] for bone in others])
-            costs[np.minimum(keep, others), np.maximum(keep, others)] = unions - errors[keep] - errors[others]
+        update_costs(keep, bones[bones != keep])
     return np.asarray(np.unique(labels, return_inverse=True)[1], dtype=np.int64)
 
 

@@ -100,13 +100,13 @@ def fit_correctives(skin: Skin, points: Float, bound: float, max_targets: int) -
     )
     displacements = np.empty_like(points)
     for frame, block in enumerate(without_targets.blocks(1)):
-        mean_rotations = _mean_rotations(without_targets, rotations[frame])
+        mean_rotations = without_targets.blend_matrices(rotations[frame])
         normal = np.swapaxes(mean_rotations, 1, 2) @ mean_rotations + _PULLBACK_DAMPING * np.eye(3)
         right_side = np.einsum("vji,vj->vi", mean_rotations, points[frame] - block[0])
         displacements[frame] = np.linalg.solve(normal, right_side[:, :, None])[:, :, 0]
 
     def measure_distances(frame: int, residual: Float) -> Float:
-        skinned = np.einsum("vij,vj->vi", _mean_rotations(without_targets, rotations[frame]), residual)
+        skinned = np.einsum("vij,vj->vi", without_targets.blend_matrices(rotations[frame]), residual)
         return np.asarray(np.linalg.norm(skinned, axis=1))
 
     shapes, weights, _ = fit_targets(displacements, bound, max_targets, measure_distances)
@@ -121,17 +121,9 @@ def _prevent_collapse(skin: Skin, rotations: Float) -> Float:
     """Return skinning weights with a single bone for every vertex whose mean rotation is nearly singular."""
     determinants = np.full(len(skin.rest), np.inf)
     for frame_rotations in rotations:
-        np.minimum(determinants, np.linalg.det(_mean_rotations(skin, frame_rotations)), out=determinants)
+        np.minimum(determinants, np.linalg.det(skin.blend_matrices(frame_rotations)), out=determinants)
     single = np.eye(1, BONES_PER_VERTEX)
     return np.where(determinants[:, None] < _MIN_ROTATION_DETERMINANT, single, skin.weights)
-
-
-def _mean_rotations(skin: Skin, rotations: Float) -> Float:
-    """Return the mean rotation ``(V, 3, 3)`` of every vertex by skinning weights: rotations ``(B, 3, 3)``."""
-    means = np.zeros((len(skin.rest), 3, 3))
-    for column in range(BONES_PER_VERTEX):
-        means += skin.weights[:, column, None, None] * rotations[skin.influences[:, column]]
-    return means
 
 
 MAX_BONES = 128

@@ -26,9 +26,10 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from mixseq.errors import InvalidSequenceError, SettingsError
@@ -294,10 +295,15 @@ class Skin(_RigFrames):
         offsets = self.translations[frame] - np.einsum("bij,bj->bi", rotations, self.pivots)
         motions = np.concatenate([rotations, offsets[:, :, None]], axis=2)
         shape = self.rest + np.einsum("m,mvi->vi", self.target_weights[frame], self.targets)
-        blended = np.zeros((len(shape), 3, 4))
-        for column in range(BONES_PER_VERTEX):
-            blended += self.weights[:, column, None, None] * motions[self.influences[:, column]]
+        blended = self.blend_matrices(motions)
         return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], shape) + blended[:, :, 3])
+
+    def blend_matrices(self, matrices: Float) -> Float:
+        """Return the mean matrix ``(V, 3, k)`` of every vertex by skinning weights: matrices ``(B, 3, k)``."""
+        blended = np.zeros((len(self.rest), *matrices.shape[1:]))
+        for column in range(BONES_PER_VERTEX):
+            blended += self.weights[:, column, None, None] * matrices[self.influences[:, column]]
+        return blended
 
 
 @dataclass(frozen=True, eq=False)
@@ -396,7 +402,7 @@ def _interpolate(values: Float, before: Index, after: Index, fraction: Float) ->
 
 def _set_array(rig: object, name: str, shape: tuple[int, ...], dtype: type = np.float64) -> None:
     """Replace an array of a rig by a read-only array of finite numbers; raise if its shape differs from `shape`."""
-    array = np.ascontiguousarray(getattr(rig, name), dtype=dtype)
+    array: NDArray[Any] = np.ascontiguousarray(getattr(rig, name), dtype=dtype)
     if array.shape != shape:
         raise InvalidSequenceError(f"{name} have shape {array.shape}; {shape} is expected")
     if not np.isfinite(array).all():

@@ -144,7 +144,7 @@ def _convert_errors() -> Iterator[None]:
     )
     try:
         yield
-    except (*closed, CancelledError, ConnectionError, TimeoutError):
+    except (*closed, CancelledError, OSError):
         raise ClusterError(_CONNECTION_LOST) from None
 
 

@@ -1,31 +1,35 @@
 """Work at first use: cached results of dataclasses, and packages that import their names on demand.
 
-Cached results are computed before threads share an object, and are excluded from pickles.
+Cached results are computed once, also if threads share an object, and are excluded from pickles.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from functools import cached_property as _cached_property
 from importlib import import_module
-from typing import Any, Self, TypeVar
+from threading import RLock
+from typing import TYPE_CHECKING, Any, TypeVar
 
 Instance = TypeVar("Instance")
+
+if TYPE_CHECKING:
+    cached_property = _cached_property
+else:
+
+    class cached_property(_cached_property):  # noqa: N801
+        """A cached property that one thread computes while others wait; results, such as factors, may be large."""
+
+        _lock = RLock()
+
+        def __get__(self, instance: object, owner: type | None = None) -> Any:
+            with self._lock:
+                return super().__get__(instance, owner)
 
 
 class PickledWithoutCaches:
     """A dataclass that is pickled as its fields, without cached properties, which may be large or not picklable."""
-
-    def cached_values(self) -> Iterable[object]:
-        """Return the cached results, such as factored matrices."""
-        return ()
-
-    def precompute(self) -> Self:
-        """Compute all `cached_values` recursively, before threads share the object, and return it."""
-        for value in self.cached_values():
-            if isinstance(value, PickledWithoutCaches):
-                value.precompute()
-        return self
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
         from dataclasses import fields  # slow to import

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import scatter_add, triangle_areas
 from mixseq.mesh.topology import Topology, connected_components
-from mixseq.types import Float, FloatArray, Index, IntArray, Single, index_mask
+from mixseq.types import Float, FloatArray, Index, IntArray, Single, evenly_spaced, index_mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,10 +224,11 @@ class Elements:
     @cached_property
     def neighbourhoods(self) -> Table:
         """Table ``(E, m)``, m >= 4, of every element and its neighbours, padded with E."""
-        from mixseq.segmentation.segmentation_kernels import list_neighbours
-
         table = _padded(np.arange(len(self))[:, None], len(self), int(self._neighbourhood_sizes.max(initial=1)))
-        list_neighbours(self.pairs, table)
+        ends, others = self.pairs.T.reshape(-1), self.pairs[:, ::-1].T.reshape(-1)
+        order = np.argsort(ends, kind="stable")
+        first = np.searchsorted(ends[order], ends[order])
+        table[ends[order], 1 + np.arange(len(order)) - first] = others[order]
         return table
 
     @cached_property
@@ -251,6 +252,15 @@ class Elements:
             if len(grown) >= min_size or len(grown) == len(ball):
                 return grown.astype(np.int64)
             ball = grown
+
+
+def sample_frames(points: FloatArray, frames: int) -> Float:
+    """Return centred sampled frames ``(T, V, 3)``, in diagonals of the first frame, or of the largest if that is 0."""
+    x = points[evenly_spaced(len(points), frames)].astype(np.float64)
+    x -= x.mean(axis=1, keepdims=True)
+    diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
+    x /= diagonals[0] or diagonals.max() or 1.0
+    return x
 
 
 def face_areas(x: Float, topology: Topology) -> Float:

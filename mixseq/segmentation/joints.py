@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SegmentationError, SettingsError
-from mixseq.mesh.polygons import read_only
+from mixseq.mesh.measures import degenerate_faces
 from mixseq.mesh.rigid import aligning_rotations, largest_rotation, mean_shape
 from mixseq.mesh.topology import (
     Topology,
@@ -78,13 +78,11 @@ class PartMotion:
 
 def measure_part_motion(shapes: PartShapes, points: FloatArray) -> PartMotion:
     """Measure part motion in a block of frames ``(B, V, 3)``; the result of a frame does not depend on its block."""
-    from mixseq.segmentation.segmentation_kernels import mark_degenerate
-
     degenerate_mask = np.zeros(len(shapes.faces), dtype=bool)
     covariances = np.empty((len(points), len(shapes.parts), 3, 3))
     for frame, frame_covariances in zip(points, covariances, strict=True):
-        x = read_only(np.ascontiguousarray(frame, dtype=np.float64))  # same type always, as numba compiles per type
-        mark_degenerate(x, shapes.faces, MIN_MOTION_HEIGHT_RATIO, degenerate_mask)
+        x = frame.astype(np.float64)
+        degenerate_mask |= degenerate_faces(x, shapes.faces, MIN_MOTION_HEIGHT_RATIO)
         for part, (vertices, shape) in enumerate(zip(shapes.parts, shapes.shapes, strict=True)):
             posed = x[vertices]
             frame_covariances[part] = (posed - posed.mean(axis=0)).T @ shape

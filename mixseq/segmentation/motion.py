@@ -30,8 +30,7 @@ import numpy as np
 
 from mixseq.mesh.rigid import largest_rotation, nearest_rotations
 from mixseq.mesh.topology import Topology, split_labels
-from mixseq.segmentation.elements import Elements, Rim, Trajectories, check_part_count, renumber_by_area
-from mixseq.segmentation.joints import sample_frame_ids
+from mixseq.segmentation.elements import Elements, Rim, Trajectories, check_part_count, renumber_by_area, sample_frames
 from mixseq.types import Float, FloatArray, Index, Mask, Single
 
 
@@ -134,17 +133,14 @@ class Clusters:
 
     def assign(self, rounds: int) -> Single:
         """Assign elements to clusters of lowest cost, averaged over neighbours `rounds` times; return it ``(E,)``."""
-        from mixseq.segmentation.segmentation_kernels import assign_lowest
-
         stale = np.flatnonzero(self._sizes > 0 if rounds != self._rounds else self._stale)
         self._rounds = rounds
         self._stale[:] = False
-        labels, lowest = np.empty_like(self.labels), np.empty(len(self.labels), dtype=np.float32)
-        for start in range(0, max(len(stale), 1), self._batch_size):
+        for start in range(0, len(stale), self._batch_size):
             batch = stale[start : start + self._batch_size]
-            assign_lowest(self._average_costs(batch, rounds), batch, self._costs, labels, lowest)
-        self._move(labels)
-        return lowest
+            self._costs[:, batch] = self._average_costs(batch, rounds)[: len(self.labels), : len(batch)]
+        self._move(self._costs.argmin(axis=1))
+        return np.asarray(self._costs.min(axis=1))
 
     def seed(self, members: Index, cluster: int) -> None:
         """Move elements to a cluster."""
@@ -277,22 +273,13 @@ def segment_by_motion(
     """Find the near-rigid part ``(F,)`` of every face from points ``(T, V, 3)``."""
     settings = settings or MotionSettings()
     check_part_count(parts, topology)
-    faces = Elements.from_faces(topology, _sample_frames(points, settings.frames))
+    faces = Elements.from_faces(topology, sample_frames(points, settings.frames))
     clusters = max(settings.clusters, round(1.5 * (parts or 1)))
     labels = _cluster(topology, faces, min(clusters, len(topology.faces)), settings)
     patches = _Patches.from_labels(topology, faces, split_labels(topology, labels))
     _merge_small_patches(patches, settings)
     _merge_stiff_pairs(patches, topology, parts, settings)
     return renumber_by_area(patches.labels, faces.weights)
-
-
-def _sample_frames(points: FloatArray, frames: int) -> Float:
-    """Return centred sampled frames ``(T, V, 3)``, in diagonals of the first frame, or of the largest if that is 0."""
-    x = points[sample_frame_ids(len(points), frames)].astype(np.float64)
-    x -= x.mean(axis=1, keepdims=True)
-    diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
-    x /= diagonals[0] or diagonals.max() or 1.0
-    return x
 
 
 def _cluster(topology: Topology, faces: Elements, count: int, settings: MotionSettings) -> Index:

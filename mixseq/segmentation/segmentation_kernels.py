@@ -1,14 +1,12 @@
-"""Compiled inner loops of segmentations: clusters of rigid motion, faces without area, growing regions."""
+"""Compiled inner loops of segmentations: clusters of rigid motion, growing regions."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.runtime.jit import compiled
-from mixseq.types import Float, Index, Mask, Single
+from mixseq.types import Float, Index, Single
 
 Table = NDArray[np.int32]
 
@@ -82,32 +80,6 @@ def average_members(values: Single, members: Table, factors: Single, result: Sin
 
 
 @compiled
-def assign_lowest(updated: Single, columns: Index, costs: Single, labels: Index, lowest: Single) -> None:
-    """Write updated costs ``(E, n)`` to columns of costs ``(E, K)``; write each row's lowest cost and its column."""
-    for e in range(len(costs)):
-        row = costs[e]
-        for i in range(len(columns)):
-            row[columns[i]] = updated[e, i]
-        best = 0
-        for k in range(1, len(row)):
-            if row[k] < row[best]:
-                best = k
-        labels[e] = best
-        lowest[e] = row[best]
-
-
-@compiled
-def list_neighbours(pairs: Index, table: Table) -> None:
-    """Write the neighbours of elements, given as pairs ``(n, 2)``, to columns 1, 2, ... of a table ``(E, m)``."""
-    next_column = np.ones(len(table), dtype=np.int32)
-    for side in range(2):
-        for pair in range(len(pairs)):
-            e = pairs[pair, side]
-            table[e, next_column[e]] = pairs[pair, 1 - side]
-            next_column[e] += 1
-
-
-@compiled
 def partition_cells(starts: Table, neighbours: Table, owner: Table) -> Index:
     """Partition vertices into cells of a centre and unassigned neighbours; write owners ``(V,)``, return centres."""
     centres = np.empty(len(owner), dtype=np.int64)
@@ -121,20 +93,6 @@ def partition_cells(starts: Table, neighbours: Table, owner: Table) -> Index:
             centres[count] = v
             count += 1
     return centres[:count].copy()
-
-
-@compiled
-def mark_degenerate(points: Float, faces: NDArray[np.integer], height_ratio: float, mask: Mask) -> None:
-    """Mark faces ``(F,)`` of points ``(V, 3)`` with a height of at most `height_ratio` times their longest side."""
-    for f in range(len(faces)):
-        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
-        u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        v0, v1, v2 = c[0] - b[0], c[1] - b[1], c[2] - b[2]
-        w0, w1, w2 = a[0] - c[0], a[1] - c[1], a[2] - c[2]
-        longest = max(u0 * u0 + u1 * u1 + u2 * u2, v0 * v0 + v1 * v1 + v2 * v2, w0 * w0 + w1 * w1 + w2 * w2)
-        n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
-        if math.sqrt(n0 * n0 + n1 * n1 + n2 * n2) <= height_ratio * longest:
-            mask[f] = True
 
 
 @compiled

@@ -44,10 +44,10 @@ import numpy as np
 from scipy import sparse
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, triangle_areas, wrap_angles
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.topology import Topology
-from mixseq.segmentation.elements import check_part_count, face_areas, find_passes
-from mixseq.segmentation.joints import sample_frame_ids
+from mixseq.mesh.triangle_mesh import TriangleMesh
+from mixseq.segmentation.elements import check_part_count, face_areas, find_passes, sample_frames
 from mixseq.types import Float, FloatArray, Index, Mask, index_mask
 
 if TYPE_CHECKING:
@@ -55,14 +55,6 @@ if TYPE_CHECKING:
 
 
 _SMALLEST_FLOAT = np.finfo(np.float64).tiny
-
-
-def sample_frames(points: FloatArray, max_count: int) -> Float:
-    """Return evenly spaced frames ``(T, V, 3)``, in diagonals of the first frame, or of the largest if that is 0."""
-    x = points[sample_frame_ids(len(points), max_count)].astype(np.float64)
-    x -= x[0].mean(axis=0)
-    diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
-    return np.asarray(x / (diagonals[0] or diagonals.max() or 1.0))
 
 
 def angle_variation(points: FloatArray, topology: Topology) -> Float:
@@ -115,8 +107,7 @@ class Diffusion:
     @cached_property
     def areas(self) -> Float:
         """Areas ``(V,)`` of vertices: a third of face areas, at least 1e-6 of the mean; equal if all are zero."""
-        thirds = np.repeat(triangle_areas(self.points, self.topology.faces) / 3.0, 3)
-        areas = np.bincount(self.topology.faces.reshape(-1), thirds, self.topology.vertex_count)
+        areas = TriangleMesh(self.points, self.topology).vertex_areas
         return np.asarray(np.maximum(areas, 1e-6 * (float(areas.mean()) or 1.0)))
 
     @cached_property
@@ -283,9 +274,7 @@ def viewpoints(count: int) -> Float:
 
 def silhouette(points: FloatArray, topology: Topology, direction: Float) -> Mask:
     """Mark the hinges ``(H,)`` between a front and a back face, viewed from a direction ``(3,)``."""
-    corners = points[topology.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    is_front = (normals @ direction > 0.0)[topology.hinge_faces]
+    is_front = (TriangleMesh(points, topology).vector_areas @ direction > 0.0)[topology.hinge_faces]
     return np.asarray(is_front[:, 0] != is_front[:, 1])
 
 

@@ -362,9 +362,9 @@ def _pose_rate(starts: Index) -> float:
     return float(np.clip(mean, low + 1e-9, high - 1e-9)) if low < high - 1e-12 else 0.0
 
 
-def _largest_beside(values: Float, k: int, offsets: Sequence[int] = (-2, -1, 1, 2)) -> Float:
-    """Return the largest of values ``(N, ...)`` at offsets from k."""
-    ids = [k + offset for offset in offsets if 0 <= k + offset < len(values)]
+def _largest_beside(values: Float, k: int) -> Float:
+    """Return the largest of the two values ``(N, ...)`` before and the two after k."""
+    ids = [k + offset for offset in (-2, -1, 1, 2) if 0 <= k + offset < len(values)]
     return np.asarray(values[ids].max(axis=0, initial=0.0))
 
 

@@ -113,11 +113,11 @@ def snap_rate(fps: float, tolerance: float = _RATE_ROUNDING) -> float:
     return nearest if abs(nearest - fps) <= tolerance * fps else fps
 
 
-def is_on_frames(times: Float, fps: float, tolerance: float = FRAME_TOLERANCE) -> bool:
+def is_on_frames(times: Float, fps: float) -> bool:
     """Whether times ``(T,)`` in s are at frames of a rate, counted from 0 or from the first time."""
     import numpy as np
 
-    return any(bool(np.abs(n - np.rint(n)).max() <= tolerance) for n in (times * fps, (times - times[0]) * fps))
+    return any(bool(np.abs(n - np.rint(n)).max() <= FRAME_TOLERANCE) for n in (times * fps, (times - times[0]) * fps))
 
 
 def estimate_frame_rate(times: Float, declared: float = 0.0, lowest: float = 0.0) -> float | None:

@@ -25,15 +25,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.mesh.rotations import matrix_to_quat, normalise_quat, quat_multiply, rotvec_to_quat
 from mixseq.mesh.topology import connected_components
+from mixseq.mesh.triangle_mesh import normalise, perpendicular
 from mixseq.runtime.jit import compiled, inlined
-from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.shells.solvers import Factor, factorise_laplacian
 from mixseq.types import Float, Index, IntArray, Mask
 
@@ -63,78 +64,6 @@ def multiply_inverse_by(p: Float, q: Float, r: Float) -> None:
     r[1] = p[0] * q[1] - p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
     r[2] = p[0] * q[2] + p[1] * q[3] - p[2] * q[0] - p[3] * q[1]
     r[3] = p[0] * q[3] - p[1] * q[2] + p[2] * q[1] - p[3] * q[0]
-
-
-@compiled
-def _triangle_frames(x: Float, faces: Index) -> Float:
-    """Return the frames ``(m, 4)`` of triangles ``(m, 3)`` with vertices ``(n, 3)``, arbitrary if the area is zero."""
-    frames = np.empty((len(faces), 4))
-    r = np.empty((3, 3))
-    for f in range(len(faces)):
-        a, b, c = faces[f]
-        for i in range(3):
-            r[i, 0], r[i, 1] = x[b, i] - x[a, i], x[c, i] - x[a, i]
-        length = math.sqrt(r[0, 0] ** 2 + r[1, 0] ** 2 + r[2, 0] ** 2)
-        if length > 0.0:
-            r[:, 0] /= length
-        else:
-            r[0, 0], r[1, 0], r[2, 0] = 1.0, 0.0, 0.0
-        # Orthogonalise the other side, or a coordinate axis if the triangle has no area.
-        for attempt in range(4):
-            if attempt:
-                r[:, 1] = 0.0
-                r[attempt - 1, 1] = 1.0
-            along = r[0, 0] * r[0, 1] + r[1, 0] * r[1, 1] + r[2, 0] * r[2, 1]
-            size = math.sqrt(r[0, 1] ** 2 + r[1, 1] ** 2 + r[2, 1] ** 2)
-            for i in range(3):
-                r[i, 1] -= along * r[i, 0]
-            across = math.sqrt(r[0, 1] ** 2 + r[1, 1] ** 2 + r[2, 1] ** 2)
-            if across > 1e-12 * size and across > 0.5 * (attempt > 0):
-                r[:, 1] /= across
-                break
-        r[0, 2] = r[1, 0] * r[2, 1] - r[2, 0] * r[1, 1]
-        r[1, 2] = r[2, 0] * r[0, 1] - r[0, 0] * r[2, 1]
-        r[2, 2] = r[0, 0] * r[1, 1] - r[1, 0] * r[0, 1]
-        _quaternion(r, frames[f])
-    return frames
-
-
-@inlined
-def _quaternion(r: Float, q: Float) -> None:
-    """Write the unit quaternion of a rotation matrix r to q, computed from the largest component (Shepperd 1978)."""
-    trace = r[0, 0] + r[1, 1] + r[2, 2]
-    largest = 0
-    if r[0, 0] > trace:
-        largest = 1
-    if r[1, 1] > max(trace, r[0, 0]):
-        largest = 2
-    if r[2, 2] > max(trace, r[0, 0], r[1, 1]):
-        largest = 3
-    if largest == 0:
-        q[0] = 1.0 + trace
-        q[1], q[2], q[3] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
-    else:
-        i = largest - 1
-        j, k = (i + 1) % 3, (i + 2) % 3
-        q[0] = r[k, j] - r[j, k]
-        q[1 + i] = 1.0 + r[i, i] - r[j, j] - r[k, k]
-        q[1 + j] = r[j, i] + r[i, j]
-        q[1 + k] = r[k, i] + r[i, k]
-    length = math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-    for i in range(4):
-        q[i] /= length
-
-
-@compiled
-def _hinge_rotations(first: Float, second: Float, bends: Float) -> Float:
-    """Return the rotations ``R_z(first) R_x(bend) R_z(-second)`` ``(h, 4)`` across hinges ``(h,)``."""
-    rotations = np.empty((len(bends), 4))
-    for k in range(len(bends)):
-        c, s = math.cos(0.5 * bends[k]), math.sin(0.5 * bends[k])
-        along, across = 0.5 * (first[k] - second[k]), 0.5 * (first[k] + second[k])
-        rotations[k, 0], rotations[k, 3] = c * math.cos(along), c * math.sin(along)
-        rotations[k, 1], rotations[k, 2] = s * math.cos(across), s * math.sin(across)
-    return rotations
 
 
 @compiled
@@ -188,37 +117,6 @@ def averaging_right_side(frames: Float, pairs: Index, rotations: Float, weights:
     return right
 
 
-@compiled
-def _rotate_frames(frames: Float, vectors: Float) -> None:
-    """Rotate frames ``(n, 4)`` by rotation vectors ``(n, 3)``, in place."""
-    step, result = np.empty(4), np.empty(4)
-    for v in range(len(frames)):
-        angle = math.sqrt(vectors[v, 0] ** 2 + vectors[v, 1] ** 2 + vectors[v, 2] ** 2)
-        scale = math.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
-        step[0] = math.cos(0.5 * angle)
-        for c in range(3):
-            step[1 + c] = scale * vectors[v, c]
-        multiply(step, frames[v], result)
-        frames[v] = result / math.sqrt(result[0] ** 2 + result[1] ** 2 + result[2] ** 2 + result[3] ** 2)
-
-
-@compiled
-def rotate_sides(frames: Float, flat: Float) -> Float:
-    """Return the sides 01, 12, 20 ``(F, 3, 3)`` of flat triangles ``(F, 3, 2)``, rotated by frames ``(F, 4)``."""
-    sides = np.empty((len(flat), 3, 3))
-    for f in range(len(flat)):
-        w, x, y, z = frames[f]
-        a0, a1, a2 = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)
-        b0, b1, b2 = 2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)
-        for k in range(3):
-            n = (k + 1) % 3
-            u, v = flat[f, n, 0] - flat[f, k, 0], flat[f, n, 1] - flat[f, k, 1]
-            sides[f, k, 0] = a0 * u + b0 * v
-            sides[f, k, 1] = a1 * u + b1 * v
-            sides[f, k, 2] = a2 * u + b2 * v
-    return sides
-
-
 MIN_SIDE_LENGTH = 1e-12
 """Least length of sides in diagonals, since side 01 defines the frame of a triangle."""
 
@@ -235,12 +133,25 @@ def flat_triangles(lengths: Float) -> Float:
     return np.stack([zero, zero, l01, zero, x, y], axis=1).reshape(-1, 3, 2)
 
 
-def triangle_frames(x: Float, faces: IntArray) -> Float:
-    """Return the frames ``(m, 4)`` of triangles ``(m, 3)`` with vertices ``(n, 3)``.
+MIN_HEIGHT_RATIO = 1e-12
+"""Ratio of a triangle's height to its side up to which its normal is any perpendicular to its first side."""
 
-    The normal of a triangle without area is any perpendicular to its first side.
-    """
-    return np.asarray(_triangle_frames(x, faces.astype(np.int64)))
+
+def triangle_frames(x: Float, faces: IntArray) -> Float:
+    """Return the frames ``(m, 4)`` of triangles ``(m, 3)`` with vertices ``(n, 3)``."""
+    a, b, c = (x[corner] for corner in faces.T)
+    along, side = normalise(b - a), c - a
+    along[~along.any(axis=1), 0] = 1.0
+    normals = np.cross(along, side)
+    is_flat = np.linalg.norm(normals, axis=1) <= MIN_HEIGHT_RATIO * np.linalg.norm(side, axis=1)
+    normals[is_flat] = perpendicular(along[is_flat])
+    normals = normalise(normals)
+    return matrix_to_quat(np.stack([along, np.cross(normals, along), normals], axis=2))
+
+
+def rotate_sides(rotations: Float, flat: Float) -> Float:
+    """Return the sides 01, 12, 20 ``(F, 3, 3)`` of flat triangles ``(F, 3, 2)``, rotated by matrices ``(F, 3, 3)``."""
+    return np.asarray(np.einsum("fij,fkj->fki", rotations[:, :, :2], np.roll(flat, -1, axis=1) - flat))
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +189,11 @@ class HingeFrames:
         sides = np.roll(flat, -1, axis=1) - flat
         directions = np.arctan2(sides[..., 1], sides[..., 0])
         alpha = directions[self.hinge_faces, self.side_ids] + np.where(self.backward_mask, np.pi, 0.0)
-        return np.asarray(_hinge_rotations(alpha[:, 0], alpha[:, 1], angles + self.reversed_normals))
+        bend, (first, second) = (angles + self.reversed_normals) / 2, alpha.T
+        along, across = (first - second) / 2, (first + second) / 2
+        c, s = np.cos(bend), np.sin(bend)
+        # R_z(alpha_i) R_x(theta) R_z(-alpha_j)
+        return np.stack([c * np.cos(along), s * np.cos(across), s * np.sin(across), c * np.sin(along)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,16 +209,11 @@ class FrameGraph(PickledWithoutCaches):
         """Factor of the averaging matrix, in which known frames are softly constrained."""
         return factorise_laplacian(self.pairs, self.weights, np.where(self.known_mask, 1.0, 0.0))
 
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return self.factor, self._layers
-
     def average(self, frames: Float, rotations: Float, rounds: int) -> Float:
         """Return frames ``(n, 4)`` averaged to reduce the misfits to relative rotations ``(h, 4)``."""
-        frames = frames.copy()
         for _ in range(rounds):
             right = averaging_right_side(frames, self.pairs, rotations, self.weights, len(frames))
-            _rotate_frames(frames, self.factor.solve(right))
+            frames = normalise_quat(quat_multiply(rotvec_to_quat(self.factor.solve(right)), frames))
         return frames
 
     def chain(self, rotations: Float, known: Float) -> Float:

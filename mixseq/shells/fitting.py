@@ -27,25 +27,73 @@ The result is exact for consistent lengths and angles.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple, Self
 
 import numpy as np
-from scipy import sparse
 
-from mixseq.errors import ReconstructionError
+from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.measures import clamp_lengths, dihedral_angles, edge_lengths, signed_volume, volume_gradient
-from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.mesh.topology import Topology
-from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.segmentation.joints import Joint
-from mixseq.shells.face_frames import HingeFrames, flat_triangles, triangle_frames
-from mixseq.shells.gauss_newton import BlockPattern, ShellReport, ShellSettings
+from mixseq.shells.face_frames import HingeFrames, flat_triangles, rotate_sides, triangle_frames
 from mixseq.shells.kernels import conjugate_gradients, shell_equations, shell_residuals
-from mixseq.shells.solvers import Factor, factorise, index_of
+from mixseq.shells.solvers import BlockPattern, PoissonSystem, index_of, solve_frames
 from mixseq.types import Float, Index, Mask
+
+
+@dataclass(frozen=True)
+class ShellSettings:
+    """Settings of fits to lengths and angles.
+
+    Attributes
+    ----------
+    bending : float
+        Weight of an angle in radians relative to a relative change of length.
+    iterations : int
+        Largest number of steps.
+    tolerance : float
+        Convergence limit of the predicted decrease of the energy, as a fraction of the energy.
+    exact : float
+        Alternative convergence limit of the largest weighted residual.
+    accuracy : float
+        Alternative convergence limit of the largest change of a coordinate in a step, in the unit of the points
+        (diagonals), once the energy has levelled off. Steps shrink about tenfold, so that the final error is smaller.
+
+    Raises
+    ------
+    SettingsError
+        If a setting is not a number, or is negative.
+    """
+
+    bending: float = 0.3
+    iterations: int = 100
+    tolerance: float = 1e-3
+    exact: float = 1e-10
+    accuracy: float = 5e-5
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            kind = int | np.integer if field.name == "iterations" else int | float | np.number
+            if not (isinstance(value, kind) and np.isfinite(value) and value >= 0):
+                whole = "whole number" if field.name == "iterations" else "number"
+                raise SettingsError(f"{field.name} is {value!r}; a {whole} of 0 or more is expected")
+
+    def for_differences(self) -> ShellSettings:
+        """Return settings accurate enough to subtract results for nearly equal targets."""
+        return replace(self, tolerance=min(self.tolerance, 1e-10), accuracy=min(self.accuracy, 1e-9))
+
+
+@dataclass(frozen=True)
+class ShellReport:
+    """Result of a fit: final energy, number of steps, convergence."""
+
+    energy: float
+    iterations: int
+    converged: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +109,13 @@ class NormalEquations:
     hinge_blocks: Index  # (h', 6) blocks of the vertices ba, ca, cb, da, db, dc of a hinge, -1 if fixed
 
     @classmethod
-    def from_elements(cls, edges: Index, hinges: Index, free: Index, number: Index, threads: int | None = None) -> Self:
+    def from_elements(cls, edges: Index, hinges: Index, free: Index, number: Index) -> Self:
         """Find the blocks of edges and hinges with a free vertex."""
         ends, corners = number[edges], number[hinges]
         p, o = np.tril_indices(4, -1)
         first, second = corners[:, p], corners[:, o]
         pairs = np.concatenate([ends, np.stack([first, second], axis=-1).reshape(-1, 2)])
-        pattern = BlockPattern.from_pairs(len(free), pairs, threads)
+        pattern = BlockPattern.from_pairs(len(free), pairs)
         return cls(
             edges=np.ascontiguousarray(edges),
             hinges=np.ascontiguousarray(hinges),
@@ -89,7 +137,6 @@ class Patch(PickledWithoutCaches):
     hinges: Index  # (h, 4) hinges a, b, c, d, in the order of the angles
     hinge_faces: Index  # (h, 2) the two faces of every hinge
     fixed_mask: Mask  # (n,) vertices with given positions
-    threads: int | None = None  # number of threads that factor one matrix; by default determined by its size
 
     @classmethod
     def from_joint(cls, topology: Topology, joint: Joint, fixed: Mask) -> Patch:
@@ -102,10 +149,6 @@ class Patch(PickledWithoutCaches):
             hinge_faces=np.searchsorted(joint.face_ids, topology.hinge_faces[joint.hinge_ids]),
             fixed_mask=fixed,
         )
-
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values` for the linear initialisation and Gauss-Newton."""
-        return self.equations.pattern, self.frame_pattern, self.laplacian_factor
 
     @cached_property
     def free_ids(self) -> Index:
@@ -141,13 +184,13 @@ class Patch(PickledWithoutCaches):
     def equations(self) -> NormalEquations:
         """The normal equations of lengths and angles around the free vertices."""
         edges, hinges = self.edges[self.free_edge_mask], self.hinges[self.free_hinge_mask]
-        return NormalEquations.from_elements(edges, hinges, self.free_ids, self.free_index, self.threads)
+        return NormalEquations.from_elements(edges, hinges, self.free_ids, self.free_index)
 
     @cached_property
     def frame_pattern(self) -> BlockPattern:
         """Block pattern of unknown frames of faces, coupled by hinges."""
         count, pairs = int((self.unknown_face_index >= 0).sum()), self.unknown_face_index[self.hinge_faces]
-        return BlockPattern.from_pairs(count, pairs, self.threads)
+        return BlockPattern.from_pairs(count, pairs)
 
     @cached_property
     def unknown_face_index(self) -> Index:
@@ -157,24 +200,10 @@ class Patch(PickledWithoutCaches):
         return np.where(is_known, -1, np.cumsum(~is_known) - 1)
 
     @cached_property
-    def laplacian(self) -> sparse.csr_array:
-        """Graph Laplacian ``(n, n)`` of the sides of faces."""
-        i = self.faces.reshape(-1)
-        j = np.roll(self.faces, -1, axis=1).reshape(-1)
-        shape = (len(self.fixed_mask), len(self.fixed_mask))
-        half = sparse.coo_array((np.ones(len(i)), (i, j)), shape=shape).tocsr()
-        adjacency = (half + half.T).tocsr()
-        return (sparse.diags_array(np.asarray(adjacency.sum(axis=1)).reshape(-1)) - adjacency).tocsr()
-
-    @cached_property
-    def laplacian_factor(self) -> Factor:
-        """Factor of the Laplacian of the unknown vertices."""
-        return factorise(self.laplacian[self.unknown_ids][:, self.unknown_ids])
-
-    @cached_property
-    def unknown_ids(self) -> Index:
-        """Unknown vertices of the Poisson system: the free vertices, without the first one if no vertex is fixed."""
-        return self.free_ids if self.fixed_mask.any() else self.free_ids[1:]
+    def poisson_system(self) -> PoissonSystem:
+        """The Poisson system of the sides 01, 12, 20 of all faces."""
+        sides = np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=2).reshape(-1, 2)
+        return PoissonSystem(sides, np.ones(len(sides)), self.fixed_mask)
 
 
 CONJUGATE_GRADIENT_TOLERANCE = 0.03
@@ -325,67 +354,19 @@ def _solve_step_with_volume(pattern: BlockPattern, values: Float, gradient: Floa
     return np.asarray(step - change * (row @ step) / (1.0 + row @ change))
 
 
-MAX_GUESS_RESIDUAL = 0.5
-"""Largest weighted residual of a guess that replaces the linear start of Gauss-Newton."""
-
-
 def linear_initialisation(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
     """Rebuild a patch linearly from lengths ``(e,)``, angles ``(h,)`` and fixed positions ``(n, 3)``."""
     flat = flat_triangles(lengths[patch.face_edges])
     frames = _initial_frames(patch, flat, angles, positions)
-    sides = np.einsum("fij,fkj->fki", frames[:, :, :2], np.roll(flat, -1, axis=1) - flat)
-    return integrate(patch, sides, positions)
+    return patch.poisson_system.solve(rotate_sides(frames, flat).reshape(-1, 3), positions)
 
 
 def _initial_frames(patch: Patch, flat: Float, angles: Float, positions: Float) -> Float:
-    frames = np.zeros((len(patch.faces), 3, 3))
-    is_known = patch.fixed_face_mask.copy()
-    if is_known.any():
-        frames[is_known] = quat_to_matrix(triangle_frames(positions, patch.faces[is_known]))
-    else:
-        is_known[0] = True
-        frames[0] = np.eye(3)
-    index = patch.unknown_face_index
-    unknown_ids = np.flatnonzero(index >= 0)
-    if not unknown_ids.size:
-        return frames
-
-    # Rows of F (one per world coordinate) are independent: F_j - F_i T = 0 reads f_j - T^T f_i = 0 for rows f.
-    i, j = patch.hinge_faces.T
+    known = np.tile(np.eye(3), (len(patch.faces), 1, 1))
+    fixed = patch.fixed_face_mask
+    known[fixed] = quat_to_matrix(triangle_frames(positions, patch.faces[fixed]))
     rotations = quat_to_matrix(patch.hinge_frames.rotations(flat, angles))
-    right = np.zeros((unknown_ids.size, 3, 3))  # (face, column of F, world coordinate)
-    for target, source, rotation in ((j, i, rotations), (i, j, np.swapaxes(rotations, 1, 2))):
-        border = is_known[source] & ~is_known[target]
-        predicted = frames[source[border]] @ rotation[border]
-        np.add.at(right, index[target[border]], np.swapaxes(predicted, 1, 2))
-
-    pattern = patch.frame_pattern
-    values = np.zeros(len(pattern.rows))
-    counts = np.bincount(patch.hinge_faces.reshape(-1), minlength=len(patch.faces))
-    values[pattern.diagonal] = np.repeat(counts[unknown_ids].astype(np.float64), 3)
-    inner = ~is_known[i] & ~is_known[j]
-    first, second = index[i[inner]], index[j[inner]]
-    # -T^T couples row block j to column block i; in the lower triangle, the higher number is the row.
-    inner_rotations = rotations[inner]
-    blocks = -np.where((second > first)[:, None, None], np.swapaxes(inner_rotations, 1, 2), inner_rotations)
-    places = pattern.places[pattern.find_blocks(first, second)][:, None, :] + np.arange(3)[:, None]
-    np.add.at(values, places, blocks)
-    solution = pattern.analysis.factor(values).solve(right.reshape(-1, 3)).reshape(-1, 3, 3)
-    frames[unknown_ids] = nearest_rotations(np.swapaxes(solution, 1, 2))
-    return frames
-
-
-def integrate(patch: Patch, sides: Float, positions: Float) -> Float:
-    """Solve for vertices ``(n, 3)`` with sides closest to ``(m, 3, 3)``; fixed vertices keep `positions` ``(n, 3)``."""
-    count = len(patch.fixed_mask)
-    right = np.zeros((count, 3))
-    np.add.at(right, patch.faces.reshape(-1), -sides.reshape(-1, 3))
-    np.add.at(right, np.roll(patch.faces, -1, axis=1).reshape(-1), sides.reshape(-1, 3))
-    result = np.where(patch.fixed_mask[:, None], positions, 0.0)
-    coupling = patch.laplacian[patch.unknown_ids][:, patch.fixed_mask]
-    right = right[patch.unknown_ids] - coupling @ result[patch.fixed_mask]
-    result[patch.unknown_ids] = patch.laplacian_factor.solve(right)
-    return result
+    return solve_frames(patch.frame_pattern, patch.unknown_face_index, patch.hinge_faces, rotations, known)
 
 
 def rebuild_patch(
@@ -395,22 +376,18 @@ def rebuild_patch(
     weights: Float,
     positions: Float,
     settings: ShellSettings,
-    guess: Float | None = None,
     soft: SoftConstraint = NO_CONSTRAINT,
 ) -> tuple[Float, ShellReport]:
     """Rebuild a patch ``(n, 3)`` from lengths ``(e',)``, and angles ``(h',)`` in radians, around its free vertices.
 
-    Weights ``(e',)`` are inverse typical lengths. Fixed vertices are at `positions` ``(n, 3)``. A guess ``(f, 3)`` of
-    the free vertices is an alternative start.
+    Weights ``(e',)`` are inverse typical lengths. Fixed vertices are at `positions` ``(n, 3)``. Softly constrained free
+    vertices start at their expected positions.
     """
-    lengths = clamp_lengths(lengths, weights)
-    problem = ShellProblem(patch, lengths, angles, weights, settings.bending, soft)
-    if guess is None:
+    problem = ShellProblem(patch, clamp_lengths(lengths, weights), angles, weights, settings.bending, soft)
+    if not soft.weights.size:
         return fit_shell(problem, _linear_start(problem, positions), settings)
     start = np.array(positions, dtype=np.float64)
-    start[patch.free_ids] = guess
-    if not soft.weights.size and np.abs(problem.residuals(start)).max(initial=0.0) > MAX_GUESS_RESIDUAL:
-        start = min(_linear_start(problem, positions), start, key=problem.energy)
+    start[patch.free_ids] = soft.positions
     return fit_shell(problem, start, settings)
 
 

@@ -18,15 +18,14 @@ result is as smooth in time as the start. The same matrix integrates sides of fa
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.errors import ReconstructionError
 from mixseq.mesh.measures import MIN_DIRECTED_LENGTH, dihedral_angles, edge_lengths, length_weights
 from mixseq.mesh.topology import Topology
-from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.shells import kernels
 from mixseq.shells.face_frames import HingeFrames, flat_triangles
 from mixseq.shells.solvers import Factor, factorise_laplacian
@@ -65,19 +64,8 @@ MIN_HINGE_NEARNESS = 0.5
 EXACT_MEAN_RESIDUAL = 1e-8
 """Mean weighted residual below which the lengths and angles of a mesh count as exact; it is not relaxed."""
 
-
-@dataclass(frozen=True)
-class Relaxation:
-    """Settings of relaxation."""
-
-    bending: float = 0.25  # weight of an angle in radians relative to a relative change of length
-    steps: int = 10  # number of steps
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.bending) and self.bending > 0):
-            raise SettingsError(f"bending is {self.bending}; a positive weight is expected")
-        if not isinstance(self.steps, int | np.integer) or self.steps < 0:
-            raise SettingsError(f"steps is {self.steps!r}; a whole number of 0 or more is expected")
+BENDING_WEIGHT = 0.25
+r"""Weight :math:`\beta` of an angle in radians relative to a relative change of length."""
 
 
 class Relaxed(NamedTuple):
@@ -95,13 +83,8 @@ class Shell(PickledWithoutCaches):
     reference: Float  # (V, 3) a reference shape, in diagonals
     typical_lengths: Float  # (E,) typical lengths of edges, in diagonals
     position_weights: Float  # (V,) weights relative to sides; positive at least once per component
-    bending: float  # weight of an angle in radians relative to a relative change of length
     # (t, 2) pairs of vertices with known differences, besides the edges
     ties: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
-
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return self.factor, self.max_curvature
 
     @cached_property
     def _faces(self) -> Index:
@@ -153,7 +136,7 @@ class Shell(PickledWithoutCaches):
     @cached_property
     def _angle_weights(self) -> Float:
         """Weights ``(H,)`` of angles, 0 at degenerate triangles."""
-        return np.where(self.sound_hinge_mask, self.bending * self.relative_angle_weights, 0.0)
+        return np.where(self.sound_hinge_mask, BENDING_WEIGHT * self.relative_angle_weights, 0.0)
 
     @cached_property
     def _min_squared_normals(self) -> Float:

@@ -1,5 +1,5 @@
 """Represent a sequence by time, pose and shape signals in a shape space.
 
-`fitting` contains `mixseq.fit`, `detail` computes signals, and `modes` computes principal components. A `model`
+`fitting` contains `mixseq.fit`, `detail` computes signals, and `pose` computes principal components. A `model`
 consists of a `curve` and a `pose` map; `decoding` decodes it.
 """

@@ -1,10 +1,16 @@
-"""Decode frames and velocities of motions at any time, in blocks on any executor."""
+"""Decode frames and velocities of motions at any time, in blocks on any executor; measure errors between frames.
+
+Programs interpolate what they play between its frames, each in its own way: joints by slerp, weights and points along
+straight lines, compressed files by splines. The distance of what is played from the motion that it was made of is
+measured at the quarters of all intervals between frames.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain, repeat
 from typing import Self, TypeVar
 
 import numpy as np
@@ -16,10 +22,12 @@ from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_span, hint_frame_number, snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader, frame_times
 from mixseq.sequence.provenance import as_edited
-from mixseq.sequence.sequence import MeshSequence, Rig
-from mixseq.types import Float
+from mixseq.sequence.sequence import Frames, MeshSequence, Rig, is_rig
+from mixseq.spaces.temporal import insert_midpoints
+from mixseq.types import Float, FloatArray
 
 Decoded = TypeVar("Decoded")
+Delivery = TypeVar("Delivery")
 
 FRAMES_PER_BLOCK = 4
 """Number of frames that a thread decodes at once."""
@@ -55,25 +63,27 @@ class Decodable(ABC):
     def decode_moving(self, times: Float) -> tuple[Float, Float]:
         """Return points and velocities ``(N, V, 3)`` at times ``(N,)`` from start to end, on this thread."""
 
-    @abstractmethod
-    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
-        """Compute what frames at times ``(N,)`` have in common, before threads decode them."""
+    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:  # noqa: B027
+        """Compute what frames at times ``(N,)`` have in common, before threads decode them; by default nothing."""
 
-    def __call__(self, time: float) -> Float:
-        """Return the vertex positions ``(V, 3)`` at a time in seconds.
+    def __call__(self, times: ArrayLike) -> Float:
+        """Return the vertex positions ``(V, 3)`` at a time in seconds, or ``(N, V, 3)`` at times ``(N,)``.
 
         Raises
         ------
         SettingsError
             If the time is outside the sequence, because motions are not extrapolated.
         """
-        frame: Float = next(self.blocks([time]))[0]
-        return frame
+        return self._like_times(times, self.blocks(times))
 
-    def velocity(self, time: float) -> Float:
-        """Return the analytic velocities ``(V, 3)`` of the vertices in units per second."""
-        frame: Float = next(self.moving_blocks([time]))[1][0]
-        return frame
+    def velocity(self, times: ArrayLike) -> Float:
+        """Return the analytic velocities of the vertices in units per second, in the shape that `__call__` returns."""
+        return self._like_times(times, (velocities for _, velocities in self.moving_blocks(times)))
+
+    def _like_times(self, times: ArrayLike, blocks: Iterable[Float]) -> Float:
+        """Join blocks ``(B, V, 3)`` of frames, and return a frame ``(V, 3)`` for a single time."""
+        frames = np.concatenate([np.empty((0, self.header.vertex_count, 3)), *blocks])
+        return frames if np.ndim(times) else frames[0]
 
     def sample(
         self,
@@ -212,5 +222,59 @@ class RigMotion(Decodable):
         velocities = np.concatenate(list(self.rig.velocity_blocks_at(times, len(times))))
         return self.decode_points(times), velocities.astype(np.float64)
 
-    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
-        """Do nothing, since frames are independent."""
+
+MAX_FRAME_FACTOR = 8
+"""Largest number of frames of a delivery per frame of its motion."""
+
+FRAME_BOUND_RATIO = 0.75
+"""Ratio of the bound at frames to the bound between them. Keys take fewer bytes than accuracy at frames."""
+
+
+def quarter_times(times: Float) -> Float:
+    """Return the times ``(3 (T - 1),)`` at the quarters of the intervals between frames at times ``(T,)``."""
+    return np.delete(insert_midpoints(insert_midpoints(times)), np.s_[::4])
+
+
+def played_blocks(delivery: Decodable | Frames, times: Float) -> Iterator[FloatArray]:
+    """Yield points ``(B, V, 3)`` at `quarter_times`, as programs play a delivery: plain points along straight lines."""
+    if isinstance(delivery, Decodable):
+        return delivery.blocks(times)
+    return delivery.blocks_at(times) if is_rig(delivery) else straight_blocks(delivery.blocks(), times)
+
+
+def straight_blocks(blocks: Iterable[FloatArray], times: Float) -> Iterator[FloatArray]:
+    """Yield points ``(3, V, 3)`` at the quarters between frames of blocks ``(B, V, 3)``; a single frame is repeated."""
+    frames = chain.from_iterable(blocks)
+    before = next(frames)
+    is_still = True
+    for after in frames:
+        yield np.stack([(1 - fraction) * before + fraction * after for fraction in (0.25, 0.5, 0.75)])
+        before, is_still = after, False
+    if is_still:
+        yield from repeat(before[None], len(times))
+
+
+def largest_distance(expected: Iterable[FloatArray], played: Iterable[FloatArray]) -> float:
+    """Return the largest distance of a vertex in blocks of points ``(B, V, 3)``, which may have different sizes."""
+    pairs = zip(chain.from_iterable(expected), chain.from_iterable(played), strict=True)
+    return max((float(np.sqrt(np.square(x - y).sum(axis=1).max())) for x, y in pairs), default=0.0)
+
+
+def hold_between(
+    motion: Decodable, frames: MeshSequence, bound: float, make: Callable[[MeshSequence, float], tuple[Delivery, float]]
+) -> Delivery:
+    """Make a delivery of more and more frames, until its error between frames is at most `bound` diagonals.
+
+    `make` takes the frames and their bound, and returns a delivery and its error between frames.
+    """
+    least, factor = np.inf, 1
+    while factor <= MAX_FRAME_FACTOR:
+        delivery, error = make(frames, FRAME_BOUND_RATIO * bound)
+        if error <= bound:
+            return delivery
+        least, factor = min(least, error), 2 * factor
+        frames = motion.sample(insert_midpoints(frames.times), 2 * frames.fps)
+    raise SettingsError(
+        f"between frames, {least:.2g} diagonals can be reached with up to {MAX_FRAME_FACTOR} times the frames, not "
+        f"{bound:g}; allow more (--max-error), or leave out --between-frames"
+    )

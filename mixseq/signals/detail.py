@@ -38,8 +38,7 @@ from mixseq.sequence.sequence import (
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import FRAMES_PER_BLOCK
 from mixseq.signals.model import Model
-from mixseq.signals.modes import Modes, principal_modes
-from mixseq.signals.pose import PoseMap
+from mixseq.signals.pose import Modes, PoseMap, principal_modes
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.mixed.construction import faces_without_area
 from mixseq.spaces.mixed.mixed_space import MixedSpace

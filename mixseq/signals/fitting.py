@@ -37,7 +37,7 @@ from mixseq.sequence.sequence import (
     own_parts,
     rounding_margin,
 )
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.signals.decoding import Decodable, RigMotion
 from mixseq.signals.detail import (
@@ -105,7 +105,7 @@ def select_share(encoded: EncodedSequence, frames: LargeArray) -> EncodedSequenc
         projected = [space.joint_projection.project(*vector, share) for vector in vectors]
         gains.append(1.0 - float((_rms_errors(space, projected, expected) / errors_without).max()))
     share = CANDIDATE_SHARES[int(np.argmax(np.array(gains) >= SUFFICIENT_GAIN * max(gains) - 1e-12))]
-    return replace(encoded, space=replace(space, projection=replace(space.projection, share=share)))
+    return replace(encoded, space=space.with_weights(projection=replace(space.projection, share=share)))
 
 
 def _interpolated_vectors(encoded: EncodedSequence, space: MixedSpace, weights: FrameWeights) -> Float:

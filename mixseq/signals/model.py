@@ -22,7 +22,6 @@ from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import read_only
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress
 from mixseq.sequence.events import Events
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import as_edited
@@ -178,10 +177,6 @@ class Model(Decodable, PickledWithoutCaches):
     def decode_moving(self, times: Float) -> tuple[Float, Float]:
         """Implement `Decodable.decode_moving`."""
         return self.space.decode_with_velocities(self.curve(times), self.rates(times))
-
-    def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
-        """Precompute the space."""
-        self.space.precompute()
 
     def _blend_shapes(self, weights: Float) -> Float:
         """Return weighted sums ``(N, S)`` of key shapes, row by row, so that each is independent of the others."""

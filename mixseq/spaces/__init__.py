@@ -1,6 +1,6 @@
 """Shape spaces encode vertex positions as vectors that combine linearly, and decode vectors to positions.
 
-`base` defines the contract, `making` makes spaces by name. `vertex`, `edge`, `gradient` and `lri` are spaces of whole
+`base` defines the contract, `making` makes spaces by name. `edge`, `gradient` and `lri` are spaces of whole
 meshes; `mixed` is S_m, with parts and joints. `pieces` registers connected pieces, `temporal` interpolates poses.
 """
 

@@ -1,27 +1,24 @@
-"""The contract of all shape spaces, and the weights of angles and rotations in their metrics."""
+"""The contract of all shape spaces, the weights of their metrics, and the smallest space, that of vertex positions."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import edge_lengths
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.runtime.low_memory import LargeArray
-from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.sequence.sequence import iterate_blocks
 from mixseq.spaces.temporal import Poses, TemporalOperator, interpolate_poses
 from mixseq.types import Float, FloatArray, Index
 
 if TYPE_CHECKING:
     from mixseq.segmentation.joints import Decomposition
-    from mixseq.shells.gauss_newton import ShellReport
+    from mixseq.shells.fitting import ShellReport
 
 
 ANGLE_WEIGHT = 0.3
@@ -36,23 +33,6 @@ def radii_of_gyration(shapes: Float, parts: Sequence[Index]) -> Float:
     sizes = [len(vertex_ids) for vertex_ids in parts]
     sums = np.add.reduceat(np.square(shapes).sum(axis=1), np.cumsum([0, *sizes[:-1]]))
     return np.maximum(np.sqrt(sums / sizes), MIN_GYRATION_RADIUS)
-
-
-def mean_edge_lengths(
-    points: LargeArray, edges: NDArray[np.integer], scale: float, workers: Executor, progress: Progress
-) -> Float:
-    """Return mean lengths ``(E,)`` of edges ``(E, 2)`` over frames ``(T, V, 3)``, divided by the scale."""
-    total, done = np.zeros(len(edges)), 0
-    for block in workers(_edge_lengths_of_block, edges, iterate_blocks(points)):
-        for lengths in block:  # frame by frame, so that the sum does not depend on the blocks
-            total += lengths
-        done += len(block)
-        progress(done, len(points), "measuring edges")
-    return total / (done * scale)
-
-
-def _edge_lengths_of_block(edges: NDArray[np.integer], points: FloatArray) -> list[Float]:
-    return [edge_lengths(frame.astype(np.float64), edges) for frame in points]
 
 
 def flatten_blocks(blocks: Iterable[NDArray[Any]]) -> NDArray[Any]:
@@ -251,11 +231,9 @@ class ShapeSpace(PickledWithoutCaches, ABC):
             If a vector cannot be decoded to a mesh.
         """
 
-    def decode_with_reports(
-        self, vectors: Float, progress: Progress = no_progress
-    ) -> tuple[Float, list[list[ShellReport]]]:
+    def decode_with_reports(self, vectors: Float) -> tuple[Float, list[list[ShellReport]]]:
         """Decode vectors, and return the fit reports of every frame, which are empty in spaces without fits."""
-        return self.decode(vectors, progress), [[] for _ in vectors]
+        return self.decode(vectors), [[] for _ in vectors]
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
         """Return the change ``(S,)`` of a vector's shape from decoded points to edited points ``(V, 3)``.
@@ -279,3 +257,39 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         ahead, behind = (self.decode_for_differences(v) for v in (vectors + change, vectors - change))
         inverse = np.divide(0.5, step, out=np.zeros_like(step), where=step > 0)
         return points, (ahead - behind) * inverse[:, None, None]
+
+
+@dataclass(frozen=True)
+class VertexSpace(ShapeSpace):
+    """The linear space of vertex positions S_v, for meshes without articulation: blends shrink rotating parts."""
+
+    vertex_count: int
+    scale: float  # unit of errors, see `reference_diagonal`, in the units of the sequence
+    name = "vertex"
+
+    @property
+    def dim(self) -> int:
+        """Length of a vector, 3 V."""
+        return 3 * self.vertex_count
+
+    @property
+    def weights(self) -> Float:
+        """Ones: coordinates are in diagonals."""
+        return np.ones(self.dim)
+
+    def encode_independently(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_independently`."""
+        return points.astype(np.float64).reshape(len(points), -1) / self.scale
+
+    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
+        """Implement `ShapeSpace.decode`."""
+        points = self.check_vectors(vectors).reshape(len(vectors), self.vertex_count, 3)
+        return np.asarray(points * self.scale)
+
+    def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
+        """Implement `ShapeSpace.shape_difference`."""
+        return np.asarray((after - before).reshape(-1) / self.scale)
+
+    def decode_with_velocities(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
+        """Implement `ShapeSpace.decode_with_velocities`."""
+        return self.decode(vectors), self.decode(rates)

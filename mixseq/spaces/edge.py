@@ -29,8 +29,8 @@ volume term.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import NamedTuple, Protocol, Self
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -47,14 +47,14 @@ from mixseq.mesh.measures import (
     triangle_areas,
     unwrap_angles,
 )
+from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.mesh.topology import Topology, connected_components
-from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
+from mixseq.runtime.progress import no_progress
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.face_frames import FrameGraph, bridging_mask, flat_triangles, rotate_sides, triangle_frames
-from mixseq.shells.fitting import Patch, ShellProblem, fit_shell, linear_initialisation
-from mixseq.shells.gauss_newton import ShellReport, ShellSettings
-from mixseq.shells.shell import ZERO_AREA_HEIGHT_RATIO, Relaxation, Relaxed, Shell
+from mixseq.shells.fitting import Patch, ShellProblem, ShellReport, ShellSettings, fit_shell, linear_initialisation
+from mixseq.shells.shell import ZERO_AREA_HEIGHT_RATIO, Relaxed, Shell
 from mixseq.spaces.base import ANGLE_WEIGHT
 from mixseq.spaces.pieces import Pieces, PosedSpace
 from mixseq.types import Float, FloatArray, Index, IntArray
@@ -68,19 +68,6 @@ class ShellTargets(NamedTuple):
     angles: Float  # (H,) dihedral angles in radians, modulo full turns
     volumes: Float  # (p,) volumes of the pieces; empty without volume terms
     volume_weights: Float  # (p,) volume weights, divided by typical volumes; 0 for sheets
-
-
-class EdgeProjection(Protocol):
-    """Projection of lengths and angles to the hinge-connected pieces of a mesh.
-
-    *Rows* are the vertices of all pieces, piece after piece, see `mixseq.spaces.pieces`.
-    """
-
-    def precompute(self) -> Self:
-        """Compute the values shared by all frames, as `PickledWithoutCaches.precompute` does."""
-
-    def fit(self, targets: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Fit rows ``(N, 3)`` of pieces in any pose; raise `ReconstructionError` for lengths or angles not finite."""
 
 
 MIN_VOLUME_RATIO = 1e-3
@@ -104,7 +91,7 @@ class ShellPiece(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DiscreteShell(PickledWithoutCaches):
-    """An `EdgeProjection` by Gauss-Newton over each piece of a mesh."""
+    """Projection of lengths and angles by Gauss-Newton over each piece of a mesh."""
 
     topology: Topology  # connectivity of the mesh
     pieces: Pieces  # its hinge-connected pieces
@@ -123,10 +110,6 @@ class DiscreteShell(PickledWithoutCaches):
             patch = Patch.from_joint(self.topology, joint, np.zeros(len(joint.vertices), dtype=bool))
             shells.append(ShellPiece(rows, patch, joint.edge_ids, joint.hinge_ids))
         return tuple(shells)
-
-    def cached_values(self) -> list[object]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return [piece.patch for piece in self.shell_pieces if piece is not None]
 
     def piece_volumes(self, x: FloatArray) -> Float:
         """Return the signed volumes ``(p,)`` of the pieces of a frame ``(V, 3)``, 0 for unused vertices."""
@@ -148,7 +131,10 @@ class DiscreteShell(PickledWithoutCaches):
         return [(x[ids], no_faces if piece is None else piece.patch.faces) for ids, piece in pairs]
 
     def fit(self, targets: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Implement `EdgeProjection.fit`."""
+        """Fit rows ``(N, 3)`` of pieces in any pose; raise `ReconstructionError` for lengths or angles not finite.
+
+        *Rows* are the vertices of all pieces, piece after piece, see `mixseq.spaces.pieces`.
+        """
         rows, reports = np.zeros_like(self.pieces.shapes), []
         for number, piece in enumerate(self.shell_pieces):
             if piece is None:
@@ -186,12 +172,11 @@ STEPS_PER_CYCLE = 20
 
 @dataclass(frozen=True, eq=False)
 class RelaxedShell(PickledWithoutCaches):
-    """An `EdgeProjection` by constant matrices."""
+    """Projection of lengths and angles to a mesh by constant matrices."""
 
     topology: Topology  # connectivity of the mesh
     pieces: Pieces  # its hinge-connected pieces, with shapes of typical lengths
     typical_lengths: Float  # (E,) typical lengths of all edges
-    bending: float  # weight of an angle in radians relative to a relative change of length
 
     @cached_property
     def _piece_mesh(self) -> tuple[Topology, Index, Index]:
@@ -210,7 +195,7 @@ class RelaxedShell(PickledWithoutCaches):
         position_weights = np.zeros(topology.vertex_count)
         position_weights[[rows.start for rows in self.pieces.row_slices]] = 1.0
         typical = self.typical_lengths[edge_ids]
-        return Shell(topology, self.pieces.shapes, typical, position_weights, self.bending)
+        return Shell(topology, self.pieces.shapes, typical, position_weights)
 
     @cached_property
     def _bridging_hinge_ids(self) -> Index:
@@ -231,12 +216,8 @@ class RelaxedShell(PickledWithoutCaches):
             known,
         )
 
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return self.frame_graph, self.shell
-
     def fit(self, targets: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Implement `EdgeProjection.fit`; only the tolerance of the settings is used."""
+        """Fit rows as `DiscreteShell.fit` does; only the tolerance of the settings is used."""
         topology, edge_ids, hinge_ids = self._piece_mesh
         lengths = clamp_lengths(targets.lengths, targets.length_weights)[edge_ids]
         angles = targets.angles[hinge_ids]
@@ -247,7 +228,7 @@ class RelaxedShell(PickledWithoutCaches):
         frames = self.frame_graph.average(frames, rotations, CHAIN_AVERAGING_ROUNDS)
         best, steps = Relaxed(self.pieces.shapes, np.inf), 0
         for _ in range(MAX_CYCLES):
-            start = self.shell.integrate(rotate_sides(frames, flat), best.points)
+            start = self.shell.integrate(rotate_sides(quat_to_matrix(frames), flat), best.points)
             points = self.shell.relax(start, lengths, angles, STEPS_PER_CYCLE).points
             steps += STEPS_PER_CYCLE
             energy = self.shell.energy(points, lengths, angles)
@@ -325,11 +306,11 @@ class EdgeSpace(PosedSpace):
         return self.settings.shell or ShellSettings()
 
     @cached_property
-    def projection(self) -> EdgeProjection:
+    def projection(self) -> DiscreteShell | RelaxedShell:
         """Projection of lengths and angles to a mesh."""
         if self.settings.projection == "dso":
             return self.discrete_shell
-        return RelaxedShell(self.topology, self.pieces, self.reference_lengths, Relaxation().bending)
+        return RelaxedShell(self.topology, self.pieces, self.reference_lengths)
 
     @cached_property
     def discrete_shell(self) -> DiscreteShell:
@@ -368,10 +349,6 @@ class EdgeSpace(PosedSpace):
         angles = ANGLE_WEIGHT * lengths[self.topology.hinge_edges]
         return np.concatenate([np.ones(len(lengths)), angles, volumes])
 
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return self.projection, self._volume_weights, self.pieces.radii
-
     def measure_shape(self, x: Float) -> Float:
         """Implement `PosedSpace.measure_shape`."""
         volumes = self.discrete_shell.piece_volumes(x) if len(self._volume_weights) else np.zeros(0)
@@ -402,7 +379,7 @@ class EdgeSpace(PosedSpace):
         return self.decode_with_reports(vectors, shell=self.shell.for_differences())[0]
 
     def decode_with_reports(
-        self, vectors: Float, progress: Progress = no_progress, shell: ShellSettings | None = None
+        self, vectors: Float, shell: ShellSettings | None = None
     ) -> tuple[Float, list[list[ShellReport]]]:
         """Decode vectors ``(T, D)`` to points ``(T, V, 3)``, and return the reports of the fits of every frame."""
         reports: list[list[ShellReport]] = []
@@ -412,4 +389,4 @@ class EdgeSpace(PosedSpace):
             reports.append(report)
             return rows
 
-        return self._decode_with(vectors, rebuild, progress), reports
+        return self._decode_with(vectors, rebuild, no_progress), reports

@@ -16,84 +16,29 @@ and ``n = e_1 x e_2``
 A vector is ``[rotation vectors (F, 3) | stretches (F, 6) | centres]``. The normal makes ``det J >= 0``: reflections
 are rotations of the surface. Affine maps of the reference are reproduced.
 
-*Vertices from sides* (`PoissonSystem`). From sides ``ij`` of a mesh, the vertices are
-
-.. math:: \min_x \sum_{ij} w_{ij} \, | x_j - x_i - s_{ij} |^2 ,
-
-which is ``L x = B^T W s`` with the incidence matrix B of the sides and the Laplacian ``L = B^T W B``. The first vertex
-of every connected component is the origin. If the weight of a triangle's side is half the cotangent of the opposite
-angle, this is the Poisson equation of P_f.
+*Vertices* follow from the sides of triangles (`mixseq.shells.solvers.PoissonSystem`), with half the cotangent of the
+opposite angle as the weight of a side.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 
-from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.errors import ReconstructionError
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix, unwrap_rotvec
-from mixseq.mesh.topology import Topology, connected_components
+from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import replace_degenerate, triangle_matrices
-from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.lazy import cached_property
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.shells.solvers import Factor, factorise
+from mixseq.shells.solvers import PoissonSystem
 from mixseq.spaces.base import ShapeSpace, flatten_blocks
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float, FloatArray, Index
-
-
-@dataclass(frozen=True, eq=False)
-class PoissonSystem(PickledWithoutCaches):
-    """The Poisson system of a graph with given sides."""
-
-    edges: Index  # (S, 2) vertices i, j of sides, which may be repeated or equal
-    weights: Float  # (S,) weights w, which may be negative (obtuse triangles) if L is positive semidefinite
-    vertex_count: int  # number n of vertices
-
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return (self.factor,) if self.unknown_ids.size else ()
-
-    @cached_property
-    def incidence(self) -> sparse.csr_array:
-        """Matrix B ``(S, n)``: -1 at the first vertex of a side, +1 at the second."""
-        count = len(self.edges)
-        values = np.tile([-1.0, 1.0], count)
-        places = (np.repeat(np.arange(count), 2), self.edges.reshape(-1))
-        return sparse.coo_array((values, places), shape=(count, self.vertex_count)).tocsr()
-
-    @cached_property
-    def weighted_incidence(self) -> sparse.csr_array:
-        """Matrix ``B^T W`` ``(n, S)``."""
-        return sparse.csr_array(self.incidence.T @ sparse.diags_array(self.weights))
-
-    @cached_property
-    def unknown_ids(self) -> Index:
-        """Unknown vertices: all except the first of every component."""
-        component = connected_components(self.vertex_count, self.edges)
-        return np.setdiff1d(np.arange(self.vertex_count), np.unique(component, return_index=True)[1])
-
-    @cached_property
-    def factor(self) -> Factor:
-        """Factor of the Laplacian of the unknown vertices."""
-        laplacian = sparse.csr_array(self.weighted_incidence @ self.incidence)
-        return factorise(laplacian[self.unknown_ids][:, self.unknown_ids])
-
-    def solve(self, sides: Float) -> Float:
-        """Solve for the vertices ``(n, 3)`` with differences ``x_j - x_i`` closest to sides ``(S, 3)``."""
-        if sides.shape != (len(self.edges), 3):
-            raise SettingsError(f"sides have shape {sides.shape}; ({len(self.edges)}, 3) is expected")
-        result = np.zeros((self.vertex_count, 3))
-        if self.unknown_ids.size:
-            result[self.unknown_ids] = self.factor.solve((self.weighted_incidence @ sides)[self.unknown_ids])
-        return result
-
 
 SYMMETRIC_ENTRIES = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 """Rows and columns of the six numbers of a symmetric matrix, with the diagonal first."""
@@ -159,11 +104,8 @@ class GradientSpace(ShapeSpace):
         cosines = -np.sum(following * preceding, axis=1)
         areas = np.linalg.norm(np.cross(self.reference_sides[:, :, 0], self.reference_sides[:, :, 1]), axis=1)
         cotangents = cosines / areas[:, None]
-        return PoissonSystem(self.side_rows, 0.5 * cotangents.reshape(-1), len(self.pieces.vertex_of_row))
-
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return (self.poisson_system,)
+        fixed_mask = np.zeros(len(self.pieces.vertex_of_row), dtype=bool)
+        return PoissonSystem(self.side_rows, 0.5 * cotangents.reshape(-1), fixed_mask)
 
     @property
     def vertex_count(self) -> int:  # type: ignore[override]

@@ -22,15 +22,12 @@ the pieces as in `PosedSpace`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.triangle_mesh import DEGENERATE_HEIGHT_RATIO, normalise, perpendicular, vertex_normals
-from mixseq.shells.gauss_newton import BlockPattern
-from mixseq.shells.solvers import index_of
-from mixseq.spaces.gradient import PoissonSystem
+from mixseq.runtime.lazy import cached_property
+from mixseq.shells.solvers import BlockPattern, PoissonSystem, index_of, solve_frames
 from mixseq.spaces.pieces import PosedSpace
 from mixseq.types import Float, Index
 
@@ -71,7 +68,8 @@ class LRISpace(PosedSpace):
     @cached_property
     def poisson_system(self) -> PoissonSystem:
         """Poisson system of the vertices."""
-        return PoissonSystem(self.edge_rows, np.ones(len(self.edge_rows)), len(self.pieces.vertex_of_row))
+        fixed_mask = np.zeros(len(self.pieces.vertex_of_row), dtype=bool)
+        return PoissonSystem(self.edge_rows, np.ones(len(self.edge_rows)), fixed_mask)
 
     @cached_property
     def unknown_index(self) -> Index:
@@ -83,10 +81,6 @@ class LRISpace(PosedSpace):
         """Block pattern of unknown frames, coupled by edges."""
         count = len(self.poisson_system.unknown_ids)
         return BlockPattern.from_pairs(count, self.unknown_index[self.edge_rows])
-
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return self.poisson_system, self.frame_pattern
 
     @property
     def shape_dim(self) -> int:
@@ -144,44 +138,12 @@ class LRISpace(PosedSpace):
         """Implement `PosedSpace.rebuild_rows`."""
         count = len(self.edge_rows)
         connections, ends = shape[: 9 * count].reshape(-1, 3, 3), shape[9 * count :].reshape(-1, 2, 3)
-        frames = self._solve_frames(connections)
+        known = np.tile(np.eye(3), (len(self.unknown_index), 1, 1))
+        frames = solve_frames(self.frame_pattern, self.unknown_index, self.edge_rows, connections, known)
         i, j = self.edge_rows.T
         forward, backward = (np.einsum("eab,eb->ea", frames[k], ends[:, n]) for n, k in enumerate((i, j)))
         # Both vectors constrain the same edge, so that the least-squares solution depends only on their mean.
         return self.poisson_system.solve((forward - backward) / 2)
-
-    def _solve_frames(self, connections: Float) -> Float:
-        """Solve for frames ``(N, 3, 3)`` with connections ``(E, 3, 3)`` in the least-squares sense."""
-        result = np.tile(np.eye(3), (len(self.unknown_index), 1, 1))
-        unknown_ids = self.poisson_system.unknown_ids
-        if not unknown_ids.size:
-            return result
-        # Rows of F (one per world coordinate) are independent: F_j - F_i M = 0 reads f_j - M^T f_i = 0.
-        i, j = self.unknown_index[self.edge_rows].T
-        forward = np.swapaxes(connections, 1, 2)
-        diagonal = np.tile(np.zeros((3, 3)), (len(unknown_ids), 1, 1))
-        right = np.zeros_like(diagonal)  # (frame, column of F, coordinate of the world)
-        for target, source, matrices in ((j, i, forward), (i, j, connections)):
-            is_free = target >= 0
-            blocks = np.eye(3) + matrices @ np.swapaxes(matrices, 1, 2)
-            # f_target - matrix f_source, and f_source - matrix^T f_target.
-            _add_blocks(diagonal, target[is_free], blocks[is_free])
-            is_border = is_free & (source < 0)
-            _add_blocks(right, target[is_border], 2.0 * matrices[is_border])
-
-        pattern = self.frame_pattern
-        values = np.zeros(len(pattern.rows))
-        for column in range(3):
-            for row in range(column, 3):
-                values[pattern.places[: len(unknown_ids), column] + row] = diagonal[:, row, column]
-        is_inner = (i >= 0) & (j >= 0)
-        places = pattern.places[pattern.find_blocks(i[is_inner], j[is_inner])]
-        for column in range(3):  # j > i, so that its rows are below the diagonal
-            for row in range(3):
-                values[places[:, column] + row] = -2.0 * forward[is_inner, row, column]
-        solution = pattern.analysis.factor(values).solve(right.reshape(-1, 3)).reshape(-1, 3, 3)
-        result[unknown_ids] = nearest_rotations(np.swapaxes(solution, 1, 2))
-        return result
 
     def _tangents(self, rows: Float, normals: Float) -> tuple[Index, Float, Float]:
         """Return start vertices, tangential lengths ``(2E,)`` and tangential directions of half-edges."""
@@ -202,11 +164,3 @@ class LRISpace(PosedSpace):
 def _to_frame_axes(frames: Float, vectors: Float) -> Float:
     """Return vectors ``(n, 3)`` in the axes of frames ``(n, 3, 3)``."""
     return np.asarray(np.einsum("nba,nb->na", frames, vectors))
-
-
-def _add_blocks(sums: Float, indices: Index, blocks: Float) -> None:
-    """Add blocks ``(m, 3, 3)`` to sums ``(n, 3, 3)`` at indices ``(m,)``."""
-    count = len(sums)
-    for row in range(3):
-        for column in range(3):
-            sums[:, row, column] += np.bincount(indices, blocks[:, row, column], minlength=count)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.choices import SPACES, PlacementName, ProjectionName, SpaceName
 from mixseq.errors import SettingsError
+from mixseq.mesh.measures import edge_lengths
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import Executor, serial_executor
 from mixseq.runtime.progress import Progress, StagedProgress, no_progress
@@ -24,14 +25,13 @@ from mixseq.segmentation.joints import (
 )
 from mixseq.segmentation.methods import Segmentation, resolve_segmentation, segment, segment_by_labels
 from mixseq.sequence.sequence import FrameStore, MeshSequence, iterate_blocks
-from mixseq.shells.gauss_newton import ShellSettings
-from mixseq.spaces.base import ShapeSpace, mean_edge_lengths
+from mixseq.shells.fitting import ShellSettings
+from mixseq.spaces.base import ShapeSpace, VertexSpace
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mixed.construction import Purpose, mixed_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace
-from mixseq.spaces.vertex import VertexSpace
 from mixseq.types import Index
 
 SPACE_STAGES = 3
@@ -74,7 +74,11 @@ def space_settings(name: SpaceName, **options: Any) -> SpaceSettings:
         owners = [other for other in SPACES if option in _default_options(other)]
         if not owners:
             names = sorted({option for space in SPACES for option in _default_options(space)})
-            raise SettingsError(f"there is no setting {option}; settings of spaces are {', '.join(names)}")
+            from difflib import get_close_matches
+
+            near = get_close_matches(option, [*names, "exact", "tolerance", "rank", "space"], n=1)
+            cure = f"did you mean {near[0]}?" if near else f"settings of spaces are {', '.join(names)}"
+            raise SettingsError(f"there is no setting {option}; {cure}")
         default = _default_options(owners[0])[option]
         is_changed = value is not default and not (np.ndim(value) == 0 and value == default)
         if is_changed and option not in defaults:
@@ -134,9 +138,14 @@ def make_space(
         raise SettingsError(
             f"projection {settings.projection!r} has no use for shell; leave it out, or choose projection='dso'"
         )
-    lengths = mean_edge_lengths(points, topology.edges, scale, workers, progress)
+    lengths, done = np.zeros(len(topology.edges)), 0
+    for block in iterate_blocks(points):
+        for frame in block:  # frame by frame, so that the sum does not depend on the blocks
+            lengths += edge_lengths(frame.astype(np.float64), topology.edges)
+        done += len(block)
+        progress(done, len(points), "measuring edges")
     settings = replace(settings, shell=settings.shell or ShellSettings())
-    return EdgeSpace(topology, scale, reference, lengths, settings)
+    return EdgeSpace(topology, scale, reference, lengths / (len(points) * scale), settings)
 
 
 def segment_faces(frames: FrameStore | MeshSequence, settings: MixedSettings, topology: Topology) -> Index:

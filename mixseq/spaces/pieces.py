@@ -10,7 +10,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from mixseq.mesh.rigid import aligning_rotations
 from mixseq.mesh.rotations import align_quat_signs, matrix_to_quat, quat_to_matrix
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.jit import compiled
+from mixseq.runtime.lazy import cached_property
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.spaces.base import ShapeSpace, flatten_blocks, radii_of_gyration

@@ -89,7 +89,6 @@ MODULES = (
     "player/field_textures.js",
     "player/glb.js",
     "player/remote.js",
-    "player/worker.js",
 )
 """Modules bundled into ``mixseq.js``."""
 

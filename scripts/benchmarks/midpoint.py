@@ -52,7 +52,6 @@ def rows(pair: str) -> Iterator[tuple[str, ...]]:
     yield row("vertices", ends.mean(axis=0), 0.0, "")
     for method, settings in METHODS.items():
         interpolator = PoseInterpolator.from_poses(sequence, pose_ids=ids, **settings)
-        interpolator.space.precompute()
         start = time.perf_counter()
         points, reports = interpolator.blend_with_reports([0.5, 0.5])
         seconds = time.perf_counter() - start

@@ -19,8 +19,7 @@ import sys
 import time
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from pkgutil import walk_packages
@@ -56,25 +55,21 @@ _ERROR = re.compile(r"^mixseq: error: \S", re.MULTILINE)
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a case: its class, the damage, and how the process ended."""
-
-    kind: Kind
-    damage: str
-    ended: Ended
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
-    options = _options(arguments)
+    parser = argparse.ArgumentParser(prog="scripts/fuzz", description="Damage files of every reader.")
+    parser.add_argument("--minutes", type=float, default=600, help="how long at most")
+    parser.add_argument("--cases", type=int, default=10**9, help="how many at most")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--reader", action="append", choices=READERS, help="only this one; may be given again")
+    parser.add_argument("--case", metavar="SEED:READER:INDEX", help="the case that is to be repeated")
+    options = parser.parse_args(arguments)
     _import_readers()
     gc.freeze()  # memory that nobody writes to is not copied
     if options.case:
-        _, reader, _ = options.case.split(":")
-        prepare(reader)
-        outcome = run(options.case)
-        print(f"{outcome.kind}: {outcome.damage}\n{outcome.ended}")
-        return int(outcome.kind not in GOOD)
+        prepare(options.case.split(":")[1])
+        kind, damage, ended = run(options.case)
+        print(f"{kind}: {damage}\n{ended}")
+        return int(kind not in GOOD)
     readers = options.reader or list(READERS)
     for reader in readers:
         prepare(reader)
@@ -85,23 +80,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             break
         reader = readers[number % len(readers)]
         name = f"{options.seed}:{reader}:{number // len(readers)}"
-        outcome = run(name)
-        counts[reader, outcome.kind] += 1
-        if outcome.kind not in GOOD:
-            last = ascii((outcome.ended.text.strip().splitlines() or [""])[-1][:200])
-            print(f"{outcome.kind}: scripts/fuzz --case {name}\n    {outcome.damage}\n    {last}", flush=True)
+        kind, damage, ended = run(name)
+        counts[reader, kind] += 1
+        if kind not in GOOD:
+            last = ascii((ended.text.strip().splitlines() or [""])[-1][:200])
+            print(f"{kind}: scripts/fuzz --case {name}\n    {damage}\n    {last}", flush=True)
     print(table(counts))
     return int(any(kind not in GOOD for _, kind in counts))
 
 
 def prepare(reader: str) -> None:
-    """Make the samples of a reader that are not there yet, and find what is in them, to compare with.
-
-    Raises
-    ------
-    RuntimeError
-        If one cannot be made or read.
-    """
+    """Make the samples of a reader that are not there yet, and find what is in them, to compare with."""
     for number, sample in enumerate(READERS[reader].samples):
         folder = FOLDER / "samples" / f"{reader}-{number}"
         if folder.with_suffix(".found").exists():
@@ -119,9 +108,9 @@ def prepare(reader: str) -> None:
             mixseq.load(folder / sample.argument).sample()
 
 
-def run(name: str) -> Outcome:
-    """Make a case, ``SEED:READER:INDEX``, and use it."""
-    _, reader_name, _ = name.split(":")
+def run(name: str) -> tuple[Kind, str, Ended]:
+    """Make a case, ``SEED:READER:INDEX``, and use it; return its class, the damage, and how the process ended."""
+    reader_name = name.split(":")[1]
     reader, rng = READERS[reader_name], random.Random(name)
     number = rng.randrange(len(reader.samples))
     folder = FOLDER / "samples" / f"{reader_name}-{number}"
@@ -130,7 +119,7 @@ def run(name: str) -> Outcome:
     damage = DAMAGE.read_text() if DAMAGE.exists() else ""
     found: Any = FOUND.read_text() if FOUND.exists() else "nothing"
     noticed = reader.has_checksums and f" {damage_bytes.__name__} " in damage
-    return Outcome(classify(ended, found, noticed), damage, ended)
+    return classify(ended, found, noticed), damage, ended
 
 
 def classify(ended: Ended, found: Found, noticed: bool) -> Kind:
@@ -225,24 +214,10 @@ def table(counts: Counter[tuple[str, Kind]]) -> str:
 
 def _import_readers() -> None:
     """Import what reads files, so that forked processes need not."""
-    packages: Iterable[tuple[Any, tuple[str, ...]]] = (
-        (mixseq_io, ()),
-        (mixseq, ("viewing", "plots", "scene", "blender.addon")),
-    )
-    for package, left_out in packages:
+    for package in (mixseq_io, mixseq):
         for module in walk_packages(package.__path__, f"{package.__name__}."):
-            if not any(name in module.name for name in left_out):
+            if not module.name.startswith(("mixseq.pictures", "mixseq.viewer", "mixseq.blender")):
                 import_module(module.name)
-
-
-def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="scripts/fuzz", description="Damage files of every reader.")
-    parser.add_argument("--minutes", type=float, default=600, help="how long at most")
-    parser.add_argument("--cases", type=int, default=10**9, help="how many at most")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--reader", action="append", choices=READERS, help="only this one; may be given again")
-    parser.add_argument("--case", metavar="SEED:READER:INDEX", help="the case that is to be repeated")
-    return parser.parse_args(arguments)
 
 
 if __name__ == "__main__":

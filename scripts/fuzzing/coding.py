@@ -18,31 +18,20 @@ from mixseq.compression.compressed_model import CompressedModel
 from mixseq.errors import MixseqError
 from mixseq_io.coded.streams import INDEX_HEAD, MAGIC, pack_leb128, unpack_leb128
 from scripts.benchmarks.common.node import node_executable
-from scripts.fuzzing.damage import JSON_VALUES
+from scripts.fuzzing.damage import JSON_VALUES, join_glb, split_glb
 
 VALUES: tuple[Any, ...] = (*JSON_VALUES, 3, 10**400, 1e-320, 1e-99, False, "1", "Z", "\ud800", [0.5] * 2, "__proto__")
 NAMES = (
-    "ranks",
-    "origin",
-    "uv_steps",
-    "between",
-    "order",
-    "source",
-    "label_count",
-    "inbetween_levels",
-    "__proto__",
-    "revision",
-)
+    "ranks", "origin", "uv_steps", "between", "order", "source", "label_count", "inbetween_levels", "inbetween_parts",
+    "__proto__", "revision",
+)  # fmt: skip
 """Keys that not all texts have."""
 
 SCRIPT = Path(__file__).with_suffix(".mjs")
 """Decodes a file in JavaScript."""
 
-FRAMES = 400
-"""Frames that are compared."""
-
-TOLERANCE = 1e-4
-"""Largest difference of a coordinate in JavaScript's single precision, in largest coordinates."""
+FRAMES, TOLERANCE = 400, 1e-4
+"""Frames that are compared; largest difference, of JavaScript's single precision, in largest coordinates."""
 
 PLAYER_ONLY = ("source:", "provenance", "memory", "GiB", "labels", "surface", "face", "order", "texture", "hard")
 """What only one of the decoders looks at, or what their limits of memory say."""
@@ -81,9 +70,8 @@ class Coding:
 
 def damage_coding(rng: Random, file: Path) -> str:
     """Change facts, streams, counts and lengths of a compressed model; all checksums are right afterwards."""
-    data = file.read_bytes()
-    size = int.from_bytes(data[12:16], "little")
-    document, buffer = json.loads(data[20 : 20 + size]), data[28 + size :]
+    text, binary = split_glb(file.read_bytes())
+    document, buffer = json.loads(text), binary[8:]
     views = document["bufferViews"]
     extension = next(each["extensions"]["MIXSEQ_mesh_sequence"] for each in document["meshes"])
     own = [views[extension[key]] for key in ("coding", "streams")]
@@ -93,10 +81,8 @@ def damage_coding(rng: Random, file: Path) -> str:
         view.update(byteOffset=len(buffer), byteLength=len(part))
         buffer += part + bytes(-len(part) % 4)
     document["buffers"][0]["byteLength"] = len(buffer)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = [len(text).to_bytes(4, "little"), b"JSON", text, len(buffer).to_bytes(4, "little"), b"BIN\0", buffer]
-    file.write_bytes(b"".join([b"glTF\2\0\0\0", (28 + len(text) + len(buffer)).to_bytes(4, "little"), *chunks]))
+    binary = len(buffer).to_bytes(4, "little") + b"BIN\0" + buffer
+    file.write_bytes(join_glb(json.dumps(document).encode(), binary))
     return label
 
 
@@ -110,9 +96,7 @@ def _mutate_fact(rng: Random, coding: Coding) -> str:
     key = rng.choice([*holder, *holder, *NAMES])
     value = holder.get(key)
     if type(value) in (int, float) and rng.random() < 0.5:
-        value = rng.choice(
-            [value + 1, value - 1, value * 2, value / 2, -value, value * 1000, value * 1e-9, value * 1e6]
-        )
+        value = rng.choice([value + 1, value - 1, -value, *(value * by for by in (2, 0.5, 1000, 1e-9, 1e6))])
     elif isinstance(value, list) and value and rng.random() < 0.5:
         value = [*value[:-1], rng.choice(VALUES)]
     else:

@@ -95,11 +95,9 @@ def damage_text(rng: Random, file: Path) -> str:
 
 def damage_json(rng: Random, file: Path) -> str:
     """Change a value of a JSON file, or of the JSON in a binary glTF file; it stays JSON."""
-    data = file.read_bytes()
-    rest = b""
+    data, binary = file.read_bytes(), b""
     if data[:4] == b"glTF":
-        size = int.from_bytes(data[12:16], "little")
-        data, rest = data[20 : 20 + size], data[20 + size :]
+        data, binary = split_glb(data)
     try:
         tree = json.loads(data)
     except ValueError:
@@ -116,12 +114,20 @@ def damage_json(rng: Random, file: Path) -> str:
     else:
         holder[key] = rng.choice(JSON_VALUES)
     text = json.dumps(tree).encode()
-    if rest:
-        text += b" " * (-len(text) % 4)
-        head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A)
-        text = head + text + rest
-    file.write_bytes(text)
+    file.write_bytes(join_glb(text, binary) if binary else text)
     return f"{where} {kind}"
+
+
+def split_glb(data: bytes) -> tuple[bytes, bytes]:
+    """Return the JSON of a binary glTF file, and the chunk of its buffer."""
+    end = 20 + int.from_bytes(data[12:16], "little")
+    return data[20:end], data[end:]
+
+
+def join_glb(text: bytes, binary: bytes) -> bytes:
+    """Return a binary glTF file of what `split_glb` returned."""
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(binary), len(text), 0x4E4F534A) + text + binary
 
 
 def _places(tree: Any, where: str) -> Iterator[tuple[Any, Any, str]]:

@@ -12,6 +12,7 @@ from typing import Any
 import click
 import numpy as np
 
+from mixseq.choices import SPACES
 from mixseq.cli import main
 from mixseq.cli.batch import read_report, rows
 from mixseq.cli.group import exit_code
@@ -94,103 +95,81 @@ def report_rows(file: Path) -> Any:
     return list(rows(read_report(file.parent).without_lost().entries.values()))
 
 
+def _reader(use: Use, damages: tuple[Damage, ...], *made: Sample, has_checksums: bool = False) -> Reader:
+    return Reader(use, made, damages, has_checksums)
+
+
+_BYTES = (damage_bytes,)
 _H5 = (damage_bytes, damage_h5)
 _ARCHIVE = (damage_bytes, damage_archive, damage_archive)
 _TEXT = (damage_text, damage_text, damage_bytes)
 _JSON = (*_TEXT, damage_json, damage_json)
 _MESH, _ARM = written("mesh.npz"), samples.model()
+_SPACES = [samples.model(space=each) for each in SPACES if each != "mixed"]
+_NAMED = samples.array("parts.npz", labels=np.arange(28) // 9, names=np.array(["arm", "bow", "hat", "cap"]))
 _ROWS = [[number, number] for number in range(32)]
+_EDITED = samples.beside(samples.EDITS, samples.KEYS, _ARM)
 
 READERS: Mapping[str, Reader] = {
-    "h5": Reader(convert, (written("walk.h5", velocities=True),), _H5, has_checksums=True),
-    "model": Reader(
-        decode,
-        (_ARM, *(samples.model(space=each) for each in ("vertex", "gradient", "lri", "edge"))),
-        _H5,
-        has_checksums=True,
-    ),
-    "compressed": Reader(decode_compressed, (samples.compressed("model.h5"),), _H5, has_checksums=True),
-    "compressed-glb": Reader(
+    "h5": _reader(convert, _H5, written("walk.h5", velocities=True), has_checksums=True),
+    "model": _reader(decode, _H5, _ARM, *_SPACES, has_checksums=True),
+    "compressed": _reader(decode_compressed, _H5, samples.compressed("model.h5"), has_checksums=True),
+    "compressed-glb": _reader(
         decode_compressed,
-        (samples.compressed("model.glb", still="plain"),),
         (damage_bytes, damage_json),
+        samples.compressed("model.glb", still="plain"),
         has_checksums=True,
     ),
-    "coding": Reader(
-        calling(decode_twice),
-        tuple(map(samples.golden, ("", "-between", "-inbetweens", "-uvs"))),
-        (damage_coding,),
+    "coding": _reader(
+        calling(decode_twice), (damage_coding,), *map(samples.golden, ("", "-between", "-inbetweens", "-parts", "-uvs"))
     ),
-    "usd": Reader(
+    "usd": _reader(
         convert,
-        (
-            written("walk.usda", velocities=True, flatten=True),
-            written("walk.usd", flatten=True, clips=2),
-            samples.rig("rig.usda", "skin"),
-        ),
         _TEXT,
+        written("walk.usda", velocities=True, flatten=True),
+        written("walk.usd", flatten=True, clips=2),
+        samples.rig("rig.usda", "skin"),
     ),
-    "usdc": Reader(convert, (written("walk.usdc", flatten=True),), (damage_bytes,)),
-    "usdz": Reader(convert, (written("walk.usdz", flatten=True),), _ARCHIVE),
-    "abc": Reader(convert, (written("walk.abc", velocities=True),), (damage_bytes,)),
-    "gltf": Reader(
+    "usdc": _reader(convert, _BYTES, written("walk.usdc", flatten=True)),
+    "usdz": _reader(convert, _ARCHIVE, written("walk.usdz", flatten=True)),
+    "abc": _reader(convert, _BYTES, written("walk.abc", velocities=True)),
+    "gltf": _reader(
         convert,
-        (
-            written("walk.gltf", flatten=True),
-            written("walk.glb", flatten=True),
-            samples.packed("gltfpack-ext"),
-            samples.packed("draco"),
-            samples.rig("rig.glb", "skin"),
-            samples.rig("rig.glb", "morph"),
-        ),
         (damage_bytes, damage_json, damage_json),
+        written("walk.gltf", flatten=True),
+        written("walk.glb", flatten=True),
+        samples.packed("gltfpack-ext"),
+        samples.packed("draco"),
+        samples.rig("rig.glb", "skin"),
+        samples.rig("rig.glb", "morph"),
     ),
-    "npz": Reader(convert, (written("walk.npz", velocities=True), written("walk.npz", compress=True)), _ARCHIVE),
-    "pc2": Reader(convert, (written("walk.pc2", "*.pc2"), written("walk.pc2")), (damage_bytes,)),
-    "mdd": Reader(convert, (written("walk.mdd", "*.mdd"), written("walk.mdd")), (damage_bytes,)),
-    "obj": Reader(convert, (written("walk_####.obj", "*1.obj"), written("walk_####.obj")), _TEXT),
-    "ply": Reader(convert, (written("walk_####.ply"),), (damage_bytes, damage_text)),
-    "stl": Reader(convert, (written("walk_####.stl"), samples.text("walk.stl", samples.stl_text())), _TEXT),
-    "off": Reader(convert, (written("walk_####.off"),), _TEXT),
-    "labels": Reader(
+    "npz": _reader(convert, _ARCHIVE, written("walk.npz", velocities=True), written("walk.npz", compress=True)),
+    "pc2": _reader(convert, _BYTES, written("walk.pc2", "*.pc2"), written("walk.pc2")),
+    "mdd": _reader(convert, _BYTES, written("walk.mdd", "*.mdd"), written("walk.mdd")),
+    "obj": _reader(convert, _TEXT, written("walk_####.obj", "*1.obj"), written("walk_####.obj")),
+    "ply": _reader(convert, (damage_bytes, damage_text), written("walk_####.ply")),
+    "stl": _reader(convert, _TEXT, written("walk_####.stl"), samples.text("walk.stl", samples.stl_text())),
+    "off": _reader(convert, _TEXT, written("walk_####.off")),
+    "labels": _reader(
         segment,
-        tuple(
-            samples.beside(each, _MESH)
-            for each in (
-                samples.array("parts.npz", labels=np.arange(28) // 9, names=np.array(["arm", "bow", "hat", "cap"])),
-                written("parts.usda", flatten=True),
-            )
-        ),
         (*_ARCHIVE, damage_text),
+        *(samples.beside(each, _MESH) for each in (_NAMED, written("parts.usda", flatten=True))),
     ),
-    "markers": Reader(calling(read_markers), samples.MARKERS, _JSON),
-    "maps": Reader(
+    "markers": _reader(calling(read_markers), _JSON, *samples.MARKERS),
+    "maps": _reader(
         calling(map_of_arms),
-        (
-            samples.text("map.txt", "vertices\n" + "".join(f"{a} {b}\n" for a, b in _ROWS)),
-            samples.text("map.json", json.dumps({"vertices": _ROWS})),
-            samples.array("map.npz", vertices=np.arange(32)),
-        ),
         (*_JSON, damage_archive),
+        samples.text("map.txt", "vertices\n" + "".join(f"{a} {b}\n" for a, b in _ROWS)),
+        samples.text("map.json", json.dumps({"vertices": _ROWS})),
+        samples.array("map.npz", vertices=np.arange(32)),
     ),
-    "contacts": Reader(
-        calling(read_contacts),
-        (samples.text("contacts.json", json.dumps({"left foot": [1, 2, 3], "right foot": [5, 6]})),),
-        _JSON,
-    ),
-    "edits": Reader(
-        edit,
-        tuple(
-            replace(samples.beside(samples.EDITS, samples.KEYS, _ARM), damaged=each)
-            for each in ("edits.toml", "keys.csv")
-        ),
-        _TEXT,
-    ),
-    "retiming": Reader(calling(read_retiming), (samples.KEYS, samples.KEYS_TOML), _TEXT),
-    "report": Reader(
+    "contacts": _reader(calling(read_contacts), _JSON, samples.CONTACTS),
+    "edits": _reader(edit, _TEXT, *(replace(_EDITED, damaged=each) for each in ("edits.toml", "keys.csv"))),
+    "retiming": _reader(calling(read_retiming), _TEXT, samples.KEYS, samples.KEYS_TOML),
+    "report": _reader(
         calling(report_rows),
-        (Sample("models/report.json", samples.report, "models/report.json"),),
         (damage_json, damage_text),
+        Sample("models/report.json", samples.report, "models/report.json"),
     ),
 }
 """Readers by their names."""

@@ -146,6 +146,7 @@ MARKERS = (
     text("markers.json", json.dumps({"markers": [{"source": a, "target": b, "name": "n"} for a, b in PAIRS]})),
     text("markers.yaml", "markers:\n" + "".join(f"- source: {a}\n  target: {b}\n  name: n{a}\n" for a, b in PAIRS)),
 )
+CONTACTS = text("contacts.json", json.dumps({"left foot": [1, 2, 3], "right foot": [5, 6]}))
 KEYS = text("keys.csv", "output,source\n0,0\n0.05,0.1\n0.2,0.15\n")
 KEYS_TOML = text("keys.toml", "output = [0.0, 0.1, 0.2]\nsource = [0.0, 0.05, 0.2]\n")
 EDITS = text(

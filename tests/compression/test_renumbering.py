@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.compression import numbering
@@ -106,6 +106,7 @@ def test_a_scrambled_grid_is_the_same_mesh(vertices: bool) -> None:
 
 
 @pytest.mark.parametrize("name", MESHES)
+@settings(max_examples=10)
 @given(st.integers(0, 2**32), st.booleans())
 def test_renumberings_are_permutations_that_their_inverses_undo(name: str, seed: int, vertices: bool) -> None:
     polygons = MESHES[name]
@@ -121,6 +122,7 @@ def test_renumberings_are_permutations_that_their_inverses_undo(name: str, seed:
     assert partition(again) == partition(mesh)
 
 
+@settings(max_examples=10)
 @given(st.integers(0, 2**32))
 def test_vertices_have_the_same_numbers_however_polygons_are_listed(seed: int) -> None:
     grid = scrambled()

@@ -19,7 +19,7 @@ from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
 from mixseq_io import FORMATS, write
-from mixseq_io.format import Format
+from mixseq_io.registry import Format
 from tests.formats.gltf_maker import load
 
 PENTAGON_QUAD_TRIANGLE = Polygons(np.array([5, 4, 3]), np.array([0, 1, 2, 3, 4, 0, 5, 6, 1, 6, 7, 2]))
@@ -144,12 +144,6 @@ TARGETS = (
     Target("walk_####.stl", keeps_rate=False, keeps_name=False, keeps_unused=False),
     Target("walk_####.off", keeps_rate=False, keeps_name=False),
 )
-
-
-@pytest.fixture(params=list(CASES))
-def sequence(request: pytest.FixtureRequest) -> MeshSequence:
-    """Every case in turn."""
-    return CASES[request.param]()
 
 
 @pytest.fixture(params=TARGETS, ids=lambda target: target.file_name + "+".join(target.options))

@@ -13,7 +13,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import IntArray
-from mixseq_io.format import OPAQUE_PER_VERTEX
+from mixseq_io.registry import OPAQUE_PER_VERTEX
 
 
 def assert_kept(target: Any, written: MeshSequence, got: MeshSequence) -> None:

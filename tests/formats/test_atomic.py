@@ -25,7 +25,7 @@ from mixseq_io.files import (
     max_memory,
     memory_limit,
 )
-from tests.formats.conftest import Target
+from tests.formats.conftest import TARGETS, Target
 
 
 def test_the_file_appears_at_the_end(tmp_path: Path) -> None:
@@ -286,6 +286,9 @@ def new_workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("new_workers")
+@pytest.mark.parametrize(
+    "target", {target.format.reader: target for target in TARGETS}.values(), ids=lambda target: target.file_name
+)
 def test_every_reader_keeps_it(
     target: Target, store: Callable[[Target, MeshSequence], Path], plain: MeshSequence
 ) -> None:

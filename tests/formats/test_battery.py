@@ -31,7 +31,19 @@ Store = Callable[[Any, MeshSequence], Path]
 Files = Callable[[], dict[str, bytes]]
 
 
-def test_what_is_written_is_read(target: Any, sequence: MeshSequence, store: Store) -> None:
+MAIN_TARGETS = list({target.format.name: target for target in reversed(TARGETS)}.values())
+"""One target of each format; the others contain the same in text, in a package, in clips, or compressed."""
+
+VARIANT_CASES = ("dressed", "float64", "hundred frames", "unicode name")
+
+
+@pytest.mark.parametrize(
+    ("target", "case"),
+    [(each, case) for each in TARGETS for case in (CASES if each in MAIN_TARGETS else VARIANT_CASES)],
+    ids=lambda each: each if isinstance(each, str) else each.file_name + "+".join(each.options),
+)
+def test_what_is_written_is_read(target: Any, case: str, store: Store) -> None:
+    sequence = CASES[case]()
     assert_kept(target, sequence, read(store(target, sequence)))
 
 
@@ -48,8 +60,8 @@ def random_sequence(seed: int) -> MeshSequence:
     return MeshSequence.from_arrays(points, Polygons(counts, corners), times=times)
 
 
-@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.file_name + "+".join(target.options))
-@settings(max_examples=12, deadline=None)
+@pytest.mark.parametrize("target", MAIN_TARGETS, ids=lambda target: target.file_name)
+@settings(max_examples=6, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_random_meshes(target: Any, seed: int) -> None:
     sequence = random_sequence(seed)
@@ -79,7 +91,7 @@ def test_objects_that_stand_still_stay(target: Any, store: Store) -> None:
     assert_kept(target, dressed.with_points(points), read(store(target, dressed.with_points(points))))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_objects_of_any_tree_keep_their_order(target: Any, store: Store, seed: int) -> None:
     """Squares anywhere in a random tree of groups, in the order of the tree or any other, are read in their order."""
     rng = np.random.default_rng(seed)
@@ -299,7 +311,7 @@ def test_flipped_bits_give_an_error_or_a_sound_sequence(
     content = file.read_bytes()
     rng = np.random.default_rng(7)
     checksummed = target.file_name.endswith((".npz", ".h5", ".hdf5"))
-    places = rng.integers(0, len(content), 60)
+    places = rng.integers(0, len(content), 24)
     for place in places:
         damaged = bytearray(content)
         damaged[place] ^= 1 << int(rng.integers(8))
@@ -314,11 +326,10 @@ def test_flipped_bits_give_an_error_or_a_sound_sequence(
             assert got.polygons.same_as(plain.polygons)
 
 
-@pytest.mark.parametrize("extension", ["usd", "usda", "usdc", "usdz", "npz", "h5", "hdf5", "obj"])
-@pytest.mark.parametrize("seed", range(3))
-def test_garbage(tmp_path: Path, extension: str, seed: int, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("extension", ["usd", "usda", "usdc", "usdz", "npz", "h5", "obj"])
+def test_garbage(tmp_path: Path, extension: str, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / f"noise.{extension}"
-    path.write_bytes(np.random.default_rng(seed).bytes(3000))
+    path.write_bytes(np.random.default_rng(0).bytes(3000))
     with pytest.raises(FormatError, match="noise"):
         read(path)
     assert capfd.readouterr() == ("", "")  # nothing of the libraries' own reports
@@ -326,7 +337,7 @@ def test_garbage(tmp_path: Path, extension: str, seed: int, capfd: pytest.Captur
 
 @pytest.mark.parametrize("extension", ["usd", "usda", "usdc", "usdz", "npz", "h5", "obj"])
 def test_empty_and_missing_files(tmp_path: Path, extension: str) -> None:
-    with pytest.raises(FormatError, match="does not exist"):
+    with pytest.raises(FileNotFoundError, match="does not exist"):
         read(tmp_path / f"missing.{extension}")
     (tmp_path / f"empty.{extension}").touch()
     with pytest.raises(FormatError, match="empty"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -161,9 +162,8 @@ def test_truncated_files_are_refused(path: Path) -> None:
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize("name", ["fox_run", "q_wolf_gallop"])
-def test_bounds_of_real_animations_hold(name: str, data: Path, tmp_path: Path) -> None:
-    original = mixseq.read(data / "npz" / f"{name}.npz")
+def test_the_bound_of_a_real_animation_holds(data: Path, tmp_path: Path) -> None:
+    original = mixseq.read(data / "npz" / "fox_run.npz")
     file = tmp_path / "small.h5"
     mixseq.save(file, mixseq.compress(original, max_error=BOUND))
     assert mixseq.verify(file, original).holds
@@ -173,23 +173,24 @@ def test_bounds_of_real_animations_hold(name: str, data: Path, tmp_path: Path) -
 # Models of models ------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def chain(bent_bar: MeshSequence, tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def chain(bent_bar: MeshSequence, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Files of a sequence, of its model with one mode, of that compressed twice, and of an edit."""
-    mixseq.write(tmp_path / "bar.npz", bent_bar)
-    with mixseq.open_sequence(tmp_path / "bar.npz") as reader:
-        mixseq.save(tmp_path / "rank.h5", mixseq.fit(reader, space="vertex", rank=1))
+    folder = tmp_path_factory.mktemp("chain")
+    mixseq.write(folder / "bar.npz", bent_bar)
+    with mixseq.open_sequence(folder / "bar.npz") as reader:
+        mixseq.save(folder / "rank.h5", mixseq.fit(reader, space="vertex", rank=1))
     for source, target in (("rank.h5", "small.h5"), ("small.h5", "twice.glb")):
-        with mixseq.open_sequence(tmp_path / source) as reader:
-            mixseq.save(tmp_path / target, mixseq.compress(reader, max_error=BOUND, order="free"), still="plain")
-    mixseq.save(tmp_path / "edit.h5", mixseq.operations.cut(mixseq.load(tmp_path / "small.h5"), 0.1, 0.3))
-    (tmp_path / "cut.toml").write_text('[[edit]]\noperation = "cut"\nstart = 0.1\nend = 0.3\n')
-    return tmp_path
+        with mixseq.open_sequence(folder / source) as reader:
+            mixseq.save(folder / target, mixseq.compress(reader, max_error=BOUND, order="free"), still="plain")
+    mixseq.save(folder / "edit.h5", mixseq.operations.cut(mixseq.load(folder / "small.h5"), 0.1, 0.3))
+    (folder / "cut.toml").write_text('[[edit]]\noperation = "cut"\nstart = 0.1\nend = 0.3\n')
+    return folder
 
 
 def test_bounds_are_of_the_file_that_is_given(chain: Path) -> None:
     """Also if it has another name."""
-    (chain / "rank.h5").rename(chain / "other.h5")
+    shutil.copy(chain / "rank.h5", chain / "other.h5")
     names = {"small.h5": ("small.h5", BOUND), "other.h5": ("rank.h5", 2 * BOUND)}
     for file, (name, bound) in names.items():
         with mixseq.open_sequence(chain / file) as reader:

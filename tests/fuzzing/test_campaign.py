@@ -23,35 +23,43 @@ ROOT = Path(__file__).parents[2]
 LIMITS = {"MIXSEQ_READER_MEMORY": "1", "MIXSEQ_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
-def run_code(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    path = os.pathsep.join([str(ROOT), str(ROOT / "io")])
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env=os.environ | LIMITS | {"PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-    )
-
-
 READERS = ("h5", "usdc", "abc", "npz", "pc2", "obj", "stl", "markers", "retiming")
 """One of a kind, whose samples are made quickly."""
 
+SCRIPT = f"""
+from scripts.fuzzing.campaign import main
 
-def test_damaged_files_are_refused_or_sound(tmp_path: Path) -> None:
-    chosen = [word for reader in READERS for word in ("--reader", reader)]
-    done = run_code(tmp_path, "-m", "scripts.fuzzing.campaign", "--seed", "7", "--cases", "9", *chosen)
+readers = [word for reader in {READERS} for word in ("--reader", reader)]
+assert main(["--seed", "7", "--cases", "9", *readers]) == 0
+for _ in range(2):
+    main(["--case", "7:contacts:3"])
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("campaign")
+
+
+@pytest.fixture(scope="module")
+def told(folder: Path) -> str:
+    """What a campaign, and a case that is repeated, print."""
+    path = os.pathsep.join([str(ROOT), str(ROOT / "io")])
+    environment = os.environ | LIMITS | {"PYTHONPATH": path}
+    done = subprocess.run([sys.executable, "-c", SCRIPT], cwd=folder, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "| all | 9 |" in done.stdout
+    return done.stdout
 
 
-def test_a_case_can_be_repeated(tmp_path: Path) -> None:
-    twice = "from scripts.fuzzing.campaign import main\nfor _ in range(2): main(['--case', '7:contacts:3'])"
-    told = run_code(tmp_path, "-c", twice).stdout.splitlines()
-    once, again = (line for line in told if "contacts.json" in line)
+def test_damaged_files_are_refused_or_sound(told: str) -> None:
+    assert "| all | 9 |" in told
+
+
+def test_a_case_can_be_repeated(told: str, folder: Path) -> None:
+    once, again = (line for line in told.splitlines() if "contacts.json" in line)
     assert ": contacts.json damage_" in once
     assert once == again
-    assert (tmp_path / "out/fuzz/work/contacts.json").exists()
+    assert (folder / "out/fuzz/work/contacts.json").exists()
 
 
 WELL = Ended(0, False, "wrote out.npz\n", 10)

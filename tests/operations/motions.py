@@ -88,3 +88,8 @@ def jumps(curve: Curve) -> Float:
     ends = np.stack([value, slope, starts[2] + step * starts[3]])
     sizes = np.abs(starts[:3]).max(axis=(1, 2))
     return np.asarray(np.abs(ends[:, :-1] - starts[:3, 1:]).max(axis=(1, 2), initial=0.0) / sizes)
+
+
+def first_frames(sequence: MeshSequence, count: int) -> MeshSequence:
+    """The beginning of a sequence."""
+    return MeshSequence.from_header(sequence.header.with_times(sequence.times[:count]), sequence.points[:count])

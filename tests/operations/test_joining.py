@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.choices import SpaceName
-from mixseq.creature import walk_cycle
 from mixseq.mesh.rotations import matrix_to_rotvec, quat_to_matrix, rotvec_to_matrix
 from mixseq.operations.sections import (
     MAX_BISECTIONS,
@@ -33,7 +32,7 @@ from mixseq.signals.curve import Curve
 from mixseq.signals.detail import VISUALLY_LOSSLESS_TOLERANCE
 from mixseq.signals.fitting import fit
 from mixseq.types import Float
-from tests.meshes import bar, seeds
+from tests.meshes import bar, coarse_walk, seeds
 from tests.operations.chains import TIMES, chain
 from tests.operations.motions import bar_motion, jets, jumps, spin
 
@@ -252,7 +251,7 @@ def test_slopes_and_curvatures_may_have_windows_of_their_own() -> None:
 @pytest.mark.parametrize("exact", [True, False])
 def test_halves_of_a_motion_make_the_motion(exact: bool) -> None:
     """Frames of halves that are fitted separately stay within the tolerance when they are joined."""
-    sequence = walk_cycle(frames=13)
+    sequence = coarse_walk(frames=13)
     first, second = (
         MeshSequence.from_header(sequence.header.with_times(sequence.times[ids]), sequence.points[ids])
         for ids in (slice(0, 7), slice(6, 13))

@@ -18,7 +18,7 @@ from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 from mixseq.types import Float, FloatArray, Index
 from tests.meshes import coarse_walk
-from tests.operations.motions import fox
+from tests.operations.motions import first_frames, fox
 
 Made = tuple[Model, int | None]
 """A model, and how many modes it has, if not all."""
@@ -31,7 +31,7 @@ Made = tuple[Model, int | None]
         ("fox", 20),
         *(
             pytest.param((name, rank), marks=pytest.mark.realdata)
-            for name, rank in (("q_man_run", None), ("robotexpressive_dance", 20))
+            for name, rank in (("q_man_run", None), ("robotexpressive_dance", 12))
         ),
     ],
     ids=lambda param: f"{param[0]}-{param[1]}",
@@ -41,7 +41,7 @@ def made(request: pytest.FixtureRequest) -> Made:
     if name == "fox":
         return fox(rank), rank
     folder: Path = request.getfixturevalue("data")
-    sequence = mixseq.read(folder / "npz" / f"{name}.npz")
+    sequence = first_frames(mixseq.read(folder / "npz" / f"{name}.npz"), 24)
     return fit(sequence, exact=rank is None, rank=rank), rank
 
 

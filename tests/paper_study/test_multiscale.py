@@ -14,8 +14,8 @@ from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, unwrap_angles, wrap_angles
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
-from mixseq.shells.gauss_newton import ShellReport, ShellSettings
-from mixseq.spaces.edge import EdgeProjection, ShellTargets
+from mixseq.shells.fitting import ShellReport, ShellSettings
+from mixseq.spaces.edge import ShellTargets
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float
 from scripts.paper_study.msgi.multiscale import MultiScale
@@ -38,9 +38,8 @@ class Rebuilder:
         self.topology = Topology(faces, len(points))
         self.pieces = Pieces.from_mesh(self.topology, points)
         projection = MultiScale(self.topology, self.pieces, **numbers)
-        self.projection: EdgeProjection = projection
+        self.projection = projection
         self.multiscale = projection
-        projection.precompute()
 
     def measure(self, points: Float) -> tuple[Float, Float]:
         return edge_lengths(points, self.topology.edges), dihedral_angles(points, self.topology.hinges)
@@ -91,7 +90,13 @@ def test_meshes_come_back(name: str, numbers: dict[str, int]) -> None:
     assert all(report.converged for report in reports)
 
 
-@pytest.mark.parametrize("name", meshes.SEQUENCES)
+ODD = (
+    "folding sheet", "several components", "three pages", "inconsistent", "unused vertices", "zero area",
+    "repeated corners", "bowtie",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ODD)
 def test_odd_topologies(name: str) -> None:
     sequence = meshes.SEQUENCES[name]()
     points = sequence.points.astype(np.float64) / sequence.diagonal
@@ -110,8 +115,9 @@ def test_odd_topologies(name: str) -> None:
 def test_leaves_of_one_face() -> None:
     points, faces = meshes.tube(6, 5)
     this = Rebuilder(points, faces, leaf=1, group=2, strips=1)
-    assert len(this.rebuild(*this.measure(points))[1]) == len(faces)
-    assert this.distance(this.rebuild(*this.measure(points))[0], points) < 1e-9
+    rows, reports = this.rebuild(*this.measure(points))
+    assert len(reports) == len(faces)
+    assert this.distance(rows, points) < 1e-9
 
 
 def test_twice_as_large() -> None:
@@ -150,10 +156,16 @@ def half_bent(**numbers: int) -> tuple[Rebuilder, Float, Float]:
     return this, *this.half_way(points, meshes.bent(points, BEND))
 
 
+@cache
+def rebuilt_half_bent() -> tuple[Float, list[ShellReport]]:
+    this, lengths, angles = half_bent(**SMALL)
+    return this.rebuild(lengths, angles)
+
+
 def test_half_way_to_a_bent_bar() -> None:
     """No mesh has the lengths and angles half-way; what is found is nearly what Gauss-Newton on all of it finds."""
     this, lengths, angles = half_bent(**SMALL)
-    rows, reports = this.rebuild(lengths, angles)
+    rows, reports = rebuilt_half_bent()
     assert len(reports) > 10
     stretch, turn = this.errors(rows, lengths, angles)
     assert stretch.max() < 0.05
@@ -172,8 +184,7 @@ def bend(bar: Float) -> float:
 
 
 def test_rigid_motions_do_not_matter() -> None:
-    this, lengths, angles = half_bent(**SMALL)
-    rows, _ = this.rebuild(lengths, angles)
+    this, rows = half_bent(**SMALL)[0], rebuilt_half_bent()[0]
     points = meshes.tube(12, 40)[0]
     moved = [frame @ meshes.rotation((0.3, -1.0, 0.7)).T + 5.0 for frame in (points, meshes.bent(points, BEND))]
     again, _ = this.rebuild(*this.half_way(*moved))
@@ -181,8 +192,8 @@ def test_rigid_motions_do_not_matter() -> None:
 
 
 def test_same_again() -> None:
-    (one, *targets), (two, *_) = half_bent(**SMALL), half_bent.__wrapped__(**SMALL)
-    assert np.array_equal(one.rebuild(*targets)[0], two.rebuild(*targets)[0])
+    another, *targets = half_bent.__wrapped__(**SMALL)
+    assert np.array_equal(another.rebuild(*targets)[0], rebuilt_half_bent()[0])
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -210,7 +221,7 @@ def test_seams_do_not_turn_edges_round() -> None:
 
 def test_wrong_numbers_are_refused() -> None:
     with pytest.raises(SettingsError, match="group is 1; at least 2"):
-        Rebuilder(*meshes.tetrahedron(), group=1)
+        _ = Rebuilder(*meshes.tetrahedron(), group=1).multiscale.steps
 
 
 @pytest.mark.realdata

@@ -13,8 +13,7 @@ from mixseq.retargeting.joints import EdgewiseMetrics, GradientMetrics, Harmonic
 from mixseq.retargeting.markers import Correspondence
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.segmentation.joints import make_joint
-from mixseq.shells.fitting import Patch, rebuild_patch
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import Patch, ShellSettings
 from mixseq.types import Float
 from tests.meshes import Mesh, bent, grid, rotation, topology_of, tube
 from tests.retargeting.pairs import furthest, gradients, same
@@ -306,22 +305,3 @@ def test_vertices_follow_in_proportion(patch: Patch) -> None:
     skin = HarmonicSkin.from_patch(patch, OWNER, BAR)
     placed = skin.deform(*motions(np.zeros(3), np.zeros(3), shift))
     np.testing.assert_allclose(placed - skin.rest, skin.weights[:, 1:] * shift, atol=1e-12)
-
-
-def test_the_start_of_lower_energy_is_taken(patch: Patch) -> None:
-    """With a bar that is too short for its lengths, a good guess is kept and a bad one is not."""
-    lengths = edge_lengths(BAR, patch.edges)[patch.free_edge_mask]
-    angles = dihedral_angles(BAR, patch.hinges)[patch.free_hinge_mask]
-    squeezed = BAR.copy()
-    squeezed[RING >= RINGS - 2, 2] -= 1.0
-    no_steps = ShellSettings(iterations=0)
-    unguided, report = rebuild_patch(patch, lengths, angles, 1 / lengths, squeezed, no_steps)
-    bad = unguided[patch.free_ids] + np.linspace(0.0, 1.0, len(patch.free_ids))[:, None]
-    kept, same = rebuild_patch(patch, lengths, angles, 1 / lengths, squeezed, no_steps, guess=bad)
-    np.testing.assert_array_equal(kept, unguided)
-    assert same.energy == report.energy
-    best, settled = rebuild_patch(patch, lengths, angles, 1 / lengths, squeezed, ShellSettings())
-    assert settled.converged
-    assert settled.energy < report.energy
-    taken, _ = rebuild_patch(patch, lengths, angles, 1 / lengths, squeezed, no_steps, guess=best[patch.free_ids])
-    np.testing.assert_array_equal(taken, best)

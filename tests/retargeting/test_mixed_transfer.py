@@ -13,7 +13,7 @@ from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.retargeting.parts import PartPoses, RestShapes
 from mixseq.segmentation.joints import decompose
 from mixseq.segmentation.methods import segment_by_labels
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.types import Float
 from tests.meshes import Mesh, bent, joined, rotation, tetrahedron, topology_of, tube
 from tests.retargeting.pairs import furthest, gradients, same, subdivided, to_subdivided

@@ -16,7 +16,7 @@ from mixseq.retargeting.sources import prepare_source
 from mixseq.retargeting.transfer import TransferSettings, plan_transfer
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, Index
-from tests.meshes import rotation
+from tests.meshes import bar, rotation
 
 pytestmark = pytest.mark.slow
 
@@ -147,6 +147,13 @@ def test_one_contact_is_on_one_leg(walk: Walk) -> None:
     both = np.concatenate([walk.soles["forepaw.l"], walk.soles["hindpaw.r"]])
     with pytest.raises(SettingsError, match=r"contact 'paws' are on several limbs.*one contact for each foot"):
         plan_transfer(walk.source, walk.target, TransferSettings(contacts={"paws": both}))
+
+
+def test_a_body_that_is_its_contact_has_no_legs() -> None:
+    source = bar(sides=5, rings=5, frames=3)
+    whole = {"whole": np.arange(source.vertex_count)}
+    with pytest.raises(SettingsError, match="legs of the source have no length"):
+        plan_transfer(source, source, TransferSettings(contacts=whole, parts=1))
 
 
 def test_a_contact_may_bend_within_its_part() -> None:

@@ -21,7 +21,7 @@ pytestmark = [
 ]
 
 PATIENCE = 240.0  # seconds
-FILES = ("walk.npz", "walk.usdc", "walk.abc", "walk.glb", "walk.h5")
+FILES = ("walk.usdc", "walk.abc", "walk.glb", "walk.h5")
 WALK = coarse_walk(frames=4)
 BAR = bar(sides=5, rings=8, frames=4)
 

@@ -13,8 +13,7 @@ from mixseq.errors import ReconstructionError
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
 from mixseq.mesh.rigid import kabsch, transform_points
 from mixseq.segmentation.joints import make_joint
-from mixseq.shells.fitting import Patch, ShellProblem, fit_shell, rebuild_patch
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import Patch, ShellProblem, ShellSettings, fit_shell, rebuild_patch
 from mixseq.types import Float
 from tests.meshes import Mesh, bent, flipped, grid, pages, seeds, topology_of, torus, tube
 from tests.shells.formulas import jacobian

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.shells.fitting import NormalEquations, Patch, ShellProblem, SoftConstraint
-from mixseq.shells.gauss_newton import BlockPattern
 from mixseq.shells.kernels import conjugate_gradients
+from mixseq.shells.solvers import BlockPattern
 from mixseq.types import Float
 from tests.meshes import seeds
 from tests.shells.formulas import jacobian

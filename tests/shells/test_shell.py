@@ -5,24 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.errors import ReconstructionError
 from mixseq.mesh.measures import degenerate_faces, dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.rigid import kabsch
 from mixseq.shells import kernels
-from mixseq.shells.fitting import Patch, ShellProblem, fit_shell
-from mixseq.shells.gauss_newton import ShellSettings
-from mixseq.shells.shell import Relaxation, Shell
+from mixseq.shells.fitting import Patch, ShellProblem, ShellSettings, fit_shell
+from mixseq.shells.shell import BENDING_WEIGHT, Shell
 from mixseq.types import Float
 from tests.meshes import Mesh, grid, rotation, topology_of, torus, tube
 
 MESHES = [tube(6, 9), torus(9, 6), grid(5, 5)]
 
 
-def shell_of(mesh: Mesh, hold: float = 0.0, bending: float = 0.25) -> Shell:
+def shell_of(mesh: Mesh, hold: float = 0.0) -> Shell:
     topology = topology_of(mesh)
     position_weights = np.full(topology.vertex_count, hold)
     position_weights[0] = max(hold, 1.0)
-    return Shell(topology, mesh[0], edge_lengths(mesh[0], topology.edges), position_weights, bending)
+    return Shell(topology, mesh[0], edge_lengths(mesh[0], topology.edges), position_weights)
 
 
 def shaken(mesh: Mesh, size: float, seed: int = 0) -> Float:
@@ -40,7 +39,7 @@ def sides_of(mesh: Mesh, x: Float) -> Float:
 
 def test_the_energy_is_half_the_squared_residuals_and_has_its_gradient() -> None:
     mesh = tube(6, 9)
-    shell, x = shell_of(mesh, bending=0.3), shaken(mesh, 0.1)
+    shell, x = shell_of(mesh), shaken(mesh, 0.1)
     lengths, angles = measured(shell, shaken(mesh, 0.1, 1))
     stretch, bend, smallest = shell.length_weights, shell._angle_weights, shell._min_squared_normals
     turns = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -49,7 +48,7 @@ def test_the_energy_is_half_the_squared_residuals_and_has_its_gradient() -> None
     energy = kernels.shell_energy(x, *arrays, gradient)
     own_lengths, own_angles = measured(shell, x)
     longer, turned = stretch * (own_lengths - lengths), 2 * bend * np.sin((own_angles - angles) / 2)
-    np.testing.assert_array_equal(bend, 0.3 * shell.relative_angle_weights)
+    np.testing.assert_array_equal(bend, BENDING_WEIGHT * shell.relative_angle_weights)
     assert energy == pytest.approx(0.5 * (longer @ longer + turned @ turned), rel=1e-12)
     rng, step, nowhere = np.random.default_rng(4), 1e-6, np.empty_like(x)
     for _ in range(5):
@@ -87,7 +86,7 @@ def test_ties_hold_what_no_edge_does() -> None:
     mesh = np.concatenate([points, [[5.0, 5.0, 5.0]]]), faces
     topology = topology_of(mesh)
     position_weights, ties = np.eye(1, len(mesh[0]))[0], np.array([[2, len(points)]])
-    shell = Shell(topology, mesh[0], edge_lengths(mesh[0], topology.edges), position_weights, 0.25, ties)
+    shell = Shell(topology, mesh[0], edge_lengths(mesh[0], topology.edges), position_weights, ties)
     found = shell.integrate(sides_of(mesh, mesh[0]), np.zeros_like(mesh[0]), np.array([[0.0, 1.0, 2.0]]))
     np.testing.assert_allclose(found[-1] - found[2], [0, 1, 2], atol=1e-12)
 
@@ -145,20 +144,6 @@ def test_what_is_not_finite_is_refused() -> None:
         shell.relax(mesh[0], lengths, angles, 10)
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"bending": 0.0}, "bending is 0.0; a positive weight"),
-        ({"bending": np.nan}, "bending is nan"),
-        ({"steps": -1}, "steps is -1; a whole number"),
-        ({"steps": 2.5}, "steps is 2.5"),
-    ],
-)
-def test_settings_are_checked(settings: dict[str, float], message: str) -> None:
-    with pytest.raises(SettingsError, match=message):
-        Relaxation(**settings)  # type: ignore[arg-type]
-
-
 def test_hinges_count_less_the_farther_they_are_off() -> None:
     mesh = tube(6, 9)
     shell, x = shell_of(mesh), shaken(mesh, 0.1)
@@ -190,7 +175,7 @@ def test_the_energy_counts_all_hinges() -> None:
     lengths, angles = measured(shell, x)
     assert shell.energy(x, lengths, angles) < 1e-20
     angles[7] += np.pi
-    expected = 2.0 * (shell.bending * shell.relative_angle_weights[7]) ** 2
+    expected = 2.0 * (BENDING_WEIGHT * shell.relative_angle_weights[7]) ** 2
     assert shell.energy(x, lengths, angles) == pytest.approx(expected, rel=1e-9)
     assert not shell.is_exact(shell.energy(x, lengths, angles))
 
@@ -205,7 +190,7 @@ def test_triangles_without_area_say_nothing_of_angles() -> None:
     topology = topology_of((x, closed))
     rounded = x + 4e-7 * np.random.default_rng(0).uniform(-1, 1, x.shape)
     lengths = edge_lengths(rounded, topology.edges)
-    shell = Shell(topology, rounded, lengths, np.ones(len(x)), 0.25)
+    shell = Shell(topology, rounded, lengths, np.ones(len(x)))
     assert shell.degenerate_face_ids.tolist() == [len(closed) - 1]
     of_thin = (topology.hinge_faces == len(closed) - 1).any(axis=1)
     np.testing.assert_array_equal(shell.sound_hinge_mask, ~of_thin)

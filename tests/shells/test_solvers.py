@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from mixseq.errors import ReconstructionError
-from mixseq.shells.solvers import MIN_ROWS_FOR_THREADS, analyse, factorise
+from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.shells.solvers import MIN_ROWS_FOR_THREADS, PoissonSystem, analyse, factorise
 from tests.forking import in_a_fork
-from tests.meshes import seeds
+from tests.meshes import grid, joined, seeds, tetrahedron, topology_of
 
 
 def use(monkeypatch: pytest.MonkeyPatch, solver: str) -> None:
@@ -110,3 +110,53 @@ def test_forked_processes_solve_with_the_same_bits(size: int) -> None:
     here = str(solutions())
     assert in_a_fork(solutions) == here
     assert in_a_fork(lambda: in_a_fork(solutions)) == here
+
+
+# Vertices from differences: exact where they fit, weighted least squares where they do not
+
+TRIANGLE = np.array([[0, 1], [1, 2], [2, 0]])
+
+
+def test_a_gap_is_shared_by_weight() -> None:
+    """Around a triangle differences miss by 6: each side takes part of it, inversely to its weight."""
+    system = PoissonSystem(TRIANGLE, np.array([1.0, 2.0, 2.0]), np.zeros(3, dtype=bool))
+    x = system.solve(np.array([[2.0, 0, 0]] * 3))
+    np.testing.assert_allclose(x, np.outer([0, -1, -0.5], [1, 0, 0]), atol=1e-14)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=seeds)
+def test_true_differences_give_the_mesh(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mesh = joined(grid(4, 5), (np.zeros((1, 3)), np.zeros((0, 3), int)), tetrahedron())
+    edges = topology_of(mesh).edges
+    x = rng.normal(size=mesh[0].shape)
+    system = PoissonSystem(edges, rng.uniform(0.5, 2.0, len(edges)), np.zeros(len(x), dtype=bool))
+    wanted = np.concatenate([x[:30] - x[0], [[0, 0, 0]], x[31:] - x[31]])
+    np.testing.assert_allclose(system.solve(x[edges[:, 1]] - x[edges[:, 0]]), wanted, atol=1e-11)
+
+
+def test_sides_may_repeat_and_stand_still() -> None:
+    sides = np.array([[0, 1], [1, 0], [1, 1]])
+    x = PoissonSystem(sides, np.ones(3), np.zeros(2, dtype=bool)).solve(np.array([[1.0, 0, 0], [-3, 0, 0], [7, 7, 7]]))
+    np.testing.assert_allclose(x, [[0, 0, 0], [2, 0, 0]])
+
+
+def test_fixed_vertices_keep_their_positions() -> None:
+    """Of a path 0-1-2-3, both ends are fixed a unit too far apart; the sides share it inversely to their weights."""
+    path = np.array([[0, 1], [1, 2], [2, 3]])
+    system = PoissonSystem(path, np.array([1.0, 2.0, 2.0]), np.array([True, False, False, True]))
+    x = system.solve(np.ones((3, 1)), np.array([[5.0], [0], [0], [9]]))
+    np.testing.assert_allclose(x[:, 0], [5, 6.5, 7.75, 9], atol=1e-14)
+
+
+def test_points_alone_are_the_origin() -> None:
+    system = PoissonSystem(np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(3, dtype=bool))
+    np.testing.assert_array_equal(system.solve(np.zeros((0, 3))), np.zeros((3, 3)))
+
+
+def test_wrong_numbers_of_sides_and_singular_systems_are_refused() -> None:
+    with pytest.raises(SettingsError, match=r"there are 2 sides; 3 are expected"):
+        PoissonSystem(TRIANGLE, np.ones(3), np.zeros(3, dtype=bool)).solve(np.zeros((2, 3)))
+    with pytest.raises(ReconstructionError, match="no unique solution"):
+        PoissonSystem(TRIANGLE, np.zeros(3), np.zeros(3, dtype=bool)).solve(np.zeros((3, 3)))

@@ -16,7 +16,7 @@ from mixseq.operations.interpolation import segment
 from mixseq.segmentation.methods import METHODS, segment_by_labels
 from mixseq.segmentation.motion import MotionSettings
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.detail import EncodedSequence, encode_sequence
 from mixseq.signals.fitting import (
     CANDIDATE_SHARES,

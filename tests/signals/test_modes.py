@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from mixseq.signals.modes import _from_coordinates, _from_frames, principal_modes
+from mixseq.signals.pose import _from_coordinates, _from_frames, principal_modes
 from mixseq.types import Float
 
 

@@ -10,9 +10,9 @@ import pytest
 from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.mesh.rigid import kabsch, transform_points
 from mixseq.segmentation.joints import decompose
+from mixseq.spaces.base import VertexSpace
 from mixseq.spaces.mixed.construction import mixed_space
 from mixseq.spaces.mixed.mixed_space import Projection
-from mixseq.spaces.vertex import VertexSpace
 from mixseq.types import Float
 from tests.meshes import rotation, topology_of, tube
 

@@ -79,7 +79,7 @@ def opened(page: Page, folder: Path, coded: CompressedSequence | Path) -> None:
     )
     page.goto("http://127.0.0.1/")  # Workers need an origin
     streams = b64encode((folder / "streams").read_bytes()).decode()
-    modules = ("decoder/sequence.js", "player/field_textures.js", "player/remote.js", "player/worker.js")
+    modules = ("decoder/sequence.js", "player/field_textures.js", "player/remote.js")
     page.evaluate(START, [bundled(*modules), (folder / "text").read_text("ascii"), streams])
 
 

@@ -24,7 +24,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, Surface, renumber_by_first_use
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
-from tests.compression.encoder.test_inbetweens import with_random_inbetweens
+from tests.compression.encoder.test_inbetweens import with_parts, with_random_inbetweens
 from tests.compression.test_golden import stored
 from tests.meshes import Mesh, bar, grid, joined, rotation, torus, tube
 from tests.promises import distance
@@ -51,7 +51,8 @@ def plays_as_in_python(node: Node, folder: Path, coded: CompressedSequence) -> P
     np.testing.assert_array_equal(found.corners, header.polygons.indices)
     np.testing.assert_array_equal(found.triangles.reshape(-1, 3), header.faces)
     np.testing.assert_array_equal(found.times, header.times)
-    fields_are_exact(found, coded)
+    if not coded.parameters.inbetween_parts:  # fields of parts are no whole numbers
+        fields_are_exact(found, coded)
     apart = np.abs(found.positions - np.concatenate(list(model.blocks(times))))
     assert apart.max() < NEAR * coded.parameters.diagonal
     return found
@@ -81,10 +82,11 @@ def test_golden_streams(node: Node, tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "levels"), [("parts", 1), ("shapes", 2), ("long", 3)])
-def test_inbetweens(node: Node, tmp_path: Path, name: str, levels: int) -> None:
+@pytest.mark.parametrize("of_parts", [False, True])
+def test_inbetweens(node: Node, tmp_path: Path, name: str, levels: int, of_parts: bool) -> None:
     """Levels of in-betweens in JavaScript are those of Python, in several parts, in shapes, and across chunks."""
     plain = replace(stored(name)[0], between=TemporalInterpolation(2.0, (0.2, 0.9)))
-    coded = with_random_inbetweens(plain, levels)
+    coded = with_random_inbetweens(with_parts(plain), levels, of_parts)
     header = coded.header
     moved = decode(coded).decode_points(header.times[:1] * 0.7 + header.times[1:2] * 0.3)
     still = decode(plain).decode_points(header.times[:1] * 0.7 + header.times[1:2] * 0.3)
@@ -102,7 +104,7 @@ def test_golden_file(node: Node, tmp_path: Path) -> None:
     assert found.uvs.tobytes() == model.header.surface.uvs.at_corners.tobytes()
 
 
-@pytest.mark.parametrize("offset", [0.0, 1e2, 1e3, 1e4, 1e5, 1e6])
+@pytest.mark.parametrize("offset", [0.0, 1e3, 1e6])
 def test_bounds_hold_far_from_the_origin(node: Node, tmp_path: Path, offset: float) -> None:
     """A point is the origin, in double precision, plus what the player draws, in single precision."""
     for precision in (np.float32, np.float64):
@@ -172,13 +174,13 @@ def random_sequence(seed: int) -> MeshSequence:
     return MeshSequence.from_header(replace(sequence.header, surface=surface), sequence.points)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(8))
 def test_random_sequences(node: Node, tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     sequence = random_sequence(seed)
     if seed % 5 == 0:
         monkeypatch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("shapes",))
     max_error, kg = (2e-3, None) if seed % 4 else (None, 1.0)
-    coded = compress(sequence, max_error, kg, chunk=16)
+    coded = compress(sequence, max_error, kg, chunk=16, inbetweens=seed % 4 == 1)
     found = plays_as_in_python(node, tmp_path, coded)
     if coded.header.surface.uvs is not None:
         assert found.uvs.tobytes() == coded.header.surface.uvs.at_corners.tobytes()
@@ -194,7 +196,7 @@ def test_only_chunks_that_are_needed_are_decoded(node: Node, tmp_path: Path) -> 
     points, faces = torus(6, 5)
     angles: Float = np.arange(400) / 40
     frames = [points @ rotation((0.2, angle, 0.0)).T for angle in angles]
-    coded = compress(MeshSequence.from_arrays(np.stack(frames), faces), kg=1, chunk=100)
+    coded = compress(MeshSequence.from_arrays(np.stack(frames), faces), kg=1, chunk=100, inbetweens=False)
     assert len(coded.chunks) == 4
     times = coded.header.times
     wanted = np.array([times[0], times[3] / 2, times[99], times[250], (times[301] + times[300]) / 2])

@@ -27,8 +27,8 @@ def told(node: Node, folder: Path, script: str, given: Any) -> Any:
 
 def test_checksums(node: Node, tmp_path: Path) -> None:
     script = """
-    import { crc32 } from "decoder/crc32.js";
-    import { checksumOf } from "decoder/decoded_check.js";
+    import { crc32 } from "decoder/arithmetic.js";
+    import { checksumOf } from "decoder/arithmetic.js";
     const whole = crc32(Uint8Array.from(given.bytes)), half = given.bytes.length >> 1;
     const first = crc32(Uint8Array.from(given.bytes.slice(0, half)));
     console.log(JSON.stringify([
@@ -58,8 +58,8 @@ def test_zlib_is_undone(node: Node, tmp_path: Path) -> None:
     fixed = zlib.compressobj(strategy=zlib.Z_FIXED)
     cases.append((texts[1], fixed.compress(texts[1]) + fixed.flush()))
     script = """
-    import { crc32 } from "decoder/crc32.js";
-    import { decompressed } from "decoder/decompression.js";
+    import { crc32 } from "decoder/arithmetic.js";
+    import { decompressed } from "decoder/stream_index.js";
     const outcome = ([text, size]) => decompressed(Uint8Array.from(Buffer.from(text, "base64")), size, "the bytes")
       .then(crc32).catch(({ name }) => name);
     console.log(JSON.stringify(await Promise.all(given.map(outcome))));
@@ -79,7 +79,7 @@ def test_splines(node: Node, tmp_path: Path, count: int) -> None:
     knots = np.cumsum(rng.uniform(0.2, 2.0, count))
     times = np.concatenate([knots, rng.uniform(knots[0], knots[-1], 10)])
     script = """
-    import { splineWeights } from "decoder/spline_weights.js";
+    import { splineWeights } from "decoder/curve.js";
     const { times, smooth } = given, knots = Float64Array.from(given.knots);
     console.log(JSON.stringify(times.map((time) => [...splineWeights(knots, time, smooth)])));
     """

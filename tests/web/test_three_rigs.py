@@ -102,18 +102,6 @@ def test_rigs_are_played_as_they_are(page: Page, tmp_path: Path, name: str, kind
     assert joints == ([["lower", "skeleton"], ["upper", "lower"]] if isinstance(rig, Skin) else [])
 
 
-@pytest.mark.realdata
-def test_a_real_rig_is_as_far_off_as_is_told(page: Page, tmp_path: Path, data: Path) -> None:
-    wolf = mixseq.read(data / "npz" / "q_wolf_gallop.npz")
-    mixseq.write_rig(tmp_path / "rig.glb", mixseq.fit_skin(wolf, bones=20, rounds=2))
-    shown, _ = played(page, tmp_path / "rig.glb", wolf.times - wolf.times[0])
-    there = MeshSequence.from_header(wolf.header, shown)
-    told = measure_rig_file(tmp_path / "rig.glb", wolf)
-    found = mixseq.compare(wolf, there)
-    assert found.max_error == pytest.approx(told.max_error, rel=1e-3)
-    assert found.kg_percent == pytest.approx(told.kg_percent, rel=1e-3)
-
-
 @cache
 def character(path: Path) -> tuple[MeshSequence, Skeleton, Skin]:
     """Read a character, and bind it to its own skeleton again."""
@@ -125,7 +113,7 @@ def character(path: Path) -> tuple[MeshSequence, Skeleton, Skin]:
 
 @pytest.mark.realdata
 @pytest.mark.parametrize("kind", ["trimesh", "npm"])
-@pytest.mark.parametrize("name", ["gltf/CesiumMan.glb", "gltf/KhronosFox.glb", "usd/RiggedFigure.usdz"])
+@pytest.mark.parametrize("name", ["gltf/KhronosFox.glb", "usd/RiggedFigure.usdz"])
 def test_a_character_on_its_own_skeleton(page: Page, tmp_path: Path, data: Path, name: str, kind: str) -> None:
     """Textured, with split vertices; bones keep names and parents, and the error is the one that is told."""
     there, skeleton, skin = character(data / name)
@@ -133,7 +121,9 @@ def test_a_character_on_its_own_skeleton(page: Page, tmp_path: Path, data: Path,
     shown, joints = played(page, tmp_path / "rig.glb", there.times, kind)
     assert near(skin, shown, there.times) < NEAR
     found = mixseq.compare(there, MeshSequence.from_header(there.header, shown))
-    assert found.max_error == pytest.approx(measure_rig_file(tmp_path / "rig.glb", there).max_error, rel=1e-3)
+    told = measure_rig_file(tmp_path / "rig.glb", there)
+    assert found.max_error == pytest.approx(told.max_error, rel=1e-3)
+    assert found.kg_percent == pytest.approx(told.kg_percent, rel=1e-3)
     above = [skeleton.names[parent] if parent >= 0 else "skeleton" for parent in skeleton.parents]
     assert dict(joints) == dict(zip(skeleton.names, above, strict=True))
     validate(tmp_path / "rig.glb")

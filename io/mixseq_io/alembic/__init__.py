@@ -1,5 +1,5 @@
 """Alembic caches (.abc) in Ogawa files.
 
-`library` accesses Alembic's Python binding, `samples` has times, transforms and paths, and `overlay` the meshes of a
-written archive, new or in a copy of the original. `reader` and `writer` use these modules.
+`samples` accesses Alembic's Python binding, and evaluates samples and transforms; `reader` and `writer` use it, and
+`overlay` copies an original with new points.
 """

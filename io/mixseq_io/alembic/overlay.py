@@ -1,4 +1,4 @@
-"""Meshes of written Alembic archives: new meshes, or meshes with new points in a copy of the original.
+"""Copies of Alembic archives, in which meshes have new points.
 
 All objects and properties of the original are copied with their sample times and metadata, which determine an object's
 type; instances stay instances. New points are in mesh space below the archive's transforms. Meshes with new points are
@@ -10,9 +10,9 @@ Specification: https://docs.alembic.io/reference/index.html (``Abc``)
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,25 +21,10 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import FormatError
 from mixseq.mesh.measures import corner_normals
-from mixseq.mesh.polygons import Polygons, describe_difference, reversed_winding
-from mixseq.mesh.surface import CornerValues
+from mixseq.mesh.polygons import Polygons, describe_difference
 from mixseq.sequence.header import SequenceHeader
-from mixseq.types import Float, FloatArray, Index, IntArray
-from mixseq_io.alembic.library import (
-    LIBRARY_ERRORS,
-    Abc,
-    AbcCoreAbstract,
-    AbcGeom,
-    AbcMaterial,
-    create_array,
-    imath,
-    open_archive,
-    read_imath_sample,
-    sample_length,
-    sample_selector,
-)
+from mixseq.types import Float, FloatArray, Index
 from mixseq_io.alembic.reader import (
-    COLOUR_PARAMETER,
     OVERLAY_KEY,
     Mesh,
     MeshSource,
@@ -47,177 +32,32 @@ from mixseq_io.alembic.reader import (
     stored_polygons,
 )
 from mixseq_io.alembic.samples import (
+    LIBRARY_ERRORS,
+    Abc,
+    AbcCoreAbstract,
+    AbcGeom,
     MeshTransform,
-    ObjectPath,
-    choose_paths,
+    create_array,
     create_time_sampling,
     determinant,
-    make_unique_names,
+    imath,
+    open_archive,
+    read_imath_sample,
+    sample_length,
+    sample_selector,
     sample_times,
     select_samples,
     transform_points,
 )
 from mixseq_io.originals import match_meshes, warn_of_unretimed_motion
 from mixseq_io.reader import prefix_errors, translate_read_errors, warn
-from mixseq_io.scene_meshes import SceneMesh, format_names, split_meshes
+from mixseq_io.scene_meshes import SceneMesh, format_names
 from mixseq_io.surfaces import RoundingMonitor
 
-_SCHEME_NAMES = {"catmullClark": "catmull-clark", "loop": "loop", "bilinear": "bilinear"}
-_CORNER_SCOPE = AbcGeom.GeometryScope.kFacevaryingScope
-_RGB_TYPES = (AbcGeom.OC3fGeomParam, AbcGeom.OC3fGeomParamSample, imath.C3fArray)
-_RGBA_TYPES = (AbcGeom.OC4fGeomParam, AbcGeom.OC4fGeomParamSample, imath.C4fArray)
+CORNER_SCOPE = AbcGeom.GeometryScope.kFacevaryingScope
 
-_SAMPLE_OVERHEAD_BYTES = 300
+SAMPLE_OVERHEAD_BYTES = 300
 """Upper bound in bytes on a frame's keys, sizes, offsets and bounds in the file."""
-
-_OBJECT_OVERHEAD_BYTES = 8000
-"""Upper bound in bytes on an object's names and headers in the file."""
-
-
-@dataclass(frozen=True, eq=False)
-class NewMesh:
-    """Mesh of a new archive, to be created at a path."""
-
-    scene_mesh: SceneMesh
-    path: ObjectPath
-
-    @property
-    def is_subdivided(self) -> bool:
-        """Whether the mesh becomes a SubD, which has no normals."""
-        return self.scene_mesh.subdivision != "none"
-
-    def create(self, parent: Any, sampling: int) -> NewMeshWriter:
-        """Create the mesh object with its face sets and colours, without samples."""
-        mesh = (AbcGeom.OSubD if self.is_subdivided else AbcGeom.OPolyMesh)(parent, self.path[-1], sampling)
-        face_sets = self.scene_mesh.face_sets
-        members = np.concatenate([each.polygons for each in face_sets]) if face_sets else np.zeros(0)
-        is_exclusive = len(np.unique(members)) == len(members)
-        for each, name in zip(face_sets, make_unique_names(each.name for each in face_sets), strict=True):
-            node = mesh.getSchema().createFaceSet(name)
-            polygons = create_array(imath.IntArray, each.polygons)  # must be alive until the sample is set
-            node.getSchema().set(AbcGeom.OFaceSetSchemaSample(polygons))
-            if is_exclusive:
-                node.getSchema().setFaceExclusivity(AbcGeom.FaceSetExclusivity.kFaceSetExclusive)
-            if each.material:
-                AbcMaterial.addMaterialAssignment(node, each.material)
-        if self.scene_mesh.colours is not None:
-            self._add_colours(mesh.getSchema(), self.scene_mesh.colours)
-        return NewMeshWriter(self, mesh)
-
-    def _add_colours(self, schema: Any, colours: CornerValues) -> None:
-        """Add constant colours, without alpha if all colours are opaque."""
-        is_opaque = bool((colours.values[:, 3] == 1).all())
-        parameter_type, sample_type, array_type = _RGB_TYPES if is_opaque else _RGBA_TYPES
-        values = create_array(array_type, colours.values)  # must be alive until the sample is set
-        indices = create_array(imath.UnsignedIntArray, colours.indices[self._order])
-        parameter = parameter_type(schema.getArbGeomParams(), COLOUR_PARAMETER, True, _CORNER_SCOPE, 1)
-        parameter.set(sample_type(values, indices, _CORNER_SCOPE))
-
-    def create_sample(self, positions: Any, is_first: bool) -> Any:
-        """Create a sample of points; the first sample includes constant properties."""
-        sample = AbcGeom.OSubDSchemaSample() if self.is_subdivided else AbcGeom.OPolyMeshSchemaSample()
-        sample.setPositions(positions)
-        if is_first:
-            arrays = self._arrays
-            sample.setFaceIndices(arrays["corners"])
-            sample.setFaceCounts(arrays["counts"])
-            if self.is_subdivided:
-                sample.setSubdivisionScheme(_SCHEME_NAMES[self.scene_mesh.subdivision])
-            if self.scene_mesh.uvs is not None:
-                uvs = arrays["uv values"], arrays["uv indices"]
-                sample.setUVs(AbcGeom.OV2fGeomParamSample(*uvs, _CORNER_SCOPE))
-        return sample
-
-    def add_normals(self, sample: Any, points: FloatArray) -> Any:
-        """Add normals of points ``(V, 3)`` for hard edges; return an array to keep alive until the sample is set."""
-        if self.scene_mesh.hard_edges is None or self.is_subdivided:
-            return None
-        shared = corner_normals(points[None], self.scene_mesh.polygons, self.scene_mesh.hard_edges)[0]
-        normals = create_array(imath.V3fArray, shared)
-        sample.setNormals(AbcGeom.ON3fGeomParamSample(normals, self._arrays["normals"], _CORNER_SCOPE))
-        return normals
-
-    @cached_property
-    def _order(self) -> IntArray:
-        return reversed_winding(self.scene_mesh.polygons.counts, keep_first=False)
-
-    @cached_property
-    def _arrays(self) -> dict[str, Any]:
-        """Constant arrays that samples refer to."""
-        scene_mesh, uvs = self.scene_mesh, self.scene_mesh.uvs
-        arrays = {
-            "counts": create_array(imath.IntArray, scene_mesh.polygons.counts),
-            "corners": create_array(imath.IntArray, scene_mesh.polygons.indices[self._order]),
-        }
-        if uvs is not None:
-            arrays["uv values"] = create_array(imath.V2fArray, uvs.values)
-            arrays["uv indices"] = create_array(imath.UnsignedIntArray, uvs.indices[self._order])
-        if scene_mesh.hard_edges is not None:
-            arrays["normals"] = create_array(imath.UnsignedIntArray, scene_mesh.hard_edges[self._order])
-        return arrays
-
-    def bound_size(self, frame_count: int, has_velocities: bool) -> int:
-        """Return an upper bound on the mesh's size in the file in bytes."""
-        mesh, colours = self.scene_mesh, self.scene_mesh.colours
-        normal_count = 0 if mesh.hard_edges is None else int(mesh.hard_edges.max(initial=-1)) + 1
-        vector_count = mesh.vertex_count * (2 if has_velocities else 1) + normal_count
-        constant = 12 * mesh.polygons.indices.size + 4 * mesh.polygons.counts.size + _OBJECT_OVERHEAD_BYTES
-        constant += 0 if mesh.uvs is None else 8 * len(mesh.uvs.values)
-        constant += sum(4 * each.polygons.size + _OBJECT_OVERHEAD_BYTES for each in mesh.face_sets)
-        if colours is not None:
-            constant += 16 * len(colours.values) + 4 * colours.indices.size + _OBJECT_OVERHEAD_BYTES
-        return frame_count * (12 * vector_count + _SAMPLE_OVERHEAD_BYTES) + constant
-
-
-@dataclass(frozen=True, eq=False)
-class NewMeshWriter:
-    """Writer of the samples of a mesh in a new archive."""
-
-    new_mesh: NewMesh
-    mesh: Any
-
-    def write(self, first: int, points: FloatArray, velocities: FloatArray | None, rounding: RoundingMonitor) -> None:
-        """Add samples of frames from `first` on: points and velocities ``(B, V, 3)`` of the sequence."""
-        schema, vertices = self.mesh.getSchema(), self.new_mesh.scene_mesh.vertices
-        for frame, world in enumerate(points[:, vertices]):
-            own_points = (world - rounding.origin).astype(np.float32)
-            rounding.measure(first + frame, world, own_points + rounding.origin)
-            # A sample refers to its arrays, which must be alive until it is set.
-            positions, own_velocities = create_array(imath.V3fArray, own_points), None
-            sample = self.new_mesh.create_sample(positions, is_first=not schema.getNumSamples())
-            if velocities is not None:
-                own_velocities = create_array(imath.V3fArray, velocities[frame, vertices])
-                sample.setVelocities(own_velocities)
-            normals = self.new_mesh.add_normals(sample, own_points)
-            schema.set(sample)
-            del own_velocities, normals
-
-
-def plan_meshes(header: SequenceHeader) -> list[NewMesh]:
-    """Return the meshes of a new archive of a sequence."""
-    scene_meshes = split_meshes(header)
-    return list(map(NewMesh, scene_meshes, choose_paths(header, scene_meshes)))
-
-
-def create_meshes(top: Any, new_meshes: Sequence[NewMesh], sampling: int, origin: Float) -> list[NewMeshWriter]:
-    """Create meshes below identity transforms, each transform with its first mesh: readers go depth-first.
-
-    Transforms at the top move the meshes to an origin ``(3,)``.
-    """
-    objects: dict[ObjectPath, Any] = {(): top}
-    writers = []
-    for new_mesh in new_meshes:
-        for end in range(1, len(new_mesh.path)):
-            path = new_mesh.path[:end]
-            if path not in objects:
-                objects[path] = AbcGeom.OXform(objects[path[:-1]], path[-1])
-                if end == 1 and origin.any():
-                    sample = AbcGeom.XformSample()
-                    sample.setTranslation(imath.V3d(*origin.tolist()))
-                    objects[path].getSchema().set(sample)
-        writers.append(new_mesh.create(objects[new_mesh.path[:-1]], sampling))
-    return writers
-
 
 _GEOMETRY_PROPERTY = ".geom"
 """Name of the compound property that holds a mesh's schema."""
@@ -229,6 +69,9 @@ _CHILD_PROPERTIES = frozenset([".childBnds"])
 _ARCHIVE_PROPERTIES = re.compile(r"\.childBnds|statistics|\d+\.samples")
 """Names of properties of the top object that summarise the archive, such as bounds."""
 
+
+WriteSamples = Callable[[int, FloatArray, FloatArray | None, RoundingMonitor], None]
+"""Function that adds a mesh's samples of frames from the first index on; points and velocities are the sequence's."""
 
 KeptSamples = tuple[range, int]
 """Range of a property's copied samples, and the index of their time sampling in the copy."""
@@ -360,6 +203,38 @@ class MeshMatch:
     transform: MeshTransform
     is_mirrored: bool
 
+    def replace_points(self, schema: Any, sampling: int, has_velocities: bool) -> WriteSamples:
+        """Create the properties that depend on points in a copied schema; return the writer of their samples."""
+        stored = self.mesh.schema
+        header = stored.getPositionsProperty().getHeader()
+        positions = Abc.OArrayProperty(schema, "P", header.getDataType(), header.getMetaData(), sampling)
+        bounds = Abc.OBox3dProperty(schema, ".selfBnds", sampling)
+        own_velocities = Abc.OV3fArrayProperty(schema, ".velocities", sampling) if has_velocities else None
+        normals = None
+        if not self.mesh.is_subdivided and stored.getNormalsParam().valid():
+            normals = AbcGeom.ON3fGeomParam(schema, "N", True, CORNER_SCOPE, 1, sampling)
+            normal_ids = create_array(imath.UnsignedIntArray, self.scene_mesh.normal_groups[self.corners])
+
+        def write(first: int, points: FloatArray, velocities: FloatArray | None, rounding: RoundingMonitor) -> None:
+            mesh, transform = self.scene_mesh, self.transform
+            for frame, world in enumerate(points[:, mesh.vertices]):
+                own = transform.to_mesh_points(world, first + frame)
+                rounding.measure(first + frame, world, transform_points(own, transform.matrices[first + frame]))
+                # A sample refers to its array, which must be alive until it is set.
+                array = create_array(imath.V3fArray, own)
+                positions.setValue(array)
+                bounds.setValue(_compute_bounds(own))
+                if own_velocities is not None and velocities is not None:
+                    rates = transform.to_mesh_velocities(velocities[frame, mesh.vertices], own, first + frame)
+                    array = create_array(imath.V3fArray, rates)
+                    own_velocities.setValue(array)
+                if normals is not None:
+                    unit = corner_normals(own[None], mesh.polygons, mesh.normal_groups)[0]
+                    array = create_array(imath.V3fArray, -unit if self.is_mirrored else unit)
+                    normals.set(AbcGeom.ON3fGeomParamSample(array, normal_ids, CORNER_SCOPE))
+
+        return write
+
 
 @dataclass(frozen=True, eq=False)
 class Original:
@@ -421,53 +296,6 @@ _MAX_COPY_GROWTH = 2
 """Largest size ratio of a copy to its archive, since moving instances become separate objects."""
 
 
-@dataclass(frozen=True, eq=False)
-class CopiedMeshWriter:
-    """Writer of the points, bounds, velocities and normals of a copied mesh."""
-
-    match: MeshMatch
-    positions: Any
-    bounds: Any
-    velocities: Any | None
-    normals: Any | None
-
-    @classmethod
-    def create(cls, match: MeshMatch, schema: Any, sampling: int, has_velocities: bool) -> CopiedMeshWriter:
-        """Create the replaced properties in a copied schema; `write` adds their samples."""
-        stored = match.mesh.schema
-        header = stored.getPositionsProperty().getHeader()
-        positions = Abc.OArrayProperty(schema, "P", header.getDataType(), header.getMetaData(), sampling)
-        bounds = Abc.OBox3dProperty(schema, ".selfBnds", sampling)
-        velocities = Abc.OV3fArrayProperty(schema, ".velocities", sampling) if has_velocities else None
-        normals = None
-        if not match.mesh.is_subdivided and stored.getNormalsParam().valid():
-            normals = AbcGeom.ON3fGeomParam(schema, "N", True, _CORNER_SCOPE, 1, sampling)
-        return cls(match, positions, bounds, velocities, normals)
-
-    def write(self, first: int, points: FloatArray, velocities: FloatArray | None, rounding: RoundingMonitor) -> None:
-        """Add samples of frames from `first` on: points and velocities ``(B, V, 3)`` of the sequence."""
-        mesh, transform = self.match.scene_mesh, self.match.transform
-        for frame, world in enumerate(points[:, mesh.vertices]):
-            own = transform.to_mesh_points(world, first + frame)
-            rounding.measure(first + frame, world, transform_points(own, transform.matrices[first + frame]))
-            # A sample refers to its array, which must be alive until it is set.
-            array = create_array(imath.V3fArray, own)
-            self.positions.setValue(array)
-            self.bounds.setValue(_compute_bounds(own))
-            if self.velocities is not None and velocities is not None:
-                rates = transform.to_mesh_velocities(velocities[frame, mesh.vertices], own, first + frame)
-                array = create_array(imath.V3fArray, rates)
-                self.velocities.setValue(array)
-            if self.normals is not None:
-                normals = corner_normals(own[None], mesh.polygons, mesh.normal_groups)[0]
-                array = create_array(imath.V3fArray, -normals if self.match.is_mirrored else normals)
-                self.normals.set(AbcGeom.ON3fGeomParamSample(array, self._normal_ids, _CORNER_SCOPE))
-
-    @cached_property
-    def _normal_ids(self) -> Any:
-        return create_array(imath.UnsignedIntArray, self.match.scene_mesh.normal_groups[self.match.corners])
-
-
 def _compute_bounds(points: FloatArray) -> Any:
     """Return the bounding box of points ``(n, 3)``, or an empty box without points."""
     if not len(points):
@@ -480,7 +308,7 @@ def bound_copy_size(original: Original, header: SequenceHeader, has_velocities: 
     vertex_count = sum(match.scene_mesh.vertex_count for match in original.matches)
     normal_count = sum(match.corners.size for match in original.matches)
     per_frame = 12 * (vertex_count * (2 if has_velocities else 1) + normal_count)
-    per_frame += _SAMPLE_OVERHEAD_BYTES * len(original.matches)
+    per_frame += SAMPLE_OVERHEAD_BYTES * len(original.matches)
     return _MAX_COPY_GROWTH * original.path.stat().st_size + header.frame_count * per_frame + 4 * normal_count
 
 
@@ -492,7 +320,7 @@ def copy_archive(
     sampling: int,
     has_velocities: bool,
     sources: ArrayLike | None = None,
-) -> list[CopiedMeshWriter]:
+) -> list[WriteSamples]:
     """Copy an archive into the empty archive `copy`, and return writers of the meshes that get new points.
 
     `sampling` is the index of the frames' time sampling, `sources` ``(T,)`` are the archive's times in s at the
@@ -505,6 +333,5 @@ def copy_archive(
         warn(f"{path}: of {original.path} the library cannot copy {format_names(copier.lost)}; they are left out")
     warn_of_unretimed_motion(path, header, dict(sorted(copier.spans.items())), sources)
     return [
-        CopiedMeshWriter.create(match, copier.schemas[match.mesh.path], sampling, has_velocities)
-        for match in original.matches
+        match.replace_points(copier.schemas[match.mesh.path], sampling, has_velocities) for match in original.matches
     ]

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -29,23 +30,21 @@ from mixseq.mesh.surface import CornerValues, FaceSet, Origin
 from mixseq.sequence.frame_rates import estimate_frame_rate
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
 from mixseq.types import Float, FloatArray, Index, Single
-from mixseq_io.alembic.library import (
+from mixseq_io.alembic.samples import (
     LIBRARY_ERRORS,
+    TIME_TOLERANCE,
     Abc,
     AbcGeom,
     AbcMaterial,
+    LocatedFrames,
+    MeshTransform,
+    Transforms,
+    determinant,
+    locate_frames,
     open_archive,
     read_sample,
     sample_length,
     sample_selector,
-)
-from mixseq_io.alembic.samples import (
-    TIME_TOLERANCE,
-    MeshTransform,
-    SampleInterpolation,
-    Transforms,
-    determinant,
-    locate_samples,
     sample_times,
     transform_points,
 )
@@ -393,7 +392,7 @@ class _AnimatedMesh:
     """Mesh with samples and transforms at each frame; `overlay_transform` for new points below moving transforms."""
 
     source: MeshSource
-    samples: SampleInterpolation
+    samples: LocatedFrames
     transforms: Transforms
     overlay_transform: MeshTransform | None = None
 
@@ -444,8 +443,8 @@ def _choose_times(meshes: list[Mesh]) -> Float:
 def _locate_frames(path: Path, mesh: Mesh, times: Float, fps: float, first_vertex: int) -> _AnimatedMesh:
     """Locate frame times ``(T,)`` between the samples of a mesh and its transforms."""
     points, transforms = mesh.schema.getPositionsProperty(), Transforms.from_schemas(mesh.transforms, times)
-    file_size, samples = path.stat().st_size, locate_samples(sample_times(points), times)
-    count = sample_length(points, samples.at(0)[0])
+    file_size, samples = path.stat().st_size, locate_frames(sample_times(points), times)
+    count = sample_length(points, samples[0][0])
     if not count:
         raise InvalidSequenceError(f"{mesh.path} has no points")
     if 12 * count > file_size:
@@ -457,7 +456,7 @@ def _locate_frames(path: Path, mesh: Mesh, times: Float, fps: float, first_verte
         overlay_transform = MeshTransform.from_schemas(mesh.transforms, times, fps)
     animated = _AnimatedMesh(source, samples, transforms, overlay_transform)
     for frame in range(0 if points.isConstant() else len(times)):
-        _check_count(animated, frame, sample_length(points, samples.at(frame)[0]), "points")
+        _check_count(animated, frame, sample_length(points, samples[frame][0]), "points")
     return animated
 
 
@@ -471,7 +470,7 @@ def _check_count(animated: _AnimatedMesh, frame: int, count: int, label: str) ->
 
 def _interpolate(animated: _AnimatedMesh, array: Any, frame: int, label: str) -> Single:
     """Return the value ``(V, 3)`` of an array property at a frame, interpolated between samples if needed."""
-    sample, weight = animated.samples.at(frame)
+    sample, weight = animated.samples[frame]
     arrays = [
         read_sample(array, index, animated.source.file_size)
         for index in ((sample, sample + 1) if weight else (sample,))
@@ -522,7 +521,7 @@ def _have_velocities(path: Path, animated_meshes: Sequence[_AnimatedMesh]) -> bo
             problem = f"are {sample_length(velocities, 0)}, not as many as its points"
         elif not (mesh.is_overlaid or mesh.has_static_transforms):
             problem = "do not contain the motion of its transforms"
-        elif mesh.is_moving and (animated.samples.weight.any() or (np.diff(animated.samples.before) <= 0).any()):
+        elif mesh.is_moving and not _are_at_samples(animated.samples):
             problem = "are not sampled in every frame"
         else:
             problem = ""
@@ -530,3 +529,8 @@ def _have_velocities(path: Path, animated_meshes: Sequence[_AnimatedMesh]) -> bo
             warn(f"{path}: the velocities of {mesh.path} {problem}; velocities are left out")
             return False
     return True
+
+
+def _are_at_samples(located: LocatedFrames) -> bool:
+    """Whether every frame is at a sample of its own."""
+    return not any(weight for _, weight in located) and all(a < b for (a, _), (b, _) in pairwise(located))

@@ -1,4 +1,4 @@
-"""Evaluation of properties and transforms at frame times, and paths of meshes in new archives.
+"""Access to Alembic's Python binding, and evaluation of properties and transforms at frame times.
 
 Every Alembic property has its sample times in seconds: uniform, cyclic (several samples per shutter), or arbitrary.
 Between two samples of a transform, translation, stretch and rotation angle are interpolated linearly, as in Blender.
@@ -12,81 +12,104 @@ world-space points and velocities are
 
 Here a prime is a time derivative. M' is the central difference over one frame, as during a renderer's open shutter.
 
-New archives keep original paths, since cache modifiers of other programs refer to meshes by path. A mesh without an
-original path is below a transform with the name of the mesh, since programs name imported objects after transforms.
-
-Specification: https://docs.alembic.io/reference/index.html (``TimeSampling``, ``IXformSchema``)
+Specification: https://docs.alembic.io/python/alembic.html, https://docs.alembic.io/reference/index.html
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import takewhile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from mixseq.errors import FormatError
+from mixseq.errors import FormatError, MissingExtraError
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix
-from mixseq.sequence.header import SequenceHeader
-from mixseq.types import Float, FloatArray, Index, Single
-from mixseq_io.alembic.library import AbcCoreAbstract, sample_selector
-from mixseq_io.scene_meshes import SceneMesh
+from mixseq.types import Float, FloatArray, Single
 
-ObjectPath = tuple[str, ...]
-"""Names of the transforms from the root to a mesh, followed by the name of the mesh."""
+try:
+    import imath as imath
+    from alembic3d import Abc as Abc
+    from alembic3d import AbcCoreAbstract as AbcCoreAbstract
+    from alembic3d import AbcGeom as AbcGeom
+    from alembic3d import AbcMaterial as AbcMaterial
+except ImportError as error:
+    raise MissingExtraError("Alembic files need the package alembic3d: pip install 'mixseq[alembic]'") from error
 
+LIBRARY_ERRORS: tuple[type[Exception], ...] = (
+    RuntimeError,
+    ValueError,
+    TypeError,
+    LookupError,
+    ArithmeticError,
+)
+"""Exceptions that the library or value conversions raise for damaged files."""
 
-def choose_paths(header: SequenceHeader, scene_meshes: Sequence[SceneMesh]) -> list[ObjectPath]:
-    """Return the paths of all meshes in a new archive: the original paths, or ``/<name>/<object>/<object>``.
+_COLOUR_CHANNELS = {imath.C3fArray: "rgb", imath.C4fArray: "rgba"}
+"""Types of colour arrays; NumPy can access these arrays only by channel."""
 
-    Original paths are kept if all contain a transform, a depth-first walk meets them in their order, and the common
-    ancestor, if any, has the sequence's name.
-    """
-    own = [tuple(mesh.path.split("/")[1:]) for mesh in scene_meshes if mesh.path.startswith("/")]
-    if len(own) == len(scene_meshes) and _are_valid_paths(own) and _common_name(own) in ("", header.name):
-        return own
-    root = make_valid_name(header.name)
-    if len(scene_meshes) == 1:
-        return [(root, root)]
-    return [(root, name, name) for name in make_unique_names(mesh.name for mesh in scene_meshes)]
-
-
-def _are_valid_paths(paths: Sequence[ObjectPath]) -> bool:
-    """Whether each mesh is below a named transform, none is below another, and a depth-first walk keeps their order."""
-    first_ids: dict[ObjectPath, int] = {}
-    walk = [[first_ids.setdefault(path[:end], i) for end in range(1, len(path) + 1)] for i, path in enumerate(paths)]
-    meshes = set(paths)
-    ancestors = {path[:end] for path in meshes for end in range(1, len(path))}
-    is_named = all(len(path) > 1 and all(path) for path in meshes)
-    return is_named and len(meshes) == len(paths) and not meshes & ancestors and walk == sorted(walk)
+_HEADER_BYTES = 16
+"""Size of an Ogawa header: "Ogawa", 255 if the file is complete, version (2 bytes), offset of the root group (8)."""
 
 
-def _common_name(paths: Sequence[ObjectPath]) -> str:
-    """Return the name that readers give the sequence: the name of its only mesh, or of the common ancestor."""
-    shared = list(takewhile(lambda names: len(set(names)) == 1, zip(*paths, strict=False)))
-    return shared[-1][0] if shared else ""
+def open_archive(path: Path) -> Any:
+    """Open a file as an ``IArchive``."""
+    with path.open("rb") as file:
+        start = file.read(_HEADER_BYTES)
+    if start.startswith(b"\x89HDF"):
+        raise FormatError(
+            f"{path} is old Alembic based on HDF5; convert it with abcconvert -toOgawa, or export it again"
+        )
+    if not start.startswith(b"Ogawa"):
+        raise FormatError(f"{path} cannot be read as Alembic; it is damaged or of another type")
+    if len(start) < _HEADER_BYTES or start[5] != 0xFF or int.from_bytes(start[8:], "little") >= path.stat().st_size:
+        raise FormatError(f"{path} is not complete; it is truncated, or was not written to its end")
+    return Abc.IArchive(str(path))
 
 
-def make_valid_name(name: str) -> str:
-    """Return an object name without slashes, or "mesh" for an empty name."""
-    return name.replace("/", "_") or "mesh"
+def sample_selector(sampled: Any, sample: int) -> Any:
+    """Return the selector of a sample by its time, since Python's constructor interprets an index as a time."""
+    time = sampled.getTimeSampling().getSampleTime(sample)
+    return Abc.ISampleSelector(time, Abc.ISampleSelector.TimeIndexType.kNearIndex)
 
 
-def make_unique_names(names: Iterable[str]) -> list[str]:
-    """Return valid unique names; repeated names get a number: "a", "a_2"."""
-    unique: dict[str, None] = {}
-    numbers: dict[str, int] = {}
-    for name in map(make_valid_name, names):
-        number, candidate = numbers.get(name, 1), name
-        while candidate in unique:
-            number += 1
-            candidate = f"{name}_{number}"
-        numbers[name] = number
-        unique[candidate] = None
-    return list(unique)
+def sample_length(array: Any, sample: int) -> int:
+    """Return the length of an array sample without reading it."""
+    return int(array.getDimension(sample_selector(array, sample)).numPoints())
+
+
+def read_sample(array: Any, sample: int, file_size: int) -> NDArray[Any]:
+    """Return an array sample ``(n,)`` or ``(n, k)``; check its size against the file size in bytes."""
+    stored = read_imath_sample(array, sample, file_size)
+    channels = _COLOUR_CHANNELS.get(type(stored))
+    if channels:
+        return np.stack([np.asarray(getattr(stored, channel)) for channel in channels], axis=1)
+    return np.array(stored)
+
+
+def read_imath_sample(array: Any, sample: int, file_size: int) -> Any:
+    """Return an array sample as an imath array; see `read_sample`."""
+    count = sample_length(array, sample)
+    if count * array.getDataType().getNumBytes() > file_size:
+        raise FormatError(f"an array claims {count} values, more than the file can hold; it is damaged")
+    return array.getValue(sample_selector(array, sample))
+
+
+def create_array(kind: Any, rows: ArrayLike) -> Any:
+    """Create an imath array of a type such as ``V3fArray`` from rows ``(n, k)``."""
+    values = np.asarray(rows)
+    array = kind(len(values))
+    if kind in _COLOUR_CHANNELS:
+        for channel, column in zip(_COLOUR_CHANNELS[kind], values.T, strict=False):
+            np.asarray(getattr(array, channel))[...] = column
+    elif kind is imath.UnsignedIntArray:  # NumPy cannot access this type
+        for index, value in enumerate(values.tolist()):
+            array[index] = value
+    elif len(values):
+        np.asarray(array)[...] = values
+    return array
 
 
 TIME_TOLERANCE = 0.999e-6
@@ -139,33 +162,25 @@ def create_time_sampling(times: Float, step: float) -> Any:
     return AbcCoreAbstract.TimeSampling(acyclic, vector)
 
 
-@dataclass(frozen=True, eq=False)
-class SampleInterpolation:
-    """Index of the sample before every frame ``(T,)``, and the weight of the next sample."""
-
-    before: Index
-    weight: Float
-
-    def at(self, frame: int) -> tuple[int, float]:
-        """Return the index of the sample before a frame, and the weight of the next sample."""
-        return int(self.before[frame]), float(self.weight[frame])
+LocatedFrames = list[tuple[int, float]]
+"""Index of the sample before every frame, and the weight of the next sample."""
 
 
-def locate_samples(times: Float, frames: Float) -> SampleInterpolation:
+def locate_frames(times: Float, frames: Float) -> LocatedFrames:
     """Locate frame times ``(T,)`` between sample times ``(N,)``."""
     last = len(times) - 1
     before = np.clip(np.searchsorted(times, frames + TIME_TOLERANCE, side="right") - 1, 0, last)
     step = times[np.minimum(before + 1, last)] - times[before]
     since = frames - times[before]
     weight = np.divide(since, step, out=np.zeros_like(since), where=(step > 0) & (since > TIME_TOLERANCE))
-    return SampleInterpolation(before, weight)
+    return list(zip(before.tolist(), weight.tolist(), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
 class Transforms:
     """Transforms from a mesh to the world, the nearest to the mesh first, with the samples located at the frames."""
 
-    samples: tuple[tuple[Any, SampleInterpolation], ...]
+    samples: tuple[tuple[Any, LocatedFrames], ...]
 
     @classmethod
     def from_schemas(
@@ -176,15 +191,15 @@ class Transforms:
         for schema in schemas:
             times = np.zeros(1) if schema.isConstant() else sample_times(schema)
             kept = slice(0, len(times)) if window is None else select_samples(times, window)
-            located = locate_samples(times[kept], frames)
-            samples.append((schema, SampleInterpolation(located.before + kept.start, located.weight)))
+            located = locate_frames(times[kept], frames)
+            samples.append((schema, [(before + kept.start, weight) for before, weight in located]))
         return cls(tuple(samples))
 
     def to_world(self, frame: int) -> Float:
         """Return the mesh-to-world matrix ``(4, 4)`` of a frame."""
         world = np.eye(4)
-        for schema, samples in self.samples:
-            matrix, inherits = _local_matrix(schema, *samples.at(frame))
+        for schema, located in self.samples:
+            matrix, inherits = _local_matrix(schema, *located[frame])
             with np.errstate(all="ignore"):
                 world = world @ matrix
             if not inherits:

@@ -3,17 +3,7 @@
 The text is JSON with parameters, source, name, fps, up_axis, metres_per_unit, counts and first time. The order of the
 streams is connectivity, surface, times, texture coordinates and labels if any; every group of the spatial basis;
 coefficients, residual layer, and in-betweens if any, of every chunk. The dataset begins with an index of the lengths
-and CRC-32 checksums of all streams:
-
-==========  =====================================================================================================
-bytes       meaning, all numbers little-endian
-==========  =====================================================================================================
-4           ``msq1``
-3 x 4       uint32: size of the lengths, size of the checksums, CRC-32 of both
-any         lengths, as numbers of 7 bits a byte (LEB128): number of groups of the basis, number of chunks, number of
-            frames of every chunk, length of every stream
-any         uint32 each: CRC-32 of the attribute ``coding``, and of every stream that is not empty
-==========  =====================================================================================================
+(LEB128) and CRC-32 checksums of all streams.
 
 Times and surfaces are packed without loss. First differences of numbers are stored by byte: first bytes of all
 numbers, second bytes of all numbers, and so on. Most of these bytes are zero, so zlib compresses them well.
@@ -511,6 +501,8 @@ def _check_facts(path: Path, facts: Mapping[str, Any], parameters: CodingParamet
     memory += _BYTES_PER_RESIDUAL_BYTE * max((chunk.residuals.size for chunk in index.chunks), default=0)
     knots = frames << (parameters.inbetween_levels or 0)
     memory += _BYTES_PER_NUMBER * rank * (width * vertices + dim * knots)
+    if parameters.inbetween_parts:
+        memory += 4 * _BYTES_PER_NUMBER * (vertices + 3 * MAX_PARTS * knots)
     check_memory(path, memory, "decoding it")
 
 

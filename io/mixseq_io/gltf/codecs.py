@@ -25,6 +25,7 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
@@ -34,6 +35,7 @@ from numpy.typing import NDArray
 from mixseq.errors import MissingExtraError, OutputError
 from mixseq.types import Single
 from mixseq.version import __version__
+from mixseq_io.files import atomic_file
 from mixseq_io.gltf.document import DRACO_EXTENSION, MESHOPT_EXTENSIONS, Document, Fields, element_layout
 from mixseq_io.isolation import call_isolated
 from mixseq_io.surfaces import colours_to_bytes
@@ -117,9 +119,19 @@ def append(document: Json, member: str, entry: Json) -> int:
     return len(entries) - 1
 
 
+def add_channels(
+    animation: Json, times: int, values: int, nodes: Iterable[int], path: str, interpolation: str = "LINEAR"
+) -> None:
+    """Add a sampler of the accessors of times and values to an animation, and a channel for every node."""
+    sampler = append(animation, "samplers", {"input": times, "output": values, "interpolation": interpolation})
+    for node in nodes:
+        append(animation, "channels", {"sampler": sampler, "target": {"node": node, "path": path}})
+
+
 def compute_glb_size(layout: Layout) -> int:
-    """Return the size of a .glb in bytes, except for the document's ``buffers`` list, which the writer adds."""
-    return _GLB_OVERHEAD_BYTES + _align(len(_encode(layout.document))) + _align(layout.length)
+    """Return the size in bytes of the .glb that is written of a layout."""
+    document = layout.document | {"buffers": [{"byteLength": layout.length}]}
+    return _GLB_OVERHEAD_BYTES + _align(len(_encode(document))) + _align(layout.length)
 
 
 class BufferWriter:
@@ -131,22 +143,20 @@ class BufferWriter:
 
     def put(self, offset: int, data: Iterable[Chunk]) -> None:
         """Write the chunks of a view that begins at `offset`."""
-        self._append(bytes(offset - self.position))
-        for chunk in data:
-            self._append(chunk.tobytes() if isinstance(chunk, np.ndarray) else bytes(chunk))
-
-    def _append(self, data: bytes) -> None:
-        self._write(data)
-        self.position += len(data)
+        for chunk in chain([bytes(offset - self.position)], data):
+            content = chunk.tobytes() if isinstance(chunk, np.ndarray) else bytes(chunk)
+            self._write(content)
+            self.position += len(content)
 
 
 @contextmanager
-def open_buffer_writer(path: Path, temporary: Path, layout: Layout) -> Iterator[BufferWriter]:
-    """Write the data of a layout; on exit from the context, complete the buffer and write the final document."""
+def open_buffer_writer(path: Path, layout: Layout) -> Iterator[BufferWriter]:
+    """Write the data of a layout; on exit from the context, complete the buffer and the document in the file."""
     is_binary = path.suffix.lower() == ".glb"
     layout.document["buffers"] = [{"byteLength": layout.length}]
     _check_size(path, layout, is_binary)
-    with temporary.open("wb") as file, (_write_glb if is_binary else _write_text)(file, layout) as writer:
+    write = _write_glb if is_binary else _write_text
+    with atomic_file(path) as temporary, temporary.open("wb") as file, write(file, layout) as writer:
         for offset, data in layout.contents:
             writer.put(offset, data)
         yield writer

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from mixseq.errors import FormatError
 from mixseq.sequence.header import SequenceHeader
 from mixseq_io.gltf.animation import Channel, find_transform_nodes, read_channels, read_extra_number
-from mixseq_io.gltf.codecs import Json, Layout, append
+from mixseq_io.gltf.codecs import Json, Layout, add_channels, append
 from mixseq_io.gltf.document import Document, Fields, read_uri
 from mixseq_io.gltf.scene import Scene
 from mixseq_io.originals import warn_of_unretimed_motion
@@ -27,7 +27,7 @@ from mixseq_io.scene_meshes import format_names
 _PRUNED_LISTS = ("meshes", "accessors", "bufferViews")  # each list refers to the next
 
 _PRUNABLE_PREFIXES = ("KHR_node_", "KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_xmp")
-"""Prefixes of extensions whose references to the pruned lists, if any, are in `_iterate_references`."""
+"""Prefixes of extensions whose references to the pruned lists, if any, are in `iterate_references`."""
 
 
 def prune(path: Path, document: Json) -> None:
@@ -68,7 +68,11 @@ def collect_extensions(document: Json) -> set[str]:
 
 def _prune_list(document: Json, kind: str) -> None:
     references = [
-        (owner, key) for owner, key, target in _iterate_references(document) if target == kind and key in owner
+        (owner, key)
+        for list_name in ("nodes", "meshes", "skins", "accessors", "images")
+        for entry in document.get(list_name, ())
+        for owner, key, target in iterate_references(list_name, entry)
+        if target == kind
     ]
     used = sorted({owner[key] for owner, key in references})
     new_indices = {old: new for new, old in enumerate(used)}
@@ -80,23 +84,34 @@ def _prune_list(document: Json, kind: str) -> None:
         document[kind] = entries
 
 
-def _iterate_references(document: Json) -> Iterator[tuple[Json, str, str]]:
-    """Yield every possible reference as its owner, its member (which may be absent) and the list it refers to."""
-    for node in document.get("nodes", ()):
-        yield node, "mesh", "meshes"
-    for mesh in document.get("meshes", ()):
-        for primitive in mesh["primitives"]:
-            yield primitive, "indices", "accessors"
+def iterate_references(kind: str, entry: Json) -> Iterator[tuple[Json, str, str]]:
+    """Yield the references of an entry of a list to meshes and materials, as owner, member and the other list."""
+    references: list[tuple[Json, str, str]] = []
+    if kind == "nodes":
+        references = [(entry, "mesh", "meshes")]
+    elif kind == "meshes":
+        for primitive in entry["primitives"]:
+            references.append((primitive, "indices", "accessors"))
             for attributes in (primitive["attributes"], *primitive.get("targets", ())):
-                yield from ((attributes, name, "accessors") for name in attributes)
-    for skin in document.get("skins", ()):
-        yield skin, "inverseBindMatrices", "accessors"
-    for accessor in document.get("accessors", ()):
-        sparse = accessor.get("sparse", {})
-        for owner in (accessor, sparse.get("indices", {}), sparse.get("values", {})):
-            yield owner, "bufferView", "bufferViews"
-    for image in document.get("images", ()):
-        yield image, "bufferView", "bufferViews"
+                references += [(attributes, name, "accessors") for name in attributes]
+    elif kind == "skins":
+        references = [(entry, "inverseBindMatrices", "accessors")]
+    elif kind == "accessors":
+        sparse = entry.get("sparse", {})
+        owners = (entry, sparse.get("indices", {}), sparse.get("values", {}))
+        references = [(owner, "bufferView", "bufferViews") for owner in owners]
+    elif kind == "images":
+        references = [(entry, "bufferView", "bufferViews")]
+    elif kind == "textures":
+        references = [(owner, "source", "images") for owner in (entry, *entry.get("extensions", {}).values())]
+        references.append((entry, "sampler", "samplers"))
+    elif kind == "materials":
+        stack = [entry]
+        while stack:
+            members = {key: value for key, value in stack.pop().items() if isinstance(value, dict)}
+            references += [(value, "index", "textures") for key, value in members.items() if key.endswith("Texture")]
+            stack += members.values()
+    return ((owner, key, target) for owner, key, target in references if key in owner)
 
 
 _KEPT_MEMBERS = ("name", "mesh", "extras")
@@ -156,31 +171,20 @@ _IMAGE_SIGNATURES = {
 }
 
 
-def embed_images(layout: Layout, document: Document) -> None:
-    """Copy images from files into the document's buffer, byte for byte."""
-    images = document.top.objects("images")
-    for entry, image in zip(layout.document.get("images", ()), images, strict=True):
-        uri = image.text("uri", "data:")
-        if uri.startswith("data:"):
-            continue
-        try:
-            data, mime_type = read_image(image)
-        except FormatError as error:
-            warn(f"{error}; the image is not copied, only the reference to it")
-            continue
-        del entry["uri"]
-        entry.update(bufferView=layout.add([data], len(data)), mimeType=mime_type)
-
-
-def read_image(image: Fields) -> tuple[bytes, str]:
-    """Return the bytes that an image's URI refers to, and their MIME type."""
+def embed_image(layout: Layout, entry: Json, image: Fields) -> None:
+    """Copy what an image's URI refers to into the document's buffer, byte for byte; warn if it cannot be read."""
     uri = image.text("uri")
-    file = read_uri(image, uri)
-    data = file.read(0, file.size)
-    mime_type = next((kind for start, kind in _IMAGE_SIGNATURES.items() if data.startswith(start)), "")
-    if not mime_type:
-        raise image.error(f"is in {uri[:80]!r}, which is no PNG, JPEG, WebP or KTX2 image")
-    return data, mime_type
+    try:
+        file = read_uri(image, uri)
+        data = file.read(0, file.size)
+        mime_type = next((kind for start, kind in _IMAGE_SIGNATURES.items() if data.startswith(start)), "")
+        if not mime_type:
+            raise image.error(f"is in {uri[:80]!r}, which is no PNG, JPEG, WebP or KTX2 image")
+    except FormatError as error:
+        warn(f"{error}; the image is not copied, only the reference to it")
+        return
+    del entry["uri"]
+    entry.update(bufferView=layout.add([data], len(data)), mimeType=mime_type)
 
 
 _VISIBLE_MEMBERS = ("mesh", "camera", "extensions")
@@ -212,14 +216,9 @@ class OtherMotion:
                 values /= np.linalg.norm(values, axis=1, keepdims=True)
             if channel.name == "weights":
                 values = values.reshape(-1)
-            sampler = {
-                "input": keys,
-                "output": layout.add_array(values.astype(np.float32)),
-                "interpolation": "STEP" if channel.interpolation == "STEP" else "LINEAR",
-            }
-            target = {"node": channel.node, "path": channel.name}
-            animation["channels"].append({"sampler": len(animation["samplers"]), "target": target})
-            animation["samplers"].append(sampler)
+            interpolation = "STEP" if channel.interpolation == "STEP" else "LINEAR"
+            output = layout.add_array(values.astype(np.float32))
+            add_channels(animation, keys, output, [channel.node], channel.name, interpolation)
 
     def warn_if_unretimed(self, path: Path, header: SequenceHeader, sources: ArrayLike | None) -> None:
         """Warn if the sequence is retimed, or extends beyond this animation by more than a frame."""

@@ -1,17 +1,5 @@
 """Reader and writer of the glTF extension ``MIXSEQ_mesh_sequence``: frames as the streams of a compressed model.
 
-::
-
-    "meshes": [{
-        "primitives": [...],                 the first frame, for viewers without the extension
-        "extensions": {"MIXSEQ_mesh_sequence": {
-            "version": 1,                    of compressed models
-            "coding": 5,                     buffer view: the JSON text
-            "streams": 6,                    buffer view: the index, then all streams
-            "polygons": [0, 120, 1, 80]      if there are several primitives: the first 120 polygons are of primitive
-        }}                                   0, the next 80 of primitive 1, and so on
-    }]
-
 The text and streams are identical to the text and streams of an HDF5 file. They hold vertices, faces, texture
 coordinates and hard edges, so a decoder reads only materials from primitives. Specification: ``docs/file-format.md``.
 
@@ -23,7 +11,7 @@ and still are relative to the origin of the text, at which the node is.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from copy import deepcopy
 from pathlib import Path
 
@@ -32,14 +20,14 @@ from numpy.typing import NDArray
 
 from mixseq.choices import StillName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
-from mixseq.errors import AmbiguousError, FormatError, OutputError
-from mixseq.mesh.measures import NO_ORIGIN, choose_origin, corner_normals
+from mixseq.errors import AmbiguousError, FormatError
+from mixseq.mesh.measures import NO_ORIGIN, corner_normals
 from mixseq.mesh.surface import Origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Single
 from mixseq_io.coded.packing import pack
 from mixseq_io.coded.streams import Container
-from mixseq_io.files import atomic_file, check_memory
+from mixseq_io.files import check_memory
 from mixseq_io.gltf.codecs import (
     COMPONENT_TYPES,
     FLOAT_COMPONENT,
@@ -63,7 +51,7 @@ from mixseq_io.gltf.document import (
     open_data,
     read_glb_chunks,
 )
-from mixseq_io.gltf.edits import collect_extensions, read_image
+from mixseq_io.gltf.edits import collect_extensions, embed_image, iterate_references
 from mixseq_io.gltf.new_document import (
     SplitPrimitive,
     add_material,
@@ -92,7 +80,7 @@ def has_sequence(path: Path) -> bool:
         text, _ = read_glb_chunks(path, data)
     if f'"{SEQUENCE_EXTENSION}"'.encode() not in text:  # avoids parsing files without a sequence
         return False
-    return next(_iterate_sequences(load_document(path)), None) is not None
+    return bool(_list_sequences(load_document(path)))
 
 
 def read_container(path: Path) -> Container:
@@ -117,7 +105,7 @@ def overhead_size(path: Path) -> int:
 
 def _find_sequence(document: Document) -> Fields:
     """Return the extension object of the only mesh sequence."""
-    sequences = list(_iterate_sequences(document))
+    sequences = _list_sequences(document)
     if not sequences:
         raise FormatError(f"{document.path} has no compressed model; make one with mixseq encode --max-error")
     if len(sequences) > 1:
@@ -125,11 +113,9 @@ def _find_sequence(document: Document) -> Fields:
     return sequences[0]
 
 
-def _iterate_sequences(document: Document) -> Iterator[Fields]:
-    for mesh in document.items("meshes"):
-        extensions = mesh.object("extensions")
-        if SEQUENCE_EXTENSION in extensions:
-            yield extensions.object(SEQUENCE_EXTENSION)
+def _list_sequences(document: Document) -> list[Fields]:
+    extensions = [mesh.object("extensions") for mesh in document.items("meshes")]
+    return [each.object(SEQUENCE_EXTENSION) for each in extensions if SEQUENCE_EXTENSION in each]
 
 
 def _read_data(document: Document, extension: Fields, key: str) -> bytes:
@@ -140,76 +126,41 @@ def _read_data(document: Document, extension: Fields, key: str) -> bytes:
 
 
 def copy_materials(layout: Layout, names: Collection[str], origin: Origin | None) -> dict[str, int]:
-    """Copy materials of the original file into a document; return the indices of the copies by name."""
+    """Copy the first material of each name from the original file; return the indices of the copies by name."""
     if origin is None or origin.format != "glTF" or not names:
         return {}
     path = Path(origin.path)
     try:
         with translate_read_errors(path, "glTF", *MALFORMED_JSON_ERRORS):
-            return _Copier(layout, load_document(path)).copy_materials(names)
+            original = load_document(path)
+            copied: dict[tuple[str, int], int] = {}
+            indices: dict[str, int] = {}
+            for index, fields in enumerate(original.items("materials")):
+                name = fields.text("name") or f"material {index}"
+                if name in names and name not in indices:
+                    indices[name] = _copy_entry(layout, original, copied, "materials", index)
+            return indices
     except FormatError as error:
         warn(f"{error}; materials keep their names, but are plain")
         return {}
 
 
-class _Copier:
-    """Copier of entries from an original to a new document; every entry is copied once."""
-
-    def __init__(self, layout: Layout, original: Document) -> None:
-        self._layout, self._original = layout, original
-        self._copied: dict[tuple[str, int], int] = {}
-
-    def copy_materials(self, names: Collection[str]) -> dict[str, int]:
-        """Copy the first material of each name; return the indices of the copies by name."""
-        indices: dict[str, int] = {}
-        for index, fields in enumerate(self._original.items("materials")):
-            name = fields.text("name") or f"material {index}"
-            if name in names and name not in indices:
-                indices[name] = self._copy("materials", index)
-        return indices
-
-    def _copy(self, kind: str, index: int) -> int:
-        """Copy an entry of a list and all entries that it references; return its new index."""
-        if (kind, index) not in self._copied:
-            original = self._original.top.objects(kind)[index]
-            entry = deepcopy(dict(original.values))
-            if kind == "images":
-                self._embed_image(entry, original)
-            for owner, key, target in _iterate_references(kind, entry):
-                owner[key] = self._copy(target, Fields(original.file, original.place, owner).integer(key))
-            self._copied[kind, index] = append(self._layout.document, kind, entry)
-        return self._copied[kind, index]
-
-    def _embed_image(self, entry: Json, image: Fields) -> None:
-        if "bufferView" in image:
-            view = self._original.item("bufferViews", image.integer("bufferView"))
-            content = self._original.read_view(view)
+def _copy_entry(layout: Layout, original: Document, copied: dict[tuple[str, int], int], kind: str, index: int) -> int:
+    """Copy an entry of a list and all entries that it references, unless they are `copied`; return its new index."""
+    if (kind, index) not in copied:
+        fields = original.top.objects(kind)[index]
+        entry = deepcopy(dict(fields.values))
+        if kind == "images" and "bufferView" not in entry:
+            embed_image(layout, entry, fields)
+        elif kind == "images":
+            content = original.read_view(original.item("bufferViews", fields.integer("bufferView")))
+            entry["bufferView"] = layout.add([content], len(content))
         else:
-            try:
-                content, entry["mimeType"] = read_image(image)
-            except FormatError as error:
-                warn(f"{error}; the image is not copied, only the reference to it")
-                return
-        entry.pop("uri", None)
-        entry["bufferView"] = self._layout.add([content], len(content))
-
-
-def _iterate_references(kind: str, entry: Json) -> Iterator[tuple[Json, str, str]]:
-    """Yield every reference of a material or texture as its owner, its member and the list it refers to."""
-    if kind == "textures":
-        for owner in (entry, *entry.get("extensions", {}).values()):
-            if "source" in owner:
-                yield owner, "source", "images"
-        if "sampler" in entry:
-            yield entry, "sampler", "samplers"
-    elif kind == "materials":
-        stack = [entry]
-        while stack:
-            for key, value in stack.pop().items():
-                if isinstance(value, dict):
-                    stack.append(value)
-                    if key.endswith("Texture") and "index" in value:
-                        yield value, "index", "textures"
+            for owner, key, target in iterate_references(kind, entry):
+                reference = Fields(original.path, fields.place, owner).integer(key)
+                owner[key] = _copy_entry(layout, original, copied, target, reference)
+        copied[kind, index] = append(layout.document, kind, entry)
+    return copied[kind, index]
 
 
 def as_one_mesh(header: SequenceHeader) -> SceneMesh:
@@ -248,8 +199,6 @@ def add_still(
         if each.face_set is not None:
             entry["material"] = add_material(layout.document, material_name(each.face_set), materials)
         entries.append(entry)
-    if not entries:
-        raise OutputError("glTF cannot hold a mesh without faces; write .h5")
     return entries
 
 
@@ -304,17 +253,14 @@ def _add_empty_accessor(layout: Layout, count: int, kind: str, component: int) -
     return append(layout.document, "accessors", entry)
 
 
-_MAX_TEXT_BYTES = 1000
-"""Upper bound on the size of the JSON text in bytes, without long names."""
-
-_STILL_SIZE_MARGIN = 1.02
-"""Largest size ratio of the still of a decoded frame to the still of the exact frame."""
-
-
 def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> None:
     """Write a compressed sequence as a .glb."""
-    points, origin = decode(coded)(coded.header.times[0]), np.array(coded.parameters.origin or NO_ORIGIN)
-    write_container(path, pack(coded), coded.header, points, origin, still)
+    write_container(path, pack(coded), coded.header, *first_frame(coded), still)
+
+
+def first_frame(coded: CompressedSequence) -> tuple[Float, Float]:
+    """Decode the first frame ``(V, 3)`` of a compressed sequence; return it and the origin ``(3,)``."""
+    return decode(coded)(coded.header.times[0]), np.array(coded.parameters.origin or NO_ORIGIN)
 
 
 def write_container(
@@ -322,15 +268,15 @@ def write_container(
 ) -> None:
     """Write a .glb with text, streams and a still of `points` ``(V, 3)``, whose node is at an origin ``(3,)``."""
     layout = _create_layout(header, points, origin, container, still)
-    with atomic_file(path) as temporary, open_buffer_writer(path, temporary, layout):
+    with open_buffer_writer(path, layout):
         pass
 
 
-def bound_overhead_size(header: SequenceHeader, points: FloatArray, still: StillName) -> int:
-    """Return an upper bound in bytes of a .glb without its streams, with a still of `points` ``(V, 3)``."""
-    container = Container(bytes(_MAX_TEXT_BYTES + 6 * len(header.name)), b"")
-    layout = _create_layout(header, points, choose_origin(points), container, still)
-    return int(_STILL_SIZE_MARGIN * compute_glb_size(layout))
+def container_size(
+    container: Container, header: SequenceHeader, points: FloatArray, origin: Float, still: StillName
+) -> int:
+    """Return the size in bytes of the .glb that `write_container` writes."""
+    return compute_glb_size(_create_layout(header, points, origin, container, still))
 
 
 def _create_layout(

@@ -287,11 +287,5 @@ def _gather(primitives: Sequence[Primitive], arrays: Sequence[NDArray[Any] | Non
 
 def label_rows(rows: NDArray[Any]) -> IntArray:
     """Label rows ``(n, k)`` so that equal rows share a label ``(n,)``; -0 equals 0."""
-    order = np.lexsort(rows.T)
-    if not order.size:
-        return order
-    ordered = rows[order]
-    is_new = np.concatenate([[False], (ordered[1:] != ordered[:-1]).any(axis=1)])
-    labels = np.empty_like(order)
-    labels[order] = np.cumsum(is_new)
-    return labels
+    rows = np.ascontiguousarray(rows + 0.0)  # turns -0 into 0
+    return np.unique(rows.view(f"V{rows.strides[0]}"), return_inverse=True)[1].reshape(-1)

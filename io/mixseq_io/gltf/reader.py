@@ -17,7 +17,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -84,14 +84,15 @@ def _find_moving_nodes(
     document: Document, scene: Scene, nodes: Sequence[int], channels: Collection[Channel]
 ) -> list[bool]:
     """Return whether the mesh of each node moves."""
-    animated = [channel for channel in channels if channel.is_animated]
-    moved = {channel.node for channel in animated if channel.name != "weights"}
-    morphed = {channel.node for channel in animated if channel.name == "weights"}
-    is_moving = []
-    for node in nodes:
-        transforms = scene.with_ancestors(find_transform_nodes(document, scene.nodes[node], node))
-        is_moving.append(node in morphed or not moved.isdisjoint(transforms))
-    return is_moving
+    moved = {(channel.node, channel.name == "weights") for channel in channels if channel.is_animated}
+    return [
+        (node, True) in moved
+        or any(
+            (above, False) in moved
+            for above in scene.with_ancestors(find_transform_nodes(document, scene.nodes[node], node))
+        )
+        for node in nodes
+    ]
 
 
 def _make_scene_mesh(
@@ -215,8 +216,14 @@ def read_joints(path: Path, name: str | None) -> Skeleton:
 def _select_nodes_of_skin(document: Document, scene: Scene, skin: Fields) -> list[int]:
     """Return the nodes with meshes bound to the joints of a skin, and nodes with unskinned meshes below the joints."""
     joints = set(read_joint_nodes(document, skin))
-    nodes = _select_nodes(document, scene, None)
-    nodes = [node for node in nodes if _is_bound_to(document, scene, node, joints)]
+
+    def is_bound(node: int) -> bool:
+        own = scene.nodes[node].index("skin")
+        if own is None:
+            return not joints.isdisjoint(scene.lineage(node))
+        return joints == set(read_joint_nodes(document, document.item("skins", own)))
+
+    nodes = [node for node in _select_nodes(document, scene, None) if is_bound(node)]
     if not nodes:
         raise NoMeshError(f"{document.path} has no mesh on its skeleton; export the character with its mesh")
     return nodes
@@ -242,13 +249,6 @@ def _bind(document: Document, mesh_node: MeshNode, skin: Fields) -> MeshNode:
         to_root = own_skin.inverse_binds[list(own_skin.joints).index(joints[root])]
     weights = csr_array(np.ones((len(mesh_node.rest), 1)))
     return replace(mesh_node, skin=MeshSkin([joints[root]], to_root[None], weights))
-
-
-def _is_bound_to(document: Document, scene: Scene, node: int, joints: Set[int]) -> bool:
-    skin = scene.nodes[node].index("skin")
-    if skin is None:
-        return not joints.isdisjoint(scene.lineage(node))
-    return joints == set(read_joint_nodes(document, document.item("skins", skin)))
 
 
 def _select_skin(document: Document, name: str | None) -> Fields:
@@ -315,8 +315,7 @@ def open_gltf(
 
             def read_mesh(index: int) -> tuple[MeshNode, SceneMesh]:
                 mesh_node = read(nodes[index])
-                for node in mesh_node.transform_nodes:
-                    scene.add_world_matrices(world, node, pose)
+                scene.world_matrices(mesh_node.transform_nodes, pose, world)
                 return mesh_node, _make_scene_mesh(document, mesh_node, pose, world, frame_name)
 
             return read_mesh

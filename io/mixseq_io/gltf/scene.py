@@ -96,25 +96,26 @@ class Scene:
                 node = self.parents[node]
         return visited - {-1}
 
-    def world_matrices(self, nodes: Iterable[int], pose: Pose) -> dict[int, Float]:
-        """Return the local-to-world matrices of nodes and their ancestors, ``(B, 4, 4)`` or constant ``(1, 4, 4)``."""
-        world: dict[int, Float] = {}
-        for node in nodes:
-            self.add_world_matrices(world, node, pose)
-        return world
+    def world_matrices(
+        self, nodes: Iterable[int], pose: Pose, world: dict[int, Float] | None = None
+    ) -> dict[int, Float]:
+        """Return the local-to-world matrices of nodes and their ancestors, ``(B, 4, 4)`` or constant ``(1, 4, 4)``.
 
-    def add_world_matrices(self, world: dict[int, Float], node: int, pose: Pose) -> None:
-        """Add the matrices of a node and its ancestors to `world`, unless they are there."""
+        They are added to `world`, if given, unless they are there.
+        """
+        world = {} if world is None else world
         world.setdefault(-1, np.eye(4)[None])
-        missing = []
-        while node not in world:
-            missing.append(node)
-            node = self.parents[node]
-        for each in reversed(missing):
-            matrices = world[self.parents[each]] @ _local_matrices(self.nodes[each], each, pose)
-            extras = self.nodes[each].values.get("extras")
-            is_marked = isinstance(extras, dict) and WORLD_SPACE_MARK in extras
-            world[each] = np.eye(4)[None] if is_marked and is_nearly_identity(matrices) else matrices
+        for node in nodes:
+            missing = []
+            while node not in world:
+                missing.append(node)
+                node = self.parents[node]
+            for each in reversed(missing):
+                matrices = world[self.parents[each]] @ _local_matrices(self.nodes[each], each, pose)
+                extras = self.nodes[each].values.get("extras")
+                is_marked = isinstance(extras, dict) and WORLD_SPACE_MARK in extras
+                world[each] = np.eye(4)[None] if is_marked and is_nearly_identity(matrices) else matrices
+        return world
 
 
 def read_scene(document: Document) -> Scene:

@@ -27,7 +27,6 @@ from mixseq.mesh.measures import NO_ORIGIN
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
-from mixseq_io.files import atomic_file
 from mixseq_io.gltf.codecs import (
     ELEMENT_ARRAY_BUFFER,
     GENERATOR_NAME,
@@ -42,7 +41,7 @@ from mixseq_io.gltf.edits import (
     NO_OTHER_MOTION,
     OtherMotion,
     detach_node,
-    embed_images,
+    embed_image,
     find_animated_nodes,
     find_unused_root,
     prune,
@@ -257,7 +256,9 @@ def _copy_buffers(copied: Json, document: Document) -> Layout:
         for key in ("buffer", "byteOffset", "byteLength"):
             view.pop(key, None)
         layout.add([data], len(data), **view)
-    embed_images(layout, document)
+    for entry, image in zip(copied.get("images", ()), document.top.objects("images"), strict=True):
+        if not image.text("uri", "data:").startswith("data:"):
+            embed_image(layout, entry, image)
     return layout
 
 
@@ -294,7 +295,7 @@ def write_gltf(
         )
     morphs = MorphFrameWriter(layout, meshes, header, keep_start, others)
     _, numbered = validate_blocks(header, blocks, velocities)
-    with atomic_file(path) as temporary, open_buffer_writer(path, temporary, layout) as writer:
+    with open_buffer_writer(path, layout) as writer:
         for first, block, _ in numbered:
             # Frames are written one by one, since a block may be the whole sequence.
             for frame, points in enumerate(block, start=first):

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from mixseq.sequence.header import SequenceHeader
 from mixseq_io.isolation import call_isolated
 from mixseq_io.reader import check_regular_file, translate_read_errors
 from mixseq_io.surfaces import SURFACE_ARRAY_NAMES, surface_from_arrays
+
+if TYPE_CHECKING:
+    from mixseq_io.coded.streams import Container
 
 _WORKER_MODULE = "mixseq_io.hdf5.inspection"
 
@@ -72,6 +75,20 @@ def translate_h5_errors(path: Path) -> AbstractContextManager[None]:
 
 MODEL_FORMAT = "mixseq-model"
 """Value of the root attribute `format` in models."""
+
+
+def parse_container(file: Contents) -> Container:
+    """Return the text and streams of a compressed model."""
+    from mixseq_io.coded.streams import Container
+
+    with translate_h5_errors(file.path):
+        if file.kind != MODEL_FORMAT or "coding" not in file.attrs:
+            raise FormatError(f"{file.path} is not a compressed model; make one with mixseq encode --max-error")
+        return Container(
+            text=bytes(file.attrs["coding"]),
+            streams=file.arrays["streams"].astype(np.uint8).tobytes(),
+            version=int(file.attrs["version"]),
+        )
 
 
 def check_version(file: Contents, supported: int) -> None:

@@ -77,12 +77,16 @@ def write_header(file: h5py.File, header: SequenceHeader) -> None:
         write_array(file, f"surface/{name}", array)
 
 
+H5_VERSIONS = ("v110", "v110")
+"""Oldest and newest version of HDF5 whose layouts files have."""
+
+
 @contextmanager
 def create_h5(path: Path) -> Iterator[tuple[h5py.File, DeferredErrorFile]]:
     """Yield a new HDF5 file that replaces `path` when complete, and the file object, which records write errors."""
     with atomic_file(path) as temporary, temporary.open("w+b", buffering=0) as raw:
         buffer = DeferredErrorFile(raw)
-        with h5py.File(buffer, "w", libver=("v110", "v110")) as file:
+        with h5py.File(buffer, "w", libver=H5_VERSIONS) as file:
             yield file, buffer
         buffer.check()
 

@@ -1,24 +1,6 @@
 """Read and write HDF5 models: a shape space and the signals of a sequence, in datasets that users may edit.
 
-::
-
-    /                          format = "mixseq-model", version = 1, created_by, settings (JSON), space,
-                               provenance (JSON), name, fps, up_axis, metres_per_unit, vertex_count
-    /polygons/                 counts, indices
-    /segmentation/             part_of_face, widths                         (mixed space)
-    /segmentation/parts/       vertices, sizes                              (mixed space)
-    /segmentation/joints/      faces, sizes                                 (mixed space)
-    /space/                    scale; reference (all but vertex, basis); shapes, joint_faces (mixed space);
-                               reference_lengths (edge space); fields (basis space)
-    /space/skinning/           sizes, parts, weights                        (mixed space)
-    /space/steadiness/         turns, centres, relation_turns, relation_points  (mixed space)
-    /signals/time/             frames, times, values
-    /signals/pose/             offset, matrix
-    /signals/shape/            blocks of shape vectors, see `shape_blocks`
-    /signals/placement/        times, rotations, translations
-    /signals/correction/       times, rotations, translations               (mixed space)
-
-See ``docs/file-format.md``. `mixseq_io.hdf5.coded_files` describes the layout of compressed models.
+``docs/file-format.md`` describes all datasets and attributes, also those of compressed models (`mixseq_io.coded`).
 """
 
 from __future__ import annotations
@@ -36,16 +18,16 @@ from mixseq.mesh.topology import Topology
 from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
+from mixseq.spaces.base import VertexSpace
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mixed.articulation import STEADINESS_RANGE, Steadiness
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
-from mixseq.spaces.vertex import VertexSpace
 from mixseq.types import Float, index_mask
 from mixseq.version import __version__
 from mixseq_io.hdf5.contents import MODEL_FORMAT, Contents, check_version, read_header

@@ -1,16 +1,6 @@
 """Read and write HDF5 sequences: complete mesh sequences, deflated, with checksums.
 
-::
-
-    /                    format = "mixseq-sequence", version = 1, name, fps,
-                         up_axis, metres_per_unit
-    /points              (T, V, 3) float32 or float64, in chunks of whole frames
-    /velocities          units per second, in the form of points; optional
-    /times               (T,) float64, seconds
-    /polygons/counts     (P,) int32
-    /polygons/indices    (sum of counts,) int32
-    /surface/...         surface data such as texture coordinates, see `mixseq_io.surfaces`; optional
-
+``docs/file-format.md`` describes datasets and attributes. Points and velocities are stored in chunks of whole frames.
 A file whose `format` is "mixseq-model" holds a model instead; see `mixseq_io.loading`.
 """
 
@@ -26,7 +16,7 @@ import numpy as np
 from mixseq.errors import FormatError
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray
-from mixseq_io.hdf5.contents import check_version, read_attributes, read_header, translate_h5_errors
+from mixseq_io.hdf5.contents import Contents, check_version, read_header, translate_h5_errors
 from mixseq_io.hdf5.datasets import STORAGE_OPTIONS, create_h5, write_array, write_header, write_text
 from mixseq_io.hdf5.inspection import load_datasets, open_inspected
 from mixseq_io.isolation import open_isolated
@@ -42,9 +32,9 @@ _MAX_CHUNK_BYTES = 1 << 20
 """Largest size of a chunk in bytes; chunks are read completely, and HDF5 caches 1 MiB of chunks by default."""
 
 
-def open_h5(path: Path) -> SequenceReader:
-    """Open an HDF5 sequence of mixseq."""
-    contents = read_attributes(path)
+def open_h5_sequence(contents: Contents) -> SequenceReader:
+    """Open an HDF5 sequence of mixseq, given the attributes of the file."""
+    path = contents.path
     if contents.kind != SEQUENCE_FORMAT:
         raise FormatError(f"{path} is an HDF5 file, but not one of mixseq's (format = {contents.kind!r})")
     with translate_h5_errors(path):

@@ -18,7 +18,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
+from mixseq.errors import (
+    AmbiguousError,
+    FormatError,
+    InvalidSequenceError,
+    MissingFileError,
+    OutputError,
+    SettingsError,
+)
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import Surface
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_number, time_to_number
@@ -65,7 +72,7 @@ def find_frame_files(path: Path, allow_gaps: bool, extension: str = ".obj") -> t
     elif "*" in path.name or "?" in path.name:
         numbered = _number_files(path, path.parent.glob(path.name))
     else:
-        raise FormatError(f"{path} does not exist")
+        raise MissingFileError(f"{path} does not exist")
     if not numbered:
         raise FormatError(f"{path}: there are no numbered files of this name")
     numbers = [number for number, _ in numbered]
@@ -199,8 +206,6 @@ class FrameFormat:
 
     def open(self, path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
         """Open the numbered files of a sequence."""
-        if not (np.isfinite(fps) and fps > 0):
-            raise SettingsError(f"fps is {fps}; a positive number is expected")
         files, numbers = find_frame_files(path, allow_gaps, f".{self.name.lower()}")
         name = files[0].stem
         for _ in range(1 if numbers[0].is_integer() else 2):
@@ -245,7 +250,7 @@ class FrameFormat:
             )
         numbers = np.array([time_to_number(time, header.fps) for time in header.times]).round(3)
         counted = np.arange(header.frame_count)
-        is_lost = not _are_frames(numbers) or any(starmap(_missing_between, pairwise(numbers)))
+        is_lost = not _are_frames(numbers.tolist()) or any(starmap(_missing_between, pairwise(numbers)))
         if start is not None:
             is_lost = bool(np.abs(numbers - numbers[0] - counted).max() > FRAME_TOLERANCE)
         if is_lost or start is not None:

@@ -122,12 +122,8 @@ class Column:
 Columns = Mapping[str, Column]
 
 
-@dataclass(frozen=True)
-class StoredRows:
-    """An element with its rows as stored in the file."""
-
-    element: Element
-    data: bytes
+StoredRows = tuple[Element, bytes]
+"""An element, and its rows as stored in the file."""
 
 
 def read_elements(data: bytes, first_faces: StoredRows | None = None) -> tuple[dict[str, Columns], StoredRows | None]:
@@ -141,13 +137,13 @@ def read_elements(data: bytes, first_faces: StoredRows | None = None) -> tuple[d
     faces = None
     for element in elements:
         stored = _with_double_properties(element) if order == "" else element
-        if first_faces is not None and stored == first_faces.element and data.startswith(first_faces.data, start):
-            faces, start = first_faces, start + len(first_faces.data)
+        if first_faces is not None and stored == first_faces[0] and data.startswith(first_faces[1], start):
+            faces, start = first_faces, start + len(first_faces[1])
             continue
         columns, end = _read_rows(data, start, stored)
         result[element.name] = _cast_columns(columns, element)
         if element.name == "face":
-            faces = StoredRows(stored, data[start:end])
+            faces = stored, data[start:end]
         start = end
     if data[start:].strip():
         raise DamageError(f"{len(data) - start} extra bytes follow the last element")
@@ -271,7 +267,7 @@ def parse_ply(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
         raise FormatError(f"{file} cannot be read as a PLY file: it has no vertices with x, y and z")
     if first is not None and "face" not in elements:
         colours = _vertex_colours(elements["vertex"], first.polygons)
-        face_properties = {prop.name for prop in first.stored_faces.element.properties}
+        face_properties = {prop.name for prop in first.stored_faces[0].properties}
         if "color" in face_properties or (colours is None and _COLOUR_NAMES[0] in face_properties):
             colours = first.surface.colours
         surface = Surface(colours=colours)

@@ -1,4 +1,4 @@
 """Read and write text and array files with data of faces and vertices.
 
-`labels`, `derived_labels` and `label_files` handle parts, `markers` markers and contacts, and `maps` correspondences.
+`labels` and `label_files` handle parts, `markers` markers and contacts, and `maps` correspondences.
 """

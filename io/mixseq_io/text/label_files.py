@@ -1,16 +1,8 @@
 """Read labels from one of several sources in a file, check that they fit the mesh, and write labels.
 
-=============  ==========================================================================================
-source         meaning
-=============  ==========================================================================================
-``labels``     npz: an array ``part_of_face`` or ``labels`` with a number or name for every triangle or every
-               polygon; USD: the family ``mixseq`` of subsets. Both are written by ``mixseq segment``.
-``groups``     named sets of faces: OBJ groups, Alembic face sets, USD subsets without a family
-*a family*     USD: the subsets of any other family
-``materials``  the faces of every material
-``colours``    colours of vertices, faces or corners, in all formats with colours
-``skeleton``   skinning weights: UsdSkel, glTF
-=============  ==========================================================================================
+Sources are label arrays (npz) and the family ``mixseq`` of subsets (USD), both named ``labels``; named sets of faces
+(``groups``), any other family of USD subsets, ``materials``, ``colours``, and skinning weights (``skeleton``).
+``docs/formats.md`` lists them by format.
 
 By default `labels` are preferred, since they were stored as labels. Other sources need at least two labels.
 
@@ -47,6 +39,9 @@ from mixseq_io.text.labels import (
     MIN_JOINT_FACE_RATIO,
     SKELETON_SOURCE,
     Labels,
+    labels_from_colours,
+    labels_from_sets,
+    labels_from_skinning,
     polygon_labels,
     triangle_labels,
 )
@@ -194,8 +189,6 @@ def _labels_from_array(
 
 def _markings_sources(reader: SequenceReader, header: SequenceHeader, min_ratio: float) -> Sources:
     """Return the sources of labels in an open file, for a mesh with the same faces in any order."""
-    from mixseq_io.text.derived_labels import labels_from_sets, labels_from_skinning
-
     if not 0 <= min_ratio <= 1:
         raise SettingsError(f"smallest_joint is {min_ratio}; a fraction of the faces is expected, 0 to 1")
     file, polygons = reader.path, reader.header.polygons
@@ -205,7 +198,7 @@ def _markings_sources(reader: SequenceReader, header: SequenceHeader, min_ratio:
     sources: Sources = {name: partial(labels_from_sets, own, polygons) for name, own in sets}
     colours = reader.header.surface.colours
     if colours is not None:
-        sources[COLOURS_SOURCE] = partial(_labels_from_colours, file, colours.at_corners, polygons)
+        sources[COLOURS_SOURCE] = partial(labels_from_colours, file, colours.at_corners, polygons)
     if markings.skinning is not None:
         sources[SKELETON_SOURCE] = partial(labels_from_skinning, markings.skinning, polygons, min_ratio)
     if face_ids is None:
@@ -220,15 +213,6 @@ def _object_sizes(header: SequenceHeader) -> list[int]:
 def _reorder_labels(labels: Labels, face_ids: Index) -> Labels:
     """Reorder labels by face ids ``(F,)``."""
     return replace(labels, part_of_face=labels.part_of_face[face_ids])
-
-
-def _labels_from_colours(file: Path, colours: FloatArray, polygons: Polygons) -> Labels:
-    from mixseq_io.text.derived_labels import labels_from_colours
-
-    try:
-        return labels_from_colours(colours, polygons)
-    except FormatError as error:
-        raise FormatError(f"{file} {error}") from None
 
 
 def _match_faces(file: Path, header: SequenceHeader, polygons: Polygons, sizes: Sequence[int]) -> Index | None:

@@ -5,17 +5,7 @@
 other meshes. Archives by other programs need ``vertices`` (V',), or ``triangles`` (F',), or both ``corners`` and
 ``weights`` (V', 3), as in `mixseq.retargeting.correspond`.
 
-``.json``: ``{"vertices": list}``, ``{"triangles": list}`` or ``{"barycentric": list}``, or only a list, which maps
-vertices. Each item of a list is a row in the form below, as a list of numbers.
-
-Other files are text with one row per line. Numbers are separated by spaces, commas, colons, semicolons or ``->``::
-
-    # vertices        kind of map: vertices, triangles or barycentric; the # is optional
-    750, 3386         source and target (vertices or triangles)
-    750               or only the source, -1 for none, with a row for every vertex or triangle of the target
-    # barycentric
-    17, 3386, 0.2, 0.5, 0.3   source triangle, target vertex, and weights of the triangle's corners
-    17, 0.2, 0.5, 0.3         or without the target vertex
+Other files are JSON, or text with one row per line; ``docs/transfer.md`` describes both.
 
 If the kind of map is not stated, rows of four or five numbers are barycentric. Rows of one or two numbers are vertices,
 or triangles in ``.tricorrs`` files (Sumner and Popović). Triangle maps use the first source of each target. Comments
@@ -64,7 +54,7 @@ class MapFile:
 
     path: Path
     kind: str  # of rows: vertices, triangles, barycentric; of the arrays in an npz file: corners, stored
-    rows: NDArray[np.float64]  # (n, k) rows as described at the head of this module; empty for arrays
+    rows: NDArray[np.float64]  # (n, k) rows as in docs/transfer.md; empty for arrays
     arrays: dict[str, NDArray[Any]]  # arrays of an npz file
 
 
@@ -73,7 +63,7 @@ MIN_MAPPED_RATIO = 0.1
 
 
 def read_map(path: PathLike, kind: Kind | None = None) -> MapFile:
-    """Read a map file in a format described at the head of this module."""
+    """Read a map file in a format of ``docs/transfer.md``."""
     file = Path(path)
     if file.suffix.lower() == ".npz":
         return _read_npz(file)

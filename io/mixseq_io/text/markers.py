@@ -1,33 +1,21 @@
 """Read and write markers, which are pairs of vertices of a source and a target mesh, and read contacts.
 
-=================  =================================================================================================
-file               contents
-=================  =================================================================================================
-``.json``          a list of markers, or ``{"markers": list}``, or ``{"source": list, "target": list, "names": list}``
-``.yml, .yaml``    as in ``.json``; a comment after a marker is its name
-other files        one marker per line: two numbers, separated by a space, comma, colon, semicolon or ``->``. A comment
-                   (``#``) after a marker is its name. Empty lines and lines with only a comment are skipped. The
-                   first line may be the number of markers, or the words ``source`` and ``target``
-=================  =================================================================================================
-
-In lists, a marker is a pair of numbers ``[750, 3386]``, a text ``"750:3386"`` in the form of a line, or an object
-``{"source": 750, "target": 3386, "name": "nose"}``. Published files for Sumner and Popović's meshes have these forms:
-``.cons`` and ``.corr`` have lines, YAML files have lists of ``"750:3386"``. YAML defines ``12:34`` as a time of day
-(754 seconds), but here it is read as a pair.
+Files are JSON, YAML, or text with a marker per line; ``docs/transfer.md`` describes all three. Published files for
+Sumner and Popović's meshes have these forms. YAML defines ``12:34`` as a time of day (754 seconds), but here it is read
+as a pair.
 
 The viewer also writes checksums of both meshes, and every marked vertex in the order of a walk over the mesh, by which
 markers are found in files with other numbers: ``"meshes": {"source": object, "target": object}`` in JSON, or a comment
 ``# meshes`` with this object. Each has the fields of `NumberedVertices`.
 
-Contacts are named groups of target vertices that rest on the ground, such as feet. Their JSON file is ``{"left foot":
-[12, 13, 20], "right foot": [40, 41]}``, optionally inside ``{"contacts": ...}``. Vertices are numbered from 0.
+Contacts are named groups of target vertices that rest on the ground, such as feet. Vertices are numbered from 0.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -94,13 +82,8 @@ _HEADING_PATTERN = re.compile(r"source\s*(?:->|[\s,:;])\s*target", re.IGNORECASE
 _PAIR_TEXT = "two vertex numbers, from 0, are expected, separated by a space, comma, colon, semicolon or '->'"
 
 
-@dataclass(frozen=True)
-class _RawMarker:
-    """Unvalidated marker from a file."""
-
-    location: str  # location in the file
-    value: Any
-    comment: str = ""
+_RawMarkers = list[tuple[str, Any, str]]
+"""Location in the file, value and comment of every marker, before they are checked."""
 
 
 @public
@@ -110,7 +93,7 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
     Parameters
     ----------
     path : path-like
-        File in a form described at the head of this module.
+        File in JSON, YAML or with a marker per line, see ``docs/transfer.md``.
     reverse : bool
         Exchange source and target, for files in which the target's vertices come first.
 
@@ -143,12 +126,12 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
         raw_markers = _parse_yaml(file, text)
     elif extension == ".json":
         values = enumerate(_find_list(file, parse_json(file, text)), start=1)
-        raw_markers = [_RawMarker(f"marker {number}", value) for number, value in values]
+        raw_markers = [(f"marker {number}", value, "") for number, value in values]
     else:
         raw_markers = _parse_lines(file, text)
     if not raw_markers:
         raise FormatError(f"{file} has no markers; {_PAIR_TEXT}")
-    markers = [_parse_marker(f"{file}, {raw.location}", raw) for raw in raw_markers]
+    markers = [_parse_marker(f"{file}, {location}", *raw) for location, *raw in raw_markers]
     pairs = [(target, source) if reverse else (source, target) for source, target, _ in markers]
     names = tuple(name for _, _, name in markers)
     meshes = _parse_meshes(file, text)
@@ -158,7 +141,7 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
 
 
 def write_markers(path: PathLike, markers: Markers) -> None:
-    """Write markers in the form that the file's extension selects; see the head of this module."""
+    """Write markers in the form that the file's extension selects; see ``docs/transfer.md``."""
     file = Path(path)
     names = [" ".join(name.split()) for name in markers.names or [""] * len(markers)]
     rows = list(zip(markers.source.tolist(), markers.target.tolist(), names, strict=True))
@@ -210,8 +193,8 @@ def _parse_meshes(file: Path, text: str) -> tuple[NumberedVertices, NumberedVert
     return source, target
 
 
-def _parse_lines(file: Path, text: str) -> list[_RawMarker]:
-    markers: list[_RawMarker] = []
+def _parse_lines(file: Path, text: str) -> _RawMarkers:
+    markers: _RawMarkers = []
     expected_count = None
     for number, line in enumerate(text.splitlines(), start=1):
         value, _, comment = line.partition("#")
@@ -220,7 +203,7 @@ def _parse_lines(file: Path, text: str) -> list[_RawMarker]:
         if is_first and _COUNT_PATTERN.fullmatch(value):
             expected_count = int(value)
         elif value and not (is_first and _HEADING_PATTERN.fullmatch(value)):
-            markers.append(_RawMarker(f"line {number}", value, comment))
+            markers.append((f"line {number}", value, comment))
     if expected_count is not None and expected_count != len(markers):
         raise FormatError(
             f"{file}: its first line announces {expected_count} markers, but {len(markers)} follow; "
@@ -229,7 +212,7 @@ def _parse_lines(file: Path, text: str) -> list[_RawMarker]:
     return markers
 
 
-def _parse_yaml(file: Path, text: str) -> list[_RawMarker]:
+def _parse_yaml(file: Path, text: str) -> _RawMarkers:
     """Return unvalidated markers of YAML, named by comments; numbers stay text, as YAML reads ``12:34`` as a time."""
     try:
         import yaml
@@ -243,8 +226,9 @@ def _parse_yaml(file: Path, text: str) -> list[_RawMarker]:
             if isinstance(token, yaml.AnchorToken | yaml.AliasToken):
                 line = token.start_mark.line + 1
                 raise FormatError(f"{file}, line {line}: anchors (&) and aliases (*) are not read; write it out")
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-        values = _find_list(file, _to_plain(root))
+        loader = yaml.BaseLoader(text)  # keeps numbers as text
+        root = loader.get_single_node()
+        values = _find_list(file, loader.construct_document(root) if root else None)
     except (yaml.YAMLError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         problem = getattr(error, "problem", None) or summarize_error(error)
@@ -254,25 +238,14 @@ def _parse_yaml(file: Path, text: str) -> list[_RawMarker]:
     if isinstance(root, yaml.MappingNode):
         nodes = next((value for key, value in root.value if key.value == "markers"), None)
     if not isinstance(nodes, yaml.SequenceNode):  # separate lists of sources and of targets
-        return [_RawMarker(f"marker {number}", value) for number, value in enumerate(values, start=1)]
+        return [(f"marker {number}", value, "") for number, value in enumerate(values, start=1)]
     lines = text.splitlines()
-    markers = []
+    markers: _RawMarkers = []
     for node, value in zip(nodes.value, values, strict=True):
         end = node.end_mark
         rest = lines[end.line][end.column :] if end.line == node.start_mark.line else ""
-        markers.append(_RawMarker(f"line {node.start_mark.line + 1}", value, rest.partition("#")[2]))
+        markers.append((f"line {node.start_mark.line + 1}", value, rest.partition("#")[2]))
     return markers
-
-
-def _to_plain(node: Any) -> Any:
-    """Convert a YAML node to lists, dictionaries and texts."""
-    if node is None:
-        return None
-    if isinstance(node.value, str):
-        return node.value
-    if node.id == "sequence":
-        return [_to_plain(child) for child in node.value]
-    return {_to_plain(key) if key.id == "scalar" else "": _to_plain(value) for key, value in node.value}
 
 
 def _find_list(file: Path, tree: Any) -> list[Any]:
@@ -296,9 +269,8 @@ def _find_list(file: Path, tree: Any) -> list[Any]:
     return tree
 
 
-def _parse_marker(where: str, raw: _RawMarker) -> tuple[int, int, str]:
+def _parse_marker(where: str, value: Any, name: str) -> tuple[int, int, str]:
     """Return the source vertex, target vertex and name of one marker."""
-    value, name = raw.value, raw.comment
     if isinstance(value, str):
         match = _PAIR_PATTERN.fullmatch(value.strip())
         if match is None:

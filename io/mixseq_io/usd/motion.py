@@ -321,21 +321,15 @@ class MeshMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class AnimatedMesh:
+class AnimatedMesh(MeshMotion):
     """Mesh over the frames of a sequence, at time codes ``(T,)``."""
 
-    motion: MeshMotion
     codes: NDArray[np.float64]
 
     @property
     def start(self) -> float:
         """Time code of the first frame."""
         return float(self.codes[0])
-
-    @property
-    def mesh(self) -> UsdGeom.Mesh:
-        """The mesh."""
-        return self.motion.mesh
 
     @cached_property
     def _first_points(self) -> Any:
@@ -364,16 +358,15 @@ class AnimatedMesh:
     @cached_property
     def _first_determinant(self) -> float:
         """First nonzero determinant of the transform over time, since objects may appear by scaling up from zero."""
-        determinants = (self.motion.transform.at(code).GetDeterminant3() for code in self.codes.tolist())
+        determinants = (self.transform.at(code).GetDeterminant3() for code in self.codes.tolist())
         return next((each for each in determinants if each), 1.0)
 
     @property
     def is_mirrored(self) -> bool:
         """Whether the transform to the world mirrors the mesh."""
-        skin = self.motion.skin
         determinant = self._first_determinant
-        if skin and skin.has_joints:
-            determinant *= skin.query.GetGeomBindTransform(Usd.TimeCode(self.start)).GetDeterminant3()
+        if self.skin and self.skin.has_joints:
+            determinant *= self.skin.query.GetGeomBindTransform(Usd.TimeCode(self.start)).GetDeterminant3()
         return determinant < 0
 
     def points(self, code: float, pose: Pose | None) -> FloatArray:
@@ -388,9 +381,9 @@ class AnimatedMesh:
                 f"{path} has {len(value)} points, the first frame {self.point_count}; every frame needs the same "
                 "vertices in the same order"
             )
-        if self.motion.skin and pose:
-            value = self.motion.skin.deform(value, pose, code)
-        matrix = self.motion.transform.at(code)
+        if self.skin and pose:
+            value = self.skin.deform(value, pose, code)
+        matrix = self.transform.at(code)
         if matrix.GetDeterminant3() * self._first_determinant < 0:
             raise InvalidSequenceError(
                 f"the transform of {path} mirrors it relative to earlier frames, which turns its faces inside "
@@ -406,7 +399,7 @@ class AnimatedMesh:
                 f"{self.mesh.GetPath()} has {len(value or ())} velocities for {self.point_count} points; give one "
                 "velocity per point"
             )
-        return _transform_vectors(value, self.motion.transform.at(code), 0.0)[self.weld.point_of_vertex]
+        return _transform_vectors(value, self.transform.at(code), 0.0)[self.weld.point_of_vertex]
 
     def has_velocities(self, warnings: PrimWarnings) -> bool:
         """Whether the mesh has usable velocities; add a warning if its velocities are unusable."""
@@ -418,7 +411,7 @@ class AnimatedMesh:
             problem = "are not sampled at the times of the points"
         elif len(first or ()) != self.point_count:
             problem = f"are {len(first or ())} for {self.point_count} points"
-        elif self.motion.skin or not self.motion.only_points_are_animated:
+        elif self.skin or not self.only_points_are_animated:
             problem = "lack the motion of an animated transform or skeleton"
         else:
             return True

@@ -11,7 +11,6 @@ Specification: https://openusd.org/release/api/class_usd_stage.html (time codes 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -78,16 +77,17 @@ def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
     """Open a USD file."""
     warnings = PrimWarnings(path)
     with capture_diagnostics() as reports, translate_usd_read_errors(path), prefix_errors(path):
-        animation, scene_meshes = _load_animation(path, open_stage(path), prim, warnings)
-        header = _header(path, animation, scene_meshes)
-        have_velocities = [mesh.has_velocities(warnings) for mesh in animation.meshes]
+        stage = open_stage(path)
+        meshes, scene_meshes = _read_meshes(path, stage, prim, warnings)
+        header = _header(path, stage, meshes, scene_meshes)
+        have_velocities = [mesh.has_velocities(warnings) for mesh in meshes]
     others = [report for report in reports if not any(each in report for each in _MISSING_REPORTS)]
     if others:
         warn(f"{path}: USD finds {len(others)} problems in it, which may have been lost; usdchecker lists them")
     warnings.emit()
     if any(have_velocities) and not all(have_velocities):
         warn(f"{path}: only some of its meshes have velocities; they are left out")
-    return _UsdReader(path, header, animation, all(have_velocities))
+    return _UsdReader(path, header, stage, meshes, all(have_velocities))
 
 
 def open_usd_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
@@ -101,53 +101,38 @@ def open_usd_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
         if not motions:
             raise NoMeshError(f"{path} has no mesh on {prim.GetPath()}; export the character with its mesh")
         codes = np.array([stage.GetStartTimeCode()])
-        meshes = [AnimatedMesh(motion, codes) for motion in motions]
-        animation = _Animation(stage, meshes, codes, bind_pose)
-        scene_meshes = [read_scene_mesh(mesh, warnings) for mesh in meshes]
-        return _UsdReader(path, _header(path, animation, scene_meshes), animation, has_velocities=False)
-
-
-@dataclass(frozen=True)
-class _Animation:
-    """Meshes of a stage, with the time codes ``(T,)`` of all frames."""
-
-    stage: Usd.Stage
-    meshes: Sequence[AnimatedMesh]
-    codes: NDArray[np.float64]
-    pose_at: Callable[[Skeleton, float], Pose] = Skeleton.pose
-
-    def points(self, code: float) -> Iterator[FloatArray]:
-        """Yield the points ``(V, 3)`` of each mesh at a time code; each skeleton is posed once."""
-        skeletons = {mesh.motion.skin.skeleton for mesh in self.meshes if mesh.motion.skin}
-        poses = {skeleton: self.pose_at(skeleton, code) for skeleton in skeletons}
-        for mesh in self.meshes:
-            skin = mesh.motion.skin
-            yield mesh.points(code, poses[skin.skeleton] if skin else None)
-
-    def velocities(self, code: float) -> Iterator[FloatArray]:
-        """Yield the velocities ``(V, 3)`` of each mesh at a time code."""
-        for mesh in self.meshes:
-            yield mesh.velocities(code)
+        meshes = [AnimatedMesh(motion.mesh, motion.skin, codes) for motion in motions]
+        header = _header(path, stage, meshes, [read_scene_mesh(mesh, warnings) for mesh in meshes])
+        return _UsdReader(path, header, stage, meshes, has_velocities=False, pose_at=bind_pose)
 
 
 class _UsdReader(AnimationReader):
-    def __init__(self, path: Path, header: SequenceHeader, animation: _Animation, has_velocities: bool) -> None:
-        moves = any(mesh.motion.animated_attributes for mesh in animation.meshes)
-        is_cache = any(is_animated(mesh.mesh.GetPointsAttr()) for mesh in animation.meshes)
+    def __init__(
+        self,
+        path: Path,
+        header: SequenceHeader,
+        stage: Usd.Stage,
+        meshes: Sequence[AnimatedMesh],
+        has_velocities: bool,
+        pose_at: Callable[[Skeleton, float], Pose] = Skeleton.pose,
+    ) -> None:
+        moves = any(mesh.animated_attributes for mesh in meshes)
+        is_cache = any(is_animated(mesh.mesh.GetPointsAttr()) for mesh in meshes)
         super().__init__(path, header, has_velocities=has_velocities, can_evaluate=moves and not is_cache)
-        self._frame_times = animation.codes
-        self._animation: _Animation | None = animation
+        self._frame_times = meshes[0].codes
+        self._code_rate = stage.GetTimeCodesPerSecond()
+        self._meshes, self._pose_at = meshes, pose_at
+        self._stage: Usd.Stage | None = stage  # keeps the prims of the meshes valid
 
     def markings(self) -> Markings:
         """Return the families of subsets and the skinning weights of the meshes."""
-        assert self._animation is not None, "the file is open"
         with capture_diagnostics(), translate_usd_read_errors(self.path):
-            return _read_markings(self.header, self._animation.meshes)
+            return _read_markings(self.header, self._meshes)
 
     def close(self) -> None:
         """Release the stage."""
         super().close()
-        self._animation = None
+        self._stage, self._meshes = None, ()
 
     def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
         for start in range(0, self.header.frame_count, size):
@@ -157,20 +142,24 @@ class _UsdReader(AnimationReader):
         return self._sample("points", times)
 
     def _sample(self, quantity: str, codes: Float) -> FloatArray:
-        animation = self._animation
-        assert animation is not None, "the file is open"
-        values_at = animation.points if quantity == "points" else animation.velocities
-        ends = np.cumsum([mesh.vertex_count for mesh in animation.meshes])
+        sample_frame = self._frame_points if quantity == "points" else self._frame_velocities
         block = np.empty((len(codes), self.header.vertex_count, 3))
         with capture_diagnostics(), translate_usd_read_errors(self.path):
             for row, code in enumerate(codes.tolist()):
-                with prefix_errors(
-                    f"{self.path}: {_describe_frame(code, animation.stage.GetTimeCodesPerSecond(), self.header.fps)}"
-                ):
-                    for end, values in zip(ends, values_at(code), strict=True):
-                        block[row, end - len(values) : end] = values
+                with prefix_errors(f"{self.path}: {_describe_frame(code, self._code_rate, self.header.fps)}"):
+                    block[row] = np.concatenate(sample_frame(code))
         with np.errstate(over="ignore", under="ignore"):  # points that are not finite are reported with their vertex
             return self._round(block) if quantity == "points" else block.astype(np.float32)
+
+    def _frame_points(self, code: float) -> list[FloatArray]:
+        """Return the points ``(V, 3)`` of each mesh at a time code; each skeleton is posed once."""
+        skins = [mesh.skin for mesh in self._meshes]
+        poses = {skeleton: self._pose_at(skeleton, code) for skeleton in {skin.skeleton for skin in skins if skin}}
+        pairs = zip(self._meshes, skins, strict=True)
+        return [mesh.points(code, poses[skin.skeleton] if skin else None) for mesh, skin in pairs]
+
+    def _frame_velocities(self, code: float) -> list[FloatArray]:
+        return [mesh.velocities(code) for mesh in self._meshes]
 
 
 def _mesh_motions(path: Path, stage: Usd.Stage, prim: str | None, warnings: PrimWarnings) -> list[MeshMotion]:
@@ -179,9 +168,9 @@ def _mesh_motions(path: Path, stage: Usd.Stage, prim: str | None, warnings: Prim
     return [MeshMotion(mesh, skins.get(mesh.GetPath())) for mesh in meshes]
 
 
-def _load_animation(
+def _read_meshes(
     path: Path, stage: Usd.Stage, prim: str | None, warnings: PrimWarnings
-) -> tuple[_Animation, list[SceneMesh]]:
+) -> tuple[Sequence[AnimatedMesh], Sequence[SceneMesh]]:
     motions = _mesh_motions(path, stage, prim, warnings)
     objects = scene_objects_of([motion.mesh for motion in motions])
     is_moving = [prim is None and bool(motion.animated_attributes) for motion in motions]
@@ -189,16 +178,15 @@ def _load_animation(
 
     def prepare(chosen: list[int]) -> Callable[[int], tuple[AnimatedMesh, SceneMesh]]:
         codes = _frame_codes(path, stage, [motions[index] for index in chosen])
-        return lambda index: _read_mesh(AnimatedMesh(motions[index], codes), rate, warnings)
+        return lambda index: _read_mesh(AnimatedMesh(motions[index].mesh, motions[index].skin, codes), rate, warnings)
 
-    meshes = read_valid_meshes(path, objects, is_moving, prepare)
-    animation = _Animation(stage, [animated for animated, _ in meshes], meshes[0][0].codes)
-    return animation, [scene_mesh for _, scene_mesh in meshes]
+    animated_meshes, scene_meshes = zip(*read_valid_meshes(path, objects, is_moving, prepare), strict=True)
+    return animated_meshes, scene_meshes
 
 
 def _read_mesh(animated: AnimatedMesh, rate: float, warnings: PrimWarnings) -> tuple[AnimatedMesh, SceneMesh]:
     """Return a mesh with its surface; raise an error if its points in the first frame cannot be computed."""
-    scene_mesh, skin = read_scene_mesh(animated, warnings), animated.motion.skin
+    scene_mesh, skin = read_scene_mesh(animated, warnings), animated.skin
     frame_name = _describe_frame(animated.start, rate, rate)
     with prefix_errors(frame_name):
         points = animated.points(animated.start, skin.skeleton.pose(animated.start) if skin else None)
@@ -210,9 +198,10 @@ def _describe_frame(code: float, code_rate: float, fps: float) -> str:
     return f"frame {format_frame(code / code_rate, fps)} (time code {code:g})"
 
 
-def _header(path: Path, animation: _Animation, scene_meshes: Sequence[SceneMesh]) -> SequenceHeader:
-    stage, meshes = animation.stage, animation.meshes
-    times = animation.codes / stage.GetTimeCodesPerSecond()
+def _header(
+    path: Path, stage: Usd.Stage, meshes: Sequence[AnimatedMesh], scene_meshes: Sequence[SceneMesh]
+) -> SequenceHeader:
+    times = meshes[0].codes / stage.GetTimeCodesPerSecond()
     rate = _choose_rate(stage, times)
     polygons, surface = join_meshes(scene_meshes, Origin("USD", absolute_path(path)))
     return SequenceHeader(
@@ -271,7 +260,7 @@ def _frame_rate_codes(stage: Usd.Stage, first: float, last: float) -> tuple[NDAr
 
 def _read_markings(header: SequenceHeader, meshes: Sequence[AnimatedMesh]) -> Markings:
     """Return the families of subsets and the skinning weights of meshes."""
-    is_skinned = any(mesh.motion.skin and mesh.motion.skin.has_joints for mesh in meshes)
+    is_skinned = any(mesh.skin and mesh.skin.has_joints for mesh in meshes)
     materials = {source: sets for source, sets in group_face_sets(header).items() if source == MATERIALS_SOURCE}
     return Markings(
         sets=_face_sets_by_family(meshes) | materials,
@@ -306,7 +295,7 @@ def _face_sets_by_family(meshes: Sequence[AnimatedMesh]) -> dict[str, tuple[Face
 
 
 def _read_skinning(animated: AnimatedMesh) -> Skinning:
-    skin = animated.motion.skin
+    skin = animated.skin
     if skin is None or not skin.has_joints:
         return Skinning.rigid(str(animated.mesh.GetPath()), animated.vertex_count)
     names = [str(each) for each in skin.query.GetJointOrder() or skin.skeleton.query.GetJointOrder()]

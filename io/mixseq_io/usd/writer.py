@@ -420,8 +420,6 @@ def write_usd(
     if whole_stage and not original:
         raise OutputError(f"{path} stands alone, without a stage that could be retimed; leave out whole_stage")
     times = None if sources is None else np.asarray(sources, dtype=np.float64)
-    if times is not None and times.shape != header.times.shape:
-        raise SettingsError(f"sources are {times.size} times for {header.frame_count} frames; give one for every frame")
     original_rate = original.stage.GetTimeCodesPerSecond() if original else header.fps
     time_map = TimeMap.from_header(header, original_rate, times if whole_stage else None)
     _, frame_blocks = validate_blocks(header, blocks, velocities)

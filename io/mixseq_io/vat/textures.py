@@ -169,7 +169,6 @@ _BASIS_VECTORS_PER_TEXEL = 4
 class Texels:
     """Texels of a sequence, and a glTF document to which `add_vertices` adds points."""
 
-    header: SequenceHeader
     origin: Float  # (3,) of points in textures and document
     layout: Layout
     meshes: list[MovingMesh]
@@ -192,7 +191,7 @@ class Texels:
             first += scene_mesh.vertex_count if hard_edges is None else int(hard_edges.max(initial=-1)) + 1
         distinct, ids = np.unique(np.concatenate(pairs), axis=0, return_inverse=True)
         primitive_texels = np.split(ids.reshape(-1), np.cumsum([len(own) for own in pairs])[:-1])
-        return Texels(header, origin, layout, meshes, distinct[:, 0], distinct[:, 1], primitive_texels)
+        return Texels(origin, layout, meshes, distinct[:, 0], distinct[:, 1], primitive_texels)
 
     @property
     def count(self) -> int:
@@ -222,8 +221,7 @@ class Texels:
                 f"{count} {content} of {self.count} texels take {count * self.rows} rows of a texture; graphics cards "
                 f"take {MAX_TEXTURE_SIDE_PIXELS}; write fewer frames, or few basis vectors (--max-error)"
             )
-        padded = np.zeros((count, self.rows * self.width, channels), layers.dtype)
-        padded[:, : self.count] = layers
+        padded = np.pad(layers, ((0, 0), (0, self.rows * self.width - self.count), (0, 0)))
         return padded.reshape(count * self.rows, self.width, channels)
 
     def add_vertices(self, points: NDArray[np.floating], layers: int) -> None:
@@ -246,11 +244,8 @@ class Texels:
 
 def pack_basis_vectors(basis: NDArray[np.floating]) -> NDArray[np.floating]:
     """Pack basis vectors ``(N, K)`` into layers ``(ceil(K / 4), N, 4)``, padded with zeros."""
-    count, rank = basis.shape
-    layers = -(-rank // _BASIS_VECTORS_PER_TEXEL)
-    padded = np.zeros((count, layers * _BASIS_VECTORS_PER_TEXEL), basis.dtype)
-    padded[:, :rank] = basis
-    return np.ascontiguousarray(padded.reshape(count, layers, _BASIS_VECTORS_PER_TEXEL).swapaxes(0, 1))
+    padded = np.pad(basis, ((0, 0), (0, -basis.shape[1] % _BASIS_VECTORS_PER_TEXEL)))
+    return np.ascontiguousarray(padded.reshape(len(basis), -1, _BASIS_VECTORS_PER_TEXEL).swapaxes(0, 1))
 
 
 _SINGULAR_VALUE_CUTOFF = 1e-4
@@ -303,8 +298,7 @@ def encode_low_rank(fitted: LowRank, frames: VertexFrames, texels: Texels, pixel
     basis = pack_basis_vectors(fitted.basis[texels.vertices])
     layers, columns = len(basis), 4 * len(basis)
     count, parts = fitted.coefficients.shape[:2]
-    coefficients = np.zeros((count, parts, columns, 3))
-    coefficients[:, :, : fitted.rank] = fitted.coefficients
+    coefficients = np.pad(fitted.coefficients, ((0, 0), (0, 0), (0, columns - fitted.rank), (0, 0)))
     if parts * columns > MAX_TEXTURE_SIDE_PIXELS:
         raise SettingsError(f"{parts} parts with {columns} basis vectors are too wide for a texture; allow more error")
     if 2 * count > MAX_TEXTURE_SIDE_PIXELS:

@@ -11,7 +11,7 @@ import os
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,8 +21,7 @@ from mixseq.rigging.low_rank import fit_low_rank
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import public
 from mixseq.sequence.sequence import Frames, MeshSequence
-from mixseq.signals.between import hold_between, largest_distance, quarter_times, straight_blocks
-from mixseq.signals.decoding import Decodable
+from mixseq.signals.decoding import Decodable, hold_between, largest_distance, quarter_times, straight_blocks
 from mixseq.signals.fitting import as_motion
 from mixseq.signals.model import Model
 from mixseq_io.files import atomic_folder
@@ -66,11 +65,11 @@ def format_shader(name: str, metadata: dict[str, Any]) -> str:
 
 VAT_EXTENSION = ".vat"
 TextureName = Literal["png16", "exr"]
-TEXTURE_NAMES: tuple[TextureName, ...] = get_args(TextureName)
+_IMAGE_SUFFIXES: dict[TextureName, str] = {"png16": ".png", "exr": ".exr"}
 
 VAT_FILE_NAMES = {
     *("vat.json", "mesh.glb", *SHADER_NAMES),
-    *(f"{name}.{suffix}" for name in ("points", "normals", "coefficients") for suffix in ("png", "exr")),
+    *(name + suffix for name in ("points", "normals", "coefficients") for suffix in _IMAGE_SUFFIXES.values()),
 }
 """Names of all files that the writer may write; such files from an earlier run are removed."""
 
@@ -147,8 +146,8 @@ def write_vat(
     """
     folder = Path(path)
     check_vat_target(folder)
-    if texture not in TEXTURE_NAMES:
-        raise SettingsError(f"texture is {texture!r}; one of {', '.join(TEXTURE_NAMES)} is expected")
+    if texture not in _IMAGE_SUFFIXES:
+        raise SettingsError(f"texture is {texture!r}; one of {', '.join(_IMAGE_SUFFIXES)} is expected")
     if texture == "exr":
         import_openexr(folder)
     pixel_type: PixelType = np.uint16 if texture == "png16" else np.float32
@@ -171,9 +170,14 @@ def write_vat(
         (sequence, texels, textures, report), _ = encode(sequence, max_error)
     texels.add_vertices(np.asarray(sequence.points[0]), len(textures.images["points"].pixels) // texels.rows)
     with atomic_folder(folder, VAT_FILE_NAMES) as temporary:
-        report = replace(report, file_bytes=sum(_write_images(temporary, textures, texture)))
-        mesh = temporary / "mesh.glb"
-        with open_buffer_writer(mesh, mesh, texels.layout):
+        for name, image in textures.images.items():
+            file = temporary / f"{name}{_IMAGE_SUFFIXES[texture]}"
+            if texture == "exr":
+                write_exr(file, np.asarray(image.pixels, dtype=np.float32))
+            else:
+                file.write_bytes(encode_png(image.pixels))
+        report = replace(report, file_bytes=sum(image.stat().st_size for image in temporary.iterdir()))
+        with open_buffer_writer(temporary / "mesh.glb", texels.layout):
             pass
         metadata = _make_metadata(sequence, texels, textures, texture, report)
         (temporary / "vat.json").write_text(json.dumps(metadata, indent=1), encoding="utf-8")
@@ -270,22 +274,6 @@ def _measure_errors(sequence: MeshSequence, frames: VertexFrames, textures: Text
     )
 
 
-def _write_images(folder: Path, textures: Textures, texture: TextureName) -> list[int]:
-    sizes = []
-    for name, image in textures.images.items():
-        file = folder / _image_name(name, texture)
-        if texture == "exr":
-            write_exr(file, np.asarray(image.pixels, dtype=np.float32))
-        else:
-            file.write_bytes(encode_png(image.pixels))
-        sizes.append(file.stat().st_size)
-    return sizes
-
-
-def _image_name(name: str, texture: TextureName) -> str:
-    return f"{name}.{'exr' if texture == 'exr' else 'png'}"
-
-
 def _make_metadata(
     sequence: MeshSequence, texels: Texels, textures: Textures, texture: TextureName, report: VatReport
 ) -> dict[str, Any]:
@@ -297,7 +285,7 @@ def _make_metadata(
         height, width = image.pixels.shape[:2]
         is_uniform = name == "coefficients" or textures.rank > 0  # equal in all channels
         images[name] = {
-            "file": _image_name(name, texture),
+            "file": f"{name}{_IMAGE_SUFFIXES[texture]}",
             "width": width,
             "height": height,
             "offset": float(image.offset[0]) if is_uniform else image.offset.tolist(),

@@ -1,4 +1,4 @@
-"""Bake the scene's frames to shape keys or Alembic, which play without the add-on and the model."""
+"""Retime models by F-curves; bake the scene's frames to shape keys or Alembic, which play without add-on and model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,37 @@ from mixseq.errors import SettingsError
 from mixseq.types import Single
 
 from . import live
-from .timing import BLUR_MODIFIER_NAME, make_linear
+from .importing import BLUR_MODIFIER_NAME
+
+
+class Retime(bpy.types.Operator):
+    """Replace the driver of Frame by an F-curve at the original speed; edit the curve to retime the model."""
+
+    bl_idname = "mixseq.retime"
+    bl_label = "Retime by F-Curve"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        """Whether a model moves the active object."""
+        return live.is_driven(context.object)
+
+    def execute(self, context: Any) -> set[str]:
+        """Insert keyframes at the first and the last frame of the model."""
+        mesh = context.object.data
+        settings = mesh.mixseq
+        try:
+            model = live.load_model(settings)
+        except Exception as error:
+            self.report({"ERROR"}, live.format_error(error))
+            return {"CANCELLED"}
+        settings.driver_remove("frame")
+        for time in (model.start, model.end):
+            settings.frame = time * live.scene_fps(context.scene) + settings.frame_offset
+            settings.keyframe_insert("frame", frame=settings.frame)
+        _make_linear(mesh)
+        context.view_layer.update()
+        return {"FINISHED"}
 
 
 class _Bake:
@@ -76,7 +106,7 @@ class BakeShapeKeys(_Bake, bpy.types.Operator):
         for frame, block in ((frames[0], keys.key_blocks[0]), (frames[-1], keys.key_blocks[-1])):
             keys.eval_time = block.frame
             keys.keyframe_insert("eval_time", frame=frame)
-        make_linear(keys)
+        _make_linear(keys)
 
 
 class BakeAlembic(_Bake, bpy.types.Operator, ExportHelper):
@@ -109,6 +139,24 @@ class BakeAlembic(_Bake, bpy.types.Operator, ExportHelper):
         active.modifiers.move(len(active.modifiers) - 1, 0)
         if BLUR_MODIFIER_NAME in active.modifiers:
             active.modifiers.remove(active.modifiers[BLUR_MODIFIER_NAME])
+
+
+def _make_linear(animated: bpy.types.ID) -> None:
+    """Set all keyframes of a data-block to linear interpolation."""
+    for curve in _fcurves(animated):
+        for point in curve.keyframe_points:
+            point.interpolation = "LINEAR"
+        curve.update()
+    animated.update_tag()
+
+
+def _fcurves(animated: bpy.types.ID) -> Any:
+    """Return the F-curves of a data-block; since Blender 4.4 they belong to its slot in the action."""
+    animation = animated.animation_data
+    slot = getattr(animation, "action_slot", None)
+    if slot is None:
+        return animation.action.fcurves
+    return animation.action.layers[0].strips[0].channelbag(slot).fcurves
 
 
 def _evaluate_pose(scene: bpy.types.Scene, mesh: bpy.types.Mesh, frame: float) -> Single:
@@ -148,4 +196,4 @@ def _temporary_object(context: Any, mesh: bpy.types.Mesh) -> Iterator[bpy.types.
         context.view_layer.objects.active = active
 
 
-register, unregister = bpy.utils.register_classes_factory((BakeShapeKeys, BakeAlembic))
+register, unregister = bpy.utils.register_classes_factory((Retime, BakeShapeKeys, BakeAlembic))

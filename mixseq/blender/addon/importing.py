@@ -1,4 +1,8 @@
-"""Import models as new objects, or attach them to an existing mesh."""
+"""Import models as new objects, or attach them to an existing mesh.
+
+New meshes have polygons, UVs, colour attributes, materials and sharp edges. The scene's frame drives the frame that is
+shown, as Blender's exporters write only one frame of meshes without a driver or keyframes.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +14,14 @@ import numpy as np
 from bpy.props import BoolProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from mixseq.blender.motion import MeshParts, Placement, find_placement, part_names
+from mixseq.blender.motion import MeshParts, Placement, find_placement, part_names, part_slices
 from mixseq.mesh.polygons import Polygons, match_polygons
+from mixseq.sequence.header import SequenceHeader
 from mixseq.signals.model import Model
 
 from . import live
-from .making import new_mesh
-from .timing import drive_by_scene, enable_motion_blur
+
+BLUR_MODIFIER_NAME = "mixseq motion blur"
 
 
 class _ModelFile(ImportHelper):
@@ -52,8 +57,8 @@ class _ModelFile(ImportHelper):
         settings.part, settings.up_axis, settings.scale = part, placement.up_axis, placement.scale
         settings.is_live = True
         settings.filepath = _stored_path(self.filepath)
-        drive_by_scene(target.data)
-        enable_motion_blur(target)
+        _drive_by_scene(target.data)
+        _enable_motion_blur(target)
 
 
 class ImportModel(bpy.types.Operator, _ModelFile):
@@ -66,7 +71,7 @@ class ImportModel(bpy.types.Operator, _ModelFile):
         """Create one object per mesh of the model, and select these objects."""
         bpy.ops.object.select_all(action="DESELECT")
         for part in part_names(model.header):
-            mesh = new_mesh(model.header, part)
+            mesh = _new_mesh(model.header, part)
             created = bpy.data.objects.new(mesh.name, mesh)
             context.collection.objects.link(created)
             self.set_model(created, part, Placement.from_header(model.header))
@@ -110,6 +115,59 @@ class DropModel(bpy.types.FileHandler):
     def poll_drop(cls, context: Any) -> bool:
         """Whether the mouse is over a 3D viewport."""
         return context.area is not None and context.area.type == "VIEW_3D"
+
+
+def _new_mesh(header: SequenceHeader, part: str) -> bpy.types.Mesh:
+    """Create the mesh of one part of a model, or of all parts for ""; `live` moves the vertices."""
+    parts = MeshParts.from_header(header, part)
+    vertices, _ = part_slices(header, part)
+    mesh = bpy.data.meshes.new(part.rpartition("/")[2] or header.name)
+    mesh.vertices.add(vertices.stop - vertices.start)
+    mesh.loops.add(len(parts.corners))
+    mesh.loops.foreach_set("vertex_index", parts.corners.astype(np.int32))
+    mesh.polygons.add(len(parts.counts))
+    mesh.polygons.foreach_set("loop_start", parts.starts.astype(np.int32))
+    for name in parts.materials:
+        mesh.materials.append(_material(name))
+    mesh.polygons.foreach_set("material_index", parts.material_of_polygon.astype(np.int32))
+    mesh.shade_smooth()
+    mesh.update(calc_edges=True)
+    if parts.uvs is not None:
+        mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", np.ravel(parts.uvs).astype(np.float32))
+    if parts.colours is not None:  # linear, like Blender's float colours
+        attribute = mesh.color_attributes.new(name="Color", type="FLOAT_COLOR", domain="CORNER")
+        attribute.data.foreach_set("color", np.ravel(parts.colours).astype(np.float32))
+    _mark_sharp_edges(mesh, parts)
+    mesh.validate(clean_customdata=False)  # removes polygons with a repeated vertex, which Blender forbids
+    return mesh
+
+
+def _material(name: str) -> bpy.types.Material | None:
+    """Return the material with a name; create the material if it is missing."""
+    return (bpy.data.materials.get(name) or bpy.data.materials.new(name)) if name else None
+
+
+def _mark_sharp_edges(mesh: bpy.types.Mesh, parts: MeshParts) -> None:
+    edge_of_corner = np.empty(len(mesh.loops), dtype=np.int32)
+    mesh.loops.foreach_get("edge_index", edge_of_corner)
+    is_sharp = parts.sharp_edges(edge_of_corner)
+    if is_sharp.any():
+        mesh.attributes.new("sharp_edge", "BOOLEAN", "EDGE").data.foreach_set("value", is_sharp)
+
+
+def _drive_by_scene(mesh: bpy.types.Mesh) -> None:
+    """Drive the displayed frame by the scene's frame, unless the frame is already animated."""
+    animation = mesh.animation_data
+    if animation is None or not (animation.action or animation.drivers or animation.nla_tracks):
+        mesh.mixseq.driver_add("frame").driver.expression = "frame"
+
+
+def _enable_motion_blur(target: bpy.types.Object) -> None:
+    """Add a modifier without effect, because renderers evaluate sub-frames only for objects with modifiers."""
+    if BLUR_MODIFIER_NAME not in target.modifiers:
+        modifier = target.modifiers.new(BLUR_MODIFIER_NAME, "SMOOTH")
+        modifier.iterations = 0
+        modifier.show_viewport = False
 
 
 def _stored_path(path: str) -> str:

@@ -26,7 +26,7 @@ error in each case.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz`` and
 ``tests/formats/golden/compressed-v1.h5``). numba caches compiled loops by the text of their own file: edit files that
-inline these functions (`connectivity_kernels`, `uv_seams`, `uv_values`) whenever this module changes.
+inline these functions (`connectivity_kernels`, `uv_seams`, `corner_values`) whenever this module changes.
 """
 
 from __future__ import annotations

@@ -243,11 +243,9 @@ def _compact(numbers: Index) -> IntArray:
     return numbers.astype(np.int32 if np.abs(numbers).max(initial=0) < 2**31 else np.int64)
 
 
-class NumberModels:
-    """Models of the bits of numbers, which signals over several graphs can share."""
-
-    def __init__(self) -> None:
-        self.bits: BitModels = new_bit_models(CONTEXTS_PER_BIT, CONTEXT_VALUES, POSITION_COUNT)
+def new_number_models() -> BitModels:
+    """Return untrained models of the bits of numbers, which signals over several graphs can share."""
+    return new_bit_models(CONTEXTS_PER_BIT, CONTEXT_VALUES, POSITION_COUNT)
 
 
 class Writer:
@@ -262,11 +260,11 @@ class Writer:
         self._stream = arithmetic.reserve(self._stream, _MAX_BYTES_PER_NUMBER * (count + 1))
         return self._stream
 
-    def write(self, signal: Signal, models: NumberModels) -> None:
+    def write(self, signal: Signal, models: BitModels) -> None:
         """Write a signal, and update the models."""
         stream, graph = self.reserve(len(signal.numbers)), (signal.neighbours, signal.counts)
         arrays = [array.astype(np.int64) for array in (*signal.sizes, signal.numbers)]
-        code_numbers(stream, models.bits, signal.age, *graph, *arrays)
+        code_numbers(stream, models, signal.age, *graph, *arrays)
         self.add_to_checksum(signal.values)
 
     def add_to_checksum(self, values: IntArray) -> None:
@@ -310,10 +308,10 @@ class Reader:
 class SignalCoder:
     """Round signals over one graph for coding, or read signals, one after another."""
 
-    def __init__(self, graph: SignalGraph, coordinates: int = 1, models: NumberModels | None = None) -> None:
+    def __init__(self, graph: SignalGraph, coordinates: int = 1, models: BitModels | None = None) -> None:
         self._graph = graph
         self._predictor = Predictor(graph, coordinates)
-        self._models = models or NumberModels()
+        self._models = models or new_number_models()
         # Arrays of the newest signal, replaced but never changed in place, as signals share them.
         self._numbers = np.zeros(graph.size, dtype=np.int64)
         self._activity, self._ring_activity = np.zeros_like(self._numbers), np.zeros_like(self._numbers)
@@ -358,7 +356,7 @@ class SignalCoder:
         predictor, numbers, values = self._predictor, np.zeros_like(self._numbers), np.empty(self._graph.size)
         neighbours, counts = predictor.neighbours, predictor.counts
         sizes = self._activity, self._ring_activity, self._numbers
-        code_numbers(reader.stream(), self._models.bits, self._signal_count, neighbours, counts, *sizes, numbers)
+        code_numbers(reader.stream(), self._models, self._signal_count, neighbours, counts, *sizes, numbers)
         self._add_numbers(numbers)
 
         def reconstruct() -> None:

@@ -35,7 +35,7 @@ translated, and mirrored in u.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``). numba caches compiled loops by
 the text of their own file, and this one inlines `arithmetic` and `connectivity`: edit this file whenever these change,
-and `mixseq.compression.bitstream.uv_values` whenever this one does. Format 4.
+and `mixseq.compression.bitstream.corner_values` whenever this one does. Format 4.
 """
 
 from __future__ import annotations

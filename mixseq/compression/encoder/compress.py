@@ -139,8 +139,7 @@ def compress(
         unit = frames.diagonal or 1.0
         labels = _segment(frames, parts)
         if size is not None and labels is not None:
-            label_size = len(encode_face_labels(labels, header.faces))
-            size -= label_size if size > label_size else 0
+            size -= len(encode_face_labels(labels, header.faces))
         coded = _search_streams(frames, stages, chunk, unit, max_error, kg, size)
         stages.at(1 + MAX_ROUNDS)(0, 1, "checking")
         playback = decode(coded)
@@ -246,7 +245,11 @@ def _search_streams(
         ranks=best.ranks if len(best.ranks) > 1 else (),
         origin=tuple(origin.tolist()) if origin.any() else (),
     )
-    return CompressedSequence(frames.header, parameters, best.coding.streams.basis, best.chunks)
+    return CompressedSequence(frames.header, parameters, best.streams()[0], best.chunks)
+
+
+MIN_MOTION_LEFT = 0.5
+"""Part of the motion below which a size is warned about: 1 - error / error of the best still mesh."""
 
 
 def _measure_errors(
@@ -255,12 +258,14 @@ def _measure_errors(
     """Return the parameters of a decoded sequence with its measured errors."""
     unit = parameters.diagonal
     squares = variation = largest = 0.0
+    total = np.zeros((sequence.points.shape[1], 3))  # of vertices relative to the centroids of their frames
     frame_count = 0
     for block in playback.blocks(playback.times):
         points = sequence.points[frame_count : frame_count + len(block)].astype(np.float64)
         distances = np.square(points - block).sum(axis=2)
         squares, largest = squares + float(distances.sum()), max(largest, float(distances.max()))
-        variation += float(np.square(points - points.mean(axis=1, keepdims=True)).sum())
+        local = points - points.mean(axis=1, keepdims=True)
+        variation, total = variation + float(np.square(local).sum()), total + local.sum(axis=0)
         frame_count += len(block)
     error = float(np.sqrt(largest)) / unit
     if bound is not None and error > bound:
@@ -272,5 +277,13 @@ def _measure_errors(
     if kg is not None and kg_percent > (1 + 1e-9) * kg:
         raise ReconstructionError(
             f"the KG error of the decoded frames is {kg_percent:.6g} %, more than {kg:g}; please report this"
+        )
+    motion = variation - float(np.square(total).sum()) / frame_count  # squared distances from a still mesh
+    if bound is None and kg is None and motion > rounding and squares > (1 - MIN_MOTION_LEFT) ** 2 * motion:
+        left = 100 * max(1 - float(np.sqrt(squares / motion)), 0.0)
+        warnings.warn(
+            f"{sequence.header.name!r}: {left:.0f} % of the motion is left in this size; give more",
+            MixseqWarning,
+            stacklevel=4,
         )
     return replace(parameters, max_error=error if bound is None else bound, kg_percent=kg_percent)

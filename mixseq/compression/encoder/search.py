@@ -15,7 +15,7 @@ values of the signals over the whole mesh.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, cached_property
 from typing import NamedTuple
@@ -38,7 +38,7 @@ from mixseq.compression.encoder.components import (
 )
 from mixseq.compression.encoder.parts import initial_parts, refine_parts
 from mixseq.compression.encoder.trial import Candidate, Trial, add_residuals, squared_error, try_step
-from mixseq.errors import SettingsError
+from mixseq.errors import SizeError
 from mixseq.runtime.progress import StagedProgress
 from mixseq.sequence.sequence import FrameStore, largest_coordinate, rounding_error
 from mixseq.types import Index
@@ -172,6 +172,9 @@ MAX_ROUNDS = 6
 TARGET_TOLERANCE = 0.01
 """Largest relative amount by which an error, or a size, may stay below the target."""
 
+STEP_TOLERANCE = 1e-3
+"""Relative distance of steps, one that meets the target and one that does not, at which the search ends."""
+
 SIZE_EXPONENT = 0.4
 """Approximate exponent e of the sizes: size is proportional to error^-e."""
 
@@ -181,14 +184,20 @@ INITIAL_ERROR = 0.002
 INITIAL_RMS_ERROR = 0.42
 """Initial root mean square error of the search for a bound, relative to the bound."""
 
-MAX_RESTARTS, RESTART_RATIO, MAX_RESTART_RATIO = 3, 3.0, 100.0
+MAX_ERROR = 0.2
+"""Largest error at which candidates are compared in the search for a size, relative to the same deviation."""
+
+MAX_RESTARTS, RESTART_RATIO, MAX_RESTART_RATIO = 4, 3.0, 100.0
 """Restarts of the search for a size: largest number, smallest ratio of errors for one, largest change of the error."""
 
 STEP_FACTOR = 1.5
 """Ratio of successive steps that are tried for a bound."""
 
-RUNNER_UP_RATIO = 1.02
-"""Ratio of the two smallest sizes at the first step up to which both candidates are tried with further steps."""
+RUNNER_UP_RATIO, SIZE_RUNNER_UP_RATIO = 1.02, 1.1
+"""Ratio of the two smallest sizes at the first step up to which both candidates are tried with further steps.
+
+The second is for a size, of which the error must not grow with it.
+"""
 
 INITIAL_PART_COUNT = 6
 """Number of parts tried first; more or fewer are tried while bytes decrease."""
@@ -226,7 +235,7 @@ class Search:
         self._rounds += 1
         return try_step(self._sequence, candidate, max(step, self._min_step), self._chunk)
 
-    def _compare_candidates(self, error: float) -> list[Trial]:
+    def _compare_candidates(self, error: float, runner_up_ratio: float = RUNNER_UP_RATIO) -> list[Trial]:
         """Try candidates, each with the step for an expected error; return one or two whole-mesh trials, best first."""
         min_norm = 0.1 * error / float(np.sqrt(3 * len(self._sequence.points)))
         components = trajectory_components(self._sequence, min_norm)
@@ -254,7 +263,7 @@ class Search:
         tried.sort(key=lambda entry: entry[0])
         trials = []
         for size, layout, trial in tried[:2]:
-            if size <= RUNNER_UP_RATIO * tried[0][0]:
+            if size <= runner_up_ratio * tried[0][0]:
                 if trial.candidate.share < 1:
                     step = _next_step(trial.step, error / trial.error, _error_exponent(trial))
                     trial = self._try_step(candidates.on_mesh(candidates.whole_mesh, layout), step)
@@ -281,22 +290,26 @@ class Search:
 
     def find_for_size(self, size: int, deviation: float) -> Trial:
         """Find the finest step whose signals fit into `size` bytes, beginning at `INITIAL_ERROR` * `deviation`."""
-        error = INITIAL_ERROR * deviation
-        trials = self._compare_candidates(error)
-        for _ in range(MAX_RESTARTS):
-            target = trials[0].error * (trials[0].size / size) ** (1 / SIZE_EXPONENT)
-            if RESTART_RATIO * target > error > target / RESTART_RATIO:
-                break
+        error, best = INITIAL_ERROR * deviation, None
+        known: list[tuple[float, float]] = []  # sizes and errors of trials
+        for restart in range(MAX_RESTARTS + 1 if size > 0 else 0):
+            trials = self._compare_candidates(error, SIZE_RUNNER_UP_RATIO)
+            known.append((trials[0].size, trials[0].error))
+            target = min(_error_at_size(size, known), MAX_ERROR * deviation)
+            if restart == MAX_RESTARTS or _is_near(target, error):
+                while trials:
+                    found = _find_step(
+                        self._try_step, lambda trial: size / trial.size, trials.pop(0), -SIZE_EXPONENT, 2 * MAX_ROUNDS
+                    )
+                    if found is not None and (best is None or found.error < best.error):
+                        best = found
+                if best is not None and _is_near(best.error, error):
+                    break  # otherwise, candidates were compared at another error than that of the result
+                target = MAX_ERROR * deviation if best is None else best.error
             error *= float(np.clip(target / error, 1 / MAX_RESTART_RATIO, MAX_RESTART_RATIO))
-            trials = self._compare_candidates(error)
-        feasible: list[Trial] = []
-        while trials:
-            best = _find_step(self._try_step, lambda trial: size / trial.size, trials.pop(0), -SIZE_EXPONENT)
-            if best is not None:
-                feasible.append(best)
-        if not feasible:
-            raise SettingsError(f"the signals do not fit into {size} bytes; give more")
-        return min(feasible, key=lambda trial: trial.error)
+        if best is None or best.error >= deviation:
+            raise SizeError("the size is too few bytes for any motion; give more")
+        return best
 
     def find_for_bound(self, bound: float) -> Trial:
         """Find the step that takes the fewest bytes with a residual layer for a bound, in the units of the sequence."""
@@ -332,6 +345,22 @@ def _descend(size_of: Callable[[Layout], float], layouts: list[Layout], start: L
             break
 
 
+def _error_at_size(size: float, known: Sequence[tuple[float, float]]) -> float:
+    """Interpolate the error at a size from sizes and errors of trials, as powers; beyond them, by `SIZE_EXPONENT`."""
+    larger = min((each for each in known if each[0] >= size), default=None)
+    smaller = max((each for each in known if each[0] < size), default=None)
+    if larger is None or smaller is None:
+        nearest, error = larger or smaller or (size, 0.0)
+        return float(error * (nearest / size) ** (1 / SIZE_EXPONENT))
+    fraction = np.log(larger[0] / size) / np.log(larger[0] / smaller[0])
+    return float(larger[1] * (smaller[1] / larger[1]) ** fraction)
+
+
+def _is_near(error: float, other: float) -> bool:
+    """Whether candidates that were compared at one error are those for another one."""
+    return 1 / RESTART_RATIO < error / other < RESTART_RATIO
+
+
 def _next_step(step: float, room: float, exponent: float) -> float:
     """Return the step at which room (target / actual) should be just above one: room ~ step^-exponent."""
     return step * float(np.clip((room / (1 + TARGET_TOLERANCE / 3)) ** (1 / exponent), 0.05, 20.0))
@@ -342,16 +371,22 @@ def _find_step(
     room_of: Callable[[Trial], float],
     trial: Trial,
     power: float = 1.0,
+    rounds: int = MAX_ROUNDS,
 ) -> Trial | None:
-    """Find the trial with the least room (target / actual >= 1) by the secant method: room ~ error^-power."""
+    """Find the trial with the least room (target / actual >= 1) by the secant method: room ~ error^-power.
+
+    The step stays between the last one that meets the target and the last one that does not.
+    """
     exponent, candidate = power * _error_exponent(trial), trial.candidate
     best: Trial | None = None
     previous: tuple[float, float] | None = None  # step and room of the last trial
-    for number in range(MAX_ROUNDS):
+    ends: dict[bool, float] = {}  # last steps that meet the target, and that do not
+    for number in range(rounds):
         room, step = room_of(trial), trial.step
+        ends[room >= 1] = step
         if room >= 1 and (best is None or room < room_of(best)):
             best = trial
-        if number == MAX_ROUNDS - 1 or 1 <= room < 1 + TARGET_TOLERANCE:
+        if number == rounds - 1 or 1 <= room < 1 + TARGET_TOLERANCE:
             break
         if previous is not None and step != previous[0] and room != previous[1]:
             measured = np.log(previous[1] / room) / np.log(step / previous[0])
@@ -359,7 +394,13 @@ def _find_step(
                 exponent = float(measured)
         previous = step, room
         del trial  # free its memory before the next trial
-        trial = try_with(candidate, _next_step(step, room, exponent))
+        next_step = _next_step(step, room, exponent)
+        if len(ends) == 2:
+            low, high = sorted(ends.values())
+            if high / low < 1 + STEP_TOLERANCE:
+                break
+            next_step = next_step if low < next_step < high else (low * high) ** 0.5
+        trial = try_with(candidate, next_step)
         if trial.step == step:  # the smallest step is reached
             break
     return best

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, partial
 from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from mixseq.compression.bitstream.compressed_sequence import Chunk
 from mixseq.compression.bitstream.residual_layer import write_residuals
-from mixseq.compression.bitstream.signal_coder import NumberModels, Signal, SignalCoder, Writer
+from mixseq.compression.bitstream.signal_coder import Signal, SignalCoder, Writer, new_number_models
 from mixseq.compression.bitstream.signal_graph import SignalGraph, path_graph
 from mixseq.compression.bitstream.spatial_basis import (
     Part,
@@ -73,7 +73,7 @@ def _round_vectors(
 
 def code_basis(rounded: Sequence[RoundedPart], labels: Index, graph: SignalGraph) -> tuple[bytes, ...]:
     """Code a basis and the part labels ``(V,)`` of vertices; return the streams of all groups for `read_basis`."""
-    models, streams = NumberModels(), []
+    models, streams = new_number_models(), []
     for number, group in enumerate(part_groups([len(part.vectors) for part in rounded])):
         writer = Writer()
         if number == 0 and len(rounded) > 1:
@@ -127,7 +127,7 @@ def _round_chunk(numbers: Float, work: tuple[range, Index]) -> tuple[Float, list
 
 def code_coefficients(signals: Sequence[Signal]) -> bytes:
     """Code the coefficients of a chunk; return the stream for `read_coefficients`."""
-    models, writer = NumberModels(), Writer()
+    models, writer = new_number_models(), Writer()
     for signal in signals:
         writer.write(signal, models)
     return writer.finish()
@@ -169,28 +169,26 @@ class Candidate:
         return cls(components, tuple(of_parts), graph, labels, share)
 
 
-class Streams(NamedTuple):
-    """Bytes of the groups of a basis, and of the coefficients in every chunk."""
-
-    basis: tuple[bytes, ...]
-    coefficients: tuple[bytes, ...]
+Streams = tuple[tuple[bytes, ...], list[bytes]]
+"""The groups of a basis, and the coefficients in every chunk."""
 
 
-class Coding:
-    """The streams of rounded signals, computed on demand."""
+def streams_on_demand(
+    candidate: Candidate, basis: list[RoundedPart], chunks: list[list[Signal]]
+) -> Callable[[], Streams]:
+    """Return a function that codes rounded signals in parallel, at its first call."""
+    work: list[Callable[[], Any]] = [
+        partial(code_basis, basis, candidate.labels, candidate.graph),
+        *(partial(code_coefficients, signals) for signals in chunks),
+    ]
 
-    def __init__(self, candidate: Candidate, basis: list[RoundedPart], chunks: list[list[Signal]]) -> None:
-        self._work: list[Callable[[], Any]] = [
-            partial(code_basis, basis, candidate.labels, candidate.graph),
-            *(partial(code_coefficients, signals) for signals in chunks),
-        ]
+    @cache
+    def streams() -> Streams:
+        groups, *coefficients = thread_executor()(lambda _, code: code(), None, work)
+        work.clear()  # signals take the most memory of a trial
+        return groups, coefficients
 
-    @cached_property
-    def streams(self) -> Streams:
-        """The streams, computed in parallel."""
-        basis, *coefficients = thread_executor()(lambda _, work: work(), None, self._work)
-        self._work = []  # signals take the most memory of a trial
-        return Streams(basis, tuple(coefficients))
+    return streams
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +202,7 @@ class Trial:
     basis: SpatialBasis  # decoded basis
     coefficients: Float  # (T, K, d) decoded coefficients
     spans: tuple[range, ...]  # frames of every chunk
-    coding: Coding  # streams of basis and coefficients
+    streams: Callable[[], Streams]  # streams of basis and coefficients
     error: float  # root of the sum of all squared distances, without the residual layer
     residuals: tuple[bytes, ...] = ()  # residual layer of every chunk, if there is a bound
     bound: float | None = None  # bound of the residual layer
@@ -213,19 +211,19 @@ class Trial:
     def chunks(self) -> tuple[Chunk, ...]:
         """Chunks with their frames and streams."""
         residuals = self.residuals or (b"",) * len(self.spans)
-        streams = zip(self.spans, self.coding.streams.coefficients, residuals, strict=True)
+        streams = zip(self.spans, self.streams()[1], residuals, strict=True)
         return tuple(Chunk(frames.start, len(frames), *of_frames) for frames, *of_frames in streams)
 
     @property
     def basis_size(self) -> int:
         """Size of the basis."""
         late = LATE_VERTEX_SIZE * (1 / self.candidate.share - 1)
-        return round((1 + late) * sum(map(len, self.coding.streams.basis)))
+        return round((1 + late) * sum(map(len, self.streams()[0])))
 
     @property
     def signal_size(self) -> int:
         """Size of the basis and the coefficients."""
-        return self.basis_size + sum(map(len, self.coding.streams.coefficients))
+        return self.basis_size + sum(map(len, self.streams()[1]))
 
     @property
     def size(self) -> int:
@@ -255,10 +253,10 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int
         squares = squared_error(sequence, basis, decoded)
     ranks = tuple(map(len, vectors))
     error = float(np.sqrt(max(squares, 0.0)))
-    coding = Coding(candidate, rounded, signals)
+    streams = streams_on_demand(candidate, rounded, signals)
     if sum(part.size for part in vectors) + decoded.size > MAX_PENDING_NUMBERS:
-        _ = coding.streams
-    return Trial(candidate, step, ranks, basis, decoded, spans, coding, error)
+        streams()
+    return Trial(candidate, step, ranks, basis, decoded, spans, streams, error)
 
 
 def order_coefficients(basis: SpatialBasis, coefficients: Sequence[Float]) -> Float:

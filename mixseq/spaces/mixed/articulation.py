@@ -19,7 +19,6 @@ from the pivots with weights :math:`m_i`. The matrices are constant.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +38,7 @@ from mixseq.mesh.rotations import (
     rotate_vectors,
 )
 from mixseq.mesh.topology import Topology, connected_components
+from mixseq.runtime.lazy import cached_property
 from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import Decomposition
 from mixseq.spaces.base import flatten_blocks

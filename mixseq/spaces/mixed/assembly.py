@@ -14,7 +14,6 @@ matrices are constant. The paper solves every joint separately, registers joints
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -23,10 +22,10 @@ from mixseq.mesh.measures import clamp_lengths, edge_lengths
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.rotations import matrix_to_quat, quat_conjugate, quat_multiply, quat_to_matrix
 from mixseq.mesh.topology import Topology, connected_components
-from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.shells.face_frames import FrameGraph, bridging_mask, flat_triangles, rotate_sides, triangle_frames
 from mixseq.shells.kernels import lengths_and_angles
-from mixseq.shells.shell import ZERO_AREA_HEIGHT_RATIO, Relaxation, Relaxed, Shell
+from mixseq.shells.shell import ZERO_AREA_HEIGHT_RATIO, Relaxed, Shell
 from mixseq.types import Float, Index, Mask
 
 ASSEMBLY_AVERAGING_ROUNDS = 3
@@ -55,7 +54,7 @@ class Assembly(PickledWithoutCaches):
     edge_ids: Index  # (E',) edges of joint faces
     hinge_ids: Index  # (H',) hinges of joint faces
     reference: Float  # (V, 3) a frame of the sequence
-    relaxation: Relaxation  # settings of relaxation
+    steps: int  # number of relaxation steps
 
     @cached_property
     def _rigid_parts(self) -> list[Index]:
@@ -114,7 +113,7 @@ class Assembly(PickledWithoutCaches):
         position_weights = np.zeros(t.vertex_count)
         position_weights[np.unique(self._component_of_vertex, return_index=True)[1]] = 1.0
         typical = edge_lengths(self.reference, t.edges)
-        return Shell(t, self.reference, typical, position_weights, self.relaxation.bending, ties)
+        return Shell(t, self.reference, typical, position_weights, ties)
 
     @cached_property
     def _ties(self) -> Index:
@@ -142,10 +141,6 @@ class Assembly(PickledWithoutCaches):
             for k in np.unique(component_of_seed)
         ]
 
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return self.frame_graph, self.shell, self._components
-
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:
         """Return target lengths ``(E,)`` and angles ``(H,)`` of all edges and hinges."""
         lengths, angles = lengths_and_angles(frame.rest_vertices, self.topology.edges, self.topology.hinges)
@@ -157,7 +152,7 @@ class Assembly(PickledWithoutCaches):
         """Return the mesh of a frame, and its final energy."""
         lengths, angles = self.targets(frame)
         start = self.integrate(frame, lengths, angles)
-        relaxed = self.shell.relax(start, lengths, angles, self.relaxation.steps)
+        relaxed = self.shell.relax(start, lengths, angles, self.steps)
         return relaxed._replace(points=self.place_components(frame.skinned_vertices, relaxed.points))
 
     def integrate(self, frame: FreeFrame, lengths: Float, angles: Float) -> Float:
@@ -177,8 +172,8 @@ class Assembly(PickledWithoutCaches):
         frames = self.frame_graph.chain(rotations, self._seed_frames(frame))
         frames = self.frame_graph.average(frames, rotations, ASSEMBLY_AVERAGING_ROUNDS)
         sides = np.empty((len(t.faces), 3, 3))
-        sides[joint] = rotate_sides(frames[self._node_of_face[joint]], flat[joint])
-        matrices = quat_to_matrix(frames[: len(self._rigid_parts)])
+        matrices = quat_to_matrix(frames)
+        sides[joint] = rotate_sides(matrices[self._node_of_face[joint]], flat[joint])
         corners = frame.rest_vertices[rigid_faces]
         rest_sides = np.roll(corners, -1, axis=1) - corners
         sides[~joint] = rest_sides @ np.swapaxes(matrices, 1, 2)[self._node_of_face[~joint]]

@@ -7,7 +7,6 @@ half-way errors, for any segmentation. The share of their lengths and angles is 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from itertools import combinations, pairwise
 from typing import Literal
 
@@ -107,29 +106,28 @@ def mixed_space(
         projection=Projection(),
     )
     if purpose == "blends":
-        base = replace(base, projection=Projection(relations=FAR_RELATIONS))
+        base = base.with_weights(projection=Projection(relations=FAR_RELATIONS))
     poses = base.split(base.encode(frames)).part_poses
-    base = replace(base, steadiness=base.articulation.measure_steadiness(poses))
+    base = base.with_weights(steadiness=base.articulation.measure_steadiness(poses))
     progress(2, 2, "registering parts")
     pairs = _all_pairs(frames) if purpose == "blends" else _neighbour_pairs(points)
     errors = midpoint_errors(base, pairs, *ERROR_LIMITS["free" if placement == "free" else purpose])
     if placement == "free":
         corners = base.rigid_part_of_vertex[topology.faces]
         is_blended = (corners < 0).any(axis=1) | (corners != corners[:, :1]).any(axis=1)
-        return replace(
-            base,
+        return base.with_weights(
             joint_faces=is_blended | (errors > 1.0),
             projection=Projection("free", 1.0, FAR_HOLD, FREE_STEPS, FAR_RELATIONS),
         )
     if (errors > 1.0).any():
         errors[faces_without_area(topology, frames) | faces_at_winding_hinges(topology, frames)] = 0.0
     joint_faces = errors > 1.0 if purpose == "blends" else _limit_joint_faces(base, errors)
-    space = replace(base, joint_faces=joint_faces)
+    space = base.with_weights(joint_faces=joint_faces)
     if purpose == "reduced" or not joint_faces.any():
         return space
     if purpose == "blends" or are_far_apart(base, points):
         steps = MIN_STEPS + round((MAX_STEPS - MIN_STEPS) * float(joint_faces.mean()))
-        return replace(space, projection=Projection("anchored", 1.0, FAR_HOLD, steps, FAR_RELATIONS))
+        return space.with_weights(projection=Projection("anchored", 1.0, FAR_HOLD, steps, FAR_RELATIONS))
     return space
 
 

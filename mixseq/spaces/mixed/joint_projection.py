@@ -23,7 +23,6 @@ Nothing is subtracted, so that h can be tiny and the error below rounding. Compi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ from numpy.typing import NDArray
 from mixseq.mesh.measures import edge_lengths, wrap_angles
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.jit import compiled, inlined
-from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.shells.face_frames import MIN_SIDE_LENGTH, HingeFrames, averaging_right_side, multiply, multiply_inverse_by
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.shells.shell import Shell
@@ -320,9 +319,6 @@ FACE_AVERAGING_ROUNDS = 2
 MOVING_RINGS = 1
 """Rings of faces around joint faces that move with them, because joints alone are too stiff."""
 
-BENDING_WEIGHT = 0.25
-"""Weight of an angle in radians relative to a relative change of length."""
-
 
 @dataclass(frozen=True, eq=False)
 class JointProjection(PickledWithoutCaches):
@@ -332,10 +328,6 @@ class JointProjection(PickledWithoutCaches):
     reference: Float  # (V, 3) reference frame in diagonals, which determines the weights
     joint_faces: Mask  # (F,) faces whose lengths and angles have targets
     position_weight: float  # weight of skinned vertices and frames relative to sides and hinges
-
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return self.frame_factor, self.vertex_factor
 
     @cached_property
     def edge_ids(self) -> Index:
@@ -352,7 +344,7 @@ class JointProjection(PickledWithoutCaches):
         """The mesh as a shell, for the weights of sides and hinges."""
         lengths = edge_lengths(self.reference, self.topology.edges)
         position_weights = np.full(self.topology.vertex_count, self.position_weight)
-        return Shell(self.topology, self.reference, lengths, position_weights, BENDING_WEIGHT)
+        return Shell(self.topology, self.reference, lengths, position_weights)
 
     @cached_property
     def _moving_face_ids(self) -> Index:

@@ -22,9 +22,8 @@ are derivatives by a complex step.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -42,16 +41,15 @@ from mixseq.mesh.rotations import (
     rotvec_to_quat,
 )
 from mixseq.mesh.topology import Topology
+from mixseq.runtime.lazy import cached_property
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import Decomposition
-from mixseq.shells.shell import Relaxation
 from mixseq.spaces.base import ANGLE_WEIGHT, ShapeSpace, flatten_blocks, radii_of_gyration
 from mixseq.spaces.mixed import posing_kernels as kernels
 from mixseq.spaces.mixed.articulation import Articulation, PartPoses, Steadiness, find_articulation
 from mixseq.spaces.mixed.assembly import Assembly, FreeFrame
 from mixseq.spaces.mixed.joint_projection import (
-    BENDING_WEIGHT,
     JointProjection,
     RealOrComplex,
     from_complex_step,
@@ -184,7 +182,7 @@ class MixedSpace(ShapeSpace):
             self.edge_ids,
             self.hinge_ids,
             self.reference,
-            Relaxation(BENDING_WEIGHT, self.projection.steps),
+            self.projection.steps,
         )
 
     @cached_property
@@ -223,14 +221,14 @@ class MixedSpace(ShapeSpace):
             self.projection.relations,
         )
 
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        _ = self.articulation._systems, self.articulation._tree, self._skinning, self.block_sizes
-        if self.placement == "free":
-            return (self.assembly,)
-        if self.projection.steps:
-            return self.joint_projection, self.joint_projection.shell
-        return (self.joint_projection,) if self.projection.share else ()
+    def with_weights(self, **changes: Any) -> MixedSpace:
+        """Return the space with other steadiness, joint faces or projection, and the same bodies and relations."""
+        space = replace(self, **changes)
+        weights: dict[str, Any] = {"relation_weight": space.projection.relations}
+        if space.steadiness is not None:
+            weights["steadiness"] = space.steadiness
+        space.__dict__["articulation"] = replace(self.articulation, **weights)  # bodies take long to find
+        return space
 
     @cached_property
     def _block_shapes(self) -> tuple[tuple[int, ...], ...]:

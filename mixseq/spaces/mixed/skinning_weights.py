@@ -29,45 +29,6 @@ EXCHANGE_ROUNDS = 4
 
 
 @compiled
-def accumulate_errors(
-    vertex_ids: Index,
-    parts: Index,
-    weights: Float,
-    rotations: Float,
-    shifts: Float,
-    reference: Float,
-    x: Float,
-    products: Float,
-    variances: Float,
-) -> None:
-    """Add the errors of part motions at vertices ``(n,)`` in a frame to products and variances, in place.
-
-    Products ``(n, k, k)`` sum scalar products of errors; variances ``(n,)`` sum squared distances from the mean error.
-    """
-    max_parts = parts.shape[1]
-    errors = np.empty((max_parts, 3))
-    for k in range(len(vertex_ids)):
-        v = vertex_ids[k]
-        count = 0
-        while count < max_parts and parts[v, count] >= 0:
-            p = parts[v, count]
-            for i in range(3):
-                error = shifts[p, i] - x[v, i]
-                for j in range(3):
-                    error += rotations[p, i, j] * reference[v, j]
-                errors[count, i] = error
-            count += 1
-        for i in range(3):
-            mean = 0.0
-            for a in range(count):
-                mean += weights[v, a] * errors[a, i]
-            for a in range(count):
-                variances[k] += weights[v, a] * (errors[a, i] - mean) ** 2
-                for b in range(count):
-                    products[k, a, b] += errors[a, i] * errors[b, i]
-
-
-@compiled
 def fit_weights(
     vertex_ids: Index,
     parts: Index,
@@ -169,8 +130,12 @@ def fit_skinning_weights(
             _, rotations, centres = register_parts(shapes, decomposition.parts, x)
             turns = rotations @ np.swapaxes(rest_rotations, 1, 2)
             shifts = centres - rotate_vectors(turns, rest_centres)
-            motions = turns, shifts, reference[fitted], x[fitted]
-            accumulate_errors(blended, parts, weights, *motions, products, variances)
+            at_rest, posed = reference[fitted[blended]], x[fitted[blended]]
+            errors = rotate_vectors(turns[parts[blended]], at_rest[:, None]) + shifts[parts[blended]] - posed[:, None]
+            products += errors @ np.swapaxes(errors, 1, 2)
+            mean_errors = np.einsum("nk,nki->ni", weights[blended], errors)
+            squares = np.square(errors - mean_errors[:, None]).sum(axis=2)
+            variances += np.einsum("nk,nk->n", weights[blended], squares)
         smoothness = SMOOTHNESS_WEIGHT * variances + MOTION_NOISE * len(frames)
         neighbours = graph.indptr.astype(np.int64), graph.indices.astype(np.int64)
         fit_weights(blended, parts, weights, products, smoothness, *neighbours, GAUSS_SEIDEL_SWEEPS)

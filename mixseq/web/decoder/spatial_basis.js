@@ -2,12 +2,53 @@
 //
 // A frame is a sum of fields over the mesh, numbers at its vertices, times weights (x, y, z) that change over time. A basis
 // vector of trajectories is one field. One of shapes is three fields, for x, y and z only.
+import { BitModels } from "./arithmetic.js";
 import { MixseqError } from "./errors.js";
-import { readLabels } from "./part_labels.js";
+import { graphStencils } from "./predictor.js";
 import { UNITS_PER_STEP } from "./predictor_kernels.js";
 import { Reader, SignalCoder, newNumberModels } from "./signal_coder.js";
-import { meshGraph, pathGraph } from "./signal_graph.js";
-import { graphStencils } from "./stencils.js";
+import { NEIGHBOUR_COUNTS, meshGraph, pathGraph } from "./signal_graph.js";
+
+// Decode the part of the mesh that every vertex belongs to.
+
+const LABEL_BITS = 7; // of a label
+
+/** Read the labels of all vertices. */
+export function readLabels(reader, partCount, { order, width, neighbours, counts }) {
+  const models = new BitModels(2, NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS, 2 + (1 << LABEL_BITS)), stream = reader.stream();
+  const nodes = new Int32Array(order.length), labels = new Int32Array(order.length), votes = new Int32Array(1 << LABEL_BITS);
+  for (let node = 0; node < order.length; node++) {
+    const begin = node * width, end = begin + counts[node] - 1;
+    for (let at = begin; at <= end; at++) votes[nodes[neighbours[at]]]++;
+    const first = majorityLabel(nodes, neighbours, begin, end, votes, -1), second = majorityLabel(nodes, neighbours, begin, end, votes, first), firstVotes = first < 0 ? 0 : votes[first];
+    models.contexts[0] = firstVotes * NEIGHBOUR_COUNTS + (second < 0 ? 0 : votes[second]);
+    models.contexts[1] = firstVotes * NEIGHBOUR_COUNTS + counts[node];
+    for (let at = begin; at <= end; at++) votes[nodes[neighbours[at]]] = 0;
+    if (first >= 0 && models.read(stream, 0)) nodes[node] = first;
+    else if (second >= 0 && models.read(stream, 1)) nodes[node] = second;
+    else {
+      models.contexts.fill(0);
+      let prefix = 1;
+      for (let bit = 0; bit < LABEL_BITS; bit++) prefix = 2 * prefix + models.read(stream, 1 + prefix);
+      nodes[node] = prefix - (1 << LABEL_BITS);
+    }
+  }
+  reader.addToChecksum(nodes);
+  const used = new Set(nodes);
+  if (used.size !== partCount || Math.max(...used) >= partCount) throw new MixseqError("labels are not those of the parts; it is damaged");
+  for (let node = 0; node < order.length; node++) labels[order[node]] = nodes[node];
+  return labels;
+}
+
+/** The label with the most votes, without one; ties go to the label of the nearest neighbour, the last one. */
+function majorityLabel(nodes, neighbours, begin, end, votes, without) {
+  let best = -1;
+  for (let at = end; at >= begin; at--) {
+    const label = nodes[neighbours[at]];
+    if (label !== without && (best < 0 || votes[label] > votes[best])) best = label;
+  }
+  return best;
+}
 
 const FIRST_GROUP_SIZE = 12; // basis vectors in the first group
 const MAX_EXACT = 2 ** 24; // largest whole number up to which all are exact in single precision
@@ -29,8 +70,8 @@ function partGroups(ranks) {
 /**
  * The basis of a mesh with the graph and levels `mesh`.
  *
- * It has `owners`, the part of every vector in the order of their coefficients, the `norms` of vectors, the `unit` of the mean
- * of shapes, and `fields`: their `count`, and for every one of the `parts` its `vertices`, ascending, the numbers of its
+ * It has `coded`, what the coefficients are of: `owners`, the part of every vector in their order, of how many `parts`, the `norms`
+ * of vectors and the `numbers` of their first fields; the same of `inbetweens`; the `unit` of the mean of shapes, and `fields`: their `count`, and for every one of the `parts` its `vertices`, ascending, the numbers of its
  * `fields`, and their `values`, vertex by vertex. Values are the whole numbers of the streams, so they are exact; weights are in
  * the units of the sequence. Zero vectors are left out.
  */
@@ -55,7 +96,8 @@ export function readBasis(streams, { factors, ranks, step }, triangles, mesh) {
     readers[number].finish();
   });
   const { parts, owners, norms, unit } = basis, count = (shapes ? 3 : 1) * owners.length;
-  return { shapes, owners, norms, unit, fields: { count, parts: parts.map(interleaveFields) } };
+  const coded = { shapes, parts: parts.length, owners, norms, numbers: owners.map((_, vector) => (shapes ? 3 : 1) * vector) };
+  return { coded, inbetweens: coded, unit, fields: { count, parts: parts.map(interleaveFields) } };
 }
 
 /** Read a vector, and add it unless it is zero; the mean of shapes may be zero. */
@@ -115,28 +157,27 @@ function splitParts(labels, number, triangles) {
 
 /** Read the weights of all fields in the frames of a chunk, frame by frame, of a sequence of `frames` frames. */
 export function readWeights(stream, basis, count, step, frames) {
-  const [weights] = readLevels(stream, basis, [count], step);
-  if (basis.shapes) spreadAxes(weights, 3 * basis.fields.count, 0, new Float64Array(count).fill(basis.unit / Math.sqrt(frames)));
+  const [weights] = readLevels(stream, basis.coded, [count], step, 3 * basis.fields.count);
+  if (basis.coded.shapes) spreadAxes(weights, 3 * basis.fields.count, 0, new Float64Array(count).fill(basis.unit / Math.sqrt(frames)));
   return weights;
 }
 
 /**
- * Read weights at as many times as each of `counts` says, time by time: of the frames of a chunk, or of its levels of
- * in-betweens. The weight of the mean of shapes stays zero.
+ * Read weights at as many times as each of `counts` says, time by time, rows of `width` numbers: of the frames of a chunk, or of
+ * its levels of in-betweens. The weight of the mean of shapes stays zero, and that of fields without coefficients.
  */
-export function readLevels(stream, basis, counts, step) {
-  const { shapes, owners, norms, fields } = basis, width = 3 * fields.count;
+export function readLevels(stream, { shapes, parts, owners, norms, numbers }, counts, step, width) {
   const models = newNumberModels(), reader = new Reader(stream);
   const levels = counts.map((count) => {
     const weights = new Float64Array(count * width), graph = pathGraph(count);
-    const coders = fields.parts.map(() => new SignalCoder(graph, graph, shapes ? 1 : 3, models));
+    const coders = Array.from({ length: parts }, () => new SignalCoder(graph, graph, shapes ? 1 : 3, models));
     owners.forEach((part, vector) => {
       if (shapes && !vector) return;
       for (let axis = 0; axis < (shapes ? 1 : 3); axis++) {
         const values = coders[part].read(reader), unit = step / UNITS_PER_STEP / norms[vector];
         for (let k = 0; k < count; k++) values[k] *= unit;
-        if (shapes) spreadAxes(weights, width, 9 * vector, values);
-        else for (let k = 0; k < count; k++) weights[k * width + 3 * vector + axis] = values[k];
+        if (shapes) spreadAxes(weights, width, 3 * numbers[vector], values);
+        else for (let k = 0; k < count; k++) weights[k * width + 3 * numbers[vector] + axis] = values[k];
       }
     });
     return weights;
@@ -151,4 +192,25 @@ function spreadAxes(weights, width, first, values) {
   values.forEach((value, frame) => {
     for (let axis = 0; axis < 3; axis++) weights[frame * width + first + 4 * axis] = value;
   });
+}
+
+/** Write the positions of all vertices: the sums of fields (`Sequence.fields`) times weights. */
+export function evaluate({ parts }, weights, positions) {
+  for (const { vertices, fields, values } of parts) {
+    const count = fields.length, own = new Float64Array(3 * count);
+    fields.forEach((field, k) => own.set(weights.subarray(3 * field, 3 * field + 3), 3 * k));
+    for (let i = 0, at = 0; i < vertices.length; i++) {
+      let x = 0, y = 0, z = 0;
+      for (let k = 0; k < own.length; k += 3) {
+        const value = values[at++];
+        x += value * own[k];
+        y += value * own[k + 1];
+        z += value * own[k + 2];
+      }
+      const place = 3 * vertices[i];
+      positions[place] = x;
+      positions[place + 1] = y;
+      positions[place + 2] = z;
+    }
+  }
 }

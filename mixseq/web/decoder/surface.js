@@ -1,7 +1,6 @@
 // Attributes of the polygons of a sequence. Pages that draw none of them can leave this module out.
+import { decodeHardEdges, decodeUvs } from "./corner_values.js";
 import { MixseqError, guarded } from "./errors.js";
-import { decodeHardEdges } from "./hard_edges.js";
-import { decodeUvs } from "./texture_coordinates.js";
 
 const TYPES = { "<i4": Int32Array, "<f4": Float32Array, "|u1": Uint8Array };
 

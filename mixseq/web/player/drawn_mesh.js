@@ -1,6 +1,6 @@
 // The mesh of a sequence for graphics cards: triangles, and vertices that are split where their corners have different
 // texture coordinates, colours or normals.
-import { triangulated } from "../decoder/polygons.js";
+import { triangulated } from "../decoder/connectivity.js";
 import { coloursOf, hardEdgesOf, uvsOf } from "../decoder/surface.js";
 
 /**

@@ -1,12 +1,48 @@
-// A sequence that is decoded in a Worker, so that the page stays responsive.
+// A sequence that is decoded in a Worker, so that the page stays responsive: both ends, which bundles of this module have, too.
 import { MixseqError } from "../decoder/errors.js";
 import { open } from "../decoder/sequence.js";
+import { uvsOf } from "../decoder/surface.js";
 import { drawnMesh } from "./drawn_mesh.js";
-import { COPIED, TRANSFERRED, NAME } from "./worker.js";
+
+/** The name of Workers that decode. */
+const NAME = "mixseq";
+
+/** Methods of a sequence that can be called. */
+const COPIED = ["polygons", "triangles", "fields", "load", "share", "drawn"];
+
+/** Methods whose results are new arrays, which are transferred. */
+const TRANSFERRED = ["uvs", "weights", "residuals", "at", "frame"];
+
+/** Answer the messages {number, method, given} of a port with {number, result}, or {number, error}. */
+function serve(port) {
+  let sequence;
+
+  async function answer(method, given) {
+    if (method === "open") sequence = await open(...given);
+    if (method === "begin") sequence.fields();
+    if (method === "uvs") return uvsOf(sequence);
+    if (method === "drawn") return drawnMesh(sequence);
+    if (COPIED.includes(method) || TRANSFERRED.includes(method)) return sequence[method](...given);
+    const { streams, surface, ...facts } = sequence, sizes = streams.chunks.map(({ coefficients }) => coefficients.length);
+    const first = streams.basis.reduce((sum, group) => sum + group.length, streams.connectivity.length);
+    return method === "open" ? { facts, sizes: [first, ...sizes] } : null;
+  }
+
+  port.onmessage = async ({ data: { number, method, given } }) => {
+    try {
+      const result = await answer(method, given);
+      port.postMessage({ number, result }, TRANSFERRED.includes(method) && result ? [result.buffer] : []);
+    } catch (error) {
+      port.postMessage({ number, error: error.message });
+    }
+  };
+}
+
+if (typeof WorkerGlobalScope !== "undefined" && globalThis.name === NAME) serve(globalThis);
 
 /**
- * Open a sequence in a Worker: `text` and `streams` as for `open`. `address` is that of a module that contains
- * `player/worker.js`, by default this one.
+ * Open a sequence in a Worker: `text` and `streams` as for `open`. `address` is that of a module
+ * that contains this one, by default this one itself.
  *
  * The result has the facts of a `Sequence`; its methods, `uvs`, and `drawn` (`drawnMesh`) return promises. `decode(told)` decodes
  * all fields, then all chunks, and reports the completed share; other calls are answered in between. `close()` ends the Worker.

@@ -26,8 +26,7 @@ from scipy import sparse
 from mixseq.choices import PlacementName
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.segmentation.joints import Decomposition, decompose
-from mixseq.shells.fitting import Patch, fit_shell, rebuild_patch
-from mixseq.shells.gauss_newton import ShellReport, ShellSettings
+from mixseq.shells.fitting import Patch, ShellReport, ShellSettings, fit_shell, rebuild_patch
 from mixseq.spaces.edge import DiscreteShell, EdgeSettings, EdgeSpace
 from mixseq.spaces.mixed.assembly import FreeFrame
 from mixseq.spaces.mixed.construction import mixed_space
@@ -89,8 +88,7 @@ class Edge:
         return self.space.encode(self.poses.points)
 
     def prepare(self) -> None:
-        self.space.precompute()
-        _ = self.vectors
+        self.at(np.full(len(self.vectors), 1 / len(self.vectors)))
 
     def at(self, weights: Float) -> Blended:
         points, (reports,) = self.space.decode_with_reports((weights @ self.vectors)[None])
@@ -104,10 +102,6 @@ class ManyScales(Edge):
     @cached_property
     def projection(self) -> MultiScale:
         return MultiScale(self.poses.topology, self.space.pieces)
-
-    def prepare(self) -> None:
-        super().prepare()
-        self.projection.precompute()
 
     def at(self, weights: Float) -> Blended:
         shapes, turns, centres = self.space.split((weights @ self.vectors)[None])
@@ -189,8 +183,7 @@ class Anchored(Mixed):
 
     def prepare(self) -> None:
         """Do what is done once."""
-        self.space.precompute()
-        _ = self.vectors
+        self.timed(np.full(len(self.vectors), 1 / len(self.vectors)))
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend; all of it is one step."""
@@ -215,7 +208,7 @@ class Free(Anchored):
             lengths, angles = assembly.targets(frame)
             start = assembly.integrate(frame, lengths, angles)
             first = clock.lap()
-            relaxed = assembly.shell.relax(start, lengths, angles, assembly.relaxation.steps)
+            relaxed = assembly.shell.relax(start, lengths, angles, assembly.steps)
             points = assembly.place_components(frame.skinned_vertices, relaxed.points)
         return Blended(points * space.scale, []), (first, 0.0, clock.lap())
 
@@ -268,9 +261,7 @@ class Printed(Mixed):
         )
 
     def prepare(self) -> None:
-        _ = self.space.aligned, self.space.overlaps, self.space.seams.factor
-        for patch in self.patches:
-            patch.precompute()
+        self.timed(np.full(len(self.poses.points), 1 / len(self.poses.points)))
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend step by step."""

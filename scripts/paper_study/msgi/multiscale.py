@@ -34,8 +34,7 @@ from mixseq.mesh.measures import clamp_lengths
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.segmentation.joints import make_joint
-from mixseq.shells.fitting import Patch, rebuild_patch
-from mixseq.shells.gauss_newton import ShellReport, ShellSettings
+from mixseq.shells.fitting import Patch, ShellReport, ShellSettings, rebuild_patch
 from mixseq.spaces.edge import ShellTargets
 from mixseq.spaces.pieces import Pieces
 from mixseq.types import Float, Index
@@ -92,10 +91,6 @@ class Leaf(PickledWithoutCaches):
         joint = make_joint(topology, inside, np.zeros(topology.vertex_count, dtype=bool))
         patch = Patch.from_joint(topology, joint, ~joint.free)
         return cls(joint.vertices, joint.edge_ids, joint.hinge_ids, patch)
-
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return self.patch, self.patch.hinge_frames
 
     def rebuilt(
         self, lengths: Float, angles: Float, weights: Float, settings: ShellSettings
@@ -155,11 +150,6 @@ class Merge(PickledWithoutCaches):
         shapes = [np.cos(np.outer(mine + 1, np.sqrt([2.0, 3.0, 5.0]))) for mine in own]
         return cls(vertices, edges, len(own), Overlaps.of(own, shapes), seams)
 
-    def cached_values(self) -> tuple[object, ...]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        seams = (self.seams.factor,) if self.seams.solved.size else ()
-        return self.overlaps.translation_solver, self.seams.component, *seams
-
     def merged(self, points: list[Float], lengths: Float) -> Float:
         """Return points ``(n, 3)`` from those of the children and the lengths of the mesh."""
         rows = np.concatenate(points)
@@ -171,7 +161,7 @@ class Merge(PickledWithoutCaches):
 
 @dataclass(frozen=True, eq=False)
 class MultiScale(PickledWithoutCaches):
-    """Rebuilds meshes patch by patch; an `EdgeProjection`.
+    """Rebuilds meshes patch by patch, as a projection of the edge space.
 
     Attributes
     ----------
@@ -207,12 +197,8 @@ class MultiScale(PickledWithoutCaches):
             steps.append(tuple(step for region in whole for step in _steps(self.topology, region)))
         return tuple(steps)
 
-    def cached_values(self) -> list[object]:
-        """Implement `PickledWithoutCaches.cached_values`."""
-        return [step for steps in self.steps for step in steps]
-
     def fit(self, wanted: ShellTargets, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Implement `EdgeProjection.fit`, with a report for every leaf."""
+        """Fit rows as `DiscreteShell.fit` does, with a report for every leaf."""
         lengths, angles, weights = wanted.lengths, wanted.angles, wanted.length_weights
         for name, values, of in (("length", lengths, "edge"), ("angle", angles, "hinge")):
             wrong = np.flatnonzero(~np.isfinite(values))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.types import Float
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.errors import errors, text

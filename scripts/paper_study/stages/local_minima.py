@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.shells.fitting import ShellProblem, fit_shell
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
 from mixseq.shells.kernels import lengths_and_angles
 from mixseq.spaces.edge import DiscreteShell, EdgeSettings
 from mixseq.types import Float, Index

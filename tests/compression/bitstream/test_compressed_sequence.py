@@ -37,7 +37,7 @@ def bounded() -> CompressedSequence:
     noise = np.random.default_rng(4).laplace(scale=0.01, size=smooth.points.shape)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("trajectories",))
-        return compress(smooth.with_points(smooth.points + noise), max_error=0.02, chunk=100)
+        return compress(smooth.with_points(smooth.points + noise), max_error=0.02, chunk=100, inbetweens=False)
 
 
 @cache
@@ -47,7 +47,7 @@ def noisy() -> CompressedSequence:
     noise = np.random.default_rng(1).normal(size=(20, *points.shape))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("shapes",))
-        return compress(MeshSequence.from_arrays(points + 0.1 * noise, faces), kg=0.5)
+        return compress(MeshSequence.from_arrays(points + 0.1 * noise, faces), kg=0.5, inbetweens=False)
 
 
 @cache
@@ -61,7 +61,7 @@ def grouped() -> tuple[MeshSequence, CompressedSequence]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("trajectories",))
         patch.setattr("mixseq.compression.encoder.search.PART_COUNTS", (10_000,))
-        return sequence, compress(sequence, kg=0.2)
+        return sequence, compress(sequence, kg=0.2, inbetweens=False)
 
 
 def frames_of(coded: CompressedSequence) -> Float:

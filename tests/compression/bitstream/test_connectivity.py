@@ -93,7 +93,7 @@ def polygon_lists(draw: st.DrawFn) -> tuple[Polygons, int]:
 
 
 @given(polygon_lists())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_any_polygons_come_back(mesh: tuple[Polygons, int]) -> None:
     there_and_back(*mesh)
 
@@ -167,7 +167,7 @@ def test_any_bytes_are_refused_or_harmless(data: bytes) -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 10**6), st.integers(1, 255)), min_size=1, max_size=4))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=50, deadline=None)
 def test_changed_bytes_are_refused_or_harmless(changes: list[tuple[int, int]]) -> None:
     faces = tube(8, 25)[1]
     data = bytearray(encode_polygons(Polygons.from_triangles(faces), int(faces.max()) + 1))

@@ -6,7 +6,7 @@ import hashlib
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.compression.bitstream.corner_values import decode_hard_edges, encode_hard_edges
@@ -29,6 +29,7 @@ def there_and_back(polygons: Polygons, numbers: IntArray) -> bytes:
 
 
 @pytest.mark.parametrize("name", MESHES)
+@settings(max_examples=15)
 @given(st.integers(0, 2**32), st.integers(1, 5))
 def test_any_hard_edges_come_back(name: str, seed: int, most: int) -> None:
     polygons = MESHES[name]

@@ -30,7 +30,7 @@ def code_small(bits: HashedBits, known: Index) -> None:
     code_hashed_bit(bits, 0, 1)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=CONTEXTS_PER_BIT, max_size=CONTEXTS_PER_BIT))
 @example([0, 1, -1, 530, 1 << 60, -(1 << 60), 2**63 - 1, -(2**63)])
 def test_slots_are_the_highest_bits_of_the_product(contexts: list[int]) -> None:
@@ -51,7 +51,7 @@ def test_products_overflow_where_it_is_known_how_large_they_are() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 1)), max_size=300))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_bits_come_back(pairs: list[tuple[int, int]]) -> None:
     writer = new_hashed_output(len(pairs), 1)
     for context, bit in pairs:

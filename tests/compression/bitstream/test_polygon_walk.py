@@ -6,7 +6,7 @@ import hashlib
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.compression.bitstream.connectivity import walk_polygons
@@ -76,6 +76,7 @@ def test_every_polygon_but_the_first_is_entered_across_an_edge(name: str) -> Non
 
 
 @pytest.mark.parametrize("name", MESHES)
+@settings(max_examples=10)
 @given(st.integers(0, 100))
 def test_it_does_not_matter_how_polygons_are_listed(name: str, seed: int) -> None:
     polygons = MESHES[name]

@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixseq.compression.bitstream.arithmetic import BitModels
 from mixseq.compression.bitstream.signal_coder import (
     ROUNDING_MARGINS,
-    NumberModels,
     Reader,
     SignalCoder,
     Writer,
+    new_number_models,
 )
 from mixseq.compression.bitstream.signal_graph import SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
@@ -34,7 +35,7 @@ GRAPHS: dict[str, Callable[[], SignalGraph]] = {
 }
 
 
-def written(coder: SignalCoder, writer: Writer, targets: Float, models: NumberModels) -> Float:
+def written(coder: SignalCoder, writer: Writer, targets: Float, models: BitModels) -> Float:
     values, signal = coder.round(targets)
     writer.write(signal, models)
     return values
@@ -42,7 +43,7 @@ def written(coder: SignalCoder, writer: Writer, targets: Float, models: NumberMo
 
 def there_and_back(graph: SignalGraph, signals: list[Float]) -> bytes:
     """Code signals, and check that they come back, and what rounding does to them."""
-    coder, writer, models = SignalCoder(graph), Writer(), NumberModels()
+    coder, writer, models = SignalCoder(graph), Writer(), new_number_models()
     kept = [written(coder, writer, signal, models) for signal in signals]
     data = writer.finish()
     decoder, reader = SignalCoder(graph), Reader(data)
@@ -93,7 +94,7 @@ def test_signals_in_two_streams() -> None:
     """The coder goes on where it was: a later stream needs the one before, not the other way round."""
     graph, rng = GRAPHS["grid"](), np.random.default_rng(1)
     signals = rng.normal(scale=20, size=(6, graph.size))
-    coder, models, streams, kept = SignalCoder(graph), NumberModels(), list[bytes](), list[Float]()
+    coder, models, streams, kept = SignalCoder(graph), new_number_models(), list[bytes](), list[Float]()
     for part in (signals[:2], signals[2:]):
         writer = Writer()
         kept += [written(coder, writer, signal, models) for signal in part]
@@ -113,10 +114,10 @@ def test_bytes_and_values_are_the_same_on_any_number_of_threads(size: int, monke
     found = []
     for threads in ("1", "2", "3"):
         monkeypatch.setenv("MIXSEQ_THREADS", threads)
-        models, writer = NumberModels(), Writer()
+        models, writer = new_number_models(), Writer()
         coders = [SignalCoder(graph, 1, models) for _ in range(2)]
         kept = [written(coder, writer, signal, models) for coder in coders for signal in signals]
-        data, models = writer.finish(), NumberModels()
+        data, models = writer.finish(), new_number_models()
         reader, coders = Reader(data), [SignalCoder(graph, 1, models) for _ in range(2)]
         read = [coder.read_ahead(reader) for coder in coders for _ in signals]
         reader.finish()
@@ -149,7 +150,7 @@ def test_damaged_streams_are_refused() -> None:
 def test_other_weights_are_refused_or_no_harm(size: float) -> None:
     """As of a machine that adds otherwise."""
     graph, rng = GRAPHS["torus"](), np.random.default_rng(2)
-    coder, writer, models = SignalCoder(graph), Writer(), NumberModels()
+    coder, writer, models = SignalCoder(graph), Writer(), new_number_models()
     kept = [written(coder, writer, 100 * np.sin(TORUS[0] @ rng.normal(size=3)), models) for _ in range(12)]
     reader, decoder = Reader(writer.finish()), SignalCoder(graph)
     found = []
@@ -173,10 +174,10 @@ def test_models_may_be_shared() -> None:
     """Coders of two graphs take turns in one stream."""
     rng, graphs = np.random.default_rng(4), [GRAPHS["torus"](), GRAPHS["grid"]()]
     signals = [[rng.normal(scale=5, size=graph.size) for graph in graphs] for _ in range(5)]
-    models, writer = NumberModels(), Writer()
+    models, writer = new_number_models(), Writer()
     coders = [SignalCoder(graph, 1, models) for graph in graphs]
     kept = [[written(coder, writer, one, models) for coder, one in zip(coders, some, strict=True)] for some in signals]
-    models, reader = NumberModels(), Reader(writer.finish())
+    models, reader = new_number_models(), Reader(writer.finish())
     coders = [SignalCoder(graph, 1, models) for graph in graphs]
     for some in kept:
         for coder, one in zip(coders, some, strict=True):

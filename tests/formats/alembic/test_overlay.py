@@ -17,8 +17,11 @@ from mixseq.errors import MixseqWarning, OutputError, SettingsError  # noqa: E40
 from mixseq.mesh.polygons import Polygons  # noqa: E402
 from mixseq.mesh.surface import Surface  # noqa: E402
 from mixseq.sequence.sequence import MeshSequence  # noqa: E402
-from mixseq_io.alembic.library import read_imath_sample, sample_selector  # noqa: E402
-from mixseq_io.alembic.samples import sample_times  # noqa: E402
+from mixseq_io.alembic.samples import (  # noqa: E402
+    read_imath_sample,
+    sample_selector,
+    sample_times,
+)
 from tests.formats.alembic.alembic_maker import (  # noqa: E402
     SQUARE,
     TRIANGLES,

@@ -10,7 +10,8 @@ from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import MeshObject, Surface
 from mixseq.sequence.header import SequenceHeader
-from mixseq_io.alembic.samples import MeshTransform, choose_paths
+from mixseq_io.alembic.samples import MeshTransform
+from mixseq_io.alembic.writer import choose_paths
 from mixseq_io.scene_meshes import split_meshes
 from tests.formats.alembic.alembic_maker import SQUARE, shift
 

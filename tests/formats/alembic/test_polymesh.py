@@ -13,7 +13,7 @@ imath = pytest.importorskip("imath")
 from alembic3d import Abc, AbcCoreAbstract, AbcGeom, AbcMaterial  # noqa: E402
 
 from mixseq.errors import MixseqWarning  # noqa: E402
-from mixseq_io.alembic.library import create_array  # noqa: E402
+from mixseq_io.alembic.samples import create_array  # noqa: E402
 from tests.formats.alembic.alembic_maker import (  # noqa: E402
     CLOCKWISE,
     SQUARE,

@@ -83,10 +83,10 @@ def test_files_of_other_kinds(path: Path, content: bytes, message: str) -> None:
 
 
 def test_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "mixseq_io.alembic.library")
+    monkeypatch.delitem(sys.modules, "mixseq_io.alembic.samples")
     monkeypatch.setitem(sys.modules, "alembic3d", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'mixseq\[alembic\]'"):
-        import_module("mixseq_io.alembic.library")
+        import_module("mixseq_io.alembic.samples")
 
 
 def test_missing_file(path: Path) -> None:

@@ -475,10 +475,8 @@ def sorted_faces(faces: NDArray[np.integer[Any]]) -> list[list[int]]:
     [
         ("KhronosFox", "Survey", None, "fox_survey"),
         ("KhronosFox", "Run", 48, "fox_run"),
-        ("Horse", "AnimalArmature|Gallop", 48, "q_horse_gallop"),
         ("Horse", "AnimalArmature|Eating", 12, "q_horse_eating"),
         ("Wolf", "AnimalArmature|Gallop", 48, "q_wolf_gallop"),
-        ("Wolf", "AnimalArmature|Attack", 30, "q_wolf_attack"),
         ("Trex", "Armature|TRex_Run", 30, "q_trex_run"),
         ("RobotExpressive", "Dance", None, "robotexpressive_dance"),
     ],
@@ -525,5 +523,5 @@ def test_horns_that_hang_on_a_bone(data: Path) -> None:
     assert got.name == "RootNode"
     # The horns touch the head in all frames.
     horns, body = got.points[:, :818], got.points[:, 818:]
-    gaps = [np.linalg.norm(one[:, None] - two, axis=2).min() for one, two in zip(horns, body, strict=True)]
+    gaps = [np.min(KDTree(one).query(two)[0]) for one, two in zip(horns, body, strict=True)]
     assert max(gaps) < 0.1

@@ -15,7 +15,7 @@ import mixseq
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.signals.between import quarter_times, straight_blocks
+from mixseq.signals.decoding import quarter_times, straight_blocks
 from mixseq_io.gltf.new_document import size_with_frame_targets
 from mixseq_io.rig_arrays import four_influences
 from mixseq_io.rig_files import measure_file_between, measure_rig_file

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,15 +11,20 @@ import pytest
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import FaceSet
-from mixseq_io.text.derived_labels import (
+from mixseq_io.text.labels import (
+    Skinning,
+    concatenate_skinning,
     labels_from_colours,
     labels_from_sets,
     labels_from_skinning,
     merge_small_regions,
+    polygon_labels,
+    triangle_labels,
 )
-from mixseq_io.text.labels import Skinning, concatenate_skinning, polygon_labels, triangle_labels
 from tests.formats.labels.labelled_files import FACES, told
 from tests.meshes import grid
+
+FILE = Path("body.ply")
 
 
 def test_triangles_have_the_labels_of_their_polygons_and_polygons_those_of_most_triangles() -> None:
@@ -42,25 +48,25 @@ def test_polygons_in_several_sets_or_in_none() -> None:
 def test_a_polygon_takes_the_colour_of_most_of_its_corners() -> None:
     red, blue = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
     colours = np.array([red, red, blue, red, blue, blue, red])
-    assert told(labels_from_colours(colours, FACES)) == ["#ff0000", "#ff0000", "#0000ff"]
+    assert told(labels_from_colours(FILE, colours, FACES)) == ["#ff0000", "#ff0000", "#0000ff"]
     tie = np.array([red, red, blue, blue, red, red, blue])
-    assert told(labels_from_colours(tie, FACES)) == ["#0000ff", "#0000ff", "#ff0000"]
-    assert told(labels_from_colours(colours + 0.001, FACES)) == told(labels_from_colours(colours, FACES))
+    assert told(labels_from_colours(FILE, tie, FACES)) == ["#0000ff", "#0000ff", "#ff0000"]
+    assert told(labels_from_colours(FILE, colours + 0.001, FACES)) == told(labels_from_colours(FILE, colours, FACES))
 
 
 def test_colours_that_differ_in_alpha_are_two_labels() -> None:
     colours = np.array([(1.0, 0.0, 0.0, 1.0)] * 4 + [(1.0, 0.0, 0.0, 0.5)] * 3)
-    assert told(labels_from_colours(colours, FACES)) == ["#ff0000", "#ff0000", "#ff000080"]
+    assert told(labels_from_colours(FILE, colours, FACES)) == ["#ff0000", "#ff0000", "#ff000080"]
 
 
 def test_more_than_256_colours_are_no_segmentation() -> None:
     triangles = Polygons.from_triangles(np.arange(300).reshape(-1, 3))
     colours = np.zeros((300, 3))
     colours[:256, 0] = np.arange(256) / 255
-    assert len(labels_from_colours(colours, triangles).names) > 1
+    assert len(labels_from_colours(FILE, colours, triangles).names) > 1
     colours[256:, 1] = 1
-    with pytest.raises(FormatError, match="257 vertex colours, too many for a segmentation"):
-        labels_from_colours(colours, triangles)
+    with pytest.raises(FormatError, match=r"body\.ply has 257 vertex colours, too many for a segmentation"):
+        labels_from_colours(FILE, colours, triangles)
 
 
 def chain(weights: Any, parents: tuple[str, ...] = ("", "a", "a/b")) -> Skinning:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import mixseq
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.detail import Detail
 from mixseq.signals.model import Model
 from tests.formats.models.model_cases import jointed

@@ -35,7 +35,7 @@ pytestmark = pytest.mark.slow
 def test_truncated_files_are_format_errors(stored: Path, tmp_path: Path) -> None:
     whole = stored.read_bytes()
     cut = tmp_path / "cut.h5"
-    for size in [0, 1, 7, 8, 47, 48, 95, 96, *range(100, len(whole), len(whole) // 150), len(whole) - 1]:
+    for size in [0, 1, 7, 8, 47, 48, 95, 96, *range(100, len(whole), len(whole) // 40), len(whole) - 1]:
         cut.write_bytes(whole[:size])
         with pytest.raises(FormatError, match=r"cut\.h5"):
             mixseq.load(cut)
@@ -77,7 +77,7 @@ print(refused, silent)
 def test_a_flipped_byte_is_refused_or_does_no_harm(stored: Path, tmp_path: Path) -> None:
     """In a process of its own: a byte that makes HDF5 crash must not take the tests along."""
     result = subprocess.run(
-        [sys.executable, "-W", "error", "-c", SPOILER, stored, tmp_path / "spoilt.h5", "3", "300"],
+        [sys.executable, "-W", "error", "-c", SPOILER, stored, tmp_path / "spoilt.h5", "3", "100"],
         capture_output=True,
         text=True,
         check=False,
@@ -85,8 +85,8 @@ def test_a_flipped_byte_is_refused_or_does_no_harm(stored: Path, tmp_path: Path)
     )
     assert result.returncode == 0, result.stderr
     refused, harmless = map(int, result.stdout.split())
-    assert refused + harmless == 300
-    assert refused > 100
+    assert refused + harmless == 100
+    assert refused > 33
 
 
 def test_noise_after_a_valid_start_is_refused(stored: Path, tmp_path: Path) -> None:

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import mixseq
+from mixseq.spaces.base import VertexSpace
 from mixseq.spaces.edge import EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mixed.mixed_space import MixedSpace
-from mixseq.spaces.vertex import VertexSpace
 from tests.formats.models.model_cases import GOLDEN
 
 BETWEEN = {

@@ -17,7 +17,7 @@ from mixseq.errors import OutputError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.spaces.base import ShapeSpace

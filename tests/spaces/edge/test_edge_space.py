@@ -18,10 +18,10 @@ from mixseq.mesh.topology import Topology
 from mixseq.segmentation.joints import decompose
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
 from mixseq.shells import shell
-from mixseq.shells.gauss_newton import ShellSettings
+from mixseq.shells.fitting import ShellSettings
+from mixseq.shells.shell import BENDING_WEIGHT
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.mixed.construction import mixed_space
-from mixseq.spaces.mixed.joint_projection import BENDING_WEIGHT
 from mixseq.spaces.mixed.mixed_space import Projection
 from mixseq.types import Float
 from tests.meshes import SEQUENCES, bent, rotation, torus, tube
@@ -62,7 +62,6 @@ def two(first: Float, second: Float, faces: Any) -> MeshSequence:
 def test_frames_come_back(name: str, settings: EdgeSettings) -> None:
     sequence = sequence_of(name)
     space = space_of(sequence, settings)
-    space.precompute()
     vectors = space.encode(sequence.points)
     assert vectors.shape == (sequence.frame_count, space.dim)
     assert len(space.weights) == space.dim

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from mixseq.choices import PLACEMENTS, PlacementName
-from mixseq.creature import walk_cycle
 from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.segmentation.joints import decompose
@@ -30,7 +29,7 @@ from mixseq.spaces.mixed.construction import (
 )
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from mixseq.types import Float, FloatArray
-from tests.meshes import SEQUENCES, bar, bent, grid, topology_of, tube
+from tests.meshes import SEQUENCES, bar, bent, coarse_walk, grid, topology_of, tube
 from tests.spaces.mixed.made import sequence_of, sliced, space_of
 
 
@@ -236,8 +235,7 @@ def test_single_precision_makes_nearly_the_same_space() -> None:
 
 
 def test_the_walk_is_near_and_its_vectors_are_short() -> None:
-    walk = walk_cycle()
-    space = space_for(walk, 12)
+    space = space_for(coarse_walk(frames=24), 12)
     assert space.projection.steps == 0
     assert share_of_all(space) >= SIZE_REDUCTION
 

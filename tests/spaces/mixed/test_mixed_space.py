@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from hypothesis import strategies as st
 
 import mixseq
 from mixseq.choices import PLACEMENTS, PlacementName
-from mixseq.creature import walk_cycle
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.mesh.measures import dihedral_angles, edge_lengths
 from mixseq.mesh.rigid import kabsch, transform_points
@@ -26,8 +24,7 @@ from mixseq.mesh.rotations import (
 )
 from mixseq.segmentation.joints import decompose
 from mixseq.segmentation.methods import segment_by_labels
-from mixseq.sequence.sequence import MeshSequence
-from mixseq.spaces.base import ANGLE_WEIGHT
+from mixseq.spaces.base import ANGLE_WEIGHT, VertexSpace
 from mixseq.spaces.mixed.construction import Purpose, mixed_space
 from mixseq.spaces.mixed.mixed_space import (
     ARTICULATION_WEIGHT,
@@ -38,7 +35,6 @@ from mixseq.spaces.mixed.mixed_space import (
     as_mixed,
 )
 from mixseq.spaces.temporal import Poses, TemporalOperator, insert_midpoints, interpolate_poses
-from mixseq.spaces.vertex import VertexSpace
 from mixseq.types import Float
 from tests.meshes import SEQUENCES, Mesh, bending, bent, rigid_motions, rotation, seeds, topology_of, tube
 from tests.spaces.mixed.made import (
@@ -105,7 +101,7 @@ def test_frames_come_back_in_any_unit_and_far_away(unit: float, away: float) -> 
         assert error(space, points, space.decode(space.encode(points))) < 1e-9
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(seed=seeds, mesh=st.sampled_from(MESHES), parts=st.integers(1, 7), width=st.integers(1, 4))
 def test_frames_come_back_whatever_the_parts(seed: int, mesh: Mesh, parts: int, width: int) -> None:
     rng = np.random.default_rng(seed)
@@ -193,10 +189,10 @@ def test_spaces_can_be_sent() -> None:
     points = sequence_of("bar").points
     for space in in_all_ways("bar"):
         vectors = space.encode(points)
-        space.precompute()
+        decoded = space.decode(vectors)
         sent = pickle.loads(pickle.dumps(space))
         np.testing.assert_array_equal(sent.encode(points), vectors)
-        np.testing.assert_array_equal(sent.decode(vectors), space.decode(vectors))
+        np.testing.assert_array_equal(sent.decode(vectors), decoded)
 
 
 def test_as_mixed_is_for_the_mixed_space_alone() -> None:
@@ -368,13 +364,6 @@ def test_a_placement_that_changes_moves_vertices_by_its_weight() -> None:
     moved = np.linalg.norm(velocities[:, space.decomposition.parts[2]], axis=2) / space.scale
     weight = space.split(space.weights[None]).body_rotations[0, body, 0]
     assert np.sqrt(np.square(moved).mean()) == pytest.approx(weight * np.sqrt(2 / 3), rel=0.05)
-
-
-def test_vectors_of_the_walk_are_shorter_than_all_lengths_and_angles() -> None:
-    walk = walk_cycle()
-    space = mixseq.fit(walk, rank=3).mixed
-    topology = space.topology
-    assert (len(topology.edges) + len(topology.hinge_faces) + 6) / space.dim >= 1.3
 
 
 # Between frames -------------------------------------------------------------------------------------------
@@ -741,13 +730,3 @@ def test_vectors_of_exact_models_are_those_of_the_frames(name: str) -> None:
     sequence = sequence_of(name)
     model = mixseq.fit(sequence, exact=True)
     np.testing.assert_allclose(model.vectors, model.space.encode(sequence.points), atol=1e-6)
-
-
-@pytest.mark.realdata
-@pytest.mark.parametrize("name", ["lion_poses", "cat_poses", "horse_gallop", "fox_run"])
-def test_real_frames_come_back(data: Path, name: str) -> None:
-    points = mixseq.read(data / "npz" / f"{name}.npz")
-    if name.endswith("poses"):
-        points = MeshSequence.from_arrays(points.points[:4], points.faces)
-    model = mixseq.fit(points, exact=True)
-    assert mixseq.compare(points, model.sample()).max_error < 1e-9

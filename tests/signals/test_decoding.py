@@ -11,8 +11,7 @@ from mixseq.errors import SettingsError
 from mixseq.runtime.progress import Progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
-from mixseq.signals.between import hold_between, largest_distance, played_blocks, quarter_times
-from mixseq.signals.decoding import Decodable
+from mixseq.signals.decoding import Decodable, hold_between, largest_distance, played_blocks, quarter_times
 from mixseq.types import Float
 from tests.meshes import rotation
 

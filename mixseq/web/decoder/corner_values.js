@@ -1,16 +1,16 @@
-// Decode the values of texture coordinates: their differences from guesses. Mirrors mixseq/compression/bitstream/uv_values.py.
+// Decode texture coordinates and hard edges on the polygons of a mesh. Mirrors mixseq/compression/bitstream/corner_values.py.
+import { checksumOf, hashedBits, splitChecksum, verifyChecksum } from "./arithmetic.js";
+import { cornersOnNodes, growingOrder } from "./connectivity.js";
 import { MixseqError } from "./errors.js";
-import { canBeImage, guessCopy, inheritImage, newCopies, setImage, updateAnchors } from "./uv_copies.js";
-import { AROUND, BESIDE, COPIED, makeGuess, newGuess } from "./uv_guesses.js";
-import { SEAM_KINDS } from "./uv_seams.js";
+import { AROUND, BESIDE, COPIED, SEAM_KINDS, canBeImage, guessCopy, inheritImage, makeGuess, newCopies, newGuess, readSeams, setImage, updateAnchors } from "./uv_seams.js";
 
 const GUESS_GROUPS = 4, MAX_NUMBER_BITS = 40, MAX_COORDINATE = 1 << 26, MAX_COPY_ERROR = 8, REGION_KIND = 2 * GUESS_GROUPS, IMAGE_KIND = 2 * GUESS_GROUPS + 1;
 
 /** Kinds of bits with weights of their own, after those of seams. */
-export const VALUE_KINDS = 2 * GUESS_GROUPS + 2;
+const VALUE_KINDS = 2 * GUESS_GROUPS + 2;
 
 /** Read the values `Int32Array(2N)` of all nodes. */
-export function readValues(bits, corners, order, count) {
+function readValues(bits, corners, order, count) {
   const { starts, polygon: polygons, node, after } = corners, copies = newCopies(corners, order), guess = newGuess();
   const known = { values: new Int32Array(2 * count), isKnown: new Uint8Array(count), errors: new Float64Array(count) };
   const { values, isKnown } = known, facts = [0, 0, 0], sizes = [0, 0, 0, 0], means = [64, 64, 160, 160], losses = [0, 0];
@@ -118,4 +118,26 @@ function sizeInBits(number) {
 function bitLength(number) {
   const rest = Math.abs(number), high = Math.floor(rest / 2 ** 32);
   return high ? 64 - Math.clz32(high) : 32 - Math.clz32(rest);
+}
+
+/** Coordinates `Int32Array(2C)` at the corners, u and v of each, in units of 1 / `uv_steps`. */
+export function decodeUvs(bytes, counts, corners, vertexCount) {
+  const { data, expected } = splitChecksum(bytes), bits = hashedBits(data, SEAM_KINDS + VALUE_KINDS);
+  const mesh = cornersOnNodes(counts, corners, vertexCount), { nodes, count } = readSeams(bits, mesh, growingOrder(mesh));
+  const seamed = cornersOnNodes(counts, nodes, count), values = readValues(bits, seamed, growingOrder(seamed), count);
+  const found = new Int32Array(2 * corners.length);
+  nodes.forEach((node, corner) => found.set([values[2 * node], values[2 * node + 1]], 2 * corner));
+  verifyChecksum(checksumOf(found), expected);
+  return found;
+}
+
+/** Numbers `Int32Array(C)` of normals at the corners: 0, 1, 2, ... in order of first use. */
+export function decodeHardEdges(bytes, counts, corners, vertexCount) {
+  const { data, expected } = splitChecksum(bytes), mesh = cornersOnNodes(counts, corners, vertexCount);
+  const { nodes, count } = readSeams(hashedBits(data, SEAM_KINDS), mesh, growingOrder(mesh));
+  const numbers = new Int32Array(count).fill(-1);
+  let used = 0;
+  const found = nodes.map((node) => (numbers[node] < 0 ? (numbers[node] = used++) : numbers[node]));
+  verifyChecksum(checksumOf(found), expected);
+  return found;
 }
