@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from mixseq.errors import (
     OutputError,
     SettingsError,
 )
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence, join_blocks
@@ -331,6 +331,13 @@ def open_sequence(
         If the contents are not a mesh sequence.
     SettingsError
         If the format has no such option, or `start_frame` is not finite.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> with mixseq.open_sequence("arm.usdc") as reader:
+    ...     [block.shape for block in reader.blocks(3)]
+    [(3, 77, 3), (1, 77, 3)]
     """
     file = Path(path)
     check_regular_file(file, "a file")
@@ -357,6 +364,12 @@ def read(path: PathLike, **options: Any) -> MeshSequence:
     """Read a file into memory; parameters and errors are those of `open_sequence`.
 
     Rigs are baked to points of the frames; only open files have other times (`SequenceReader.blocks_at`).
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> mixseq.read("arm.usdc")
+    MeshSequence('bar': 4 frames, 77 vertices, 150 faces, 10 fps)
     """
     with open_sequence(path, **options) as reader:
         reader.check_total_memory()
@@ -368,7 +381,7 @@ def read(path: PathLike, **options: Any) -> MeshSequence:
 
 
 @public
-def write(path: PathLike, sequence: MeshSequence | Model, **options: Any) -> None:
+def write(path: PathLike, sequence: FileOr[MeshSequence | Model], **options: Any) -> None:
     """Write a sequence or the frames of a model; errors and warnings are those of `write_blocks`.
 
     Parameters
@@ -379,7 +392,13 @@ def write(path: PathLike, sequence: MeshSequence | Model, **options: Any) -> Non
         The sequence, written with its velocities if it has any, or a model, sampled at its frames.
     **options
         The format's ``write_options``, see `FORMATS`.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> mixseq.write("arm.npz", mixseq.read("arm.usdc"))
     """
+    sequence = cast("MeshSequence | Model", sequence)
     if not isinstance(sequence, MeshSequence):
         sequence = sequence.sample()
     velocities = None if sequence.velocities is None else [sequence.velocities]
@@ -425,6 +444,12 @@ def write_blocks(
     -----
     MixseqWarning
         If the format cannot store a part of the sequence, for example velocities.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> with mixseq.open_sequence("arm.usdc") as reader:
+    ...     mixseq.write_blocks("copy.npz", reader.header, reader.blocks())
     """
     file = Path(path)
     _format_to_write(file).write(file, header, blocks, velocities, **options)
