@@ -23,7 +23,7 @@ from mixseq.signals.model import Model
 from mixseq.spaces.temporal import insert_midpoints
 from mixseq.viewer.export import ExportSettings, export_page
 from mixseq.viewer.export_data import PageItem
-from tests.compression.encoder.test_inbetweens import bending_tube
+from tests.compression.encoder.test_inbetweens import bending_tube, turning_bars
 from tests.meshes import bar, coarse_walk
 from tests.viewer.conftest import SCREENSHOTS, Keep, NewPage, Watched
 from tests.viewer.pages import Opened
@@ -262,6 +262,15 @@ def test_the_browser_shows_in_betweens(new_page: NewPage, tmp_path: Path) -> Non
     assert f"{item.description['between']} units from the model between frames" in made["text"]
     diagonal = report.error / report.max_error
     assert item.description["between"] == pytest.approx(report.between * diagonal, rel=0.01)
+
+
+def test_in_betweens_of_parts_keep_labels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("shapes",))
+    report = export_page(tmp_path / "bars.html", [exported("bars", turning_bars())])[0]
+    model = Opened(tmp_path / "bars.html").items[0].model
+    assert model.parts_basis is not None
+    assert report.between is not None
+    assert report.between < 2 * report.max_error
 
 
 def test_in_betweens_are_left_out(tmp_path: Path) -> None:
