@@ -96,7 +96,7 @@ def plan(
     motion = as_motion(motion)
     low, high = -np.inf, np.inf  # output times for which the source time is known
     if retiming is None:
-        bounds = np.array([motion.start if start is None else start, motion.end if end is None else end])
+        bounds = np.where([start is None, end is None], motion.times[[0, -1]], [start or 0.0, end or 0.0])
         first, last = bounds if hold else motion.clip_times(bounds)
         retiming = Retiming.section(float(first), float(last), speed, reverse)
     elif not (start is None and end is None and speed == 1.0 and not reverse):
@@ -154,7 +154,7 @@ def _frame_count(start: float, end: float, fps: float) -> int:
 
 def conform_frames(frames: Frames, fps: float) -> tuple[SequenceHeader, Iterator[FloatArray], Iterator[Float] | None]:
     """Return the header, points and stored velocities of the same frames, with the same numbers, at another rate."""
-    if not (np.isfinite(fps) and fps > 0):
+    if not (np.isfinite(float(fps)) and fps > 0):
         raise SettingsError(f"conform is {fps}; a positive number of frames per second is expected")
     header, rate = frames.header, snap_to_ntsc(float(fps))
     ratio = rate / header.fps
