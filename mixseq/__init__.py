@@ -22,6 +22,8 @@ from mixseq.runtime.lazy import connect, lazy_getattr
 from mixseq.version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from mixseq.compression.bitstream.compressed_sequence import CompressedSequence as CompressedSequence
+    from mixseq.compression.compressed_model import CompressedModel as CompressedModel
     from mixseq.compression.encoder.compress import compress as compress
     from mixseq.mesh.polygons import Polygons as Polygons
     from mixseq.mesh.topology import Topology as Topology
@@ -62,6 +64,8 @@ if TYPE_CHECKING:
     from mixseq_io.verification import verify as verify
 
 _NAMES_BY_MODULE = {
+    "mixseq.compression.bitstream.compressed_sequence": ("CompressedSequence",),
+    "mixseq.compression.compressed_model": ("CompressedModel",),
     "mixseq.compression.encoder.compress": ("compress",),
     "mixseq.mesh.polygons": ("Polygons",),
     "mixseq.mesh.topology": ("Topology",),

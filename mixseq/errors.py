@@ -1,6 +1,7 @@
 """All errors and warnings of mixseq.
 
-Messages name the file, frame, part or face, and a remedy.
+Messages name the file, frame, part or face, and a remedy. Errors about values are also `ValueError`, and those about
+missing files also `FileNotFoundError`.
 """
 
 from __future__ import annotations
@@ -10,11 +11,11 @@ class MixseqError(Exception):
     """Base class of all errors that mixseq raises on purpose."""
 
 
-class InvalidSequenceError(MixseqError):
+class InvalidSequenceError(MixseqError, ValueError):
     """Points, faces or times that do not form a mesh sequence."""
 
 
-class SegmentationError(MixseqError):
+class SegmentationError(MixseqError, ValueError):
     """A segmentation that does not fit the mesh or the request."""
 
 
@@ -22,7 +23,7 @@ class ReconstructionError(MixseqError):
     """A point of the shape space for which no mesh was found."""
 
 
-class SettingsError(MixseqError):
+class SettingsError(MixseqError, ValueError):
     """A setting outside its range, or two settings that exclude each other."""
 
 
@@ -32,6 +33,10 @@ class SizeError(SettingsError):
 
 class FormatError(MixseqError):
     """A file that cannot be read: wrong type, damaged, or too new."""
+
+
+class MissingFileError(FormatError, FileNotFoundError):
+    """A file that does not exist."""
 
 
 class AmbiguousError(FormatError):

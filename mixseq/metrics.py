@@ -209,6 +209,12 @@ def measure_between(source: Model | Frames, delivery: Model | Frames, progress: 
         If the meshes differ.
     SettingsError
         If the delivery has frames before or after the source.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> mixseq.measure_between("arm.h5", "arm.h5")
+    0.0
     """
     motion = as_motion(source, progress)
     times = quarter_times(delivery.header.times)

@@ -61,6 +61,12 @@ def load(path: PathLike, *, max_memory: float | None = None) -> Model:
     FormatError
         If the file is missing, damaged, not a model, or written by another version of mixseq, if it needs more than
         `max_memory`, or if its signals contradict each other.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> mixseq.load("arm.h5").sample(fps=40)
+    MeshSequence('bar': 13 frames, 77 vertices, 150 faces, 40 fps)
     """
     with memory_limit(max_memory):
         source = Path(path)

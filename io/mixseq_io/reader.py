@@ -18,7 +18,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
-from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, MixseqWarning, SettingsError
+from mixseq.errors import FormatError, InvalidSequenceError, MissingFileError, MixseqError, MixseqWarning, SettingsError
 from mixseq.mesh.measures import choose_origin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
@@ -340,7 +340,7 @@ def translate_read_errors(path: Path | str, kind: str, *errors: type[Exception])
     except MixseqError:
         raise
     except FileNotFoundError:
-        raise FormatError(f"{path} does not exist") from None
+        raise MissingFileError(f"{path} does not exist") from None
     except IsADirectoryError:
         raise FormatError(f"{path} is a folder, not {kind}") from None
     except PermissionError:

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
+from mixseq.errors import (
+    AmbiguousError,
+    FormatError,
+    InvalidSequenceError,
+    MissingFileError,
+    OutputError,
+    SettingsError,
+)
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader
@@ -324,6 +331,13 @@ def open_sequence(
         If the contents are not a mesh sequence.
     SettingsError
         If the format has no such option, or `start_frame` is not finite.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> with mixseq.open_sequence("arm.usdc") as reader:
+    ...     [block.shape for block in reader.blocks(3)]
+    [(3, 77, 3), (1, 77, 3)]
     """
     file = Path(path)
     check_regular_file(file, "a file")
@@ -350,6 +364,12 @@ def read(path: PathLike, **options: Any) -> MeshSequence:
     """Read a file into memory; parameters and errors are those of `open_sequence`.
 
     Rigs are baked to points of the frames; only open files have other times (`SequenceReader.blocks_at`).
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> mixseq.read("arm.usdc")
+    MeshSequence('bar': 4 frames, 77 vertices, 150 faces, 10 fps)
     """
     with open_sequence(path, **options) as reader:
         reader.check_total_memory()
@@ -372,6 +392,11 @@ def write(path: PathLike, sequence: MeshSequence | Model, **options: Any) -> Non
         The sequence, written with its velocities if it has any, or a model, sampled at its frames.
     **options
         The format's ``write_options``, see `FORMATS`.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> mixseq.write("arm.npz", mixseq.read("arm.usdc"))
     """
     if not isinstance(sequence, MeshSequence):
         sequence = sequence.sample()
@@ -418,6 +443,12 @@ def write_blocks(
     -----
     MixseqWarning
         If the format cannot store a part of the sequence, for example velocities.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> with mixseq.open_sequence("arm.usdc") as reader:
+    ...     mixseq.write_blocks("copy.npz", reader.header, reader.blocks())
     """
     file = Path(path)
     _format_to_write(file).write(file, header, blocks, velocities, **options)
@@ -429,7 +460,7 @@ def _format_to_read(path: Path) -> Format:
     if file_format := _find_format(path):
         return file_format
     if not path.exists():
-        raise FormatError(f"{path} does not exist")
+        raise MissingFileError(f"{path} does not exist")
     name = _detect_format_name(path)
     contents = f"it holds {name} data" if name else "its contents are of no known format"
     raise FormatError(

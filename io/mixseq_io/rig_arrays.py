@@ -20,7 +20,7 @@ from mixseq.types import Float, Index, Single
 from mixseq_io.reader import as_float32
 from mixseq_io.scene_meshes import format_names
 
-RigType = TypeVar("RigType", Skin, Morph)
+RigType = TypeVar("RigType", bound=Skin | Morph)
 
 _ROUNDING_FRACTION = 4 * float(np.finfo(np.float32).eps)
 """Largest motion that counts as a rounding error, relative to the largest magnitude."""

@@ -61,6 +61,11 @@ def write_rig(path: PathLike, rig: Skin | Morph) -> None:
     MixseqWarning
         If the format does not support an attribute of the mesh, a node rotates and scales the mesh (glTF), times are
         changed, or only names of materials are written (USD).
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> mixseq.write_rig("arm.glb", mixseq.fit_skin("arm.usdc", bones=2))
     """
     file = Path(path)
     check_rig_target(file)
@@ -116,6 +121,13 @@ def read_skeleton(path: PathLike, name: str | None = None) -> Skeleton:
         If the file is missing, damaged, of another type, or has no skeleton of that name.
     AmbiguousError
         If there are several skeletons; the message names them.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> mixseq.write_rig("arm.glb", mixseq.fit_skin("arm.usdc", bones=2))
+    >>> mixseq.read_skeleton("arm.glb").names
+    ('bone_000', 'bone_001')
     """
     file = Path(path)
     _check_skeleton_file(file)
@@ -149,6 +161,13 @@ def read_bind_pose(path: PathLike, name: str | None = None) -> MeshSequence:
         If the skeleton has no mesh.
     AmbiguousError
         If there are several skeletons; the message names them.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> mixseq.write_rig("arm.glb", mixseq.fit_skin("arm.usdc", bones=2))
+    >>> len(mixseq.read_bind_pose("arm.glb"))
+    1
     """
     from mixseq.sequence.sequence import join_blocks
 

@@ -45,6 +45,11 @@ def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName 
         If `still` needs Draco and it is not installed.
     SettingsError
         If `still` is not one of these names.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> mixseq.save("model.h5", mixseq.fit("arm.usdc"))
     """
     target = Path(path)
     if still not in STILLS:

@@ -168,6 +168,13 @@ def verify(
         If the original is not a sequence, or if its mesh or frames differ from those of the model.
     SettingsError
         If the model was edited and there is no script.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> mixseq.save("small.h5", mixseq.compress("arm.usdc", max_error=1e-3))
+    >>> mixseq.verify("small.h5", "arm.usdc").max_error <= 1e-3
+    True
     """
     file = Path(path)
     sequence = read_compressed(file) if is_compressed(file) else None

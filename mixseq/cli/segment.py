@@ -210,23 +210,16 @@ def _with_seed(method: str, seed: int) -> MethodSettings:
     return measures.settings(seed=seed)  # type: ignore[call-arg]
 
 
-def _areas(points: FloatArray, header: SequenceHeader) -> NDArray[np.float64]:
-    """Return twice the area of every triangle in a pose ``(V, 3)``."""
-    import numpy as np
-
-    a, b, c = (points[header.faces[:, corner]].astype(np.float64) for corner in range(3))
-    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1))
-
-
 def _measure_parts(header: SequenceHeader, points: FloatArray, labels: Labels) -> dict[str, Any]:
     """Return the triangle count, the area fraction and the error in percent of every part, as plain values for JSON."""
     import numpy as np
 
+    from mixseq.mesh.measures import triangle_areas
     from mixseq.segmentation.methods import near_rigid_errors
 
     parts, count = labels.part_of_face, len(labels.names)
     errors, whole = near_rigid_errors(points, header.faces, parts)
-    area = np.bincount(parts, _areas(points[0], header), count)
+    area = np.bincount(parts, triangle_areas(points[0].astype(np.float64), header.faces), count)
     faces = np.bincount(parts, minlength=count)
     columns = (labels.names, faces.tolist(), (area / (area.sum() or 1.0)).tolist(), errors.tolist())
     keys = ("name", "faces", "area", "near_rigid_percent")
@@ -238,6 +231,7 @@ def _measure_parts(header: SequenceHeader, points: FloatArray, labels: Labels) -
 
 def _compare_labels(reader: SequenceReader, points: FloatArray, labels: Labels, source: str) -> dict[str, Any]:
     """Return adjusted Rand indices of labels against the labels in `source`, by triangle count and weighted by area."""
+    from mixseq.mesh.measures import triangle_areas
     from mixseq.segmentation.methods import adjusted_rand_index
     from mixseq_io.text.label_files import extract_labels
 
@@ -247,7 +241,7 @@ def _compare_labels(reader: SequenceReader, points: FloatArray, labels: Labels, 
         "against": source,
         "labels": len(other_labels.names),
         "by_faces": adjusted_rand_index(own, other),
-        "by_area": adjusted_rand_index(own, other, _areas(points, reader.header)),
+        "by_area": adjusted_rand_index(own, other, triangle_areas(points, reader.header.faces)),
     }
 
 

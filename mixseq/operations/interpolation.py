@@ -77,6 +77,12 @@ def segment(
         If the argument is not a sequence.
     SettingsError
         If the method does not exist, the settings belong to another method, or `parts` is out of range.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> mixseq.segment("arm.usdc", parts=2).max().item()
+    1
     """
     if isinstance(sequence, Model):
         if sequence.parts is not None and (method, parts, settings) == ("motion", None, None):

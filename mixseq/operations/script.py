@@ -32,7 +32,7 @@ from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_ty
 
 import numpy as np
 
-from mixseq.errors import FormatError, MixseqError, SettingsError
+from mixseq.errors import FormatError, MissingFileError, MixseqError, SettingsError
 from mixseq.operations.retiming import RetimingKeys, Unit, check_unit, parse_toml, read_retiming_keys
 from mixseq.runtime.text_files import read_text
 from mixseq.sequence.frame_rates import number_to_time
@@ -133,7 +133,7 @@ def _find_file(value: Any, folder: Path, readers: Readers) -> Path:
             "the folder where the file is: --files-from FOLDER"
         )
     if not path.is_file():
-        raise FormatError(f"{path} {'is not a file' if path.exists() else 'does not exist'}")
+        raise FormatError(f"{path} is not a file") if path.exists() else MissingFileError(f"{path} does not exist")
     return path
 
 

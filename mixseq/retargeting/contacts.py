@@ -43,7 +43,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.rotations import rotate_vectors
-from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_ratio, solve_limbs
+from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_length, solve_limbs
 from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.parts import PartPoses, assign_vertices_to_parts
 from mixseq.runtime.low_memory import LargeArray
@@ -318,8 +318,10 @@ def plant_contacts(
         for rest in (gradients.correspondence.interpolate(source.reference), target.reference)
     )
     scale = gradients.alignment.scale * source.scale / target.scale
-    stride_ratio = leg_ratio(method.source_body, method.body, source_contacts, target_contacts) / scale
-    method = replace(method, stride_ratio=stride_ratio)
+    source_length = leg_length(method.source_body, source_contacts)
+    if not source_length > 0:
+        raise SettingsError("the legs of the source have no length; choose contacts away from the root's pivots")
+    method = replace(method, stride_ratio=leg_length(method.body, target_contacts) / source_length / scale)
 
     vertex_ids = np.concatenate(list(vertices.values()))
     shared = method, vertex_ids, part_of_vertex[vertex_ids]

@@ -229,6 +229,14 @@ def correspond(
     -----
     MixseqWarning
         If markers seem exchanged or wrong, components are inside out, or most of a mesh's area has no markers.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> markers = mixseq.Markers.from_pairs([(0, 0), (2, 2), (38, 38), (72, 72), (74, 74)])
+    >>> correspondence = mixseq.correspond("arm.usdc", "long.obj", markers)
+    >>> correspondence.interpolate(mixseq.read("arm.usdc")[0]).shape
+    (77, 3)
     """
     return correspond_and_assess(source, target, markers, rest, progress)[0]
 

@@ -140,26 +140,14 @@ class ArticulatedBody:
         return tuple(chain)
 
 
-def leg_length(body: ArticulatedBody, contact: Contact) -> float:
-    """Return the rest length of a limb, from its first pivot (or the root's centre) to the middle of the contact."""
-    limb = body.limb(contact)
-    joints = [body.pivot(part) for part in limb] or [body.centres[body.root]]
-    path = np.stack([*joints, contact.points.mean(axis=0)])
-    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-
-
-def leg_ratio(
-    source: ArticulatedBody,
-    target: ArticulatedBody,
-    source_contacts: Sequence[Contact],
-    target_contacts: Sequence[Contact],
-) -> float:
-    """Return the ratio of the target's total leg length to the source's."""
-    target_length = sum(leg_length(target, contact) for contact in target_contacts)
-    source_length = sum(leg_length(source, contact) for contact in source_contacts)
-    if not source_length > 0:
-        raise SettingsError("the legs of the source have no length; choose contacts away from the root's pivots")
-    return target_length / source_length
+def leg_length(body: ArticulatedBody, contacts: Sequence[Contact]) -> float:
+    """Return the total rest length of limbs, from their first pivot (or the root's centre) to the contacts' middles."""
+    length = 0.0
+    for contact in contacts:
+        joints = [body.pivot(part) for part in body.limb(contact)] or [body.centres[body.root]]
+        path = np.stack([*joints, contact.points.mean(axis=0)])
+        length += float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    return length
 
 
 STRAIGHT_LIMB_TOLERANCE = 0.02  # delta: a limb of two equal bones bent by 23 degrees needs no stretch to shorten

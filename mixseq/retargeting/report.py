@@ -33,8 +33,6 @@ from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer, gradient_transfer
 from mixseq.retargeting.transfer import Transfer
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
-from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, no_progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import bounding_diagonal, check_block
 from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced, index_mask
@@ -292,7 +290,7 @@ class TransferReport:
         """Return plain values for JSON."""
         smooth = self.smoothness
         return {
-            "coverage": asdict(self.coverage) | {"followers": [asdict(each) for each in self.coverage.followers]},
+            "coverage": asdict(self.coverage),
             "strain": asdict(self.strain),
             "source_strain": asdict(self.source_strain),
             "excess_strain": asdict(self.excess),
@@ -304,15 +302,10 @@ class TransferReport:
         }
 
 
-def measure_transfer(
-    transfer: Transfer,
-    blocks: Iterable[FloatArray] | None = None,
-    progress: Progress = no_progress,
-    workers: Executor | None = None,
-) -> TransferReport:
+def measure_transfer(transfer: Transfer, blocks: Iterable[FloatArray] | None = None) -> TransferReport:
     """Measure a transfer; `blocks` are its result in blocks ``(B, V', 3)``, computed if not given."""
     meter = TransferMeter(transfer)
-    for block in transfer.blocks(progress, workers) if blocks is None else blocks:
+    for block in transfer.blocks() if blocks is None else blocks:
         meter.add(block)
     return meter.report()
 

@@ -400,6 +400,13 @@ def suggest_markers(source: MeshSequence, target: MeshSequence, rest: int = 0) -
     ------
     SettingsError
         If the frame does not exist, or a mesh has no area.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> markers = mixseq.suggest_markers("arm.usdc", "long.obj")
+    >>> len(markers.source) == len(markers.target)
+    True
     """
     check_rest_frame(source, rest)
     with one_blas_thread():

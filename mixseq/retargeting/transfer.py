@@ -89,7 +89,9 @@ class Transfer:
         size = block_size(max(self.source.header.vertex_count, self.header.vertex_count))
         slices = [slice(start, start + size) for start in range(0, frame_count, size)]
         frames, planted = (self.source.points[block] for block in slices), self.planted
-        poses = (planted and PartPoses(planted.rotations[block], planted.centres[block]) for block in slices)
+        poses = (
+            None if planted is None else PartPoses(planted.rotations[block], planted.centres[block]) for block in slices
+        )
         for block in run(_transfer_block, self.method, zip(frames, poses, strict=True)):
             yield block
             done_count += len(block)

@@ -259,6 +259,12 @@ def fit_skin(
     MixseqWarning
         If 128 bones do not reach `max_error` or `kg`, or `max_targets` targets do not reach `correctives`; the message
         has the errors reached.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> skin = mixseq.fit_skin("arm.usdc", bones=2)
+    >>> mixseq.write_rig("arm.glb", skin)
     """
     check_frames(sequence)
     _check_error("correctives", correctives)
@@ -322,6 +328,13 @@ def fit_morph(
     -----
     MixseqWarning
         If `max_targets` targets do not reach `max_error`; the message has the error reached.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> morph = mixseq.fit_morph("arm.usdc", max_error=0.01)
+    >>> morph.targets.shape, morph.weights.shape
+    ((3, 77, 3), (4, 3))
     """
     check_frames(sequence)
     _check_error("max_error", max_error)

@@ -26,9 +26,10 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from mixseq.errors import InvalidSequenceError, SettingsError
@@ -401,7 +402,7 @@ def _interpolate(values: Float, before: Index, after: Index, fraction: Float) ->
 
 def _set_array(rig: object, name: str, shape: tuple[int, ...], dtype: type = np.float64) -> None:
     """Replace an array of a rig by a read-only array of finite numbers; raise if its shape differs from `shape`."""
-    array = np.ascontiguousarray(getattr(rig, name), dtype=dtype)
+    array: NDArray[Any] = np.ascontiguousarray(getattr(rig, name), dtype=dtype)
     if array.shape != shape:
         raise InvalidSequenceError(f"{name} have shape {array.shape}; {shape} is expected")
     if not np.isfinite(array).all():

@@ -5,13 +5,15 @@ from __future__ import annotations
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from pathlib import Path
 
-from mixseq.errors import FormatError
+from mixseq.errors import FormatError, MissingFileError
 
 
 def read_text(file: Path, what: str) -> str:
     """Read a UTF-8 file, with or without a byte order mark; `what` names the expected contents in messages."""
     try:
         data = file.read_bytes()
+    except FileNotFoundError:
+        raise MissingFileError(f"{file} does not exist") from None
     except OSError as error:
         raise FormatError(f"{file} cannot be read: {error.strerror or error}") from None
     return decode_text(file, data, what)

@@ -76,6 +76,19 @@ class SequenceHeader:
             f"{len(self.polygons.counts)} faces, {self.fps:g} fps)"
         )
 
+    def _repr_html_(self) -> str:
+        """Return a table for notebooks."""
+        from html import escape
+
+        rows = {
+            "frames": f"{self.frame_count} at {self.fps:g} fps, {self.times[0]:g} to {self.times[-1]:g} s",
+            "vertices": f"{self.vertex_count}",
+            "faces": f"{len(self.polygons.counts)}",
+            "units": f"{self.metres_per_unit:g} m, {self.up_axis} up",
+        }
+        cells = "".join(f"<tr><th>{name}</th><td>{text}</td></tr>" for name, text in rows.items())
+        return f"<table><caption>{escape(self.name)}</caption>{cells}</table>"
+
     @property
     def faces(self) -> NDArray[np.int32]:
         """Triangles ``(F, 3)`` of the polygons."""

@@ -21,7 +21,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, TypeGuard
+from typing import TYPE_CHECKING, Protocol, TypeGuard, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +37,9 @@ from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS, UP_AXES, SequenceHeader, header_fields
 from mixseq.sequence.provenance import Provenance, as_edited, frames_checksum
 from mixseq.types import Float, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -152,6 +155,26 @@ class MeshSequence(SequenceHeader):
 
     def __len__(self) -> int:
         return self.frame_count
+
+    @overload
+    def __getitem__(self, frame: int) -> FloatArray: ...
+
+    @overload
+    def __getitem__(self, frame: slice) -> MeshSequence: ...
+
+    def __getitem__(self, frame: int | slice) -> FloatArray | MeshSequence:
+        """Return the points ``(V, 3)`` of a frame by its index from 0, or a sequence of several frames."""
+        if not isinstance(frame, slice):
+            points: FloatArray = self.points[frame]
+            return points
+        velocities = None if self.velocities is None else self.velocities[frame]
+        return replace(self, points=self.points[frame], velocities=velocities, times=self.times[frame])
+
+    def to_trimesh(self, frame: int = 0) -> Trimesh:
+        """Return a frame by its index from 0 as a `trimesh.Trimesh`, with the same vertices and triangulated faces."""
+        from trimesh import Trimesh
+
+        return Trimesh(self.points[frame], self.faces, process=False, metadata={"name": self.name})
 
 
 class Frames(Protocol):

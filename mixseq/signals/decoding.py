@@ -66,21 +66,24 @@ class Decodable(ABC):
     def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:  # noqa: B027
         """Compute what frames at times ``(N,)`` have in common, before threads decode them; by default nothing."""
 
-    def __call__(self, time: float) -> Float:
-        """Return the vertex positions ``(V, 3)`` at a time in seconds.
+    def __call__(self, times: ArrayLike) -> Float:
+        """Return the vertex positions ``(V, 3)`` at a time in seconds, or ``(N, V, 3)`` at times ``(N,)``.
 
         Raises
         ------
         SettingsError
             If the time is outside the sequence, because motions are not extrapolated.
         """
-        frame: Float = next(self.blocks([time]))[0]
-        return frame
+        return self._like_times(times, self.blocks(times))
 
-    def velocity(self, time: float) -> Float:
-        """Return the analytic velocities ``(V, 3)`` of the vertices in units per second."""
-        frame: Float = next(self.moving_blocks([time]))[1][0]
-        return frame
+    def velocity(self, times: ArrayLike) -> Float:
+        """Return the analytic velocities of the vertices in units per second, in the shape that `__call__` returns."""
+        return self._like_times(times, (velocities for _, velocities in self.moving_blocks(times)))
+
+    def _like_times(self, times: ArrayLike, blocks: Iterable[Float]) -> Float:
+        """Join blocks ``(B, V, 3)`` of frames, and return a frame ``(V, 3)`` for a single time."""
+        frames = np.concatenate([np.empty((0, self.header.vertex_count, 3)), *blocks])
+        return frames if np.ndim(times) else frames[0]
 
     def sample(
         self,

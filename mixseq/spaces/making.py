@@ -74,7 +74,11 @@ def space_settings(name: SpaceName, **options: Any) -> SpaceSettings:
         owners = [other for other in SPACES if option in _default_options(other)]
         if not owners:
             names = sorted({option for space in SPACES for option in _default_options(space)})
-            raise SettingsError(f"there is no setting {option}; settings of spaces are {', '.join(names)}")
+            from difflib import get_close_matches
+
+            near = get_close_matches(option, [*names, "exact", "tolerance", "rank", "space"], n=1)
+            cure = f"did you mean {near[0]}?" if near else f"settings of spaces are {', '.join(names)}"
+            raise SettingsError(f"there is no setting {option}; {cure}")
         default = _default_options(owners[0])[option]
         is_changed = value is not default and not (np.ndim(value) == 0 and value == default)
         if is_changed and option not in defaults:

@@ -69,10 +69,6 @@ def deflate_rows(rows: Iterable[NDArray[np.uint8]]) -> bytes:
     return b"".join([*chunks, deflate.flush()])
 
 
-MAX_COMMON_SIZE_RATIO = 2.0
-"""Largest common extent of two meshes with the same scale, relative to the smaller mesh, which must stay visible."""
-
-
 @dataclass(frozen=True, eq=False)
 class PageItem:
     """A mesh of a page, with one pose per frame of this mesh."""
@@ -193,29 +189,19 @@ def measure_extent(world: FloatArray, views: Sequence[View]) -> Extent:
 
 
 def _share_scale(one: Extent, other: Extent) -> bool:
-    """Whether both meshes are large enough to be shown at the same scale."""
-    return one.union(other).side <= MAX_COMMON_SIZE_RATIO * min(one.side, other.side)
-
-
-PALETTE_STEP = 15
-"""Step between the stored entries of a palette of measured values; the page interpolates the omitted entries."""
-
-EXTENT_DIGITS = 5
-"""Significant digits of extents, sufficient for the resolution of a screen."""
+    """Whether both meshes are visible at the same scale: the smaller one has half of their common extent."""
+    return one.union(other).side <= 2 * min(one.side, other.side)
 
 
 @dataclass(frozen=True)
 class PageItemReport:
-    """Errors and sizes of an exported mesh."""
+    """Errors of an exported mesh."""
 
     name: str  # name above the mesh
-    frames: int  # number of poses
     max_error: float  # bound of vertex errors, in diagonals of the first pose
     error: float  # the same bound in units of the mesh
     between: float | None  # distance from the model between frames in diagonals, if it was measured
     history: str  # what the bound refers to, see `mixseq.sequence.provenance`
-    positions: int  # bytes of mesh and motion before encoding as text
-    colours: int  # bytes of colours before encoding as text
 
 
 def encode_mesh(
@@ -269,8 +255,7 @@ def encode_mesh(
         "signals": item.signals,
     }
     history = str(compressed.header.provenance or "")
-    sizes = len(container.streams), sum(map(len, stored))
-    report = PageItemReport(item.mesh.name, len(elapsed), parameters.max_error, error, between, history, *sizes)
+    report = PageItemReport(item.mesh.name, parameters.max_error, error, between, history)
     return description, [container.streams, *stored], report
 
 
@@ -311,7 +296,8 @@ def _has_frame_times(header: SequenceHeader, elapsed: Float) -> bool:
 
 
 def _describe_extent(extent: Extent, page_poses: PagePoses) -> dict[str, Any]:
-    digits = EXTENT_DIGITS - int(np.ceil(np.log10(extent.side or 1.0)))
+    # 5 significant digits are enough for a screen
+    digits = 5 - int(np.ceil(np.log10(extent.side or 1.0)))
     low, high, screen = (
         np.round(values, digits).tolist() for values in (extent.low, extent.high, extent.rectangles(page_poses.views))
     )
@@ -323,7 +309,7 @@ def _describe_colouring(
 ) -> tuple[dict[str, Any], bytes | None]:
     """Return the description of a colouring for a page, and its stored data, if any."""
     if not colouring.is_constant:
-        palette = colouring.palette[::PALETTE_STEP]
+        palette = colouring.palette[::15]  # the page interpolates the others
         measured = {"name": colouring.name, "palette": palette.tolist(), "top": top, "unit": colouring.unit}
         if colouring.name in MEASURES:
             return measured, None

@@ -22,8 +22,8 @@ from scripts.fuzzing.damage import JSON_VALUES, join_glb, split_glb
 
 VALUES: tuple[Any, ...] = (*JSON_VALUES, 3, 10**400, 1e-320, 1e-99, False, "1", "Z", "\ud800", [0.5] * 2, "__proto__")
 NAMES = (
-    "ranks", "origin", "uv_steps", "between", "order", "source", "label_count", "inbetween_levels", "__proto__",
-    "revision",
+    "ranks", "origin", "uv_steps", "between", "order", "source", "label_count", "inbetween_levels", "inbetween_parts",
+    "__proto__", "revision",
 )  # fmt: skip
 """Keys that not all texts have."""
 

@@ -121,7 +121,7 @@ READERS: Mapping[str, Reader] = {
         has_checksums=True,
     ),
     "coding": _reader(
-        calling(decode_twice), (damage_coding,), *map(samples.golden, ("", "-between", "-inbetweens", "-uvs"))
+        calling(decode_twice), (damage_coding,), *map(samples.golden, ("", "-between", "-inbetweens", "-parts", "-uvs"))
     ),
     "usd": _reader(
         convert,

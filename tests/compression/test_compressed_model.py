@@ -200,3 +200,13 @@ def test_sizes_include_the_labels() -> None:
     assert coded.parts is not None
     motion = [*coded.basis, *(stream for chunk in coded.chunks for stream in (chunk.coefficients, chunk.residuals))]
     assert sum(map(len, motion)) + len(encode_face_labels(coded.parts, coded.header.faces)) <= 900
+
+
+def test_compressed_sequences_are_played_as_their_files(bent_bar: MeshSequence, tmp_path: Path) -> None:
+    coded = mixseq.compress(bent_bar, max_error=1e-3)
+    mixseq.save(tmp_path / "bar.h5", coded)
+    loaded = mixseq.load(tmp_path / "bar.h5")
+    np.testing.assert_array_equal(coded.sample(fps=20).points, loaded.sample(fps=20).points)
+    np.testing.assert_array_equal(coded([0.0, 0.05]), loaded([0.0, 0.05]))
+    assert 0 < coded.nbytes < (tmp_path / "bar.h5").stat().st_size
+    assert repr(coded).endswith(f", {coded.nbytes} bytes of signals, within 0.001 diagonals)")

@@ -337,7 +337,7 @@ def test_garbage(tmp_path: Path, extension: str, capfd: pytest.CaptureFixture[st
 
 @pytest.mark.parametrize("extension", ["usd", "usda", "usdc", "usdz", "npz", "h5", "obj"])
 def test_empty_and_missing_files(tmp_path: Path, extension: str) -> None:
-    with pytest.raises(FormatError, match="does not exist"):
+    with pytest.raises(FileNotFoundError, match="does not exist"):
         read(tmp_path / f"missing.{extension}")
     (tmp_path / f"empty.{extension}").touch()
     with pytest.raises(FormatError, match="empty"):

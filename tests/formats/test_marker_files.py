@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.compression.numbering import NumberedVertices
@@ -126,6 +126,7 @@ _name = st.text(st.characters(codec="utf-8", exclude_categories=["C", "Z"]), max
 
 
 @pytest.mark.parametrize("extension", ["txt", "json", "yml"])
+@settings(max_examples=20)
 @given(rows=st.lists(st.tuples(st.integers(0, 2**40), st.integers(0, 9), _name), min_size=1, max_size=5))
 def test_what_is_written_is_read(
     tmp_path_factory: pytest.TempPathFactory, extension: str, rows: list[tuple[int, int, str]]

@@ -11,7 +11,7 @@ import pytest
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix
 from mixseq.retargeting.contacts import remove_footskate
-from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_length, leg_ratio, rotate_limbs
+from mixseq.retargeting.limbs import ArticulatedBody, Contact, leg_length, rotate_limbs
 from tests.retargeting.walkers import BONES, CYCLE, Walk, body, hung, walk
 
 ACCELERATION = 1.05
@@ -51,8 +51,8 @@ def test_corrections_are_smooth(legs: float, travel: float) -> None:
 def test_fitting_strides_are_unchanged() -> None:
     scene = walk(1.4)
     # The foot's length is not scaled by the walker, so that the ratio is only close to that of the bones.
-    ratio = leg_ratio(scene.source, scene.target, scene.source_contacts, scene.contacts)
-    assert ratio == pytest.approx(1.4, abs=0.01)
+    lengths = leg_length(scene.target, scene.contacts), leg_length(scene.source, scene.source_contacts)
+    assert lengths[0] / lengths[1] == pytest.approx(1.4, abs=0.01)
     fitting = walk(1.4, 1.4)
     result = fitting.planted()
     assert result.rotations is fitting.rotations
@@ -320,15 +320,8 @@ def test_pivots_may_form_loops() -> None:
 def test_legs_are_as_long_as_their_bones() -> None:
     walker, (left, _) = body(1.4)
     middle = np.hypot(1.4 * BONES["foot"], left.points.mean(axis=0)[0])
-    assert leg_length(walker, left) == pytest.approx(1.4 * (BONES["thigh"] + BONES["shank"]) + middle)
-    assert leg_length(walker, contact([0])) == pytest.approx(np.linalg.norm(walker.centres[0]))
-
-
-def test_ratio_of_legs() -> None:
-    source, target = body(1.0), body(1.0)
-    grown = replace(target[0], pivots=3 * target[0].pivots, centres=3 * target[0].centres)
-    contacts = [replace(each, points=3 * each.points) for each in target[1]]
-    assert leg_ratio(source[0], grown, source[1], contacts) == pytest.approx(3.0)
+    assert leg_length(walker, [left]) == pytest.approx(1.4 * (BONES["thigh"] + BONES["shank"]) + middle)
+    assert leg_length(walker, [contact([0])]) == pytest.approx(np.linalg.norm(walker.centres[0]))
 
 
 def test_placed_points_follow_their_parts() -> None:
@@ -349,13 +342,6 @@ def test_contacts_on_unused_vertices_are_refused() -> None:
 def test_refuses_a_contact_on_several_limbs() -> None:
     with pytest.raises(SettingsError, match=r"'sole' are on several limbs \(parts 3, 6\); give one contact"):
         body(1.0)[0].limb(contact([3, 6]))
-
-
-def test_refuses_legs_that_cannot_be_compared() -> None:
-    walker, _ = body(1.0)
-    point = replace(walker, centres=np.zeros((7, 3)))
-    with pytest.raises(SettingsError, match="legs of the source have no length"):
-        leg_ratio(point, walker, [contact([0])], [contact([0])])
 
 
 # Limbs that reach for a point

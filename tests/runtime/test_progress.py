@@ -62,3 +62,10 @@ def test_progress_changes_nothing(bent_bar: MeshSequence, bar_model: Model) -> N
 def test_silent_says_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     no_progress(1, 2, "anything")
     assert capfd.readouterr() == ("", "")
+
+
+def test_finished_work_is_logged(bent_bar: MeshSequence, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("DEBUG", logger="mixseq"):
+        fit(bent_bar, parts=2)
+    assert {record.name for record in caplog.records} == {"mixseq"}
+    assert any(message.startswith("choosing modes and knots: done (") for message in caplog.messages)

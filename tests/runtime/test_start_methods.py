@@ -58,16 +58,12 @@ def _rigs(folder: Path) -> object:
 
 CALLS: dict[str, Callable[[Path], object]] = {
     "fit": lambda _: mixseq.fit(WALK, exact=True).sample(fps=30).points,
-    "fit an edge space": lambda _: mixseq.fit(BAR, space="edge").sample(fps=30).points,
     "sample": lambda folder: mixseq.load(folder / "model.h5").sample(fps=48).points,
     "save": _saved,
     "compress": _compressed,
     "decompress": lambda folder: mixseq.load(folder / "compressed.h5").sample().points,
     "verify": lambda folder: mixseq.verify(folder / "compressed.h5", BAR).max_error,
-    "compare": lambda folder: mixseq.compare(WALK, mixseq.read(folder / "walk.usdc")).max_error,
     "edit": lambda folder: operations.exaggerate(mixseq.load(folder / "model.h5"), 1.5).sample().points,
-    "interpolate": lambda _: mixseq.interpolate(WALK, [0.25, 0.75, 0.0, 0.0]),
-    "segment": lambda _: mixseq.segment(WALK),
     "transfer": _transferred,
     "rigs": _rigs,
     **{f"read {name}": partial(_read, name) for name in FILES},

@@ -495,3 +495,28 @@ def test_blocks_depend_on_the_mesh_only() -> None:
     assert [block_size(count) for count in (3, 100_000, 169_000, 1 << 20, 1 << 24)] == [8, 8, 6, 1, 1]
     long = MeshSequence.from_arrays(np.zeros((20, 3, 3)), [[0, 1, 2]])
     assert [len(block) for block in iterate_blocks(long.points)] == [8, 8, 4]
+
+
+def test_frames_by_index() -> None:
+    sequence = replace(bar(frames=4), velocities=np.ones((4, 202, 3)))
+    np.testing.assert_array_equal(sequence[-1], sequence.points[3])
+    np.testing.assert_array_equal(list(sequence), sequence.points)
+    middle = sequence[1:3]
+    np.testing.assert_array_equal(middle.points, sequence.points[1:3])
+    np.testing.assert_array_equal(middle.times, sequence.times[1:3])
+    assert middle.velocities is not None and len(middle.velocities) == 2
+    with pytest.raises(IndexError):
+        sequence[4]
+
+
+def test_a_frame_in_trimesh() -> None:
+    sequence = bar(frames=4)
+    mesh = sequence.to_trimesh(2)
+    np.testing.assert_array_equal(mesh.vertices, sequence.points[2])
+    np.testing.assert_array_equal(mesh.faces, sequence.faces)
+
+
+def test_notebooks_show_a_table() -> None:
+    html = replace(bar(frames=4), name="<b>ar")._repr_html_()
+    assert "<caption>&lt;b&gt;ar</caption>" in html
+    assert "<th>vertices</th><td>202</td>" in html

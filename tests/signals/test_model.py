@@ -255,3 +255,10 @@ def test_frames_by_number() -> None:
 def test_rates_that_make_too_many_frames_are_refused() -> None:
     with pytest.raises(SettingsError, match="more than 10,000,000 frames"):
         model_of().header_at(fps=1e12)
+
+
+def test_several_times_are_one_array(bar_model: Model) -> None:
+    times = [0.0, 0.05, 0.3]
+    np.testing.assert_array_equal(bar_model(times), [bar_model(time) for time in times])
+    np.testing.assert_array_equal(bar_model.velocity(times), [bar_model.velocity(time) for time in times])
+    assert bar_model([]).shape == bar_model.velocity([]).shape == (0, 77, 3)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import mixseq
 from mixseq.choices import SPACES, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.runtime.parallel import serial_executor, thread_executor
@@ -179,3 +180,10 @@ def test_the_first_frame_is_the_unit_in_every_space() -> None:
     points = bending(tube(4, 5), frames=3).astype(np.float32)
     sequence = MeshSequence.from_arrays(points, tube(4, 5)[1])
     assert {make_space(sequence, name).scale for name in SPACES} == {sequence.diagonal}
+
+
+def test_misspelt_settings_are_corrected(bent_bar: MeshSequence) -> None:
+    with pytest.raises(SettingsError, match="there is no setting tolerence; did you mean tolerance"):
+        mixseq.fit(bent_bar, tolerence=1e-3)
+    with pytest.raises(ValueError, match="there is no setting colour; settings of spaces are joint_width, "):
+        mixseq.fit(bent_bar, colour=1)

@@ -11,7 +11,7 @@ import pytest
 
 from mixseq.compression.encoder.compress import compress
 from mixseq.sequence.sequence import MeshSequence
-from tests.compression.encoder.test_inbetweens import with_random_inbetweens
+from tests.compression.encoder.test_inbetweens import with_parts, with_random_inbetweens
 from tests.compression.test_golden import stored
 from tests.meshes import rotation, torus
 from tests.web.conftest import Node
@@ -67,7 +67,7 @@ async function outcome(text, bytes) {
 
 let longest = 0;
 const sound = await all(text, whole), told = [], { streams } = await open(text, whole);
-const parts = [streams.connectivity, streams.times, streams.uvs, ...streams.basis];
+const parts = [streams.connectivity, streams.times, streams.uvs, streams.labels, ...streams.basis];
 parts.push(...streams.chunks.flatMap((chunk) => [chunk.coefficients, chunk.residuals, chunk.inbetweens]));
 const some = parts.filter((part) => part?.length).map(({ byteOffset, byteLength }) =>
   ({ byteOffset: byteOffset - whole.byteOffset, byteLength }));
@@ -92,7 +92,8 @@ def outcomes(node: Node, folder: Path, rounds: int, texts: list[str], seed: int 
 
 @pytest.mark.parametrize("name", ["bounded", "parts", "shapes"])
 def test_flipped_bits_end_in_one_error(node: Node, tmp_path: Path, name: str) -> None:
-    write_container(tmp_path, with_random_inbetweens(stored(name)[0], 2))
+    coded, of_parts = stored(name)[0], name != "bounded"
+    write_container(tmp_path, with_random_inbetweens(with_parts(coded) if of_parts else coded, 2, of_parts))
     told = outcomes(node, tmp_path, 100, [])["told"]
     assert set(told) >= {"the sequence: the index is damaged, so nothing can be read"}
     assert "other frames" not in told

@@ -151,7 +151,7 @@ def test_hard_edges_come_back(node: Node, tmp_path: Path) -> None:
 def test_damage_ends_in_one_error(node: Node, tmp_path: Path) -> None:
     mesh, numbers = golden_uvs()
     sound = encode_uvs(mesh, vertices_of(mesh), numbers)
-    damaged = [*with_flipped_bits(sound, 120), *(sound[:end] for end in range(0, len(sound), 17))]
+    damaged = [*with_flipped_bits(sound, 60), *(sound[:end] for end in range(0, len(sound), 17))]
     found = decoded(node, tmp_path, "uvs", [(mesh, data) for data in damaged])
     for data, told in zip(damaged, found, strict=True):
         assert told == in_python(data, mesh) or isinstance(told, str)

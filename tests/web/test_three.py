@@ -106,8 +106,9 @@ def sequence() -> MeshSequence:
     return late(dressed_bar())
 
 
-@pytest.mark.parametrize("kind", ["trimesh", "npm"])
-@pytest.mark.parametrize("still", ["plain", "draco", "none"])
+@pytest.mark.parametrize(
+    ("still", "kind"), [("plain", "trimesh"), ("draco", "trimesh"), ("none", "trimesh"), ("plain", "npm")]
+)
 def test_frames_are_those_of_python(
     page: Page, tmp_path: Path, sequence: MeshSequence, still: StillName, kind: str
 ) -> None:

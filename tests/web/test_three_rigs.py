@@ -112,8 +112,10 @@ def character(path: Path) -> tuple[MeshSequence, Skeleton, Skin]:
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize("kind", ["trimesh", "npm"])
-@pytest.mark.parametrize("name", ["gltf/KhronosFox.glb", "usd/RiggedFigure.usdz"])
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("gltf/KhronosFox.glb", "trimesh"), ("gltf/KhronosFox.glb", "npm"), ("usd/RiggedFigure.usdz", "trimesh")],
+)
 def test_a_character_on_its_own_skeleton(page: Page, tmp_path: Path, data: Path, name: str, kind: str) -> None:
     """Textured, with split vertices; bones keep names and parents, and the error is the one that is told."""
     there, skeleton, skin = character(data / name)

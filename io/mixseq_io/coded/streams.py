@@ -501,6 +501,8 @@ def _check_facts(path: Path, facts: Mapping[str, Any], parameters: CodingParamet
     memory += _BYTES_PER_RESIDUAL_BYTE * max((chunk.residuals.size for chunk in index.chunks), default=0)
     knots = frames << (parameters.inbetween_levels or 0)
     memory += _BYTES_PER_NUMBER * rank * (width * vertices + dim * knots)
+    if parameters.inbetween_parts:
+        memory += 4 * _BYTES_PER_NUMBER * (vertices + 3 * MAX_PARTS * knots)
     check_memory(path, memory, "decoding it")
 
 

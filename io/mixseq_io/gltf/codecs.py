@@ -119,6 +119,15 @@ def append(document: Json, member: str, entry: Json) -> int:
     return len(entries) - 1
 
 
+def add_channels(
+    animation: Json, times: int, values: int, nodes: Iterable[int], path: str, interpolation: str = "LINEAR"
+) -> None:
+    """Add a sampler of the accessors of times and values to an animation, and a channel for every node."""
+    sampler = append(animation, "samplers", {"input": times, "output": values, "interpolation": interpolation})
+    for node in nodes:
+        append(animation, "channels", {"sampler": sampler, "target": {"node": node, "path": path}})
+
+
 def compute_glb_size(layout: Layout) -> int:
     """Return the size in bytes of the .glb that is written of a layout."""
     document = layout.document | {"buffers": [{"byteLength": layout.length}]}

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from mixseq.errors import FormatError
 from mixseq.sequence.header import SequenceHeader
 from mixseq_io.gltf.animation import Channel, find_transform_nodes, read_channels, read_extra_number
-from mixseq_io.gltf.codecs import Json, Layout, append
+from mixseq_io.gltf.codecs import Json, Layout, add_channels, append
 from mixseq_io.gltf.document import Document, Fields, read_uri
 from mixseq_io.gltf.scene import Scene
 from mixseq_io.originals import warn_of_unretimed_motion
@@ -216,14 +216,9 @@ class OtherMotion:
                 values /= np.linalg.norm(values, axis=1, keepdims=True)
             if channel.name == "weights":
                 values = values.reshape(-1)
-            sampler = {
-                "input": keys,
-                "output": layout.add_array(values.astype(np.float32)),
-                "interpolation": "STEP" if channel.interpolation == "STEP" else "LINEAR",
-            }
-            target = {"node": channel.node, "path": channel.name}
-            animation["channels"].append({"sampler": len(animation["samplers"]), "target": target})
-            animation["samplers"].append(sampler)
+            interpolation = "STEP" if channel.interpolation == "STEP" else "LINEAR"
+            output = layout.add_array(values.astype(np.float32))
+            add_channels(animation, keys, output, [channel.node], channel.name, interpolation)
 
     def warn_if_unretimed(self, path: Path, header: SequenceHeader, sources: ArrayLike | None) -> None:
         """Warn if the sequence is retimed, or extends beyond this animation by more than a frame."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mixseq.choices import StillName
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode
-from mixseq.errors import AmbiguousError, FormatError, OutputError
+from mixseq.errors import AmbiguousError, FormatError
 from mixseq.mesh.measures import NO_ORIGIN, corner_normals
 from mixseq.mesh.surface import Origin
 from mixseq.sequence.header import SequenceHeader
@@ -199,8 +199,6 @@ def add_still(
         if each.face_set is not None:
             entry["material"] = add_material(layout.document, material_name(each.face_set), materials)
         entries.append(entry)
-    if not entries:
-        raise OutputError("glTF cannot hold a mesh without faces; write .h5")
     return entries
 
 

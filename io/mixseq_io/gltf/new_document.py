@@ -14,7 +14,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -34,6 +34,7 @@ from mixseq_io.gltf.codecs import (
     BufferWriter,
     Json,
     Layout,
+    add_channels,
     append,
     compute_bounds,
     compute_glb_size,
@@ -94,10 +95,7 @@ class MorphFrameWriter:
         targets = np.arange(1, header.frame_count)
         rows = ((targets == key).astype(np.float32) for key in range(header.frame_count))
         weights = layout.accessor(layout.add(rows, 4 * count), count, "SCALAR")
-        animation["samplers"].append({"input": times, "output": weights, "interpolation": "LINEAR"})
-        animation["channels"] += [
-            {"sampler": 0, "target": {"node": mesh.node, "path": "weights"}} for mesh in self._meshes
-        ]
+        add_channels(animation, times, weights, [mesh.node for mesh in self._meshes], "weights")
         others.add_to(animation, layout, header)
         append(layout.document, "animations", animation)
 
@@ -208,48 +206,40 @@ def split_primitives(mesh: SceneMesh) -> list[SplitPrimitive]:
 
     Vertices keep their order within a primitive. Vertices without polygons belong to the first primitive.
     """
-    owner_of_corner = np.repeat(assign_face_sets(mesh), mesh.polygons.counts)
+    corner_count, vertex_count = mesh.polygons.indices.size, mesh.vertex_count
+    owner_of_corner = np.repeat(assign_face_sets(mesh).astype(np.int64) + 1, mesh.polygons.counts)
     layers = {name: layer for name, layer in (("TEXCOORD_0", mesh.uvs), ("COLOR_0", mesh.colours)) if layer is not None}
-    keys = {"vertices": mesh.polygons.indices, **{name: layer.indices for name, layer in layers.items()}}
+    keys = {name: layer.indices for name, layer in layers.items()}
     if mesh.hard_edges is not None:
         keys["normals"] = mesh.hard_edges
-    triangles = Polygons(mesh.polygons.counts, np.arange(owner_of_corner.size)).triangles  # corner indices
-    unused = np.flatnonzero(np.bincount(mesh.polygons.indices, minlength=mesh.vertex_count) == 0)
-    primitives: list[SplitPrimitive] = []
-    split_vertex = np.zeros(owner_of_corner.size, dtype=np.uint32)  # per corner, assigned by owner
-    owner_of_triangle = owner_of_corner[triangles[:, 0]]
-    groups = zip(_group_by_owner(owner_of_corner), _group_by_owner(owner_of_triangle), strict=True)
-    for (owner, corners), (_, own_triangles) in groups:
-        extra = unused if not primitives else unused[:0]
-        own_keys = {
-            name: np.append(key[corners], extra if name == "vertices" else np.zeros_like(extra))
-            for name, key in keys.items()
-        }
-        first, copies = _unique_tuples(list(own_keys.values()))
-        split_vertex[corners] = copies[: corners.size]
-        indices = {name: key[first] for name, key in own_keys.items()}
-        attributes = {name: layer.values[indices[name]] for name, layer in layers.items()}
+    # Unused vertices follow the corners.
+    unused = np.flatnonzero(np.bincount(mesh.polygons.indices, minlength=vertex_count) == 0)
+    owners = np.append(owner_of_corner, np.full_like(unused, owner_of_corner.min()))
+    vertices = np.append(mesh.polygons.indices, unused)
+    keys = {name: np.append(key, np.zeros_like(unused)) for name, key in keys.items()}
+    rows, split_vertex = _unique_tuples([owners * vertex_count + vertices, *keys.values()])
+    used_owners, starts = np.unique(owners[rows], return_index=True)
+    triangles = Polygons(mesh.polygons.counts, np.arange(corner_count)).triangles  # corner indices
+    triangles = triangles[np.argsort(owner_of_corner[triangles[:, 0]], kind="stable")]
+    triangle_starts = np.searchsorted(owner_of_corner[triangles[:, 0]], used_owners[1:])
+    groups = zip(used_owners, starts, np.split(rows, starts[1:]), np.split(triangles, triangle_starts), strict=True)
+    primitives = []
+    for owner, start, own_rows, own_triangles in groups:
+        attributes = {name: layer.values[keys[name][own_rows]] for name, layer in layers.items()}
         if "TEXCOORD_0" in attributes:
             attributes["TEXCOORD_0"] = (attributes["TEXCOORD_0"] * (1, -1) + (0, 1)).astype(np.float32)  # v downwards
         # Unused vertices get normal 0: with hard edges, the vertex index is not a valid normal index.
-        normal_ids = np.where(first < corners.size, indices.get("normals", indices["vertices"]), 0)
+        normal_ids = np.where(own_rows < corner_count, keys.get("normals", vertices)[own_rows], 0)
         primitives.append(
             SplitPrimitive(
-                vertex_ids=indices["vertices"],
+                vertex_ids=vertices[own_rows],
                 normal_ids=normal_ids,
                 attributes=attributes,
-                triangles=split_vertex[triangles[own_triangles]],
-                face_set=None if owner < 0 else mesh.face_sets[owner],
+                triangles=(split_vertex[own_triangles] - start).astype(np.uint32),
+                face_set=mesh.face_sets[owner - 1] if owner else None,
             )
         )
     return primitives
-
-
-def _group_by_owner(owner: IntArray) -> Iterator[tuple[int, IntArray]]:
-    """Yield each owner and the indices of its elements, both in ascending order."""
-    order = np.argsort(owner, kind="stable")
-    owners, starts = np.unique(owner[order], return_index=True)
-    yield from zip(owners.tolist(), np.split(order, starts[1:])[: len(owners)], strict=True)
 
 
 def _unique_tuples(columns: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
@@ -364,7 +354,10 @@ def _add_primitive(
 
 def add_triangles(layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, Single]) -> Json:
     """Add triangles ``(F, 3)`` and attributes ``(n, k)`` by glTF name; return the primitive's JSON entry."""
-    add = {"POSITION": layout.add_points, "COLOR_0": partial(_add_colours, layout)}
+    add: dict[str, Callable[[Single], int]] = {
+        "POSITION": layout.add_points,
+        "COLOR_0": partial(_add_colours, layout),
+    }
     add_values = partial(layout.add_array, target=ARRAY_BUFFER)
     accessors = {name: add.get(name, add_values)(values) for name, values in attributes.items()}
     corners = triangles.reshape(-1)

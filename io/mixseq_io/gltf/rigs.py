@@ -29,7 +29,7 @@ from mixseq.errors import OutputError
 from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, Single
-from mixseq_io.gltf.codecs import ARRAY_BUFFER, Json, Layout, append
+from mixseq_io.gltf.codecs import ARRAY_BUFFER, Json, Layout, add_channels, append
 from mixseq_io.gltf.new_document import (
     MovingMesh,
     create_animation,
@@ -68,14 +68,11 @@ def add_animation(layout: Layout, header: SequenceHeader, tracks: Sequence[Track
     # All tracks, possibly hundreds, share one view.
     arrays = [np.ascontiguousarray(track.values) for track in varying]
     view, offset = layout.add(arrays, sum(array.nbytes for array in arrays)), 0
-    for index, (track, array) in enumerate(zip(varying, arrays, strict=True)):
+    for track, array in zip(varying, arrays, strict=True):
         kind = _ACCESSOR_TYPES[track.path]
         count = array.size if kind == "SCALAR" else len(array)
         output = layout.accessor(view, count, kind, offset)
-        animation["samplers"].append({"input": times, "output": output, "interpolation": "LINEAR"})
-        animation["channels"] += [
-            {"sampler": index, "target": {"node": node, "path": track.path}} for node in track.nodes
-        ]
+        add_channels(animation, times, output, track.nodes, track.path)
         offset += array.nbytes
     append(layout.document, "animations", animation)
 

@@ -18,7 +18,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
+from mixseq.errors import (
+    AmbiguousError,
+    FormatError,
+    InvalidSequenceError,
+    MissingFileError,
+    OutputError,
+    SettingsError,
+)
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import Surface
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_number, time_to_number
@@ -65,7 +72,7 @@ def find_frame_files(path: Path, allow_gaps: bool, extension: str = ".obj") -> t
     elif "*" in path.name or "?" in path.name:
         numbered = _number_files(path, path.parent.glob(path.name))
     else:
-        raise FormatError(f"{path} does not exist")
+        raise MissingFileError(f"{path} does not exist")
     if not numbered:
         raise FormatError(f"{path}: there are no numbered files of this name")
     numbers = [number for number, _ in numbered]

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Pcp, Sdf, Tf, Usd, UsdGeom, UsdUtils
 
-from mixseq.errors import FormatError, NoMeshError, OutputError
+from mixseq.errors import FormatError, MissingFileError, MixseqError, NoMeshError, OutputError
 from mixseq.sequence.header import UP_AXES
 from mixseq_io.files import out_of_memory_error, raise_system_error
 from mixseq_io.reader import check_regular_file, warn
@@ -59,6 +59,8 @@ def translate_usd_read_errors(path: Path) -> Iterator[None]:
     """Translate USD's `RuntimeError`, and exceptions raised by damaged values, into `FormatError`."""
     try:
         yield
+    except MixseqError:
+        raise
     except MemoryError:
         raise out_of_memory_error(path) from None
     except (RuntimeError, ValueError, TypeError) as error:
@@ -204,7 +206,7 @@ _MAX_PRIMS = 1_000_000
 def open_stage(path: Path) -> Usd.Stage:
     """Open a USD file in its current state on disk, with all payloads."""
     if not path.is_file():
-        raise FormatError(f"{path} does not exist")
+        raise MissingFileError(f"{path} does not exist")
     # USD shares layers within a process by identifier, with unsaved edits and outdated contents. A unique argument
     # makes this layer's identifier unique.
     layer = Sdf.Layer.FindOrOpen(absolute_path(path), {"mixseq": token_hex(8)})

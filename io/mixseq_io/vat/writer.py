@@ -143,6 +143,11 @@ def write_vat(
     -----
     MixseqWarning
         If frames are not evenly spaced.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> report = mixseq.write_vat("arm.vat", mixseq.read("arm.usdc"))
     """
     folder = Path(path)
     check_vat_target(folder)

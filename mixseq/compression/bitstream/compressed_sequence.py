@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mixseq.choices import OrderName
 from mixseq.compression.bitstream.arithmetic import DAMAGE_CURE
@@ -22,16 +23,19 @@ from mixseq.compression.bitstream.spatial_basis import (
     MAX_PARTS,
     BasisKind,
     SpatialBasis,
+    affine_basis,
     assemble_basis,
+    label_vertices,
     part_groups,
     read_basis,
     read_coefficients,
 )
 from mixseq.errors import FormatError, SettingsError
-from mixseq.runtime.lazy import PickledWithoutCaches
+from mixseq.runtime.lazy import PickledWithoutCaches, connected
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress
 from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
 from mixseq.spaces.temporal import TemporalOperator, insert_midpoints, select_operator
@@ -88,6 +92,8 @@ class CodingParameters:
     inbetween_step: float | None = None
     # Largest measured distance between frames from the fitted model, in diagonals. None if it was not fitted.
     inbetween_error: float | None = None
+    # True if in-betweens move in the affine basis of the labelled parts, None if in the spatial basis.
+    inbetween_parts: bool | None = None
 
     def __post_init__(self) -> None:
         kinds = get_args(BasisKind)
@@ -131,6 +137,10 @@ class CodingParameters:
             raise SettingsError(f"inbetween_step is {step!r}; a positive number is expected")
         if error is not None and not (_is_number(error) and 0 <= error < inf):
             raise SettingsError(f"inbetween_error is {error!r}; a non-negative number is expected")
+        if self.inbetween_parts is not None and (self.inbetween_parts is not True or levels is None):
+            raise SettingsError(
+                f"inbetween_parts is {self.inbetween_parts!r}; true is expected, beside inbetween_levels"
+            )
         if not isinstance(self.promised, bool):
             raise SettingsError(f"promised is {self.promised!r}; true or false is expected")
 
@@ -156,9 +166,22 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-@dataclass(frozen=True)
-class CompressedSequence:
-    """A compressed sequence as stored in a file."""
+@dataclass(frozen=True, repr=False)
+class CompressedSequence(PickledWithoutCaches):
+    """A compressed sequence as stored in a file. `mixseq.compress` makes one, and `mixseq.save` stores it.
+
+    ``max_error`` and ``kg_percent`` are in `parameters`; ``sample(times=, fps=)`` is that of `model`.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    >>> growing = np.linspace(1, 2, 5)[:, None, None] * corners
+    >>> sequence = mixseq.MeshSequence.from_arrays(growing, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    >>> coded = mixseq.compress(sequence, max_error=1e-3)
+    >>> coded.parameters.max_error, len(coded.sample(fps=48)), coded([0.0, 0.05]).shape
+    (0.001, 9, (2, 4, 3))
+    """
 
     header: SequenceHeader  # mesh and times
     parameters: CodingParameters  # parameters of the streams
@@ -171,6 +194,31 @@ class CompressedSequence:
     between: TemporalInterpolation | None = None
     # Part (F,) of every triangle, used by `CompressedModel` between frames. None if found from the decoded frames.
     parts: Index | None = None
+
+    def __repr__(self) -> str:
+        bound = f"{'within' if self.parameters.promised else 'error'} {self.parameters.max_error:.3g} diagonals"
+        return f"CompressedSequence({self.header!r}, {self.nbytes} bytes of signals, {bound})"
+
+    @property
+    def nbytes(self) -> int:
+        """Number of bytes of the signals; a file also holds the mesh."""
+        chunks = (part for each in self.chunks for part in (each.coefficients, each.residuals, each.inbetweens))
+        return sum(map(len, (*self.basis, *chunks)))
+
+    @cached_property
+    def model(self) -> Decodable:
+        """The decoded model, which `mixseq.load` returns for a file of this sequence."""
+        find_name, _ = connected()  # the model knows spaces and fitting, which decoders at frames do without
+        model: Decodable = find_name("CompressedModel").from_sequence(self)
+        return model
+
+    def __call__(self, times: ArrayLike) -> Float:
+        """Return the vertex positions ``(V, 3)`` at a time in seconds, or ``(N, V, 3)`` at times ``(N,)``."""
+        return self.model(times)
+
+    def sample(self, *args: Any, **kwargs: Any) -> MeshSequence:
+        """Decode frames of the motion to a mesh sequence; see `Model.sample`."""
+        return self.model.sample(*args, **kwargs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,18 +234,26 @@ class Playback(Decodable, PickledWithoutCaches):
     # between its knots.
     inbetweens: tuple[Float, ...] = ()
     origin: tuple[float, ...] = ()  # origin (x, y, z) of positions; empty if it is zero
+    parts_basis: SpatialBasis | None = None  # affine basis of in-betweens; None if it is the spatial basis
+
+    @property
+    def inbetween_basis(self) -> SpatialBasis:
+        """The basis of in-betweens."""
+        return self.parts_basis or self.basis
 
     @cached_property
     def curve(self) -> Curve:
-        """The coefficients over time, K d coordinates."""
+        """The coefficients over time, K d coordinates, and those of `parts_basis`."""
         times = insert_midpoints(self.header.times)
         operator = TemporalOperator(self.header.times, self.between.length, self.between.cubic)
         values = operator.weights_at(times).interpolate(self.coefficients.reshape(len(self.coefficients), -1))
+        if self.parts_basis is not None:
+            values = np.pad(values, ((0, 0), (0, 3 * len(self.parts_basis.part_ids))))
         for level, offsets in enumerate(self.inbetweens):
             if level:
                 finer = insert_midpoints(times)
                 times, values = finer, Curve(times, values)(finer)
-            values[1::2] += offsets.reshape(len(offsets), -1)
+            values[1::2, -offsets[0].size :] += offsets.reshape(len(offsets), -1)
         return Curve(times, values)
 
     def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
@@ -222,9 +278,12 @@ class Playback(Decodable, PickledWithoutCaches):
     def _decode_coefficients(self, values: Float) -> Float:
         """Return the points ``(N, V, 3)`` of coefficients ``(N, K d)``."""
         points = np.empty((len(values), self.header.vertex_count, 3))
+        shape, size = self.coefficients.shape[1:], self.coefficients[0].size
         with one_blas_thread():
             for row, value in zip(points, values, strict=True):  # row by row, so that each is independent of the others
-                row[:] = self.basis.frames(value.reshape(1, *self.coefficients.shape[1:]))[0]
+                row[:] = self.basis.frames(value[:size].reshape(1, *shape))[0]
+                if self.parts_basis is not None:
+                    row += self.parts_basis.frames(value[size:].reshape(1, -1, 3))[0]
         return points
 
 
@@ -236,7 +295,8 @@ def decode(coded: CompressedSequence) -> Playback:
     with one_blas_thread(), np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         basis = decode_basis(coded, graph)
         coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
-        inbetweens = _decode_inbetweens(coded, basis, coefficients.shape[1:])
+        parts_basis = parts_basis_of(coded, basis, coefficients) if coded.parameters.inbetween_parts else None
+        inbetweens = _decode_inbetweens(coded, parts_basis or basis)
         if not all(np.isfinite(values).all() for values in (basis.norms, coefficients, *inbetweens)):
             raise FormatError(f"the coded signals are damaged, they are not finite; {DAMAGE_CURE}")
     residual_layer = None
@@ -250,7 +310,17 @@ def decode(coded: CompressedSequence) -> Playback:
         displacements = coefficients * basis.norms[basis.varying, None]
         operator = select_operator(header.times, displacements.reshape(len(displacements), -1))
         between = TemporalInterpolation(operator.length_scale, operator.cubic_shares)
-    return Playback(header, basis, coefficients, between, residual_layer, inbetweens, coded.parameters.origin)
+    origin = coded.parameters.origin
+    return Playback(header, basis, coefficients, between, residual_layer, inbetweens, origin, parts_basis)
+
+
+def parts_basis_of(coded: CompressedSequence, basis: SpatialBasis, coefficients: Float) -> SpatialBasis:
+    """Return the affine basis of the labelled parts, for the first frame of coefficients ``(T, K, d)``."""
+    header = coded.header
+    if coded.parts is None:
+        raise FormatError(f"in-betweens are of parts, and no triangle has a label; {DAMAGE_CURE}")
+    labels = label_vertices(coded.parts, header.faces, header.vertex_count)
+    return affine_basis(basis.frames(coefficients[:1])[0], labels, coded.parameters.diagonal)
 
 
 def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
@@ -276,8 +346,8 @@ def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialB
     return read_coefficients(basis, chunk.coefficients, [chunk.count], coded.parameters.step)[0]
 
 
-def _decode_inbetweens(coded: CompressedSequence, basis: SpatialBasis, shape: tuple[int, ...]) -> tuple[Float, ...]:
-    """Decode the in-betweens ``((T - 1) 2^l, K, d)`` of every level l; `shape` is ``(K, d)``."""
+def _decode_inbetweens(coded: CompressedSequence, basis: SpatialBasis) -> tuple[Float, ...]:
+    """Decode the in-betweens ``((T - 1) 2^l, K, d)`` of every level l."""
     levels, step = range(coded.parameters.inbetween_levels or 0), coded.parameters.inbetween_step or 0.0
     chunks = []
     for chunk in coded.chunks if levels else ():
@@ -286,7 +356,7 @@ def _decode_inbetweens(coded: CompressedSequence, basis: SpatialBasis, shape: tu
         if chunk.inbetweens:
             chunks.append(read_coefficients(basis, chunk.inbetweens, counts, step))
         else:
-            chunks.append([np.zeros((count, *shape)) for count in counts])
+            chunks.append([np.zeros((count, *basis.coefficient_shape)) for count in counts])
     return tuple(map(np.concatenate, zip(*chunks, strict=True)))
 
 

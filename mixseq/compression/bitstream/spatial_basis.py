@@ -20,6 +20,9 @@ has the most frequent label of its known neighbours, and another bit the second 
 neither, the label follows, highest bit first. Contexts of both bits are the numbers of neighbours with these labels,
 and of all neighbours.
 
+In-betweens move in the spatial basis, or in an affine basis, which takes no bytes: in every labelled part, the
+functions 1, x, y and z of the position in the first frame, made orthogonal in this order (Gram-Schmidt).
+
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz``; ``parts.npz`` has several parts,
 ``shapes.npz`` several groups, ``long.npz`` several chunks). `mixseq.compression.encoder.trial` writes these streams.
 """
@@ -53,6 +56,9 @@ MAX_PARTS = 128
 
 FIRST_GROUP_SIZE = 12
 """Number of basis vectors in the first group. Frozen: another number breaks old files."""
+
+MIN_FIELD_NORM = 1e-6
+"""Norm in diagonals up to which affine fields are left out. Frozen: breaks old files."""
 
 _LABEL_BITS = 7
 """Number of bits of a label. Frozen: breaks old files."""
@@ -90,6 +96,13 @@ def decode_face_labels(data: bytes, part_count: int, faces: NDArray[np.integer])
     labels = read_labels(reader, part_count, _face_graph(faces))
     reader.finish()
     return labels
+
+
+def label_vertices(labels: Index, faces: NDArray[np.integer], vertex_count: int) -> Index:
+    """Return the most frequent label of every vertex's triangles, the lowest of several, without unused numbers."""
+    votes = np.zeros((vertex_count, int(labels.max(initial=0)) + 1), dtype=np.int64)
+    np.add.at(votes, (faces.reshape(-1), np.repeat(labels, 3)), 1)
+    return np.unique(votes.argmax(axis=1), return_inverse=True)[1].astype(np.int64)
 
 
 def _face_graph(faces: NDArray[np.integer]) -> SignalGraph:
@@ -218,6 +231,11 @@ class SpatialBasis:
         """Slice of the vectors with coded coefficients: all but the mean shape."""
         return slice(0 if self.kind == "trajectories" else 1, None)
 
+    @property
+    def coefficient_shape(self) -> tuple[int, int]:
+        """Shape ``(K, d)`` of the coefficients of the varying vectors at a frame."""
+        return len(self.part_ids[self.varying]), 3 if self.kind == "trajectories" else 1
+
     def frames(self, coefficients: Float) -> Float:
         """Return the frames ``(T, V, 3)`` with coefficients ``(T, K, 3 / c)`` of the varying vectors."""
         if self.kind == "shapes":
@@ -301,18 +319,31 @@ def assemble_basis(
     return SpatialBasis(kind, tuple(part_bases), np.concatenate(part_ids), frame_count)
 
 
+def affine_basis(points: Float, labels: Index, diagonal: float) -> SpatialBasis:
+    """Return the affine basis of parts with labels ``(V,)``, for points ``(V, 3)`` of the first frame."""
+    vectors, vertices = [], part_vertices(labels)
+    for vertex_ids in vertices:
+        part_fields = (points[vertex_ids] - points[vertex_ids].mean(axis=0)).T.copy()
+        for axis, field in enumerate(part_fields):
+            for other in part_fields[:axis]:
+                field -= other * (field @ other) / max(other @ other, np.finfo(float).tiny)
+            if np.sqrt(field @ field) <= MIN_FIELD_NORM * diagonal:
+                field[:] = 0.0
+        vectors.append(part_fields[:, None])
+    return assemble_basis("trajectories", vectors, vertices, 1)
+
+
 def read_coefficients(basis: SpatialBasis, stream: bytes, counts: Sequence[int], step: float) -> list[Float]:
     """Read the coefficients ``(n, K, d)`` of the varying vectors at n times, for each of `counts`.
 
     The stream of a chunk has the coefficients at its frames; another one has those of its levels of in-betweens.
     """
-    scales, part_ids = basis.norms[basis.varying] / step, basis.part_ids[basis.varying]
-    dim = 3 if basis.kind == "trajectories" else 1
+    scales, part_ids, shape = basis.norms[basis.varying] / step, basis.part_ids[basis.varying], basis.coefficient_shape
     models, reader, levels = new_number_models(), Reader(stream), []
     for count in counts:
-        graph, coefficients = path_graph(count), np.empty((count, len(scales), dim))
-        coders = [SignalCoder(graph, dim, models) for _ in basis.part_bases]
-        for vector, coordinate in np.ndindex(coefficients.shape[1:]):
+        graph, coefficients = path_graph(count), np.empty((count, *shape))
+        coders = [SignalCoder(graph, shape[1], models) for _ in basis.part_bases]
+        for vector, coordinate in np.ndindex(shape):
             coefficients[:, vector, coordinate] = coders[part_ids[vector]].read(reader) / scales[vector]
         levels.append(coefficients)
     reader.finish()

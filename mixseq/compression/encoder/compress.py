@@ -117,6 +117,14 @@ def compress(
         If `parts` does not fit the mesh.
     FormatError, InvalidSequenceError
         If the sequence is damaged or invalid, or its coordinates are too small or too large for double precision.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> coded = mixseq.compress("arm.usdc", max_error=1e-3)
+    >>> mixseq.save("small.h5", coded)
+    >>> mixseq.compare("arm.usdc", "small.h5").max_error < 1e-3
+    True
     """
     check_motion(sequence)
     _check_target(max_error, kg, size)

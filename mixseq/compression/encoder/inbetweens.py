@@ -1,18 +1,22 @@
 """Find the in-betweens: numbers with which players show the motion of the fitted model between frames.
 
 A spline of the vertices through the frames shrinks parts that rotate. The model that is fitted to the decoded frames
-does not. At the middles between frames, its vertices are projected to the spatial basis by least squares, and the
-offsets of the coefficients from the spline are rounded and coded like the coefficients at the frames. The spline then
-also passes through the middles, and the next level follows, at the middles between its knots. Levels end when the
-spline is as near to the model as the frames are to the original, or when a level does not pay.
+does not. At the middles between frames, the offsets of its vertices from the spline are projected to a basis by least
+squares, rounded, and coded like the coefficients at the frames. The spline then also passes through the middles, and
+the next level follows, at the middles between its knots. Levels end when the spline is as near to the model as the
+frames are to the original, or when a level does not pay.
 
-Short sequences may have a basis that does not contain the poses between their frames. Then no level pays.
+The basis is the spatial basis, or if that is nearer to the model, the affine basis of the labelled parts: few frames
+that differ much have a spatial basis that does not contain the poses between them.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +25,7 @@ from mixseq.compression.bitstream.compressed_sequence import (
     CompressedSequence,
     Playback,
     inbetween_intervals,
+    parts_basis_of,
 )
 from mixseq.compression.bitstream.signal_coder import Signal
 from mixseq.compression.compressed_model import CompressedModel
@@ -43,8 +48,20 @@ MAX_ERROR_RATIO = 0.8
 ROUNDING_RATIO = 0.2
 """Ratio of the mean square rounding error of in-betweens to the mean square distance of the basis from the model."""
 
+MAX_COMPARED_LEVELS = 2
+"""Number of levels at whose times two bases are compared: the middles and quarters between frames."""
+
 STEP_FACTORS = (1, 2, 4, 8, 16, 32)
 """Multiples of the step that are tried for the middles between frames, until the bytes suffice."""
+
+
+class Levels(NamedTuple):
+    """Levels of in-betweens in a basis."""
+
+    playback: Playback  # with the levels
+    streams: list[bytes]  # of every chunk
+    step: float  # quantisation step
+    largest: float  # largest distance from the model
 
 
 def add_inbetweens(
@@ -59,7 +76,6 @@ def add_inbetweens(
     bytes_at_frames = sum(map(len, coded.basis)) + sum(len(c.coefficients) + len(c.residuals) for c in coded.chunks)
     max_bytes = MAX_SIZE_RATIO * bytes_at_frames if size is None else size - bytes_at_frames
     max_bytes, max_error_ratio = (np.inf, np.inf) if between else (max_bytes, MAX_ERROR_RATIO)
-    intervals = [inbetween_intervals(c.first, c.count, parameters.frame_count) for c in coded.chunks]
     try:
         model = CompressedModel.from_playback(playback, coded.parts).fit(progress)
     except MixseqError as error:
@@ -69,24 +85,74 @@ def add_inbetweens(
             f"there are no in-betweens, as no model fits the decoded frames: {error}", MixseqWarning, stacklevel=4
         )
         return coded
+
+    @cache
+    def exact(level: int) -> tuple[Float, LargeArray]:
+        times = _middles(playback.times, level)
+        return times, _decode(model, times)
+
+    def error_of(levels: Levels) -> float:
+        if between:
+            return levels.largest
+        return sum(_distances(levels.playback, *exact(level))[1] for level in range(MAX_COMPARED_LEVELS))
+
+    bound = parameters.max_error * parameters.diagonal
+    found = _add_levels(coded, playback, exact, max_bytes, max_error_ratio)
+    if found.largest > bound and coded.parts is not None:
+        of_parts = replace(playback, parts_basis=parts_basis_of(coded, playback.basis, playback.coefficients))
+        found = min(found, _add_levels(coded, of_parts, exact, max_bytes, max_error_ratio), key=error_of)
+    largest_error = found.largest
+    if between:
+        times = quarter_times(playback.times)
+        largest_error = max(largest_error, largest_distance(model.blocks(times), found.playback.blocks(times)))
+    largest_error /= parameters.diagonal
+    if between and largest_error > parameters.max_error:
+        raise SettingsError(
+            f"between frames, players would be {largest_error:.2g} diagonals from the model, not "
+            f"{parameters.max_error:g}; allow this error (max_error, --max-error)"
+        )
+    parameters = replace(parameters, inbetween_error=float(f"{largest_error:.3g}"))
+    if levels := len(found.playback.inbetweens):
+        parameters = replace(parameters, inbetween_levels=levels, inbetween_step=found.step)
+        parameters = replace(parameters, inbetween_parts=found.playback.parts_basis is not None or None)
+    chunks = tuple(replace(chunk, inbetweens=data) for chunk, data in zip(coded.chunks, found.streams, strict=True))
+    return replace(coded, parameters=parameters, chunks=chunks)
+
+
+def _middles(times: Float, level: int) -> Float:
+    """Return the times between the knots of a level of in-betweens, of frames at times ``(T,)``."""
+    for _ in range(level + 1):
+        times = insert_midpoints(times)
+    return times[1::2]
+
+
+def _add_levels(
+    coded: CompressedSequence,
+    playback: Playback,
+    exact: Callable[[int], tuple[Float, LargeArray]],
+    max_bytes: float,
+    max_error_ratio: float,
+) -> Levels:
+    """Add levels in the basis of in-betweens; `exact` returns times ``(N,)`` and points ``(N, V, 3)`` of a level."""
+    parameters, basis = coded.parameters, playback.inbetween_basis
+    intervals = [inbetween_intervals(c.first, c.count, parameters.frame_count) for c in coded.chunks]
     known: list[list[Signal]] = [[] for _ in coded.chunks]
     streams = [b"" for _ in coded.chunks]
-    times, largest_error, step = insert_midpoints(playback.times)[1::2], 0.0, 0.0
+    step = largest_error = 0.0
     while True:
         level = len(playback.inbetweens)
-        points = _decode(model, times)
-        largest, squares = _distances(playback, points, times)
+        times, points = exact(level)
+        largest, squares = _distances(playback, times, points)
         is_within = largest <= parameters.max_error * parameters.diagonal
-        if is_within or level == MAX_INBETWEEN_LEVELS or not playback.coefficients.size:
+        if is_within or level == MAX_INBETWEEN_LEVELS or not basis.coefficient_shape[0]:
             break
-        exact = _project(playback, points, times)
-        offsets = exact - playback.curve(times).reshape(exact.shape)
+        offsets = _project(playback, times, points)
         if not level:
-            least = _distances(_with_level(playback, offsets), points, times)[1]
+            least = _distances(_with_level(playback, offsets), times, points)[1]
             step = max(parameters.step, float(np.sqrt(12 * ROUNDING_RATIO * least / offsets.size)))
         spans = [range(chunk.start << level, chunk.stop << level) for chunk in intervals]
         for factor in (1,) if level else STEP_FACTORS:
-            rounded, signals = round_coefficients(playback.basis, offsets, factor * step, spans)
+            rounded, signals = round_coefficients(basis, offsets, factor * step, spans)
             signals = [[*earlier, *of_level] for earlier, of_level in zip(known, signals, strict=True)]
             longer = [
                 code_coefficients(chunk) if any(signal.numbers.any() for signal in chunk) else b"" for chunk in signals
@@ -95,31 +161,12 @@ def add_inbetweens(
             if is_small:
                 break
         finer = _with_level(playback, rounded)
-        largest_left, squares_left = _distances(finer, points, times)
+        largest_left, squares_left = _distances(finer, times, points)
         if not is_small or squares_left > max_error_ratio**2 * squares:
             break
-        playback, known, streams, step, largest_error = (
-            finer,
-            signals,
-            longer,
-            factor * step,
-            max(largest_error, largest_left),
-        )
-        times = insert_midpoints(playback.curve.times)[1::2]
-    if between:
-        times = quarter_times(playback.times)
-        largest = max(largest, largest_distance(model.blocks(times), playback.blocks(times)))
-    largest_error = max(largest_error, largest) / parameters.diagonal
-    if between and largest_error > parameters.max_error:
-        raise SettingsError(
-            f"between frames, players would be {largest_error:.2g} diagonals from the model, not "
-            f"{parameters.max_error:g}; allow this error (max_error, --max-error)"
-        )
-    parameters = replace(parameters, inbetween_error=float(f"{largest_error:.3g}"))
-    if playback.inbetweens:
-        parameters = replace(parameters, inbetween_levels=len(playback.inbetweens), inbetween_step=step)
-    chunks = tuple(replace(chunk, inbetweens=stream) for chunk, stream in zip(coded.chunks, streams, strict=True))
-    return replace(coded, parameters=parameters, chunks=chunks)
+        playback, known, streams, step = finer, signals, longer, factor * step
+        largest_error = max(largest_error, largest_left)
+    return Levels(playback, streams, step, max(largest, largest_error))
 
 
 def _with_level(playback: Playback, offsets: Float) -> Playback:
@@ -137,7 +184,7 @@ def _decode(model: Model, times: Float) -> LargeArray:
     return points
 
 
-def _distances(playback: Playback, points: LargeArray, times: Float) -> tuple[float, float]:
+def _distances(playback: Playback, times: Float, points: LargeArray) -> tuple[float, float]:
     """Return the largest distance of a vertex from points ``(N, V, 3)`` at times ``(N,)``, and the sum of squares."""
     largest = total = 0.0
     start = 0
@@ -148,20 +195,15 @@ def _distances(playback: Playback, points: LargeArray, times: Float) -> tuple[fl
     return float(np.sqrt(largest)), total
 
 
-def _project(playback: Playback, points: LargeArray, times: Float) -> Float:
-    """Return the coefficients ``(N, K, d)`` nearest to points ``(N, V, 3)`` at times ``(N,)``, by least squares."""
-    basis, layer = playback.basis, playback.residual_layer
+def _project(playback: Playback, times: Float, points: LargeArray) -> Float:
+    """Return the in-betweens ``(N, K, d)`` nearest to points ``(N, V, 3)`` at times ``(N,)``, by least squares."""
+    basis = playback.inbetween_basis
     part_ids, norms = basis.part_ids[basis.varying], basis.norms[basis.varying]
     vectors = [part.vectors.reshape(len(part.vectors), -1)[basis.varying] for part in basis.part_bases]
     units = [of_part / norms[part_ids == part, None] for part, of_part in enumerate(vectors)]
-    coefficients = np.empty((len(times), *playback.coefficients.shape[1:]))
-    rest = basis.frames(np.zeros((1, *coefficients.shape[1:])))[0]  # the mean shape, or zero
-    if playback.origin:
-        rest = rest + playback.origin
+    coefficients = np.empty((len(times), *basis.coefficient_shape))
     for row, time in enumerate(times):
-        target = points[row : row + 1][0] - rest
-        if layer is not None:
-            target -= layer.at(time[None])[0]
+        target = points[row : row + 1][0] - playback.decode_points(time[None])[0]
         for part, (vertices, _) in enumerate(basis.part_bases):
             moved = target[vertices] if basis.kind == "trajectories" else target.T.reshape(-1, 1)
             coefficients[row, part_ids == part] = units[part] @ moved

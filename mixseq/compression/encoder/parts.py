@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from mixseq.compression.bitstream.spatial_basis import MAX_PARTS
+from mixseq.compression.bitstream.spatial_basis import MAX_PARTS, label_vertices
 from mixseq.compression.encoder.components import PrincipalComponents
 from mixseq.errors import SegmentationError
 from mixseq.mesh.topology import Topology
@@ -64,9 +64,7 @@ def initial_parts(sequence: FrameStore, counts: tuple[int, ...]) -> dict[int, In
     part_count = int(part_of_face.max(initial=0)) + 1
     if part_count == 1 or part_count > MAX_PARTS:
         return {}
-    votes = np.zeros((header.vertex_count, part_count), dtype=np.int64)
-    np.add.at(votes, (header.faces.reshape(-1), np.repeat(part_of_face, 3)), 1)
-    labels = np.unique(votes.argmax(axis=1), return_inverse=True)[1].astype(np.int64)
+    labels = label_vertices(part_of_face, header.faces, header.vertex_count)
     return dict(sorted(merge_parts(points, labels, counts).items()))
 
 

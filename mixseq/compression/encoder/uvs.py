@@ -74,7 +74,6 @@ def find_regions(coded: CodedUVs, max_candidates: int, max_distance: float, min_
     bits = np.log2(1.0 + coded.known.errors)
     starts = corners.starts[:-1]
     shapes, valid_mask = _corner_shapes(corners, coded.known.values)
-    corner_count = len(corners.node)
     errors = np.where(valid_mask[starts], np.add.reduceat(bits[corners.node], starts), 0.0)
     tested = np.argsort(-errors, kind="stable")[:_MAX_TESTED_POLYGONS]
     tested = tested[errors[tested] >= _MIN_ERROR_BITS]
@@ -94,23 +93,42 @@ def find_regions(coded: CodedUVs, max_candidates: int, max_distance: float, min_
         np.zeros(len(places), dtype=np.int64),
         np.zeros(len(bits), dtype=np.int64),
     )
+    _choose_regions(search, tested, shape_ids, nearest.reshape(len(tested), -1), min_saving, regions)
+    return regions
+
+
+@compiled
+def _choose_regions(
+    search: _Search, tested: Index, shape_ids: Index, nearest: Index, min_saving: float, regions: Index
+) -> None:
+    """Write the regions that begin with the tested polygons ``(n,)``.
+
+    `nearest` ``(n, k)`` are places in `shape_ids`, whose length stands for none.
+    """
+    corners, places = search.corners, search.places
+    corner_count = len(corners.node)
     stamp = 0
-    for polygon, candidates in zip(tested.tolist(), nearest.reshape(len(tested), -1).tolist(), strict=True):
+    for row in range(len(tested)):
+        polygon = tested[row]
         if search.copied[polygon]:
             continue
-        best, best_saving = (0, False), min_saving
-        for shape in shape_ids[[place for place in candidates if place < len(shape_ids)]].tolist():
-            image, mirrored = shape % corner_count, shape >= corner_count
+        best_saving, best_shape = min_saving, 0
+        for place in nearest[row]:
+            if place == len(shape_ids):
+                continue
+            shape = shape_ids[place]
+            image = shape % corner_count
             if places[corners.polygon[image]] < places[polygon]:
                 stamp += 1
+                mirrored = shape >= corner_count
                 saving = _grow_region(search, stamp, polygon, image, mirrored, _SAMPLED_POLYGONS, False)
                 if saving > best_saving:
-                    best, best_saving = (image, mirrored), saving
+                    best_saving, best_shape = saving, shape
         if best_saving > min_saving:
             stamp += 1
-            regions[polygon] = 2 * best[0] + best[1] + 1
-            _grow_region(search, stamp, polygon, *best, len(places), True)
-    return regions
+            image, mirrored = best_shape % corner_count, best_shape >= corner_count
+            regions[polygon] = 2 * image + mirrored + 1
+            _grow_region(search, stamp, polygon, image, mirrored, len(places), True)
 
 
 def _corner_shapes(corners: Corners, values: Index) -> tuple[Float, Mask]:

@@ -8,7 +8,8 @@ const MAX_INBETWEEN_LEVELS = 3;
 const MIN_NUMBER = 1e-100, MAX_NUMBER = 1e100; // range of numbers in the text
 const PARAMETERS = [
   "factors", "rank", "frame_count", "step", "diagonal", "max_error", "kg_percent", "promised", "correction", "ranks", "uv_steps",
-  "uv_error", "label_count", "inbetween_levels", "inbetween_step", "inbetween_error", "origin",
+  "uv_error", "label_count", "inbetween_levels", "inbetween_step", "inbetween_error",
+  "inbetween_parts", "origin",
 ];
 
 const isCount = (value) => Number.isInteger(value) && value > 0;
@@ -22,6 +23,7 @@ export function readFacts(text) {
   const { name, up_axis: upAxis, metres_per_unit: metresPerUnit, order = "keep" } = facts;
   const { factors, rank, ranks = [], correction = 0, uv_steps: steps = null, uv_error: error = null, label_count: labels = null } = given, shapes = factors === "shapes";
   const { inbetween_levels: levels = null, inbetween_step: betweenStep = null, inbetween_error: betweenError = null } = given;
+  const { inbetween_parts: ofParts = null } = given;
   const { origin = [0, 0, 0] } = given;
   const parts = Array.isArray(ranks) ? ranks : [0];
   const checks = {
@@ -46,6 +48,7 @@ export function readFacts(text) {
     label_count: labels === null || (isCount(labels) && labels <= MAX_PARTS),
     inbetween_levels: levels === null || (isCount(levels) && levels <= MAX_INBETWEEN_LEVELS),
     inbetween_step: levels === null ? betweenStep === null : isNonNegative(betweenStep) && betweenStep > 0,
+    inbetween_parts: ofParts === null || (ofParts === true && levels !== null && labels !== null),
     inbetween_error: betweenError === null || isNonNegative(betweenError),
     origin: Array.isArray(origin) && origin.length === 3 && origin.every(Number.isFinite),
     fps: isNonNegative(fps) && fps > 0,
@@ -61,6 +64,7 @@ export function readFacts(text) {
       factors, rank, ranks: parts.length ? parts : [rank], step: given.step, diagonal: given.diagonal, maxError: given.max_error,
       kgPercent: given.kg_percent, promised: given.promised, correction, uvSteps: steps, uvError: error,
       labelCount: labels, inbetweenLevels: levels ?? 0, inbetweenStep: betweenStep, inbetweenError: betweenError,
+      inbetweenParts: ofParts === true,
     },
   };
 }

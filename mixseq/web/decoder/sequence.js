@@ -3,6 +3,7 @@ import { decodePolygons, triangulated } from "./connectivity.js";
 import { Curve } from "./curve.js";
 import { MixseqError, guarded } from "./errors.js";
 import { readFacts } from "./parameters.js";
+import { addPartFields, readPartVertices } from "./part_fields.js";
 import { ResidualLayer } from "./residual_layer.js";
 import { meshGraph } from "./signal_graph.js";
 import { evaluate, readBasis, readLevels, readWeights } from "./spatial_basis.js";
@@ -70,7 +71,7 @@ export class Sequence {
     const chunk = this.chunks[number];
     if (!chunk || chunk.loaded) return;
     const { basis } = this.#decoded(), { first, count } = chunk, { coefficients } = this.streams.chunks[number];
-    this.#weights[number] = guarded(`the coefficients of frames ${first} to ${first + count - 1}`, () =>
+    this.#weights[number] ??= guarded(`the coefficients of frames ${first} to ${first + count - 1}`, () =>
       readWeights(coefficients, basis, count, this.parameters.step, this.frameCount));
     this.#inbetweens[number] = guarded(`the in-betweens of frames ${first} to ${first + count - 1}`, () => this.#readInbetweens(number, basis));
     chunk.loaded = true;
@@ -140,8 +141,18 @@ export class Sequence {
     const triangles = this.triangles();
     return (this.#basis ??= guarded("the basis vectors", () => {
       const mesh = meshGraph(triangles, this.vertexCount), basis = readBasis(this.streams.basis, this.parameters, triangles, mesh);
-      return this.#playable(basis, () => mesh.graph);
+      return this.#playable(this.parameters.inbetweenParts ? this.#withParts(basis, triangles) : basis, () => mesh.graph);
     }));
+  }
+
+  /** A basis with the fields of in-betweens of parts, which are those of the positions in the first frame. */
+  #withParts(basis, triangles) {
+    const { vertexCount, streams, parameters: { labelCount, step, diagonal } } = this, [{ count, coefficients }] = streams.chunks;
+    const parts = readPartVertices(streams.labels, labelCount, triangles, vertexCount), points = new Float64Array(3 * vertexCount);
+    basis.fields.count += 4 * parts.length;
+    this.#weights[0] = readWeights(coefficients, basis, count, step, this.frameCount);
+    evaluate(basis.fields, this.#weights[0].subarray(0, 3 * basis.fields.count), points);
+    return addPartFields(basis, parts, points, diagonal);
   }
 
   #playable(basis, graphOf) {
@@ -157,7 +168,7 @@ export class Sequence {
   #readInbetweens(number, basis) {
     const { first, count, inbetweens } = this.streams.chunks[number], intervals = Math.min(count, this.frameCount - 1 - first);
     const counts = Array.from({ length: this.parameters.inbetweenLevels }, (_, level) => intervals << level);
-    return inbetweens.length ? readLevels(inbetweens, basis, counts, this.parameters.inbetweenStep) : null;
+    return inbetweens.length ? readLevels(inbetweens, basis.inbetweens, counts, this.parameters.inbetweenStep, 3 * basis.fields.count) : null;
   }
 
   /** The offsets of weights at a middle between knots, of a level from 0 on; null if they are zero. */

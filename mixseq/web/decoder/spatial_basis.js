@@ -14,7 +14,7 @@ import { NEIGHBOUR_COUNTS, meshGraph, pathGraph } from "./signal_graph.js";
 const LABEL_BITS = 7; // of a label
 
 /** Read the labels of all vertices. */
-function readLabels(reader, partCount, { order, width, neighbours, counts }) {
+export function readLabels(reader, partCount, { order, width, neighbours, counts }) {
   const models = new BitModels(2, NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS, 2 + (1 << LABEL_BITS)), stream = reader.stream();
   const nodes = new Int32Array(order.length), labels = new Int32Array(order.length), votes = new Int32Array(1 << LABEL_BITS);
   for (let node = 0; node < order.length; node++) {
@@ -70,8 +70,8 @@ function partGroups(ranks) {
 /**
  * The basis of a mesh with the graph and levels `mesh`.
  *
- * It has `owners`, the part of every vector in the order of their coefficients, the `norms` of vectors, the `unit` of the mean
- * of shapes, and `fields`: their `count`, and for every one of the `parts` its `vertices`, ascending, the numbers of its
+ * It has `coded`, what the coefficients are of: `owners`, the part of every vector in their order, of how many `parts`, the `norms`
+ * of vectors and the `numbers` of their first fields; the same of `inbetweens`; the `unit` of the mean of shapes, and `fields`: their `count`, and for every one of the `parts` its `vertices`, ascending, the numbers of its
  * `fields`, and their `values`, vertex by vertex. Values are the whole numbers of the streams, so they are exact; weights are in
  * the units of the sequence. Zero vectors are left out.
  */
@@ -96,7 +96,8 @@ export function readBasis(streams, { factors, ranks, step }, triangles, mesh) {
     readers[number].finish();
   });
   const { parts, owners, norms, unit } = basis, count = (shapes ? 3 : 1) * owners.length;
-  return { shapes, owners, norms, unit, fields: { count, parts: parts.map(interleaveFields) } };
+  const coded = { shapes, parts: parts.length, owners, norms, numbers: owners.map((_, vector) => (shapes ? 3 : 1) * vector) };
+  return { coded, inbetweens: coded, unit, fields: { count, parts: parts.map(interleaveFields) } };
 }
 
 /** Read a vector, and add it unless it is zero; the mean of shapes may be zero. */
@@ -156,28 +157,27 @@ function splitParts(labels, number, triangles) {
 
 /** Read the weights of all fields in the frames of a chunk, frame by frame, of a sequence of `frames` frames. */
 export function readWeights(stream, basis, count, step, frames) {
-  const [weights] = readLevels(stream, basis, [count], step);
-  if (basis.shapes) spreadAxes(weights, 3 * basis.fields.count, 0, new Float64Array(count).fill(basis.unit / Math.sqrt(frames)));
+  const [weights] = readLevels(stream, basis.coded, [count], step, 3 * basis.fields.count);
+  if (basis.coded.shapes) spreadAxes(weights, 3 * basis.fields.count, 0, new Float64Array(count).fill(basis.unit / Math.sqrt(frames)));
   return weights;
 }
 
 /**
- * Read weights at as many times as each of `counts` says, time by time: of the frames of a chunk, or of its levels of
- * in-betweens. The weight of the mean of shapes stays zero.
+ * Read weights at as many times as each of `counts` says, time by time, rows of `width` numbers: of the frames of a chunk, or of
+ * its levels of in-betweens. The weight of the mean of shapes stays zero, and that of fields without coefficients.
  */
-export function readLevels(stream, basis, counts, step) {
-  const { shapes, owners, norms, fields } = basis, width = 3 * fields.count;
+export function readLevels(stream, { shapes, parts, owners, norms, numbers }, counts, step, width) {
   const models = newNumberModels(), reader = new Reader(stream);
   const levels = counts.map((count) => {
     const weights = new Float64Array(count * width), graph = pathGraph(count);
-    const coders = fields.parts.map(() => new SignalCoder(graph, graph, shapes ? 1 : 3, models));
+    const coders = Array.from({ length: parts }, () => new SignalCoder(graph, graph, shapes ? 1 : 3, models));
     owners.forEach((part, vector) => {
       if (shapes && !vector) return;
       for (let axis = 0; axis < (shapes ? 1 : 3); axis++) {
         const values = coders[part].read(reader), unit = step / UNITS_PER_STEP / norms[vector];
         for (let k = 0; k < count; k++) values[k] *= unit;
-        if (shapes) spreadAxes(weights, width, 9 * vector, values);
-        else for (let k = 0; k < count; k++) weights[k * width + 3 * vector + axis] = values[k];
+        if (shapes) spreadAxes(weights, width, 3 * numbers[vector], values);
+        else for (let k = 0; k < count; k++) weights[k * width + 3 * numbers[vector] + axis] = values[k];
       }
     });
     return weights;

@@ -58,7 +58,7 @@ const MAX_MEMORY = 2 ** 32; // bytes that a sequence may take
 const MAX_BITS_PER_BYTE = 17000, PADDING_BYTES = 4; // no bit takes less than 4.8e-4 bits
 
 /**
- * The streams of `bytes`, each checked: `connectivity`, `surface`, `times` and, if `parameters` tell so, `uvs`; a list for the `basis`;
+ * The streams of `bytes`, each checked: `connectivity`, `surface`, `times` and, if `parameters` tell so, `uvs` and `labels`; a list for the `basis`;
  * and `chunks` with their `first` frame, `count` of frames, `coefficients`, `residuals` and `inbetweens`, empty if there are none.
  */
 export function readIndex(text, bytes, parameters) {
@@ -83,11 +83,11 @@ export function readIndex(text, bytes, parameters) {
   };
   const connectivity = stream("the connectivity's bytes"), surface = stream("the surface's bytes");
   const times = stream("the times"), uvs = hasUvs ? stream("the texture coordinates") : null, basis = [];
-  if (hasLabels) stream("the labels of parts"); // of triangles, which players have no use for
+  const labels = hasLabels ? stream("the labels of parts") : null; // of triangles
   for (let group = 0; group < groups; group++) basis.push(stream(`the basis vectors of group ${group}`));
   let first = 0;
   return {
-    connectivity, surface, times, uvs, basis,
+    connectivity, surface, times, uvs, labels, basis,
     chunks: counts.map((count) => {
       const frames = `of frames ${first} to ${first + count - 1}`;
       const coefficients = stream(`the coefficients ${frames}`), residuals = stream(`the residuals ${frames}`);
@@ -100,7 +100,7 @@ export function readIndex(text, bytes, parameters) {
 
 /** Verify that streams are long enough for the numbers that `facts` say, a bit each, and that there is memory. */
 export function checkSizes({ vertexCount, cornerCount, frameCount, parameters }, { connectivity, basis, chunks }) {
-  const { rank, ranks, inbetweenLevels } = parameters, shapes = parameters.factors === "shapes", largest = (sizes) => sizes.reduce((a, b) => Math.max(a, b), 0);
+  const { rank, ranks, inbetweenLevels, inbetweenParts, labelCount } = parameters, shapes = parameters.factors === "shapes", largest = (sizes) => sizes.reduce((a, b) => Math.max(a, b), 0);
   const checkBits = (name, numbers, size) => {
     if (numbers <= MAX_BITS_PER_BYTE * (size + PADDING_BYTES * (basis.length + 1))) return;
     throw new MixseqError(`${size} bytes cannot hold ${numbers} numbers of its ${name}; it is damaged`);
@@ -109,7 +109,7 @@ export function checkSizes({ vertexCount, cornerCount, frameCount, parameters },
   checkBits("vertices", (shapes ? 3 : 1) * Math.min(...ranks) * vertexCount, basis.reduce((sum, { length }) => sum + length, 0));
   if (!shapes) chunks.forEach(({ count, coefficients }) => checkBits("frames", 3 * count, coefficients.length));
   const bytes = 800 * vertexCount + 320 * cornerCount + 64 * frameCount +
-    86 * largest(chunks.map(({ residuals }) => residuals.length)) + 16 * rank * ((shapes ? 3 : 1) * vertexCount + (shapes ? 9 : 3) * frameCount * 2 ** inbetweenLevels);
+    86 * largest(chunks.map(({ residuals }) => residuals.length)) + (inbetweenParts ? 64 * (vertexCount + 3 * labelCount * frameCount * 2 ** inbetweenLevels) : 0) + 16 * rank * ((shapes ? 3 : 1) * vertexCount + (shapes ? 9 : 3) * frameCount * 2 ** inbetweenLevels);
   if (bytes > MAX_MEMORY) throw new MixseqError(`it would take ${Math.ceil(bytes / 2 ** 30)} GiB of memory, more than the allowed 4 GiB`);
 }
 

@@ -10,44 +10,56 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, decode, inbetween_intervals
+from mixseq.compression.bitstream.compressed_sequence import (
+    CompressedSequence,
+    decode,
+    inbetween_intervals,
+    parts_basis_of,
+)
 from mixseq.compression.bitstream.signal_coder import Signal
-from mixseq.compression.bitstream.spatial_basis import encode_face_labels
+from mixseq.compression.bitstream.spatial_basis import affine_basis, encode_face_labels, label_vertices
 from mixseq.compression.compressed_model import CompressedModel
 from mixseq.compression.encoder.compress import compress
 from mixseq.compression.encoder.inbetweens import MAX_SIZE_RATIO, _project
 from mixseq.compression.encoder.trial import code_coefficients, round_coefficients
-from mixseq.errors import MixseqWarning, ReconstructionError, SettingsError
+from mixseq.errors import FormatError, MixseqWarning, ReconstructionError, SettingsError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.temporal import insert_midpoints
 from mixseq.types import Float
 from tests.compression.test_golden import stored
-from tests.meshes import bar, rotation, tube
+from tests.meshes import bar, joined, rotation, tube
 
 
-def with_random_inbetweens(coded: CompressedSequence, levels: int) -> CompressedSequence:
+def with_random_inbetweens(coded: CompressedSequence, levels: int, of_parts: bool = False) -> CompressedSequence:
     """Return a sequence with in-betweens of up to nine steps, twice those of frames.
 
     Those of the last chunk are zero if there are several.
     """
     playback, rng = decode(coded), np.random.default_rng(0)
-    norms = playback.basis.norms[playback.basis.varying]
+    basis = parts_basis_of(coded, playback.basis, playback.coefficients) if of_parts else playback.basis
+    norms = basis.norms[basis.varying]
     intervals = [inbetween_intervals(c.first, c.count, coded.parameters.frame_count) for c in coded.chunks]
     signals: list[list[Signal]] = [[] for _ in coded.chunks]
     step = 2 * coded.parameters.step
     for level in range(levels):
         spans = [range(chunk.start << level, chunk.stop << level) for chunk in intervals]
-        numbers = rng.integers(-9, 10, (spans[-1].stop, *playback.coefficients.shape[1:]))
-        _, of_level = round_coefficients(playback.basis, step * numbers / norms[:, None], step, spans)
+        numbers = rng.integers(-9, 10, (spans[-1].stop, *basis.coefficient_shape))
+        _, of_level = round_coefficients(basis, step * numbers / norms[:, None], step, spans)
         for known, new in zip(signals, of_level, strict=True):
             known += new
     streams = [code_coefficients(chunk) for chunk in signals]
     if len(streams) > 1:
         streams[-1] = b""
     chunks = tuple(replace(chunk, inbetweens=stream) for chunk, stream in zip(coded.chunks, streams, strict=True))
-    return replace(
-        coded, chunks=chunks, parameters=replace(coded.parameters, inbetween_levels=levels, inbetween_step=step)
-    )
+    parameters = replace(coded.parameters, inbetween_levels=levels, inbetween_step=step)
+    return replace(coded, chunks=chunks, parameters=replace(parameters, inbetween_parts=of_parts or None))
+
+
+def with_parts(coded: CompressedSequence) -> CompressedSequence:
+    """Label triangles by three bands along the longest axis of the first frame."""
+    points = decode(coded).sample(frames=[0]).points[0][coded.header.faces].mean(axis=1)
+    heights = points[:, np.ptp(points, axis=0).argmax()]
+    return replace(coded, parts=np.searchsorted(np.quantile(heights, [0.3, 0.7]), heights))
 
 
 def bending_tube() -> MeshSequence:
@@ -112,6 +124,35 @@ def test_players_are_nearer_to_the_model(coded: CompressedSequence) -> None:
     assert 0 < sum(len(chunk.inbetweens) for chunk in coded.chunks) <= MAX_SIZE_RATIO * signal_size(coded)
 
 
+def turning_bars() -> MeshSequence:
+    """Two bars that turn about axes of their own, 60 and 80 degrees per frame."""
+    one, other = tube(9, 24), tube(9, 24)
+    frames = []
+    for frame in range(4):
+        turned = [
+            (one[0] - one[0].mean(axis=0)) @ rotation((frame * np.pi / 3, 0.0, 0.0)).T,
+            (other[0] - other[0].mean(axis=0)) @ rotation((0.0, frame * np.pi / 2.25, 0.0)).T + [3.0, 0.0, 0.0],
+        ]
+        frames.append(np.concatenate(turned))
+    return MeshSequence.from_arrays(np.stack(frames), joined(one, other)[1], fps=6)
+
+
+def test_parts_span_what_few_shapes_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses between frames are affine functions of the first, but not in the span of four shapes."""
+    monkeypatch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("shapes",))
+    coded = compress(turning_bars(), max_error=1e-3)
+    assert coded.parameters.factors == "shapes"
+    assert coded.parameters.inbetween_parts
+    model = CompressedModel.from_sequence(coded)
+    times = insert_midpoints(model.times)[1::2]
+    exact, spline = model.fitted.decode_points(times), replace(model.playback, inbetweens=(), parts_basis=None)
+    shapes = spline.basis.frames(_project(spline, times, exact)) - spline.basis.frames(np.zeros((1, 3, 1)))
+    before, after = (exact - playback.decode_points(times) for playback in (spline, model.playback))
+    assert rms(after) < 0.1 * rms(before)
+    assert rms(after) < 0.1 * rms(before - shapes)
+    assert sum(len(chunk.inbetweens) for chunk in coded.chunks) <= MAX_SIZE_RATIO * signal_size(coded)
+
+
 def test_frames_stay_as_they_are(coded: CompressedSequence) -> None:
     plain = compress(bending_tube(), max_error=1e-3, inbetweens=False)
     assert plain.parameters.inbetween_levels is None
@@ -154,18 +195,25 @@ def test_a_size_is_kept() -> None:
 
 
 @pytest.mark.parametrize("name", ["parts", "shapes", "bounded"])
-def test_projection_finds_the_coefficients_of_decoded_frames(name: str) -> None:
-    playback = decode(stored(name)[0])
-    found = _project(playback, playback.decode_points(playback.times), playback.times)
-    norms = playback.basis.norms[playback.basis.varying, None]
-    off = np.abs((found - playback.coefficients) * norms).max()
-    assert off < 1e-3 * stored(name)[0].parameters.step
+@pytest.mark.parametrize("of_parts", [False, True])
+def test_projection_finds_the_offsets_of_a_basis(name: str, of_parts: bool) -> None:
+    coded = with_parts(stored(name)[0])
+    playback = decode(coded)
+    if of_parts:
+        playback = replace(playback, parts_basis=parts_basis_of(coded, playback.basis, playback.coefficients))
+    basis, times = playback.inbetween_basis, insert_midpoints(playback.times)[1::2]
+    offsets = np.random.default_rng(0).normal(size=(len(times), *basis.coefficient_shape))
+    offsets *= coded.parameters.diagonal / basis.norms[basis.varying, None]
+    moved = basis.frames(offsets) - basis.frames(0 * offsets)
+    found = _project(playback, times, playback.decode_points(times) + moved)
+    np.testing.assert_allclose(basis.frames(found), basis.frames(offsets), atol=1e-6 * coded.parameters.diagonal)
 
 
 @pytest.mark.parametrize(("name", "levels"), [("parts", 1), ("shapes", 2), ("long", 3)])
-def test_files(tmp_path: Path, name: str, levels: int) -> None:
+@pytest.mark.parametrize("of_parts", [False, True])
+def test_files(tmp_path: Path, name: str, levels: int, of_parts: bool) -> None:
     """Curves through a file's in-betweens differ from the spline of the level below by whole steps."""
-    coded = with_random_inbetweens(stored(name)[0], levels)
+    coded = with_random_inbetweens(with_parts(stored(name)[0]), levels, of_parts)
     mixseq.save(tmp_path / "coded.h5", coded)
     model = mixseq.load(tmp_path / "coded.h5")
     assert isinstance(model, CompressedModel)
@@ -173,8 +221,10 @@ def test_files(tmp_path: Path, name: str, levels: int) -> None:
     np.testing.assert_array_equal(playback.curve.values, expected.curve.values)
     lower = replace(playback, inbetweens=playback.inbetweens[:-1]).curve
     middles = insert_midpoints(playback.times) if levels == 1 else insert_midpoints(lower.times)
-    offsets = (playback.curve.values - lower(middles))[1::2].reshape(-1, *playback.coefficients.shape[1:])
-    steps = offsets * playback.basis.norms[playback.basis.varying, None] / (2 * coded.parameters.step)
+    basis = playback.inbetween_basis
+    offsets = (playback.curve.values - lower(middles))[1::2, -np.prod(basis.coefficient_shape) :]
+    steps = offsets.reshape(-1, *basis.coefficient_shape) * basis.norms[basis.varying, None]
+    steps /= 2 * coded.parameters.step
     assert np.abs(steps).max() == pytest.approx(9, abs=1)
     np.testing.assert_allclose(64 * steps, np.rint(64 * steps), atol=1e-3)
 
@@ -190,6 +240,38 @@ def test_levels_and_step_come_together(coded: CompressedSequence) -> None:
         replace(coded.parameters, inbetween_step=None)
     with pytest.raises(SettingsError, match="inbetween_step"):
         replace(coded.parameters, inbetween_step=0.0)
+
+
+@pytest.mark.parametrize("value", [False, 1, "parts"])
+def test_wrong_bases_are_refused(coded: CompressedSequence, value: Any) -> None:
+    with pytest.raises(SettingsError, match="inbetween_parts"):
+        replace(coded.parameters, inbetween_parts=value)
+    plain = replace(coded.parameters, inbetween_levels=None, inbetween_step=None, inbetween_parts=None)
+    with pytest.raises(SettingsError, match="inbetween_parts is True; true is expected, beside inbetween_levels"):
+        replace(plain, inbetween_parts=True)
+
+
+def test_parts_without_labels_are_refused() -> None:
+    coded = with_random_inbetweens(with_parts(stored("parts")[0]), 1, of_parts=True)
+    with pytest.raises(FormatError, match="in-betweens are of parts, and no triangle has a label"):
+        decode(replace(coded, parts=None))
+
+
+def test_affine_fields_are_orthogonal_and_leave_out_what_is_flat() -> None:
+    points, labels = np.random.default_rng(0).normal(size=(12, 3)), np.repeat([0, 1, 2], [7, 4, 1])
+    points[7:11, 2] = 5.0
+    basis = affine_basis(points, labels, 1.0)
+    assert basis.part_ids.tolist() == [0, 1, 2, 0, 0, 0, 1, 1]
+    for part in basis.part_bases:
+        gram = part.vectors[:, 0] @ part.vectors[:, 0].T
+        np.testing.assert_allclose(gram, np.diag(np.diag(gram)), atol=1e-12)
+    own = basis.part_bases[0].vectors[:, 0]
+    np.testing.assert_allclose(own.T @ np.linalg.lstsq(own.T, points[:7], rcond=None)[0], points[:7], atol=1e-12)
+
+
+def test_vertices_have_the_label_of_most_triangles() -> None:
+    faces = np.array([[0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4, 5]])
+    assert label_vertices(np.array([0, 1, 3, 3]), faces, 7).tolist() == [0, 0, 0, 1, 1, 1, 0]
 
 
 @pytest.mark.parametrize("error", [-1.0, np.inf, "1"])

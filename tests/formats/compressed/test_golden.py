@@ -6,6 +6,7 @@ from dataclasses import replace
 from math import inf
 
 import numpy as np
+import pytest
 
 import mixseq
 from mixseq.compression.compressed_model import CompressedModel
@@ -56,8 +57,9 @@ def test_what_the_golden_file_says_of_the_time_between_frames_still_holds() -> N
     assert 0 < coded.between.length < inf
 
 
-def test_what_the_golden_file_says_of_inbetweens_still_holds() -> None:
-    path = GOLDEN / "compressed-v1-inbetweens.h5"
+@pytest.mark.parametrize("name", ["inbetweens", "parts"])
+def test_what_the_golden_file_says_of_inbetweens_still_holds(name: str) -> None:
+    path = GOLDEN / f"compressed-v1-{name}.h5"
     model = mixseq.load(path)
     assert isinstance(model, CompressedModel)
     with np.load(path.with_suffix(".npz")) as expected:
@@ -65,6 +67,7 @@ def test_what_the_golden_file_says_of_inbetweens_still_holds() -> None:
             points = expected["points" if times == "times" else "between"]
             np.testing.assert_allclose(model.playback.sample(expected[times]).points, points, atol=1e-9)
     assert len(model.playback.inbetweens) == 2
+    assert (model.playback.parts_basis is None) == (name == "inbetweens")
 
 
 def test_the_golden_glb_has_text_and_streams_of_the_golden_file() -> None:

@@ -37,7 +37,7 @@ def test_the_file_says_what_it_is(h5: Path) -> None:
         assert file.attrs["version"] == COMPRESSED_VERSION
         assert list(file) == ["streams"]
         facts = json.loads(file.attrs["coding"])
-    without = ("ranks", "uv_steps", "uv_error", "origin")
+    without = ("ranks", "uv_steps", "uv_error", "origin", "inbetween_parts")
     assert facts["coding"] == {name: value for name, value in asdict(PARAMETERS).items() if name not in without}
     assert (facts["name"], facts["frame_count"], facts["polygon_count"]) == ("Füchsin", 14, 150)
     assert facts["between"] == {"length": 2.8, "cubic": [1 / 3, 0.1 + 0.2]}

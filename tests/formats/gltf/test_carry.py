@@ -523,5 +523,5 @@ def test_horns_that_hang_on_a_bone(data: Path) -> None:
     assert got.name == "RootNode"
     # The horns touch the head in all frames.
     horns, body = got.points[:, :818], got.points[:, 818:]
-    gaps = [KDTree(one).query(two)[0].min() for one, two in zip(horns, body, strict=True)]
+    gaps = [np.min(KDTree(one).query(two)[0]) for one, two in zip(horns, body, strict=True)]
     assert max(gaps) < 0.1
