@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -123,6 +124,8 @@ def command(
     if whole_stage:
         writing = writing | {"whole_stage": True}
     keys = None if retime is None else read_retiming_keys(retime)
+    points: Iterator[FloatArray]
+    speeds: Iterator[FloatArray] | None = None
     with workers as work, progress_bar(quiet) as progress, ExitStack() as opened:
         if new_rate is not None:
             read = mixseq.open_sequence
@@ -145,7 +148,7 @@ def command(
             if velocities:
                 points, speeds = unzip_blocks(planned.moving_blocks(progress=progress, workers=work))
             else:
-                points, speeds = planned.blocks(progress=progress, workers=work), None
+                points = planned.blocks(progress=progress, workers=work)
             write_sequence(target, planned.header, points, speeds, writing, planned.sources)
             rows = _rows(planned, "shutter" in sampling)
             if not quiet and "shutter" not in sampling:

@@ -153,7 +153,9 @@ def _frame_count(start: float, end: float, fps: float) -> int:
     return int(last) + 1
 
 
-def conform_frames(frames: Frames, fps: float) -> tuple[SequenceHeader, Iterator[FloatArray], Iterator[Float] | None]:
+def conform_frames(
+    frames: Frames, fps: float
+) -> tuple[SequenceHeader, Iterator[FloatArray], Iterator[FloatArray] | None]:
     """Return the header, points and stored velocities of the same frames, with the same numbers, at another rate."""
     if not (np.isfinite(float(fps)) and fps > 0):
         raise SettingsError(f"conform is {fps}; a positive number of frames per second is expected")
@@ -279,5 +281,5 @@ def resample(
     planned = plan(motion, fps, start, end, speed, reverse, retiming, hold=hold, shutter=samples)
     if not velocities:
         return join_blocks(planned.header, planned.blocks(progress=progress))
-    points, rates = zip(*planned.moving_blocks(progress=progress), strict=True)
-    return MeshSequence.from_header(planned.header, np.concatenate(points), np.concatenate(rates))
+    moved, rates = zip(*planned.moving_blocks(progress=progress), strict=True)
+    return MeshSequence.from_header(planned.header, np.concatenate(moved), np.concatenate(rates))
