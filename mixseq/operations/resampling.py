@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from mixseq.errors import SettingsError
 from mixseq.operations.retiming import Retiming
 from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.frame_rates import FRAME_ROUNDING, FRAME_TOLERANCE, snap_to_ntsc
 from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
 from mixseq.sequence.provenance import as_edited
@@ -122,13 +123,13 @@ def vertex_motion(model: Model, progress: Progress = no_progress) -> Decodable:
 
 @public
 def resample(
-    source: Model | Frames,
+    source: FileOr[Model | Frames],
     fps: float | None = None,
     start: float | None = None,
     end: float | None = None,
     speed: float = 1.0,
     reverse: bool = False,
-    retiming: Retiming | None = None,
+    retiming: FileOr[Retiming] | None = None,
     *,
     velocities: bool = False,
     between: BetweenName = "auto",
@@ -185,6 +186,8 @@ def resample(
     >>> slow.frame_count, slow.points[1, 0].round(9).tolist(), slow.velocities[1, 0].round(6).tolist()
     (9, [0.5, 0.5, 0.5], [12.0, 12.0, 12.0])
     """
+    source = cast("Model | Frames", source)
+    retiming = cast("Retiming | None", retiming)
     motion: Decodable
     if isinstance(source, Model) and (between, cuts) == ("vertices", "auto"):
         motion = vertex_motion(source, progress)

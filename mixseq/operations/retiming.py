@@ -20,7 +20,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,7 +34,7 @@ from mixseq.operations.sections import (
     signal_norms,
     strictly_between,
 )
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.runtime.text_files import read_text
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import frame_times
@@ -161,7 +161,7 @@ def _linear_map(origin: float, slope: float) -> PPoly:
 
 
 @public
-def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
+def retime(model: Model, keys: FileOr[ArrayLike], smooth: bool = True) -> Model:
     """Retime a model by a map of time: play it faster, slower or backwards, or freeze it.
 
     `mixseq.operations.resample` with a `Retiming` does the same, but returns a sequence.
@@ -185,6 +185,7 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     SettingsError
         If the keys are not a valid retiming, contain times outside the model, or result in too many frames.
     """
+    keys = cast("ArrayLike", keys)
     points = np.asarray(keys, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2:
         raise SettingsError(

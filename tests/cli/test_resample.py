@@ -255,7 +255,7 @@ def test_velocities_that_cannot_be_held(run: Run, command: str) -> None:
             "model.h5 old.npz --start 0.12 --end 0.18",
             "no frame of 10 frames per second is from 0.12 to 0.18 s",
         ),
-        ("model.h5 old.npz --retime none.csv", "none.csv cannot be read: No such file"),
+        ("model.h5 old.npz --retime none.csv", "none.csv does not exist"),
         ("model.h5 old.npz --retime notes.txt", "notes.txt, line 1: 'no mesh' is not a point of a retiming"),
         (
             "model.h5 old.npz --retime far.csv",
