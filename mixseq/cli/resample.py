@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mixseq.runtime.progress import Progress
     from mixseq.sequence.sequence import Rig
     from mixseq.signals.decoding import Decodable
+    from mixseq.types import FloatArray
 
 
 @options.command(
