@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from itertools import chain, islice
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from mixseq.mesh.polygons import match_triangles
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, reference_diagonal
@@ -110,7 +110,7 @@ class Comparison:
 
 
 @public
-def compare(a: Frames, b: Frames) -> Comparison:
+def compare(a: FileOr[Frames], b: FileOr[Frames]) -> Comparison:
     """Measure how far a sequence is from a reference.
 
     Both sequences may be larger than memory, see `mixseq.open_sequence`.
@@ -138,6 +138,8 @@ def compare(a: Frames, b: Frames) -> Comparison:
     >>> round(error.edge_strain.max, 9), round(error.volume.max, 9), round(error.dihedral_degrees.max, 9)
     (0.1, 0.331, 0.0)
     """
+    a = cast("Frames", a)
+    b = cast("Frames", b)
     a, _ = match_reference(a, b.header)
     header = a.header
     topology = Topology(header.faces, header.vertex_count)
@@ -183,7 +185,9 @@ def compare(a: Frames, b: Frames) -> Comparison:
 
 
 @public
-def measure_between(source: Model | Frames, delivery: Model | Frames, progress: Progress = no_progress) -> float:
+def measure_between(
+    source: FileOr[Model | Frames], delivery: FileOr[Model | Frames], progress: Progress = no_progress
+) -> float:
     """Measure how far a file is from its source between frames, as it is played.
 
     Players interpolate a rig as its file says, other points along straight lines. Compressed models are played by the
@@ -216,6 +220,8 @@ def measure_between(source: Model | Frames, delivery: Model | Frames, progress: 
     >>> mixseq.measure_between("arm.h5", "arm.h5")
     0.0
     """
+    source = cast("Model | Frames", source)
+    delivery = cast("Model | Frames", delivery)
     motion = as_motion(source, progress)
     times = quarter_times(delivery.header.times)
     vertices = _match_mesh(motion.header, delivery.header).vertices

@@ -263,3 +263,11 @@ def coarse_walk(frames: int, fps: float = 24.0) -> MeshSequence:
     with MonkeyPatch.context() as patch:
         patch.setattr(creature, "CELL_METRES", COARSE_CELL_METRES)
         return creature.walk_cycle(frames, fps)
+
+
+def coarse_bones() -> list[str]:
+    """The bone of every vertex of that fox."""
+    with MonkeyPatch.context() as patch:
+        patch.setattr(creature, "CELL_METRES", COARSE_CELL_METRES)
+        part, names = creature.part_of_vertex()
+    return [names[bone] for bone in part]

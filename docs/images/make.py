@@ -23,6 +23,7 @@ from mixseq.compression.bitstream.compressed_sequence import decode_basis
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.creature import part_of_vertex, walk_cycle
 from mixseq.mesh.rotations import rotvec_to_matrix
+from mixseq.mesh.triangle_mesh import area_normals
 from mixseq.operations import (
     blend,
     concatenate,
@@ -44,7 +45,7 @@ from mixseq.operations import (
 from mixseq.pictures.charts import FAINT_COLOUR, LINE_COLOURS, chart_style, draw_embedding, import_matplotlib, new_page
 from mixseq.pictures.colours import JOINT_RED, segmentation_colours
 from mixseq.pictures.models import plot_model
-from mixseq.pictures.raster import area_normals, draw_mesh
+from mixseq.pictures.raster import draw_mesh
 from mixseq.pictures.scene import CLAY_COLOUR, INK_COLOUR, three_quarter_view
 from mixseq.pictures.scene import shared_limits as limits_of
 from mixseq.pictures.sheets import (

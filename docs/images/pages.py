@@ -17,7 +17,8 @@ from mixseq.creature import walk_cycle
 from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.signals.model import Model
-from mixseq.viewer.live.viewer import ViewSettings, run_viewer
+from mixseq.viewer.live import ViewSettings
+from mixseq.viewer.live.viewer import run_viewer
 
 HERE = Path(__file__).parent
 SIZE = {"width": 1280, "height": 800}

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from mixseq.errors import (
     OutputError,
     SettingsError,
 )
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence, join_blocks
@@ -381,7 +381,7 @@ def read(path: PathLike, **options: Any) -> MeshSequence:
 
 
 @public
-def write(path: PathLike, sequence: MeshSequence | Model, **options: Any) -> None:
+def write(path: PathLike, sequence: FileOr[MeshSequence | Model], **options: Any) -> None:
     """Write a sequence or the frames of a model; errors and warnings are those of `write_blocks`.
 
     Parameters
@@ -398,6 +398,7 @@ def write(path: PathLike, sequence: MeshSequence | Model, **options: Any) -> Non
     >>> import mixseq
     >>> mixseq.write("arm.npz", mixseq.read("arm.usdc"))
     """
+    sequence = cast("MeshSequence | Model", sequence)
     if not isinstance(sequence, MeshSequence):
         sequence = sequence.sample()
     velocities = None if sequence.velocities is None else [sequence.velocities]

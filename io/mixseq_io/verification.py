@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.polygons import match_polygons
 from mixseq.metrics import match_reference, paired_blocks
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance, frames_checksum
 from mixseq.sequence.sequence import Frames, LazyFrames, check_frames, reference_diagonal
@@ -141,7 +141,7 @@ class Verification:
 @public
 def verify(
     path: PathLike,
-    original: Frames | None = None,
+    original: FileOr[Frames] | None = None,
     progress: Progress = no_progress,
     *,
     script: PathLike | None = None,
@@ -176,6 +176,7 @@ def verify(
     >>> mixseq.verify("small.h5", "arm.usdc").max_error <= 1e-3
     True
     """
+    original = cast("Frames | None", original)
     file = Path(path)
     sequence = read_compressed(file) if is_compressed(file) else None
     model = load(file) if sequence is None else decode_model(file, sequence)

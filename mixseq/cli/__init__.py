@@ -8,7 +8,7 @@ from __future__ import annotations
 import click
 
 import mixseq
-from mixseq.cli.group import LazyGroup, max_memory
+from mixseq.cli.group import LazyGroup
 from mixseq.cli.options import examples
 
 
@@ -22,7 +22,6 @@ from mixseq.cli.options import examples
         "Check": ("compare", "verify"),
         "Prepare": ("warm-up",),
     },
-    shared=(max_memory,),
     epilog=examples("mixseq demo", "mixseq encode walk.usdc walk.h5", "mixseq decode walk.h5 walk48.usdc --fps 48"),
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},

@@ -23,7 +23,7 @@ import click
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.compressed import aiming, compressed
+from mixseq.cli.encode import aiming, compressed
 from mixseq.cli.files import Claim, check_options, decoded, is_model, options_of, overwriting
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.group import format_bytes, length_text, print_table, printable, progress_bar, say
@@ -45,15 +45,52 @@ if TYPE_CHECKING:
     from mixseq.runtime.parallel import Executor
 
 
-@dataclass(frozen=True)
-class Asset:
-    """A sequence to encode."""
+TABLE_HEADINGS = ("asset", "frames", "vertices", "time", "max error", "KG error", "size", "bits", "")
 
-    # File, or pattern of numbered files; absolute, as other processes may have a different working directory.
-    source: Path
-    target: Path  # absolute path of the model to write
-    size: int  # total bytes of the source files
-    signature: str  # hash of the names, sizes and modification times of the source files
+_INPUTS = ("source", "target", "source_bytes", "source_signature", "settings")
+"""Fields of an `Entry` on which its result depends."""
+
+Settings = Mapping[str, Any]
+"""JSON settings of `mixseq.fit`, with `mixseq.compress` settings in ``aim`` and reader settings in ``reading``."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A sequence to encode, and the result."""
+
+    # File, or pattern of numbered files; paths are absolute, as other processes may have a different working directory.
+    source: str
+    target: str  # path of the model to write
+    source_bytes: int  # total size of the source files
+    source_signature: str  # hash of the names, sizes and modification times of the source files
+    settings: Settings  # settings of the encoding
+    state: Literal["done", "failed", "left"] = "left"  # left: not started
+    frames: int | None = None  # number of frames
+    vertices: int | None = None  # number of vertices
+    seconds: float | None = None  # duration of the encoding, without the comparison
+    max_error: float | None = None  # largest vertex error of the decoded model, in diagonals
+    diagonal: float | None = None  # diagonal of the first frame, in metres
+    kg_percent: float | None = None  # Karni-Gotsman error
+    bytes: int | None = None  # size of the model
+    target_signature: str | None = None  # hash of the name, size and modification time of the last model written
+    bits: float | None = None  # size of the model in bits per vertex and frame
+    history: str = ""  # what the model comes from and how far it is from it, see `mixseq.sequence.provenance`
+    message: str = ""  # reason of a failure
+    warnings: tuple[str, ...] = field(default=())  # warnings while reading
+
+    @property
+    def model(self) -> Path:
+        """Path of the model."""
+        return Path(self.target)
+
+    def holds_for(self, asset: Entry) -> bool:
+        """Return whether the entry is a valid result: equal source and settings, and the model still exists."""
+        is_same = all(getattr(self, name) == getattr(asset, name) for name in _INPUTS)
+        return self.state == "done" and is_same and self.is_unchanged()
+
+    def is_unchanged(self) -> bool:
+        """Return whether the model has the size and modification time that the batch has written."""
+        return self.model.is_file() and _size_and_hash([self.model])[1] == self.target_signature
 
 
 def find_sources(paths: Iterable[Path]) -> list[Path]:
@@ -81,7 +118,7 @@ def files_of(source: Path) -> list[Path]:
     return [source] if source.exists() else [file for _, file in find_numbered_files(source)]
 
 
-def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str]) -> tuple[Asset, ...]:
+def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str], settings: Settings) -> tuple[Entry, ...]:
     """Choose model paths: ``walk.h5`` for ``walk.usdc``, or ``walk.usdc.h5`` if several sources are named walk."""
     taken = {name.casefold() for name in names.values()}
     stems = Counter(stem_of(source).casefold() for source in sources if str(source) not in names)
@@ -101,7 +138,7 @@ def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str]) -> tuple[
         target = out.resolve() / name
         if target in sources:
             raise OutputError(f"{target} is a source itself and would be lost; give another --out")
-        assets.append(Asset(source, target, *_size_and_hash(files_of(source))))
+        assets.append(Entry(str(source), str(target), *_size_and_hash(files_of(source)), settings))
     return tuple(assets)
 
 
@@ -165,52 +202,6 @@ def _is_model(file: Path) -> bool:
     return False
 
 
-TABLE_HEADINGS = ("asset", "frames", "vertices", "time", "max error", "KG error", "size", "bits", "")
-
-
-@dataclass(frozen=True)
-class Entry:
-    """The result of encoding an asset."""
-
-    source: str  # absolute path of the sequence, or pattern of its numbered files
-    target: str  # absolute path of the model
-    source_bytes: int  # total size of the source files
-    source_signature: str  # hash of the names, sizes and modification times of the source files
-    settings: Mapping[str, Any]  # settings of the encoding
-    state: Literal["done", "failed", "left"] = "left"  # left: not started
-    frames: int | None = None  # number of frames
-    vertices: int | None = None  # number of vertices
-    seconds: float | None = None  # duration of the encoding, without the comparison
-    max_error: float | None = None  # largest vertex error of the decoded model, in diagonals
-    diagonal: float | None = None  # diagonal of the first frame, in metres
-    kg_percent: float | None = None  # Karni-Gotsman error
-    bytes: int | None = None  # size of the model
-    target_signature: str | None = None  # hash of the name, size and modification time of the last model written
-    bits: float | None = None  # size of the model in bits per vertex and frame
-    history: str = ""  # what the model comes from and how far it is from it, see `mixseq.sequence.provenance`
-    message: str = ""  # reason of a failure
-    warnings: tuple[str, ...] = field(default=())  # warnings while reading
-
-    @classmethod
-    def of(cls, asset: Asset, settings: Mapping[str, Any], **result: Any) -> Entry:
-        """Make the entry of an asset, by default not started."""
-        return cls(str(asset.source), str(asset.target), asset.size, asset.signature, settings, **result)
-
-    def holds_for(self, asset: Asset, settings: Mapping[str, Any]) -> bool:
-        """Return whether the entry is a valid result: equal source and settings, and the model still exists."""
-        same = Entry.of(asset, settings)
-        inputs = ("source", "target", "source_bytes", "source_signature", "settings")
-        return (
-            self.state == "done"
-            and all(getattr(self, name) == getattr(same, name) for name in inputs)
-            and self.is_unchanged(asset.target)
-        )
-
-    def is_unchanged(self, target: Path) -> bool:
-        """Return whether a file has the size and modification time of the model that the batch wrote."""
-        return target.is_file() and _size_and_hash([target])[1] == self.target_signature
-
-
 @dataclass(frozen=True)
 class Report:
     """Entries by source path, and whether the batch is complete."""
@@ -222,28 +213,24 @@ class Report:
         """Return the report with the given entry replaced or added."""
         return replace(self, entries={**self.entries, entry.source: entry})
 
-    def of(self, assets: Iterable[Asset]) -> Report:
+    def of(self, assets: Iterable[Entry]) -> Report:
         """Return the report of the given assets only, in the given order."""
-        return replace(self, entries={key: self.entries[key] for key in (str(a.source) for a in assets)})
+        return replace(self, entries={asset.source: self.entries[asset.source] for asset in assets})
 
     def without_lost(self) -> Report:
         """Return the report without entries whose source files no longer exist; their models are not deleted."""
         return replace(self, entries={key: entry for key, entry in self.entries.items() if files_of(Path(key))})
 
-    def of_others(self, assets: Iterable[Asset], folder: Path) -> list[Path]:
+    def of_others(self, assets: Iterable[Entry], folder: Path) -> list[Path]:
         """Return files that the batch would replace in a folder, but did not write itself or were modified since."""
-        replaced = [folder / asset.target.name for asset in assets if asset.target.exists() and not self._made(asset)]
+        replaced = [folder / asset.model.name for asset in assets if asset.model.exists() and not self._made(asset)]
         table = folder / "report.md"
         return replaced + [table] * (table.exists() and not (folder / "report.json").exists())
 
-    def _made(self, asset: Asset) -> bool:
+    def _made(self, asset: Entry) -> bool:
         """Return whether the model of an asset is unchanged since a batch wrote it."""
-        entry = self.entries.get(str(asset.source))
-        return (
-            entry is not None
-            and entry.target == str(asset.target)
-            and (entry.state == "left" or entry.is_unchanged(asset.target))
-        )
+        entry = self.entries.get(asset.source)
+        return entry is not None and entry.target == asset.target and (entry.state == "left" or entry.is_unchanged())
 
     def count(self, state: str) -> int:
         """Return the number of entries in a state."""
@@ -296,7 +283,7 @@ def rows(entries: Iterable[Entry]) -> list[tuple[str, ...]]:
 
     return [
         (
-            Path(entry.target).stem,
+            entry.model.stem,
             shown(entry.frames, "{:,}"),
             shown(entry.vertices, "{:,}"),
             shown(entry.seconds, "{:.1f} s"),
@@ -327,8 +314,8 @@ def in_markdown(report: Report) -> str:
         "Times are those of encoding. Errors are of all decoded frames: the largest of a vertex, and the one of Karni",
         "and Gotsman. Bits are per vertex and frame.",
     ]
-    lines += [_plain(f"- {Path(each.target).stem}: {each.history}") for each in entries if ", which" in each.history]
-    messages = [_plain(f"- {Path(entry.target).stem}: {each}") for entry in entries for each in entry.warnings]
+    lines += [_plain(f"- {each.model.stem}: {each.history}") for each in entries if ", which" in each.history]
+    messages = [_plain(f"- {entry.model.stem}: {each}") for entry in entries for each in entry.warnings]
     return "\n".join([*lines, *(["", "## Warnings", "", *messages] if messages else [])]) + "\n"
 
 
@@ -337,31 +324,27 @@ def _plain(text: str) -> str:
     return escape(printable(text), quote=False)
 
 
-Settings = Mapping[str, Any]
-"""JSON settings of `mixseq.fit`, with `mixseq.compress` settings in ``aim`` and reader settings in ``reading``."""
-
-Work = Callable[[Settings, Iterable[Asset]], Iterator[tuple[Asset, Callable[[], Entry]]]]
-"""Function that encodes assets and yields each finished asset with a function that returns its entry."""
+Work = Callable[[Sequence[Entry]], Iterator[tuple[Entry, Callable[[], Entry]]]]
+"""Function that encodes assets and yields each finished asset with a function that returns its result."""
 
 
-def run(assets: Iterable[Asset], settings: Settings, earlier: Report, out: Path, work: Work, force: bool) -> Report:
+def run(assets: Iterable[Entry], earlier: Report, out: Path, work: Work, force: bool) -> Report:
     """Encode the assets without valid results, and return the report; write it at the start and after every asset."""
     with _alone(out):
         pending = []
         entries: dict[str, Entry] = {}
         for asset in assets:
-            before = earlier.entries.get(str(asset.source))
-            if before is None or force or not before.holds_for(asset, settings):
-                pending.append(asset)
-                before = Entry.of(asset, settings, target_signature=before and before.target_signature)
-            entries[before.source] = before
+            before = earlier.entries.get(asset.source)
+            if before is None or force or not before.holds_for(asset):
+                before = replace(asset, target_signature=before.target_signature if before else None)
+                pending.append(before)
+            entries[asset.source] = before
         report = Report(entries | {key: entry for key, entry in earlier.entries.items() if key not in entries})
         write_report(out, report)
-        for asset, result in work(settings, pending):
-            signature = entries[str(asset.source)].target_signature
-            report = report.with_entry(_entry(asset, settings, result, signature))
+        for asset, result in work(pending):
+            report = report.with_entry(_entry(asset, result))
             write_report(out, report)
-        report = replace(report, finished=not report.of(assets).count("left"))
+        report = replace(report, finished=not report.of(entries.values()).count("left"))
         write_report(out, report)
         return report
 
@@ -386,25 +369,23 @@ def _alone(out: Path) -> Iterator[None]:
         os.close(folder)
 
 
-def _entry(asset: Asset, settings: Settings, result: Callable[[], Entry], signature: str | None) -> Entry:
+def _entry(asset: Entry, result: Callable[[], Entry]) -> Entry:
     try:
         entry = result()
     except GivenUpError as error:
-        entry = Entry.of(asset, settings, state="failed", message=str(error))
-    if entry.state == "failed" and asset.target.exists():
-        message = f"{entry.message}; an older model is left at {asset.target.name}"
-        return replace(entry, message=message, target_signature=signature)
+        entry = replace(asset, state="failed", message=str(error))
+    if entry.state == "failed" and asset.model.exists():
+        return replace(entry, message=f"{entry.message}; an older model is left at {asset.model.name}")
     return entry
 
 
 def in_turn(workers: Executor, progress: Progress) -> Work:
     """Return a function that encodes assets locally, one after the other, with frames distributed over `workers`."""
 
-    def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
-        pending = list(assets)
-        for number, asset in enumerate(pending, start=1):
-            place = f"asset {number} of {len(pending)}, {asset.target.stem}"
-            entry = encode_asset(settings, asset, workers, _naming(place, progress))
+    def work(assets: Sequence[Entry]) -> Iterator[tuple[Entry, Callable[[], Entry]]]:
+        for number, asset in enumerate(assets, start=1):
+            place = f"asset {number} of {len(assets)}, {asset.model.stem}"
+            entry = encode_asset(workers, asset, _naming(place, progress))
             yield asset, lambda entry=entry: entry  # type: ignore[misc]
 
     return work
@@ -413,12 +394,11 @@ def in_turn(workers: Executor, progress: Progress) -> Work:
 def on_cluster(cluster: ClusterExecutor, progress: Progress) -> Work:
     """Return a function that encodes assets on a cluster, with one worker per asset."""
 
-    def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
-        pending = list(assets)
-        progress(0, len(pending), "encoding assets")
-        for done, item in enumerate(cluster.as_completed(encode_asset, settings, pending), start=1):
+    def work(assets: Sequence[Entry]) -> Iterator[tuple[Entry, Callable[[], Entry]]]:
+        progress(0, len(assets), "encoding assets")
+        for done, item in enumerate(cluster.as_completed(encode_asset, None, assets), start=1):
             yield item
-            progress(done, len(pending), "encoding assets")
+            progress(done, len(assets), "encoding assets")
 
     return work
 
@@ -427,16 +407,14 @@ def _naming(place: str, progress: Progress) -> Progress:
     return lambda done, total, what: progress(done, total, f"{place}: {what}")
 
 
-def encode_asset(
-    settings: Settings, asset: Asset, workers: Executor | None = None, progress: Progress = no_progress
-) -> Entry:
+def encode_asset(workers: Executor | None, asset: Entry, progress: Progress = no_progress) -> Entry:
     """Encode an asset, compare the decoded model with it, and move the model to its path; store errors in the entry."""
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", MixseqWarning)
-            result = _encode(settings, asset, workers, progress)
+            result = _encode(asset, workers, progress)
         messages = tuple(str(each.message) for each in caught if issubclass(each.category, MixseqWarning))
-        return Entry.of(asset, settings, state="done", warnings=messages, **result)
+        return replace(asset, state="done", warnings=messages, **result)
     except MixseqError as error:
         message = str(error)
     except OSError as error:
@@ -446,17 +424,17 @@ def encode_asset(
     except Exception as error:
         # A bug in mixseq; the batch continues with the next asset.
         message = f"a bug in mixseq, {type(error).__name__}: {error}; `mixseq encode` prints more, please report it"
-    return Entry.of(asset, settings, state="failed", message=" ".join(message.split()))
+    return replace(asset, state="failed", message=" ".join(message.split()))
 
 
-def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress: Progress) -> dict[str, Any]:
+def _encode(asset: Entry, workers: Executor | None, progress: Progress) -> dict[str, Any]:
     from mixseq.runtime.parallel import serial_executor
     from mixseq_io.files import atomic_file
 
-    mapped = workers or serial_executor
-    reading = options_of(asset.source, settings["reading"])
+    mapped, settings, source = workers or serial_executor, asset.settings, Path(asset.source)
+    reading = options_of(source, settings["reading"])
     fitting = {name: value for name, value in settings.items() if name not in ("reading", "aim")}
-    with mixseq.open_sequence(asset.source, **reading) as reader, atomic_file(asset.target) as file:
+    with mixseq.open_sequence(source, **reading) as reader, atomic_file(asset.model) as file:
         start = perf_counter()
         if "aim" in settings:
             mixseq.save(file, compressed(reader, settings["aim"], progress))
@@ -466,7 +444,7 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
         seconds = perf_counter() - start
         model = mixseq.load(file)
         error = mixseq.compare(reader, decoded(model, progress, mapped))
-    size, signature = _size_and_hash([asset.target])
+    size, signature = _size_and_hash([asset.model])
     return {
         "frames": error.frames,
         "vertices": error.vertices,
@@ -527,9 +505,9 @@ def command(
     read_with = {name: str(value.resolve()) if isinstance(value, Path) else value for name, value in reading.items()}
     settings = {**({"aim": aim} if aim else fitting), "reading": read_with}
     earlier = read_report(out).without_lost()
-    names = {source: Path(entry.target).name for source, entry in earlier.entries.items()}
-    assets = plan(find_sources(caches), out, names)
-    check_options((asset.source for asset in assets), reading, "none of the sequences is")
+    names = {source: entry.model.name for source, entry in earlier.entries.items()}
+    assets = plan(find_sources(caches), out, names, settings)
+    check_options((Path(asset.source) for asset in assets), reading, "none of the sequences is")
     claim.permit(earlier.of_others(assets, out), unasked=False)
     try:
         out.mkdir(exist_ok=True)
@@ -537,7 +515,7 @@ def command(
         raise OutputError(f"cannot make the folder {out}: {error.strerror}; choose another one") from error
     with workers as mapped, progress_bar(quiet) as progress:
         work = on_cluster(mapped, progress) if isinstance(mapped, ClusterExecutor) else in_turn(mapped, progress)
-        report = run(assets, settings, earlier, out.resolve(), work, force)
+        report = run(assets, earlier, out.resolve(), work, force)
     results = report.of(assets)
     if not quiet:
         print_table(rows(results.entries.values()), TABLE_HEADINGS)

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.compressed import history_rows
-from mixseq.cli.files import MODEL_EXTENSIONS, Claim, check_target, overwriting, write_frames
+from mixseq.cli.files import MODEL_EXTENSIONS, Claim, check_target, history_rows, overwriting, write_frames
 from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.errors import SettingsError
 

@@ -1,7 +1,8 @@
-"""Implement the command ``mixseq encode``."""
+"""Implement the command ``mixseq encode``, and the options of compression that ``mixseq batch`` shares."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from time import perf_counter
@@ -10,19 +11,97 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
-from mixseq.choices import POSE_FORMS, STILLS, PoseForm, StillName
+from mixseq.choices import ORDERS, POSE_FORMS, STILLS, PoseForm, StillName
 from mixseq.cli import files, options
-from mixseq.cli.compressed import aiming, coding_facts, coding_rows, compressed, history_rows
-from mixseq.cli.group import announce, length_text, print_table, progress_bar
-from mixseq.cli.info import bytes_of_frames, dimension_rows, size_row
+from mixseq.cli.group import announce, as_bytes, length_text, print_table, progress_bar
+from mixseq.cli.info import bytes_of_frames, coding_facts, coding_rows, dimension_rows, size_row
 from mixseq.cli.options import in_diagonals
-from mixseq.errors import OutputError
+from mixseq.errors import OutputError, SettingsError
 
 if TYPE_CHECKING:
     from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
     from mixseq.metrics import Comparison
     from mixseq.runtime.parallel import Executor
+    from mixseq.runtime.progress import Progress
+    from mixseq.sequence.sequence import Frames
     from mixseq.signals.model import Model
+
+
+_OF_FITTING = (
+    *("exact", "tolerance", "rank", "space", "segmentation", "joint_width", "placement"),
+    *("projection", "volume", "knots", "pose", "between", "cuts"),
+)
+"""Options of ``mixseq encode`` that apply only to uncompressed models."""
+
+
+def _aim(uvs: bool = True, inbetweens: bool = True, between_frames: bool = False, **parameters: Any) -> dict[str, Any]:
+    """Return the parameters of `mixseq.compress`, empty without a target; raise an error for contradicting options."""
+    targets = options.given_options("max_error", "kg", "size")
+    if len(targets) > 1:
+        raise SettingsError(f"give one of {' and '.join(targets)}, not {len(targets)}: each follows from the other")
+    if "max_error" not in parameters:
+        options.refuse("between_frames", why="is about --max-error; give both")
+    if not targets:
+        options.refuse(
+            *("uv_error", "uvs", "order", "chunk", "inbetweens"),
+            why="is for compressed models; give --max-error, --kg or --size, too",
+        )
+        return {}
+    options.refuse(*_OF_FITTING, why=f"is for models that are not compressed; leave it out, or leave out {targets[0]}")
+    parameters |= {"between_frames": True} if between_frames else {}
+    switches = {"uvs": uvs, "inbetweens": inbetweens}
+    return parameters | {name: False for name, is_on in switches.items() if not is_on}
+
+
+aiming = options.group(
+    "aim",
+    options.length(
+        "--max-error X",
+        help="Compress: no vertex of any frame is farther off than this fraction of the bounding box's diagonal, or "
+        "0.5mm.",
+    ),
+    options.flag(
+        "--between-frames",
+        help="Keep --max-error between frames, too: players are as near to the model, at quarters of a frame.",
+    ),
+    options.option("--kg X", type=options.POSITIVE_NUMBER, help="Compress, to a KG error of X percent."),
+    options.option("--size SIZE", type=as_bytes, help="Compress into 2MB, 500kB, 1.5MiB, ..."),
+    options.setting(
+        "--uv-error X",
+        type=click.FloatRange(min=0, max=0.25),
+        help="Compressed: u and v are off by X at most, 0 keeps all bits.  [default: 1/16 texel of 4096]",
+    ),
+    options.setting(
+        "--order",
+        type=click.Choice(ORDERS),
+        help="Compressed: what keeps its numbers, vertices and faces, vertices only, or neither.  [default: keep]",
+    ),
+    options.setting(
+        "--chunk N",
+        type=click.IntRange(min=16),
+        help="Compressed: about N frames can be decoded without others.  [default: 512]",
+    ),
+    options.setting("--uvs/--no-uvs", default=True, help="Compressed: keep texture coordinates."),
+    options.setting(
+        "--inbetweens/--no-inbetweens",
+        default=True,
+        help="Compressed: fit a model, so that players show its motion between frames; takes as long as a fit.",
+    ),
+    make=_aim,
+)
+"""Options for targets of compression; the argument ``aim`` gets the parameters of `mixseq.compress`."""
+
+
+def compressed(
+    frames: Frames, aim: Mapping[str, Any], progress: Progress, still: StillName | None = None
+) -> CompressedSequence:
+    """Compress a sequence to a target; a target size is the size of the file, a .glb if `still` is given."""
+    aim = in_diagonals(aim, frames, "max_error")
+    if "size" not in aim:
+        return mixseq.compress(frames, **aim, progress=progress)
+    from mixseq_io.coded.sizes import compress_to_size
+
+    return compress_to_size(frames, still=still, progress=progress, **aim)
 
 
 @options.command(
@@ -123,7 +202,7 @@ def command(
         else:
             sizes = target.stat().st_size, bytes_of_frames(model.header)
             rows = dict([*dimension_rows(model), size_row(*sizes)])
-        rows |= dict(history_rows(model.header))
+        rows |= dict(files.history_rows(model.header))
         rows["time"] = f"{seconds:.1f} s"
         if error is not None:
             length = length_text(error.max_error, error.diagonal * reader.header.metres_per_unit, digits=2)

@@ -19,7 +19,6 @@ import click
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.compressed import history_rows
 from mixseq.cli.group import length_text, printable
 from mixseq.errors import OutputError, SettingsError
 from mixseq.runtime.progress import Progress
@@ -39,6 +38,13 @@ if TYPE_CHECKING:
     from mixseq_io.reader import SequenceReader
     from mixseq_io.text.labels import Labels
 
+
+_ORDER_MESSAGES = {
+    "keep": "",
+    "vertices": "faces have other numbers than the original's",
+    "free": "vertices and faces have other numbers than the original's",
+}
+"""Messages about values of ``order`` that renumber vertices or faces."""
 
 MODEL_EXTENSIONS, GLB_EXTENSION = (".h5", ".hdf5"), ".glb"
 VAT_EXTENSION = ".vat"
@@ -102,6 +108,18 @@ def decoded(model: Model, progress: Progress, workers: Executor) -> LazyFrames:
     from mixseq.sequence.sequence import LazyFrames
 
     return LazyFrames(model.header, lambda _: model.blocks(model.times, progress=progress, workers=workers))
+
+
+def history_rows(header: SequenceHeader) -> list[tuple[str, str]]:
+    """Return table rows about what frames come from, how far they are from it, and what has other numbers there."""
+    if header.provenance is None:
+        return []
+    rows = {
+        "motion": header.provenance.events,
+        "history": str(header.provenance),
+        "order": _ORDER_MESSAGES[header.provenance.kept_order],
+    }
+    return [(name, text) for name, text in rows.items() if text]
 
 
 def time_rows(header: SequenceHeader) -> list[tuple[str, str]]:

@@ -121,10 +121,6 @@ def format_bytes(count: float) -> str:
     return f"{count:.0f} bytes"
 
 
-_REPORTED_UNITS = ("km", "m", "cm", "mm")
-"""Units of reported lengths, in descending order."""
-
-
 def length_text(fraction: float, diagonal: float, digits: int = 4) -> str:
     """Format a fraction of a diagonal, with the corresponding length in brackets; `diagonal` is in metres.
 
@@ -132,7 +128,7 @@ def length_text(fraction: float, diagonal: float, digits: int = 4) -> str:
     '0.0005 diagonals (0.9 mm)'
     """
     metres = fraction * diagonal
-    unit = next((name for name in _REPORTED_UNITS if metres >= UNITS[name]), "mm")
+    unit = next((name for name in ("km", "m", "cm", "mm") if metres >= UNITS[name]), "mm")
     return f"{fraction:.{digits}g} diagonals ({metres / UNITS[unit]:.3g} {unit})"
 
 
@@ -260,11 +256,9 @@ class LazyGroup(click.Group):
         self,
         package: str,
         sections: Mapping[str, tuple[str, ...]],
-        shared: Sequence[click.Option] = (),
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
-        self.shared = shared
         self._package = package
         self._sections = sections
 
@@ -277,7 +271,8 @@ class LazyGroup(click.Group):
         if cmd_name not in self.list_commands(ctx):
             return None
         command: click.Command = import_module(f"{self._package}.{cmd_name.replace('-', '_')}").command
-        command.params += [each for each in self.shared if each not in command.params]
+        if max_memory not in command.params:
+            command.params.append(max_memory)
         return command
 
     def resolve_command(

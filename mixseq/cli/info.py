@@ -1,20 +1,21 @@
-"""Implement the command ``mixseq info``."""
+"""Implement the command ``mixseq info``, and the tables about models that commands share."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.compressed import coding_facts, coding_rows, history_rows
-from mixseq.cli.files import is_model
-from mixseq.cli.group import format_bytes, print_json, print_table
+from mixseq.cli.files import history_rows, is_model
+from mixseq.cli.group import format_bytes, length_text, print_json, print_table
 from mixseq.sequence.frame_rates import format_frames, format_rate, time_to_number
 
 if TYPE_CHECKING:
+    from mixseq.compression.bitstream.compressed_sequence import CompressedSequence
     from mixseq.sequence.header import SequenceHeader
     from mixseq.signals.model import Model
 
@@ -58,6 +59,65 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
         print_json(facts | {"provenance": header.provenance and header.provenance.to_plain()})
     elif not quiet:
         print_table([*_rows(facts), *history_rows(header)])
+
+
+def coding_facts(path: Path, coded: CompressedSequence) -> dict[str, Any]:
+    """Return the size in bytes, bit rates and errors of a compressed model in a file."""
+    from mixseq_io.verification import compressed_sizes
+
+    sizes = compressed_sizes(path)
+    return {
+        "bytes": sizes,
+        "coding": {
+            **asdict(coded.parameters),
+            "order": coded.order,
+            "groups": len(coded.basis),
+            "chunks": len(coded.chunks),
+            "bits": {name: bits(sizes[name], coded.header) for name in ("signals", "total")},
+            "bits_of_motion": bits(sizes["signals"] - sizes["surface"] - sizes["uvs"], coded.header),
+        },
+    }
+
+
+def bits(size: int, header: SequenceHeader) -> float:
+    """Convert a size in bytes to bits per vertex and frame."""
+    return 8 * size / (header.vertex_count * header.frame_count)
+
+
+def coding_rows(facts: dict[str, Any], metres_per_unit: float) -> Rows:
+    """Return table rows for the result of `coding_facts`."""
+    sizes, coding = facts["bytes"], facts["coding"]
+    stated = "at most " if coding["promised"] else ""
+    components = [
+        ("connectivity", "faces"),
+        ("uvs", "texture coordinates"),
+        ("surface", f"{'texture coordinates' if coding['uv_error'] is None else 'face sets'} and the like"),
+        ("still", "first frame and textures"),
+        ("container", "container"),
+    ]
+    motion = sizes["signals"] - sizes["surface"] - sizes["uvs"]
+    rates = [
+        ("signals", motion, coding["bits_of_motion"]),
+        ("total", sizes["total"], coding["bits"]["total"]),
+    ]
+    rows = [
+        *((name, f"{format_bytes(size)}, {rate:.3g} bits per vertex and frame") for name, size, rate in rates),
+        (
+            "of it",
+            ", ".join(f"{format_bytes(sizes[name])} {what}" for name, what in components if sizes[name]),
+        ),
+        (
+            "max error",
+            stated + length_text(coding["max_error"], coding["diagonal"] * metres_per_unit, digits=3),
+        ),
+        ("KG error", f"{coding['kg_percent']:.3g} %"),
+    ]
+    if coding["inbetween_error"] is not None:
+        length = length_text(coding["inbetween_error"], coding["diagonal"] * metres_per_unit, digits=2)
+        rows.append(("in-betweens", f"players are {length} from the model at most"))
+    if coding["uv_error"] is not None:
+        rows.append(("texture error", f"at most {coding['uv_error']:.3g} of the square"))
+    return rows
 
 
 def dimension_rows(model: Model) -> Rows:

@@ -94,7 +94,9 @@ def command(
     if picture_file is not None:
         check_picture(picture_file)
     with progress_bar(quiet) as progress, mixseq.open_sequence(path, **reading) as reader:
+        from mixseq.mesh.topology import Topology
         from mixseq.segmentation.joints import sample_frame_ids
+        from mixseq.segmentation.methods import segment
         from mixseq.sequence.sequence import load_frames, own_parts
 
         frames = load_frames(reader, progress)
@@ -105,7 +107,8 @@ def command(
         elif method is None and parts is None and settings is None and (own := own_parts(reader)) is not None:
             method_name, parts_of_faces = "model", _named(own.astype("int64"))
         else:
-            parts_of_faces = _segment(reader.header, points, method_name, parts, settings)
+            topology = Topology(reader.header.faces, reader.header.vertex_count)
+            parts_of_faces = _named(segment(points, topology, cast("SegmentationName", method_name), parts, settings))
         measures = _measure_parts(reader.header, points, parts_of_faces)
         agreement = None if against is None else _compare_labels(reader, points[0], parts_of_faces, against)
         write_labels(target, reader, parts_of_faces, flatten=flatten)
@@ -180,20 +183,6 @@ def numbered(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(result)
 
 
-def _segment(
-    header: SequenceHeader,
-    points: FloatArray,
-    method: str,
-    parts: int | None,
-    settings: MethodSettings | None,
-) -> Labels:
-    from mixseq.mesh.topology import Topology
-    from mixseq.segmentation.methods import segment
-
-    topology = Topology(header.faces, header.vertex_count)
-    return _named(segment(points, topology, cast("SegmentationName", method), parts, settings))
-
-
 def _named(labels: Index) -> Labels:
     """Return the labels ``(F,)`` of parts, with names."""
     from mixseq_io.text.labels import Labels
@@ -210,23 +199,16 @@ def _with_seed(method: str, seed: int) -> MethodSettings:
     return measures.settings(seed=seed)  # type: ignore[call-arg]
 
 
-def _areas(points: FloatArray, header: SequenceHeader) -> NDArray[np.float64]:
-    """Return twice the area of every triangle in a pose ``(V, 3)``."""
-    import numpy as np
-
-    a, b, c = (points[header.faces[:, corner]].astype(np.float64) for corner in range(3))
-    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1))
-
-
 def _measure_parts(header: SequenceHeader, points: FloatArray, labels: Labels) -> dict[str, Any]:
     """Return the triangle count, the area fraction and the error in percent of every part, as plain values for JSON."""
     import numpy as np
 
+    from mixseq.mesh.measures import triangle_areas
     from mixseq.segmentation.methods import near_rigid_errors
 
     parts, count = labels.part_of_face, len(labels.names)
     errors, whole = near_rigid_errors(points, header.faces, parts)
-    area = np.bincount(parts, _areas(points[0], header), count)
+    area = np.bincount(parts, triangle_areas(points[0].astype(np.float64), header.faces), count)
     faces = np.bincount(parts, minlength=count)
     columns = (labels.names, faces.tolist(), (area / (area.sum() or 1.0)).tolist(), errors.tolist())
     keys = ("name", "faces", "area", "near_rigid_percent")
@@ -238,6 +220,7 @@ def _measure_parts(header: SequenceHeader, points: FloatArray, labels: Labels) -
 
 def _compare_labels(reader: SequenceReader, points: FloatArray, labels: Labels, source: str) -> dict[str, Any]:
     """Return adjusted Rand indices of labels against the labels in `source`, by triangle count and weighted by area."""
+    from mixseq.mesh.measures import triangle_areas
     from mixseq.segmentation.methods import adjusted_rand_index
     from mixseq_io.text.label_files import extract_labels
 
@@ -247,7 +230,7 @@ def _compare_labels(reader: SequenceReader, points: FloatArray, labels: Labels, 
         "against": source,
         "labels": len(other_labels.names),
         "by_faces": adjusted_rand_index(own, other),
-        "by_area": adjusted_rand_index(own, other, _areas(points, reader.header)),
+        "by_area": adjusted_rand_index(own, other, triangle_areas(points, reader.header.faces)),
     }
 
 

@@ -40,9 +40,6 @@ _SHARED_READ_OPTIONS = ("up_axis", "metres_per_unit")  # reader options that app
 MAX_LISTED_NAMES = 4
 """Largest number of followers and markers named in the table."""
 
-MAX_PICTURE_COLUMNS = 5
-"""Largest number of frames in the picture, in addition to the rest pose."""
-
 
 def facts(transferred: Transfer, method: str, report: TransferReport) -> dict[str, Any]:
     """Return the report of a transfer as plain values for JSON."""
@@ -203,11 +200,11 @@ def _percent(share: float) -> str:
 
 
 def _frames_to_draw(transferred: Transfer, frame: int, rest_file: Path | None) -> list[int]:
-    """Choose frames for the picture, without the rest frame, which is always drawn."""
+    """Choose up to 5 frames for the picture, without the rest frame, which is always drawn."""
     from mixseq.types import evenly_spaced
 
     count = transferred.header.frame_count
-    chosen = [int(each) for each in evenly_spaced(count, MAX_PICTURE_COLUMNS)]
+    chosen = [int(each) for each in evenly_spaced(count, 5)]
     return [each for each in chosen if rest_file is not None or each != frame % count] or chosen
 
 

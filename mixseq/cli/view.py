@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 @options.option(
     "--fps N",
     "rate",
-    type=click.FloatRange(min=0, min_open=True, max=1000),
+    type=options.FrameRate(1000),
     help="Frames per second; models are decoded at any rate.  [default: those of the first file]",
 )
 @options.group(
@@ -202,7 +202,8 @@ def _names(files: Sequence[Path]) -> list[str]:
 def _run(colours: SceneColours, files: Sequence[Path], viewing: Mapping[str, Any], browser: bool | None) -> None:
     """Run the viewer until it is interrupted."""
     from mixseq.runtime.parallel import thread_count
-    from mixseq.viewer.live.viewer import ViewSettings, run_viewer
+    from mixseq.viewer.live import ViewSettings
+    from mixseq.viewer.live.viewer import run_viewer
 
     settings = ViewSettings(folder=Path.cwd(), threads=thread_count(), **viewing)
     with run_viewer(colours, settings, partial(_save, files)) as running:
@@ -270,8 +271,8 @@ def _set_markers(
     browser: bool | None,
 ) -> None:
     """Run a viewer for setting markers until it is interrupted, then write unsaved markers to a new file."""
+    from mixseq.viewer.live import ViewSettings
     from mixseq.viewer.live.marking import run_marking_viewer
-    from mixseq.viewer.live.viewer import ViewSettings
     from mixseq_io.text.markers import write_markers
 
     if len(files) != 2:
@@ -364,10 +365,10 @@ def _export(
         colours, [read_compressed(file) if is_model(file) and is_compressed(file) else None for file in files]
     )
     with atomic_file(page) as temporary:
-        report = export_page(temporary, items, ExportSettings(**bound), progress, workers)
+        reports = export_page(temporary, items, ExportSettings(**bound), progress, workers)
     announce(page)
-    for item in report.items:
-        about = f"{item.name}: n" if len(report.items) > 1 else "n"
+    for item in reports:
+        about = f"{item.name}: n" if len(reports) > 1 else "n"
         length = f"{item.max_error:.3g} of the diagonal, {item.error:.2g} units"
         between = "" if item.between is None else f"; between frames, {item.between:.2g} of the diagonal from the model"
         say(f"{about}o vertex is off by more than {length}{between}: {item.history}")

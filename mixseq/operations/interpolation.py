@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Unpack
+from typing import Unpack, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +25,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, no_progress
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.segmentation.methods import MethodSettings
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, FrameStore, MeshSequence, check_frames, load_frames, own_parts
@@ -46,7 +46,7 @@ from mixseq.types import Float
 
 @public
 def segment(
-    sequence: MeshSequence | Model,
+    sequence: FileOr[MeshSequence | Model],
     method: SegmentationName = "motion",
     parts: int | None = None,
     settings: MethodSettings | None = None,
@@ -84,6 +84,7 @@ def segment(
     >>> mixseq.segment("arm.usdc", parts=2).max().item()
     1
     """
+    sequence = cast("MeshSequence | Model", sequence)
     if isinstance(sequence, Model):
         if sequence.parts is not None and (method, parts, settings) == ("motion", None, None):
             return sequence.parts.astype(np.int64)
@@ -174,7 +175,7 @@ class PoseInterpolator(PickledWithoutCaches):
 
 @public
 def interpolate(
-    poses: Frames,
+    poses: FileOr[Frames],
     weights: ArrayLike,
     space: SpaceName = "mixed",
     *,
@@ -237,6 +238,7 @@ def interpolate(
     >>> mixseq.interpolate(walk, [0.5, 0.5, 0, 0]).shape == walk.points[0].shape
     True
     """
+    poses = cast("Frames", poses)
     check_frames(poses)
     weights = normalise_weights(weights, poses.header.frame_count)  # raises errors before any work
     used = np.flatnonzero(weights)

@@ -20,7 +20,7 @@ similar
 from __future__ import annotations
 
 import warnings
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,7 +37,7 @@ from mixseq.operations.sections import (
     snap_time,
     subdivide,
 )
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.frame_rates import Seconds
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence, bounding_diagonal
@@ -61,7 +61,7 @@ def encode_edit(model: Model, time: float, points: ArrayLike | MeshSequence) -> 
 
 
 @public
-def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
+def swap_key(model: Model, key: int, points: FileOr[ArrayLike | MeshSequence]) -> Model:
     """Replace a key shape by an edited mesh.
 
     Key shapes of the model must be frames, as after ``mixseq.fit(sequence, pose="keys")``. Every frame follows the
@@ -83,6 +83,7 @@ def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
     InvalidSequenceError
         If the points do not belong to the mesh, or are not finite.
     """
+    points = cast("ArrayLike | MeshSequence", points)
     if not 0 <= key < len(model.shapes):
         raise SettingsError(f"key is {key}; the model has key shapes 0 to {len(model.shapes) - 1}")
     frame = int(model.key_frames[key])
@@ -162,7 +163,7 @@ WEIGHT_TOLERANCE = 1e-3
 def sculpt(
     model: Model,
     time: Seconds,
-    points: ArrayLike | MeshSequence,
+    points: FileOr[ArrayLike | MeshSequence],
     where: Where = "everywhere",
     start: Seconds | None = None,
     end: Seconds | None = None,
@@ -193,6 +194,7 @@ def sculpt(
     SettingsError
         If a time is outside the model or the window, or settings contradict each other.
     """
+    points = cast("ArrayLike | MeshSequence", points)
     _check_settings(where, start, end, radius)
     time = snap_time(model, time)
     difference = encode_edit(model, time, points)

@@ -14,6 +14,7 @@ each in diagonals of its mesh, with the mean rotation A and the mean shift :math
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from mixseq.mesh.rotations import (
 from mixseq.operations.sections import correction_norm
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import no_progress
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.sequence.provenance import format_error, with_other_motion
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, load_frames, own_parts, warn_of_loss
@@ -71,7 +72,7 @@ def key_poses(model: Model) -> MeshSequence:
 
 
 @public
-def with_shapes(model: Model, keys: Frames | Model) -> Model:
+def with_shapes(model: Model, keys: FileOr[Frames | Model]) -> Model:
     """Apply the motion of a model to another body, with the same time and pose signals and other key shapes.
 
     A body with the same triangles gets the same parts, and the correction in its axes; for others it is left out.
@@ -112,6 +113,7 @@ def with_shapes(model: Model, keys: Frames | Model) -> Model:
     >>> with_shapes(model, tall).sample().frame_count
     6
     """
+    keys = cast("Frames | Model", keys)
     played = _exchange_shapes(model, keys)
     if not isinstance(keys, Model):
         own, times = _exchange_shapes(model, key_poses(model)), model.times[sample_frame_ids(len(model.times))]

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 
@@ -38,7 +39,7 @@ from mixseq.operations.sections import (
 )
 from mixseq.operations.timeline import ground_drift, ground_position, translate
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, Seconds
 from mixseq.sequence.sequence import load_frames
 from mixseq.signals.curve import Curve
@@ -122,7 +123,7 @@ SITES_PER_BLENDED_KNOT = 8
 
 
 @public
-def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = False) -> Model:
+def concatenate(a: FileOr[Model], b: FileOr[Model], fade: Seconds | None = None, travel: bool = False) -> Model:
     """Concatenate two models.
 
     The second model starts at the end time of the first. Jumps in value are distributed before and after the seam, and
@@ -146,6 +147,8 @@ def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = 
     SettingsError
         If a model has no duration, the fade is out of range, or `travel` is set and the space has no placement.
     """
+    a = cast("Model", a)
+    b = cast("Model", b)
     a, b = match_spaces(a, b)
     start, seam = snap_section(a, a.start, a.end)
     first, last = snap_section(b, b.start, b.end)
@@ -157,7 +160,7 @@ def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = 
 
 
 @public
-def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool = False) -> Model:
+def transition(a: FileOr[Model], b: FileOr[Model], at: Seconds, duration: Seconds, travel: bool = False) -> Model:
     """Blend from one model into another.
 
     Parameters
@@ -180,6 +183,8 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
     SettingsError
         If a time is out of range, or `travel` is set and the space has no placement.
     """
+    a = cast("Model", a)
+    b = cast("Model", b)
     if not (np.isfinite(duration) and duration > 0):
         raise SettingsError(f"duration is {duration}; a positive number of seconds is expected")
     a, b = match_spaces(a, b)
@@ -212,7 +217,7 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
 
 
 @public
-def blend(a: Model, b: Model, weight: float | Curve) -> Model:
+def blend(a: FileOr[Model], b: FileOr[Model], weight: float | Curve) -> Model:
     """Blend two models over the time interval that both cover.
 
     Parameters
@@ -229,6 +234,8 @@ def blend(a: Model, b: Model, weight: float | Curve) -> Model:
     SettingsError
         If the models share no time, or the weight is not finite or does not cover the shared time.
     """
+    a = cast("Model", a)
+    b = cast("Model", b)
     a, b = match_spaces(a, b)
     start, end = max(a.start, b.start), min(a.end, b.end)
     if not start < end:

@@ -31,12 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MAX_COORDINATES = 5
-"""Largest number of coordinates drawn over time; the coordinates with the largest movement are drawn."""
-
-RANK_TOLERANCE = 1e-13
-"""Fraction of the largest singular value below which singular values count as rounding errors."""
-
 MAX_CHART_POINTS = 800
 """Largest number of points of a chart line, about two per pixel."""
 
@@ -45,9 +39,6 @@ MAX_CHART_FRAMES = 300
 
 HANDLE_COUNT = 13
 """Number of draggable points of the time curve, evenly spaced in time; more would crowd a small chart."""
-
-INITIAL_KEY_COUNT = 5
-"""Initial number of keys of a retiming."""
 
 SIGNIFICANT_DIGITS = 5
 """Significant digits of the largest chart value, sufficient for a screen of 4000 pixels."""
@@ -63,7 +54,7 @@ def chart_data(model: Model, plane: Plane | None = None) -> dict[str, Any]:
     handles = np.linspace(start, end, HANDLE_COUNT) if has_motion else np.zeros(0)
     coordinate_ids, units = largest_coordinates(model)
     lines = model.time(times)[:, coordinate_ids] * units
-    keys = np.linspace(start, end, INITIAL_KEY_COUNT).tolist() if end > start else []
+    keys = np.linspace(start, end, 5).tolist() if end > start else []
     path = model.embedding(times, plane)
     extent = float(np.abs(path).max(initial=0.0))
     positions = _round(model.embedding(handles, plane), extent)
@@ -93,10 +84,10 @@ def _round(values: Float, largest: float) -> list[Any]:
 
 
 def largest_coordinates(model: Model) -> tuple[IntArray, Float]:
-    """Return the time-signal coordinates ``(n,)`` with the largest movement, and their units ``(n,)`` in diagonals."""
+    """Return the 5 time-signal coordinates ``(n,)`` that move most, and their units ``(n,)`` in diagonals."""
     units = np.sqrt(np.diagonal(_step_gram(model)))
     sizes = units * np.linalg.norm(_centred(model), axis=0)
-    coordinate_ids = np.sort(np.argsort(-sizes, kind="stable")[:MAX_COORDINATES])
+    coordinate_ids = np.sort(np.argsort(-sizes, kind="stable")[:5])
     return coordinate_ids, units[coordinate_ids]
 
 
@@ -107,7 +98,8 @@ def singular_values(model: Model) -> Float:
     squares, directions = np.linalg.eigh(_step_gram(model))
     roots = directions * np.sqrt(np.maximum(squares, 0.0))
     sizes = np.linalg.svd(_centred(model) @ roots, compute_uv=False)
-    return np.asarray(sizes[sizes > RANK_TOLERANCE * max(sizes.max(initial=0.0), np.finfo(np.float64).tiny)])
+    # smaller ones are rounding errors
+    return np.asarray(sizes[sizes > 1e-13 * max(sizes.max(initial=0.0), np.finfo(np.float64).tiny)])
 
 
 def dense_times(model: Model) -> Float:
@@ -148,9 +140,6 @@ POINTS_PER_INCH = 72.0
 LABEL_DISTANCE_POINTS = 12.0
 """Distance from a dot to the centre of its label."""
 
-SUFFICIENT_CLEARANCE_POINTS = 5.0
-"""Clearance of a label above which only the outward direction decides its position."""
-
 _HALF_CHARACTER_POINTS = np.array([2.6, 5.0])
 """Half the width of a character and half the height of a text line."""
 
@@ -177,7 +166,7 @@ def label_offsets(
         for other, other_size in placed:
             clearance = np.minimum(clearance, _box_distances(centres, size + other_size, other[None])[:, 0])
         outward = (directions @ (dot - curve_centre)) / (np.linalg.norm(dot - curve_centre) or 1.0)
-        best = int((np.minimum(clearance, SUFFICIENT_CLEARANCE_POINTS) + outward).argmax())
+        best = int((np.minimum(clearance, 5.0) + outward).argmax())  # more clearance is not better
         placed.append((centres[best], size))
         best_offsets.append((float(offsets[best, 0]), float(offsets[best, 1])))
     return best_offsets
@@ -281,18 +270,11 @@ def round_frames(count: int, max_count: int, first: int = 0) -> list[int]:
     return [0, *(frame for frame in inner if frame > step // 2 and last - frame > step // 2), last][-count:]
 
 
-MAX_LABELLED_FRAMES = 10
-"""Number of frames labelled in the embedding by default."""
-
-_CHART_INCHES = 4.5
-"""Approximate length of the longer side of the embedding chart."""
-
-
 def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> None:
     """Draw the time signal in the plane of its first two principal directions (paper, Figure 18)."""
     count = len(model.times)
     first = round(time_to_number(model.times[0], model.header.fps))
-    default = round_frames(count, MAX_LABELLED_FRAMES, first)
+    default = round_frames(count, 10, first)
     labelled = default if frames is None else check_frames(frames, count)
     curve, dots = model.embedding(dense_times(model)), model.embedding(model.times)
     x, y = dots.T
@@ -306,7 +288,7 @@ def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) 
 
     ends = {0: "start", count - 1: "end"} if count > 1 else {}
     texts = [f"{model.header.frame_number(frame)} {ends.get(frame, '')}".strip() for frame in labelled]
-    inch = max(right - left, top - bottom) / _CHART_INCHES
+    inch = max(right - left, top - bottom) / 4.5  # the longer side has about 4.5 inches
     offsets = label_offsets(dots[labelled], texts, curve, limits, inch)
     for frame, text, offset in zip(labelled, texts, offsets, strict=True):
         ax.annotate(text, dots[frame], offset, textcoords="offset points", ha="center", va="center", fontsize=8)

@@ -34,7 +34,7 @@ from numpy.typing import ArrayLike, NDArray
 from mixseq.choices import COLOURS, Colour
 from mixseq.compression.numbering import match_vertices
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import edge_lengths, wrap_angles
+from mixseq.mesh.measures import degenerate_faces, dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.surface import DEFAULT_COLOUR
 from mixseq.mesh.topology import Topology
 from mixseq.metrics import MIN_NORMAL_HEIGHT_RATIO
@@ -48,12 +48,6 @@ JOINT_RED = (0.85, 0.20, 0.13)
 
 FIRST_HUE, LAST_HUE = 90.0, 330.0
 """Range of part hues in degrees of OKLCH, from straw to mauve; both ends are 60 degrees from the red of joints."""
-
-FIRST_HUE_FRACTION = 0.3
-"""Hue of the first part, as a fraction of the range of hues."""
-
-GOLDEN_RATIO_STEP = 0.61803
-"""Step between hues, as a fraction of the range; golden-ratio steps keep the first n hues apart for any n."""
 
 OKLAB_TO_LMS = np.array(
     [
@@ -89,7 +83,8 @@ def viridis() -> Float:
 
 def part_colours(count: int) -> Float:
     """Return muted, distinguishable, cool colours ``(count, 3)`` with golden-ratio hues and varied lightness."""
-    fraction = (FIRST_HUE_FRACTION + GOLDEN_RATIO_STEP * np.arange(count, dtype=np.float64)) % 1.0
+    # steps of the golden ratio keep the first n hues apart for any n
+    fraction = (0.3 + 0.61803 * np.arange(count, dtype=np.float64)) % 1.0
     hue = FIRST_HUE + (LAST_HUE - FIRST_HUE) * fraction
     lightness = np.resize([0.78, 0.68, 0.85], count)
     return _oklch(lightness, 0.085, hue)
@@ -142,10 +137,7 @@ class Strain:
 class Curvature:
     """Measure of the change of dihedral angles of poses relative to a rest pose."""
 
-    faces: IntArray  # (F, 3) triangles of the mesh
-    hinges: IntArray  # (H, 2) vertices of the edge of each hinge
-    hinge_faces: IntArray  # (H, 2) faces on both sides of the edge
-    signs: Float  # (H,) 1 where both faces have the same orientation, else -1
+    topology: Topology  # edges, hinges and faces of the mesh
     angles: Float  # (H,) dihedral angles at rest, in radians
     is_defined: NDArray[np.bool_]  # (H,) whether both faces have an area at rest
 
@@ -153,19 +145,13 @@ class Curvature:
     def from_rest(cls, points: FloatArray, faces: IntArray) -> Curvature:
         """Measure against a rest pose ``(V, 3)`` of triangles ``(F, 3)``."""
         topology = Topology(faces, len(points))
-        hinges, hinge_faces = topology.hinges[:, :2], topology.hinge_faces
-        # the first face contains the edge (a, b); the second contains (b, a) if both have the same orientation
-        second = faces[hinge_faces[:, 1]]
-        same_direction = (second == hinges[:, :1]) & (np.roll(second, -1, axis=1) == hinges[:, 1:])
-        signs = np.where(same_direction.any(axis=1), -1.0, 1.0)
-        angles, is_defined = _hinge_angles(points, faces, hinges, hinge_faces, signs)
-        return cls(faces, hinges, hinge_faces, signs, angles, is_defined)
+        return cls(topology, *_hinge_angles(points, topology))
 
     def __call__(self, points: FloatArray) -> Float:
         """Return mean changes ``(V,)`` of dihedral angles in degrees, 0 to 180, for points ``(V, 3)``."""
-        angles, is_defined = _hinge_angles(points, self.faces, self.hinges, self.hinge_faces, self.signs)
+        angles, is_defined = _hinge_angles(points, self.topology)
         change = np.where(is_defined & self.is_defined, np.abs(wrap_angles(angles - self.angles)), 0.0)
-        return np.degrees(_vertex_means(change, self.hinges, len(points)))
+        return np.degrees(_vertex_means(change, self.topology.hinges[:, :2], len(points)))
 
 
 MEASURES: dict[str, type[Strain | Curvature]] = {"strain": Strain, "curvature": Curvature}
@@ -189,36 +175,11 @@ def _vertex_means(values: Float, edges: IntArray, count: int) -> Float:
     return np.asarray(sums / np.maximum(np.bincount(vertices, minlength=count), 1))
 
 
-def _hinge_angles(
-    points: FloatArray, faces: IntArray, hinges: IntArray, hinge_faces: IntArray, signs: Float
-) -> tuple[Float, NDArray[np.bool_]]:
-    r"""Return the dihedral angles ``(H,)`` of hinges, and a mask ``(H,)`` of hinges whose faces both have an area.
-
-    `mixseq.mesh.measures` does the same, but here normals :math:`n_f = (b - a) \times (c - a)` are computed once per
-    face. The angle is between :math:`n_f` and :math:`n_g`, or :math:`-n_g` if the orientations of faces f and g differ.
-    """
-    x = np.ascontiguousarray(points.T, dtype=np.float64)  # rows of one axis are several times faster
-    normals, is_degenerate = _face_normals(x, faces)
-    first, second = (np.take(normals, side, axis=1) for side in hinge_faces.T)
-    second *= signs
-    edge = np.take(x, hinges[:, 1], axis=1) - np.take(x, hinges[:, 0], axis=1)
-    sine = _dot(np.cross(first, second, axis=0), edge)
-    cosine = _dot(first, second) * np.sqrt(_dot(edge, edge))
-    return np.arctan2(sine, cosine), ~np.logical_or(*is_degenerate[hinge_faces.T])
-
-
-def _face_normals(x: Float, faces: IntArray) -> tuple[Float, NDArray[np.bool_]]:
-    """Return normals ``(3, F)`` of length twice the area, and a mask of degenerate faces, for points ``(3, V)``."""
-    a, b, c = (np.take(x, corner, axis=1) for corner in faces.T)
-    u, v, w = b - a, c - a, c - b
-    normals = np.cross(u, v, axis=0)
-    longest_squared = np.maximum(np.maximum(_dot(u, u), _dot(v, v)), _dot(w, w))
-    return normals, _dot(normals, normals) <= (MIN_NORMAL_HEIGHT_RATIO * longest_squared) ** 2
-
-
-def _dot(u: Float, v: Float) -> Float:
-    """Return the dot products ``(n,)`` of corresponding columns of two arrays ``(3, n)``."""
-    return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
+def _hinge_angles(points: FloatArray, topology: Topology) -> tuple[Float, NDArray[np.bool_]]:
+    """Return the dihedral angles ``(H,)`` of hinges, and a mask ``(H,)`` of hinges whose faces both have an area."""
+    x = np.asarray(points, dtype=np.float64)
+    is_degenerate = degenerate_faces(x, topology.faces, MIN_NORMAL_HEIGHT_RATIO)[topology.hinge_faces]
+    return dihedral_angles(x, topology.hinges), np.asarray(~is_degenerate.any(axis=1))
 
 
 MAX_PALETTE_COLOURS = 256
@@ -433,10 +394,6 @@ def _to_bytes(colours: Float) -> ByteArray:
     return np.rint(255 * np.asarray(colours)).astype(np.uint8)
 
 
-SCALE_SAMPLES = 12
-"""Number of frames from which the ends of scales are estimated."""
-
-
 @dataclass(frozen=True, eq=False)
 class SceneColours:
     """The colourings of all meshes of a scene."""
@@ -463,7 +420,8 @@ class SceneColours:
         """Return all colourings of a mesh by name."""
         if index not in self._colourings:
             item = self.scene.items[index]
-            times = (self.scene.elapsed(frame) for frame in self.scene.sample_frames(SCALE_SAMPLES))
+            frames = self.scene.sample_frames(12)  # enough to estimate the ends of scales
+            times = map(self.scene.elapsed, frames)
             poses = ((elapsed, item.pose(elapsed)) for elapsed in times)
             self._colourings[index] = available_colourings(
                 item.header,

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
 from mixseq.choices import COLOURS, Colour
@@ -37,7 +36,6 @@ from mixseq.pictures.scene import (
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.segmentation.joints import Decomposition
-from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, FrameStore
 from mixseq.types import ByteArray, Float
 
@@ -48,9 +46,6 @@ if TYPE_CHECKING:
 
 _SCALE_UNITS = {"error": ("diagonals", 1.0), "strain": ("strain", 100.0), "curvature": ("degrees", 1.0)}
 """Units of colour scales in film settings, each with its factor to the unit of the `Colouring`."""
-
-MIN_COLOUR_SCALE = 1e-12
-"""Smallest end of the colour scale, above rounding errors."""
 
 
 @dataclass(frozen=True)
@@ -114,11 +109,10 @@ def film(
     decoded = [item.decode(times, progress, executor) for item in items]
     colourings = _colourings(items, decoded, settings.colour, original)
     colourings = _with_common_scale(colourings, decoded, times, settings)
-    layout = _make_layout([item.name for item in items], decoded, colourings, settings, fps)
+    layout = _make_layout([item.name for item in items], decoded, colourings, settings, times, fps)
 
     def draw(frames: Iterable[int]) -> Iterator[Picture]:
-        film_moments = moments(decoded, colourings, times, frames)
-        for drawn_count, picture in enumerate(executor(draw_moment, layout, film_moments), 1):
+        for drawn_count, picture in enumerate(executor(draw_frame, layout, frames), 1):
             yield picture
             progress(drawn_count, len(times), "drawing frames")
 
@@ -185,7 +179,7 @@ def _with_common_scale(
     if settings.colour not in _SCALE_UNITS:
         return colourings
     _, unit = _SCALE_UNITS[settings.colour]
-    top = unit * settings.scale if settings.scale else unit * MIN_COLOUR_SCALE
+    top = unit * settings.scale if settings.scale else 1e-12 * unit  # above rounding errors
     if settings.scale is None:
         for item, colouring in zip(items, colourings, strict=True):
             ends = (colouring.scale_end(item.pose(frame), float(time)) for frame, time in enumerate(times))
@@ -198,6 +192,7 @@ def _make_layout(
     items: Sequence[DecodedItem],
     colourings: Sequence[Colouring],
     settings: FilmSettings,
+    times: Float,
     fps: float,
 ) -> Layout:
     width, height = settings.size
@@ -209,17 +204,9 @@ def _make_layout(
     for item, colouring, camera, rectangle in zip(items, colourings, cameras, rectangles, strict=True):
         rows, columns = rectangle
         panel_camera = camera.with_aspect((rows.stop - rows.start) / (columns.stop - columns.start))
-        panels.append(Panel(item.header, colouring.face_colours, panel_camera, rectangle))
-    if not unit:
-        return Layout(panels, draw_backdrop(width, height, rectangles, names))
-    scale = import_matplotlib("cm").ScalarMappable(None, "viridis").get_cmap()
-    palette = np.asarray(scale(np.arange(256))[:, :3], dtype=np.float64)
-    backdrop = draw_backdrop(width, height, rectangles, names, palette, colourings[0].top / unit_size, unit)
-    return Layout(panels, backdrop, palette)
-
-
-FOLLOW_SMOOTHING_SECONDS = 0.25
-"""Standard deviation of the Gaussian filter that smooths the path of a following camera."""
+        panels.append(Panel(item, colouring, panel_camera, rectangle))
+    bar = (colourings[0].palette, colourings[0].top / unit_size, unit) if unit else ()
+    return Layout(panels, draw_backdrop(width, height, rectangles, names, *bar), times)
 
 
 def make_cameras(items: Sequence[DecodedItem], settings: FilmSettings, fps: float) -> list[Camera]:
@@ -260,26 +247,17 @@ def _make_camera(items: Sequence[DecodedItem], settings: FilmSettings, fps: floa
 
 
 def travel_path(item: DecodedItem, fps: float) -> Float:
-    """Return the smoothed ground path ``(N, 3)`` of a mesh, Y up, relative to its first position."""
+    """Return the ground path ``(N, 3)`` of a mesh, Y up, from its first position, smoothed over 0.25 s."""
     centroids = np.stack(
         [to_y_up(item.pose(frame), item.header.up_axis).mean(axis=0) for frame in range(len(item.pose_of_frame))]
     )
     centroids = (centroids - centroids[0]) * [1, 0, 1]
     line = np.linspace(0, 1, len(centroids))[:, None] * centroids[-1]
-    return np.asarray(line + gaussian_filter1d(centroids - line, FOLLOW_SMOOTHING_SECONDS * fps, axis=0))
+    return np.asarray(line + gaussian_filter1d(centroids - line, 0.25 * fps, axis=0))
 
 
 Rectangle = tuple[slice, slice]
 """Row slice and column slice of a rectangle in a picture."""
-
-FONT_SIZE_RATIO = 1 / 32
-"""Font size, as a fraction of the picture's height."""
-
-MIN_PANEL_PIXELS = 24
-"""Smallest width and height of a panel."""
-
-LINE_HEIGHT_RATIO = 2.0
-"""Height of a text line with margins, as a multiple of the font size."""
 
 
 def divide_picture(
@@ -295,7 +273,7 @@ def divide_picture(
 
     columns = max(range(1, count + 1), key=mesh_width)
     rows = -(-count // columns)
-    if min(width // columns, panels_height // rows - line * has_names) < MIN_PANEL_PIXELS:
+    if min(width // columns, panels_height // rows - line * has_names) < 24:
         raise SettingsError(f"{count} panels do not fit in {width}x{height} pixels; give a larger size")
     panels = []
     for row, column in (divmod(number, columns) for number in range(count)):
@@ -306,12 +284,12 @@ def divide_picture(
 
 
 def line_height(height: int) -> int:
-    """Return the height of a text line in pixels in a picture of the given height."""
-    return round(LINE_HEIGHT_RATIO * _font_size(height))
+    """Return the height of a text line with margins, in pixels, in a picture of the given height."""
+    return 2 * _font_size(height)
 
 
 def _font_size(height: int) -> int:
-    return max(9, round(FONT_SIZE_RATIO * height))
+    return max(9, round(height / 32))
 
 
 def draw_backdrop(
@@ -319,7 +297,7 @@ def draw_backdrop(
     height: int,
     panels: Sequence[Rectangle],
     names: Sequence[str],
-    palette: Float | None = None,
+    palette: ByteArray | None = None,
     top: float = 0.0,
     unit: str = "",
 ) -> Picture:
@@ -337,13 +315,15 @@ def draw_backdrop(
     return np.array(image)
 
 
-def _draw_colour_bar(image: Any, draw: ImageDraw, font: FreeTypeFont, palette: Float, top: float, unit: str) -> None:
+def _draw_colour_bar(
+    image: Any, draw: ImageDraw, font: FreeTypeFont, palette: ByteArray, top: float, unit: str
+) -> None:
     width, height = image.size
     line, font_size = line_height(height), _font_size(height)
     bar_width, bar_height = width // 4, max(4, font_size // 2)
     centre, left = height - line / 2, (width - bar_width) // 2
     bar = palette[np.arange(bar_width) * len(palette) // bar_width]
-    pixels = np.broadcast_to(np.rint(255 * bar).astype(np.uint8), (bar_height, bar_width, 3))
+    pixels = np.broadcast_to(bar, (bar_height, bar_width, 3))
     upper = round(centre - bar_height / 2)
     image.paste(import_pillow("Image").fromarray(np.ascontiguousarray(pixels)), (left, upper))
     draw.text((left - font_size / 2, centre), "0", INK_COLOUR, font, "rm")
@@ -369,16 +349,12 @@ def _shorten(text: str, font: FreeTypeFont, max_width: float) -> str:
     return shortened
 
 
-HEAT_CONTRAST = 0.25
-"""Strength of the shading of measured colours, weak enough to keep the colours readable."""
-
-
 @dataclass(frozen=True, eq=False)
 class Panel:
     """One panel of a film."""
 
-    header: SequenceHeader  # header of the mesh
-    colours: ArrayLike  # RGB in 0..1 of the mesh (3,) or its faces (F, 3), if constant
+    item: DecodedItem  # poses of the mesh
+    colouring: Colouring  # colours of the mesh
     camera: Camera  # camera with the aspect ratio of the panel
     rectangle: Rectangle  # position in the picture
 
@@ -389,38 +365,20 @@ class Layout:
 
     panels: Sequence[Panel]  # panels row by row, from left to right
     backdrop: Picture  # (H, W, 3) picture of names and colour bar
-    palette: Float | None = None  # (256, 3) RGB in 0..1 of the palette of measured colours
+    times: Float  # (N,) times of the frames
 
 
-Moment = tuple[int, list[tuple[Float, ByteArray | None]]]
-"""Frame number, and for each mesh points ``(V, 3)`` and, if colours are measured, palette entries ``(V,)``."""
-
-
-def moments(
-    items: Sequence[DecodedItem], colourings: Sequence[Colouring], times: Float, frames: Iterable[int]
-) -> Iterator[Moment]:
-    """Yield the data of the given frames of a film with frame times ``(N,)``."""
-    for frame in frames:
-        meshes: list[tuple[Float, ByteArray | None]] = []
-        for item, colouring in zip(items, colourings, strict=True):
-            points = item.pose(frame)
-            entries = None if colouring.is_constant else colouring.entries(points, float(times[frame]))
-            meshes.append((points, entries))
-        yield frame, meshes
-
-
-def draw_moment(layout: Layout, moment: Moment) -> Picture:
+def draw_frame(layout: Layout, frame: int) -> Picture:
     """Draw a frame of a film as a picture ``(H, W, 3)``."""
-    frame, meshes = moment
     picture = layout.backdrop.copy()
-    for panel, (points, entries) in zip(layout.panels, meshes, strict=True):
-        faces, camera = panel.header.faces, panel.camera
-        colours, contrast = panel.colours, 1.0
-        if entries is not None and layout.palette is not None:
-            colours, contrast = layout.palette[entries[faces]], HEAT_CONTRAST
-        centre = camera.centres[frame]
-        world = to_y_up(points, panel.header.up_axis) - centre
-        view = camera.view_at(frame)
-        ground = float(camera.ground - centre[1])
-        render_mesh(picture[panel.rectangle], world, faces, view, camera.limits, colours, ground, contrast)
+    for panel in layout.panels:
+        camera, colouring, header = panel.camera, panel.colouring, panel.item.header
+        points, centre = panel.item.pose(frame), camera.centres[frame]
+        colours, contrast = colouring.face_colours, 1.0
+        if not colouring.is_constant:
+            entries = colouring.entries(points, float(layout.times[frame]))
+            colours, contrast = (colouring.palette / 255)[entries[header.faces]], 0.25  # colours stay readable
+        world = to_y_up(points, header.up_axis) - centre
+        view, ground = camera.view_at(frame), float(camera.ground - centre[1])
+        render_mesh(picture[panel.rectangle], world, header.faces, view, camera.limits, colours, ground, contrast)
     return picture

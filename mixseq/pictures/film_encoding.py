@@ -88,12 +88,6 @@ def encode_film(target: Path, file_format: FilmFormat, draw: Draw, count: int, f
         temporary.replace(target)
 
 
-CONSTANT_RATE_FACTOR = 18
-"""H.264 quality setting, from 0 (lossless) to 51 (worst); 18 is visually lossless."""
-
-KEYFRAME_SECONDS = 2.0
-"""Largest time between keyframes, the frames to which players can seek."""
-
 _FFMPEG_CURE = "install it with libx264 (apt, brew or winget install ffmpeg), or write .webp or .gif instead"
 
 
@@ -124,8 +118,8 @@ def write_mp4(target: Path, pictures: Iterator[Picture], fps: float) -> None:
         "-i", "pipe:0",
         "-vf", "scale=out_color_matrix=bt709:out_range=tv", "-pix_fmt", "yuv420p", "-colorspace", "bt709",
         "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv",
-        "-c:v", "libx264", "-crf", str(CONSTANT_RATE_FACTOR), "-threads", "1",
-        "-g", str(max(1, round(KEYFRAME_SECONDS * rate))),
+        "-c:v", "libx264", "-crf", "18", "-threads", "1",  # visually lossless, from 0 (lossless) to 51 (worst)
+        "-g", str(max(1, round(2 * rate))),  # a keyframe every 2 seconds, to which players can seek
         "-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact", "-movflags", "+faststart",
         "-f", "mp4", str(target),
     ]
@@ -156,22 +150,12 @@ def frame_rate(fps: float) -> Fraction:
     return Fraction(fps).limit_denominator(1001) or Fraction(1, max(1, round(1 / fps)))
 
 
-WEBP_QUALITY = 80
-"""Quality of WebP, from 0 to 100."""
-
-WEBP_EFFORT = 3
-"""Encoding effort of WebP, from 0 (fast) to 6 (small files)."""
-
-WEBP_KEYFRAME_DISTANCES = 24, 48
-"""Smallest and largest number of frames between keyframes."""
-
 GIF_PALETTE_FRAMES = 6
 """Number of evenly spaced frames used to choose the palette of a GIF."""
 
 
 def _write_webp(file: IO[bytes], pictures: Iterator[Picture], count: int, fps: float) -> None:
     frames = map(import_pillow("Image").fromarray, pictures)
-    min_distance, max_distance = WEBP_KEYFRAME_DISTANCES
     next(frames).save(
         file,
         "WEBP",
@@ -179,10 +163,10 @@ def _write_webp(file: IO[bytes], pictures: Iterator[Picture], count: int, fps: f
         append_images=[_LazyFrames(frames, count - 1)],
         duration=1000 / fps,
         loop=0,
-        quality=WEBP_QUALITY,
-        method=WEBP_EFFORT,
-        kmin=min_distance,
-        kmax=max_distance,
+        quality=80,
+        method=3,  # effort, from 0 (fast) to 6 (small files)
+        kmin=24,  # frames between keyframes
+        kmax=48,
     )
 
 

@@ -198,12 +198,6 @@ def add_error_bar(page: FigureBase, panels: Sequence[Axes], colour_map: Any) -> 
 MAX_LEGEND_PARTS = 60
 """Largest number of parts listed in a legend."""
 
-_VISIBILITY_PIXELS = 300
-"""Width of the image that is rendered to find visible parts."""
-
-_NUMBER_CLEARANCE_PIXELS = 4.0
-"""Smallest distance of a part number from the outline of its visible region."""
-
 
 def draw_parts(panels: Sequence[Axes], model: Model, points: FloatArray, view: View | None = None) -> None:
     """Draw a pose ``(V, 3)`` from two opposite sides, with coloured and numbered parts and red joints."""
@@ -263,13 +257,13 @@ def _number_positions(
 ) -> dict[int, tuple[float, float]]:
     """Return the centre of each part's widest visible region, for faces ``(F, 3)`` and screen points ``(V, 3)``."""
     left, right, bottom, top = limits
-    visible = visible_labels(screen, faces, part_of_face, limits, _VISIBILITY_PIXELS)
+    visible = visible_labels(screen, faces, part_of_face, limits, width=300)
     rows, columns = visible.shape
     positions = {}
     for part in np.unique(visible[visible >= 0]).tolist():
         distance = distance_transform_edt(np.pad(visible == part, 1))[1:-1, 1:-1]
         row, column = np.unravel_index(distance.argmax(), distance.shape)
-        if distance[row, column] >= _NUMBER_CLEARANCE_PIXELS:
+        if distance[row, column] >= 4:  # pixels to the outline
             x, y = (column + 0.5) / columns, (row + 0.5) / rows
             positions[part] = left + x * (right - left), bottom + y * (top - bottom)
     return positions

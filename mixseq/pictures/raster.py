@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
+from mixseq.mesh.measures import scatter_add
+from mixseq.mesh.triangle_mesh import area_normals, normalise
 from mixseq.pictures.scene import (
     CLAY_COLOUR,
     Limits,
@@ -136,55 +138,37 @@ def blend_shadow(alpha: Float, colour: Float, picture: ByteArray) -> None:
 
 
 KEY_LIGHT = np.array([-0.45, 0.62, 0.64])
-SHADE_TINT = np.array([1.0, 0.6, 0.0])
-"""Relative loss of red, green and blue in the shade, as under an open sky."""
-
-
-def area_normals(points: Float, faces: IntArray) -> Float:
-    """Return face normals ``(F, 3)`` whose lengths are twice the face areas."""
-    a, b, c = np.moveaxis(points[faces], 1, 0)
-    return np.cross(b - a, c - a)
 
 
 def vertex_normals(normals: Float, faces: IntArray, vertex_count: int) -> Float:
     """Return unit vertex normals ``(V, 3)``, the normalized area-weighted means of face normals ``(F, 3)``."""
-    sums = [np.bincount(faces.ravel(), np.repeat(column, 3), vertex_count) for column in normals.T]
-    return _normalize(np.stack(sums, axis=1, dtype=np.float64))
+    return normalise(scatter_add(np.repeat(normals, 3, axis=0), faces.ravel(), vertex_count))
 
 
 def shade(rgb: Float, normals: Float, contrast: float) -> Float:
     """Shade face colours ``(F, 3)`` with a key light from the upper left and a soft fill light from above."""
     light = 0.50 + 0.14 * normals[:, 1] + 0.52 * np.maximum(normals @ KEY_LIGHT, 0) + 0.06 * normals[:, 2]
     light = 1 + contrast * (light[:, None] - 1)
-    tint = 1 - 0.10 * contrast * np.clip(1 - light, 0, 1) * SHADE_TINT
+    # less red and green in the shade, as under an open sky
+    tint = 1 - 0.10 * contrast * np.clip(1 - light, 0, 1) * np.array([1.0, 0.6, 0.0])
     return np.asarray(np.clip(rgb * light * tint, 0, 1))
 
 
-def _normalize(vectors: Float) -> Float:
-    """Scale vectors ``(N, 3)`` to unit length; zero vectors stay zero."""
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
-
-
-SHADOW_PIXELS = 240
-"""Number of shadow pixels along the longer side of the picture."""
-
-FEATHER_PIXELS = 10
-"""Width over which shadows fade out at the edge of the picture."""
-
-SHADOW_COLOUR = (0.25, 0.24, 0.28)
+SHADOW_COLOUR = 255 * np.array([0.25, 0.24, 0.28])
 
 
 def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limits: Limits) -> Float:
-    """Return the shadow RGBA ``(rows, columns, 4)`` of a mesh ``(V, 3)`` on the ground, darker close to the mesh."""
+    """Return the opacity ``(rows, columns)`` of a mesh's shadow on the ground, lowest row first, darker close to it."""
     left, right, bottom, top = limits
     extent = np.array([top - bottom, right - left])
-    shape = np.ceil(SHADOW_PIXELS * extent / extent.max()).astype(int)
+    shape = np.ceil(240 * extent / extent.max()).astype(int)  # pixels
     pixel = extent / shape
 
     size = bounding_diagonal(world) or 1.0
     centre = world[faces].mean(axis=1)
     darkness = 0.25 + np.exp((floor - centre[:, 1]) / (0.05 * size))
-    area = np.abs(area_normals(world, faces)[:, 1]) / 4  # projected area, halved as upper and lower faces both count
+    # a quarter of the normals is half of the projected area, as upper and lower faces both count
+    area = np.abs(area_normals(world, np.asarray(faces, dtype=np.int64))[:, 1]) / 4
     x, y, _ = ((centre * [1, 0, 1] + [0, floor, 0]) @ view.rotation.T).T
     bounds = [[bottom, top], [left, right]]
     cover = np.histogram2d(y, x, bins=shape, range=bounds, weights=area * darkness)[0]
@@ -192,14 +176,13 @@ def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limit
     foreshortening = max(np.sin(np.radians(view.elevation)), 0.05)  # foreshortening of the ground on the screen
     blur = 0.019 * size / pixel * [foreshortening, 1]
     cover = gaussian_filter(cover / (pixel.prod() * foreshortening), np.maximum(blur, 1))
-    alpha = 0.42 * (1 - np.exp(-0.9 * cover)) * np.outer(*map(_feather, shape))
-    return np.concatenate([np.broadcast_to(SHADOW_COLOUR, (*shape, 3)), alpha[..., None]], axis=2)
+    return np.asarray(0.42 * (1 - np.exp(-0.9 * cover)) * np.outer(*map(_feather, shape)))
 
 
 def _feather(count: int) -> Float:
-    """Return a ramp ``(count,)`` from 0 to 1 and back to 0."""
+    """Return a ramp ``(count,)`` from 0 to 1 over 10 pixels, and back to 0 at the end."""
     index = np.arange(count)
-    return np.clip(np.minimum(index, index[::-1]) / FEATHER_PIXELS, 0, 1)
+    return np.clip(np.minimum(index, index[::-1]) / 10, 0, 1)
 
 
 SAMPLES_PER_SIDE = 2
@@ -233,7 +216,7 @@ def render_mesh(
     rows, columns = picture.shape[:2]
     floor = float(world[:, 1].min()) if ground is None else ground
     shadow = ground_shadow(world, faces, floor, view, limits)
-    blend_shadow(np.ascontiguousarray(shadow[..., 3]), 255 * shadow[0, 0, :3], picture)
+    blend_shadow(shadow, SHADOW_COLOUR, picture)
 
     x, y, z = world.T
     # sum in a fixed order to get the same result on every machine

@@ -34,9 +34,6 @@ INK_COLOUR = "#3a3a3a"
 Limits = tuple[float, float, float, float]
 """Screen rectangle: left, right, bottom and top, in units of the points."""
 
-MIN_TRAVEL_DIAGONALS = 0.5
-"""Displacement from the first to the last pose above which a body counts as travelling, in diagonals of the body."""
-
 
 @dataclass(frozen=True)
 class View:
@@ -82,12 +79,13 @@ class Camera:
 def front_azimuth(poses: FloatArray, up_axis: str = "Y") -> float:
     """Return the azimuth in degrees from which a body in poses ``(n, V, 3)`` is seen from the front.
 
-    A travelling body faces its direction of travel. Any other body faces the conventional front for its up axis: +z
-    with Y up (glTF 2.0, section 3.4), -y with Z up (Blender). In both conventions +x is to the body's left.
+    A body that travels by half of its diagonal faces its direction of travel. Any other body faces the conventional
+    front for its up axis: +z with Y up (glTF 2.0, section 3.4), -y with Z up (Blender). In both conventions +x is to
+    the body's left.
     """
     ends = to_y_up(poses[[0, -1]], up_axis)
     x, _, z = ends[1].mean(axis=0) - ends[0].mean(axis=0)
-    if np.hypot(x, z) < MIN_TRAVEL_DIAGONALS * np.linalg.norm(np.ptp(ends[0], axis=0)) or x == z == 0:
+    if np.hypot(x, z) < 0.5 * np.linalg.norm(np.ptp(ends[0], axis=0)) or x == z == 0:
         return -90.0 if up_axis == "Z" else 0.0
     return float(np.round(np.degrees(np.arctan2(x, z))))  # rounding gives the same view on all machines
 
@@ -144,9 +142,6 @@ def to_y_up(points: FloatArray, up_axis: str) -> Float:
     return np.asarray(points[..., [(up - 1) % 3, up, (up + 1) % 3]], dtype=np.float64)
 
 
-STILL_FILM_SECONDS = 4.0
-"""Duration of a film of a single pose."""
-
 MAX_FRAMES = 100_000
 """Largest number of frames of a film, to catch wrong frame rates and durations."""
 
@@ -157,7 +152,7 @@ def film_times(
     """Return the frame times ``(N,)`` of a film, in seconds since the first frame of the meshes, and the frame rate."""
     rate = headers[0].fps if fps is None else snap_to_ntsc(fps, headers[0].fps)
     period = max(_period(header) for header in headers)
-    duration = seconds or period or STILL_FILM_SECONDS
+    duration = seconds or period or 4.0  # of a single pose
     frame_count = duration * rate
     if not 1.5 <= frame_count < MAX_FRAMES:
         raise SettingsError(
@@ -346,9 +341,6 @@ def check_start_times(items: Sequence[SceneItem], original: SequenceHeader) -> N
             )
 
 
-BOUNDS_SAMPLES = 8
-"""Number of frames from which the bounding box of a mesh over time is estimated."""
-
 MESH_GAP_RATIO = 0.15
 """Distance between adjacent meshes, as a fraction of the widest mesh."""
 
@@ -357,9 +349,6 @@ SCENE_SIZE = 2.0
 
 FIELD_OF_VIEW_DEGREES = 35.0
 """Vertical field of view of the camera."""
-
-CLOSE_UP_DISTANCE_RATIO = 0.7
-"""Ratio of camera distance to the distance that shows all meshes, below which the camera shows a single mesh."""
 
 FRAMING_RATIO = 1.15
 """Size of the picture relative to the size of the projected meshes."""
@@ -420,7 +409,7 @@ class Arrangement:
         offsets = _row_offsets(self.boxes, azimuth)
         shifts = (self.offsets - offsets) * [1, 0, 1]
         position, centre = self.camera(aspect=1.0)
-        if distance < CLOSE_UP_DISTANCE_RATIO * np.linalg.norm(position - centre):
+        if distance < 0.7 * np.linalg.norm(position - centre):
             shift = shifts[np.linalg.norm(self.centres - target, axis=1).argmin()]
         else:
             shift = shifts.mean(axis=0)
@@ -432,7 +421,7 @@ def arrange_meshes(scene: Scene, side_by_side: bool, camera: tuple[float, float]
     up_axes = tuple(item.header.up_axis for item in scene.items)
     boxes = []
     for item, up_axis in zip(scene.items, up_axes, strict=True):
-        frames = scene.sample_frames(BOUNDS_SAMPLES)
+        frames = scene.sample_frames(8)  # enough to estimate the bounds over time
         poses = [to_y_up(item.pose(scene.elapsed(frame)), up_axis) for frame in frames]
         boxes.append((np.min(poses, axis=(0, 1)), np.max(poses, axis=(0, 1))))
     bounds = np.array(boxes)

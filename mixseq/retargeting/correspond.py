@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,7 +33,7 @@ from mixseq.retargeting.markers import Correspondence, Markers, Pairing, pair_co
 from mixseq.retargeting.registration import LAST_STIFFNESS, STIFFNESS_STEPS, register
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, IntArray, Mask
 
@@ -192,9 +193,9 @@ MAX_FLIPPED_FACE_SHARE = 0.01  # largest share of flipped target triangles; test
 
 @public
 def correspond(
-    source: MeshSequence,
-    target: MeshSequence,
-    markers: Markers,
+    source: FileOr[MeshSequence],
+    target: FileOr[MeshSequence],
+    markers: FileOr[Markers],
     rest: int = 0,
     progress: Progress = no_progress,
 ) -> Correspondence:
@@ -238,6 +239,9 @@ def correspond(
     >>> correspondence.interpolate(mixseq.read("arm.usdc")[0]).shape
     (77, 3)
     """
+    source = cast("MeshSequence", source)
+    target = cast("MeshSequence", target)
+    markers = cast("Markers", markers)
     return correspond_and_assess(source, target, markers, rest, progress)[0]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +22,7 @@ from mixseq.retargeting.parts import PartCorrespondence, PartPoses
 from mixseq.retargeting.sources import SourceMotion, prepare_source
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import with_other_motion
 from mixseq.sequence.sequence import Frames, MeshSequence, block_size, check_frames, join_blocks
@@ -89,7 +89,9 @@ class Transfer:
         size = block_size(max(self.source.header.vertex_count, self.header.vertex_count))
         slices = [slice(start, start + size) for start in range(0, frame_count, size)]
         frames, planted = (self.source.points[block] for block in slices), self.planted
-        poses = (planted and PartPoses(planted.rotations[block], planted.centres[block]) for block in slices)
+        poses = (
+            None if planted is None else PartPoses(planted.rotations[block], planted.centres[block]) for block in slices
+        )
         for block in run(_transfer_block, self.method, zip(frames, poses, strict=True)):
             yield block
             done_count += len(block)
@@ -168,13 +170,13 @@ def _find_correspondence(
 
 @public
 def transfer(
-    source: Frames | Model,
-    target: Frames,
-    markers: Markers | ArrayLike | None = None,
-    mapping: Correspondence | Callable[[RestMesh, RestMesh], Correspondence] | None = None,
+    source: FileOr[Frames | Model],
+    target: FileOr[Frames],
+    markers: FileOr[Markers | ArrayLike] | None = None,
+    mapping: FileOr[Correspondence | Callable[[RestMesh, RestMesh], Correspondence]] | None = None,
     method: TransferName = "mixed",
-    rest: int | MeshSequence = 0,
-    contacts: Mapping[str, ArrayLike] | None = None,
+    rest: FileOr[int | MeshSequence] = 0,
+    contacts: FileOr[Mapping[str, ArrayLike]] | None = None,
     *,
     parts: int | ArrayLike | None = None,
     joint_width: int = 3,
@@ -239,6 +241,12 @@ def transfer(
     >>> transfer(walk, tall).points.shape == walk.points.shape
     True
     """
+    source = cast("Frames | Model", source)
+    target = cast("Frames", target)
+    markers = cast("Markers | ArrayLike | None", markers)
+    mapping = cast("Correspondence | Callable[[RestMesh, RestMesh], Correspondence] | None", mapping)
+    rest = cast("int | MeshSequence", rest)
+    contacts = cast("Mapping[str, ArrayLike] | None", contacts)
     settings = TransferSettings(markers, mapping, method, rest, contacts, parts, joint_width, shell)
     prepared = plan_transfer(source, target, settings, progress, workers)
     return join_blocks(prepared.header, prepared.blocks(progress, workers))

@@ -25,6 +25,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, lru_cache
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,7 +42,7 @@ from mixseq.rigging.decomposition import (
 from mixseq.rigging.rigs import BONES_PER_VERTEX, Morph, Skeleton, Skin, rotation_matrices
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames
 from mixseq.types import Float
 
@@ -188,15 +189,15 @@ def _predict_count(rough_error: Callable[[int], float], too_few: int, limit: int
 
 @public
 def fit_skin(
-    sequence: Frames,
+    sequence: FileOr[Frames],
     bones: int | ArrayLike | None = None,
     correctives: float | None = None,
     max_targets: int = 32,
     rounds: int = 60,
     progress: Progress = no_progress,
     *,
-    skeleton: Skeleton | None = None,
-    bind_pose: MeshSequence | None = None,
+    skeleton: FileOr[Skeleton] | None = None,
+    bind_pose: FileOr[MeshSequence] | None = None,
     max_error: float | None = None,
     kg: float | None = None,
 ) -> Skin:
@@ -266,6 +267,9 @@ def fit_skin(
     >>> skin = mixseq.fit_skin("arm.usdc", bones=2)
     >>> mixseq.write_rig("arm.glb", skin)
     """
+    sequence = cast("Frames", sequence)
+    skeleton = cast("Skeleton | None", skeleton)
+    bind_pose = cast("MeshSequence | None", bind_pose)
     check_frames(sequence)
     _check_error("correctives", correctives)
     _check_count("max_targets", max_targets)
@@ -299,7 +303,7 @@ def fit_skin(
 
 @public
 def fit_morph(
-    sequence: Frames,
+    sequence: FileOr[Frames],
     max_error: float | None = None,
     max_targets: int | None = None,
     progress: Progress = no_progress,
@@ -336,6 +340,7 @@ def fit_morph(
     >>> morph.targets.shape, morph.weights.shape
     ((3, 77, 3), (4, 3))
     """
+    sequence = cast("Frames", sequence)
     check_frames(sequence)
     _check_error("max_error", max_error)
     _check_count("max_targets", max_targets)

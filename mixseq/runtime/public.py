@@ -14,14 +14,19 @@ from contextlib import AbstractContextManager, ExitStack
 from functools import cache, wraps
 from inspect import Parameter, signature
 from types import NoneType, UnionType
-from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, ParamSpec, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from mixseq.runtime.lazy import connected
+from mixseq.types import PathLike
 
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
+Contents = TypeVar("Contents")
+
+FileOr: TypeAlias = Contents | PathLike
+"""Argument of a public function, or the path of its file. `public` reads the file; the functions' bodies cast."""
 
 _SEQUENCE_TYPES = {"Frames", "MeshSequence"}
 
@@ -109,7 +114,8 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
     """Return the types in a union; for array-likes, return array, number and mixseq's types."""
     members = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     if complex not in members:
-        return members
+        contents_types = tuple(member for member in members if member not in get_args(PathLike))
+        return contents_types if set(contents_types) - {NoneType} else members
     kept = (
         member
         for member in members

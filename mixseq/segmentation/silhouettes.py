@@ -101,7 +101,7 @@ _MIN_SPARSE_VERTICES = 400  # smaller components use a dense eigensolver
 class Diffusion:
     """Diffusion on one frame of a mesh."""
 
-    points: FloatArray  # (V, 3)
+    points: Float  # (V, 3)
     topology: Topology
 
     @cached_property
@@ -272,15 +272,13 @@ def viewpoints(count: int) -> Float:
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
 
 
-def silhouette(points: FloatArray, topology: Topology, direction: Float) -> Mask:
+def silhouette(points: Float, topology: Topology, direction: Float) -> Mask:
     """Mark the hinges ``(H,)`` between a front and a back face, viewed from a direction ``(3,)``."""
     is_front = (TriangleMesh(points, topology).vector_areas @ direction > 0.0)[topology.hinge_faces]
     return np.asarray(is_front[:, 0] != is_front[:, 1])
 
 
-def significant_vertices(
-    points: FloatArray, topology: Topology, deformation: Float, settings: SilhouetteSettings
-) -> Mask:
+def significant_vertices(points: Float, topology: Topology, deformation: Float, settings: SilhouetteSettings) -> Mask:
     """Mark the vertices ``(V,)`` that are marked on at least half of their silhouettes in poses ``(N, V, 3)``."""
     directions = viewpoints(settings.viewpoints)
     view_count = len(points) * len(directions)

@@ -21,7 +21,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol, TypeGuard, overload
+from typing import TYPE_CHECKING, Protocol, TypeGuard, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,7 +32,7 @@ from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.polygons import Polygons, read_only
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS, UP_AXES, SequenceHeader, header_fields
 from mixseq.sequence.provenance import Provenance, as_edited, frames_checksum
@@ -512,7 +512,9 @@ class UnitConversion:
 
 
 @public
-def convert_units(sequence: MeshSequence, up_axis: str | None = None, units: str | float | None = None) -> MeshSequence:
+def convert_units(
+    sequence: FileOr[MeshSequence], up_axis: str | None = None, units: str | float | None = None
+) -> MeshSequence:
     """Return a sequence rotated so that an axis points up, and scaled to a unit of length.
 
     Points and velocities are converted, so that size and orientation in the world are kept. To set metadata missing in
@@ -544,6 +546,7 @@ def convert_units(sequence: MeshSequence, up_axis: str | None = None, units: str
     >>> convert_units(one, up_axis="Z", units="mm").points[0, 1].tolist()
     [10.0, -30.0, 20.0]
     """
+    sequence = cast("MeshSequence", sequence)
     conversion = UnitConversion.from_header(sequence.header, up_axis, units)
     velocities = sequence.velocities
     return MeshSequence.from_header(

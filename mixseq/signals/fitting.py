@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Literal, Unpack
+from typing import Literal, Unpack, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, no_progress
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.events import Events, SequenceEvents, distinct_poses, find_events
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import as_edited
@@ -160,7 +160,7 @@ class FitOptions(SpaceOptions, total=False):
 
 @public
 def fit(
-    sequence: Frames,
+    sequence: FileOr[Frames],
     exact: bool = False,
     tolerance: float | None = None,
     rank: int | None = None,
@@ -263,6 +263,7 @@ def fit(
     >>> mixseq.compare(walk, mixseq.fit(walk, exact=True).sample()).max_error < 1e-9
     True
     """
+    sequence = cast("Frames", sequence)
     check_motion(sequence)
     knots, pose = settings.pop("knots", None), settings.pop("pose", "modes")
     between, cuts = settings.pop("between", "auto"), settings.pop("cuts", "auto")

@@ -55,9 +55,6 @@ PLAYER_SCRIPTS = (
 )
 """Scripts of the mesh player."""
 
-POSE_SCRIPTS = ("normals.js", "topology.js", "measures.js", "poses.js")
-"""Scripts that are loaded with the decoder to convert streams to poses."""
-
 
 def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
     """Return the bytes of a page from the description and the data of its meshes."""
@@ -82,10 +79,9 @@ def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
 @cache
 def decoder_script() -> str:
     """Return the script that decodes streams to poses, in a worker or in the page."""
+    scripts = ("normals.js", "topology.js", "measures.js", "poses.js")
     decoder = re.sub(r"^export const ?{.*}=(\w+);$", r"return \1;", bundled(), flags=re.MULTILINE)
-    return f"var mixseqDecoder = (() => {{\n{decoder}}})();\n" + "".join(
-        minify(read_script(name)) for name in POSE_SCRIPTS
-    )
+    return f"var mixseqDecoder = (() => {{\n{decoder}}})();\n" + "".join(minify(read_script(name)) for name in scripts)
 
 
 @cache
@@ -135,22 +131,14 @@ class ExportSettings:
             )
 
 
-@dataclass(frozen=True)
-class ExportReport:
-    """Report on a page."""
-
-    size: int  # bytes of the file
-    items: tuple[PageItemReport, ...]  # reports on the meshes
-
-
 def export_page(
     target: Path,
     items: Sequence[PageItem],
     settings: ExportSettings | None = None,
     progress: Progress = no_progress,
     workers: Executor | None = None,
-) -> ExportReport:
-    """Write a page that plays meshes; equal input gives a page of equal bytes."""
+) -> list[PageItemReport]:
+    """Write a page that plays meshes, and return a report on each; equal input gives a page of equal bytes."""
     settings = settings or ExportSettings()
     if not items:
         raise SettingsError("there is no mesh to show; give a sequence or a model")
@@ -174,9 +162,8 @@ def export_page(
         "period": _period(items, times),
         "items": descriptions,
     }
-    text = page_text(description, list(chain.from_iterable(data)))
-    target.write_bytes(text)
-    return ExportReport(len(text), reports)
+    target.write_bytes(page_text(description, list(chain.from_iterable(data))))
+    return list(reports)
 
 
 def _times(item: PageItem, settings: ExportSettings) -> Float:

@@ -17,6 +17,8 @@ import codecs
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -69,10 +71,6 @@ def deflate_rows(rows: Iterable[NDArray[np.uint8]]) -> bytes:
     return b"".join([*chunks, deflate.flush()])
 
 
-MAX_COMMON_SIZE_RATIO = 2.0
-"""Largest common extent of two meshes with the same scale, relative to the smaller mesh, which must stay visible."""
-
-
 @dataclass(frozen=True, eq=False)
 class PageItem:
     """A mesh of a page, with one pose per frame of this mesh."""
@@ -112,10 +110,8 @@ class Extent:
         """Longest side of the bounding box."""
         return float((self.high - self.low).max())
 
-    def union(self, other: Extent | None) -> Extent:
+    def union(self, other: Extent) -> Extent:
         """Return the smallest extent that contains both extents."""
-        if other is None:
-            return self
         low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
         minima, maxima = np.minimum(self.screen, other.screen), np.maximum(self.screen, other.screen)
         return Extent(low, high, np.where([True, False, True, False, True], minima, maxima))
@@ -148,33 +144,33 @@ def collect_poses(
 ) -> PagePoses:
     """Read the poses at elapsed times ``(n,)``; `first` is the page's first mesh, or None if `item` is the first."""
     header = item.header
+    blocks = item.poses(elapsed, workers)
+    opening = next(blocks, None)
+    if opening is None:
+        raise InvalidSequenceError(f"{item.name} has 0 poses, but {len(elapsed)} times")
     has_same_faces = first is None or np.array_equal(header.faces, first[0].faces)
-    views: tuple[View, View] | None = None
-    poses: LargeArray | None = None
-    still: Extent | None = None
-    following: Extent | None = None
+    if first and has_same_faces:
+        own = first[1].views[0]
+    else:
+        end = next(item.poses(elapsed[-1:]))[-1]
+        own = resolve_view(np.stack([opening[0], end]), header.up_axis, camera)
+    views = own, first[1].views[0] if first else own
+    poses = new_large_array((len(elapsed), header.vertex_count, 3), opening.dtype)
+    extents: list[tuple[Extent, Extent]] = []
     count = 0
-    for block in item.poses(elapsed, workers):
+    for block in chain([opening], blocks):
         check_block(header, block, count)
         if count + len(block) > len(elapsed):
             raise InvalidSequenceError(f"{item.name} has more poses than its {len(elapsed)} times")
-        if poses is None or views is None:
-            poses = new_large_array((len(elapsed), header.vertex_count, 3), block.dtype)
-            if first and has_same_faces:
-                own = first[1].views[0]
-            else:
-                end = next(item.poses(elapsed[-1:]))[-1]
-                own = resolve_view(np.stack([block[0], end]), header.up_axis, camera)
-            views = own, first[1].views[0] if first else own
         poses[count : count + len(block)] = block
         count += len(block)
         world = to_y_up(block, header.up_axis)
-        still = measure_extent(world, views).union(still)
         path = world.mean(axis=1, keepdims=True, dtype=np.float64) * [1, 0, 1]
-        following = measure_extent(world - path, views).union(following)
+        extents.append((measure_extent(world, views), measure_extent(world - path, views)))
         progress(count, len(elapsed), "decoding frames")
-    if poses is None or still is None or following is None or views is None or count < len(elapsed):
+    if count < len(elapsed):
         raise InvalidSequenceError(f"{item.name} has {count} poses, but {len(elapsed)} times")
+    still, following = (reduce(Extent.union, of_blocks) for of_blocks in zip(*extents, strict=True))
     like_first = has_same_faces and (first is None or _share_scale(still, first[1].still))
     return PagePoses(poses, still, following, views, like_first)
 
@@ -193,29 +189,19 @@ def measure_extent(world: FloatArray, views: Sequence[View]) -> Extent:
 
 
 def _share_scale(one: Extent, other: Extent) -> bool:
-    """Whether both meshes are large enough to be shown at the same scale."""
-    return one.union(other).side <= MAX_COMMON_SIZE_RATIO * min(one.side, other.side)
-
-
-PALETTE_STEP = 15
-"""Step between the stored entries of a palette of measured values; the page interpolates the omitted entries."""
-
-EXTENT_DIGITS = 5
-"""Significant digits of extents, sufficient for the resolution of a screen."""
+    """Whether both meshes are visible at the same scale: the smaller one has half of their common extent."""
+    return one.union(other).side <= 2 * min(one.side, other.side)
 
 
 @dataclass(frozen=True)
 class PageItemReport:
-    """Errors and sizes of an exported mesh."""
+    """Errors of an exported mesh."""
 
     name: str  # name above the mesh
-    frames: int  # number of poses
     max_error: float  # bound of vertex errors, in diagonals of the first pose
     error: float  # the same bound in units of the mesh
     between: float | None  # distance from the model between frames in diagonals, if it was measured
     history: str  # what the bound refers to, see `mixseq.sequence.provenance`
-    positions: int  # bytes of mesh and motion before encoding as text
-    colours: int  # bytes of colours before encoding as text
 
 
 def encode_mesh(
@@ -269,8 +255,7 @@ def encode_mesh(
         "signals": item.signals,
     }
     history = str(compressed.header.provenance or "")
-    sizes = len(container.streams), sum(map(len, stored))
-    report = PageItemReport(item.mesh.name, len(elapsed), parameters.max_error, error, between, history, *sizes)
+    report = PageItemReport(item.mesh.name, parameters.max_error, error, between, history)
     return description, [container.streams, *stored], report
 
 
@@ -290,7 +275,8 @@ def _compress_poses(
     frames = numbering.renumber_frames(LazyFrames(geometry_header, lambda size: iterate_blocks(page_poses.poses)))
     parts = None if parts is None else numbering.renumber_labels(parts, header.polygons)
     coded = compress(frames, max_error=max_error, progress=progress, uvs=False, parts=parts, inbetweens=inbetweens)
-    return replace(coded, parts=None), numbering.vertices
+    # players need the labels of triangles only for in-betweens of parts
+    return coded if coded.parameters.inbetween_parts else replace(coded, parts=None), numbering.vertices
 
 
 def _regular_times(elapsed: Float, fps: float) -> tuple[Float, float]:
@@ -311,7 +297,8 @@ def _has_frame_times(header: SequenceHeader, elapsed: Float) -> bool:
 
 
 def _describe_extent(extent: Extent, page_poses: PagePoses) -> dict[str, Any]:
-    digits = EXTENT_DIGITS - int(np.ceil(np.log10(extent.side or 1.0)))
+    # 5 significant digits are enough for a screen
+    digits = 5 - int(np.ceil(np.log10(extent.side or 1.0)))
     low, high, screen = (
         np.round(values, digits).tolist() for values in (extent.low, extent.high, extent.rectangles(page_poses.views))
     )
@@ -323,7 +310,7 @@ def _describe_colouring(
 ) -> tuple[dict[str, Any], bytes | None]:
     """Return the description of a colouring for a page, and its stored data, if any."""
     if not colouring.is_constant:
-        palette = colouring.palette[::PALETTE_STEP]
+        palette = colouring.palette[::15]  # the page interpolates the others
         measured = {"name": colouring.name, "palette": palette.tolist(), "top": top, "unit": colouring.unit}
         if colouring.name in MEASURES:
             return measured, None

@@ -13,8 +13,7 @@ import numpy as np
 
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.markers import Markers
-from mixseq.retargeting.mirroring import Mirror
-from mixseq.retargeting.suggestions import Examination, examine_markers, suggest_markers
+from mixseq.retargeting.suggestions import Examination, Mirror, examine_markers, suggest_markers
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
 from mixseq.viewer.playback import JobQueue

@@ -40,17 +40,17 @@ class PageMessage(Struct, tag_field="kind", tag=str.lower, frozen=True):
     """Message of the page; further fields are ignored."""
 
 
-class Drawn(PageMessage):
+class Drawn(PageMessage, frozen=True):
     """Confirmation that the page has drawn a frame."""
 
 
-class Seek(PageMessage):
+class Seek(PageMessage, frozen=True):
     """Request to show the model at a time in seconds."""
 
     time: Number
 
 
-class Drag(PageMessage):
+class Drag(PageMessage, frozen=True):
     """Drag of the time curve's point at a given time to a point of the embedding."""
 
     time: Number
@@ -58,13 +58,13 @@ class Drag(PageMessage):
     done: bool
 
 
-class Sketch(PageMessage):
+class Sketch(PageMessage, frozen=True):
     """Curve that the user drew in the embedding."""
 
     points: Points
 
 
-class Retime(PageMessage):
+class Retime(PageMessage, frozen=True):
     """Keys of a retiming: output and source times."""
 
     keys: Points

@@ -22,6 +22,7 @@ from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.runtime.parallel import thread_count
 from mixseq.sequence.sequence import MeshSequence, load_frames
+from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.stage import LiveStage
 from mixseq.viewer.playback import Moment, Playback
 from scripts.benchmarks.common.harness import animation, print_table
@@ -78,7 +79,7 @@ def sending(item: SceneItem, colour: str) -> float:
     scene = Scene((item,))
     with redirect_stdout(StringIO()):
         server = ViserServer("127.0.0.1", 8500, verbose=False)
-        stage = LiveStage(server, SceneColours(scene), "standard", False, lambda moment: None)
+        stage = LiveStage(server, SceneColours(scene), ViewSettings(), lambda moment: None)
         stage.set_colour(colour)
         moments = [Moment(scene, frame, (item.pose(scene.elapsed(frame)),)) for frame in scene.sample_frames(24)]
         stage.show(moments[0])  # works out the colours

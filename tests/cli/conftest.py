@@ -15,8 +15,14 @@ from mixseq.cli import main
 from mixseq.mesh.polygons import Polygons
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.model import Model
+from tests.pictures.conftest import LOW_RESOLUTION, set_resolution
 
 Run = Callable[..., Result]
+
+
+@pytest.fixture(autouse=True)
+def _low_resolution(monkeypatch: pytest.MonkeyPatch) -> None:
+    set_resolution(monkeypatch, LOW_RESOLUTION)
 
 
 @pytest.fixture(scope="session")

@@ -141,7 +141,7 @@ def test_model_of_equal_size_is_not_replaced_unasked() -> None:
     assert "one.h5" in result.stderr and "--overwrite" in result.stderr
     assert model.read_bytes() == own
     batch("--overwrite")
-    assert entry_of("one.npz").is_unchanged(model)
+    assert entry_of("one.npz").is_unchanged()
     assert mixseq.load(model).header.frame_count == 4
 
 
@@ -175,10 +175,10 @@ def test_assets_are_compressed(aim: tuple[str, str], bent_bar: MeshSequence) -> 
 @pytest.mark.usefixtures("shots")
 def test_progress_names_the_asset() -> None:
     told: list[str] = []
-    assets = plan(find_sources([Path("shots")]), Path("models").resolve(), {})
+    assets = plan(find_sources([Path("shots")]), Path("models").resolve(), {}, SETTINGS)
     Path("models").mkdir()
     work = in_turn(serial_executor, lambda done, total, what: told.append(what))
-    list(work(SETTINGS, assets))
+    list(work(assets))
     assert {line.partition(":")[0] for line in told} == {"asset 1 of 3, one", "asset 3 of 3, two"}
 
 
@@ -287,8 +287,8 @@ def test_any_of_the_numbered_files_may_change(tmp_path: Path, bent_bar: MeshSequ
         os.utime(file, (1000, 1000 + number))
 
     def signature() -> str:
-        (asset,) = plan([tmp_path / "walk_#.obj"], tmp_path / "out", {})
-        return asset.signature
+        (asset,) = plan([tmp_path / "walk_#.obj"], tmp_path / "out", {}, SETTINGS)
+        return asset.source_signature
 
     before = signature()
     assert signature() == before
@@ -321,9 +321,9 @@ def test_sequences_in_a_folder_are_found(tmp_path: Path, bent_bar: MeshSequence)
     (tmp_path / "cloth.pc2").unlink()
     found = find_sources([tmp_path, tmp_path / "a.npz", tmp_path / "deeper" / ".." / "b.h5"])
     assert [path.name for path in found] == ["a.npz", "b.h5", "run7_##.ply", "walk_####.obj"]
-    assets = plan(found, tmp_path / "out", {})
-    assert [asset.target.name for asset in assets] == ["a.h5", "b.h5", "run7.h5", "walk.h5"]
-    assert assets[3].size == sum(file.stat().st_size for file in tmp_path.glob("walk_*.obj"))
+    assets = plan(found, tmp_path / "out", {}, SETTINGS)
+    assert [asset.model.name for asset in assets] == ["a.h5", "b.h5", "run7.h5", "walk.h5"]
+    assert assets[3].source_bytes == sum(file.stat().st_size for file in tmp_path.glob("walk_*.obj"))
 
 
 def touched(folder: Path, *names: str) -> list[Path]:
@@ -335,28 +335,28 @@ def touched(folder: Path, *names: str) -> list[Path]:
 
 def test_two_of_the_same_stem_have_two_names(tmp_path: Path) -> None:
     sources = touched(tmp_path, "walk.usdc", "Walk.abc", "run.abc")
-    assert [a.target.name for a in plan(sources, tmp_path, {})] == ["walk.usdc.h5", "Walk.abc.h5", "run.h5"]
+    assert [a.model.name for a in plan(sources, tmp_path, {}, SETTINGS)] == ["walk.usdc.h5", "Walk.abc.h5", "run.h5"]
 
 
 def test_names_are_kept_when_sources_are_added(tmp_path: Path) -> None:
     first, second = touched(tmp_path, "walk.usdc", "walk.abc")
     names = {str(first): "walk.h5"}
-    assert [a.target.name for a in plan([first, second], tmp_path, names)] == ["walk.h5", "walk.abc.h5"]
-    assert [a.target.name for a in plan([second], tmp_path, names)] == ["walk.abc.h5"]
+    assert [a.model.name for a in plan([first, second], tmp_path, names, SETTINGS)] == ["walk.h5", "walk.abc.h5"]
+    assert [a.model.name for a in plan([second], tmp_path, names, SETTINGS)] == ["walk.abc.h5"]
 
 
 def test_two_of_the_same_name_are_refused(tmp_path: Path) -> None:
     sources = touched(tmp_path, "a/walk.usdc", "b/walk.usdc")
     with pytest.raises(OutputError, match=r"b/walk.usdc and .*a/walk.usdc would both be written to .*another --out"):
-        plan(sources, tmp_path / "out", {})
+        plan(sources, tmp_path / "out", {}, SETTINGS)
     names = {str(sources[0]): "walk.h5", "gone.usdc": "walk.usdc.h5"}
     with pytest.raises(OutputError, match=r"b/walk.usdc and gone.usdc would both"):
-        plan(sources, tmp_path / "out", names)
+        plan(sources, tmp_path / "out", names, SETTINGS)
 
 
 def test_a_source_is_never_a_target(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"walk.h5 is a source itself"):
-        plan(touched(tmp_path, "walk.h5"), tmp_path, {})
+        plan(touched(tmp_path, "walk.h5"), tmp_path, {}, SETTINGS)
 
 
 # Refusals -------------------------------------------------------------------------------------------------
@@ -425,10 +425,10 @@ def test_assets_on_a_cluster_of_which_a_worker_dies(tmp_path: Path, bent_bar: Me
         mixseq.write(tmp_path / f"shot{'abcd'[number]}.npz", bent_bar.with_points(points))
     for name in ("here", "there"):
         (tmp_path / name).mkdir()
-    here = plan(find_sources([tmp_path]), tmp_path / "here", {})
-    there = plan(find_sources([tmp_path]), tmp_path / "there", {})
+    here = plan(find_sources([tmp_path]), tmp_path / "here", {}, SETTINGS)
+    there = plan(find_sources([tmp_path]), tmp_path / "there", {}, SETTINGS)
     for asset in here:
-        assert encode_asset(SETTINGS, asset).state == "done"
+        assert encode_asset(None, asset).state == "done"
     with connect_to_cluster("local:2") as workers:
         victims = list(workers._client.run(os.getpid).values())[:1]
 
@@ -436,23 +436,23 @@ def test_assets_on_a_cluster_of_which_a_worker_dies(tmp_path: Path, bent_bar: Me
             if done == 1 and victims:
                 os.kill(victims.pop(), signal.SIGKILL)
 
-        report = run(there, SETTINGS, Report({}), tmp_path / "there", on_cluster(workers, kill_one), force=False)
+        report = run(there, Report({}), tmp_path / "there", on_cluster(workers, kill_one), force=False)
     assert report.finished and report.count("done") == 4
     for one, other in zip(here, there, strict=True):
-        assert one.target.read_bytes() == other.target.read_bytes()
+        assert one.model.read_bytes() == other.model.read_bytes()
 
 
 def test_work_that_was_given_up_is_a_failure(tmp_path: Path, bent_bar: MeshSequence) -> None:
     from mixseq.errors import GivenUpError
 
-    def given_up(settings: object, assets: Any) -> Any:
+    def given_up(assets: Any) -> Any:
         def result() -> Entry:
             raise GivenUpError("several workers died")
 
         return ((asset, result) for asset in assets)
 
-    assets = plan(touched(tmp_path, "walk.npz"), tmp_path, {})
-    report = run(assets, SETTINGS, Report({}), tmp_path, given_up, force=False)
+    assets = plan(touched(tmp_path, "walk.npz"), tmp_path, {}, SETTINGS)
+    report = run(assets, Report({}), tmp_path, given_up, force=False)
     assert [(entry.state, entry.message) for entry in report.entries.values()] == [("failed", "several workers died")]
 
 
@@ -465,13 +465,12 @@ def test_silence(shots: Path) -> None:
 
 def test_two_batches_do_not_write_to_one_folder(tmp_path: Path, bent_bar: MeshSequence) -> None:
     mixseq.write(tmp_path / "walk.npz", bent_bar)
-    assets = plan(find_sources([tmp_path / "walk.npz"]), tmp_path, {})
+    assets = plan(find_sources([tmp_path / "walk.npz"]), tmp_path, {}, SETTINGS)
 
-    def meanwhile(settings: object, assets: Any) -> Any:
+    def meanwhile(assets: Any) -> Any:
         with pytest.raises(OutputError, match="another batch is writing here"):
             run(
                 list(assets),
-                SETTINGS,
                 Report({}),
                 tmp_path,
                 in_turn(serial_executor, no_progress),
@@ -479,6 +478,6 @@ def test_two_batches_do_not_write_to_one_folder(tmp_path: Path, bent_bar: MeshSe
             )
         return iter(())
 
-    run(assets, SETTINGS, Report({}), tmp_path, meanwhile, force=False)
-    report = run(assets, SETTINGS, Report({}), tmp_path, in_turn(serial_executor, no_progress), force=False)
+    run(assets, Report({}), tmp_path, meanwhile, force=False)
+    report = run(assets, Report({}), tmp_path, in_turn(serial_executor, no_progress), force=False)
     assert report.count("done") == 1  # the lock is lifted

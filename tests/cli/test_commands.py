@@ -19,6 +19,7 @@ import mixseq
 from mixseq.cli import main
 from mixseq.mesh.surface import MeshObject, Surface
 from mixseq.sequence.sequence import MeshSequence
+from tests.meshes import COARSE_CELL_METRES
 
 pytestmark = pytest.mark.slow
 
@@ -339,7 +340,8 @@ def test_formats(run: Run) -> None:
     assert markdown.startswith("| format | reads | writes | polygons |")
 
 
-def test_demo(run: Run, folder: Path) -> None:
+def test_demo(run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mixseq.creature.CELL_METRES", COARSE_CELL_METRES)
     table = rows(succeed(run("demo", "--frames", "2", "--out", "demo/fox")))
     place = folder / "demo" / "fox"
     names = ["contact_sheet.png", "creature.usdc", "decoded.usdc", "model.h5"]

@@ -112,7 +112,7 @@ def test_the_help_knows_all_operations(run: Run) -> None:
     ("arguments", "text", "message"),
     [
         ("model.h5 new.h5", REPEAT, "Missing option '--script'"),
-        ("model.h5 new.h5 --script none.toml", REPEAT, "none.toml cannot be read: No such file"),
+        ("model.h5 new.h5 --script none.toml", REPEAT, "none.toml does not exist"),
         ("none.h5 new.h5 --script edits.toml", REPEAT, "none.h5 does not exist"),
         ("bar.npz new.h5 --script edits.toml", REPEAT, "bar.npz is not a model"),
         ("model.h5 new.h5 --script edits.toml --fps 24", REPEAT, "--fps is for sequences"),

@@ -15,7 +15,6 @@ from mixseq.choices import PICTURES
 from mixseq.errors import MissingExtraError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
-from tests.pictures.conftest import set_resolution
 
 pytestmark = pytest.mark.slow
 
@@ -23,11 +22,6 @@ Run = Callable[..., Result]
 Contents = Callable[[], dict[str, bytes | None]]
 
 pytest.importorskip("matplotlib")
-
-
-@pytest.fixture(autouse=True)
-def _low_resolution(monkeypatch: pytest.MonkeyPatch) -> None:
-    set_resolution(monkeypatch, 30)
 
 
 @pytest.mark.parametrize("kind", PICTURES)

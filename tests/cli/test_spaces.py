@@ -58,10 +58,6 @@ def test_pictures_of_parts_need_parts(run: Run, folder: Path, space: str) -> Non
 
 
 def test_settings_of_the_edge_space(run: Run) -> None:
-    succeed(run("encode", "bar.npz", "new.h5", "--space", "edge", "--projection", "dso"))
-    space = mixseq.load("new.h5").space
-    assert isinstance(space, EdgeSpace)
-    assert (space.settings.projection, space.settings.volume) == ("dso", 0.0)
     succeed(run("encode", "bar.npz", "new.h5", "--space", "edge", "--projection", "dso", "--volume", "2"))
     space = mixseq.load("new.h5").space
     assert isinstance(space, EdgeSpace)

@@ -30,6 +30,7 @@ from mixseq.pictures.colours import SceneColours
 from mixseq.runtime.parallel import thread_count
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.model import Model
+from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live import viewer as live
 from mixseq.viewer.session import Save
 from tests.viewer.pages import Opened
@@ -174,14 +175,14 @@ class Room:
         self.opened: list[str] = []
         self.ended = False
         self.colours: SceneColours
-        self.settings: live.ViewSettings
+        self.settings: ViewSettings
         self.save: Save
         monkeypatch.setattr(live, "run_viewer", self._viewer)
         monkeypatch.setattr(webbrowser, "open", self.opened.append)
         monkeypatch.setattr(module, "threading", SimpleNamespace(Event=lambda: self))
 
     @contextmanager
-    def _viewer(self, colours: SceneColours, settings: live.ViewSettings, save: Any) -> Iterator[Any]:
+    def _viewer(self, colours: SceneColours, settings: ViewSettings, save: Any) -> Iterator[Any]:
         self.colours, self.settings, self.save = colours, settings, save
         try:
             yield SimpleNamespace(address="http://127.0.0.1:8080", session=SimpleNamespace(unsaved=self.unsaved))

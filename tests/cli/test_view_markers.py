@@ -16,9 +16,9 @@ from click.testing import Result
 import mixseq
 from mixseq.cli import view as module
 from mixseq.retargeting.markers import Markers
+from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live import marking as live
 from mixseq.viewer.live.marking import MarkedMeshes
-from mixseq.viewer.live.viewer import ViewSettings
 from mixseq.viewer.marking import Marking, Pair
 from tests.meshes import bar, tube
 

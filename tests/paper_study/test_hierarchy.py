@@ -16,11 +16,11 @@ from tests import meshes
 pytestmark = pytest.mark.slow
 
 MESHES = {
-    "tube": meshes.tube(8, 16),
-    "open tube": meshes.tube(8, 16, closed=False),
-    "torus": meshes.torus(16, 8),
-    "sheet": meshes.grid(12, 9),
-    "book": meshes.pages(3, 8, 6),
+    "tube": meshes.tube(6, 9),
+    "open tube": meshes.tube(6, 9, closed=False),
+    "torus": meshes.torus(10, 6),
+    "sheet": meshes.grid(8, 6),
+    "book": meshes.pages(3, 5, 4),
 }
 
 

@@ -80,8 +80,14 @@ MESHES = {
 }
 
 
-@pytest.mark.parametrize("numbers", [{}, SMALL, {"leaf": 9, "group": 2, "strips": 1}], ids=str)
-@pytest.mark.parametrize("name", MESHES)
+TINY = {"leaf": 9, "group": 2, "strips": 1}
+
+
+@pytest.mark.parametrize(
+    ("name", "numbers"),
+    [*((name, SMALL) for name in MESHES), ("tube", {}), ("triangle", {}), ("sheet", TINY), ("tetrahedron", TINY)],
+    ids=str,
+)
 def test_meshes_come_back(name: str, numbers: dict[str, int]) -> None:
     points, faces = MESHES[name]
     this = Rebuilder(points, faces, **numbers)

@@ -132,7 +132,7 @@ FACE = np.array([[0, 1, 2]])
 
 
 def alpha(points: NDArray[np.float64], floor: float = 0.0, elevation: float = 40.0) -> NDArray[np.float64]:
-    return ground_shadow(points, FACE, floor, View(0, elevation), LIMITS)[..., 3]
+    return ground_shadow(points, FACE, floor, View(0, elevation), LIMITS)
 
 
 def test_pixels_are_square() -> None:

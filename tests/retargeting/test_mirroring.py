@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mixseq.mesh.topology import Topology
-from mixseq.retargeting.mirroring import Mirror
+from mixseq.retargeting.suggestions import Mirror
 from tests.meshes import joined, topology_of, torus, tube
 from tests.retargeting.foxes import on_bones, short, tall
 

@@ -215,3 +215,10 @@ def test_files_that_are_not_there_are_told() -> None:
         mixseq.fit("none.npz")
     with pytest.raises(FormatError, match=r"none\.json"):
         mixseq.transfer(SOURCE, TALL, markers="none.json")
+
+
+def test_type_checkers_accept_paths(bent_bar: MeshSequence, tmp_path: Path) -> None:
+    path = tmp_path / "bar.npz"
+    mixseq_typed.write(path, bent_bar)
+    assert mixseq_typed.compare(path, str(path)).max_error == 0
+    assert mixseq_typed.fit(path, parts=2).header.vertex_count == 77

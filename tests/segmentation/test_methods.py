@@ -189,7 +189,7 @@ def test_settings_outside_their_range(
 
 # Real animations ------------------------------------------------------------------------------------------
 
-QUICK = ("cheburashka", "cow", "fox_survey", "lion_poses", "q_man_run", "q_wolf_gallop", "robotexpressive_dance")
+QUICK = ("cow", "fox_survey", "q_man_run", "robotexpressive_dance")
 """Animations for every run; one at least of a mesh that was scanned, and of several components."""
 
 ARTICULATED = (

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import pytest
+from websockets.datastructures import Headers
 
 from mixseq.viewer.live.guard import Access
-
-
-class Lines(dict[str, list[str]]):
-    """Headers, each with all its values."""
-
-    def get_all(self, key: str) -> list[str]:
-        return self.get(key, [])
-
 
 TOKEN = "right"
 OURS = f"/?token={TOKEN}"
 
 
 def refusal(path: str = OURS, host: str = "127.0.0.1", **headers: str) -> str | None:
-    lines = Lines({name: each.split("|") for name, each in {"Host": "127.0.0.1:8080", **headers}.items()})
+    values = {"Host": "127.0.0.1:8080", **headers}
+    lines = Headers([(name, value) for name, each in values.items() for value in each.split("|")])
     return Access(host, 8080, TOKEN).refusal(path, lines)
 
 
@@ -83,8 +77,8 @@ def test_kept_out(given: dict[str, str], why: str) -> None:
 
 
 def test_the_usual_port_is_left_out_by_browsers() -> None:
-    assert Access("127.0.0.1", 80, TOKEN).refusal(OURS, Lines({"Host": ["localhost"]})) is None
-    assert Access("::1", 80, TOKEN).refusal(OURS, Lines({"Host": ["[::1]"]})) is None
+    assert Access("127.0.0.1", 80, TOKEN).refusal(OURS, Headers(Host="localhost")) is None
+    assert Access("::1", 80, TOKEN).refusal(OURS, Headers(Host="[::1]")) is None
 
 
 @pytest.mark.parametrize(

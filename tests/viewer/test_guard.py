@@ -27,9 +27,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
+from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.controls import _is_file_name
 from mixseq.viewer.live.guard import MAX_MESSAGE_BYTES, Guard, RateLimit
-from mixseq.viewer.live.viewer import Viewer, ViewSettings, run_viewer
+from mixseq.viewer.live.viewer import Viewer, run_viewer
 
 pytestmark = pytest.mark.slow
 

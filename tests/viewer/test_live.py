@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
-from mixseq.viewer.live.viewer import Viewer, ViewSettings, run_viewer
+from mixseq.viewer.live import ViewSettings
+from mixseq.viewer.live.viewer import Viewer, run_viewer
 
 pytestmark = pytest.mark.slow
 

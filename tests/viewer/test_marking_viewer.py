@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
+from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.marking import MarkedMeshes, MarkingViewer, run_marking_viewer
-from mixseq.viewer.live.viewer import ViewSettings
 
 pytestmark = pytest.mark.slow
 

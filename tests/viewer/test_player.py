@@ -252,7 +252,7 @@ CURVE = """(async () => {
 
 
 def test_the_browser_shows_in_betweens(new_page: NewPage, tmp_path: Path) -> None:
-    report = export_page(tmp_path / "tube.html", [exported("tube", bending_tube())]).items[0]
+    report = export_page(tmp_path / "tube.html", [exported("tube", bending_tube())])[0]
     made = Player(new_page(*SMALL), tmp_path / "tube.html").run(f"await {CURVE}")
     item = Opened(tmp_path / "tube.html").items[0]
     assert len(item.model.inbetweens) > 0
@@ -266,7 +266,7 @@ def test_the_browser_shows_in_betweens(new_page: NewPage, tmp_path: Path) -> Non
 
 def test_in_betweens_are_left_out(tmp_path: Path) -> None:
     report = export_page(tmp_path / "tube.html", [exported("tube", bending_tube())], ExportSettings(inbetweens=False))
-    assert report.items[0].between is None
+    assert report[0].between is None
     assert not Opened(tmp_path / "tube.html").items[0].model.inbetweens
 
 

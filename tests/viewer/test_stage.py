@@ -12,6 +12,7 @@ from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
+from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.stage import GRID_CELL, LiveStage
 from mixseq.viewer.playback import Moment
 from tests.meshes import tube
@@ -25,7 +26,7 @@ def shown(following: bool) -> tuple[Float, Float]:
     travel = np.multiply.outer(np.arange(FRAMES), [[5.0, 0, 0]])
     moving = MeshSequence.from_arrays(points + travel, faces)
     scene = Scene((SceneItem("tube", moving).with_random_access(),))
-    stage = LiveStage(MagicMock(), SceneColours(scene, None), "standard", False, MagicMock(), following=following)
+    stage = LiveStage(MagicMock(), SceneColours(scene, None), ViewSettings(following=following), MagicMock())
     middles, grounds = [], []
     for frame in range(FRAMES):
         stage.show(Moment(scene, frame, (scene.items[0].pose(scene.elapsed(frame)),)))
@@ -41,7 +42,7 @@ def test_own_colours_are_sent_once_as_the_file_has_them() -> None:
     still = MeshSequence.from_arrays(points[None], faces)
     surface = Surface(colours=CornerValues(linear, still.polygons.indices))
     scene = Scene((SceneItem("tube", replace(still, surface=surface)).with_random_access(),))
-    stage = LiveStage(MagicMock(), SceneColours(scene, None), "standard", False, MagicMock())
+    stage = LiveStage(MagicMock(), SceneColours(scene, None), ViewSettings(), MagicMock())
     stage.set_colour("own")
     stage.show(Moment(scene, 0, (scene.items[0].pose(0.0),)))
     sent = np.asarray(stage._colour_clouds[0].colors)

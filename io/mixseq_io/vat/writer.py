@@ -11,7 +11,7 @@ import os
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from mixseq.errors import OutputError, SettingsError
 from mixseq.mesh.measures import choose_origin
 from mixseq.rigging.low_rank import fit_low_rank
 from mixseq.runtime.progress import Progress, no_progress
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.sequence import Frames, MeshSequence
 from mixseq.signals.decoding import Decodable, hold_between, largest_distance, quarter_times, straight_blocks
 from mixseq.signals.fitting import as_motion
@@ -99,12 +99,12 @@ class VatReport:
 @public
 def write_vat(
     path: str | os.PathLike[str],
-    sequence: MeshSequence,
+    sequence: FileOr[MeshSequence],
     max_error: float | None = None,
     texture: TextureName = "png16",
     progress: Progress = no_progress,
     *,
-    motion: Model | Decodable | Frames | None = None,
+    motion: FileOr[Model | Decodable | Frames] | None = None,
     between_frames: bool = False,
 ) -> VatReport:
     """Write a sequence as vertex animation textures: a folder with images, a mesh, ``vat.json`` and shaders.
@@ -149,6 +149,8 @@ def write_vat(
     >>> import mixseq
     >>> report = mixseq.write_vat("arm.vat", mixseq.read("arm.usdc"))
     """
+    sequence = cast("MeshSequence", sequence)
+    motion = cast("Model | Decodable | Frames | None", motion)
     folder = Path(path)
     check_vat_target(folder)
     if texture not in _IMAGE_SUFFIXES:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,7 +32,7 @@ from mixseq.mesh.measures import choose_origin
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, StagedProgress, no_progress
-from mixseq.runtime.public import public
+from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.sequence import (
     Frames,
     FrameStore,
@@ -49,7 +50,7 @@ from mixseq.types import Index
 
 @public
 def compress(
-    sequence: Frames,
+    sequence: FileOr[Frames],
     max_error: float | None = None,
     kg: float | None = None,
     size: int | None = None,
@@ -126,6 +127,7 @@ def compress(
     >>> mixseq.compare("arm.usdc", "small.h5").max_error < 1e-3
     True
     """
+    sequence = cast("Frames", sequence)
     check_motion(sequence)
     _check_target(max_error, kg, size)
     if between_frames and not (inbetweens and max_error is not None):

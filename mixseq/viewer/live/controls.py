@@ -36,9 +36,6 @@ SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 SLIDER_HOLD_SECONDS = 0.5
 """Time in seconds for which a dragged slider keeps its value, because displayed frames lag behind the mouse."""
 
-FRAME_DECIMALS = 3
-"""Decimals of fractional frame numbers."""
-
 SIDE_BY_SIDE, OVERLAID = "side by side", "in one place"
 
 
@@ -69,7 +66,7 @@ class TimeBase:
     def slider(self) -> tuple[float, float, float, int]:
         """Range of the frame slider: smallest and largest number, step, and number of decimals."""
         low, high, step = self.number(0.0), self.number(self.last), self.fps / self.rate
-        digits = 0 if all(number == round(number) for number in (low, high, step)) else FRAME_DECIMALS
+        digits = 0 if all(number == round(number) for number in (low, high, step)) else 3
         scale = 10.0**digits  # for rounding inwards
         return floor(low * scale + 1e-6) / scale, ceil(high * scale - 1e-6) / scale, step, digits
 
@@ -229,10 +226,6 @@ def notify_all(server: Any, title: str, text: str, is_success: bool = False) -> 
         notify(client, title, text, is_success)
 
 
-MAX_NAME_BYTES = 200
-"""Largest file name in bytes: file systems allow 255, and writers temporarily add a suffix."""
-
-
 class SaveControls:
     """Controls that save edits in the folder where the viewer was started."""
 
@@ -267,7 +260,8 @@ class SaveControls:
 def _is_file_name(name: str) -> bool:
     """Whether a text is a valid file name without folders on all operating systems."""
     has_no_path = name not in ("", ".", "..") and not any(separator in name for separator in "/\\:")
-    return has_no_path and name.isprintable() and len(name.encode(errors="replace")) <= MAX_NAME_BYTES
+    # file systems allow 255 bytes, and writers temporarily add a suffix
+    return has_no_path and name.isprintable() and len(name.encode(errors="replace")) <= 200
 
 
 class Charts:
@@ -358,11 +352,6 @@ def _fits(model: Model, plane: Plane) -> bool:
 
 
 WHOLE_BODY = "whole body"
-
-NO_HOLD_MESSAGE = (
-    "the whole body cannot be held; click a part of the mesh, or choose one under Part. To freeze the whole body, drag "
-    "keys of the retiming"
-)
 
 MIN_DURATION = 1e-3
 """Smallest duration that controls allow, in seconds."""
@@ -473,7 +462,11 @@ class Editor:
         elif name == "Exaggerate":
             self._session.edit("exaggerate part", partial(exaggerate_part, part=int(part), gain=gain))
         elif part == WHOLE_BODY:
-            notify(client, "Hold: not done", NO_HOLD_MESSAGE)
+            text = (
+                "the whole body cannot be held; click a part of the mesh, or choose one under Part. To freeze the "
+                "whole body, drag keys of the retiming"
+            )
+            notify(client, "Hold: not done", text)
         else:
             start, end = self._section_times
             time = self._current_time

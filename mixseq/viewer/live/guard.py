@@ -18,26 +18,17 @@ from dataclasses import dataclass, field
 from functools import partial
 from ipaddress import ip_address
 from time import monotonic
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 from urllib.parse import parse_qs, urlsplit
 
 import msgspec
 import websockets.asyncio.server as sockets
+from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
 WILDCARD_HOSTS = ("0.0.0.0", "::", "")
 """Host arguments that mean all addresses of a machine."""
-
-ACCESS_DENIED_MESSAGE = "This is a viewer of mixseq. Open the address that it printed, with its token."
-"""Answer to all refused requests, which does not reveal the reason."""
-
-
-class Headers(Protocol):
-    """Headers of a request; the same header may occur several times."""
-
-    def get_all(self, key: str) -> list[str]:
-        """Return the values of all headers with a name."""
 
 
 @dataclass
@@ -260,17 +251,8 @@ class RateLimit:
 MESSAGE_RATE = 1000.0, 2000.0
 """Messages of a page per second, and in a burst; further messages are delayed. At 144 Hz a page sends about 400."""
 
-INVALID_MESSAGE_RATE = 1.0, 20.0
-"""Invalid messages of a page per second, and in a burst; a further invalid message closes the connection."""
-
 MAX_CONNECTIONS = 256
 """Largest number of websockets; each page has one."""
-
-LOG_LINE_RATE = 0.5, 20.0
-"""Lines on the terminal per second, and in a burst; further lines are dropped."""
-
-CLOSE_TIMEOUT_SECONDS = 1.0
-"""Time in seconds to wait for the page's reply when a connection is closed."""
 
 HEADERS = {
     "Cache-Control": "no-store",
@@ -288,14 +270,14 @@ class Guard:
     def __init__(self, access: Access) -> None:
         self.access = access
         self.controls: Mapping[str, Any] = {}
-        self._log_rate = RateLimit(*LOG_LINE_RATE)
+        self._log_rate = RateLimit(per_second=0.5, burst=20)
         self._refusals: set[str] = set()
         self.connection_count = 0
         self._log = logging.Logger("mixseq.viewer")  # without the handlers of other loggers
         self._log.addHandler(logging.NullHandler())
 
     def report(self, text: str) -> None:
-        """Print a line about a refusal on the terminal, within the rate `LOG_LINE_RATE`."""
+        """Print a line about a refusal on the terminal, unless there were many."""
         if self._log_rate.allow():
             line = "".join(letter if letter.isprintable() else "?" for letter in text[:200])
             print(f"mixseq: viewer: {line}", file=sys.stderr, flush=True)
@@ -312,7 +294,7 @@ class Guard:
                 "process_request": partial(self._answer, settings["process_request"]),
                 "create_connection": partial(_Connection, self),
                 "max_size": MAX_MESSAGE_BYTES,
-                "close_timeout": CLOSE_TIMEOUT_SECONDS,
+                "close_timeout": 1.0,  # seconds to wait for the reply of a page
                 "logger": self._log,
             }
             return original_serve(handler, host, port, **settings)
@@ -345,7 +327,8 @@ class Guard:
             if refusal not in self._refusals:  # pages of earlier viewers repeat their requests
                 self._refusals.add(refusal)
                 self.report(f"refused a request: {refusal}; further ones are not reported")
-            response = connection.respond(http.HTTPStatus.FORBIDDEN, f"{ACCESS_DENIED_MESSAGE}\n")
+            text = "This is a viewer of mixseq. Open the address that it printed, with its token.\n"  # not the reason
+            response = connection.respond(http.HTTPStatus.FORBIDDEN, text)
         else:
             try:
                 response = answer_page(connection, request) or self._count_connection(connection)
@@ -375,7 +358,7 @@ class _Connection(sockets.ServerConnection):
         super().__init__(*args, **settings)
         self._guard = guard
         self._message_rate = RateLimit(*MESSAGE_RATE)
-        self._invalid_message_rate = RateLimit(*INVALID_MESSAGE_RATE)
+        self._invalid_message_rate = RateLimit(per_second=1, burst=20)  # a further one closes the connection
         self.is_counted = False
 
     def connection_lost(self, exc: Exception | None) -> None:

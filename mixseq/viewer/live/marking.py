@@ -9,7 +9,7 @@ from __future__ import annotations
 import colorsys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from threading import Lock
 from typing import Any
@@ -24,9 +24,10 @@ from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.suggestions import MIN_EXAMINED_MARKERS, Examination
 from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.types import Float, Index
+from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.controls import notify_all
 from mixseq.viewer.live.stage import LiveStage
-from mixseq.viewer.live.viewer import ViewSettings, add_bridge, run_server
+from mixseq.viewer.live.viewer import add_bridge, run_server
 from mixseq.viewer.marking import SOURCE, TARGET, Marking, MarkingSession, Pair
 from mixseq.viewer.playback import Playback
 from mixseq.viewer.session import Drawn, Message
@@ -43,21 +44,13 @@ RADIUS_CHANGE_RATIO = 1.15
 SELECTED_SCALE = 1.6
 """Size of the ball of a selected or incomplete pair, relative to other balls."""
 
-LABEL_HEIGHT_RADII = 3.0
-"""Distance of a number from the surface, in radii of the balls."""
-
-MIN_BALL_COUNT, UNUSED_BALL_DEPTH = 64, 1e4
-"""Smallest number of allocated balls, and the depth of unused balls below the ground."""
-
 PROPOSAL_COLOUR = (40, 40, 40)
-
-GOLDEN_RATIO_STEP = 0.618034
-"""Step of the hue between consecutive numbers."""
 
 
 def pair_colour(number: int) -> tuple[int, int, int]:
     """Return the colour of a pair, given its number counted from 0."""
-    red, green, blue = colorsys.hsv_to_rgb((0.02 + GOLDEN_RATIO_STEP * number) % 1.0, 0.85, 0.9)
+    hue = (0.02 + 0.618034 * number) % 1.0  # golden-ratio steps keep the first hues apart
+    red, green, blue = colorsys.hsv_to_rgb(hue, 0.85, 0.9)
     return round(255 * red), round(255 * green), round(255 * blue)
 
 
@@ -128,12 +121,12 @@ class MarkingStage:
         vertices = np.array([ball.vertex for ball in balls], np.int64)
         with self._server.atomic():
             self._draw_balls(side, balls, points[vertices])
-            self._draw_labels(side, balls, points[vertices] + LABEL_HEIGHT_RADII * self._radius * normals[vertices])
+            self._draw_labels(side, balls, points[vertices] + 3 * self._radius * normals[vertices])
 
     def _draw_balls(self, side: int, balls: Sequence[Ball], points: Float) -> None:
         """Move the balls of a mesh to points ``(n, 3)``; keep unused balls below the ground, as new balls flicker."""
-        count = max(MIN_BALL_COUNT, 1 << len(balls).bit_length())
-        positions = np.tile(np.array([0.0, -UNUSED_BALL_DEPTH, 0.0], np.float32), (count, 1))
+        count = max(64, 1 << len(balls).bit_length())  # allocated balls
+        positions = np.tile(np.array([0.0, -1e4, 0.0], np.float32), (count, 1))
         scales = np.full(count, self._radius, np.float32)
         colours = np.zeros((count, 3), np.uint8)
         for row, ball in enumerate(balls):
@@ -194,9 +187,6 @@ VIEWS = {
     "Below": (90.0, -80.0),
 }
 """Views of both meshes: azimuth from the front of the first mesh to its left, and elevation, in degrees."""
-
-MAX_LISTED_MARKERS = 5
-"""Number of markers in the list of the largest residuals."""
 
 
 class MarkingControls:
@@ -290,7 +280,7 @@ def _map_lines(marking: Marking, examination: Examination | None, work: str) -> 
     lines = []
     if examination.residuals is not None:
         percent = 100 * examination.residuals
-        worst_ids = np.argsort(-percent, kind="stable")[:MAX_LISTED_MARKERS]
+        worst_ids = np.argsort(-percent, kind="stable")[:5]
         worst = ", ".join(f"{_format_number(int(k))} {percent[k]:.1f} %" for k in worst_ids)
         lines = [
             f"Error of the markers in a stiff map: {np.median(percent):.1f} % of the diagonal (median), "
@@ -315,15 +305,6 @@ def _lines(name: str, lines: list[str]) -> str:
     inside = "".join(f"<div>{line}</div>" for line in lines)
     return f'<div id="{name}" style="padding: 2px 12px; font-size: 12px">{inside}</div>'
 
-
-ROW_ROTATION_DEGREES = 2.0
-"""Rotation of the camera above which the row of meshes is rotated to face the camera."""
-
-MAX_TARGET_DISTANCE_RATIO = 0.25
-"""Largest kept offset of the camera's target from the nearest marker, relative to the distance of the meshes."""
-
-MIN_AZIMUTH_TANGENT = 0.05
-"""Tangent of the angle between view and vertical below which the view's azimuth is undefined."""
 
 SaveMarkers = Callable[[Markers], str]
 """Function that saves markers to the file passed at start, and returns a message."""
@@ -371,8 +352,8 @@ class MarkingViewer:
         scene = meshes.scene
         topologies = [Topology(mesh.faces, mesh.vertex_count) for mesh in (meshes.source, meshes.target)]
         self._balls = MarkingStage(server, topologies, lambda side, row: self.session.click_ball(side, row))
-        camera = settings.camera or VIEWS["Left"]
-        self._stage = LiveStage(server, SceneColours(scene), settings.material, False, lambda _: None, camera)
+        from_left = replace(settings, camera=settings.camera or VIEWS["Left"])
+        self._stage = LiveStage(server, SceneColours(scene), from_left, lambda _: None)
         playback = Playback(scene, self._stage, self._on_playback_failure, threads=1)
         self._playback = stack.enter_context(playback)
         self.session = stack.enter_context(MarkingSession(meshes.source, meshes.target, meshes.markers, self))
@@ -441,7 +422,8 @@ class MarkingViewer:
         x, y, z = offset = camera.position - camera.look_at
         azimuth, distance = float(np.degrees(np.arctan2(x, z))), float(np.linalg.norm(offset))
         rotation = abs((azimuth - self._stage.arrangement.view.azimuth + 180) % 360 - 180)
-        if rotation > ROW_ROTATION_DEGREES and np.hypot(x, z) > MIN_AZIMUTH_TANGENT * abs(y):
+        is_defined = np.hypot(x, z) > 0.05 * abs(y)  # from straight above, there is no azimuth
+        if rotation > 2 and is_defined:  # degrees
             self._stage.rotate_row(azimuth, camera.look_at, distance)
             self._balls.set_offsets(self._stage.arrangement.offsets)
         if self._balls.set_camera_distance(distance):
@@ -458,7 +440,7 @@ class MarkingViewer:
         ]
         nearest = int(np.linalg.norm(anchors[0] - camera.look_at, axis=1).argmin())
         offset = camera.look_at - anchors[0][nearest]
-        if np.linalg.norm(offset) > MAX_TARGET_DISTANCE_RATIO * np.linalg.norm(centres[1] - centres[0]):
+        if np.linalg.norm(offset) > 0.25 * np.linalg.norm(centres[1] - centres[0]):
             offset = np.zeros(3)  # the target is between the meshes
         # viser moves the target with the position
         camera.position = camera.position + anchors[1][nearest] + offset - camera.look_at

@@ -12,6 +12,7 @@ from mixseq.mesh.nearest import RayHit, intersect_ray
 from mixseq.pictures.colours import Colouring, SceneColours
 from mixseq.pictures.scene import FIELD_OF_VIEW_DEGREES, SCENE_SIZE, Arrangement, Scene, arrange_meshes
 from mixseq.types import ByteArray, Float, Single
+from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.playback import Moment
 
 GROUND_COLOUR = (243, 243, 240)
@@ -21,40 +22,28 @@ PICK_COLOUR = (20, 20, 20)
 GRID_CELL = SCENE_SIZE / 2
 """Cell size of the ground's grid, in scene units."""
 
-ASPECT_TOLERANCE = 0.02
-"""Relative change of a window's aspect ratio below which the camera is unchanged."""
-
 
 class LiveStage:
     """Meshes in the scene of a viser server, a `mixseq.viewer.playback.Stage`.
 
-    `on_show` is called with every shown moment. `overlaid` and `following` are initial states; `following` fixes bodies
-    and moves the ground. `mixseq.pictures.scene.resolve_view` describes `camera`, `ViewSettings` describes `material`.
+    `on_show` is called with every shown moment. To follow is to fix bodies and move the ground.
     """
 
     def __init__(
-        self,
-        server: Any,
-        colours: SceneColours,
-        material: str,
-        overlaid: bool,
-        on_show: Callable[[Moment], None],
-        camera: tuple[float, float] | None = None,
-        following: bool = False,
+        self, server: Any, colours: SceneColours, settings: ViewSettings, on_show: Callable[[Moment], None]
     ) -> None:
         self._server = server
         self._scene_colours = colours
         self._on_show = on_show
-        self.overlaid = overlaid
+        self.overlaid, self.following = settings.overlaid, settings.following
         self._lock = Lock()
         self.is_busy = False  # whether a page is still drawing the last moment
         self._moment: Moment | None = None
         self._client_views: dict[int, tuple[Float, float]] = {}
         self._colour = "clay"
         self._sent_colourings: list[Colouring | None] = [None] * len(colours.scene.items)
-        self._camera = camera
-        self.following = following
-        self._arrangement = arrange_meshes(colours.scene, not overlaid, camera)
+        self._camera = settings.camera
+        self._arrangement = arrange_meshes(colours.scene, not settings.overlaid, settings.camera)
         self._add_ground()
         self._meshes, self._colour_clouds, self._labels = [], [], []
         self._picked: tuple[int, int] | None = None  # indices of mesh and vertex
@@ -75,7 +64,7 @@ class LiveStage:
                 points,
                 item.header.faces,
                 color=(255, 255, 255),
-                material=material,
+                material=settings.material,
                 side="double",
                 position=offset,
                 cast_shadow=False,
@@ -225,7 +214,7 @@ class LiveStage:
             position, aspect = self._client_views[client.client_id]
             initial = self._server.initial_camera.position  # the page may report it late
             is_unmoved = any(np.allclose(camera.position, known, rtol=1e-3, atol=1e-3) for known in (position, initial))
-            if is_unmoved and abs(camera.aspect / aspect - 1) > ASPECT_TOLERANCE:
+            if is_unmoved and abs(camera.aspect / aspect - 1) > 0.02:
                 self._update_camera(client)
 
         self._update_camera(client)

@@ -10,16 +10,15 @@ import errno
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout
-from dataclasses import dataclass
 from html import escape
 from io import StringIO
-from pathlib import Path
 from typing import Any
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.nearest import RayHit
 from mixseq.pictures.colours import SceneColours
 from mixseq.runtime.progress import forward_warnings
+from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.controls import DisplayControls, Editor, PlayControls, notify_all
 from mixseq.viewer.live.stage import LiveStage
 from mixseq.viewer.page import chart_scripts, read_script, script_json
@@ -74,14 +73,10 @@ def _stop(server: Any) -> None:
         server.stop()
 
 
-FIRST_PORT, PORT_COUNT = 8080, 100
-"""Ports that are tried if no port is requested."""
-
-
 def find_port(host: str, requested: int | None) -> int:
     """Return the requested port, by default the first free port; raise SettingsError if the port cannot be used."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    for port in [requested] if requested is not None else range(FIRST_PORT, FIRST_PORT + PORT_COUNT):
+    for port in [requested] if requested is not None else range(8080, 8180):
         try:
             with socket.create_server((host, port), family=family):
                 return port
@@ -91,23 +86,7 @@ def find_port(host: str, requested: int | None) -> int:
             reason = str(error.strerror or error).partition(" (")[0]
             cure = "give another --port" if error.errno in (errno.EADDRINUSE, errno.EACCES) else "give another --host"
             raise SettingsError(f"cannot listen at {host}:{port}: {reason}; {cure}") from None
-    raise SettingsError(f"the ports {FIRST_PORT} to {FIRST_PORT + PORT_COUNT - 1} are all taken; give a --port")
-
-
-@dataclass(frozen=True)
-class ViewSettings:
-    """Settings of the viewer."""
-
-    host: str = "127.0.0.1"  # address to listen on; 127.0.0.1 accepts only this machine
-    port: int | None = None  # port, by default the first free port from 8080 on
-    folder: Path = Path()  # folder of saved motions
-    threads: int = 2  # number of decoding threads
-    material: str = "standard"  # "standard", or "toon5" for machines without a graphics card
-    overlaid: bool = False  # whether meshes are initially overlaid, instead of side by side
-    read_only: bool = False  # whether controls for editing and saving are omitted
-    # Initial view: azimuth from the front of the first mesh to its left, and elevation, in degrees.
-    camera: tuple[float, float] | None = None
-    following: bool = False  # whether the camera initially follows moving bodies
+    raise SettingsError("the ports 8080 to 8179 are all taken; give a --port")
 
 
 class Viewer:
@@ -125,15 +104,7 @@ class Viewer:
         self._server = server
         self._play: PlayControls | None = None  # a frame may be shown before the controls exist
         self._editor: Editor | None = None
-        self._stage = LiveStage(
-            server,
-            colours,
-            settings.material,
-            settings.overlaid,
-            self._on_show,
-            settings.camera,
-            settings.following,
-        )
+        self._stage = LiveStage(server, colours, settings, self._on_show)
         self.playback = stack.enter_context(
             Playback(colours.scene, self._stage, self._on_playback_failure, threads=settings.threads)
         )
