@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,7 @@ from mixseq.spaces.temporal import insert_midpoints
 from mixseq.viewer.export import ExportSettings, export_page
 from mixseq.viewer.export_data import PageItem
 from tests.compression.encoder.test_inbetweens import bending_tube, turning_bars
-from tests.meshes import bar, coarse_walk
+from tests.meshes import SEQUENCES, bar, coarse_walk
 from tests.viewer.conftest import SCREENSHOTS, Keep, NewPage, Watched
 from tests.viewer.pages import Opened
 
@@ -251,8 +251,9 @@ CURVE = """(async () => {
 """Places at the frames and at the quarters between them, and what the page says."""
 
 
-def test_the_browser_shows_in_betweens(new_page: NewPage, tmp_path: Path) -> None:
-    report = export_page(tmp_path / "tube.html", [exported("tube", bending_tube())])[0]
+@pytest.mark.parametrize("make", [bending_tube, SEQUENCES["rigid component"]], ids=["of the mesh", "of its parts"])
+def test_the_browser_shows_in_betweens(new_page: NewPage, tmp_path: Path, make: Callable[[], MeshSequence]) -> None:
+    report = export_page(tmp_path / "tube.html", [exported("tube", make())])[0]
     made = Player(new_page(*SMALL), tmp_path / "tube.html").run(f"await {CURVE}")
     item = Opened(tmp_path / "tube.html").items[0]
     assert len(item.model.inbetweens) > 0
