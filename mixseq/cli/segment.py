@@ -94,7 +94,9 @@ def command(
     if picture_file is not None:
         check_picture(picture_file)
     with progress_bar(quiet) as progress, mixseq.open_sequence(path, **reading) as reader:
+        from mixseq.mesh.topology import Topology
         from mixseq.segmentation.joints import sample_frame_ids
+        from mixseq.segmentation.methods import segment
         from mixseq.sequence.sequence import load_frames, own_parts
 
         frames = load_frames(reader, progress)
@@ -105,7 +107,8 @@ def command(
         elif method is None and parts is None and settings is None and (own := own_parts(reader)) is not None:
             method_name, parts_of_faces = "model", _named(own.astype("int64"))
         else:
-            parts_of_faces = _segment(reader.header, points, method_name, parts, settings)
+            topology = Topology(reader.header.faces, reader.header.vertex_count)
+            parts_of_faces = _named(segment(points, topology, cast("SegmentationName", method_name), parts, settings))
         measures = _measure_parts(reader.header, points, parts_of_faces)
         agreement = None if against is None else _compare_labels(reader, points[0], parts_of_faces, against)
         write_labels(target, reader, parts_of_faces, flatten=flatten)
@@ -178,20 +181,6 @@ def numbered(names: Sequence[str]) -> tuple[str, ...]:
             counts[name] = count(1)
             result.append(name)
     return tuple(result)
-
-
-def _segment(
-    header: SequenceHeader,
-    points: FloatArray,
-    method: str,
-    parts: int | None,
-    settings: MethodSettings | None,
-) -> Labels:
-    from mixseq.mesh.topology import Topology
-    from mixseq.segmentation.methods import segment
-
-    topology = Topology(header.faces, header.vertex_count)
-    return _named(segment(points, topology, cast("SegmentationName", method), parts, settings))
 
 
 def _named(labels: Index) -> Labels:

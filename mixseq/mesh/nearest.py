@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from mixseq.errors import SettingsError
-from mixseq.mesh.box_tree import BoxTree, triangle_corners, unit_normals
+from mixseq.mesh.box_tree import BoxTree, closest, crossing_pairs, triangle_corners, unit_normals
 from mixseq.types import Float, FloatArray, Index, IntArray
 
 CONTACT_TOLERANCE = 1e-12
@@ -34,8 +34,6 @@ def self_intersections(points: FloatArray, faces: IntArray) -> Index:
     Contact, overlap in one plane, and triangles without area do not count. Vertices with equal positions, as at seams,
     are common corners.
     """
-    from mixseq.mesh.box_tree import crossing_pairs
-
     corners = triangle_corners(points, faces)
     tree = BoxTree.from_triangles(corners)
     extent = tree.boxes[1, 3:] - tree.boxes[1, :3]
@@ -100,8 +98,6 @@ class ClosestPointQuery:
         self, queries: FloatArray, normals: FloatArray | None = None, largest_angle: float = 90.0
     ) -> ClosestPoints:
         """Find closest points to queries ``(n, 3)``, within an angle (degrees) of optional normals ``(n, 3)``."""
-        from mixseq.mesh.box_tree import closest
-
         queries = _check_vectors(queries, "queries")
         directions = np.empty((0, 3))
         if normals is not None:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import scatter_add, triangle_areas
 from mixseq.mesh.topology import Topology, connected_components
+from mixseq.runtime.jit import compiled
 from mixseq.types import Float, FloatArray, Index, IntArray, Single, evenly_spaced, index_mask
 
 
@@ -116,10 +117,37 @@ class Passes:
         return np.flatnonzero((self.depths > depth) & (self.areas >= min_area))
 
 
+@compiled
+def kruskal(ends: Index, heights: Float, bottoms: Float, areas: Float) -> tuple[Index, Float, Float]:
+    """Join nodes by edges ``(m, 2)`` in order of height; return tree edges with their areas and depths ``(k,)``."""
+    parent = np.arange(len(areas))
+    tree = np.empty(len(areas), dtype=np.int64)
+    area, depth = np.empty(len(areas)), np.empty(len(areas))
+    count = 0
+    for edge in range(len(ends)):
+        a, b = ends[edge]
+        while parent[a] != a:
+            parent[a] = parent[parent[a]]
+            a = parent[a]
+        while parent[b] != b:
+            parent[b] = parent[parent[b]]
+            b = parent[b]
+        if a == b:
+            continue
+        tree[count] = edge
+        area[count] = min(areas[a], areas[b])
+        depth[count] = heights[edge] - max(bottoms[a], bottoms[b])
+        count += 1
+        if areas[a] < areas[b]:
+            a, b = b, a
+        parent[b] = a
+        areas[a] += areas[b]
+        bottoms[a] = min(bottoms[a], bottoms[b])
+    return tree[:count], area[:count], depth[:count]
+
+
 def find_passes(topology: Topology, heights: Float, bottoms: Float, areas: Float) -> Passes:
     """Find the passes among hinges with heights ``(H,)``, given bottoms and areas ``(F,)`` of faces."""
-    from mixseq.segmentation.segmentation_kernels import kruskal
-
     order = np.argsort(heights, kind="stable")
     tree, area, depth = kruskal(topology.hinge_faces[order], heights[order], bottoms.copy(), areas.copy())
     return Passes(topology, areas, order[tree], area, depth)
@@ -145,6 +173,22 @@ def check_part_count(parts: int | None, topology: Topology) -> None:
 
 
 Table = NDArray[np.int32]
+
+
+@compiled
+def partition_cells(starts: Table, neighbours: Table, owner: Table) -> Index:
+    """Partition vertices into cells of a centre and unassigned neighbours; write owners ``(V,)``, return centres."""
+    centres = np.empty(len(owner), dtype=np.int64)
+    count = 0
+    for v in range(len(owner)):
+        if owner[v] < 0:
+            owner[v] = count
+            for i in range(starts[v], starts[v + 1]):
+                if owner[neighbours[i]] < 0:
+                    owner[neighbours[i]] = count
+            centres[count] = v
+            count += 1
+    return centres[:count].copy()
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,8 +245,6 @@ class Elements:
     @classmethod
     def from_cells(cls, topology: Topology, faces: Elements) -> tuple[Elements, Index]:
         """Make elements of cells of faces around centre vertices; also return the cell ``(F,)`` of every face."""
-        from mixseq.segmentation.segmentation_kernels import partition_cells
-
         graph = topology.vertex_adjacency
         owner = np.full(topology.vertex_count, -1, dtype=np.int32)
         owner[topology.unused_vertices] = topology.vertex_count  # in no cell

@@ -17,6 +17,8 @@ import codecs
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -108,10 +110,8 @@ class Extent:
         """Longest side of the bounding box."""
         return float((self.high - self.low).max())
 
-    def union(self, other: Extent | None) -> Extent:
+    def union(self, other: Extent) -> Extent:
         """Return the smallest extent that contains both extents."""
-        if other is None:
-            return self
         low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
         minima, maxima = np.minimum(self.screen, other.screen), np.maximum(self.screen, other.screen)
         return Extent(low, high, np.where([True, False, True, False, True], minima, maxima))
@@ -144,33 +144,33 @@ def collect_poses(
 ) -> PagePoses:
     """Read the poses at elapsed times ``(n,)``; `first` is the page's first mesh, or None if `item` is the first."""
     header = item.header
+    blocks = item.poses(elapsed, workers)
+    opening = next(blocks, None)
+    if opening is None:
+        raise InvalidSequenceError(f"{item.name} has 0 poses, but {len(elapsed)} times")
     has_same_faces = first is None or np.array_equal(header.faces, first[0].faces)
-    views: tuple[View, View] | None = None
-    poses: LargeArray | None = None
-    still: Extent | None = None
-    following: Extent | None = None
+    if first and has_same_faces:
+        own = first[1].views[0]
+    else:
+        end = next(item.poses(elapsed[-1:]))[-1]
+        own = resolve_view(np.stack([opening[0], end]), header.up_axis, camera)
+    views = own, first[1].views[0] if first else own
+    poses = new_large_array((len(elapsed), header.vertex_count, 3), opening.dtype)
+    extents: list[tuple[Extent, Extent]] = []
     count = 0
-    for block in item.poses(elapsed, workers):
+    for block in chain([opening], blocks):
         check_block(header, block, count)
         if count + len(block) > len(elapsed):
             raise InvalidSequenceError(f"{item.name} has more poses than its {len(elapsed)} times")
-        if poses is None or views is None:
-            poses = new_large_array((len(elapsed), header.vertex_count, 3), block.dtype)
-            if first and has_same_faces:
-                own = first[1].views[0]
-            else:
-                end = next(item.poses(elapsed[-1:]))[-1]
-                own = resolve_view(np.stack([block[0], end]), header.up_axis, camera)
-            views = own, first[1].views[0] if first else own
         poses[count : count + len(block)] = block
         count += len(block)
         world = to_y_up(block, header.up_axis)
-        still = measure_extent(world, views).union(still)
         path = world.mean(axis=1, keepdims=True, dtype=np.float64) * [1, 0, 1]
-        following = measure_extent(world - path, views).union(following)
+        extents.append((measure_extent(world, views), measure_extent(world - path, views)))
         progress(count, len(elapsed), "decoding frames")
-    if poses is None or still is None or following is None or views is None or count < len(elapsed):
+    if count < len(elapsed):
         raise InvalidSequenceError(f"{item.name} has {count} poses, but {len(elapsed)} times")
+    still, following = (reduce(Extent.union, of_blocks) for of_blocks in zip(*extents, strict=True))
     like_first = has_same_faces and (first is None or _share_scale(still, first[1].still))
     return PagePoses(poses, still, following, views, like_first)
 
@@ -275,7 +275,8 @@ def _compress_poses(
     frames = numbering.renumber_frames(LazyFrames(geometry_header, lambda size: iterate_blocks(page_poses.poses)))
     parts = None if parts is None else numbering.renumber_labels(parts, header.polygons)
     coded = compress(frames, max_error=max_error, progress=progress, uvs=False, parts=parts, inbetweens=inbetweens)
-    return replace(coded, parts=None), numbering.vertices
+    # players need the labels of triangles only for in-betweens of parts
+    return coded if coded.parameters.inbetween_parts else replace(coded, parts=None), numbering.vertices
 
 
 def _regular_times(elapsed: Float, fps: float) -> tuple[Float, float]:

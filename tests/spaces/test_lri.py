@@ -53,7 +53,7 @@ def test_encoding_block_by_block_is_encoding(name: str) -> None:
     np.testing.assert_array_equal(np.concatenate([space.encode(sequence.points[:2]), second]), whole)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(motion=rigid_motions, name=st.sampled_from(("bar", *AWKWARD)), frame=st.integers(0, 4))
 def test_rigid_motions_change_poses_only(motion: tuple[Float, Float], name: str, frame: int) -> None:
     turn, shift = motion

@@ -225,7 +225,7 @@ def test_a_part_that_goes_around_has_a_steadiness() -> None:
 # Agreement ------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(seed=seeds, weight=st.sampled_from([0.1, 3.0]))
 def test_poses_and_relations_of_one_frame_agree(seed: int, weight: float) -> None:
     """However far the parts are turned against each other."""
@@ -299,7 +299,7 @@ def test_agreed_rotations_nearly_have_the_least_misfit() -> None:
 
 
 @given(seed=seeds, motion=rigid_motions)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 def test_agreement_is_the_same_in_all_axes(seed: int, motion: tuple[Float, Float]) -> None:
     poses, others = (
         CHAIN.add_relations(wild(seed, spread=0.3)),
@@ -351,7 +351,7 @@ def test_parts_half_a_turn_apart_agree(degrees: float) -> None:
 # Corrections and motions ----------------------------------------------------------------------------------
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(seed=seeds, size=st.sampled_from([1e-9, 1e-3, 0.5]))
 def test_corrections_lead_from_poses_to_targets(seed: int, size: float) -> None:
     rng = np.random.default_rng(seed)
@@ -397,7 +397,7 @@ def applied(dual: Float, points: Float) -> Float:
     return np.asarray(rotate_vectors(quat_to_matrix(dual[:4]), points) + 2.0 * quat_multiply(dual[4:], back)[1:])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(seed=seeds)
 def test_motions_take_parts_from_rest_to_where_they_are(seed: int) -> None:
     for chain in (CHAIN, TWO):
@@ -419,7 +419,7 @@ def test_signs_of_motions_follow_from_neighbour_to_neighbour(degrees: float) -> 
     assert (np.einsum("ni,ni->n", duals[i, :4], duals[j, :4]) > 0).all()
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=seeds)
 def test_rates_of_motions_are_difference_quotients(seed: int) -> None:
     """Quaternions need not be of length one, nor stay so; poses need not agree."""
@@ -517,7 +517,7 @@ def predicted(operator: TemporalOperator, poses: Poses, parts: Articulation, tim
     return placed._replace(rotations=align_quat_signs(placed.rotations))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(
     seed=seeds,
     length=st.sampled_from(CANDIDATE_LENGTH_SCALES),
@@ -542,7 +542,7 @@ def test_fused_poses_come_near_frames_without_a_jump() -> None:
         np.testing.assert_allclose(block[2], block[3], atol=1e-6)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=seeds, motion=rigid_motions, parts=st.integers(1, 5))
 def test_rigid_motions_of_everything_go_through(seed: int, motion: tuple[Float, Float], parts: int) -> None:
     poses, articulation = wandering(seed, parts), ring(parts) if parts > 1 else strangers(1)
@@ -570,7 +570,7 @@ def test_in_the_body_a_turn_of_all_is_no_motion_of_parts(frames: int) -> None:
     assert np.abs(rotate_vectors(back, alone.centres) - rest).max() > 1e-2
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=seeds, frames=st.sampled_from([4, 12, 60]))
 def test_turns_of_whole_frames_do_not_change_how_parts_stand_to_each_other(seed: int, frames: int) -> None:
     """Every frame is turned on its own, by any angle."""

@@ -79,7 +79,7 @@ def test_no_share_leaves_the_posed_mesh(mesh: Mesh) -> None:
     assert joints.project(x, lengths, angles + 0.2, 0.0) is x
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     seed=seeds,
     mesh=st.sampled_from(MESHES),
@@ -210,7 +210,7 @@ def test_without_joints_nothing_moves() -> None:
     assert joints.project(x, np.zeros(0), np.zeros(0), 1.0) is x
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(seed=seeds, mesh=st.sampled_from(MESHES), share=st.sampled_from([0.25, 1.0]))
 def test_complex_steps_are_difference_quotients(seed: int, mesh: Mesh, share: float) -> None:
     rng = np.random.default_rng(seed)
@@ -269,7 +269,7 @@ def wild(seed: int, parts: int = 4) -> tuple[tuple[Index, Index, Float], Float]:
     return rows(weights), duals * signs[:, None]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(motion=rigid_motions)
 def test_who_follows_one_part_moves_as_it_does(motion: tuple[Float, Float]) -> None:
     turn, shift = motion
@@ -298,7 +298,7 @@ def test_half_of_a_screw_is_half_the_turn_and_half_the_way(angle: float, way: fl
     np.testing.assert_allclose(kernels.skin_vertices(*weights, duals, POINTS), expected, atol=1e-13)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(seed=seeds)
 def test_posing_and_unposing_are_inverse(seed: int) -> None:
     weights, duals = wild(seed)
@@ -311,7 +311,7 @@ def test_posing_and_unposing_are_inverse(seed: int) -> None:
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(seed=seeds)
 def test_distances_to_neighbours_that_follow_the_same_are_kept(seed: int) -> None:
     """Every motion is rigid, however far apart those that are blended are."""

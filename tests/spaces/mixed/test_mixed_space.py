@@ -286,7 +286,7 @@ def test_inside_a_part_unposed_vertices_are_the_aligned_ones() -> None:
 
 
 @pytest.mark.parametrize("name", ["bar", "several components", "unused vertices"])
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(motion=rigid_motions, frame=st.integers(0, 3), purpose=st.sampled_from(["sequence", "blends"]))
 def test_a_rigid_motion_of_a_frame_changes_the_placement_only(
     name: str, motion: tuple[Float, Float], frame: int, purpose: Purpose
@@ -312,7 +312,7 @@ def test_decoding_moves_with_the_placement(motion: tuple[Float, Float]) -> None:
         assert error(space, expected, decoded) < 1e-7
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(motion=rigid_motions, steps=st.sampled_from([0, 8]), weight=st.sampled_from([0.25, 0.5, 1.5]))
 def test_blends_do_not_depend_on_how_poses_are_turned(motion: tuple[Float, Float], steps: int, weight: float) -> None:
     """As shapes: the blend itself is turned by a share of it."""
