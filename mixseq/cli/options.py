@@ -172,13 +172,13 @@ NON_NEGATIVE_INTEGER = click.IntRange(min=0)
 POSITIVE_NUMBER = click.FloatRange(min=0, min_open=True)
 FRAME_RATE = click.FloatRange(min=0, min_open=True, max=1_000_000)
 
-_FRAME_RANGE = re.compile(r"\s*(-?\d+)(?:-(-?\d+))?\s*")
+_FRAME_RANGE = re.compile(r"\s*(-?\d+)(?:[-:](-?\d+))?\s*")
 _LENGTH_PATTERN = re.compile(rf"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?)\s*({'|'.join(UNITS)}|)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class FrameChoice:
-    """A choice of frames by their numbers on the time line, such as ``1005-1010`` or ``1001,1005-1010``."""
+    """A choice of frames by their numbers on the time line, such as ``1005-1010``, ``-5:5`` or ``1001,1005-1010``."""
 
     ranges: tuple[tuple[int, int], ...]  # first and last number of every range; equal for a single frame
 

@@ -159,7 +159,7 @@ def test_the_table_tells_of_every_end(run: Run) -> None:
 
 
 def test_frames_are_a_section(run: Run) -> None:
-    succeed(run("resample", "model.h5", "by_frames.npz", "--frames", "1-2", "--speed", "0.5"))
+    succeed(run("resample", "model.h5", "by_frames.npz", "--frames", "1:2", "--speed", "0.5"))
     succeed(run("resample", "model.h5", "by_seconds.npz", "--start", "0.1", "--end", "0.2", "--speed", "0.5"))
     assert Path("by_frames.npz").read_bytes() == Path("by_seconds.npz").read_bytes()
 
