@@ -69,18 +69,18 @@ def _read_keys(path: str, arguments: Arguments) -> Any:
     """Read keys in seconds, or in frames of the model."""
     from mixseq.operations.retiming import read_retiming_keys
 
-    fps = next(iter(arguments.values())).header.fps
-    return read_retiming_keys(path).in_seconds(fps, fps)
+    header = next(iter(arguments.values())).header
+    return read_retiming_keys(path).in_seconds(header.fps, header)
 
 
 def _read_retiming(path: str, arguments: Arguments) -> Any:
     """Read a retiming in seconds, or in frames of the source and of the output."""
-    from mixseq.operations.retiming import read_retiming
+    from mixseq.operations.retiming import Retiming, read_retiming_keys
 
-    source_fps = next(iter(arguments.values())).header.fps
-    fps = arguments.get("fps")
-    output_fps = source_fps if fps is None else snap_to_ntsc(float(fps), source_fps)
-    return read_retiming(path, output_fps=output_fps, source_fps=source_fps)
+    header, fps = next(iter(arguments.values())).header, arguments.get("fps")
+    output_fps = header.fps if fps is None else snap_to_ntsc(float(fps), header.fps)
+    keys = read_retiming_keys(path).in_seconds(output_fps, header, hold=bool(arguments.get("hold")))
+    return Retiming.through(*keys.T)
 
 
 def _read_pairs(path: str, _: Arguments) -> Any:

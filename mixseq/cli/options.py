@@ -170,7 +170,23 @@ PATH_METAVARS = ("FILE", "FOLDER", "PAGE", "PNG", "SEQUENCE")
 POSITIVE_INTEGER = click.IntRange(min=1)
 NON_NEGATIVE_INTEGER = click.IntRange(min=0)
 POSITIVE_NUMBER = click.FloatRange(min=0, min_open=True)
-FRAME_RATE = click.FloatRange(min=0, min_open=True, max=1_000_000)
+
+
+class FrameRate(click.FloatRange):
+    """Frames per second, also as a fraction such as 24000/1001."""
+
+    def __init__(self, highest: float = 1_000_000) -> None:
+        super().__init__(min=0, min_open=True, max=highest)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Convert the text of an option."""
+        above, slash, below = str(value).partition("/")
+        try:
+            number = float(above) / float(below) if slash else float(above)
+        except (ValueError, ZeroDivisionError):
+            self.fail(f"{value!r} is not a frame rate such as 25, 23.976 or 24000/1001", param, ctx)
+        return super().convert(number, param, ctx)
+
 
 _FRAME_RANGE = re.compile(r"\s*(-?\d+)(?:[-:](-?\d+))?\s*")
 _LENGTH_PATTERN = re.compile(rf"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?)\s*({'|'.join(UNITS)}|)", re.IGNORECASE)
@@ -266,6 +282,16 @@ def _angles(text: str) -> tuple[float, float]:
     return angle, height
 
 
+def _shutter(text: str) -> tuple[float, int]:
+    angle, comma, samples = text.partition(",")
+    try:
+        return float(angle), int(samples) if comma else 3
+    except ValueError:
+        raise click.BadParameter(
+            f"{text!r} is no angle, or angle and number of samples, such as 180 or 180,5"
+        ) from None
+
+
 def _unit(text: str) -> float:
     from mixseq.sequence.sequence import parse_unit
 
@@ -320,7 +346,7 @@ quiet = option("-q", "--quiet", is_flag=True, help="Print neither progress nor t
 as_json = option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 out_folder = partial(option, "--out", type=FILE_PATH, help="Folder for the files, made if missing.")
 frames = partial(option, "--frames A-B", type=FrameChoice.from_text)
-fps = partial(option, "--fps N", type=FRAME_RATE)
+fps = partial(option, "--fps N", type=FrameRate())
 parts = partial(
     option,
     "--parts N",
@@ -403,6 +429,22 @@ def _parse_cuts(text: str) -> str | list[float]:
         raise click.BadParameter(f"{text!r} is not auto, none, or frame numbers such as 1013,1050") from None
 
 
+sampling = group(
+    "sampling",
+    setting(
+        "--conform N",
+        type=FrameRate(),
+        help="Play the same frames, with their numbers, at this rate; nothing is interpolated.",
+    ),
+    flag("--hold", cls=Setting, help="Hold the first and last pose where times are outside SOURCE."),
+    setting(
+        "--shutter ANGLE",
+        type=_shutter,
+        help="Also write samples while a shutter is open around each frame, for motion blur: 180, or 180,5 for five.",
+    ),
+)
+"""Options of `mixseq resample` for rates, ends and sub-frames, in the argument ``sampling``."""
+
 timing = group(
     "timing",
     setting(
@@ -437,7 +479,7 @@ reading = group(
     setting(
         "--input-fps N",
         "fps",
-        type=float,
+        type=FrameRate(),
         help="Frames per second of numbered files, npz and PC2, or to sample glTF at.  [default: 24, or its keys]",
     ),
     setting(

@@ -63,7 +63,7 @@ _FILM_OPTIONS = ("size", "film_fps", "seconds", "turn", "follow", "colour", "sca
     options.option(
         "--fps N",
         "film_fps",
-        type=float,
+        type=options.FrameRate(),
         help="Frames per second of the film; models are decoded at its times.  [default: those of the first file]",
     ),
     options.setting(

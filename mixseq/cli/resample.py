@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import Claim, between_rows, is_model, overwriting, time_rows, write_sequence
+from mixseq.cli.files import Claim, between_rows, counted, is_model, overwriting, time_rows, write_sequence
 from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.cli.options import in_diagonals
 from mixseq.errors import SettingsError
-from mixseq.sequence.frame_rates import format_span, snap_to_ntsc
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_rate, format_span, snap_to_ntsc
 
 if TYPE_CHECKING:
     from mixseq.operations.resampling import Resampling
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from mixseq.runtime.progress import Progress
     from mixseq.sequence.sequence import Rig
     from mixseq.signals.decoding import Decodable
+    from mixseq.types import FloatArray
 
 
 @options.command(
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
     "mixseq resample walk.h5 slow.usdc --speed 0.25 --start 0.5 --end 1 --velocities",
     "mixseq resample walk.npz back.npz --reverse --tolerance 0.001",
     "mixseq resample walk.h5 ramp.usdc --retime ramp.csv",
+    "mixseq resample walk.usdc film.usdc --conform 24000/1001",
+    "mixseq resample walk.h5 blurred.abc --shutter 180,5",
 )
 @options.argument("source")
 @options.argument("target")
@@ -55,6 +59,7 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Fit frames exactly, also those of a rig.  [default: evaluate rigs, fit other sequences exactly]",
 )
+@options.sampling
 @options.timing
 @options.setting(
     "--whole-stage",
@@ -80,6 +85,7 @@ def command(
     velocities: bool,
     tolerance: float | str | None,
     exact: bool,
+    sampling: dict[str, Any],
     timing: dict[str, Any],
     whole_stage: bool,
     reading: dict[str, Any],
@@ -95,8 +101,8 @@ def command(
     Frames of other sequences, and baked ones, are turned into a model first. TARGET's format follows from its
     extension, see "mixseq formats"; frames are written while later frames are computed.
 
-    TARGET has a frame at every whole multiple of 1/fps from the start of the output to its end. If time is left over
-    before the first frame or after the last, the table lists it.
+    The first frame of TARGET shows the start; others follow 1/fps apart, up to the end. The table lists what is left
+    over there.
     """
     if exact and tolerance is not None:
         raise SettingsError("--exact keeps everything and --tolerance does not; leave out one of them")
@@ -104,33 +110,52 @@ def command(
         raise SettingsError("--linear is about the points of --retime; give both, or neither")
     if frames is not None and (start, end, retime) != (None, None, None):
         raise SettingsError("--frames chooses the section; leave out --start, --end and --retime")
+    new_rate = sampling.pop("conform", None)
+    if new_rate is not None:
+        options.refuse(
+            *("rate", "speed", "reverse", "start", "end", "frames", "retime", "velocities", "tolerance", "exact"),
+            *(*sampling, *timing),
+            why="changes or fits frames, which --conform keeps; leave out one of them",
+        )
     claim(target)
-    from mixseq.operations.resampling import plan
+    from mixseq.operations.resampling import conform_frames, plan
     from mixseq.operations.retiming import Retiming, read_retiming_keys
     from mixseq_io.reader import unzip_blocks
 
     if whole_stage:
         writing = writing | {"whole_stage": True}
     keys = None if retime is None else read_retiming_keys(retime)
+    points: Iterator[FloatArray]
+    speeds: Iterator[FloatArray] | None = None
     with workers as work, progress_bar(quiet) as progress, ExitStack() as opened:
-        motion = _motion(source, tolerance, exact, timing, velocities, reading, progress, work, opened)
-        if frames is not None:
-            start, end = frames.span(motion.header)
-        retiming = None
-        if keys is not None:
-            own = motion.header.fps
-            outputs, sources = keys.in_seconds(own if rate is None else snap_to_ntsc(rate, own), own).T
-            retiming = Retiming.through(outputs, sources, smooth=not linear)
-        planned = plan(motion, rate, start, end, speed, reverse, retiming)
-        if velocities:
-            points, speeds = unzip_blocks(planned.moving_blocks(progress=progress, workers=work))
-            write_sequence(target, planned.header, points, speeds, writing, planned.sources)
+        if new_rate is not None:
+            read = mixseq.open_sequence
+            own = mixseq.load(source).frames if is_model(source) else opened.enter_context(read(source, **reading))
+            header, points, speeds = conform_frames(own, new_rate)
+            points = counted(points, header.frame_count, "writing", progress)
+            write_sequence(target, header, points, speeds, writing, own.header.times)
+            rows = [*time_rows(header), ("source", f"the same frames at {format_rate(own.header.fps)}")]
         else:
-            blocks = planned.blocks(progress=progress, workers=work)
-            write_sequence(target, planned.header, blocks, None, writing, planned.sources)
-        between = [] if quiet else between_rows(target, planned.header, planned.blocks_at, writing)
+            motion = _motion(source, tolerance, exact, timing, velocities, reading, progress, work, opened)
+            if frames is not None:
+                start, end = frames.span(motion.header)
+            retiming = None
+            if keys is not None:
+                own_rate = motion.header.fps
+                output_rate = own_rate if rate is None else snap_to_ntsc(rate, own_rate)
+                outputs, sources = keys.in_seconds(output_rate, motion.header, hold=sampling.get("hold", False)).T
+                retiming = Retiming.through(outputs, sources, smooth=not linear)
+            planned = plan(motion, rate, start, end, speed, reverse, retiming, **sampling)
+            if velocities:
+                points, speeds = unzip_blocks(planned.moving_blocks(progress=progress, workers=work))
+            else:
+                points = planned.blocks(progress=progress, workers=work)
+            write_sequence(target, planned.header, points, speeds, writing, planned.sources)
+            rows = _rows(planned, "shutter" in sampling)
+            if not quiet and "shutter" not in sampling:
+                rows += between_rows(target, planned.header, planned.blocks_at, writing)
     if not quiet:
-        print_table([*_rows(planned), *between])
+        print_table(rows)
     announce(target)
 
 
@@ -169,7 +194,7 @@ def _motion(
     return vertex_motion(model, progress) if is_vertex_motion else model
 
 
-def _rows(planned: Resampling) -> list[tuple[str, str]]:
+def _rows(planned: Resampling, has_samples: bool) -> list[tuple[str, str]]:
     from mixseq.signals.decoding import RigMotion
 
     header, retiming = planned.header, planned.retiming
@@ -180,10 +205,11 @@ def _rows(planned: Resampling) -> list[tuple[str, str]]:
     rows = [*time_rows(header), ("source", f"{format_span(begin, end, planned.motion.header.fps)}{beyond}")]
     if isinstance(planned.motion, RigMotion):
         rows.append(("rig", "evaluated at these times; --exact fits its frames instead"))
-    negligible = 1e-3 / header.fps  # shorter times are rounding errors
-    why = f"; frames are at whole multiples of 1/{header.fps:g} s"
-    if first - retiming.start > negligible:
-        rows.append(("left over", f"{first - retiming.start:.3g} s before the first frame, at {first:g} s{why}"))
-    if retiming.end - last > negligible:
-        rows.append(("left over", f"{retiming.end - last:.3g} s after the last frame, at {last:g} s{why}"))
+    if has_samples:
+        return rows
+    left = retiming.end - retiming.start - (last - first)
+    if left > FRAME_TOLERANCE / header.fps:
+        rows.append(("left over", f"{left:.3g} s after the last frame; the next one would be after the end"))
+    elif left < -FRAME_TOLERANCE / header.fps and header.times.size > 1:
+        rows.append(("end", f"the last frame is {-left:.2g} s after it, and shows the pose there"))
     return rows

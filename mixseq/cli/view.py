@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 @options.option(
     "--fps N",
     "rate",
-    type=click.FloatRange(min=0, min_open=True, max=1000),
+    type=options.FrameRate(1000),
     help="Frames per second; models are decoded at any rate.  [default: those of the first file]",
 )
 @options.group(

@@ -1,14 +1,14 @@
 """Resample a model or a rig: compute it at another frame rate, speed or direction.
 
 A rig (joints, morph weights, transforms) is evaluated as its file defines it between keys; points of frames are fitted
-by a model. The output has a frame at every multiple of ``1 / fps`` from its start to its end. With the retiming
+by a model. The output has a frame at its start, and others ``1 / fps`` apart up to its end. With the retiming
 :math:`r` (`mixseq.operations.retiming`), the frame at the output time :math:`o` shows the source at the time
 :math:`r(o)`. Its velocities, per second of the output, are the velocities of the source times :math:`r'(o)`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -21,14 +21,14 @@ from mixseq.operations.retiming import Retiming
 from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, no_progress
 from mixseq.runtime.public import FileOr, public
-from mixseq.sequence.frame_rates import FRAME_ROUNDING, FRAME_TOLERANCE, snap_to_ntsc
+from mixseq.sequence.frame_rates import FRAME_ROUNDING, FRAME_TOLERANCE, format_span, snap_to_ntsc
 from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
 from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence, Rig, is_rig, join_blocks, without_velocities
 from mixseq.signals.decoding import FRAMES_PER_BLOCK, Decodable
 from mixseq.signals.fitting import CutChoice, as_motion, fit
 from mixseq.signals.model import Model
-from mixseq.types import Float
+from mixseq.types import Float, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class Resampling:
     def blocks_at(self, times: Float) -> Iterator[Float]:
         """Yield points ``(B, V, 3)`` at times ``(N,)`` of the output."""
         inside = np.clip(times, self.retiming.start, self.retiming.end)
-        return self.motion.blocks(self.motion.clip_times(self.retiming(inside)))
+        return self.motion.blocks(np.clip(self.retiming(inside), self.motion.start, self.motion.end))
 
     def moving_blocks(
         self, size: int = FRAMES_PER_BLOCK, progress: Progress = no_progress, workers: Executor | None = None
@@ -63,6 +63,24 @@ class Resampling:
             done += len(points)
 
 
+END_TOLERANCE = 0.05
+"""Largest time after the end, in frames, of a last frame that shows the pose at the end, as of 24 fps at 23.976."""
+
+
+MAX_SHUTTER_SAMPLES = 64
+"""Largest number of samples per frame."""
+
+
+def shutter_offsets(angle: float, samples: int) -> Float:
+    """Return the times of a frame and of samples while a shutter is open around it, in frames from it."""
+    if not (0 < angle <= 360 and 2 <= samples <= MAX_SHUTTER_SAMPLES):
+        raise SettingsError(
+            f"the shutter is {angle:g} degrees with {samples} samples; up to 360 degrees and 2 to "
+            f"{MAX_SHUTTER_SAMPLES} samples are expected"
+        )
+    return np.union1d(np.linspace(-angle, angle, samples) / 720, 0.0)
+
+
 def plan(
     motion: Decodable | Rig,
     fps: float | None = None,
@@ -71,46 +89,86 @@ def plan(
     speed: float = 1.0,
     reverse: bool = False,
     retiming: Retiming | None = None,
+    *,
+    hold: bool = False,
+    shutter: tuple[float, int] | None = None,
 ) -> Resampling:
     """Compute the frames of a resampling, with parameters and errors as in `resample`."""
     motion = as_motion(motion)
+    low, high = -np.inf, np.inf  # output times for which the source time is known
     if retiming is None:
-        first, last = motion.times[[0, -1]]
-        first, last = motion.clip_times([first if start is None else start, last if end is None else end])
+        bounds = np.where([start is None, end is None], motion.times[[0, -1]], [start or 0.0, end or 0.0])
+        first, last = bounds if hold else motion.clip_times(bounds)
         retiming = Retiming.section(float(first), float(last), speed, reverse)
     elif not (start is None and end is None and speed == 1.0 and not reverse):
         raise SettingsError(
             "a retiming sets the range, the speed and the direction; leave out start, end, speed and reverse"
         )
+    else:
+        low, high = retiming.start, retiming.end
     rate = motion.header.fps if fps is None else snap_to_ntsc(float(fps), motion.header.fps)
-    times = _frame_times(retiming.start, retiming.end, rate, FRAME_TOLERANCE / motion.header.fps)
-    retimed = np.clip(times, retiming.start, retiming.end)
-    try:
-        sources = motion.clip_times(retiming(retimed))
-    except SettingsError as error:
-        raise SettingsError(f"the retiming goes beyond the source: {error}") from None
+    steps = np.arange(_frame_count(retiming.start, retiming.end, rate), dtype=np.float64)
+    outputs = np.minimum(retiming.start + steps / rate, retiming.end)
+    if shutter is not None:
+        offsets = shutter_offsets(*shutter)
+        steps, ids = np.unique((steps[:, None] + offsets).round(9), return_index=True)
+        outputs = (outputs[:, None] + offsets / rate).reshape(-1)[ids]
+        is_inside = (outputs >= low) & (outputs <= high)
+        steps, outputs = steps[is_inside], outputs[is_inside]
+    sources = np.asarray(retiming.curve(outputs), dtype=np.float64)
+    slopes = np.asarray(retiming.curve(outputs, nu=1), dtype=np.float64)
+    slack = FRAME_TOLERANCE / motion.header.fps
+    is_outside = (sources < motion.start - slack) | (sources > motion.end + slack)
+    is_sample = steps != np.rint(steps)
+    if hold:
+        sources, slopes = np.clip(sources, motion.start, motion.end), np.where(is_outside, 0.0, slopes)
+    elif (is_outside & ~is_sample).any():
+        time = float(sources[is_outside & ~is_sample][0])
+        span = format_span(motion.start, motion.end, motion.header.fps)
+        raise SettingsError(
+            f"the retiming goes beyond the source: time {time:g} s is outside the sequence, {span}; motions are not "
+            "extrapolated, but hold (--hold) shows the first or last pose there"
+        )
+    else:
+        steps, sources, slopes = steps[~is_outside], motion.clip_times(sources[~is_outside]), slopes[~is_outside]
+    number = retiming.start * rate
+    whole = round(number)
+    times = ((whole if abs(number - whole) <= FRAME_TOLERANCE else number) + steps) / rate
     header = motion.header.with_times(times, rate)
     if len(times) != len(motion.times) or np.abs(sources - motion.times).max() > FRAME_ROUNDING / motion.header.fps:
         header = replace(header, provenance=as_edited(header.provenance))
-    return Resampling(motion, header, retiming, sources, retiming.slope(retimed))
+    return Resampling(motion, header, retiming, sources, slopes)
 
 
-def _frame_times(start: float, end: float, fps: float, slack: float) -> Float:
-    """Return the multiples ``(N,)`` of ``1 / fps`` from `start` to `end`, up to `slack` seconds outside included."""
+def _frame_count(start: float, end: float, fps: float) -> int:
+    """Return the number of frames from `start` to `end`, or to `END_TOLERANCE` frames after it."""
     if not (np.isfinite(fps) and fps > 0):
         raise SettingsError(f"fps is {fps}; a positive number is expected")
-    slack = min(slack, FRAME_TOLERANCE / fps)
-    first, last = np.ceil((start - slack) * fps), np.floor((end + slack) * fps)
-    if last < first:
+    last = np.floor((end - start) * fps + END_TOLERANCE)
+    if last >= MAX_FRAME_COUNT:
         raise SettingsError(
-            f"no frame of {fps:g} frames per second is from {start:g} to {end:g} s; give another range or more fps"
-        )
-    if last - first >= MAX_FRAME_COUNT:
-        raise SettingsError(
-            f"{start:g} to {end:g} s at {fps:g} frames per second are {last - first + 1:.3g} frames, more than "
+            f"{start:g} to {end:g} s at {fps:g} frames per second are {last + 1:.3g} frames, more than "
             f"{MAX_FRAME_COUNT:,}; give fewer fps or more speed"
         )
-    return np.asarray(np.arange(int(first), int(last) + 1) / fps)
+    return int(last) + 1
+
+
+def conform_frames(
+    frames: Frames, fps: float
+) -> tuple[SequenceHeader, Iterator[FloatArray], Iterator[FloatArray] | None]:
+    """Return the header, points and stored velocities of the same frames, with the same numbers, at another rate."""
+    if not (np.isfinite(float(fps)) and fps > 0):
+        raise SettingsError(f"conform is {fps}; a positive number of frames per second is expected")
+    header, rate = frames.header, snap_to_ntsc(float(fps))
+    ratio = rate / header.fps
+    conformed = replace(header.with_times(header.times / ratio, rate), provenance=as_edited(header.provenance))
+    stored: Iterable[FloatArray] | None
+    if isinstance(frames, MeshSequence):
+        stored = None if frames.velocities is None else [frames.velocities]
+    else:
+        stored = getattr(frames, "velocity_blocks", lambda: None)()  # of readers
+    velocities = None if stored is None else (ratio * block for block in stored)
+    return conformed, iter(frames.blocks()), velocities
 
 
 def vertex_motion(model: Model, progress: Progress = no_progress) -> Decodable:
@@ -131,6 +189,10 @@ def resample(
     reverse: bool = False,
     retiming: FileOr[Retiming] | None = None,
     *,
+    conform: float | None = None,
+    hold: bool = False,
+    shutter: float | None = None,
+    shutter_samples: int = 3,
     velocities: bool = False,
     between: BetweenName = "auto",
     cuts: CutChoice = "auto",
@@ -155,6 +217,15 @@ def resample(
         Play the section backwards.
     retiming : Retiming, optional
         Map from output time to source time that replaces `start`, `end`, `speed` and `reverse`.
+    conform : float, optional
+        Frames per second at which the frames of the source are played, with their numbers; nothing is interpolated.
+        Excludes all other settings but `progress`.
+    hold : bool
+        Hold the first and the last pose where times are outside the source.
+    shutter : float, optional
+        Angle of a shutter in degrees, up to 360: the output also has samples while it is open, around every frame.
+    shutter_samples : int
+        Number of samples per frame.
     velocities : bool
         Also compute velocities, in units per second of the output; those of rigs by central differences.
     between, cuts
@@ -166,15 +237,15 @@ def resample(
     Returns
     -------
     MeshSequence
-        Frames at multiples of ``1 / fps``, with float64 points in the units of the source.
+        Frames from the start of the output to its end, ``1 / fps`` apart, with float64 points in the units of the
+        source.
 
     Raises
     ------
     InvalidSequenceError
         If the source is neither a model nor a mesh sequence.
     SettingsError
-        If a time is outside the model, a setting is out of range, settings contradict each other, or the range has no
-        frame.
+        If a time is outside the model, a setting is out of range, or settings contradict each other.
 
     Examples
     --------
@@ -188,6 +259,14 @@ def resample(
     """
     source = cast("Model | Frames", source)
     retiming = cast("Retiming | None", retiming)
+    if conform is not None:
+        others = (fps, start, end, speed, reverse, retiming, hold, shutter, velocities, between, cuts)
+        if others != (None, None, None, 1.0, False, None, False, None, False, "auto", "auto"):
+            raise SettingsError("conform keeps all frames as they are; leave out the other settings")
+        frames = source.frames if isinstance(source, Model) else source
+        header, blocks, speeds = conform_frames(frames, conform)
+        points = np.concatenate(list(blocks))
+        return MeshSequence.from_header(header, points, None if speeds is None else np.concatenate(list(speeds)))
     motion: Decodable
     if isinstance(source, Model) and (between, cuts) == ("vertices", "auto"):
         motion = vertex_motion(source, progress)
@@ -198,8 +277,9 @@ def resample(
     else:
         frames = without_velocities(source) if velocities else source  # the model's replace them
         motion = fit(frames, exact=True, between=between, cuts=cuts, progress=progress)
-    planned = plan(motion, fps, start, end, speed, reverse, retiming)
+    samples = None if shutter is None else (shutter, shutter_samples)
+    planned = plan(motion, fps, start, end, speed, reverse, retiming, hold=hold, shutter=samples)
     if not velocities:
         return join_blocks(planned.header, planned.blocks(progress=progress))
-    points, rates = zip(*planned.moving_blocks(progress=progress), strict=True)
-    return MeshSequence.from_header(planned.header, np.concatenate(points), np.concatenate(rates))
+    moved, rates = zip(*planned.moving_blocks(progress=progress), strict=True)
+    return MeshSequence.from_header(planned.header, np.concatenate(moved), np.concatenate(rates))

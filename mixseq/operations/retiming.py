@@ -16,9 +16,9 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
 
@@ -36,8 +36,8 @@ from mixseq.operations.sections import (
 )
 from mixseq.runtime.public import FileOr, public
 from mixseq.runtime.text_files import read_text
-from mixseq.sequence.frame_rates import FRAME_TOLERANCE
-from mixseq.sequence.header import frame_times
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_frame
+from mixseq.sequence.header import SequenceHeader, frame_times
 from mixseq.signals.curve import MIN_KNOT_SPACING, Curve
 from mixseq.signals.detail import DeviationNorm
 from mixseq.signals.model import Model
@@ -276,10 +276,28 @@ class RetimingKeys(NamedTuple):
 
     points: Float  # (n, 2) output and source times
     unit: Unit | None  # unit of the times; None if the file does not specify a unit
+    places: Sequence[str] = ()  # places of the points, such as "ramp.csv, line 4"; by default their numbers
 
-    def in_seconds(self, output_fps: float, source_fps: float, unit: Unit = "seconds") -> Float:
-        """Return the points ``(n, 2)`` in seconds."""
-        return self.points / [output_fps, source_fps] if (self.unit or unit) == "frames" else self.points
+    def in_seconds(
+        self, output_fps: float, source: SequenceHeader, unit: Unit = "seconds", hold: bool | None = None
+    ) -> Float:
+        """Return the points ``(n, 2)`` in seconds; raise SettingsError beyond the source, unless its ends are held.
+
+        `hold` is None where they cannot be held.
+        """
+        in_frames = (self.unit or unit) == "frames"
+        rates = np.array([output_fps, source.fps]) if in_frames else np.ones(2)
+        first, last = source.times[[0, -1]]
+        for place, time in zip(self.places or map("point {}".format, count(1)), self.points[:, 1], strict=False):
+            seconds = time / rates[1]
+            if hold or abs(np.clip(seconds, first, last) - seconds) <= FRAME_TOLERANCE / source.fps:
+                continue
+            name, end = ("last", last) if seconds > last else ("first", first)
+            limit = format_frame(end, source.fps) if in_frames else f"{end:g} s"
+            asked = f"source frame {time:g}" if in_frames else f"source time {time:g} s"
+            cure = "" if hold is None else ", or hold the ends (--hold)"
+            raise SettingsError(f"{place}: {asked}, but the {name} is {limit}; change it{cure}")
+        return np.asarray(self.points / rates)
 
 
 class _FilePoint(NamedTuple):
@@ -320,8 +338,8 @@ def read_retiming(
     keys = read_retiming_keys(path)
     if source_fps is None and keys.unit == "frames":
         raise SettingsError(f"{path} is in frames; give source_fps, the frames per second of the source")
-    rate = source_fps or 1.0
-    outputs, sources = keys.in_seconds(output_fps or rate, rate).T
+    rates = [output_fps or source_fps, source_fps] if keys.unit == "frames" else 1.0
+    outputs, sources = (keys.points / np.asarray(rates, dtype=np.float64)).T
     return Retiming.through(outputs, sources, smooth)
 
 
@@ -348,7 +366,8 @@ def read_retiming_keys(path: str | os.PathLike[str]) -> RetimingKeys:
             )
     if len(points) < 2:
         raise FormatError(f"{file} has {len(points)} points; a retiming needs two or more")
-    return RetimingKeys(np.array([[point.output, point.source] for point in points]), unit)
+    places = [f"{file}, {point.location}" for point in points]
+    return RetimingKeys(np.array([[point.output, point.source] for point in points]), unit, places)
 
 
 def check_unit(unit: object, where: str) -> Unit | None:

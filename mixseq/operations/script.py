@@ -36,6 +36,7 @@ from mixseq.errors import FormatError, MissingFileError, MixseqError, SettingsEr
 from mixseq.operations.retiming import RetimingKeys, Unit, check_unit, parse_toml, read_retiming_keys
 from mixseq.runtime.text_files import read_text
 from mixseq.sequence.frame_rates import number_to_time
+from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -51,7 +52,7 @@ class Readers(NamedTuple):
 
 
 ReadValue = Callable[[Any, Path, Readers], Any]
-ToSeconds = Callable[[Any, float, Unit], Any]
+ToSeconds = Callable[[Any, SequenceHeader, Unit], Any]
 
 
 class WrongTypeError(Exception):
@@ -195,13 +196,13 @@ def _read_keys(value: Any, folder: Path, readers: Readers) -> RetimingKeys:
     return read_retiming_keys(_find_file(value, folder, readers))
 
 
-def _number_in_seconds(value: float, fps: float, unit: Unit) -> float:
-    return number_to_time(value, fps) if unit == "frames" else value
+def _number_in_seconds(value: float, header: SequenceHeader, unit: Unit) -> float:
+    return number_to_time(value, header.fps) if unit == "frames" else value
 
 
-def _weight_in_seconds(value: float | Curve, fps: float, unit: Unit) -> float | Curve:
+def _weight_in_seconds(value: float | Curve, header: SequenceHeader, unit: Unit) -> float | Curve:
     if isinstance(value, Curve) and unit == "frames":
-        return Curve(value.times / fps, value.values)
+        return Curve(value.times / header.fps, value.values)
     return value
 
 
@@ -213,7 +214,7 @@ PARSED_PARAMETERS: Mapping[str, tuple[str, str, ReadValue, ToSeconds | None]] = 
     "points": ("mesh", "the file of a mesh", _read_mesh, None),
     "curve": ("curve", "pairs of x and y, as a list or a CSV file,", _read_pairs, None),
     "to": ("to", "a list of two numbers, x and y,", _read_position, None),
-    "keys": ("keys", _KEYS_TEXT, _read_keys, lambda value, fps, unit: value.in_seconds(fps, fps, unit)),
+    "keys": ("keys", _KEYS_TEXT, _read_keys, lambda value, header, unit: value.in_seconds(header.fps, header, unit)),
     "weight": ("weight", _WEIGHT_TEXT, _read_weight, _weight_in_seconds),
 }
 """Parameters of operations that plain values cannot set: key in a script, and the last three fields of `Key`."""
@@ -258,11 +259,11 @@ class Edit:
     def __call__(self, model: Model) -> Model:
         """Return the edited model; error messages name the edit."""
         function, arguments = load_operation(self.operation), dict(self.arguments)
-        for key in script_keys(function).values():
-            name = key.parameter
-            if key.to_seconds is not None and name in arguments:
-                arguments[name] = key.to_seconds(arguments[name], model.header.fps, self.unit)
         try:
+            for key in script_keys(function).values():
+                name = key.parameter
+                if key.to_seconds is not None and name in arguments:
+                    arguments[name] = key.to_seconds(arguments[name], model.header, self.unit)
             return function(model, **arguments)
         except MixseqError as error:
             raise type(error)(f"edit {self.number} ({self.operation}): {error}") from error

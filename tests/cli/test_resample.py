@@ -139,23 +139,74 @@ def test_a_tolerance(run: Run, bent_bar: MeshSequence) -> None:
     assert 1e-6 < mixseq.compare(bent_bar, mixseq.read("new.npz")).max_error <= 0.01
 
 
-def test_the_table_tells_of_every_end(run: Run) -> None:
+def test_the_table_tells_of_the_end(run: Run) -> None:
     table = succeed(run("resample", "model.h5", "new.npz", "--fps", "8"))
     assert table.splitlines()[:5] == [
         "frames     3 (0 to 2)",
         "time       0 to 0.25 s at 8 frames per second",
         "history    an edit of what is 1e-8 from bar",
         "source     0 to 0.25 s (frames 0 to 2.5)",
-        "left over  0.05 s after the last frame, at 0.25 s; frames are at whole multiples of 1/8 s",
+        "left over  0.05 s after the last frame; the next one would be after the end",
     ]
     table = succeed(run("resample", "model.h5", "new.npz", "--start", "0.05", "--reverse"))
-    assert table.splitlines()[1:5] == [
-        "time       0.1 to 0.3 s at 10 frames per second",
+    assert table.splitlines()[:5] == [
+        "frames     3 (0.5 to 2.5)",
+        "time       0.05 to 0.25 s at 10 frames per second",
         "history    an edit of what is 1e-8 from bar",
-        "source     0.25 to 0.05 s (frames 2.5 to 0.5)",
-        "left over  0.05 s before the first frame, at 0.1 s; frames are at whole multiples of 1/10 s",
+        "source     0.3 to 0.1 s (frames 3 to 1)",
+        "left over  0.05 s after the last frame; the next one would be after the end",
     ]
+    table = succeed(run("resample", "model.h5", "new.npz", "--fps", "9.9"))
+    assert "end      the last frame is 0.003 s after it, and shows the pose there" in table
     assert "left over" not in succeed(run("resample", "model.h5", "new.npz", "--fps", "30"))
+
+
+def test_rates_are_fractions(run: Run) -> None:
+    for arguments in (("--fps", "24000/1001"), ("--conform", "24000/1001")):
+        assert "at 24000/1001 (23.976) frames per second" in succeed(run("resample", "bar.npz", "new.npz", *arguments))
+        assert mixseq.read("new.npz").fps == 24000 / 1001
+    for text in ("24/0", "a/b", "1/2/3", "-24/1", "0"):
+        result = run("resample", "bar.npz", "other.npz", "--fps", text)
+        assert result.exit_code == 2
+        assert re.search("is not a frame rate such as 25, 23.976 or 24000/1001|is not in the range", result.stderr)
+
+
+def test_frames_are_conformed(run: Run) -> None:
+    table = succeed(run("resample", "bar.npz", "new.npz", "--conform", "25"))
+    assert "source   the same frames at 10" in table
+    np.testing.assert_array_equal(mixseq.read("new.npz").points, mixseq.read("bar.npz").points)
+    assert mixseq.read("new.npz").times == pytest.approx(np.arange(4) / 25)
+    succeed(run("resample", "model.h5", "new.npz", "--conform", "25", "-q"))
+    np.testing.assert_array_equal(mixseq.read("new.npz").points, mixseq.load("model.h5").sample().points)
+    for option in ("--reverse", "--hold", "--start=0.1", "--between=linear"):
+        refused = run("resample", "bar.npz", "other.npz", "--conform", "25", option)
+        assert refused.exit_code == 2
+        assert f"{option.partition('=')[0]} changes or fits frames" in refused.stderr
+
+
+def test_shutters_and_held_ends(run: Run) -> None:
+    options = ("--shutter", "180", "--hold", "--end", "0.4")
+    succeed(run("resample", "model.h5", "new.npz", *options))
+    numbers = np.array([-0.25, 0, 0.25, 0.75, 1, 1.25, 1.75, 2, 2.25, 2.75, 3, 3.25, 3.75, 4, 4.25])
+    new, model = mixseq.read("new.npz"), mixseq.load("model.h5")
+    assert new.times * 10 == pytest.approx(numbers)
+    np.testing.assert_allclose(new.points, [model(time) for time in np.clip(numbers / 10, 0, 0.3)], atol=1e-12)
+    assert "'180,a' is no angle" in run("resample", "model.h5", "other.npz", "--shutter", "180,a").stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.csv", "0,0\n1,0.5\n", "a.csv, line 2: source time 0.5 s, but the last is 0.3 s; change it, or hold"),
+        ("b.csv", 'unit="frames"\n# x\n0,0\n9,50', "b.csv, line 4: source frame 50, but the last is 3; change it"),
+        ("c.toml", "output=[0,1]\nsource=[-0.2,0]", "c.toml, key 1: source time -0.2 s, but the first is 0 s; ch"),
+    ],
+)
+def test_places_of_retimes_beyond_the_source(run: Run, name: str, text: str, message: str) -> None:
+    Path(name).write_text(text)
+    refused = run("resample", "model.h5", "other.npz", "--retime", name)
+    assert (refused.exit_code, message in refused.stderr) == (2, True), refused.stderr
+    succeed(run("resample", "model.h5", "new.npz", "--retime", name, "--hold"))
 
 
 def test_frames_are_a_section(run: Run) -> None:
@@ -251,16 +302,9 @@ def test_velocities_that_cannot_be_held(run: Run, command: str) -> None:
         ("model.h5 old.npz --end 1e300", "is outside the sequence, 0 to 0.3 s"),
         ("model.h5 old.npz --start nan", "time nan s is outside"),
         ("model.h5 old.npz --start 0.2 --end 0.1", "no time between the start, 0.2 s, and the end, 0.1 s"),
-        (
-            "model.h5 old.npz --start 0.12 --end 0.18",
-            "no frame of 10 frames per second is from 0.12 to 0.18 s",
-        ),
         ("model.h5 old.npz --retime none.csv", "none.csv does not exist"),
         ("model.h5 old.npz --retime notes.txt", "notes.txt, line 1: 'no mesh' is not a point of a retiming"),
-        (
-            "model.h5 old.npz --retime far.csv",
-            "goes beyond the source: time 0.35 s is outside the sequence, 0",
-        ),
+        ("model.h5 old.npz --retime far.csv", "far.csv, line 2: source time 0.5 s, but the last is 0.3 s"),
         ("model.h5 old.npz --retime good.csv --speed 2", "a retiming sets the range.*; leave out"),
         ("model.h5 old.npz --retime good.csv --reverse", "a retiming sets the range.*; leave out"),
         ("model.h5 old.npz --linear", "--linear is about the points of --retime"),

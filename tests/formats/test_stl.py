@@ -14,7 +14,7 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import FaceSet, Surface
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
-from mixseq_io import open_sequence, read, write
+from mixseq_io import read, write
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32)
 FACES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -64,21 +64,53 @@ def test_vertices_are_numbered_as_they_occur(tmp_path: Path) -> None:
     np.testing.assert_array_equal(sequence.points[0], SQUARE[[3, 1, 0, 2]])
 
 
-def test_corners_that_come_apart(tmp_path: Path) -> None:
-    corners = SQUARE[FACES]
-    (tmp_path / "a_1.stl").write_bytes(binary(corners))
-    (tmp_path / "a_2.stl").write_bytes(binary(corners + 1))
-    torn = corners.copy()
-    torn[1, 1] += 0.5
-    (tmp_path / "a_3.stl").write_bytes(binary(torn))
-    with open_sequence(tmp_path / "a_#.stl") as reader:
-        blocks = reader.blocks(1)
-        next(blocks), next(blocks)
-        with pytest.raises(
-            InvalidSequenceError,
-            match=r"a_3\.stl \(frame 3\): vertex 2, one place .*, is at \[1.0, 1.0, 0.0\] and at \[1.5, 1.5, 0.5\]",
-        ):
-            next(blocks)
+LIPS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 0], [0, -1, 0]], dtype=np.float32).reshape(2, 3, 3)
+
+
+@pytest.mark.parametrize("opening_frame", [1, 2, 3])
+def test_lips_that_touch_in_some_frames_stay_apart(tmp_path: Path, opening_frame: int) -> None:
+    frames = np.stack([LIPS] * 3)
+    frames[opening_frame - 1, 1, 0, 1] = -0.5  # a corner of the mouth opens, the other stays shut
+    for frame, corners in enumerate(frames, start=1):
+        (tmp_path / f"a_{frame}.stl").write_bytes(binary(corners))
+    sequence = read(tmp_path / "a_#.stl")
+    assert sequence.faces.tolist() == [[0, 1, 2], [3, 0, 4]]
+    np.testing.assert_array_equal(sequence.points[:, sequence.faces], frames)
+
+
+def grid(rows: int, at: float) -> tuple[FloatArray, FloatArray]:
+    """Return points ``(V, 3)`` of a bent grid far from the origin, and its triangles ``(F, 3)``."""
+    x, y = np.meshgrid(np.arange(rows), np.arange(rows), indexing="ij")
+    points = np.stack([x, y, np.sin(x) * y / 7], axis=-1).reshape(-1, 3) / 7 + at
+    corner = (x * rows + y)[:-1, :-1].reshape(-1)
+    faces = [[corner, corner + rows, corner + 1], [corner + 1, corner + rows, corner + rows + 1]]
+    return points, np.concatenate([np.stack(each, axis=1) for each in faces])
+
+
+@pytest.mark.parametrize("make", [binary, text])
+def test_corners_apart_in_the_last_digit_are_one_vertex(tmp_path: Path, make: object) -> None:
+    assert callable(make)
+    points, faces = grid(5, at=100)
+    rng = np.random.default_rng(1)
+    digit = np.spacing(np.float32(100)) if make is binary else 1e-4  # of nine digits, six are written as text
+    for frame in (1, 2, 3):
+        corners = points[faces] + rng.integers(-1, 2, (*faces.shape, 3)) * digit
+        data = make(corners.astype(np.float32)) if make is binary else make(corners.round(4))
+        (tmp_path / f"a_{frame}.stl").write_bytes(data)
+    got = read(tmp_path / "a_#.stl")
+    assert got.vertex_count == len(points)
+    np.testing.assert_allclose(got.points[:, got.faces], np.stack([points[faces]] * 3), rtol=0, atol=2 * digit)
+
+
+def test_small_triangles_and_thin_shells_are_kept(tmp_path: Path) -> None:
+    step = float(np.spacing(np.float32(100)))
+    speck = np.array([[100, 0, 0], [100 + step, 0, 0], [100, 1, 0]], dtype=np.float32)
+    (tmp_path / "speck.stl").write_bytes(binary(speck[None]))
+    assert read(tmp_path / "speck.stl").faces.tolist() == [[0, 1, 2]]
+    tetrahedron = np.array([[100, 0, 0], [101, 0, 0], [100, 1, 0], [100, 0, 1]], dtype=np.float32)
+    closed = tetrahedron[[[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]]
+    (tmp_path / "shells.stl").write_bytes(binary(np.concatenate([closed, closed + np.array([step, 0, 0])])))
+    assert read(tmp_path / "shells.stl").vertex_count == 8  # both are closed without welding
 
 
 def test_changing_numbers_of_triangles(tmp_path: Path) -> None:
@@ -95,6 +127,16 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     got = read(tmp_path / "a_#.stl")
     np.testing.assert_array_equal(got.points, points.astype(np.float32))
     assert got.polygons.same_as(written.polygons)
+
+
+def test_lips_that_open_are_written_and_read(tmp_path: Path) -> None:
+    faces = np.array([[0, 1, 2], [3, 4, 5]])
+    points = np.stack([LIPS.reshape(-1, 3)] * 2)
+    points[1, 3:, 1] -= 0.5
+    write(tmp_path / "a_#.stl", MeshSequence.from_arrays(points, faces))  # warnings are errors
+    np.testing.assert_array_equal(read(tmp_path / "a_#.stl").points, points)
+    with pytest.warns(MixseqWarning, match="4 will be read instead of 6.*at one position in all frames"):
+        write(tmp_path / "b_#.stl", MeshSequence.from_arrays(points[:1], faces))
 
 
 def test_normals_of_triangles(tmp_path: Path) -> None:

@@ -350,7 +350,8 @@ def test_velocities_of_a_gallop(data: Path, tmp_path: Path) -> None:
     Of most vertices: in a joint that is about to fold some turn so sharply that differences tell nothing of them.
     """
     path = tmp_path / "wolf.usdc"
-    model = mixseq.fit(read(data / "npz" / "q_wolf_gallop.npz"), exact=True)
+    wolf = read(data / "npz" / "q_wolf_gallop.npz")
+    model = mixseq.fit(MeshSequence.from_header(wolf.header.with_times(wolf.times[:14]), wolf.points[:14]), exact=True)
     planned = plan(model, start=0.2, end=0.23, speed=0.5)
     points, velocities = unzip_blocks(planned.moving_blocks())
     write_blocks(path, planned.header, points, velocities)

@@ -108,6 +108,18 @@ def test_keys_of_a_retiming_are_lists_or_files(edits: Edits, tmp_path: Path, key
     same(apply(found, bar_motion()), retime(bar_motion(), [[0.0, 0.8], [1.6, 0.0]], smooth=False))
 
 
+def test_keys_beyond_the_source_are_named_in_their_unit(edits: Edits, tmp_path: Path) -> None:
+    end = bar_motion().header.frame_numbers.partition(" to ")[2]
+    (tmp_path / "keys.csv").write_text('unit = "frames"\n0,0\n# a comment\n9,50\n')
+    for keys, place, asked in (
+        ('"keys.csv"', r"keys\.csv, line 4", f"source frame 50, but the last is {end}"),
+        ("[[0, 0], [1, -2]]", "point 2", "source time -2 s, but the first is 0 s"),
+    ):
+        found = edits(table(f'operation = "retime"\nkeys = {keys}'))
+        with pytest.raises(SettingsError, match=rf"edit 1 \(retime\): .*{place}: {asked}; change it$"):
+            apply(found, bar_motion())
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

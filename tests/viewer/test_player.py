@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,8 +23,8 @@ from mixseq.signals.model import Model
 from mixseq.spaces.temporal import insert_midpoints
 from mixseq.viewer.export import ExportSettings, export_page
 from mixseq.viewer.export_data import PageItem
-from tests.compression.encoder.test_inbetweens import bending_tube
-from tests.meshes import bar, coarse_walk
+from tests.compression.encoder.test_inbetweens import bending_tube, turning_bars
+from tests.meshes import SEQUENCES, bar, coarse_walk
 from tests.viewer.conftest import SCREENSHOTS, Keep, NewPage, Watched
 from tests.viewer.pages import Opened
 
@@ -251,8 +251,9 @@ CURVE = """(async () => {
 """Places at the frames and at the quarters between them, and what the page says."""
 
 
-def test_the_browser_shows_in_betweens(new_page: NewPage, tmp_path: Path) -> None:
-    report = export_page(tmp_path / "tube.html", [exported("tube", bending_tube())])[0]
+@pytest.mark.parametrize("make", [bending_tube, SEQUENCES["rigid component"]], ids=["of the mesh", "of its parts"])
+def test_the_browser_shows_in_betweens(new_page: NewPage, tmp_path: Path, make: Callable[[], MeshSequence]) -> None:
+    report = export_page(tmp_path / "tube.html", [exported("tube", make())])[0]
     made = Player(new_page(*SMALL), tmp_path / "tube.html").run(f"await {CURVE}")
     item = Opened(tmp_path / "tube.html").items[0]
     assert len(item.model.inbetweens) > 0
@@ -262,6 +263,15 @@ def test_the_browser_shows_in_betweens(new_page: NewPage, tmp_path: Path) -> Non
     assert f"{item.description['between']} units from the model between frames" in made["text"]
     diagonal = report.error / report.max_error
     assert item.description["between"] == pytest.approx(report.between * diagonal, rel=0.01)
+
+
+def test_in_betweens_of_parts_keep_labels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("shapes",))
+    report = export_page(tmp_path / "bars.html", [exported("bars", turning_bars())])[0]
+    model = Opened(tmp_path / "bars.html").items[0].model
+    assert model.parts_basis is not None
+    assert report.between is not None
+    assert report.between < 2 * report.max_error
 
 
 def test_in_betweens_are_left_out(tmp_path: Path) -> None:

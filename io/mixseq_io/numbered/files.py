@@ -201,6 +201,7 @@ class FrameFormat:
     parse: Parser
     make_encoder: Callable[[Path, SequenceHeader], Encoder]  # arguments: pattern, for warnings, and header
     find_losses: Callable[[SequenceHeader], list[str]]
+    is_welded: bool = False  # whether vertices are corners that coincide in all files
     is_text: bool = False  # whether files are text, which takes more memory to parse
     damage_errors: tuple[type[Exception], ...] = ()  # errors of `parse` on damaged files, besides mixseq's
 
@@ -212,6 +213,11 @@ class FrameFormat:
             name = name.rstrip("0123456789").rstrip("_-. ")
         with prefix_errors(files[0]):
             first = self.read(files[0])
+        if self.is_welded and len(files) > 1:
+            for file, number in zip((*files[1:], files[0]), (*numbers[1:], numbers[0]), strict=True):
+                with prefix_errors(f"{file} (frame {format_number(number)})"):
+                    first = self.read(file, first)
+        with prefix_errors(files[0]):
             header = SequenceHeader(
                 polygons=first.polygons,
                 vertex_count=len(first.points),

@@ -4,11 +4,12 @@ OFF and COFF files are text with optional vertex colours. They are read by trime
 written with enough digits to restore the same float32 or float64; a comment states this precision. Points of files
 without this comment are read as float64. Specification: http://www.geomview.org/docs/html/OFF.html
 
-STL stores the three positions of every triangle. Equal positions in the first frame become one vertex; vertices are
-numbered in order of appearance. A sequence is rejected if corners of a vertex separate in a later frame, for example
-where two parts touch only in the first frame. Binary files are float32; text is read as float64, with all solids as one
-mesh. Files are written as binary with normals. Text has its own parser: trimesh 5.2 skips invalid lines and data after
-an unclosed solid (100 of 732 damaged files were read), and rejects a solid with "vertex" in its name.
+STL stores the three positions of every triangle. Corners that coincide in all frames become one vertex, so that parts
+that touch in some frames only stay apart; vertices are numbered in order of appearance. Programs that compute a vertex
+once per triangle leave its corners apart in the last digit: such cracks are closed in the first frame. Binary files are
+float32; text is read as float64, with all solids as one mesh. Files are written as binary with normals. Text has its
+own parser: trimesh 5.2 skips invalid lines and data after an unclosed solid (100 of 732 damaged files were read), and
+rejects a solid with "vertex" in its name.
 Specification: https://www.loc.gov/preservation/digital/formats/fdd/fdd000504.shtml
 
 Neither format can store polygons, the name, times, frame rate, units, the up axis, velocities or the surface, except
@@ -141,37 +142,88 @@ OFF_FORMAT = FrameFormat(
 
 _TRIANGLE_DTYPE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _PREAMBLE_BYTES = 80
+_MAX_WELD_STEPS = 4.0  # largest difference of coordinates of one vertex, in steps of float32 or of the last digit
+_MAX_TEXT_DECIMALS = 12  # decimals beyond which text is as fine as float32
+_MAX_TEXT_STEP = 1e-5  # coarsest last digit of text relative to the largest coordinate: six digits
+_FAR_COORDINATE = 1e300  # in place of infinite coordinates in searches
 
 
 def parse_stl(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
-    """Parse an STL file; corners of later frames are welded as in the first frame."""
+    """Parse an STL file; of the corners that are one vertex in other frames, weld those that coincide in this one."""
     corners = _read_corners(file, data)
     if first is None:
         indices, first_corners = _weld(corners)
-        polygons = Polygons(np.full(len(corners) // 3, 3), indices)
-        return MeshFile(points=corners[first_corners], polygons=polygons, stored_faces=first_corners)
-    indices = first.polygons.indices
-    if len(corners) != indices.size:
+    elif len(corners) == first.polygons.indices.size:
+        indices, first_corners = _split(corners, first.polygons.indices, first.stored_faces)
+    else:
         raise InvalidSequenceError(
-            f"it has {len(corners) // 3} triangles, the first frame has {indices.size // 3}; every frame needs the "
-            "same triangles in the same order"
+            f"it has {len(corners) // 3} triangles, the first frame has {first.polygons.indices.size // 3}; every "
+            "frame needs the same triangles in the same order"
         )
-    points = corners[first.stored_faces]
-    welded = points[indices]
-    is_equal = (corners == welded) | (np.isnan(corners) & np.isnan(welded))  # NaN is reported later
-    apart_mask = ~is_equal.all(axis=1)
-    if apart_mask.any():
-        corner = int(np.argmax(apart_mask))
-        raise InvalidSequenceError(
-            f"vertex {indices[corner]}, one place in the first frame, is at {welded[corner].tolist()} and at "
-            f"{corners[corner].tolist()}; STL stores no shared vertices, export OBJ or PLY"
-        )
-    return MeshFile(points=points, polygons=first.polygons, stored_faces=first.stored_faces)
+    polygons = Polygons(np.full(len(corners) // 3, 3), indices)
+    return MeshFile(points=corners[first_corners], polygons=polygons, stored_faces=first_corners)
 
 
 def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
-    """Weld equal corners ``(3 F, 3)`` in order of appearance; return vertices ``(3 F,)`` and first corners ``(V,)``."""
-    return renumber_by_appearance(np.unique(corners + 0.0, axis=0, return_inverse=True)[1])  # + 0.0 turns -0 into 0
+    """Weld corners ``(3 F, 3)`` in order of appearance; return vertices ``(3 F,)`` and first corners ``(V,)``.
+
+    Corners at the same place are welded, and those apart by rounding where the triangles around them leave a crack.
+    """
+    points, indices = np.unique(corners + 0.0, axis=0, return_inverse=True)  # + 0.0 turns -0 into 0
+    triangles = indices.reshape(-1, 3)
+    edges, uses = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0, return_counts=True)
+    crack_ids = np.unique(edges[uses % 2 == 1])
+    clusters = np.arange(len(points))
+    clusters[crack_ids] = crack_ids[_cluster(points[crack_ids], _weld_tolerance(corners))]
+    welded, is_distinct = clusters[triangles], triangles != np.roll(triangles, 1, axis=1)
+    is_lost = (is_distinct & (welded == np.roll(welded, 1, axis=1))).any(axis=1)
+    is_lost_cluster = np.isin(clusters, welded[is_lost])  # their triangles are as small as rounding
+    clusters[is_lost_cluster] = np.flatnonzero(is_lost_cluster)
+    return renumber_by_appearance(clusters[indices.reshape(-1)])
+
+
+def _split(corners: FloatArray, vertices: IntArray, first_corners: IntArray) -> tuple[IntArray, IntArray]:
+    """Split vertices ``(3 F,)`` of other frames, with first corners ``(V,)``, where corners ``(3 F, 3)`` are apart."""
+    tolerance = _weld_tolerance(corners)
+    is_near = (np.abs(corners - corners[first_corners][vertices]) <= tolerance).all(axis=1)
+    if is_near.all():
+        return vertices, first_corners
+    clusters = np.array(first_corners)[vertices]
+    split_corners = np.flatnonzero(np.isin(vertices, vertices[~is_near]))
+    rows, row_ids = np.unique(
+        np.column_stack([vertices[split_corners], corners[split_corners]]), axis=0, return_inverse=True
+    )
+    labels = _cluster(rows[:, 1:], tolerance, rows[:, 0])[row_ids.reshape(-1)]
+    clusters[split_corners] = len(corners) + labels
+    return renumber_by_appearance(clusters)
+
+
+def _cluster(points: FloatArray, tolerance: float, groups: FloatArray | None = None) -> IntArray:
+    """Return a point of its cluster for each point ``(n, 3)``: neighbours by tolerance, of equal groups if given."""
+    from scipy.sparse import coo_array, csgraph
+    from scipy.spatial import KDTree
+
+    finite = np.nan_to_num(
+        points.astype(np.float64), nan=_FAR_COORDINATE, posinf=_FAR_COORDINATE, neginf=-_FAR_COORDINATE
+    )  # reported later
+    pairs = KDTree(finite).query_pairs(tolerance, p=np.inf, output_type="ndarray")
+    if groups is not None:
+        pairs = pairs[groups[pairs[:, 0]] == groups[pairs[:, 1]]]
+    graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))
+    _, labels = csgraph.connected_components(graph, directed=False)
+    return np.unique(labels, return_index=True)[1][labels]
+
+
+def _weld_tolerance(corners: FloatArray) -> float:
+    """Return the largest difference of coordinates between corners of a vertex, from the last digits of a file."""
+    sizes = np.abs(corners[np.isfinite(corners)]).astype(np.float64)
+    largest = float(sizes.max(initial=0.0))
+    step = float(np.spacing(np.float32(largest)))
+    if corners.dtype == np.float64:  # text, where the largest numbers have the coarsest last digits
+        coarse = sizes[sizes >= largest / 10]
+        decimals = next((d for d in range(_MAX_TEXT_DECIMALS) if (coarse.round(d) == coarse).all()), _MAX_TEXT_DECIMALS)
+        step = max(step, min(10.0**-decimals, _MAX_TEXT_STEP * largest))
+    return _MAX_WELD_STEPS * step
 
 
 def _read_corners(file: Path, data: bytes) -> FloatArray:
@@ -228,6 +280,7 @@ def _parse_vertex(file: Path, number: int, line: bytes, words: tuple[bytes, ...]
 
 def _stl_encoder(path: Path, header: SequenceHeader) -> Encoder:
     polygons = Polygons.from_triangles(header.faces)
+    welded: list[IntArray] = []  # vertices and first corners that will be read of the frames so far
 
     def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
         single = as_float32(points[None], frame, "STL", header=header)
@@ -236,24 +289,31 @@ def _stl_encoder(path: Path, header: SequenceHeader) -> Encoder:
         lengths = np.linalg.norm(areas, axis=1, keepdims=True)
         triangles["normal"] = areas / np.where(lengths > 0, lengths, 1.0)
         triangles["corners"] = single[0][header.faces]
-        if frame == 0:
-            _warn_of_changed_vertices(path, header, triangles["corners"].reshape(-1, 3))
+        corners = triangles["corners"].reshape(-1, 3)
+        welded[:] = _split(corners, *welded) if welded else _weld(corners)
+        if frame == header.frame_count - 1:
+            _warn_of_changed_vertices(path, header, *welded)
         yield b"Written by mixseq".ljust(_PREAMBLE_BYTES) + len(triangles).to_bytes(4, "little")
         yield triangles.tobytes()
 
     return encode
 
 
-def _warn_of_changed_vertices(path: Path, header: SequenceHeader, corners: FloatArray) -> None:
-    indices, first_corners = _weld(corners)
+def _warn_of_changed_vertices(path: Path, header: SequenceHeader, indices: IntArray, first_corners: IntArray) -> None:
     if len(first_corners) != header.vertex_count:
         warn(
             f"{path}: STL stores no shared vertices; {len(first_corners)} will be read instead of "
-            f"{header.vertex_count}, as unused ones are lost and those at one position in the first frame are merged; "
+            f"{header.vertex_count}, as unused ones are lost and those at one position in all frames are merged; "
             "OBJ and PLY keep them"
         )
     elif not np.array_equal(indices, header.faces.reshape(-1)):
         warn(f"{path}: STL stores no vertex order; vertices will be read in another; OBJ and PLY keep it")
 
 
-STL_FORMAT = FrameFormat("STL", parse_stl, _stl_encoder, lambda header: lost_surface(header) + lost_polygons(header))
+STL_FORMAT = FrameFormat(
+    "STL",
+    parse_stl,
+    _stl_encoder,
+    lambda header: lost_surface(header) + lost_polygons(header),
+    is_welded=True,
+)
