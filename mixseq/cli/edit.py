@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import MODEL_EXTENSIONS, Claim, check_target, history_rows, overwriting, write_frames
+from mixseq.cli.files import MODEL_EXTENSIONS, Claim, check_target, history_rows, load_or_fit, overwriting, write_frames
 from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.errors import SettingsError
 
@@ -42,7 +42,7 @@ A script has a table for every edit:
     "mixseq edit walk.h5 long.usdc --script edits.toml --fps 48",
     before=SCRIPT_HELP,
 )
-@options.argument("source", metavar="MODEL")
+@options.argument("source", metavar="SOURCE")
 @options.argument("target", metavar="OUT")
 @options.option("--script FILE", required=True, help="The edits, a TOML file.")
 @options.setting(
@@ -74,9 +74,10 @@ def command(
     claim: Claim,
     quiet: bool,
 ) -> None:
-    """Edit the motion of a model by a script.
+    """Edit the motion of a model or a sequence by a script.
 
-    OUT is a model if it ends in .h5 or .hdf5, and a sequence in any other format, see "mixseq formats".
+    SOURCE is a model, or a sequence in any format, which is turned into an exact model first. OUT is a model if it ends
+    in .h5 or .hdf5, and a sequence in any other format, see "mixseq formats".
 
     The script is a TOML file; its edits are applied in order. Operations are cut, repeat, loop, shift, speed,
     reverse, retime, concatenate, transition, blend, in_place, exaggerate, exaggerate_part, hold, smooth, sculpt, drag,
@@ -104,7 +105,7 @@ def command(
     )
     rows = []
     with workers as work, progress_bar(quiet) as progress:
-        model = mixseq.load(source)
+        model = load_or_fit(source, progress, exact=True, workers=work)
         edits = read_script(script, readers)
         in_place = [edit for edit in edits if edit.operation == "in_place"]
         if travel is not None and len(in_place) != 1:

@@ -58,6 +58,14 @@ def is_model(path: Path) -> bool:
     return is_model(path)
 
 
+def load_or_fit(path: Path, progress: Progress, **settings: Any) -> Model:
+    """Load a model, or fit one to a sequence with settings of `mixseq.fit`."""
+    if is_model(path):
+        return mixseq.load(path)
+    with mixseq.open_sequence(path) as reader:
+        return mixseq.fit(reader, progress=progress, **settings)
+
+
 def read_sequence(path: Path, reading: Mapping[str, Any], progress: Progress) -> MeshSequence:
     """Read a sequence into memory and report progress."""
     from mixseq.sequence.sequence import join_blocks

@@ -188,13 +188,13 @@ class FrameRate(click.FloatRange):
         return super().convert(number, param, ctx)
 
 
-_FRAME_RANGE = re.compile(r"\s*(-?\d+)(?:-(-?\d+))?\s*")
+_FRAME_RANGE = re.compile(r"\s*(-?\d+)(?:[-:](-?\d+))?\s*")
 _LENGTH_PATTERN = re.compile(rf"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?)\s*({'|'.join(UNITS)}|)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class FrameChoice:
-    """A choice of frames by their numbers on the time line, such as ``1005-1010`` or ``1001,1005-1010``."""
+    """A choice of frames by their numbers on the time line, such as ``1005-1010``, ``-5:5`` or ``1001,1005-1010``."""
 
     ranges: tuple[tuple[int, int], ...]  # first and last number of every range; equal for a single frame
 

@@ -9,10 +9,9 @@ from typing import Any
 
 import click
 
-import mixseq
 from mixseq.choices import COLOURS, PICTURES, PictureKind
 from mixseq.cli import options
-from mixseq.cli.files import Claim, overwriting, read_sequence, scene_items
+from mixseq.cli.files import Claim, load_or_fit, overwriting, read_sequence, scene_items
 from mixseq.cli.group import announce, progress_bar
 from mixseq.cli.options import in_diagonals
 from mixseq.errors import SettingsError
@@ -105,8 +104,9 @@ def command(
 ) -> None:
     """Draw a model: its signals, its parts, and its errors against the original. Or make a film.
 
-    TARGET is a PNG or an SVG file. Without --kind, the picture is a page with the time signal in its MDS embedding, its
-    coefficients, the singular values, parts and joints, and with --against the errors per frame and per vertex.
+    MODEL may be a sequence in any format, which is turned into a model first. TARGET is a PNG or an SVG file. Without
+    --kind, the picture is a page with the time signal in its MDS embedding, its coefficients, the singular values,
+    parts and joints, and with --against the errors per frame and per vertex.
 
     With --video, FILES are models or sequences in any format, which the film shows side by side. Drawing needs no
     graphics card, and the result does not depend on the number of threads.
@@ -141,9 +141,9 @@ def command(
     claim(target)
     from mixseq.sequence.sequence import LazyFrames
 
-    model = mixseq.load(source)
-    poses = LazyFrames(model.header, lambda size: model.blocks(model.times, size))
     with progress_bar(quiet) as progress:
+        model = load_or_fit(source, progress)
+        poses = LazyFrames(model.header, lambda size: model.blocks(model.times, size))
         original = None if against is None else read_sequence(against, reading, progress)
         with atomic_file(target) as temporary:
             plot_model(

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     "mixseq resample walk.h5 slow.usdc --speed 0.25 --start 0.5 --end 1 --velocities",
     "mixseq resample walk.npz back.npz --reverse --tolerance 0.001",
     "mixseq resample walk.h5 ramp.usdc --retime ramp.csv",
-    "mixseq resample walk.usdc film.usdc --conform 24000/1001",
-    "mixseq resample walk.h5 blurred.abc --shutter 180,5",
+    "mixseq resample walk.usdc film.usdc --set conform=24000/1001",
+    "mixseq resample walk.h5 blurred.abc --set shutter=180,5",
 )
 @options.argument("source")
 @options.argument("target")

@@ -75,7 +75,8 @@ def test_units_that_are_none(run: Run) -> None:
     refused = run("convert", "bar.npz", "out.npz", "--convert-units", "parsec")
     assert refused.exit_code == 2
     assert refused.stderr == (
-        "mixseq: error: the unit is 'parsec'; one of mm, cm, m, km, in, ft, yd is expected, or its length in metres\n"
+        "mixseq: error: Invalid value for '--convert-units': the unit is 'parsec'; one of mm, cm, m, km, in, ft, yd is "
+        "expected, or its length in metres (see mixseq convert --help)\n"
     )
     assert not Path("out.npz").exists()
 

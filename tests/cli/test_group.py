@@ -95,7 +95,7 @@ FAILURES: list[tuple[str, str]] = [
     ("compare bar.npz bar.npz --prim /bar", "neither bar.npz nor bar.npz is read with an option 'prim'"),
     ("demo --frames 1", "--frames.*1 is not in the range"),
     ("decode model.h5 old.npz --fps 0", "--fps.*0.* is not in the range"),
-    ("decode model.h5 old.npz --fps fast", "--fps.*'fast' is not a valid float"),
+    ("decode model.h5 old.npz --fps fast", "--fps.*'fast' is not a frame rate such as 25, 23.976 or 24000/1001"),
     ("decode model.h5 old.npz --fps nan", "fps is nan"),
     ("decode model.h5 old.npz --fps nan --start 0", "fps is nan"),
     ("decode model.h5 old.npz --times 0;1", "--times.*'0;1' is not a list of seconds such as 0,0.5,1.25"),

@@ -45,6 +45,11 @@ def test_the_same_input_gives_the_same_file(run: Run) -> None:
     assert Path("one.svg").read_bytes() == Path("two.svg").read_bytes()
 
 
+def test_a_sequence_is_drawn_as_its_model(run: Run) -> None:
+    assert run("plot", "bar.npz", "new.svg", "--kind", "embedding").exit_code == 0
+    assert Path("new.svg").read_text(encoding="utf-8").startswith("<?xml")
+
+
 def test_reader_options_are_for_the_original(run: Run) -> None:
     arguments = ("plot", "model.h5", "new.png", "--kind", "error-frames", "--against", "bar.npz")
     assert run(*arguments, "--input-fps", "10").exit_code == 0
@@ -54,7 +59,6 @@ def test_reader_options_are_for_the_original(run: Run) -> None:
     ("line", "message"),
     [
         ("plot none.h5 new.png", "none.h5 does not exist"),
-        ("plot bar.npz new.png", "bar.npz is not a model"),
         ("plot cut_model.h5 new.png", "cut_model.h5"),
         ("plot model.h5 new.pdf", "new.pdf: pictures are PNG or SVG files; end the name in .png or .svg"),
         ("plot none.h5 new", "new: pictures are PNG or SVG files"),

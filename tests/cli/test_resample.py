@@ -210,7 +210,7 @@ def test_places_of_retimes_beyond_the_source(run: Run, name: str, text: str, mes
 
 
 def test_frames_are_a_section(run: Run) -> None:
-    succeed(run("resample", "model.h5", "by_frames.npz", "--frames", "1-2", "--speed", "0.5"))
+    succeed(run("resample", "model.h5", "by_frames.npz", "--frames", "1:2", "--speed", "0.5"))
     succeed(run("resample", "model.h5", "by_seconds.npz", "--start", "0.1", "--end", "0.2", "--speed", "0.5"))
     assert Path("by_frames.npz").read_bytes() == Path("by_seconds.npz").read_bytes()
 
