@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 from mixseq.errors import FormatError, SettingsError
 from mixseq.rigging.rigs import slerp
 from mixseq.types import Float, FloatArray, Index, Single
-from mixseq_io.gltf.document import Document, Fields
+from mixseq_io.gltf.document import POINTER_EXTENSION, Document, Fields
 from mixseq_io.gltf.primitives import Weld, count_targets, read_deltas, read_influences
 from mixseq_io.gltf.scene import Pose, Scene
 from mixseq_io.reader import warn
@@ -215,11 +215,12 @@ def read_channels(document: Document, animation: Fields | None, nodes: Collectio
         return []
     samplers = animation.objects("samplers")
     channels: dict[tuple[int, str], Channel] = {}
-    pointers = numbers = 0
+    pointers, numbers = [], 0
     for fields in animation.objects("channels"):
         target = fields.object("target")
         node, name = target.index("node"), target.text("path")
-        pointers += name == "pointer"
+        if name == "pointer":
+            pointers.append(target.object("extensions").object(POINTER_EXTENSION).text("pointer"))
         if node not in nodes or node is None or name not in (*_PROPERTY_WIDTHS, "weights"):
             continue
         index = fields.integer("sampler")
@@ -230,7 +231,10 @@ def read_channels(document: Document, animation: Fields | None, nodes: Collectio
         document.check_effort(numbers, animation.place)
         channels[node, name] = channel
     if pointers:
-        warn(f"{document.path}: {pointers} channels of KHR_animation_pointer are left out; only nodes are animated")
+        warn(
+            f"{document.path}: {len(pointers)} channels of {POINTER_EXTENSION} are left out, as they animate no "
+            f"transforms or weights: {format_names(pointers)}"
+        )
     return list(channels.values())
 
 

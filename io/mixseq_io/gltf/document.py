@@ -35,6 +35,8 @@ MALFORMED_JSON_ERRORS = (KeyError, IndexError, TypeError, ValueError, AttributeE
 
 DRACO_EXTENSION = "KHR_draco_mesh_compression"
 MESHOPT_EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+POINTER_EXTENSION = "KHR_animation_pointer"
+INSTANCING_EXTENSION = "EXT_mesh_gpu_instancing"
 SEQUENCE_EXTENSION = "MIXSEQ_mesh_sequence"
 """Name of the extension that stores a mesh's frames as compressed streams (`mixseq_io.gltf.mesh_sequence`)."""
 
@@ -50,6 +52,8 @@ _SUPPORTED_EXTENSIONS = (
     *MESHOPT_EXTENSIONS,
     DRACO_EXTENSION,
     SEQUENCE_EXTENSION,
+    POINTER_EXTENSION,
+    INSTANCING_EXTENSION,
     "KHR_mesh_quantization",
     "KHR_node_visibility",
     "KHR_node_selectability",

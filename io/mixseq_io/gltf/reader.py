@@ -49,8 +49,8 @@ from mixseq_io.gltf.animation import (
     read_mesh_node,
     sample_times,
 )
-from mixseq_io.gltf.codecs import decompress_document
-from mixseq_io.gltf.document import Document, Fields, load_document
+from mixseq_io.gltf.document import Document, Fields
+from mixseq_io.gltf.expansion import load_plain_document
 from mixseq_io.gltf.primitives import Primitive, Weld, texture_transform, weld_vertices
 from mixseq_io.gltf.scene import Pose, Scene, read_scene
 from mixseq_io.reader import AnimationReader, SequenceReader, prefix_errors, warn
@@ -204,7 +204,7 @@ def _skinning_of(mesh_node: MeshNode) -> Skinning:
 
 def read_joints(path: Path, name: str | None) -> Skeleton:
     """Read the joints of a skin; see `mixseq_io.read_skeleton`."""
-    document = decompress_document(load_document(path))
+    document = load_plain_document(path)
     scene = read_scene(document)
     skin = _select_skin(document, name)
     joints = read_joint_nodes(document, skin)
@@ -291,7 +291,7 @@ def open_gltf(
     """Open a glTF file."""
     # Reading a frame reports non-finite points with their vertex.
     with prefix_errors(path), np.errstate(all="ignore"):
-        document = decompress_document(load_document(path))
+        document = load_plain_document(path)
         scene = read_scene(document)
         nodes = _select_nodes(document, scene, prim)
         if not nodes:
@@ -328,7 +328,7 @@ def open_gltf(
 def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
     """Open the meshes of a skeleton in their bind pose; see `mixseq_io.read_bind_pose`."""
     with prefix_errors(path), np.errstate(all="ignore"):
-        document = decompress_document(load_document(path))
+        document = load_plain_document(path)
         scene = read_scene(document)
         skin = _select_skin(document, skeleton)
         read = _mesh_node_reader(document, scene, ())

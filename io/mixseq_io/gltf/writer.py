@@ -33,10 +33,9 @@ from mixseq_io.gltf.codecs import (
     Json,
     Layout,
     append,
-    decompress_document,
     open_buffer_writer,
 )
-from mixseq_io.gltf.document import MALFORMED_JSON_ERRORS, Document, Fields, load_document
+from mixseq_io.gltf.document import MALFORMED_JSON_ERRORS, Document, Fields
 from mixseq_io.gltf.edits import (
     NO_OTHER_MOTION,
     OtherMotion,
@@ -47,6 +46,7 @@ from mixseq_io.gltf.edits import (
     prune,
     read_other_motion,
 )
+from mixseq_io.gltf.expansion import load_plain_document
 from mixseq_io.gltf.new_document import (
     MorphFrameWriter,
     MovingMesh,
@@ -282,7 +282,7 @@ def write_gltf(
 
     def load_original(file: Path) -> tuple[Layout, list[MovingMesh], OtherMotion]:
         with translate_read_errors(file, "glTF", *MALFORMED_JSON_ERRORS):
-            return overlay_sequence(decompress_document(load_document(file)), header, origin, sources)
+            return overlay_sequence(load_plain_document(file), header, origin, sources)
 
     overlay = open_original_file(path, header, flatten, onto, "glTF", load_original)
     layout, meshes, others = overlay or (*create_scene(header, origin), NO_OTHER_MOTION)

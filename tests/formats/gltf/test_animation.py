@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.sequence.sequence import MeshSequence
+from mixseq_io import read, write
 from tests.formats.gltf_maker import JOINTS, SQUARE, TRIANGLE, Maker, morphing, moving, skinned
 
 
@@ -143,9 +145,76 @@ def test_too_many_frames(made: Callable[..., MeshSequence]) -> None:
 
 def test_animation_pointers_are_warned_about(made: Callable[..., MeshSequence]) -> None:
     maker = moving()
-    maker.json["animations"][0]["channels"].append({"sampler": 0, "target": {"path": "pointer"}})
-    with pytest.warns(MixseqWarning, match="1 channels of KHR_animation_pointer are left out"):
+    maker.json["animations"][0]["channels"].append({"sampler": 0, "target": pointer("/cameras/0/zfar")})
+    with pytest.warns(MixseqWarning, match="1 channels of KHR_animation_pointer are left out.*'/cameras/0/zfar'"):
         made(maker)
+
+
+def pointer(path: str) -> dict[str, object]:
+    return {"path": "pointer", "extensions": {"KHR_animation_pointer": {"pointer": path}}}
+
+
+def test_pointers_at_nodes_are_channels(made: Callable[..., MeshSequence]) -> None:
+    maker = moving([0, 1], [[0, 0, 0], [0, 0, 4]])
+    maker.json["animations"][0]["channels"][0]["target"] = pointer("/nodes/0/translation")
+    assert made(maker, fps=4).points[:, 1].tolist() == [[1, 0, z] for z in range(5)]
+
+
+@pytest.mark.parametrize(
+    ("path", "own_weights"), [("/nodes/0/weights", {"weights": [0, 0]}), ("/meshes/0/weights", {})]
+)
+def test_pointers_at_morph_weights_are_channels(
+    made: Callable[..., MeshSequence], path: str, own_weights: dict[str, list[float]]
+) -> None:
+    maker = morphing(**own_weights)
+    maker.animate(0, "weights", [0, 1], [[0, 0], [1, 0]])
+    maker.json["animations"][0]["channels"][0]["target"] = pointer(path)
+    assert made(maker).points[:, :, 2].tolist() == [[0, 0, 0], [1, 1, 1]]
+
+
+def test_instances_are_meshes_below_their_node(made: Callable[..., MeshSequence]) -> None:
+    maker = moving([0, 1], [[0, 0, 0], [0, 0, 4]])
+    half = np.sqrt(0.5)
+    attributes = {
+        "TRANSLATION": maker.add([[0, 0, 0], [5, 0, 0], [10, 0, 0]]),
+        "ROTATION": maker.add([[0, 0, 0, 1], [0, 0, half, half], [0, 0, 0, 1]]),  # the second by a quarter about z
+        "SCALE": maker.add([[1, 1, 1], [1, 1, 1], [3, 3, 3]]),
+    }
+    maker.json["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    maker.json["extensionsRequired"] = maker.json["extensionsUsed"] = ["EXT_mesh_gpu_instancing"]
+    got = made(maker)
+    assert [each.path for each in got.objects] == [f"body/instance {k}" for k in range(3)]
+    first = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 0, 0], [5, 1, 0], [4, 0, 0], [10, 0, 0], [13, 0, 0], [10, 3, 0]]
+    expected = np.array(first, np.float64) + np.array([[[0, 0, 0]], [[0, 0, 4]]])
+    np.testing.assert_allclose(got.points, expected, rtol=0, atol=1e-6)
+
+
+def test_instances_and_pointers_are_written_over_their_original(tmp_path: Path) -> None:
+    maker = moving([0, 1], [[0, 0, 0], [0, 0, 4]])
+    maker.json["animations"][0]["channels"][0]["target"] = pointer("/nodes/0/translation")
+    attributes = {"TRANSLATION": maker.add([[0, 0, 0], [5, 0, 0]])}
+    maker.json["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    maker.json["extensionsUsed"] = ["EXT_mesh_gpu_instancing", "KHR_animation_pointer"]
+    original = read(maker.glb(tmp_path / "original.glb"))
+    write(tmp_path / "copy.glb", original)  # warnings are errors
+    np.testing.assert_array_equal(read(tmp_path / "copy.glb").points, original.points)
+    assert original.points[1, 3].tolist() == [5, 0, 4]
+
+
+def test_instances_morph_together(made: Callable[..., MeshSequence]) -> None:
+    maker = morphing()
+    maker.animate(0, "weights", [0, 1], [[0, 0], [1, 0]])
+    attributes = {"TRANSLATION": maker.add([[0, 0, 0], [0, 0, 7]])}
+    maker.json["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    assert made(maker).points[:, ::3, 2].tolist() == [[0, 7], [1, 8]]
+
+
+def test_instances_of_skins_are_named(made: Callable[..., MeshSequence]) -> None:
+    maker = skinned([[1, 0, 0, 0]] * 3, JOINTS)
+    attributes = {"TRANSLATION": maker.add([[0, 0, 0], [0, 0, 7]])}
+    maker.json["nodes"][2]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    with pytest.warns(MixseqWarning, match=r"nodes\[2\] has a skin; its instances .* are left out"):
+        assert made(maker).vertex_count == 3
 
 
 def test_keys_that_are_close_within_a_channel(made: Callable[..., MeshSequence]) -> None:
