@@ -115,7 +115,8 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
     members = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     if complex not in members:
         contents_types = tuple(member for member in members if member not in get_args(PathLike))
-        return contents_types if set(contents_types) - {NoneType} else members
+        is_file_or = set(get_args(PathLike)) <= set(members) and set(contents_types) - {NoneType}
+        return contents_types if is_file_or else members
     kept = (
         member
         for member in members
