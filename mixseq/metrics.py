@@ -186,7 +186,7 @@ def compare(a: FileOr[Frames], b: FileOr[Frames]) -> Comparison:
 
 @public
 def measure_between(
-    source: FileOr[Model | Frames], delivery: FileOr[Model | Frames], progress: Progress = no_progress
+    source: FileOr[Frames | Model], delivery: FileOr[Model | Frames], progress: Progress = no_progress
 ) -> float:
     """Measure how far a file is from its source between frames, as it is played.
 
@@ -220,8 +220,8 @@ def measure_between(
     >>> mixseq.measure_between("arm.h5", "arm.h5")
     0.0
     """
-    source = cast("Model | Frames", source)
-    delivery = cast("Model | Frames", delivery)
+    source = cast("Frames | Model", source)
+    delivery = cast("Frames | Model", delivery)
     motion = as_motion(source, progress)
     times = quarter_times(delivery.header.times)
     vertices = _match_mesh(motion.header, delivery.header).vertices

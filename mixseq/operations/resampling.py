@@ -181,7 +181,7 @@ def vertex_motion(model: Model, progress: Progress = no_progress) -> Decodable:
 
 @public
 def resample(
-    source: FileOr[Model | Frames],
+    source: FileOr[Frames | Model],
     fps: float | None = None,
     start: float | None = None,
     end: float | None = None,
@@ -257,7 +257,7 @@ def resample(
     >>> slow.frame_count, slow.points[1, 0].round(9).tolist(), slow.velocities[1, 0].round(6).tolist()
     (9, [0.5, 0.5, 0.5], [12.0, 12.0, 12.0])
     """
-    source = cast("Model | Frames", source)
+    source = cast("Frames | Model", source)
     retiming = cast("Retiming | None", retiming)
     if conform is not None:
         others = (fps, start, end, speed, reverse, retiming, hold, shutter, velocities, between, cuts)

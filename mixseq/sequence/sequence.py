@@ -156,6 +156,9 @@ class MeshSequence(SequenceHeader):
     def __len__(self) -> int:
         return self.frame_count
 
+    def __iter__(self) -> Iterator[FloatArray]:
+        return iter(self.points)
+
     @overload
     def __getitem__(self, frame: int) -> FloatArray: ...
 

@@ -190,6 +190,7 @@ def test_samples_of_a_shutter() -> None:
         got = resample(model, start=0.2, end=0.4, shutter=angle, shutter_samples=count, velocities=True)
         assert got.times * 10 == pytest.approx(numbers)  # also before the start and after the end of the section
         np.testing.assert_allclose(got.points, place(numbers / 10), atol=1e-12)
+        assert got.velocities is not None
         np.testing.assert_allclose(got.velocities, speed_at(numbers / 10), atol=1e-6)
     whole = plan(model, shutter=(180, 3))
     assert whole.sources[[0, 1, -1]] == pytest.approx([0, 0.025, 0.8])  # nothing is extrapolated

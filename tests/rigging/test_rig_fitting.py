@@ -372,7 +372,7 @@ def test_files_take_the_place_of_skeleton_and_bind_pose(tmp_path: Path) -> None:
     with lossy():
         mixseq.write_rig(tmp_path / "hinge.glb", true)
     file = str(tmp_path / "hinge.glb")
-    skin = fit_skin(mixseq.read(file), skeleton=file, bind_pose=file)  # type: ignore[arg-type]
+    skin = fit_skin(mixseq.read(file), skeleton=file, bind_pose=file)
     assert skin.skeleton.names == ("lower", "upper")
     mixseq.write_rig(tmp_path / "again.usdc", skin)
     assert mixseq.read_skeleton(tmp_path / "again.usdc").names == ("lower", "upper")
@@ -443,7 +443,7 @@ def test_vertices_stay_with_their_own_of_bones_that_hardly_move(
 ) -> None:
     """As weights in the file tell, which the fit does not see; two is the most that they can be apart."""
     sequence = every(step, mixseq.read(data / file, **options))
-    skin = fit_skin(sequence, skeleton=data / file, bind_pose=data / file)  # type: ignore[arg-type]
+    skin = fit_skin(sequence, skeleton=data / file, bind_pose=data / file)
     with mixseq.open_sequence(data / file, **options) as reader:
         skinning = reader.markings().skinning
     assert skinning is not None
@@ -459,6 +459,6 @@ def test_vertices_stay_with_their_own_of_bones_that_hardly_move(
 )
 def test_characters_move_on_their_own_skeletons(data: Path, file: str, kg: float) -> None:
     sequence = every(6, mixseq.read(data / file))
-    skin = fit_skin(sequence, skeleton=data / file, bind_pose=data / file)  # type: ignore[arg-type]
+    skin = fit_skin(sequence, skeleton=data / file, bind_pose=data / file)
     assert skin.skeleton.names == mixseq.read_skeleton(data / file).names
     assert mixseq.compare(sequence, skin).kg_percent < kg

@@ -184,6 +184,6 @@ def test_the_first_frame_is_the_unit_in_every_space() -> None:
 
 def test_misspelt_settings_are_corrected(bent_bar: MeshSequence) -> None:
     with pytest.raises(SettingsError, match="there is no setting tolerence; did you mean tolerance"):
-        mixseq.fit(bent_bar, tolerence=1e-3)
+        mixseq.fit(bent_bar, tolerence=1e-3)  # type: ignore[call-arg]
     with pytest.raises(ValueError, match="there is no setting colour; settings of spaces are joint_width, "):
-        mixseq.fit(bent_bar, colour=1)
+        mixseq.fit(bent_bar, colour=1)  # type: ignore[call-arg]
