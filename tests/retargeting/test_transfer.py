@@ -15,6 +15,7 @@ import mixseq
 from mixseq.choices import TRANSFERS, TransferName
 from mixseq.compression.numbering import walk_numbering
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SegmentationError, SettingsError
+from mixseq.mesh.polygons import Polygons
 from mixseq.retargeting.gradient_transfer import GradientTransfer
 from mixseq.retargeting.markers import Correspondence, Markers
 from mixseq.retargeting.mixed_transfer import MixedTransfer
@@ -363,6 +364,20 @@ def test_other_triangles_need_a_correspondence() -> None:
         match=r"the source has 77 vertices and 150 triangles, the target 92 and 180.*give markers or a map",
     ):
         mixseq.transfer(SOURCE, OTHER)
+
+
+def test_polygons_may_be_cut_into_triangles_in_another_order() -> None:
+    """A quad and a pentagon that turn about x; the target is twice as large, cut and listed from the end."""
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 1], [3, 1, 1], [2, 2, 1]], dtype=np.float64)
+    turned = points[:, [0, 2, 1]] * [1, -1, 1]  # by a quarter
+    polygons = Polygons(np.array([4, 5]), np.array([0, 1, 2, 3, 1, 4, 5, 6, 2]))
+    source = MeshSequence.from_arrays(np.stack([points, turned]), polygons)
+    target = MeshSequence.from_arrays(2 * points[None], source.faces[::-1])
+    with pytest.warns(MixseqWarning, match="^faces of .* have other numbers in"):
+        result = mixseq.transfer(source, target, method="gradients").points
+    expected = 2 * np.stack([points, turned])
+    got, right = (each - each.mean(axis=1, keepdims=True) for each in (result, expected))
+    np.testing.assert_allclose(got, right, atol=1e-6)
 
 
 def test_the_same_mesh_may_have_other_numbers() -> None:
