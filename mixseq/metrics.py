@@ -30,7 +30,7 @@ from mixseq.mesh.measures import Diagonal, degenerate_faces, dihedral_angles, ed
 from mixseq.mesh.polygons import match_triangles
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
@@ -186,7 +186,7 @@ def compare(a: FileOr[Frames], b: FileOr[Frames]) -> Comparison:
 
 @public
 def measure_between(
-    source: FileOr[Frames | Model], delivery: FileOr[Model | Frames], progress: Progress = no_progress
+    source: FileOr[Frames | Model], delivery: FileOr[Model | Frames], progress: Progress = log_progress
 ) -> float:
     """Measure how far a file is from its source between frames, as it is played.
 

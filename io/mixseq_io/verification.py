@@ -23,7 +23,7 @@ from mixseq.errors import FormatError, SettingsError
 from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.polygons import match_polygons
 from mixseq.metrics import match_reference, paired_blocks
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance, frames_checksum
@@ -142,7 +142,7 @@ class Verification:
 def verify(
     path: PathLike,
     original: FileOr[Frames] | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     *,
     script: PathLike | None = None,
 ) -> Verification:

@@ -37,7 +37,7 @@ from mixseq.errors import (
     OutputError,
     SettingsError,
 )
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.version import __version__
 
 if TYPE_CHECKING:
@@ -407,7 +407,7 @@ def _naming(place: str, progress: Progress) -> Progress:
     return lambda done, total, what: progress(done, total, f"{place}: {what}")
 
 
-def encode_asset(workers: Executor | None, asset: Entry, progress: Progress = no_progress) -> Entry:
+def encode_asset(workers: Executor | None, asset: Entry, progress: Progress = log_progress) -> Entry:
     """Encode an asset, compare the decoded model with it, and move the model to its path; store errors in the entry."""
     try:
         with warnings.catch_warnings(record=True) as caught:

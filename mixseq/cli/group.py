@@ -36,7 +36,7 @@ import click
 from mixseq.choices import UNITS
 from mixseq.errors import MixseqError, MixseqWarning, SettingsError
 from mixseq.runtime.interrupts import signals_as_exceptions
-from mixseq.runtime.progress import Progress, forward_warnings, no_progress
+from mixseq.runtime.progress import Progress, forward_warnings, log_progress
 
 _CONTROL_CHARACTERS = re.compile(
     "[\x00-\x1f\x7f-\x9f"  # C0, DEL and C1
@@ -136,7 +136,7 @@ def length_text(fraction: float, diagonal: float, digits: int = 4) -> str:
 def progress_bar(quiet: bool) -> Iterator[Progress]:
     """Show a progress bar if stderr is a terminal and `quiet` is not set."""
     if quiet or not sys.stderr.isatty():
-        yield no_progress
+        yield log_progress
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn

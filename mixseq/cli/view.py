@@ -33,7 +33,7 @@ from mixseq.cli.group import announce, needed, progress_bar, say
 from mixseq.cli.options import in_diagonals
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.interrupts import acknowledge_signal
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 
 if TYPE_CHECKING:
     from mixseq.pictures.colours import SceneColours
@@ -254,7 +254,7 @@ def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> s
         if path.suffix.lower() in MODEL_EXTENSIONS:
             mixseq.save(path, model)
         else:
-            write_frames(path, model, model.header, False, {}, no_progress, thread_executor())
+            write_frames(path, model, model.header, False, {}, log_progress, thread_executor())
     except OSError as error:
         raise OutputError(f"{path}: {error.strerror or error}") from None
     return f"{path.name} in {path.parent}{needed(path)}"

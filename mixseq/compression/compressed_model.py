@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, Playback, decode
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.sequence.frame_rates import FRAME_ROUNDING
 from mixseq.sequence.sequence import LazyFrames
 from mixseq.signals.curve import Curve
@@ -81,7 +81,7 @@ class CompressedModel(Model):
         """The exact model of the decoded frames in S_m."""
         return self.fit()
 
-    def fit(self, progress: Progress = no_progress) -> Model:
+    def fit(self, progress: Progress = log_progress) -> Model:
         """Return `fitted`, and report the progress of the first call."""
         from mixseq.signals.fitting import fit  # slow import, unused at frames
 

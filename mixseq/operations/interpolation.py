@@ -24,7 +24,7 @@ from mixseq.errors import SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
-from mixseq.runtime.progress import Progress, StagedProgress, no_progress
+from mixseq.runtime.progress import Progress, StagedProgress, log_progress
 from mixseq.runtime.public import FileOr, public
 from mixseq.segmentation.methods import MethodSettings
 from mixseq.sequence.header import SequenceHeader
@@ -116,7 +116,7 @@ class PoseInterpolator(PickledWithoutCaches):
         parts: int | ArrayLike | None = None,
         joint_width: int = MixedSettings.joint_width,
         pose_ids: ArrayLike | None = None,
-        progress: Progress = no_progress,
+        progress: Progress = log_progress,
         workers: Executor | None = None,
         **settings: Unpack[SpaceOptions],
     ) -> PoseInterpolator:
@@ -159,7 +159,7 @@ class PoseInterpolator(PickledWithoutCaches):
         return points[0], reports
 
     def iterate_blends(
-        self, weights: ArrayLike, progress: Progress = no_progress, workers: Executor | None = None
+        self, weights: ArrayLike, progress: Progress = log_progress, workers: Executor | None = None
     ) -> Iterator[Float]:
         """Yield the points ``(V, 3)`` of one blend per row of the weights ``(m, n)``; each row has the sum one."""
         try:
@@ -182,7 +182,7 @@ def interpolate(
     placement: PlacementName = MixedSettings.placement,
     parts: int | ArrayLike | None = None,
     joint_width: int = MixedSettings.joint_width,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     workers: Executor | None = None,
     **settings: Unpack[SpaceOptions],
 ) -> Float:

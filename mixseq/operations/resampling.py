@@ -19,7 +19,7 @@ from mixseq.compression.compressed_model import CompressedModel
 from mixseq.errors import SettingsError
 from mixseq.operations.retiming import Retiming
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.frame_rates import FRAME_ROUNDING, FRAME_TOLERANCE, format_span, snap_to_ntsc
 from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
@@ -42,7 +42,7 @@ class Resampling:
     slopes: Float  # (N,) source seconds per output second at every frame; negative if the source runs backwards
 
     def blocks(
-        self, size: int = FRAMES_PER_BLOCK, progress: Progress = no_progress, workers: Executor | None = None
+        self, size: int = FRAMES_PER_BLOCK, progress: Progress = log_progress, workers: Executor | None = None
     ) -> Iterator[Float]:
         """Yield the decoded frames in blocks of points ``(B, V, 3)`` with ``B <= size``, see `Model.blocks`."""
         return self.motion.blocks(self.sources, size, progress, workers)
@@ -53,7 +53,7 @@ class Resampling:
         return self.motion.blocks(np.clip(self.retiming(inside), self.motion.start, self.motion.end))
 
     def moving_blocks(
-        self, size: int = FRAMES_PER_BLOCK, progress: Progress = no_progress, workers: Executor | None = None
+        self, size: int = FRAMES_PER_BLOCK, progress: Progress = log_progress, workers: Executor | None = None
     ) -> Iterator[tuple[Float, Float]]:
         """Yield blocks of points ``(B, V, 3)`` and of velocities ``(B, V, 3)`` in units per second of the output."""
         done = 0
@@ -171,7 +171,7 @@ def conform_frames(
     return conformed, iter(frames.blocks()), velocities
 
 
-def vertex_motion(model: Model, progress: Progress = no_progress) -> Decodable:
+def vertex_motion(model: Model, progress: Progress = log_progress) -> Decodable:
     """Return the motion of a model's vertices alone: splines through its frames, of compressed ones as players do."""
     if isinstance(model, CompressedModel):
         return model.playback
@@ -196,7 +196,7 @@ def resample(
     velocities: bool = False,
     between: BetweenName = "auto",
     cuts: CutChoice = "auto",
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
 ) -> MeshSequence:
     """Sample a motion at another rate, speed or direction.
 

@@ -30,7 +30,7 @@ from mixseq.mesh.rotations import (
 )
 from mixseq.operations.sections import correction_norm
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import no_progress
+from mixseq.runtime.progress import log_progress
 from mixseq.runtime.public import FileOr, public
 from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.sequence.provenance import format_error, with_other_motion
@@ -144,7 +144,7 @@ def _exchange_shapes(model: Model, keys: Frames | Model) -> Model:
                 f"{keys.header.name!r} has {count} frames; {len(model.shapes)} are expected, one per key shape of "
                 f"{model.header.name!r}: transfer the poses that key_poses makes"
             )
-        frames = load_frames(keys, no_progress)
+        frames = load_frames(keys, log_progress)
         parts = model.parts if np.array_equal(keys.header.faces, model.header.faces) else own_parts(keys)
         second = as_mixed(make_space(frames, settings=MixedSettings(parts=parts)))
         if _has_same_parts(first, second):

@@ -34,7 +34,7 @@ from mixseq.pictures.scene import (
     to_y_up,
 )
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence.sequence import Frames, FrameStore
 from mixseq.types import ByteArray, Float
@@ -84,7 +84,7 @@ def film(
     shown: Sequence[SceneItem],
     settings: FilmSettings | None = None,
     against: Frames | FrameStore | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     workers: Executor | None = None,
 ) -> None:
     """Make a film of meshes side by side, as .mp4 (by ffmpeg), .gif or .webp; an old file is replaced at the end.

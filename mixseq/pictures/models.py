@@ -42,7 +42,7 @@ from mixseq.pictures.colours import (
 from mixseq.pictures.raster import draw_mesh, visible_labels
 from mixseq.pictures.scene import INK_COLOUR, Limits, View, aspect_ratio, resolve_view, to_y_up
 from mixseq.pictures.sheets import opposite_views, views_aspect
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence.frame_rates import format_frame
 from mixseq.sequence.sequence import MeshSequence
@@ -72,7 +72,7 @@ class VertexErrors:
 
 
 def vertex_errors(
-    model: Model, original: MeshSequence, frames: Sequence[int] = (), progress: Progress = no_progress
+    model: Model, original: MeshSequence, frames: Sequence[int] = (), progress: Progress = log_progress
 ) -> VertexErrors:
     """Compute the vertex errors of a model at the frame times of its original."""
     vertex_ids = match_vertices(model.header, original)
@@ -286,7 +286,7 @@ def plot_model(
     tolerance: float | None = None,
     camera: tuple[float, float] | None = None,
     file_format: Format | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
 ) -> None:
     """Draw a model, as PNG or SVG.
 

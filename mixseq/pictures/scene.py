@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mixseq.errors import SettingsError
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import UP_AXES, SequenceHeader
@@ -218,7 +218,7 @@ class SceneItem:
         """Parts and joints of the model; None without a model or without parts."""
         return self.model.space.segmentation if self.model is not None else None
 
-    def with_random_access(self, progress: Progress = no_progress) -> SceneItem:
+    def with_random_access(self, progress: Progress = log_progress) -> SceneItem:
         """Return the item with a streamed sequence copied to a frame store."""
         return self if self.model is not None else replace(self, motion=self._frame_store(progress))
 
@@ -243,7 +243,7 @@ class SceneItem:
         for start in range(0, len(frames), size):
             yield self._frame_store().points[frames[start : start + size]]
 
-    def decode(self, elapsed: Float, progress: Progress = no_progress, workers: Executor | None = None) -> DecodedItem:
+    def decode(self, elapsed: Float, progress: Progress = log_progress, workers: Executor | None = None) -> DecodedItem:
         """Decode the poses of a film with frames at elapsed times ``(N,)``; decode each distinct pose once."""
         if self.model is None:
             store = self._frame_store(progress)
@@ -256,7 +256,7 @@ class SceneItem:
             start += len(block)
         return DecodedItem(self.header, poses, pose_of_frame.astype(np.int64))
 
-    def _frame_store(self, progress: Progress = no_progress) -> FrameStore:
+    def _frame_store(self, progress: Progress = log_progress) -> FrameStore:
         assert not isinstance(self.motion, Model)
         return self.motion if isinstance(self.motion, FrameStore) else load_frames(self.motion, progress)
 

@@ -48,7 +48,7 @@ from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.parts import PartPoses, assign_vertices_to_parts
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.sequence.header import UP_AXES, SequenceHeader
 from mixseq.sequence.sequence import iterate_blocks
 from mixseq.types import Float, FloatArray, Index, Mask
@@ -303,7 +303,7 @@ def plant_contacts(
     header: SequenceHeader,
     contacts: Mapping[str, ArrayLike],
     workers: Executor,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
 ) -> tuple[MixedTransfer, PlantedMotion]:
     """Fix contacts ``(k,)`` in the stances of the source, from source frames ``(T, V, 3)``.
 

@@ -32,7 +32,7 @@ from mixseq.retargeting.checks import check_facing, check_markers, check_orienta
 from mixseq.retargeting.markers import Correspondence, Markers, Pairing, pair_components
 from mixseq.retargeting.registration import LAST_STIFFNESS, STIFFNESS_STEPS, register
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, IntArray, Mask
@@ -197,7 +197,7 @@ def correspond(
     target: FileOr[MeshSequence],
     markers: FileOr[Markers],
     rest: int = 0,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
 ) -> Correspondence:
     """Find a dense correspondence of two meshes from a few markers.
 
@@ -251,7 +251,7 @@ def correspond_and_assess(
     target: MeshSequence,
     markers: Markers,
     rest: int = 0,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     last_stiffness: float = LAST_STIFFNESS,
     steps: int = STIFFNESS_STEPS,
 ) -> tuple[Correspondence, CorrespondenceQuality]:

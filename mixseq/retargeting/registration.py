@@ -43,7 +43,7 @@ from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Markers, Pairing, fit_similarity
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.shells.solvers import Analysis, analyse
 from mixseq.types import Float, Index
 
@@ -164,7 +164,7 @@ def register(
     target: TriangleMesh,
     pairings: tuple[Pairing, ...],
     markers: Markers,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     last_stiffness: float = LAST_STIFFNESS,
     steps: int = STIFFNESS_STEPS,
 ) -> Float:

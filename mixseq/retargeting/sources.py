@@ -23,7 +23,7 @@ from mixseq.mesh.polygons import match_triangles
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.segmentation.methods import segment, segment_by_labels
 from mixseq.sequence.header import SequenceHeader
@@ -58,7 +58,7 @@ def prepare_source(
     source: Frames | Model,
     rest: int | MeshSequence = 0,
     parts: int | ArrayLike | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
 ) -> SourceMotion:
     """Prepare a sequence or a model as the source of transfers."""
     if isinstance(source, Model):

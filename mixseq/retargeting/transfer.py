@@ -22,7 +22,7 @@ from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.retargeting.parts import PartCorrespondence, PartPoses
 from mixseq.retargeting.sources import SourceMotion, prepare_source
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import with_other_motion
@@ -84,7 +84,7 @@ class Transfer:
         """Report on the contacts; empty without contacts."""
         return ContactReport() if self.planted is None else self.planted.report
 
-    def blocks(self, progress: Progress = no_progress, workers: Executor | None = None) -> Iterator[Float]:
+    def blocks(self, progress: Progress = log_progress, workers: Executor | None = None) -> Iterator[Float]:
         """Yield the target's points in blocks ``(B, V', 3)`` of successive frames."""
         done_count, frame_count, run = 0, len(self.source.points), workers or thread_executor()
         size = block_size(max(self.source.header.vertex_count, self.header.vertex_count))
@@ -112,7 +112,7 @@ def plan_transfer(
     source: Frames | Model | SourceMotion,
     target: Frames,
     settings: TransferSettings | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     workers: Executor | None = None,
 ) -> Transfer:
     """Prepare a transfer to a target without computing its frames; raises the same errors as `transfer`."""
@@ -189,7 +189,7 @@ def transfer(
     parts: int | ArrayLike | None = None,
     joint_width: int = 3,
     shell: ShellSettings | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     workers: Executor | None = None,
 ) -> MeshSequence:
     """Transfer the motion of a source mesh to a target mesh.

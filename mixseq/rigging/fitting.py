@@ -41,7 +41,7 @@ from mixseq.rigging.decomposition import (
 )
 from mixseq.rigging.rigs import BONES_PER_VERTEX, Morph, Skeleton, Skin, rotation_matrices
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames
 from mixseq.types import Float
@@ -194,7 +194,7 @@ def fit_skin(
     correctives: float | None = None,
     max_targets: int = 32,
     rounds: int = 60,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     *,
     skeleton: FileOr[Skeleton] | None = None,
     bind_pose: FileOr[MeshSequence] | None = None,
@@ -306,7 +306,7 @@ def fit_morph(
     sequence: FileOr[Frames],
     max_error: float | None = None,
     max_targets: int | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
 ) -> Morph:
     """Fit morph targets to a sequence: its mean and its principal shapes.
 

@@ -24,7 +24,7 @@ from scipy import linalg
 from mixseq.mesh.topology import Topology
 from mixseq.rigging.bones import Centred, label_vertices, merge_bones
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.segmentation.methods import segment
 from mixseq.sequence.sequence import Frames
 from mixseq.types import Float, Index
@@ -50,7 +50,7 @@ class LowRank:
         return int(self.basis.shape[1])
 
 
-def fit_low_rank(sequence: Frames, max_error: float, progress: Progress = no_progress) -> LowRank:
+def fit_low_rank(sequence: Frames, max_error: float, progress: Progress = log_progress) -> LowRank:
     """Fit a sequence within `max_error`, in diagonals, by few basis vectors per part."""
     centred = Centred.from_sequence(sequence)
     header, points, diagonal = centred.header, centred.points, centred.diagonal

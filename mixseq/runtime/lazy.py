@@ -19,9 +19,14 @@ if TYPE_CHECKING:
 else:
 
     class cached_property(_cached_property):  # noqa: N801
-        """A cached property that one thread computes while others wait; results, such as factors, may be large."""
+        """A cached property that one thread computes while others wait; results, such as factors, may be large.
 
-        _lock = RLock()
+        Every property has a lock of its own: properties that use each other never wait for each other in a circle.
+        """
+
+        def __init__(self, function: Callable[[Any], Any]) -> None:
+            super().__init__(function)
+            self._lock = RLock()
 
         def __get__(self, instance: object, owner: type | None = None) -> Any:
             with self._lock:

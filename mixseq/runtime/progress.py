@@ -14,7 +14,7 @@ Progress = Callable[[int, int, str], None]
 """Callback of (steps done, total steps, description of the work)."""
 
 
-def no_progress(done: int, total: int, what: str) -> None:
+def log_progress(done: int, total: int, what: str) -> None:
     """Log finished work to the logger ``mixseq``, at level DEBUG."""
     if done == total:
         import logging  # import mixseq stays lean

@@ -31,7 +31,7 @@ from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.polygons import Polygons, read_only
 from mixseq.runtime.low_memory import LargeArray, new_large_array
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS, UP_AXES, SequenceHeader, header_fields
@@ -377,7 +377,7 @@ class FrameStore:
         return replace(self.header, provenance=Provenance(name, source, max_error, unit, promised, order=order))
 
 
-def load_frames(frames: Frames, progress: Progress = no_progress) -> FrameStore:
+def load_frames(frames: Frames, progress: Progress = log_progress) -> FrameStore:
     """Return a sequence with random access to its points; copy the points unless they are in memory."""
     store = FrameStore(frames.header, frames.points) if isinstance(frames, MeshSequence) else _copy(frames, progress)
     _check_lengths(store)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
 from mixseq.runtime.parallel import Executor, serial_executor, thread_executor
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_span, hint_frame_number, snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader, frame_times
 from mixseq.sequence.provenance import as_edited
@@ -89,7 +89,7 @@ class Decodable(ABC):
         self,
         times: ArrayLike | None = None,
         fps: float | None = None,
-        progress: Progress = no_progress,
+        progress: Progress = log_progress,
         *,
         frames: Iterable[int] | None = None,
         velocities: bool = False,
@@ -154,7 +154,7 @@ class Decodable(ABC):
         self,
         times: ArrayLike,
         size: int = FRAMES_PER_BLOCK,
-        progress: Progress = no_progress,
+        progress: Progress = log_progress,
         workers: Executor | None = None,
     ) -> Iterator[Float]:
         """Decode frames at `times` in blocks ``(B, V, 3)``, B <= size; results do not depend on size and workers."""
@@ -164,7 +164,7 @@ class Decodable(ABC):
         self,
         times: ArrayLike,
         size: int = FRAMES_PER_BLOCK,
-        progress: Progress = no_progress,
+        progress: Progress = log_progress,
         workers: Executor | None = None,
     ) -> Iterator[tuple[Float, Float]]:
         """Decode blocks of points and velocities ``(B, V, 3)``, in units and units per second; see `blocks`."""

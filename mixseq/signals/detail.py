@@ -24,7 +24,7 @@ from mixseq.mesh.rotations import align_quat_signs
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.parallel import Executor, serial_executor
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import (
     FrameStore,
@@ -185,7 +185,7 @@ def encode_sequence(
     space: ShapeSpace,
     pose: PoseForm = "modes",
     workers: Executor = serial_executor,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     timing: Timing = Timing(),  # noqa: B008 - frozen
 ) -> EncodedSequence:
     """Encode all frames of a sequence in a shape space."""
@@ -367,7 +367,7 @@ def fit_within_tolerance(
     encoded: EncodedSequence,
     sequence: FrameStore | MeshSequence,
     tolerance: float,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     workers: Executor | None = None,
 ) -> Model:
     """Fit the coarsest signals that reproduce a sequence within a tolerance.
@@ -418,7 +418,7 @@ def verify_tolerance(
     sequence: FrameStore | MeshSequence,
     tolerance: float,
     workers: Executor | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
 ) -> Model:
     """Return a model if no vertex of any frame is off by more than a tolerance in diagonals; else raise an error."""
     error = largest_error(model, sequence, workers=workers)

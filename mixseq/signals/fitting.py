@@ -22,7 +22,7 @@ from mixseq.mesh.measures import choose_origin, wrap_angles
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
-from mixseq.runtime.progress import Progress, StagedProgress, no_progress
+from mixseq.runtime.progress import Progress, StagedProgress, log_progress
 from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.events import Events, SequenceEvents, distinct_poses, find_events
 from mixseq.sequence.header import SequenceHeader
@@ -169,7 +169,7 @@ def fit(
     joint_width: int = MixedSettings.joint_width,
     space: SpaceName = "mixed",
     *,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     workers: Executor | None = None,
     **settings: Unpack[FitOptions],
 ) -> Model:
@@ -334,7 +334,7 @@ def _with_cuts(events: Events, cuts: CutChoice, header: SequenceHeader) -> Event
     return replace(events, cuts=tuple(frame - 1 for frame in frames), pops=())
 
 
-def as_motion(source: Decodable | Frames, progress: Progress = no_progress) -> Decodable:
+def as_motion(source: Decodable | Frames, progress: Progress = log_progress) -> Decodable:
     """Return a motion at any time: a model as it is, a rig as its file says, and other frames fitted exactly."""
     if isinstance(source, Decodable):
         return source

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
 from mixseq.runtime.lazy import PickledWithoutCaches
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.spaces.temporal import Poses, TemporalOperator, interpolate_poses
 from mixseq.types import Float, FloatArray, Index
 
@@ -213,7 +213,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         return vectors
 
     @abstractmethod
-    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
+    def decode(self, vectors: Float, progress: Progress = log_progress) -> Float:
         """Decode vectors ``(T, D)`` to vertex positions ``(T, V, 3)`` in the units of the sequence.
 
         Parameters
@@ -281,7 +281,7 @@ class VertexSpace(ShapeSpace):
         """Implement `ShapeSpace.encode_independently`."""
         return points.astype(np.float64).reshape(len(points), -1) / self.scale
 
-    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
+    def decode(self, vectors: Float, progress: Progress = log_progress) -> Float:
         """Implement `ShapeSpace.decode`."""
         points = self.check_vectors(vectors).reshape(len(vectors), self.vertex_count, 3)
         return np.asarray(points * self.scale)

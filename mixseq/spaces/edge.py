@@ -50,7 +50,7 @@ from mixseq.mesh.measures import (
 from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.mesh.topology import Topology, connected_components
 from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
-from mixseq.runtime.progress import no_progress
+from mixseq.runtime.progress import log_progress
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.face_frames import FrameGraph, bridging_mask, flat_triangles, rotate_sides, triangle_frames
 from mixseq.shells.fitting import Patch, ShellProblem, ShellReport, ShellSettings, fit_shell, linear_initialisation
@@ -389,4 +389,4 @@ class EdgeSpace(PosedSpace):
             reports.append(report)
             return rows
 
-        return self._decode_with(vectors, rebuild, no_progress), reports
+        return self._decode_with(vectors, rebuild, log_progress), reports

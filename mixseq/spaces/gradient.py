@@ -34,7 +34,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import replace_degenerate, triangle_matrices
 from mixseq.runtime.lazy import cached_property
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.shells.solvers import PoissonSystem
 from mixseq.spaces.base import ShapeSpace, flatten_blocks
 from mixseq.spaces.pieces import Pieces
@@ -148,7 +148,7 @@ class GradientSpace(ShapeSpace):
         blocks = self.split(vectors)
         return self.join(blocks._replace(rotation_vectors=unwrap_rotvec(blocks.rotation_vectors, before)))
 
-    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
+    def decode(self, vectors: Float, progress: Progress = log_progress) -> Float:
         """Implement `ShapeSpace.decode`."""
         blocks = self.split(np.asarray(vectors, dtype=np.float64))
         invalid = np.flatnonzero(~np.isfinite(vectors).all(axis=1))

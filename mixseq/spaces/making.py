@@ -14,7 +14,7 @@ from mixseq.errors import SettingsError
 from mixseq.mesh.measures import edge_lengths
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import Executor, serial_executor
-from mixseq.runtime.progress import Progress, StagedProgress, no_progress
+from mixseq.runtime.progress import Progress, StagedProgress, log_progress
 from mixseq.segmentation.joints import (
     PartMotion,
     PartShapes,
@@ -111,7 +111,7 @@ def make_space(
     name: SpaceName = "mixed",
     settings: SpaceSettings | None = None,
     workers: Executor = serial_executor,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
 ) -> ShapeSpace:
     """Make the shape space of a sequence."""
     _check_name(name)

@@ -20,7 +20,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.jit import compiled
 from mixseq.runtime.lazy import cached_property
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.spaces.base import ShapeSpace, flatten_blocks, radii_of_gyration
 from mixseq.types import Float, FloatArray, Index
 
@@ -280,7 +280,7 @@ class PosedSpace(ShapeSpace):
         shapes = self.unwrap_shapes(shapes, previous_shape)
         return flatten_blocks((shapes, align_quat_signs(rotations, previous_rotations), centres))
 
-    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
+    def decode(self, vectors: Float, progress: Progress = log_progress) -> Float:
         """Implement `ShapeSpace.decode`."""
         return self._decode_with(vectors, self.rebuild_rows, progress)
 

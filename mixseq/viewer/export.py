@@ -24,7 +24,7 @@ import numpy as np
 
 from mixseq.errors import SettingsError
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, StagedProgress, no_progress
+from mixseq.runtime.progress import Progress, StagedProgress, log_progress
 from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float
@@ -135,7 +135,7 @@ def export_page(
     target: Path,
     items: Sequence[PageItem],
     settings: ExportSettings | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     workers: Executor | None = None,
 ) -> list[PageItemReport]:
     """Write a page that plays meshes, and return a report on each; equal input gives a page of equal bytes."""

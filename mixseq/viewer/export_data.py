@@ -35,7 +35,7 @@ from mixseq.pictures.colours import MEASURES, Colouring, SceneColours
 from mixseq.pictures.scene import SceneItem, View, resolve_view, to_y_up
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.parallel import Executor
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import LazyFrames, check_block, iterate_blocks
 from mixseq.types import Float, FloatArray, Index, IntArray
@@ -138,7 +138,7 @@ def collect_poses(
     item: SceneItem,
     elapsed: Float,
     first: tuple[SequenceHeader, PagePoses] | None,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     workers: Executor | None = None,
     camera: tuple[float, float] | None = None,
 ) -> PagePoses:
@@ -211,7 +211,7 @@ def encode_mesh(
     tops: Mapping[str, float],
     max_error: float,
     inbetweens: bool,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
 ) -> tuple[dict[str, Any], list[bytes], PageItemReport]:
     """Compress the poses at elapsed times ``(n,)`` within `max_error` diagonals; `tops` are the ends of colour scales.
 

@@ -29,7 +29,7 @@ from mixseq.cli.batch import (
 from mixseq.cli.group import length_text
 from mixseq.errors import FormatError, MixseqWarning, OutputError
 from mixseq.runtime.parallel import serial_executor
-from mixseq.runtime.progress import no_progress
+from mixseq.runtime.progress import log_progress
 from mixseq.sequence.sequence import MeshSequence
 
 pytestmark = pytest.mark.slow
@@ -473,11 +473,11 @@ def test_two_batches_do_not_write_to_one_folder(tmp_path: Path, bent_bar: MeshSe
                 list(assets),
                 Report({}),
                 tmp_path,
-                in_turn(serial_executor, no_progress),
+                in_turn(serial_executor, log_progress),
                 force=False,
             )
         return iter(())
 
     run(assets, Report({}), tmp_path, meanwhile, force=False)
-    report = run(assets, Report({}), tmp_path, in_turn(serial_executor, no_progress), force=False)
+    report = run(assets, Report({}), tmp_path, in_turn(serial_executor, log_progress), force=False)
     assert report.count("done") == 1  # the lock is lifted

@@ -16,7 +16,7 @@ import pytest
 
 import mixseq
 from mixseq.cli.group import progress_bar
-from mixseq.runtime.progress import no_progress
+from mixseq.runtime.progress import log_progress
 from tests.meshes import bar
 
 pytestmark = pytest.mark.slow
@@ -147,10 +147,10 @@ def test_progress_on_a_terminal(folder: Path, terminal: Terminal) -> None:
 
 def test_progress_is_silent_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     with progress_bar(quiet=False) as progress:
-        assert progress is no_progress
+        assert progress is log_progress
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with progress_bar(quiet=True) as progress:
-        assert progress is no_progress
+        assert progress is log_progress
 
 
 def test_a_broken_pipe_is_quiet(folder: Path) -> None:

@@ -23,7 +23,7 @@ from mixseq.pictures.models import (
     summary,
 )
 from mixseq.pictures.scene import three_quarter_view
-from mixseq.runtime.progress import no_progress
+from mixseq.runtime.progress import log_progress
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
@@ -62,7 +62,7 @@ def test_every_kind_is_reproducible(
 
 def test_overview_has_a_row_for_what_there_is(bar_model: Model, vertex_model: Model, bent_bar: MeshSequence) -> None:
     def height(model: Model, against: MeshSequence | None = None) -> float:
-        return _page_section(model, None, against, None, None, None, no_progress).height
+        return _page_section(model, None, against, None, None, None, log_progress).height
 
     signals = [max(_embedding(model, None).height, 5.4) for model in (vertex_model, bar_model)]
     ends = np.stack([bar_model(bar_model.start), bar_model(bar_model.end)])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.runtime.progress import no_progress
+from mixseq.runtime.progress import log_progress
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
@@ -60,7 +60,7 @@ def test_progress_changes_nothing(bent_bar: MeshSequence, bar_model: Model) -> N
 
 
 def test_silent_says_nothing(capfd: pytest.CaptureFixture[str]) -> None:
-    no_progress(1, 2, "anything")
+    log_progress(1, 2, "anything")
     assert capfd.readouterr() == ("", "")
 
 

@@ -27,7 +27,7 @@ from mixseq.compression.encoder.uvs import UV_ERROR, with_quantised_uvs
 from mixseq.compression.numbering import cheapest_numbering
 from mixseq.errors import SizeError
 from mixseq.mesh.measures import choose_origin
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
 from mixseq.sequence.sequence import Frames
@@ -44,7 +44,7 @@ _INDEX_ENTRY_BYTES = 6  # checksum of a stream, and its length beyond one byte
 
 
 def compress_to_size(
-    frames: Frames, size: int, still: StillName | None = None, progress: Progress = no_progress, **options: Any
+    frames: Frames, size: int, still: StillName | None = None, progress: Progress = log_progress, **options: Any
 ) -> CompressedSequence:
     """Compress a sequence to the smallest error for which its file, see `file_size`, has at most `size` bytes.
 

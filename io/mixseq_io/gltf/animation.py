@@ -233,7 +233,7 @@ def read_channels(document: Document, animation: Fields | None, nodes: Collectio
     if pointers:
         warn(
             f"{document.path}: {len(pointers)} channels of {POINTER_EXTENSION} are left out, as they animate no "
-            f"transforms or weights: {format_names(pointers)}"
+            f"transform or weights of a node: {format_names(pointers)}"
         )
     return list(channels.values())
 

@@ -67,7 +67,7 @@ def _resolve(document: Document, target: Fields, instances: Mapping[int, Sequenc
         name, nodes = found[2], [int(found[1])]
     elif node is not None:
         nodes = [node]
-    else:
+    if not nodes:
         return [dict(target.values)]
     if name == "weights":
         nodes = [each for index in nodes for each in instances.get(index, [index])]

@@ -18,7 +18,7 @@ import numpy as np
 from mixseq.errors import OutputError, SettingsError
 from mixseq.mesh.measures import choose_origin
 from mixseq.rigging.low_rank import fit_low_rank
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.sequence import Frames, MeshSequence
 from mixseq.signals.decoding import Decodable, hold_between, largest_distance, quarter_times, straight_blocks
@@ -102,7 +102,7 @@ def write_vat(
     sequence: FileOr[MeshSequence],
     max_error: float | None = None,
     texture: TextureName = "png16",
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     *,
     motion: FileOr[Model | Decodable | Frames] | None = None,
     between_frames: bool = False,

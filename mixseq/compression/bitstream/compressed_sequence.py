@@ -216,9 +216,9 @@ class CompressedSequence(PickledWithoutCaches):
         """Return the vertex positions ``(V, 3)`` at a time in seconds, or ``(N, V, 3)`` at times ``(N,)``."""
         return self.model(times)
 
-    def sample(self, *args: Any, **kwargs: Any) -> MeshSequence:
+    def sample(self, times: ArrayLike | None = None, fps: float | None = None, **options: Any) -> MeshSequence:
         """Decode frames of the motion to a mesh sequence; see `Model.sample`."""
-        return self.model.sample(*args, **kwargs)
+        return self.model.sample(times, fps, **options)
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ from mixseq.errors import MixseqWarning, ReconstructionError, SettingsError
 from mixseq.mesh.measures import choose_origin
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, StagedProgress, no_progress
+from mixseq.runtime.progress import Progress, StagedProgress, log_progress
 from mixseq.runtime.public import FileOr, public
 from mixseq.sequence.sequence import (
     Frames,
@@ -54,7 +54,7 @@ def compress(
     max_error: float | None = None,
     kg: float | None = None,
     size: int | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
     *,
     uv_error: float = UV_ERROR,
     uvs: bool = True,

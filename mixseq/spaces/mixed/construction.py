@@ -19,7 +19,7 @@ from mixseq.mesh.measures import degenerate_faces, dihedral_angles, edge_lengths
 from mixseq.mesh.rigid import mean_shape
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.segmentation.joints import Decomposition, sample_frame_ids
 from mixseq.sequence.sequence import iterate_blocks, reference_diagonal
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
@@ -78,7 +78,7 @@ def mixed_space(
     decomposition: Decomposition,
     placement: PlacementName = "anchored",
     purpose: Purpose = "sequence",
-    progress: Progress = no_progress,
+    progress: Progress = log_progress,
 ) -> MixedSpace:
     """Make the mixed shape space of points ``(T, V, 3)`` in any unit.
 

@@ -43,7 +43,7 @@ from mixseq.mesh.rotations import (
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import cached_property
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.progress import Progress, no_progress
+from mixseq.runtime.progress import Progress, log_progress
 from mixseq.segmentation.joints import Decomposition
 from mixseq.spaces.base import ANGLE_WEIGHT, ShapeSpace, flatten_blocks, radii_of_gyration
 from mixseq.spaces.mixed import posing_kernels as kernels
@@ -391,7 +391,7 @@ class MixedSpace(ShapeSpace):
         correction = np.ascontiguousarray(frame.corrections)
         return self.articulation.part_motions(frame.part_poses, bodies, correction)
 
-    def decode(self, vectors: Float, progress: Progress = no_progress) -> Float:
+    def decode(self, vectors: Float, progress: Progress = log_progress) -> Float:
         """Implement `ShapeSpace.decode`: the projection P_m, frame by frame."""
         blocks = self.split(np.asarray(vectors, dtype=np.float64))
         points = np.empty((len(vectors), self.vertex_count, 3))

@@ -172,6 +172,14 @@ def test_pointers_at_morph_weights_are_channels(
     assert made(maker).points[:, :, 2].tolist() == [[0, 0, 0], [1, 1, 1]]
 
 
+def test_weights_of_a_mesh_that_no_node_uses_are_named(made: Callable[..., MeshSequence]) -> None:
+    maker = morphing(weights=[0, 0])
+    maker.animate(0, "weights", [0, 1], [[0, 0], [1, 0]])
+    maker.json["animations"][0]["channels"][0]["target"] = pointer("/meshes/0/weights")
+    with pytest.warns(MixseqWarning, match="1 channels of KHR_animation_pointer are left out.*'/meshes/0/weights'"):
+        made(maker)
+
+
 def test_instances_are_meshes_below_their_node(made: Callable[..., MeshSequence]) -> None:
     maker = moving([0, 1], [[0, 0, 0], [0, 0, 4]])
     half = np.sqrt(0.5)
