@@ -27,7 +27,7 @@ from mixseq.choices import BetweenName
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import FrameStore, iterate_blocks
-from mixseq.types import Float, Index, Mask, evenly_spaced
+from mixseq.types import Float, Index, IntArray, Mask, evenly_spaced
 
 if TYPE_CHECKING:
     from mixseq.mesh.topology import Topology
@@ -97,7 +97,7 @@ class SequenceEvents:
     whole: Events = Events()
     components: tuple[tuple[int, Events], ...] = ()  # by component of `Topology.component_of_vertex`
 
-    def group_components(self, component_of_vertex: Index) -> tuple[list[Events], Index]:
+    def group_components(self, component_of_vertex: IntArray) -> tuple[list[Events], Index]:
         """Group components ``(V,)`` by their cuts and pops; return the events of the groups, and the group ``(V,)``.
 
         Components without cuts or pops of their own are the first group. Above `MAX_GROUPS`, the smallest are together.

@@ -208,7 +208,7 @@ def encode_sequence(
     of_groups = (np.flatnonzero(group_of_vertex == number) for number in range(len(timings)))
     sampled = [ids[evenly_spaced(len(ids), OPERATOR_VERTICES)] for ids in of_groups]
     vertex_ids = np.concatenate(sampled)
-    samples = np.empty((count, 3 * len(vertex_ids)))
+    samples = np.empty((count, len(vertex_ids), 3))
     previous, done = None, 0
     for block, block_samples in workers(_encode_block, (space, vertex_ids), iterate_blocks(sequence.points)):
         vectors = space.unwrap(block, previous)
@@ -219,7 +219,6 @@ def encode_sequence(
         progress(done, count, "encoding frames")
     rotations, centres = space.unpack_placements(raw_placement)
     placement = space.pack_placements(Poses(align_quat_signs(rotations), centres))  # signs continuous in time
-    samples = samples.reshape(count, -1, 3)
     columns = np.split(np.arange(len(vertex_ids)), np.cumsum([len(ids) for ids in sampled])[:-1])
     motion_ids = [ids[evenly_spaced(len(ids), MOTION_VERTICES)] for ids in columns]
     motions = [samples[:, ids].reshape(count, -1) for ids in motion_ids]  # copies: samples become those of bodies
@@ -237,7 +236,7 @@ def _encode_block(context: tuple[ShapeSpace, Index], points: FloatArray) -> tupl
     """Encode a block of frames independently of other frames; return vectors and coordinates of sampled vertices."""
     space, vertex_ids = context
     samples = points[:, vertex_ids].astype(np.float64)
-    return space.encode_independently(points), samples.reshape(len(points), -1)
+    return space.encode_independently(points), samples
 
 
 @dataclass(frozen=True)
