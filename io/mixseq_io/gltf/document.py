@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
+from mixseq.runtime.text_files import decode_text
 from mixseq.types import Float, Single
 from mixseq_io.files import LimitError, check_memory
 from mixseq_io.reader import translate_read_errors
@@ -411,7 +412,7 @@ def load_document(path: Path) -> Document:
         is_binary = data.read(0, 4) == b"glTF"
         text, chunk = read_glb_chunks(path, data) if is_binary else (data.read(0, data.size), None)
     with translate_read_errors(path, "glTF", ValueError, RecursionError):
-        parsed = json.loads(text.decode("utf-8-sig"))
+        parsed = json.loads(decode_text(path, text, "glTF"))
     if not isinstance(parsed, dict):
         raise FormatError(f"{path} is JSON, but not glTF")
     top = Fields(path, "", parsed)
