@@ -291,15 +291,15 @@ def fit(
     executor = workers or thread_executor()
     with one_blas_thread():
         frames = whole = load_frames(sequence, stages.at(0))
-        found = SequenceEvents()
+        found, topology = SequenceEvents(), Topology(frames.header.faces, frames.header.vertex_count)
         if knots is None:
-            topology = Topology(frames.header.faces, frames.header.vertex_count)
             found = find_events(frames.points, frames.header.times, topology)
             if cuts != "auto":
                 found = SequenceEvents(_with_cuts(found.whole, cuts, frames.header))
         groups, group_of_vertex = [found.whole], None
         if pose == "modes" and space in ("mixed", "vertex") and found.components:
             groups, group_of_vertex = found.group_components(topology.component_of_vertex)
+        del topology  # its tables are large
         if between == "smooth":
             frames, groups = distinct_poses(frames, groups)
         timings = [Timing(events, between) for events in groups]

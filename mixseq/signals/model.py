@@ -160,15 +160,13 @@ class Model(Decodable, PickledWithoutCaches):
     def curve(self, times: ArrayLike) -> Float:
         """Return the vectors ``(N, D)`` of the space at times ``(N,)`` in seconds; see `__call__`."""
         clipped = self.clip_times(times)
-        shapes = self._blend_shapes(self.pose.weights(self.time(clipped)))
-        return np.concatenate([shapes, self.placement(clipped), self.correction(clipped)], axis=1)
+        return self._vectors(self.pose.weights(self.time(clipped)), self.placement(clipped), self.correction(clipped))
 
     def rates(self, times: ArrayLike) -> Float:
         """Return the derivatives ``(N, D)`` of `curve` by time, per second."""
         clipped = self.clip_times(times)
-        shapes = self._blend_shapes(self.pose.rates(self.time.derivative(clipped)))
         others = self.placement.derivative(clipped), self.correction.derivative(clipped)
-        return np.concatenate([shapes, *others], axis=1)
+        return self._vectors(self.pose.rates(self.time.derivative(clipped)), *others)
 
     def decode_points(self, times: Float) -> Float:
         """Implement `Decodable.decode_points`."""
@@ -178,13 +176,15 @@ class Model(Decodable, PickledWithoutCaches):
         """Implement `Decodable.decode_moving`."""
         return self.space.decode_with_velocities(self.curve(times), self.rates(times))
 
-    def _blend_shapes(self, weights: Float) -> Float:
-        """Return weighted sums ``(N, S)`` of key shapes, row by row, so that each is independent of the others."""
-        blended = np.empty((len(weights), self.shapes.shape[1]))
+    def _vectors(self, weights: Float, placement: Float, correction: Float) -> Float:
+        """Return vectors ``(N, D)`` of weighted sums of key shapes, row by row, so that each is independent."""
+        size = self.shapes.shape[1]
+        vectors = np.empty((len(weights), size + placement.shape[1] + correction.shape[1]))
+        vectors[:, size:] = np.concatenate([placement, correction], axis=1)
         with one_blas_thread():
-            for row, weight in zip(blended, weights, strict=True):
-                row[:] = weight @ self.shapes
-        return blended
+            for row, weight in zip(vectors, weights, strict=True):
+                np.matmul(weight, self.shapes, out=row[:size])
+        return vectors
 
     @property
     def timing(self) -> Timing:
