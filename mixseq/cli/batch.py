@@ -70,7 +70,18 @@ JOBS = {
     "segment": Job(("sequences",), ".npz"),
 }
 
-_OMITTED = ("set", "quiet", "overwrite", "threads", "cluster", "as_json", "check", "picture", "save_map", "travel")
+_OMITTED_OPTIONS = (
+    "set",
+    "quiet",
+    "overwrite",
+    "threads",
+    "cluster",
+    "as_json",
+    "check",
+    "picture",
+    "save_map",
+    "travel",
+)
 """Options of commands that a batch has itself, or whose file all assets would write."""
 
 
@@ -248,7 +259,7 @@ class _JobCommand(options.CommandWithSettings):
         arguments = [each for each in job.params if isinstance(each, click.Argument)]
         self._between = [str(each.name) for each in arguments[1:-1]]
         own = [each for each in batch.params if each.name not in ("job", "set")]
-        names = {*_OMITTED, *(each.name for each in own)}
+        names = {*_OMITTED_OPTIONS, *(each.name for each in own)}
         self._options = [
             *(_required_option(each) for each in arguments[1:-1]),
             *(each for each in job.params if isinstance(each, click.Option) and each.name not in names),
@@ -268,6 +279,8 @@ class _JobCommand(options.CommandWithSettings):
         expanded = list(self._expanded(ctx, args)) if self.settings else args
         texts, _, _ = self.make_parser(ctx).parse_args(args=list(expanded))
         rest = super().parse_args(ctx, args)
+        if ctx.resilient_parsing:
+            return rest
         given = {str(each.name): _spell(each, texts[each.name]) for each in self._options if each.name in texts}
         between = [str(ctx.params[name].absolute()) for name in self._between]
         files = [Path(text) for each in self._options for text in _paths(each, texts.get(each.name))]
@@ -356,7 +369,7 @@ def _extension(text: str) -> str:
     help="Format of the files: usdc, abc, glb, ...  [default: h5 of encode and edit, usdc of decode, npz of segment, "
     "else as the asset]",
 )
-@options.option("--force", is_flag=True, help="Do everything again, also what is done.")
+@options.setting("--force", is_flag=True, help="Do everything again, also what is done.")
 @options.workers
 @overwriting
 @options.quiet

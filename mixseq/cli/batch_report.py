@@ -68,7 +68,7 @@ class Entry:
 
     @property
     def verdict(self) -> str:
-        """What the command says first of its result, if it judges the result."""
+        """Judgement of the result by the command, its first line; empty for commands that do not judge."""
         return self.output[0] if self.output and self.settings["job"] == "transfer" else ""
 
     def arguments(self) -> list[str]:

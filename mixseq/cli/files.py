@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -482,14 +483,30 @@ def animations_of(path: Path) -> dict[str, str]:
     return animation_choices(path)
 
 
-def targets_of_animations(source: Path, target: Path) -> dict[str, Path]:
-    """Return a file to write for every animation of a file, by its choice: ``fox-Run.usdc``, ``fox-Walk.usdc``."""
-    choices = animations_of(source)
-    if not choices:
-        raise SettingsError(f"{source} has no animations to choose from; leave out --animation all")
-    stem = re.match(r"(.*?)([-_. ]*(?:#+|%\d*d).*|\.[^.]*)$", target.name)
-    before, after = stem.groups() if stem else (target.name, "")
-    return {choice: target.with_name(f"{before}{label and '-'}{label}{after}") for label, choice in choices.items()}
+def each_animation(command: options.Command) -> options.Command:
+    """Decorate a command to run once for every animation of SOURCE with ``--animation all``."""
+
+    @wraps(command)
+    def run(**values: Any) -> None:
+        if values["animation"] != options.ALL_ANIMATIONS:
+            command(**values)
+            return
+        source, target = values["source"], values["target"]
+        choices = animations_of(source)
+        if not choices:
+            raise SettingsError(f"{source} has no animations to choose from; leave out --animation all")
+        named = re.match(r"(.*?)([-_. ]*(?:#+|%\d*d).*|\.[^.]*)$", target.name)
+        before, after = named.groups() if named else (target.name, "")
+        targets = {
+            choice: target.with_name(f"{before}{label and '-'}{label}{after}") for label, choice in choices.items()
+        }
+        Claim(values["overwrite"], (source,))(*targets.values())
+        parameters = click.get_current_context().params  # also read by `_claim`
+        for choice, path in targets.items():
+            parameters |= {"animation": choice, "target": path, "overwrite": True}
+            command(**parameters)
+
+    return run
 
 
 def picture_path(target: Path, what: str, picture: Path | None = None, no_picture: bool = False) -> Path | None:

@@ -31,8 +31,7 @@ Command = Callable[..., None]
 Decorator = Callable[[Command], Command]
 
 ALL_ANIMATIONS = "all"
-EACH_ANIMATION_COMMANDS = ("convert", "encode", "resample")
-"""Commands that write a file for every animation."""
+"""Choice of a file for every animation."""
 
 YES_WORDS = ("yes", "true", "on", "1")
 NO_WORDS = ("no", "false", "off", "0")
@@ -100,19 +99,6 @@ class CommandWithSettings(click.Command):
                     f"{text!r} is not NAME=VALUE with one of: {names}", ctx=ctx, param_hint="'--set'"
                 )
             yield from matches.arguments(value)
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command, with ``--animation all`` once for every animation of a glTF file."""
-        if ctx.params.get("animation") != ALL_ANIMATIONS or self.name not in EACH_ANIMATION_COMMANDS:
-            return super().invoke(ctx)
-        from mixseq.cli.files import Claim, targets_of_animations
-
-        targets = targets_of_animations(ctx.params["source"], ctx.params["target"])
-        Claim(ctx.params["overwrite"], (ctx.params["source"],))(*targets.values())
-        for choice, target in targets.items():
-            ctx.params |= {"animation": choice, "target": target, "overwrite": True}
-            super().invoke(ctx)
-        return None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, then the settings."""

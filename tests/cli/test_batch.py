@@ -192,9 +192,9 @@ def test_interrupted_and_continued(monkeypatch: pytest.MonkeyPatch) -> None:
         patch.setattr(mixseq, "fit", interrupted)
         result = batch()
     assert (result.exit_code, result.stderr.strip()) == (130, "mixseq: interrupted")
-    assert states() == {"one.npz": "done", "three.npz": "failed", "two.usdc": "left"}
+    assert states() == {"one.npz": "done", "three.npz": "left", "two.usdc": "left"}  # larger ones first
     assert not read_report(Path("models")).finished
-    assert "1 left. Not finished: the same command goes on" in Path("models/report.md").read_text()
+    assert "2 left. Not finished: the same command goes on" in Path("models/report.md").read_text()
     assert sorted(path.name for path in Path("models").iterdir()) == ["one.h5", "report.json", "report.md"]
     before = times()
     batch()
