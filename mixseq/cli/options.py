@@ -495,10 +495,10 @@ reading = group(
         help="Axis that points up, where the file does not say; nothing is turned.",
     ),
     setting(
-        "--units M",
+        "--units m|cm|...",
         "metres_per_unit",
-        type=POSITIVE_NUMBER,
-        help="Metres per unit, where the file does not say; nothing is scaled.",
+        type=_unit,
+        help="Unit, where the file does not say: mm, cm, m, km, in, ft, yd, or metres; nothing is scaled.",
     ),
 )
 """Options of file readers, in the argument ``reading``."""
