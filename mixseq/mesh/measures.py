@@ -30,6 +30,18 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.rotations import FULL_TURN
 from mixseq.types import Float, FloatArray, IntArray
 
+BOX_ROW_POINTS = 64
+"""Number of points per row in which bounding boxes are computed: NumPy reduces long rows fast, and rows of 3 slowly."""
+
+
+def bounding_box(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest and the highest corner ``(3,)`` of the bounding box of points ``(V, 3)``."""
+    whole = len(points) - len(points) % BOX_ROW_POINTS
+    rows, rest = points[:whole].reshape(-1, 3 * BOX_ROW_POINTS), points[whole:]
+    low, high = rows.min(axis=0, initial=np.inf), rows.max(axis=0, initial=-np.inf)
+    low, high = (np.concatenate([row.reshape(-1, 3), rest]) for row in (low, high))
+    return low.min(axis=0), high.max(axis=0)
+
 
 @dataclass(frozen=True)
 class Diagonal:
@@ -41,7 +53,7 @@ class Diagonal:
     @classmethod
     def from_points(cls, points: FloatArray) -> Diagonal:
         """Measure the bounding box of points ``(V, 3)``."""
-        low, high = (np.asarray(corner, dtype=np.float64) for corner in (points.min(axis=0), points.max(axis=0)))
+        low, high = (corner.astype(np.float64) for corner in bounding_box(points))
         halved = 1 if max(np.abs(low).max(), np.abs(high).max()) > np.finfo(np.float64).max / 2 else 0
         extent = np.ldexp(high, -halved) - np.ldexp(low, -halved)
         if not extent.any():
@@ -58,7 +70,9 @@ class Diagonal:
     def rescale(self, lengths: FloatArray) -> Float:
         """Return lengths divided by ``2**exponent``: a length equal to the diagonal becomes `fraction`."""
         with np.errstate(over="ignore", under="ignore"):
-            return np.asarray(np.ldexp(lengths, -self.exponent), dtype=np.float64)
+            half = -self.exponent // 2  # the whole power of two may overflow
+            halfway = np.multiply(lengths, np.ldexp(1.0, half), dtype=np.float64)
+            return np.asarray(halfway * np.ldexp(1.0, -self.exponent - half))
 
 
 FAR_DIAGONALS = 4.0
@@ -74,7 +88,7 @@ def choose_origin(points: FloatArray) -> Float:
 
     Its coordinates are multiples of a power of two that is about the diagonal, so that they are exact in float32.
     """
-    low, high = (np.asarray(corner, dtype=np.float64) for corner in (points.min(axis=0), points.max(axis=0)))
+    low, high = (corner.astype(np.float64) for corner in bounding_box(points))
     largest = max(np.abs(low).max(), np.abs(high).max())
     if not (0 < largest < np.inf and FAR_DIAGONALS * (diagonal := Diagonal.from_points(points).length) < largest):
         return NO_ORIGIN

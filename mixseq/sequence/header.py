@@ -121,6 +121,15 @@ class SequenceHeader:
         number = self.frame_number(index)
         return f"frame {number}" if number == f"{index}" else f"frame {number} (index {index})"
 
+    def vertex_name(self, vertex: int) -> str:
+        """Return "vertex" and a number, with the object and the vertex's number in it if there are several objects."""
+        ends = np.cumsum([each.vertex_count for each in self.objects])
+        if len(ends) < 2:
+            return f"vertex {vertex}"
+        index = int(np.searchsorted(ends, vertex, side="right"))
+        own, each = vertex - int(ends[index]) + self.objects[index].vertex_count, self.objects[index]
+        return f"vertex {vertex} (vertex {own} of {each.path or each.name})"
+
     def index_of(self, number: float) -> int:
         """Return the index of the frame with a frame number; raise SettingsError if no frame has the number."""
         distances = np.abs(self.times * self.fps - number)

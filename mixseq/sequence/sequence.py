@@ -295,8 +295,8 @@ def check_block(header: SequenceHeader, points: FloatArray, first_frame: int) ->
     if not np.isfinite(points).all():
         frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(points))[0][:2])
         raise InvalidSequenceError(
-            f"{header.frame_name(first_frame + frame)}: vertex {vertex} is {points[frame, vertex].tolist()}; "
-            "coordinates must be finite"
+            f"{header.frame_name(first_frame + frame)}: {header.vertex_name(vertex)} is "
+            f"{points[frame, vertex].tolist()}; coordinates must be finite"
         )
 
 

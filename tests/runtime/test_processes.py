@@ -31,8 +31,8 @@ def divided(shared: int, item: int) -> float:
 
 def killed(folder: Path, item: str) -> str:
     """End the process of the item "once" in its first try, and that of "always" in every try."""
-    if item == "always" or (item == "once" and not (folder / "tried").exists()):
-        (folder / "tried").touch()
+    if item == "always" or (item == "once" and not (folder / item).exists()):
+        (folder / item).touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return item
 

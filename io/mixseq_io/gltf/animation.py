@@ -8,8 +8,9 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#appendi
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +147,31 @@ class Channel:
         return (1 - s) * first + s * second
 
 
+@dataclass(frozen=True, eq=False)
+class SeparateWeights(Channel):
+    """Channel of all morph weights of a node, some of which have channels of their own."""
+
+    still: Float  # (k,), all weights without animation
+    tracks: Mapping[int, Channel]  # by number of the weight
+
+    @property
+    def is_animated(self) -> bool:
+        """Whether a weight changes over time."""
+        return any(each.is_animated for each in self.tracks.values())
+
+    @property
+    def is_linear_motion(self) -> bool:
+        """Whether all weights change linearly between keys."""
+        return all(each.interpolation == "LINEAR" for each in self.tracks.values())
+
+    def evaluate(self, times: Float) -> Float:
+        """Return all weights ``(B, k)`` at times ``(B,)`` in s; see `Channel.evaluate`."""
+        weights = np.tile(self.still, (len(times), 1))
+        for number, track in self.tracks.items():
+            weights[:, number] = track.evaluate(times)[:, 0]
+        return weights
+
+
 def hermite(a: Float, out_tangent: Float, b: Float, in_tangent: Float, s: Float) -> Float:
     """Evaluate Hermite cubics from `a` to `b` ``(n, k)`` at `s` ``(n, 1)``, with tangents per key interval."""
     return (
@@ -235,13 +261,20 @@ def read_channels(document: Document, animation: Fields | None, nodes: Collectio
         return []
     samplers = animation.objects("samplers")
     channels: dict[tuple[int, str], Channel] = {}
-    pointers, numbers = [], 0
+    tracks: defaultdict[int, dict[int, Channel]] = defaultdict(dict)
+    missing, numbers, node_count = [], 0, len(document.items("nodes"))
     for fields in animation.objects("channels"):
         target = fields.object("target")
         node, name = target.index("node"), target.text("path")
         if name == "pointer":
-            pointers.append(target.object("extensions").object(POINTER_EXTENSION).text("pointer"))
-        if node not in nodes or node is None or name not in (*_PROPERTY_WIDTHS, "weights"):
+            missing.append(target.object("extensions").object(POINTER_EXTENSION).text("pointer"))
+        name, _, weight = name.partition("/")
+        if node is None or name not in (*_PROPERTY_WIDTHS, "weights"):
+            continue
+        if node >= node_count or (name == "weights" and "mesh" not in document.item("nodes", node)):
+            missing.append(f"/nodes/{node}/{name}")
+            continue
+        if node not in nodes:
             continue
         index = fields.integer("sampler")
         if index >= len(samplers):
@@ -249,13 +282,40 @@ def read_channels(document: Document, animation: Fields | None, nodes: Collectio
         channel = _read_channel(document, node, name, samplers[index])
         numbers += channel.times.size + channel.values.size
         document.check_effort(numbers, animation.place)
-        channels[node, name] = channel
-    if pointers:
+        if weight:
+            tracks[node][int(weight)] = channel
+        else:
+            channels[node, name] = channel
+    for node, own_tracks in tracks.items():
+        channels[node, "weights"] = _join_tracks(document, node, own_tracks)
+    if missing:
         warn(
-            f"{document.path}: {len(pointers)} channels of {POINTER_EXTENSION} are left out, as they animate no "
-            f"transform or weights of a node: {format_names(pointers)}"
+            f"{document.path}: {len(missing)} channels are left out, as they animate no transform or weights of a node "
+            f"of the file: {format_names(missing)}"
         )
     return list(channels.values())
+
+
+def _join_tracks(document: Document, node: int, tracks: Mapping[int, Channel]) -> SeparateWeights:
+    """Join the channels of single morph weights of a node."""
+    fields = document.item("nodes", node)
+    primitives = document.item("meshes", fields.integer("mesh")).objects("primitives")
+    count = max((len(each.objects("targets")) for each in primitives), default=0)
+    wrong = [number for number, track in tracks.items() if number >= count or track.values.shape[-1] != 1]
+    if wrong:
+        raise fields.error(f"has {count} morph targets, but weight {wrong[0]} is animated, or has several values")
+    times = merge_key_times(each.times for each in tracks.values())
+    is_stepped = all(each.interpolation == "STEP" for each in tracks.values())
+    still = _read_still_weights(document, fields, count)
+    joined = SeparateWeights(node, "weights", times, still, "STEP" if is_stepped else "LINEAR", still, tracks)
+    return replace(joined, values=joined.evaluate(times).astype(np.float32))
+
+
+def _read_still_weights(document: Document, node: Fields, count: int) -> Float:
+    """Return the morph weights ``(k,)`` of a node without animation."""
+    owner = node if "weights" in node else document.item("meshes", node.integer("mesh"))
+    weights = owner.numbers("weights", count) if count else None
+    return np.zeros(count) if weights is None else weights
 
 
 def _read_channel(document: Document, node: int, name: str, sampler: Fields) -> Channel:
@@ -382,18 +442,14 @@ def read_joint_nodes(document: Document, skin: Fields) -> list[int]:
 def read_mesh_node(document: Document, scene: Scene, node: int, weld: Weld) -> MeshNode:
     """Read a node with a welded mesh."""
     fields = scene.nodes[node]
-    mesh = document.item("meshes", fields.integer("mesh"))
     positions = np.concatenate([each.positions for each in weld.primitives]).astype(np.float64)
-    count = count_targets(weld.primitives)
-    owner = fields if "weights" in fields else mesh
-    weights = owner.numbers("weights", count) if "weights" in owner and count else None
     skin = fields.index("skin")
     return MeshNode(
         scene=scene,
         node=node,
         weld=weld,
         rest=positions[weld.representatives],
-        weights=np.zeros(count) if weights is None else weights,
+        weights=_read_still_weights(document, fields, count_targets(weld.primitives)),
         skin=None if skin is None else _read_skin(document, document.item("skins", skin), weld),
     )
 

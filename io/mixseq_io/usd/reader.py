@@ -178,19 +178,36 @@ def _read_meshes(
 
     def prepare(chosen: list[int]) -> Callable[[int], tuple[AnimatedMesh, SceneMesh]]:
         codes = _frame_codes(path, stage, [motions[index] for index in chosen])
-        return lambda index: _read_mesh(AnimatedMesh(motions[index].mesh, motions[index].skin, codes), rate, warnings)
+        checked = codes if len(chosen) > 1 else codes[:1]  # a single mesh is refused when its frame is read
+
+        def read(index: int) -> tuple[AnimatedMesh, SceneMesh]:
+            animated = AnimatedMesh(motions[index].mesh, motions[index].skin, codes)
+            return _read_mesh(animated, rate, checked, warnings)
+
+        return read
 
     animated_meshes, scene_meshes = zip(*read_valid_meshes(path, objects, is_moving, prepare), strict=True)
     return animated_meshes, scene_meshes
 
 
-def _read_mesh(animated: AnimatedMesh, rate: float, warnings: PrimWarnings) -> tuple[AnimatedMesh, SceneMesh]:
-    """Return a mesh with its surface; raise an error if its points in the first frame cannot be computed."""
+def _read_mesh(
+    animated: AnimatedMesh, rate: float, checked: Float, warnings: PrimWarnings
+) -> tuple[AnimatedMesh, SceneMesh]:
+    """Return a mesh with its surface; check its first frame, and the number of points at time codes ``(n,)``.
+
+    Points in clips are not checked, as their files would all be opened.
+    """
     scene_mesh, skin = read_scene_mesh(animated, warnings), animated.skin
     frame_name = _describe_frame(animated.start, rate, rate)
+    points = animated.mesh.GetPointsAttr()
+    if points.GetResolveInfo(Usd.TimeCode(animated.start)).GetSource() != Usd.ResolveInfoSourceValueClips:
+        for code in checked.tolist():
+            with prefix_errors(_describe_frame(code, rate, rate)):
+                animated.read_points(code)
+                animated.to_world(code)
     with prefix_errors(frame_name):
-        points = animated.points(animated.start, skin.skeleton.pose(animated.start) if skin else None)
-    check_finite(points, frame_name)
+        first_points = animated.points(animated.start, skin.skeleton.pose(animated.start) if skin else None)
+    check_finite(first_points, frame_name)
     return animated, scene_mesh
 
 
