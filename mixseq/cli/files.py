@@ -473,6 +473,8 @@ def first_frame(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
 
 def animations_of(path: Path) -> dict[str, str]:
     """Return a part of file names and a choice for every animation of a file, glTF; {} for other formats."""
+    from mixseq_io.rig_files import GLTF_EXTENSIONS
+
     if path.suffix.lower() not in GLTF_EXTENSIONS:
         return {}
     from mixseq_io.gltf.animation import animation_choices

@@ -30,9 +30,9 @@ from mixseq_io.gltf.document import (
 from mixseq_io.reader import warn
 from mixseq_io.scene_meshes import format_names
 
-_WEIGHTS = r"weights(?:/\d{1,9})?"
+_WEIGHTS_PATTERN = r"weights(?:/\d{1,9})?"
 _POINTER_PATTERN = re.compile(
-    rf"/nodes/(\d{{1,9}})/(translation|rotation|scale|{_WEIGHTS})|/meshes/(\d{{1,9}})/({_WEIGHTS})"
+    rf"/nodes/(\d{{1,9}})/(translation|rotation|scale|{_WEIGHTS_PATTERN})|/meshes/(\d{{1,9}})/({_WEIGHTS_PATTERN})"
 )
 _INSTANCE_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}  # numbers of an instance by attribute
 
