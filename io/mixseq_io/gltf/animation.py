@@ -7,6 +7,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#appendi
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +19,7 @@ from scipy.sparse import csr_array
 from mixseq.errors import FormatError, SettingsError
 from mixseq.rigging.rigs import slerp
 from mixseq.types import Float, FloatArray, Index, Single
-from mixseq_io.gltf.document import POINTER_EXTENSION, Document, Fields
+from mixseq_io.gltf.document import POINTER_EXTENSION, Document, Fields, load_document
 from mixseq_io.gltf.primitives import Weld, count_targets, read_deltas, read_influences
 from mixseq_io.gltf.scene import Pose, Scene
 from mixseq_io.reader import warn
@@ -229,6 +230,25 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
         f"{document.path} has {'several animations' if matching else 'no animation'} {choice!r}; "
         f"there are {_format_numbered(names) or 'none'}"
     )
+
+
+def animation_choices(path: Path) -> dict[str, str]:
+    """Return a part of file names for every animation of a file, with the choice that selects it.
+
+    The part is empty for an animation that is the only one and has no name.
+    """
+    names = [each.text("name") for each in load_document(path).items("animations")]
+    if names == [""]:
+        return {"": "0"}
+    choices: dict[str, str] = {}
+    for index, name in enumerate(names):
+        tail = name.rpartition("|")[2]
+        is_unique = [other.rpartition("|")[2] for other in names].count(tail) == 1
+        label = re.sub(r"[^\w.-]+", "_", tail if is_unique else name).strip("._") or f"animation_{index}"
+        if label.casefold() in map(str.casefold, choices):
+            label = f"{label}_{index}"
+        choices[label] = name if name and names.count(name) == 1 else str(index)
+    return choices
 
 
 def _format_numbered(names: Sequence[str], first: int = 0) -> str:
