@@ -291,10 +291,11 @@ def fit(
     executor = workers or thread_executor()
     with one_blas_thread():
         frames = whole = load_frames(sequence, stages.at(0))
-        found = SequenceEvents()
+        found, keys = SequenceEvents(), frames.header.keys if knots is None else None
         if knots is None:
             topology = Topology(frames.header.faces, frames.header.vertex_count)
             found = find_events(frames.points, frames.header.times, topology)
+            found = found.with_keys(keys) if keys else found
             if cuts != "auto":
                 found = SequenceEvents(_with_cuts(found.whole, cuts, frames.header))
         groups, group_of_vertex = [found.whole], None
@@ -302,7 +303,8 @@ def fit(
             groups, group_of_vertex = found.group_components(topology.component_of_vertex)
         if between == "smooth":
             frames, groups = distinct_poses(frames, groups)
-        timings = [Timing(events, between) for events in groups]
+        is_held = between == "auto" and bool(keys and keys.is_held)
+        timings = [Timing(events, "hold" if is_held else between) for events in groups]
         shape_space = make_space(frames, space, options, executor, stages.at(1, SPACE_STAGES))
         stage = stages.at(1 + SPACE_STAGES)
         encoded = encode_sequence(frames, shape_space, pose, executor, stage, timings, group_of_vertex)

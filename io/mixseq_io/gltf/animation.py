@@ -116,6 +116,11 @@ class Channel:
         return len(at_keys) > 1 and bool((at_keys[1:] != at_keys[:-1]).any() or tangents.any())
 
     @property
+    def interpolations(self) -> set[str]:
+        """All interpolations of the channel's values."""
+        return {self.interpolation}
+
+    @property
     def is_linear_motion(self) -> bool:
         """Whether points moved by this channel alone move linearly in time between keys."""
         return self.interpolation == "LINEAR" and self.name in ("translation", "weights")
@@ -160,9 +165,14 @@ class SeparateWeights(Channel):
         return any(each.is_animated for each in self.tracks.values())
 
     @property
+    def interpolations(self) -> set[str]:
+        """Interpolations of all weights."""
+        return {each.interpolation for each in self.tracks.values()}
+
+    @property
     def is_linear_motion(self) -> bool:
         """Whether all weights change linearly between keys."""
-        return all(each.interpolation == "LINEAR" for each in self.tracks.values())
+        return self.interpolations == {"LINEAR"}
 
     def evaluate(self, times: Float) -> Float:
         """Return all weights ``(B, k)`` at times ``(B,)`` in s; see `Channel.evaluate`."""
