@@ -139,7 +139,9 @@ class _MotionFit:
             )
             for bone, below in enumerate(self.below)
         ]
-        self.subtree_levers = np.kron(descendants, [0.0, 0.0, 0.0, 1.0])  # (B, 4B), H of every bone
+        self.subtree_levers: Float = np.kron(descendants, np.eye(1, 4, 3)).astype(
+            np.float64
+        )  # (B, 4B), H of every bone
         self.subtree_products = self.subtree_levers @ self.products
         self.subtree_weights = np.einsum("ab,ab->a", self.subtree_levers, self.subtree_products)  # sums of h_v^2
 
