@@ -67,7 +67,7 @@ def into(model: Model, space: ShapeSpace) -> Model:
     if model.space is space:
         return model
     with one_blas_thread():
-        return build_model(encode_sequence(model.sample(), space, timing=model.timing), Detail())
+        return build_model(encode_sequence(model.sample(), space, timings=[model.timing]), Detail())
 
 
 def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
@@ -114,7 +114,7 @@ def _encode_like(model: Model, first: Model) -> Model:
         )
     frames = numbering.renumber_frames(model.sample())
     with one_blas_thread():
-        encoded = encode_sequence(load_frames(frames), first.space, timing=model.timing)
+        encoded = encode_sequence(load_frames(frames), first.space, timings=[model.timing])
         return build_model(encoded, Detail())
 
 

@@ -1,8 +1,8 @@
 """Rewrite extensions that move or multiply meshes as plain nodes and channels of glTF.
 
 Channels of ``KHR_animation_pointer`` to the transform or weights of a node become channels of this node, those to the
-weights of a mesh channels of all nodes that use them. Instances of ``EXT_mesh_gpu_instancing`` become child nodes
-"instance 0", "instance 1", ... with the mesh.
+weights of a mesh channels of all nodes that use them; the path of a single weight is "weights/2". Instances of
+``EXT_mesh_gpu_instancing`` become child nodes "instance 0", "instance 1", ... with the mesh.
 
 Specification: https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Khronos/KHR_animation_pointer,
 https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Vendor/EXT_mesh_gpu_instancing
@@ -17,17 +17,32 @@ from dataclasses import replace
 from pathlib import Path
 
 from mixseq_io.gltf.codecs import Json, append, decompress_document
-from mixseq_io.gltf.document import INSTANCING_EXTENSION, POINTER_EXTENSION, Document, Fields, load_document
+from mixseq_io.gltf.document import (
+    INSTANCING_EXTENSION,
+    POINTER_EXTENSION,
+    Document,
+    Fields,
+    collect_extensions,
+    load_document,
+    unknown_extensions,
+)
 from mixseq_io.reader import warn
+from mixseq_io.scene_meshes import format_names
 
-_POINTER_PATTERN = re.compile(r"/nodes/(\d{1,9})/(translation|rotation|scale|weights)|/meshes/(\d{1,9})/(weights)")
+_WEIGHTS = r"weights(?:/\d{1,9})?"
+_POINTER_PATTERN = re.compile(
+    rf"/nodes/(\d{{1,9}})/(translation|rotation|scale|{_WEIGHTS})|/meshes/(\d{{1,9}})/({_WEIGHTS})"
+)
 _INSTANCE_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}  # numbers of an instance by attribute
 
 
 def load_plain_document(path: Path) -> Document:
     """Read a .gltf or .glb file, without compression, pointers of animations to nodes, and instances."""
     document = decompress_document(load_document(path))
-    if not {POINTER_EXTENSION, INSTANCING_EXTENSION} & _used_extensions(document):
+    used = collect_extensions(document.json) | {*document.top.texts("extensionsUsed")}
+    if unknown := unknown_extensions(used):
+        warn(f"{path}: extensions that are not supported are ignored: {format_names(unknown)}")
+    if not {POINTER_EXTENSION, INSTANCING_EXTENSION} & used:
         return document
     plain = replace(document, json=deepcopy(document.json))
     instances = {index: _add_instances(document, plain.json, index) for index in _instanced_nodes(document)}
@@ -44,17 +59,6 @@ def load_plain_document(path: Path) -> Document:
     return plain
 
 
-def _used_extensions(document: Document) -> set[str]:
-    """Return the declared extensions, and those that nodes and channels have."""
-    owners = document.items("nodes") + [
-        channel.object("target") for each in document.items("animations") for channel in each.objects("channels")
-    ]
-    return {
-        *document.top.texts("extensionsUsed"),
-        *(name for each in owners for name in each.object("extensions").values),
-    }
-
-
 def _resolve(document: Document, target: Fields, instances: Mapping[int, Sequence[int]]) -> list[Json]:
     """Return the targets of a channel at nodes and at instances; the target itself if it points elsewhere."""
     node, name, nodes = target.index("node"), target.text("path"), list[int]()
@@ -63,13 +67,13 @@ def _resolve(document: Document, target: Fields, instances: Mapping[int, Sequenc
     if found and found[3]:
         name, users = found[4], enumerate(document.items("nodes"))
         nodes = [index for index, user in users if user.index("mesh") == int(found[3]) and "weights" not in user]
-    elif found:
+    elif found and int(found[1]) < len(document.items("nodes")):
         name, nodes = found[2], [int(found[1])]
     elif node is not None:
         nodes = [node]
     if not nodes:
         return [dict(target.values)]
-    if name == "weights":
+    if name.startswith("weights"):
         nodes = [each for index in nodes for each in instances.get(index, [index])]
     return [{"node": each, "path": name} for each in nodes]
 

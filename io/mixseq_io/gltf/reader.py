@@ -31,7 +31,7 @@ from mixseq.mesh.measures import hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, FaceSet, Origin
 from mixseq.sequence.frame_rates import MAX_GRID_RATE, estimate_frame_rate, format_frame
-from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
+from mixseq.sequence.header import DEFAULT_FPS, FileKeys, SequenceHeader
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.gltf.animation import (
     Channel,
@@ -59,6 +59,7 @@ from mixseq_io.scene_meshes import (
     SceneMesh,
     check_finite,
     common_name,
+    find_keys,
     join_meshes,
     read_valid_meshes,
     select_meshes,
@@ -359,6 +360,14 @@ def _choose_times(
     return keys if keys.size else np.zeros(1), rate
 
 
+def _find_keys(animated: Sequence[Channel], times: Float, rate: float) -> FileKeys | None:
+    """Return the frames at times ``(T,)`` that are keys, if all animated channels are linear, or all are steps."""
+    kinds = set().union(*(channel.interpolations for channel in animated))
+    if kinds not in ({"LINEAR"}, {"STEP"}):
+        return None
+    return find_keys(merge_key_times(channel.times for channel in animated), times, rate, kinds == {"STEP"})
+
+
 def _influencing_nodes(document: Document, scene: Scene, nodes: Sequence[int]) -> set[int]:
     """Return nodes with meshes, and all nodes whose transforms move these meshes."""
     influencing, number_count = set(nodes), 0
@@ -433,6 +442,9 @@ class _GltfReader(AnimationReader):
         world = _world_matrices(mesh_nodes, evaluate_pose(channels, times[:1]))
         is_mirrored = [bool(each.orientation(world)[0] < 0) for each in mesh_nodes]
         path = document.path
+        animated = [channel for channel in channels if channel.is_animated]
+        # Shapes that are stored frame by frame are samples, between which weights are not meant to be linear.
+        can_evaluate = bool(animated) and not any(channel.is_cache for channel in animated)
         polygons, surface = join_meshes(scene_meshes, Origin("glTF", str(path.resolve())))
         header = SequenceHeader(
             polygons=polygons,
@@ -441,10 +453,8 @@ class _GltfReader(AnimationReader):
             fps=rate,
             name=common_name([scene.objects[each.node] for each in mesh_nodes]) or path.stem,
             surface=surface,
+            keys=_find_keys(animated, times, rate) if can_evaluate else None,
         )
-        animated = [channel for channel in channels if channel.is_animated]
-        # Shapes that are stored frame by frame are samples, between which weights are not meant to be linear.
-        can_evaluate = bool(animated) and not any(channel.is_cache for channel in animated)
         super().__init__(path, header, can_evaluate=can_evaluate)
         self._frame_times = times  # not snapped to frames
         self._mesh_nodes, self._is_mirrored, self._channels = mesh_nodes, is_mirrored, channels

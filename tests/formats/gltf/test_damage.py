@@ -67,11 +67,27 @@ def test_buffers_that_are_not_there(tmp_path: Path, uri: str, message: str) -> N
         load(moving().gltf(tmp_path / "file.gltf", uri))
 
 
-@pytest.mark.parametrize(("name", "message"), [("ACME_teapots", "requires the extension ACME_teapots")])
-def test_extensions_that_are_not_read(made: Callable[..., MeshSequence], name: str, message: str) -> None:
+OWNERS: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+    "node": lambda it: it["nodes"][0],
+    "mesh": lambda it: it["meshes"][0],
+    "primitive": lambda it: it["meshes"][0]["primitives"][0],
+    "accessor": lambda it: it["accessors"][0],
+    "material": lambda it: it.setdefault("materials", [{}])[0],
+    "channel": lambda it: it["animations"][0]["channels"][0],
+    "document": lambda it: it,
+}
+
+
+@pytest.mark.parametrize("owner", OWNERS)
+def test_unknown_extensions_are_named(made: Callable[..., MeshSequence], owner: str) -> None:
+    """They are ignored where they are used, declared or not, and refused where they are required."""
     maker = moving()
-    maker.json["extensionsRequired"] = [name]
-    with pytest.raises(FormatError, match=message):
+    OWNERS[owner](maker.json)["extensions"] = {"ACME_teapots": {"spouts": 2}, "ACME_materials_clay": {}}
+    maker.json["extensionsUsed"] = ["ACME_cups"]
+    with pytest.warns(MixseqWarning, match="not supported are ignored: 'ACME_cups', 'ACME_teapots'$"):
+        assert made(maker).frame_count == 2
+    maker.json["extensionsRequired"] = ["KHR_mesh_quantization", "ACME_teapots", "ACME_cups"]
+    with pytest.raises(FormatError, match="requires 'ACME_cups', 'ACME_teapots', extensions that are not supported"):
         made(maker)
 
 
