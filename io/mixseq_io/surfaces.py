@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError, OutputError
-from mixseq.mesh.measures import NO_ORIGIN, Diagonal, choose_origin
+from mixseq.mesh.measures import NO_ORIGIN, Diagonal, bounding_box, choose_origin
 from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
@@ -73,12 +73,13 @@ class RoundingMonitor:
         """Measure the distances of points ``(V, 3)`` of a frame from those that are written, or rounded, for them."""
         if points.dtype == np.float32 or not points.size:
             return
-        self._largest = max(self._largest, float(np.abs(points).max()))
-        self._largest_local = max(self._largest_local, float(np.abs(points - self._near).max()))
+        box = np.stack(bounding_box(points))
+        self._largest = max(self._largest, float(np.abs(box).max()))
+        self._largest_local = max(self._largest_local, float(np.abs(box - self._near).max()))
         with np.errstate(over="ignore", under="ignore"):
             written = written.astype(np.float32) if written is points else written
             errors: Float = self._diagonal.rescale(points - written)
-            error = float(np.sqrt(np.square(errors).sum(axis=1).max())) / (self._diagonal.fraction or 1.0)
+            error = float(np.sqrt(np.einsum("vi,vi->v", errors, errors).max())) / (self._diagonal.fraction or 1.0)
         if error > self.error:
             self.error, self.frame = error, frame
 

@@ -30,6 +30,18 @@ from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.rotations import FULL_TURN
 from mixseq.types import Float, FloatArray, IntArray
 
+BOX_ROW_POINTS = 64
+"""Number of points per row in which bounding boxes are computed: NumPy reduces long rows fast, and rows of 3 slowly."""
+
+
+def bounding_box(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest and the highest corner ``(3,)`` of the bounding box of points ``(V, 3)``."""
+    whole = len(points) - len(points) % BOX_ROW_POINTS
+    rows, rest = points[:whole].reshape(-1, 3 * BOX_ROW_POINTS), points[whole:]
+    low, high = rows.min(axis=0, initial=np.inf), rows.max(axis=0, initial=-np.inf)
+    low, high = (np.concatenate([row.reshape(-1, 3), rest]) for row in (low, high))
+    return low.min(axis=0), high.max(axis=0)
+
 
 @dataclass(frozen=True)
 class Diagonal:
@@ -41,7 +53,7 @@ class Diagonal:
     @classmethod
     def from_points(cls, points: FloatArray) -> Diagonal:
         """Measure the bounding box of points ``(V, 3)``."""
-        low, high = (np.asarray(corner, dtype=np.float64) for corner in (points.min(axis=0), points.max(axis=0)))
+        low, high = (corner.astype(np.float64) for corner in bounding_box(points))
         halved = 1 if max(np.abs(low).max(), np.abs(high).max()) > np.finfo(np.float64).max / 2 else 0
         extent = np.ldexp(high, -halved) - np.ldexp(low, -halved)
         if not extent.any():
@@ -58,7 +70,9 @@ class Diagonal:
     def rescale(self, lengths: FloatArray) -> Float:
         """Return lengths divided by ``2**exponent``: a length equal to the diagonal becomes `fraction`."""
         with np.errstate(over="ignore", under="ignore"):
-            return np.asarray(np.ldexp(lengths, -self.exponent), dtype=np.float64)
+            half = -self.exponent // 2  # the whole power of two may overflow
+            halfway = np.multiply(lengths, np.ldexp(1.0, half), dtype=np.float64)
+            return np.asarray(halfway * np.ldexp(1.0, -self.exponent - half))
 
 
 FAR_DIAGONALS = 4.0
@@ -74,7 +88,7 @@ def choose_origin(points: FloatArray) -> Float:
 
     Its coordinates are multiples of a power of two that is about the diagonal, so that they are exact in float32.
     """
-    low, high = (np.asarray(corner, dtype=np.float64) for corner in (points.min(axis=0), points.max(axis=0)))
+    low, high = (corner.astype(np.float64) for corner in bounding_box(points))
     largest = max(np.abs(low).max(), np.abs(high).max())
     if not (0 < largest < np.inf and FAR_DIAGONALS * (diagonal := Diagonal.from_points(points).length) < largest):
         return NO_ORIGIN
@@ -84,6 +98,10 @@ def choose_origin(points: FloatArray) -> Float:
 
 def vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
     """Return the vector areas ``(T, P, 3)`` of the polygons in frames of points ``(T, V, 3)``."""
+    if polygons.only_triangles:  # as below, by a single product
+        a, b, c = polygons.triangles.T
+        apex = points[:, a].astype(np.float64)
+        return np.asarray(np.cross(points[:, b] - apex, points[:, c] - apex) / 2)
     starts = np.cumsum(polygons.counts) - polygons.counts
     first = np.repeat(starts, polygons.counts)
     step = np.arange(polygons.indices.size) - first
@@ -99,7 +117,7 @@ def corner_normals(points: FloatArray, polygons: Polygons, groups: IntArray | No
     """Return normals ``(T, G, 3)`` of corner groups ``(sum of counts,)``, or of vertices, for points ``(T, V, 3)``."""
     group_of_corner = polygons.indices if groups is None else groups
     count = points.shape[1] if groups is None else int(group_of_corner.max(initial=-1)) + 1
-    areas = (_triangle_vector_areas if polygons.only_triangles else vector_areas)(points, polygons)
+    areas = vector_areas(points, polygons)
     polygon_of_corner = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
     sums = np.zeros((len(points), count, 3))
     for frame, total in enumerate(sums):
@@ -109,13 +127,6 @@ def corner_normals(points: FloatArray, polygons: Polygons, groups: IntArray | No
     up = np.array([0.0, 0.0, 1.0])
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(lengths > 0, sums / lengths, up).astype(np.float32)
-
-
-def _triangle_vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
-    """Return `vector_areas` of triangles by a single cross product; only signs of zeros may differ."""
-    a, b, c = polygons.triangles.T
-    origin = points[:, a].astype(np.float64)
-    return np.asarray(np.cross(points[:, b] - origin, points[:, c] - origin) / 2)
 
 
 def hard_edges_from_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np.int32] | None:

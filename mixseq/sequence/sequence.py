@@ -171,7 +171,7 @@ class MeshSequence(SequenceHeader):
             points: FloatArray = self.points[frame]
             return points
         velocities = None if self.velocities is None else self.velocities[frame]
-        return replace(self, points=self.points[frame], velocities=velocities, times=self.times[frame])
+        return replace(self, points=self.points[frame], velocities=velocities, times=self.times[frame], keys=None)
 
     def to_trimesh(self, frame: int = 0) -> Trimesh:
         """Return a frame by its index from 0 as a `trimesh.Trimesh`, with the same vertices and triangulated faces."""
@@ -295,8 +295,8 @@ def check_block(header: SequenceHeader, points: FloatArray, first_frame: int) ->
     if not np.isfinite(points).all():
         frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(points))[0][:2])
         raise InvalidSequenceError(
-            f"{header.frame_name(first_frame + frame)}: vertex {vertex} is {points[frame, vertex].tolist()}; "
-            "coordinates must be finite"
+            f"{header.frame_name(first_frame + frame)}: {header.vertex_name(vertex)} is "
+            f"{points[frame, vertex].tolist()}; coordinates must be finite"
         )
 
 

@@ -1,4 +1,4 @@
-"""Damaged files of all readers, each in a process of its own: an error of ours or sound values, and nothing else.
+"""Damaged files of all readers: an error of ours or sound values, and nothing else.
 
 Usage: scripts/fuzz [--minutes N] [--cases K] [--seed S] [--reader R ...]
        scripts/fuzz --case SEED:READER:INDEX
@@ -10,7 +10,6 @@ what became of all. The last damaged file stays in out/fuzz/work.
 from __future__ import annotations
 
 import argparse
-import gc
 import os
 import random
 import re
@@ -20,20 +19,19 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Sequence
-from importlib import import_module
+from contextlib import closing
+from functools import cache
+from itertools import product
 from pathlib import Path
-from pkgutil import walk_packages
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-import mixseq
-import mixseq_io
 from mixseq.errors import MixseqWarning
 from scripts.fuzzing.damage import NotDamagedError, damage_bytes
 from scripts.fuzzing.readers import OUT, READERS, Reader
 from scripts.fuzzing.samples import Sample
-from scripts.fuzzing.sandbox import Ended, forked
+from scripts.fuzzing.sandbox import Ended, Sandbox
 
 FOLDER = Path("out/fuzz").absolute()
 WORK, LOG, FOUND, DAMAGE = (FOLDER / name for name in ("work", "log", "found", "damage"))
@@ -52,36 +50,41 @@ GOOD: tuple[Kind, ...] = ("same", "sound", "refused")
 Found = Literal["same", "differs", "invalid", "nothing"]
 
 _ERROR = re.compile(r"^mixseq: error: \S", re.MULTILINE)
+_WAY = re.compile(" damage_[a-z0-9]+|$")
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="scripts/fuzz", description="Damage files of every reader.")
     parser.add_argument("--minutes", type=float, default=600, help="how long at most")
-    parser.add_argument("--cases", type=int, default=10**9, help="how many at most")
+    parser.add_argument("--cases", type=int, default=10**9, help="how many of each reader at most")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--reader", action="append", choices=READERS, help="only this one; may be given again")
     parser.add_argument("--case", metavar="SEED:READER:INDEX", help="the case that is to be repeated")
     options = parser.parse_args(arguments)
-    _import_readers()
-    gc.freeze()  # memory that nobody writes to is not copied
-    if options.case:
-        prepare(options.case.split(":")[1])
-        kind, damage, ended = run(options.case)
-        print(f"{kind}: {damage}\n{ended}")
-        return int(kind not in GOOD)
-    readers = options.reader or list(READERS)
-    for reader in readers:
-        prepare(reader)
-    counts: Counter[tuple[str, Kind]] = Counter()
-    end = time.monotonic() + 60 * options.minutes
-    for number in range(options.cases):
+    readers = [options.case.split(":")[1]] if options.case else options.reader or list(READERS)
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    with closing(Sandbox(_serve, LOG)) as sandbox:
+        for reader in readers:
+            prepare(reader, sandbox)
+        if options.case:
+            kind, damage, ended = run(options.case, sandbox)
+            print(f"{kind}: {damage}\n{ended}")
+            return int(kind not in GOOD)
+        return _campaign(readers, options.seed, options.cases, 60 * options.minutes, sandbox)
+
+
+def _campaign(readers: list[str], seed: int, cases: int, seconds: float, sandbox: Sandbox) -> int:
+    counts: Counter[tuple[str, str]] = Counter()
+    end = time.monotonic() + seconds
+    for index, reader in product(range(cases), readers):
         if time.monotonic() > end:
             break
-        reader = readers[number % len(readers)]
-        name = f"{options.seed}:{reader}:{number // len(readers)}"
-        kind, damage, ended = run(name)
-        counts[reader, kind] += 1
+        name = f"{seed}:{reader}:{index}"
+        kind, damage, ended = run(name, sandbox)
+        way = _WAY.search(damage)
+        assert way, "it also matches the end"
+        counts.update({(reader, kind): 1, (way[0], kind): 1})
         if kind not in GOOD:
             last = ascii((ended.text.strip().splitlines() or [""])[-1][:200])
             print(f"{kind}: scripts/fuzz --case {name}\n    {damage}\n    {last}", flush=True)
@@ -89,37 +92,65 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return int(any(kind not in GOOD for _, kind in counts))
 
 
-def prepare(reader: str) -> None:
+def prepare(reader: str, sandbox: Sandbox) -> None:
     """Make the samples of a reader that are not there yet, and find what is in them, to compare with."""
     for number, sample in enumerate(READERS[reader].samples):
-        folder = FOLDER / "samples" / f"{reader}-{number}"
+        folder = _folder(reader, number)
         if folder.with_suffix(".found").exists():
             continue
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        ended = forked(lambda: _make(sample, folder), LOG)  # noqa: B023
-        if ended.code == 0:
-            _copy(folder)
-            ended = forked(lambda: _use(READERS[reader], sample, None, None), LOG)  # noqa: B023
-        if ended.code:
-            raise RuntimeError(f"{sample.argument} of {reader} cannot be made or read:\n{ended.text}")
+        for step in ("make", "use"):
+            ended = sandbox.run(f"{step}:{reader}:{number}")
+            if ended.code:
+                raise RuntimeError(f"{sample.argument} of {reader} cannot be made or read:\n{ended.text}")
         (WORK / OUT).rename(folder.with_suffix(".found"))
-        if sample.argument == "model.glb":  # loads the compiled loops, so that forked processes need not
-            mixseq.load(folder / sample.argument).sample()
 
 
-def run(name: str) -> tuple[Kind, str, Ended]:
+def run(name: str, sandbox: Sandbox) -> tuple[Kind, str, Ended]:
     """Make a case, ``SEED:READER:INDEX``, and use it; return its class, the damage, and how the process ended."""
-    reader_name = name.split(":")[1]
-    reader, rng = READERS[reader_name], random.Random(name)
-    number = rng.randrange(len(reader.samples))
-    folder = FOLDER / "samples" / f"{reader_name}-{number}"
-    _copy(folder)
-    ended = forked(lambda: _use(reader, reader.samples[number], rng, folder.with_suffix(".found")), LOG)
+    for file in (FOUND, DAMAGE):
+        file.unlink(missing_ok=True)
+    ended = sandbox.run(name)
     damage = DAMAGE.read_text() if DAMAGE.exists() else ""
     found: Any = FOUND.read_text() if FOUND.exists() else "nothing"
-    noticed = reader.has_checksums and f" {damage_bytes.__name__} " in damage
+    noticed = READERS[name.split(":")[1]].has_checksums and f" {damage_bytes.__name__} " in damage
     return classify(ended, found, noticed), damage, ended
+
+
+def _serve(name: str) -> int:
+    """Run ``make:READER:NUMBER`` or ``use:READER:NUMBER`` for a sample, or a case ``SEED:READER:INDEX``."""
+    step, reader_name, number = name.split(":")
+    reader = READERS[reader_name]
+    if step == "make":
+        return _make(reader.samples[int(number)], _folder(reader_name, int(number)))
+    rng = None if step == "use" else random.Random(name)
+    chosen = int(number) if rng is None else rng.randrange(len(reader.samples))
+    sample, folder = reader.samples[chosen], _folder(reader_name, chosen)
+    WORK.mkdir(exist_ok=True)  # it stays, as the folder of processes that read files
+    os.chdir(WORK)
+    for old in WORK.iterdir():
+        shutil.rmtree(old) if old.is_dir() else old.unlink()
+    shutil.copytree(folder, WORK, dirs_exist_ok=True)
+    if rng is None:
+        return reader.use(Path(sample.argument))
+    file = rng.choice(sorted(file for file in WORK.glob(sample.damaged) if file.is_file()))
+    DAMAGE.write_text(_damaged(reader, file, rng))
+    code = reader.use(Path(sample.argument))
+    if code == 0:
+        FOUND.write_text(compare(WORK / OUT, folder.with_suffix(".found")))
+    return code
+
+
+def _make(sample: Sample, folder: Path) -> int:
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MixseqWarning)
+        sample.make(folder)
+    return 0
+
+
+def _folder(reader: str, number: int) -> Path:
+    return FOLDER / "samples" / f"{reader}-{number}"
 
 
 def classify(ended: Ended, found: Found, noticed: bool) -> Kind:
@@ -147,7 +178,7 @@ def compare(out: Path, expected: Path) -> Found:
         return "nothing"
     if out.read_bytes()[:2] != b"PK":
         return "same" if out.read_bytes() == expected.read_bytes() else "differs"
-    ours, theirs = _arrays(out), _arrays(expected)
+    ours, theirs = _arrays(out), _arrays_of_sample(expected)
     if "points" in ours and not (ours["points"].size and np.isfinite(ours["points"]).all()):
         return "invalid"
     same = ours.keys() == theirs.keys() and all(
@@ -162,30 +193,7 @@ def _arrays(file: Path) -> dict[str, Any]:
         return {name: archive[name] for name in archive.files if "origin" not in name}
 
 
-def _make(sample: Sample, folder: Path) -> int:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", MixseqWarning)
-        sample.make(folder)
-    return 0
-
-
-def _copy(folder: Path) -> None:
-    shutil.rmtree(WORK, ignore_errors=True)
-    shutil.copytree(folder, WORK)
-    for file in (FOUND, DAMAGE):
-        file.unlink(missing_ok=True)
-
-
-def _use(reader: Reader, sample: Sample, rng: random.Random | None, expected: Path | None) -> int:
-    """Damage a file of a sample, unless there is no generator, use it, and store what was found."""
-    os.chdir(WORK)
-    if rng is not None:
-        file = rng.choice(sorted(file for file in WORK.glob(sample.damaged) if file.is_file()))
-        DAMAGE.write_text(_damaged(reader, file, rng))
-    code = reader.use(Path(sample.argument))
-    if code == 0 and expected is not None:
-        FOUND.write_text(compare(WORK / OUT, expected))
-    return code
+_arrays_of_sample = cache(_arrays)
 
 
 def _damaged(reader: Reader, file: Path, rng: random.Random) -> str:
@@ -202,22 +210,15 @@ def _damaged(reader: Reader, file: Path, rng: random.Random) -> str:
     return "nothing"
 
 
-def table(counts: Counter[tuple[str, Kind]]) -> str:
-    """Return a row for every reader, a column for every class."""
-    readers = [reader for reader in READERS if any(reader == each for each, _ in counts)]
-    lines = [f"| reader | cases | {' | '.join(KINDS)} |", "|---" + "|---:" * (len(KINDS) + 1) + "|"]
-    for title, members in [*((reader, [reader]) for reader in readers), ("all", readers)]:
-        row = [sum(counts[reader, kind] for reader in members) for kind in KINDS]
-        lines.append(f"| {title} | {sum(row)} | {' | '.join(map(str, row))} |")
+def table(counts: Counter[tuple[str, str]]) -> str:
+    """Return a row for every reader and every way of damage, a column for every class."""
+    ways = sorted({title for title, _ in counts if title not in READERS})
+    lines = [f"| reader, way | cases | {' | '.join(KINDS)} |", "|---" + "|---:" * (len(KINDS) + 1) + "|"]
+    for title, members in [*((each, [each]) for each in (*READERS, *ways)), ("all", ways)]:
+        row = [sum(counts[each, kind] for each in members) for kind in KINDS]
+        if any(row):
+            lines.append(f"| {title.strip() or 'none'} | {sum(row)} | {' | '.join(map(str, row))} |")
     return "\n".join(lines)
-
-
-def _import_readers() -> None:
-    """Import what reads files, so that forked processes need not."""
-    for package in (mixseq_io, mixseq):
-        for module in walk_packages(package.__path__, f"{package.__name__}."):
-            if not module.name.startswith(("mixseq.pictures", "mixseq.viewer", "mixseq.blender")):
-                import_module(module.name)
 
 
 if __name__ == "__main__":

@@ -85,3 +85,18 @@ def test_models_have_no_other_units(run: Run) -> None:
     Path("none.toml").write_text("")
     refused = run("edit", "model.h5", "out.h5", "--script", "none.toml", *CONVERTED)
     assert "--convert-axes is for sequences" in refused.stderr
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("cm", 0.01), ("in", 0.0254), ("0.25", 0.25)])
+def test_units_of_files_without_are_named(unit: str, metres: float, run: Run) -> None:
+    assert run("convert", "bar.npz", "bar_####.obj", "-q").exit_code == 0
+    assert run("convert", "bar_####.obj", "out.npz", "--units", unit, "-q").exit_code == 0
+    assert mixseq.read("out.npz").metres_per_unit == metres
+    np.testing.assert_allclose(mixseq.read("out.npz").points, mixseq.read("bar_####.obj").points)
+
+
+def test_unknown_units_are_refused_in_one_line(run: Run) -> None:
+    for option in ("--units", "--convert-units"):
+        result = run("convert", "bar.npz", "out.npz", option, "parsec")
+        assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+        assert "the unit is 'parsec'; one of mm, cm, m, " in result.stderr

@@ -173,3 +173,53 @@ def test_nothing_there(tmp_path: Path) -> None:
             read(tmp_path / name)
     with pytest.raises(FormatError, match="does not exist"):
         read(tmp_path / "a.ply")
+
+
+SQUARE_TEXT = {
+    "obj": "v 0 0 0\nv 1 0 0\nv 1 1 \\\n0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n",
+    "off": "OFF\n4 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n",
+    "ply": "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    "0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n",
+    "stl": "solid a\nfacet\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 1 1 0\nendloop\nendfacet\n"
+    "facet\nouter loop\nvertex 0 0 0\nvertex 1 1 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n",
+}
+
+
+@pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+@pytest.mark.parametrize("extension", SQUARE_TEXT)
+def test_byte_order_marks_and_line_ends(extension: str, encoding: str, line_end: str, tmp_path: Path) -> None:
+    file = tmp_path / f"square.{extension}"
+    file.write_bytes(SQUARE_TEXT[extension].replace("\n", line_end).encode(encoding))
+    square = read(file)
+    np.testing.assert_array_equal(square.points, [[[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]])
+    np.testing.assert_array_equal(square.faces, [[0, 1, 2], [0, 2, 3]])
+
+
+@pytest.mark.parametrize("extension", ["obj", "off", "ply", "stl", "gltf", "usda"])
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-be"])
+def test_other_encodings_are_named(extension: str, encoding: str, tmp_path: Path) -> None:
+    file = tmp_path / f"square.{extension}"
+    file.write_bytes(SQUARE_TEXT.get(extension, "{} #usda").encode(encoding))
+    with pytest.raises(
+        FormatError, match=rf"square\.{extension} .* its text is {encoding[:6].upper()}; save it as UTF-8"
+    ):
+        read(file)
+
+
+def test_byte_order_mark_of_a_usd_text_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.usda").write_bytes("#usda 1.0\n".encode("utf-8-sig"))
+    with pytest.raises(FormatError, match="begins with a byte order mark, which USD does not read"):
+        read(tmp_path / "a.usda")
+
+
+def test_a_binary_ply_after_a_header_with_other_line_ends(tmp_path: Path) -> None:
+    """The first byte of the rows is a line feed, which is no part of the header."""
+    header = SQUARE_TEXT["ply"].partition("0 0 0\n")[0].replace("ascii", "binary_little_endian")
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")
+    points[0, 0] = np.frombuffer(b"\n\n\n\n", "<f4")[0]
+    faces = b"".join(b"\3" + np.array(corners, "<i4").tobytes() for corners in ([0, 1, 2], [0, 2, 3]))
+    for line_end in ("\n", "\r\n", "\r"):
+        (tmp_path / "a.ply").write_bytes(header.replace("\n", line_end).encode() + points.tobytes() + faces)
+        np.testing.assert_array_equal(read(tmp_path / "a.ply").points, points[None])

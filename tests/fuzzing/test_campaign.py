@@ -1,10 +1,11 @@
-"""A fixed set of damaged files of every reader, each read in a process of its own; and classes of cases."""
+"""A fixed set of damaged files of every reader, each read under limits; and classes of cases."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from scripts.fuzzing.campaign import MAX_MEGABYTES, Found, Kind, classify, compare
-from scripts.fuzzing.sandbox import Ended
+from scripts.fuzzing.sandbox import Ended, Sandbox
 
 pytestmark = [
     pytest.mark.slow,
@@ -30,7 +31,7 @@ SCRIPT = f"""
 from scripts.fuzzing.campaign import main
 
 readers = [word for reader in {READERS} for word in ("--reader", reader)]
-assert main(["--seed", "7", "--cases", "9", *readers]) == 0
+assert main(["--seed", "7", "--cases", "1", *readers]) == 0
 for _ in range(2):
     main(["--case", "7:contacts:3"])
 """
@@ -101,3 +102,27 @@ def test_what_was_found_is_compared(tmp_path: Path) -> None:
     for other, found in ((points, "same"), (points * 2, "differs"), (points * np.nan, "invalid")):
         np.savez(out, points=other)
         assert compare(out, expected) == found
+
+
+def test_a_case_that_ends_the_process_is_told_and_the_next_ones_go_on(tmp_path: Path) -> None:
+    ends = {"well": lambda: 0, "refused": lambda: 2, "wrong": lambda: 1 // 0, "killed": lambda: os.kill(os.getpid(), 9)}
+    with closing(Sandbox(lambda case: print(case) or ends[case](), tmp_path / "log")) as sandbox:
+        found = {case: sandbox.run(case) for case in (*ends, "well")}
+    assert [ended.code for ended in found.values()] == [0, 2, 70, -9]
+    assert found["well"].text == "well\n"
+    assert "ZeroDivisionError" in found["wrong"].text
+    assert not any(ended.is_hung for ended in found.values())
+
+
+def test_memory_and_time_are_those_of_a_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scripts.fuzzing.sandbox.CPU_SECONDS", 1.0)
+
+    def spin_or_take(case: str) -> int:
+        while case == "spin":
+            pass
+        return len(np.ones((200 << 20) // 8)) * 0 if case == "take" else 0
+
+    with closing(Sandbox(spin_or_take, tmp_path / "log")) as sandbox:
+        assert sandbox.run("spin").is_hung
+        taken, rest = (sandbox.run(case).megabytes for case in ("take", "rest"))
+        assert rest < 100 < 190 < taken < 300

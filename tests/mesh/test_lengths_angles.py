@@ -13,6 +13,7 @@ from hypothesis.extra import numpy as arrays
 from mixseq.mesh import measures
 from mixseq.mesh.measures import (
     Diagonal,
+    bounding_box,
     corner_normals,
     degenerate_faces,
     dihedral_angles,
@@ -209,6 +210,13 @@ def test_digits_are_those_of_the_plain_formula() -> None:
         extent = points.max(axis=0) - points.min(axis=0)
         assert bounding_diagonal(points) == np.linalg.norm(extent)
         assert bounding_diagonal(points.astype(np.float32)) > 0
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 200])
+def test_boxes_of_any_number_of_points(count: int) -> None:
+    points = np.random.default_rng(count).normal(size=(count, 3))
+    for each in (points, points.astype(np.float32), points[::-1]):
+        np.testing.assert_array_equal(bounding_box(each), [each.min(axis=0), each.max(axis=0)])
 
 
 def test_places_do_not_matter() -> None:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import FormatError
-from mixseq.mesh.measures import corner_normals
+from mixseq.mesh.measures import bounding_box, corner_normals
 from mixseq.mesh.polygons import Polygons, describe_difference
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
@@ -300,7 +300,7 @@ def _compute_bounds(points: FloatArray) -> Any:
     """Return the bounding box of points ``(n, 3)``, or an empty box without points."""
     if not len(points):
         return imath.Box3d()
-    return imath.Box3d(*(imath.V3d(*map(float, end)) for end in (points.min(axis=0), points.max(axis=0))))
+    return imath.Box3d(*(imath.V3d(*map(float, end)) for end in bounding_box(points)))
 
 
 def bound_copy_size(original: Original, header: SequenceHeader, has_velocities: bool) -> int:

@@ -7,17 +7,19 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#appendi
 
 from __future__ import annotations
 
+import re
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from mixseq.errors import FormatError, SettingsError
+from mixseq.errors import FormatError, MixseqError, SettingsError
 from mixseq.rigging.rigs import slerp
 from mixseq.types import Float, FloatArray, Index, Single
-from mixseq_io.gltf.document import POINTER_EXTENSION, Document, Fields
+from mixseq_io.gltf.document import POINTER_EXTENSION, Document, Fields, load_document
 from mixseq_io.gltf.primitives import Weld, count_targets, read_deltas, read_influences
 from mixseq_io.gltf.scene import Pose, Scene
 from mixseq_io.reader import warn
@@ -114,6 +116,11 @@ class Channel:
         return len(at_keys) > 1 and bool((at_keys[1:] != at_keys[:-1]).any() or tangents.any())
 
     @property
+    def interpolations(self) -> set[str]:
+        """All interpolations of the channel's values."""
+        return {self.interpolation}
+
+    @property
     def is_linear_motion(self) -> bool:
         """Whether points moved by this channel alone move linearly in time between keys."""
         return self.interpolation == "LINEAR" and self.name in ("translation", "weights")
@@ -143,6 +150,36 @@ class Channel:
         if self.name == "rotation":
             return slerp(first, second, s)
         return (1 - s) * first + s * second
+
+
+@dataclass(frozen=True, eq=False)
+class SeparateWeights(Channel):
+    """Channel of all morph weights of a node, some of which have channels of their own."""
+
+    still: Float  # (k,), all weights without animation
+    tracks: Mapping[int, Channel]  # by number of the weight
+
+    @property
+    def is_animated(self) -> bool:
+        """Whether a weight changes over time."""
+        return any(each.is_animated for each in self.tracks.values())
+
+    @property
+    def interpolations(self) -> set[str]:
+        """Interpolations of all weights."""
+        return {each.interpolation for each in self.tracks.values()}
+
+    @property
+    def is_linear_motion(self) -> bool:
+        """Whether all weights change linearly between keys."""
+        return self.interpolations == {"LINEAR"}
+
+    def evaluate(self, times: Float) -> Float:
+        """Return all weights ``(B, k)`` at times ``(B,)`` in s; see `Channel.evaluate`."""
+        weights = np.tile(self.still, (len(times), 1))
+        for number, track in self.tracks.items():
+            weights[:, number] = track.evaluate(times)[:, 0]
+        return weights
 
 
 def hermite(a: Float, out_tangent: Float, b: Float, in_tangent: Float, s: Float) -> Float:
@@ -195,6 +232,25 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
     )
 
 
+def animation_choices(path: Path) -> dict[str, str]:
+    """Return a part of file names for every animation of a file, with the choice that selects it.
+
+    The part is empty for an animation that is the only one and has no name.
+    """
+    names = [each.text("name") for each in load_document(path).items("animations")]
+    if names == [""]:
+        return {"": "0"}
+    choices: dict[str, str] = {}
+    for index, name in enumerate(names):
+        tail = name.rpartition("|")[2]
+        is_unique = [other.rpartition("|")[2] for other in names].count(tail) == 1
+        label = re.sub(r"[^\w.-]+", "_", tail if is_unique else name).strip("._") or f"animation_{index}"
+        if label.casefold() in map(str.casefold, choices):
+            label = f"{label}_{index}"
+        choices[label] = name if name and names.count(name) == 1 else str(index)
+    return choices
+
+
 def _format_numbered(names: Sequence[str], first: int = 0) -> str:
     """Format the names from index `first` on with their indices for a message: "1 'Dance', 2 'Death'"."""
     return format_names([f"{index} {name!r}" for index, name in enumerate(names)][first:], str)
@@ -209,36 +265,81 @@ def read_extra_number(animation: Fields | None, name: str, above: float = -_MAX_
     return float(value) if above < value < _MAX_EXTRA_NUMBER else None
 
 
-def read_channels(document: Document, animation: Fields | None, nodes: Collection[int]) -> list[Channel]:
-    """Read the channels of an animation that target the given nodes."""
+def read_channels(
+    document: Document,
+    animation: Fields | None,
+    nodes: Collection[int],
+    errors: dict[int, MixseqError] | None = None,
+) -> list[Channel]:
+    """Read the channels of an animation that target the given nodes; add errors to `errors` by node, or raise them."""
     if animation is None:
         return []
     samplers = animation.objects("samplers")
     channels: dict[tuple[int, str], Channel] = {}
-    pointers, numbers = [], 0
+    tracks: defaultdict[int, dict[int, Channel]] = defaultdict(dict)
+    with_mesh = {index for index, each in enumerate(document.items("nodes")) if "mesh" in each}
+    missing, numbers = [], 0
     for fields in animation.objects("channels"):
         target = fields.object("target")
         node, name = target.index("node"), target.text("path")
-        if name == "pointer":
-            pointers.append(target.object("extensions").object(POINTER_EXTENSION).text("pointer"))
-        if node not in nodes or node is None or name not in (*_PROPERTY_WIDTHS, "weights"):
+        pointer = target.object("extensions").object(POINTER_EXTENSION).text("pointer")
+        name, _, weight = name.partition("/")
+        is_known = name in _PROPERTY_WIDTHS or (name == "weights" and node in with_mesh)
+        if node is None or not is_known or node >= len(document.items("nodes")):
+            missing.append(pointer or f"{fields.place} ({name})")
             continue
-        index = fields.integer("sampler")
-        if index >= len(samplers):
-            raise fields.error(f"has sampler {index} of {len(samplers)}; the file is damaged")
-        channel = _read_channel(document, node, name, samplers[index])
+        if node not in nodes:
+            continue
+        try:
+            channel = _read_channel(document, fields, node, name, samplers)
+        except MixseqError as error:
+            if errors is None:
+                raise
+            errors[node] = error
+            continue
         numbers += channel.times.size + channel.values.size
         document.check_effort(numbers, animation.place)
-        channels[node, name] = channel
-    if pointers:
+        if weight:
+            tracks[node][int(weight)] = channel
+        else:
+            channels[node, name] = channel
+    for node, own_tracks in tracks.items():
+        channels[node, "weights"] = _join_tracks(document, node, own_tracks)
+    if missing:
         warn(
-            f"{document.path}: {len(pointers)} channels of {POINTER_EXTENSION} are left out, as they animate no "
-            f"transform or weights of a node: {format_names(pointers)}"
+            f"{document.path}: {len(missing)} channels are left out, as they animate no transform or weights of a node "
+            f"of the file: {format_names(missing)}"
         )
     return list(channels.values())
 
 
-def _read_channel(document: Document, node: int, name: str, sampler: Fields) -> Channel:
+def _join_tracks(document: Document, node: int, tracks: Mapping[int, Channel]) -> SeparateWeights:
+    """Join the channels of single morph weights of a node."""
+    fields = document.item("nodes", node)
+    primitives = document.item("meshes", fields.integer("mesh")).objects("primitives")
+    count = max((len(each.objects("targets")) for each in primitives), default=0)
+    wrong = [number for number, track in tracks.items() if number >= count or track.values.shape[-1] != 1]
+    if wrong:
+        raise fields.error(f"has {count} morph targets, but weight {wrong[0]} is animated, or has several values")
+    times = merge_key_times(each.times for each in tracks.values())
+    is_stepped = all(each.interpolation == "STEP" for each in tracks.values())
+    still = _read_still_weights(document, fields, count)
+    joined = SeparateWeights(node, "weights", times, still, "STEP" if is_stepped else "LINEAR", still, tracks)
+    return replace(joined, values=joined.evaluate(times).astype(np.float32))
+
+
+def _read_still_weights(document: Document, node: Fields, count: int) -> Float:
+    """Return the morph weights ``(k,)`` of a node without animation."""
+    owner = node if "weights" in node else document.item("meshes", node.integer("mesh"))
+    weights = owner.numbers("weights", count) if count else None
+    return np.zeros(count) if weights is None else weights
+
+
+def _read_channel(document: Document, fields: Fields, node: int, name: str, samplers: Sequence[Fields]) -> Channel:
+    index = fields.integer("sampler")
+    if index >= len(samplers):
+        raise fields.error(f"has sampler {index} of {len(samplers)}; the file is damaged")
+    sampler = samplers[index]
     interpolation = sampler.text("interpolation", "LINEAR")
     if interpolation not in _INTERPOLATIONS:
         raise sampler.error(f"has the interpolation {interpolation[:40]!r}; one of {_INTERPOLATIONS} is expected")
@@ -362,18 +463,14 @@ def read_joint_nodes(document: Document, skin: Fields) -> list[int]:
 def read_mesh_node(document: Document, scene: Scene, node: int, weld: Weld) -> MeshNode:
     """Read a node with a welded mesh."""
     fields = scene.nodes[node]
-    mesh = document.item("meshes", fields.integer("mesh"))
     positions = np.concatenate([each.positions for each in weld.primitives]).astype(np.float64)
-    count = count_targets(weld.primitives)
-    owner = fields if "weights" in fields else mesh
-    weights = owner.numbers("weights", count) if "weights" in owner and count else None
     skin = fields.index("skin")
     return MeshNode(
         scene=scene,
         node=node,
         weld=weld,
         rest=positions[weld.representatives],
-        weights=np.zeros(count) if weights is None else weights,
+        weights=_read_still_weights(document, fields, count_targets(weld.primitives)),
         skin=None if skin is None else _read_skin(document, document.item("skins", skin), weld),
     )
 

@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import MissingExtraError, OutputError
+from mixseq.mesh.measures import bounding_box
 from mixseq.types import Single
 from mixseq.version import __version__
 from mixseq_io.files import atomic_file
@@ -109,7 +110,8 @@ class Layout:
 
 def compute_bounds(points: Single) -> Bounds:
     """Return the minimum and maximum of points ``(n, 3)``."""
-    return points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    low, high = bounding_box(points)
+    return low.tolist(), high.tolist()
 
 
 def append(document: Json, member: str, entry: Json) -> int:

@@ -13,8 +13,9 @@ import binascii
 import io
 import json
 import os
+import re
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite
@@ -26,9 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
+from mixseq.runtime.text_files import decode_text
 from mixseq.types import Float, Single
 from mixseq_io.files import LimitError, check_memory
 from mixseq_io.reader import translate_read_errors
+from mixseq_io.scene_meshes import format_names
 
 MALFORMED_JSON_ERRORS = (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError)
 """Exceptions raised by unchecked access to the JSON of damaged files, for `translate_read_errors`."""
@@ -40,14 +43,9 @@ INSTANCING_EXTENSION = "EXT_mesh_gpu_instancing"
 SEQUENCE_EXTENSION = "MIXSEQ_mesh_sequence"
 """Name of the extension that stores a mesh's frames as compressed streams (`mixseq_io.gltf.mesh_sequence`)."""
 
-_APPEARANCE_PREFIXES = (
-    "KHR_materials_",
-    "KHR_texture_",
-    "EXT_texture_",
-    "MSFT_texture_",
-    "KHR_lights_",
-    "EXT_lights_",
-)
+_APPEARANCE_PATTERN = re.compile(r"[A-Z]+_(materials|texture|lights|packing|xmp)")
+"""Beginning of the names of extensions that change neither meshes nor their motion."""
+
 _SUPPORTED_EXTENSIONS = (
     *MESHOPT_EXTENSIONS,
     DRACO_EXTENSION,
@@ -58,10 +56,7 @@ _SUPPORTED_EXTENSIONS = (
     "KHR_node_visibility",
     "KHR_node_selectability",
     "KHR_node_hoverability",
-    "KHR_xmp",
-    "KHR_xmp_json_ld",
 )
-
 
 _EXACT_INTEGER_END = 2**53  # all JSON readers represent smaller integers exactly
 _MAX_JSON_NUMBER = 1e300
@@ -411,19 +406,42 @@ def load_document(path: Path) -> Document:
         is_binary = data.read(0, 4) == b"glTF"
         text, chunk = read_glb_chunks(path, data) if is_binary else (data.read(0, data.size), None)
     with translate_read_errors(path, "glTF", ValueError, RecursionError):
-        parsed = json.loads(text.decode("utf-8-sig"))
+        parsed = json.loads(decode_text(path, text, "glTF"))
     if not isinstance(parsed, dict):
         raise FormatError(f"{path} is JSON, but not glTF")
     top = Fields(path, "", parsed)
     version = top.object("asset").text("version")
     if not version.startswith("2."):
         raise FormatError(f"{path} is glTF version {version or 'unknown'}; convert it to version 2")
-    for name in top.texts("extensionsRequired"):
-        if name not in _SUPPORTED_EXTENSIONS and not name.startswith(_APPEARANCE_PREFIXES):
-            raise FormatError(f"{path} requires the extension {name[:80]}, which is not supported; export without it")
+    if unknown := unknown_extensions(top.texts("extensionsRequired")):
+        raise FormatError(
+            f"{path} requires {format_names(unknown)}, extensions that are not supported; export without them"
+        )
     document = Document(path, parsed, chunk, data.size)
     document.items("nodes")  # this checks all lists
     return document
+
+
+def collect_extensions(document: Mapping[str, Any]) -> set[str]:
+    """Return the names of all extensions used in a document's JSON, declared or not."""
+    names: set[str] = set()
+    stack: list[Any] = [document]
+    while stack:
+        value = stack.pop()
+        if isinstance(value, dict):
+            extensions = value.get("extensions")
+            names |= set(extensions) if isinstance(extensions, dict) else set()
+            stack += value.values()
+        elif isinstance(value, list):
+            stack += value
+    return names
+
+
+def unknown_extensions(names: Iterable[str]) -> list[str]:
+    """Return the sorted names of extensions that are not read and may change meshes or their motion."""
+    return sorted(
+        name[:80] for name in names if name not in _SUPPORTED_EXTENSIONS and not _APPEARANCE_PATTERN.match(name)
+    )
 
 
 def element_layout(accessor: Fields) -> tuple[np.dtype[Any], int]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +17,7 @@ from mixseq.errors import FormatError
 from mixseq.sequence.header import SequenceHeader
 from mixseq_io.gltf.animation import Channel, find_transform_nodes, read_channels, read_extra_number
 from mixseq_io.gltf.codecs import Json, Layout, add_channels, append
-from mixseq_io.gltf.document import Document, Fields, read_uri
+from mixseq_io.gltf.document import Document, Fields, collect_extensions, read_uri
 from mixseq_io.gltf.scene import Scene
 from mixseq_io.originals import warn_of_unretimed_motion
 from mixseq_io.reader import warn
@@ -49,21 +48,6 @@ def prune(path: Path, document: Json) -> None:
             skin.pop("skeleton", None)  # may be wrong after nodes have moved
     for kind in _PRUNED_LISTS:
         _prune_list(document, kind)
-
-
-def collect_extensions(document: Json) -> set[str]:
-    """Return the names of all extensions used in a document, declared or not."""
-    names: set[str] = set()
-    stack: list[Any] = [document]
-    while stack:
-        value = stack.pop()
-        if isinstance(value, dict):
-            extensions = value.get("extensions")
-            names |= set(extensions) if isinstance(extensions, dict) else set()
-            stack += value.values()
-        elif isinstance(value, list):
-            stack += value
-    return names
 
 
 def _prune_list(document: Json, kind: str) -> None:

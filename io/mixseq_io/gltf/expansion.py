@@ -1,8 +1,8 @@
 """Rewrite extensions that move or multiply meshes as plain nodes and channels of glTF.
 
 Channels of ``KHR_animation_pointer`` to the transform or weights of a node become channels of this node, those to the
-weights of a mesh channels of all nodes that use them. Instances of ``EXT_mesh_gpu_instancing`` become child nodes
-"instance 0", "instance 1", ... with the mesh.
+weights of a mesh channels of all nodes that use them; the path of a single weight is "weights/2". Instances of
+``EXT_mesh_gpu_instancing`` become child nodes "instance 0", "instance 1", ... with the mesh.
 
 Specification: https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Khronos/KHR_animation_pointer,
 https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Vendor/EXT_mesh_gpu_instancing
@@ -16,21 +16,42 @@ from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
+from mixseq.errors import FormatError
 from mixseq_io.gltf.codecs import Json, append, decompress_document
-from mixseq_io.gltf.document import INSTANCING_EXTENSION, POINTER_EXTENSION, Document, Fields, load_document
+from mixseq_io.gltf.document import (
+    INSTANCING_EXTENSION,
+    POINTER_EXTENSION,
+    Document,
+    Fields,
+    collect_extensions,
+    load_document,
+    unknown_extensions,
+)
 from mixseq_io.reader import warn
+from mixseq_io.scene_meshes import format_names
 
-_POINTER_PATTERN = re.compile(r"/nodes/(\d{1,9})/(translation|rotation|scale|weights)|/meshes/(\d{1,9})/(weights)")
+_WEIGHTS_PATTERN = r"weights(?:/\d{1,9})?"
+_POINTER_PATTERN = re.compile(
+    rf"/nodes/(\d{{1,9}})/(translation|rotation|scale|{_WEIGHTS_PATTERN})|/meshes/(\d{{1,9}})/({_WEIGHTS_PATTERN})"
+)
 _INSTANCE_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}  # numbers of an instance by attribute
 
 
 def load_plain_document(path: Path) -> Document:
     """Read a .gltf or .glb file, without compression, pointers of animations to nodes, and instances."""
     document = decompress_document(load_document(path))
-    if not {POINTER_EXTENSION, INSTANCING_EXTENSION} & _used_extensions(document):
+    used = collect_extensions(document.json) | {*document.top.texts("extensionsUsed")}
+    if unknown := unknown_extensions(used):
+        warn(f"{path}: extensions that are not supported are ignored: {format_names(unknown)}")
+    if not {POINTER_EXTENSION, INSTANCING_EXTENSION} & used:
         return document
     plain = replace(document, json=deepcopy(document.json))
-    instances = {index: _add_instances(document, plain.json, index) for index in _instanced_nodes(document)}
+    instances = {}
+    for index in _instanced_nodes(document):
+        try:
+            instances[index] = _add_instances(document, plain.json, index)
+        except FormatError as error:
+            warn(f"{error}; its instances are left out")
     for animation, entry in zip(document.items("animations"), plain.json.get("animations", ()), strict=True):
         entry["channels"] = [
             {**channel.values, "target": target}
@@ -44,17 +65,6 @@ def load_plain_document(path: Path) -> Document:
     return plain
 
 
-def _used_extensions(document: Document) -> set[str]:
-    """Return the declared extensions, and those that nodes and channels have."""
-    owners = document.items("nodes") + [
-        channel.object("target") for each in document.items("animations") for channel in each.objects("channels")
-    ]
-    return {
-        *document.top.texts("extensionsUsed"),
-        *(name for each in owners for name in each.object("extensions").values),
-    }
-
-
 def _resolve(document: Document, target: Fields, instances: Mapping[int, Sequence[int]]) -> list[Json]:
     """Return the targets of a channel at nodes and at instances; the target itself if it points elsewhere."""
     node, name, nodes = target.index("node"), target.text("path"), list[int]()
@@ -63,13 +73,13 @@ def _resolve(document: Document, target: Fields, instances: Mapping[int, Sequenc
     if found and found[3]:
         name, users = found[4], enumerate(document.items("nodes"))
         nodes = [index for index, user in users if user.index("mesh") == int(found[3]) and "weights" not in user]
-    elif found:
+    elif found and int(found[1]) < len(document.items("nodes")):
         name, nodes = found[2], [int(found[1])]
     elif node is not None:
         nodes = [node]
     if not nodes:
         return [dict(target.values)]
-    if name == "weights":
+    if name.startswith("weights"):
         nodes = [each for index in nodes for each in instances.get(index, [index])]
     return [{"node": each, "path": name} for each in nodes]
 
@@ -91,7 +101,8 @@ def _add_instances(document: Document, plain: Json, index: int) -> list[int]:
     attributes = extension.object("attributes")
     stored = [name for name in _INSTANCE_WIDTHS if name.upper() in attributes]
     values = {name: document.accessor(attributes.integer(name.upper())) for name in stored}
-    counts = {len(each) for each in values.values()}
+    accessors = (document.item("accessors", attributes.integer(name)) for name in attributes.values)
+    counts = {accessor.integer("count") for accessor in accessors}
     if len(counts) != 1 or any(each.shape[1:] != (_INSTANCE_WIDTHS[name],) for name, each in values.items()):
         raise extension.error("has attributes of different counts or types; the file is damaged")
     (count,) = counts

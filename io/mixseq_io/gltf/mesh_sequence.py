@@ -47,11 +47,12 @@ from mixseq_io.gltf.document import (
     SEQUENCE_EXTENSION,
     Document,
     Fields,
+    collect_extensions,
     load_document,
     open_data,
     read_glb_chunks,
 )
-from mixseq_io.gltf.edits import collect_extensions, embed_image, iterate_references
+from mixseq_io.gltf.edits import embed_image, iterate_references
 from mixseq_io.gltf.new_document import (
     SplitPrimitive,
     add_material,

@@ -27,6 +27,7 @@ Specification: https://paulbourke.net/dataformats/obj/
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -40,6 +41,7 @@ from mixseq.errors import FormatError
 from mixseq.mesh.measures import corner_normals, hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, FaceSet, MeshObject, Surface
+from mixseq.runtime.text_files import strip_byte_order_mark
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.numbered.files import (
@@ -131,6 +133,7 @@ _EXPECTED_VALUES = {
     b"vt": "a texture coordinate; one or two numbers are expected",
 }
 _FACE_KEYWORDS = (b"f", b"fo")
+_CONTINUATION_PATTERN = re.compile(rb"\\[ \t]*(\r\n|\r|\n)")
 _IGNORED_KEYWORDS = frozenset(
     b"vp cstype deg bmat step p l curv curv2 surf parm trim hole scrv sp end con s mg bevel c_interp d_interp lod "
     b"mtllib shadow_obj trace_obj ctech stech usemap maplib call csh res bsp bzp cdc cdp".split()
@@ -190,7 +193,8 @@ class _Lines:
 def _read_lines(file: Path, data: bytes, first: MeshFile | None) -> _Lines:
     """Sort the lines of a first frame by kind; for later frames, collect only vertices and faces."""
     is_first, has_colours = first is None, first is None or not first.has_changing_colours
-    lines = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
+    text = strip_byte_order_mark(file, data, "an OBJ file")
+    lines = _CONTINUATION_PATTERN.sub(b" ", text).splitlines() if b"\\" in text else text.splitlines()
     if lines and lines[0].startswith(PRECISION_COMMENT) and lines[-1] != END_COMMENT:
         raise FormatError(f"{file} ends in the middle; it is truncated, write it again")
     result = _Lines()

@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, Surface
+from mixseq.runtime.text_files import strip_byte_order_mark
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.numbered.files import Encoder, FrameFormat, MeshFile
@@ -72,7 +73,8 @@ class Element:
 def read_header(data: bytes) -> tuple[str, Sequence[Element], int]:
     """Return the byte order in a header ("" for text), its elements, and the byte offset of the first row."""
     end = data.find(b"end_header", 0, _MAX_HEADER_BYTES)
-    start = data.find(b"\n", end) + 1
+    line_end = b"\n" if b"\n" in data[:end] else b"\r"
+    start = data.find(line_end, end) + 1
     if not data.startswith(b"ply") or end < 0 or start == 0:
         raise DamageError("it has no header from ply to end_header")
     order: str | None = None
@@ -261,6 +263,7 @@ _TYPE_NAMES = {"f4": "float", "f8": "double", "u1": "uchar"}
 
 def parse_ply(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
     """Parse a PLY file; faces stored in the same bytes as in `first` are reused."""
+    data = strip_byte_order_mark(file, data, "a PLY file")
     elements, stored_faces = read_elements(data, None if first is None else first.stored_faces)
     points = _stack_columns(elements.get("vertex", {}), "x", "y", "z")
     if points is None:

@@ -28,6 +28,7 @@ from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.mesh.measures import vector_areas
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, Surface
+from mixseq.runtime.text_files import strip_byte_order_mark
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import FloatArray, IntArray
 from mixseq_io.numbered.files import (
@@ -57,6 +58,7 @@ def parse_off(file: Path, data: bytes, first: MeshFile | None) -> MeshFile:
     """Parse an OFF file."""
     from trimesh.exchange.off import load_off
 
+    data = strip_byte_order_mark(file, data, "an OFF file")
     lines = [content for line in data.splitlines() if (content := line.partition(b"#")[0].strip())]
     vertex_lines = _vertex_lines(file, lines)
     text = b"\n".join(lines).decode("ascii")
@@ -184,8 +186,11 @@ def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
 
 def _split(corners: FloatArray, vertices: IntArray, first_corners: IntArray) -> tuple[IntArray, IntArray]:
     """Split vertices ``(3 F,)`` of other frames, with first corners ``(V,)``, where corners ``(3 F, 3)`` are apart."""
+    at_vertices = corners[first_corners][vertices]
+    if np.array_equal(at_vertices, corners):
+        return vertices, first_corners
     tolerance = _weld_tolerance(corners)
-    is_near = (np.abs(corners - corners[first_corners][vertices]) <= tolerance).all(axis=1)
+    is_near = (np.abs(corners - at_vertices) <= tolerance).all(axis=1)
     if is_near.all():
         return vertices, first_corners
     clusters = np.array(first_corners)[vertices]
@@ -233,6 +238,7 @@ def _read_corners(file: Path, data: bytes) -> FloatArray:
     if len(data) >= start and len(data) == start + count * _TRIANGLE_DTYPE.itemsize:
         triangles = np.frombuffer(data, _TRIANGLE_DTYPE, count, start)
         return np.ascontiguousarray(triangles["corners"].reshape(-1, 3), dtype=np.float32)
+    data = strip_byte_order_mark(file, data, "an STL file")
     if data.lstrip()[:5].lower() == b"solid":
         return _parse_text(file, data)
     raise FormatError(

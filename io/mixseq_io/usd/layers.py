@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from pxr import Ar, Gf, Sdf, Usd, UsdUtils, Vt
 
 from mixseq.errors import OutputError
-from mixseq.mesh.measures import corner_normals
+from mixseq.mesh.measures import bounding_box, corner_normals
 from mixseq.types import Float, FloatArray, IntArray
 from mixseq_io.files import backup_path, raise_system_error, temporary_prefix
 from mixseq_io.reader import FrameBlock, as_float32, warn
@@ -146,7 +146,9 @@ def _attribute_values(
 ) -> Iterator[tuple[str, Any]]:
     spaces = [mesh.space(time) for mesh in prims.meshes]
     to_local = [space.to_local for space in spaces]
-    local = as_float32(_transform(points, prims, to_local, 1.0)[None], frame, "USD")[0]
+    local = _transform(points, prims, to_local, 1.0)
+    if local.dtype != np.float32:
+        local = as_float32(local[None], frame, "USD")[0]
     if points.dtype != np.float32:
         rounding.measure(frame, points, _transform(local, prims, [space.to_world for space in spaces], 1.0))
     for mesh, space in zip(prims.meshes, spaces, strict=True):
@@ -192,7 +194,7 @@ def _compute_normals(
 def _box_corners(extent: SampledExtent, points: FloatArray, time: float) -> FloatArray:
     """Return the corners ``(n, 3)`` of the boxes around all contents of a SkelRoot, in its local space."""
     vertices = [points[scene_mesh.vertices] for scene_mesh in extent.scene_meshes if scene_mesh.vertex_count]
-    boxes = [zip(each.min(axis=0), each.max(axis=0), strict=True) for each in vertices]
+    boxes = [zip(*bounding_box(each), strict=True) for each in vertices]
     corners = np.array([corner for box in boxes for corner in product(*box)], dtype=np.float64).reshape(-1, 3)
     to_local = extent.space(time).to_local
     return np.concatenate([corners @ to_local[:3, :3] + to_local[3, :3], extent.other_corners(time)])
@@ -202,7 +204,7 @@ def compute_extent(points: FloatArray) -> Any:
     """Return the bounding box of points ``(n, 3)`` as a USD extent."""
     if not len(points):
         return Vt.Vec3fArray([Gf.Range3f().GetMin(), Gf.Range3f().GetMax()])  # USD's empty box
-    return Vt.Vec3fArrayFromBuffer(np.stack([points.min(axis=0), points.max(axis=0)]).astype(np.float32))
+    return Vt.Vec3fArrayFromBuffer(np.stack(bounding_box(points)).astype(np.float32))
 
 
 _BYTES_BETWEEN_SAVES = 64 << 20

@@ -369,27 +369,34 @@ class AnimatedMesh(MeshMotion):
             determinant *= self.skin.query.GetGeomBindTransform(Usd.TimeCode(self.start)).GetDeterminant3()
         return determinant < 0
 
-    def points(self, code: float, pose: Pose | None) -> FloatArray:
-        """Return the vertices ``(V, 3)`` in world space at a time code, given the skeleton's pose."""
-        path = self.mesh.GetPath()
-        is_first = code == self.start
-        value = self._first_points if is_first else self.mesh.GetPointsAttr().Get(Usd.TimeCode(code))
+    def read_points(self, code: float) -> Any:
+        """Return the points ``(P, 3)`` in mesh space before skinning; arrays of .usdc files are read when accessed."""
+        value = self._first_points if code == self.start else self.mesh.GetPointsAttr().Get(Usd.TimeCode(code))
         if value is None:
-            raise InvalidSequenceError(f"{path} has no points")
+            raise InvalidSequenceError(f"{self.mesh.GetPath()} has no points")
         if len(value) != self.point_count:
             raise InvalidSequenceError(
-                f"{path} has {len(value)} points, the first frame {self.point_count}; every frame needs the same "
-                "vertices in the same order"
+                f"{self.mesh.GetPath()} has {len(value)} points, the first frame {self.point_count}; every frame needs "
+                "the same vertices in the same order"
             )
+        return value
+
+    def points(self, code: float, pose: Pose | None) -> FloatArray:
+        """Return the vertices ``(V, 3)`` in world space at a time code, given the skeleton's pose."""
+        value = self.read_points(code)
         if self.skin and pose:
             value = self.skin.deform(value, pose, code)
+        return _transform_vectors(value, self.to_world(code), 1.0)[self.weld.point_of_vertex]
+
+    def to_world(self, code: float) -> Gf.Matrix4d:
+        """Return the transform of the points to the world, which may not mirror some frames only."""
         matrix = self.transform.at(code)
         if matrix.GetDeterminant3() * self._first_determinant < 0:
             raise InvalidSequenceError(
-                f"the transform of {path} mirrors it relative to earlier frames, which turns its faces inside "
-                "out; give the animated scale one sign"
+                f"the transform of {self.mesh.GetPath()} mirrors it relative to earlier frames, which turns its faces "
+                "inside out; give the animated scale one sign"
             )
-        return _transform_vectors(value, matrix, 1.0)[self.weld.point_of_vertex]
+        return matrix
 
     def velocities(self, code: float) -> FloatArray:
         """Return the velocities ``(V, 3)`` in world space, in units per second."""

@@ -21,7 +21,7 @@ from scipy.sparse import csr_array
 from mixseq.errors import FormatError, InvalidSequenceError, NoMeshError
 from mixseq.mesh.surface import FaceSet, Origin
 from mixseq.sequence.frame_rates import estimate_frame_rate, format_frame, is_on_frames, snap_rate
-from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.header import FileKeys, SequenceHeader
 from mixseq.types import Float, FloatArray
 from mixseq_io.reader import AnimationReader, SequenceReader, prefix_errors, warn
 from mixseq_io.scene_meshes import (
@@ -30,6 +30,7 @@ from mixseq_io.scene_meshes import (
     SceneMesh,
     check_finite,
     common_name,
+    find_keys,
     insert_times,
     join_meshes,
     merge_times,
@@ -178,19 +179,36 @@ def _read_meshes(
 
     def prepare(chosen: list[int]) -> Callable[[int], tuple[AnimatedMesh, SceneMesh]]:
         codes = _frame_codes(path, stage, [motions[index] for index in chosen])
-        return lambda index: _read_mesh(AnimatedMesh(motions[index].mesh, motions[index].skin, codes), rate, warnings)
+        checked = codes if len(chosen) > 1 else codes[:1]  # a single mesh is refused when its frame is read
+
+        def read(index: int) -> tuple[AnimatedMesh, SceneMesh]:
+            animated = AnimatedMesh(motions[index].mesh, motions[index].skin, codes)
+            return _read_mesh(animated, rate, checked, warnings)
+
+        return read
 
     animated_meshes, scene_meshes = zip(*read_valid_meshes(path, objects, is_moving, prepare), strict=True)
     return animated_meshes, scene_meshes
 
 
-def _read_mesh(animated: AnimatedMesh, rate: float, warnings: PrimWarnings) -> tuple[AnimatedMesh, SceneMesh]:
-    """Return a mesh with its surface; raise an error if its points in the first frame cannot be computed."""
+def _read_mesh(
+    animated: AnimatedMesh, rate: float, checked: Float, warnings: PrimWarnings
+) -> tuple[AnimatedMesh, SceneMesh]:
+    """Return a mesh with its surface; check its first frame, and the number of points at time codes ``(n,)``.
+
+    Points in clips are not checked, as their files would all be opened.
+    """
     scene_mesh, skin = read_scene_mesh(animated, warnings), animated.skin
     frame_name = _describe_frame(animated.start, rate, rate)
+    points = animated.mesh.GetPointsAttr()
+    if points.GetResolveInfo(Usd.TimeCode(animated.start)).GetSource() != Usd.ResolveInfoSourceValueClips:
+        for code in checked.tolist():
+            with prefix_errors(_describe_frame(code, rate, rate)):
+                animated.read_points(code)
+                animated.to_world(code)
     with prefix_errors(frame_name):
-        points = animated.points(animated.start, skin.skeleton.pose(animated.start) if skin else None)
-    check_finite(points, frame_name)
+        first_points = animated.points(animated.start, skin.skeleton.pose(animated.start) if skin else None)
+    check_finite(first_points, frame_name)
     return animated, scene_mesh
 
 
@@ -213,7 +231,18 @@ def _header(
         metres_per_unit=UsdGeom.GetStageMetersPerUnit(stage),
         name=common_name(scene_objects_of([mesh.mesh for mesh in meshes])) or path.stem,
         surface=surface,
+        keys=_find_keys(stage, meshes, rate),
     )
+
+
+def _find_keys(stage: Usd.Stage, meshes: Sequence[AnimatedMesh], rate: float) -> FileKeys | None:
+    """Return the frames that are keys of transforms, joints and blend shapes, which USD interpolates linearly."""
+    if any(is_animated(mesh.mesh.GetPointsAttr()) for mesh in meshes):
+        return None
+    code_rate = stage.GetTimeCodesPerSecond()
+    samples = dict.fromkeys(tuple(each.GetTimeSamples()) for mesh in meshes for each in mesh.animated_attributes)
+    keys = merge_times((np.array(each) / code_rate for each in samples), TIME_TOLERANCE)
+    return find_keys(keys, meshes[0].codes / code_rate, rate, is_held=False)
 
 
 _MAX_CODE_RATE = 240.0

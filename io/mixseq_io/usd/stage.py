@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Pcp, Sdf, Tf, Usd, UsdGeom, UsdUtils
 
 from mixseq.errors import FormatError, MissingFileError, MixseqError, NoMeshError, OutputError
+from mixseq.runtime.text_files import strip_byte_order_mark
 from mixseq.sequence.header import UP_AXES
 from mixseq_io.files import out_of_memory_error, raise_system_error
 from mixseq_io.reader import check_regular_file, warn
@@ -207,6 +208,10 @@ def open_stage(path: Path) -> Usd.Stage:
     """Open a USD file in its current state on disk, with all payloads."""
     if not path.is_file():
         raise MissingFileError(f"{path} does not exist")
+    with path.open("rb") as file:
+        start = file.read(4)
+    if strip_byte_order_mark(path, start, "USD") != start:
+        raise FormatError(f"{path} begins with a byte order mark, which USD does not read; save it as UTF-8 without it")
     # USD shares layers within a process by identifier, with unsaved edits and outdated contents. A unique argument
     # makes this layer's identifier unique.
     layer = Sdf.Layer.FindOrOpen(absolute_path(path), {"mixseq": token_hex(8)})

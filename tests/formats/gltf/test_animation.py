@@ -146,7 +146,7 @@ def test_too_many_frames(made: Callable[..., MeshSequence]) -> None:
 def test_animation_pointers_are_warned_about(made: Callable[..., MeshSequence]) -> None:
     maker = moving()
     maker.json["animations"][0]["channels"].append({"sampler": 0, "target": pointer("/cameras/0/zfar")})
-    with pytest.warns(MixseqWarning, match="1 channels of KHR_animation_pointer are left out.*'/cameras/0/zfar'"):
+    with pytest.warns(MixseqWarning, match="1 channels are left out.*'/cameras/0/zfar'"):
         made(maker)
 
 
@@ -172,11 +172,67 @@ def test_pointers_at_morph_weights_are_channels(
     assert made(maker).points[:, :, 2].tolist() == [[0, 0, 0], [1, 1, 1]]
 
 
+@pytest.mark.parametrize("owner", ["nodes", "meshes"])
+def test_pointers_at_single_weights_are_channels(made: Callable[..., MeshSequence], owner: str) -> None:
+    """The first weight grows in a straight line to .5 in 2 s, the second jumps from .25 to .75 at 1 s."""
+    maker = morphing()
+    maker.json["meshes"][0]["weights"] = [0.125, 0.25]
+    maker.animate(0, "weights", [0, 2], [0, 0.5])
+    maker.animate(0, "weights", [0, 1], [0.25, 0.75], "STEP")
+    for number, channel in enumerate(maker.json["animations"][0]["channels"]):
+        channel["target"] = pointer(f"/{owner}/0/weights/{number}")
+    got = made(maker, fps=1)
+    np.testing.assert_allclose(got.times, [0, 1, 2])
+    np.testing.assert_allclose(got.points[:, 1], [[1 + 4 * w, 0, z] for w, z in ((0.25, 0), (0.75, 0.25), (0.75, 0.5))])
+    del maker.json["animations"][0]["channels"][0]  # the first weight stays at .125
+    np.testing.assert_allclose(made(maker, fps=1).points[:, 1], [[2, 0, 0.125], [4, 0, 0.125]])
+
+
+def test_single_weights_of_instances_over_an_original(tmp_path: Path) -> None:
+    """The animation of a mesh beside the sequence is written as channels of all its weights."""
+    maker = morphing()
+    maker.animate(0, "weights", [0, 1], [0, 1])
+    maker.json["animations"][0]["channels"][0]["target"] = pointer("/nodes/0/weights/1")
+    other = maker.node("other", mesh=0, translation=[0, 5, 0])
+    maker.animate(other, "translation", [0, 1], [[0, 5, 0], [0, 6, 0]])
+    original = maker.glb(tmp_path / "original.glb")
+    moved = read(original, prim="other")
+    write(tmp_path / "copy.glb", moved)
+    np.testing.assert_allclose(read(tmp_path / "copy.glb", prim="face").points[:, 1], [[1, 0, 0], [5, 0, 0]])
+    np.testing.assert_allclose(read(tmp_path / "copy.glb", prim="other").points, moved.points)
+
+
+def test_a_pointer_at_a_weight_without_target_is_refused(made: Callable[..., MeshSequence]) -> None:
+    maker = morphing()
+    maker.animate(0, "weights", [0, 1], [0, 1])
+    maker.json["animations"][0]["channels"][0]["target"] = pointer("/nodes/0/weights/2")
+    with pytest.raises(FormatError, match=r"nodes\[0\] has 2 morph targets, but weight 2 is animated"):
+        made(maker)
+
+
+@pytest.mark.parametrize(
+    ("target", "place"),
+    [
+        ({"node": 7, "path": "translation"}, r"animations\[0\].channels\[1\] \(translation\)"),
+        ({"path": "translation"}, r"animations\[0\].channels\[1\] \(translation\)"),
+        ({"node": 0, "path": "colour"}, r"animations\[0\].channels\[1\] \(colour\)"),
+        (pointer("/nodes/7/translation"), "/nodes/7/translation"),
+    ],
+)
+def test_channels_of_no_node_are_named(
+    made: Callable[..., MeshSequence], target: dict[str, object], place: str
+) -> None:
+    maker = moving()
+    maker.json["animations"][0]["channels"].append({"sampler": 0, "target": target})
+    with pytest.warns(MixseqWarning, match=f"1 channels are left out.*'{place}'"):
+        assert made(maker).points[1, 0].tolist() == [2, 0, 0]
+
+
 def test_weights_of_a_mesh_that_no_node_uses_are_named(made: Callable[..., MeshSequence]) -> None:
     maker = morphing(weights=[0, 0])
     maker.animate(0, "weights", [0, 1], [[0, 0], [1, 0]])
     maker.json["animations"][0]["channels"][0]["target"] = pointer("/meshes/0/weights")
-    with pytest.warns(MixseqWarning, match="1 channels of KHR_animation_pointer are left out.*'/meshes/0/weights'"):
+    with pytest.warns(MixseqWarning, match="1 channels are left out.*'/meshes/0/weights'"):
         made(maker)
 
 
@@ -195,6 +251,20 @@ def test_instances_are_meshes_below_their_node(made: Callable[..., MeshSequence]
     first = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 0, 0], [5, 1, 0], [4, 0, 0], [10, 0, 0], [13, 0, 0], [10, 3, 0]]
     expected = np.array(first, np.float64) + np.array([[[0, 0, 0]], [[0, 0, 4]]])
     np.testing.assert_allclose(got.points, expected, rtol=0, atol=1e-6)
+
+
+def test_instances_with_attributes_of_their_own_alone(made: Callable[..., MeshSequence]) -> None:
+    maker = moving()
+    maker.json["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {"_ID": maker.add([3.0, 4.0])}}}
+    assert made(maker).points[1, ::3].tolist() == [[2, 0, 0], [2, 0, 0]]
+
+
+def test_damaged_instances_are_left_out(made: Callable[..., MeshSequence]) -> None:
+    maker = moving()
+    attributes = {"TRANSLATION": maker.add([[0, 0, 0], [5, 0, 0]]), "SCALE": maker.add([[1, 1, 1]])}
+    maker.json["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    with pytest.warns(MixseqWarning, match=r"nodes\[0\].* different counts or types.*its instances are left out"):
+        assert made(maker).points[1].tolist() == [[2, 0, 0], [3, 0, 0], [2, 1, 0]]
 
 
 def test_instances_and_pointers_are_written_over_their_original(tmp_path: Path) -> None:

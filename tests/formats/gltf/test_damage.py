@@ -67,11 +67,27 @@ def test_buffers_that_are_not_there(tmp_path: Path, uri: str, message: str) -> N
         load(moving().gltf(tmp_path / "file.gltf", uri))
 
 
-@pytest.mark.parametrize(("name", "message"), [("ACME_teapots", "requires the extension ACME_teapots")])
-def test_extensions_that_are_not_read(made: Callable[..., MeshSequence], name: str, message: str) -> None:
+OWNERS: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+    "node": lambda it: it["nodes"][0],
+    "mesh": lambda it: it["meshes"][0],
+    "primitive": lambda it: it["meshes"][0]["primitives"][0],
+    "accessor": lambda it: it["accessors"][0],
+    "material": lambda it: it.setdefault("materials", [{}])[0],
+    "channel": lambda it: it["animations"][0]["channels"][0],
+    "document": lambda it: it,
+}
+
+
+@pytest.mark.parametrize("owner", OWNERS)
+def test_unknown_extensions_are_named(made: Callable[..., MeshSequence], owner: str) -> None:
+    """They are ignored where they are used, declared or not, and refused where they are required."""
     maker = moving()
-    maker.json["extensionsRequired"] = [name]
-    with pytest.raises(FormatError, match=message):
+    OWNERS[owner](maker.json)["extensions"] = {"ACME_teapots": {"spouts": 2}, "ACME_materials_clay": {}}
+    maker.json["extensionsUsed"] = ["ACME_cups"]
+    with pytest.warns(MixseqWarning, match="not supported are ignored: 'ACME_cups', 'ACME_teapots'$"):
+        assert made(maker).frame_count == 2
+    maker.json["extensionsRequired"] = ["KHR_mesh_quantization", "ACME_teapots", "ACME_cups"]
+    with pytest.raises(FormatError, match="requires 'ACME_cups', 'ACME_teapots', extensions that are not supported"):
         made(maker)
 
 
@@ -372,3 +388,29 @@ def test_the_texture_of_the_base_colour_decides(tmp_path: Path) -> None:
 def test_damage(transform: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="is missing or damaged"):
         load(textured(base({}, **transform)).glb(tmp_path / "bad.glb"))
+
+
+SECOND_MESH_DAMAGES: dict[str, Callable[[dict[str, Any]], object]] = {
+    "no such mesh": lambda it: it["nodes"][1].update(mesh=9),
+    "no such sampler": lambda it: it["animations"][0]["channels"][1].update(sampler=9),
+    "no such interpolation": lambda it: it["animations"][0]["samplers"][1].update(interpolation="QUADRATIC"),
+    "no such accessor": lambda it: it["animations"][0]["samplers"][1].update(output=99),
+    "channel of another width": lambda it: it["animations"][0]["channels"][1]["target"].update(path="rotation"),
+    "channel of the parent": lambda it: it["animations"][0]["channels"][2].update(sampler=9),
+    "no such vertex": lambda it: it["meshes"][1]["primitives"][0].update(indices=0),
+}
+
+
+@pytest.mark.parametrize("damage", SECOND_MESH_DAMAGES)
+def test_one_damaged_mesh_is_left_out(made: Callable[..., MeshSequence], damage: str) -> None:
+    """Damage to the mesh, or to an animation that moves it or its parent, leaves all other meshes as they are."""
+    maker = moving()
+    second = maker.node("second", mesh=maker.mesh(TRIANGLE, [0, 1, 2]))
+    parent = maker.node("parent", children=[second])
+    for node in (second, parent):
+        maker.animate(node, "translation", [0, 1], [[0, 0, 0], [0, 0, 5]])
+    assert made(maker).vertex_count == 6
+    SECOND_MESH_DAMAGES[damage](maker.json)
+    with pytest.warns(MixseqWarning, match="cannot be read are left out: parent/second"):
+        got = made(maker)
+    np.testing.assert_array_equal(got.points, made(moving()).points)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom
 
-from mixseq.errors import MixseqWarning, NoMeshError
+from mixseq.errors import InvalidSequenceError, MixseqWarning, NoMeshError
 from tests.formats.usd.stage_maker import INDICES, raised, read
 
 KEYS = ("metersPerUnit", "timeCodesPerSecond", "framesPerSecond", "startTimeCode", "endTimeCode")
@@ -160,3 +160,57 @@ def test_frame_rate(
     assert got.fps == fps
     np.testing.assert_allclose(got.times * fps, numbers, atol=2e-6)
     np.testing.assert_array_equal(got.points, [raised(code) for code in codes])
+
+
+GOOD = """
+def Mesh "good" {
+    point3f[] points.timeSamples = {0: [(0,0,0), (1,0,0), (0,1,0)], 1: [(0,0,1), (1,0,1), (0,1,1)]}
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+}"""
+BAD = {
+    "points that are added": (
+        "point3f[] points.timeSamples = {0: [(0,0,0), (1,0,0), (0,1,0)], 1: [(0,0,0), (1,0,0), (0,1,0), (1,1,0)]}",
+        r"frame 1 \(time code 1\): /bad has 4 points, the first frame 3",
+    ),
+    "points that vanish": (
+        "point3f[] points.timeSamples = {0: [(0,0,0), (1,0,0), (0,1,0)], 1: []}",
+        r"frame 1 \(time code 1\): /bad has 0 points",
+    ),
+    "blocked points": (
+        "point3f[] points.timeSamples = {0: [(0,0,0), (1,0,0), (0,1,0)], 1: None}",
+        r"frame 1 \(time code 1\): /bad has no points",
+    ),
+    "a transform that mirrors": (
+        "point3f[] points = [(0,0,0), (1,0,0), (0,1,0)]\nuniform token[] xformOpOrder = ['xformOp:scale']\n"
+        "double3 xformOp:scale.timeSamples = {0: (1,1,1), 1: (-1,1,1)}",
+        r"frame 1 \(time code 1\): the transform of /bad mirrors it",
+    ),
+}
+
+
+@pytest.mark.parametrize(("points", "problem"), BAD.values(), ids=BAD)
+def test_meshes_whose_later_frames_cannot_be_read_are_left_out(tmp_path: Path, points: str, problem: str) -> None:
+    """If there is no other mesh, the file is refused; the frame is named."""
+    bad = f"""
+def Mesh "bad" {{
+    {points}
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+}}"""
+    path = tmp_path / "two.usda"
+    path.write_text(f"#usda 1.0\n{bad}{GOOD}")
+    with pytest.warns(MixseqWarning, match=f"cannot be read are left out: {problem}"):
+        got = read(path)
+    assert [each.name for each in got.objects] == ["good"]
+    assert got.points[:, 0].tolist() == [[0, 0, 0], [0, 0, 1]]
+    path.write_text(f"#usda 1.0\n{bad}")
+    with pytest.raises(InvalidSequenceError, match=problem):
+        read(path)
+
+
+def test_a_vertex_that_is_not_finite_is_named_with_its_mesh(tmp_path: Path) -> None:
+    path = tmp_path / "two.usda"
+    path.write_text(f"#usda 1.0\n{GOOD}{GOOD.replace('good', 'bad').replace('(0,1,1)', '(0,nan,1)')}")
+    with pytest.raises(InvalidSequenceError, match=r"frame 1: vertex 5 \(vertex 2 of /bad\) is \[0.0, nan, 1.0\]"):
+        read(path)
