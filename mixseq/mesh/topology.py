@@ -1,6 +1,7 @@
 """Connectivity of a triangle mesh: edges, hinges, adjacency, components and defects.
 
-All results depend only on the faces and are computed once, at first use.
+All results depend only on the faces. Tables of edges and hinges are computed once, at first use; what follows from
+them quickly is not kept, as tables of large meshes take most of the memory.
 
 A *hinge* is an edge with two of its faces. A non-manifold edge with k faces has k - 1 hinges, between consecutive
 faces, so that lengths and hinge angles also determine the shape of non-manifold meshes.
@@ -13,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse import csgraph
 
 from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.types import Index, Int32, IntArray, Mask, index_mask
@@ -43,19 +43,14 @@ class Topology(PickledWithoutCaches):
     vertex_count: int
 
     @cached_property
-    def _sorted_edges(self) -> tuple[Index, Int32]:
+    def _numbered_edges(self) -> tuple[Int32, Int32]:
         """Edges ``(E, 2)``, and the edge ``(3F,)`` of every side, face by face."""
-        start, end = self._sides
-        keys = np.minimum(start, end).astype(np.int64)
-        keys *= self.vertex_count
-        keys += np.maximum(start, end)
-        del start, end  # large meshes take much memory here
-        order = np.argsort(keys, kind="stable")
-        keys = keys[order]
-        is_first = np.diff(keys, prepend=-1) != 0
-        edge_of_side = np.empty(len(order), dtype=np.int32)
-        edge_of_side[order] = np.cumsum(is_first, dtype=np.int32) - np.int32(1)
-        return np.stack(np.divmod(keys[is_first], self.vertex_count), axis=1), edge_of_side
+        from mixseq.mesh.topology_kernels import number_pairs
+
+        start, end = (each.astype(np.int32) for each in self._sides)
+        low = np.minimum(start, end)
+        high = np.maximum(start, end, out=end)
+        return number_pairs(low, high, self.vertex_count)
 
     @property
     def _sides(self) -> tuple[IntArray, IntArray]:
@@ -63,50 +58,48 @@ class Topology(PickledWithoutCaches):
         return self.faces.reshape(-1), self.faces[:, [1, 2, 0]].reshape(-1)
 
     @property
-    def edges(self) -> Index:
+    def edges(self) -> Int32:
         """Edges ``(E, 2)``, each with its lower vertex first, in lexicographic order."""
-        return self._sorted_edges[0]
+        return self._numbered_edges[0]
 
     @cached_property
     def edge_face_counts(self) -> Index:
         """Number of faces ``(E,)`` at every edge."""
-        return np.bincount(self._sorted_edges[1], minlength=len(self.edges))
+        return np.bincount(self._numbered_edges[1], minlength=len(self.edges))
 
     @property
-    def face_edges(self) -> Index:
+    def face_edges(self) -> Int32:
         """Edge index ``(F, 3)`` of the sides 01, 12 and 20 of every face."""
-        return self._sorted_edges[1].reshape(-1, 3).astype(np.int64)
+        return self._numbered_edges[1].reshape(-1, 3)
 
     @cached_property
     def _hinge_sides(self) -> Int32:
         """Sides ``(H, 2)`` of the two faces at every hinge; sides are numbered face by face."""
-        edge_of_side = self._sorted_edges[1]
-        order = np.argsort(edge_of_side, kind="stable").astype(np.int32)
-        face = order // 3
-        is_hinge = (np.diff(edge_of_side[order]) == 0) & (face[1:] != face[:-1])
-        return np.stack([order[:-1][is_hinge], order[1:][is_hinge]], axis=1)
+        from mixseq.mesh.topology_kernels import pair_sides
+
+        return pair_sides(self._numbered_edges[1], len(self.edges))
 
     @cached_property
-    def hinges(self) -> Index:
+    def hinges(self) -> Int32:
         """Hinges ``(H, 4)`` as vertices a, b, c, d: edge ab, opposite vertices c (first face) and d."""
         return self.hinges_at(slice(None))
 
-    def hinges_at(self, hinge_ids: Index | slice) -> Index:
+    def hinges_at(self, hinge_ids: Index | slice) -> Int32:
         """Return the `hinges` ``(h, 4)`` with the given indices, to save memory on large meshes."""
         # Edge a -> b has the direction of the first face, whose orientation determines the sign of the angle.
         first, second = self._hinge_sides[hinge_ids].T
         corners = first, _next_side(first), _next_side(_next_side(first)), _next_side(_next_side(second))
-        return np.stack([self.faces.reshape(-1)[corner] for corner in corners], axis=1, dtype=np.int64)
+        return np.stack([self.faces.reshape(-1)[corner] for corner in corners], axis=1, dtype=np.int32)
 
-    @cached_property
-    def hinge_faces(self) -> Index:
+    @property
+    def hinge_faces(self) -> Int32:
         """First and second face ``(H, 2)`` of every hinge."""
-        return (self._hinge_sides // 3).astype(np.int64)
+        return self._hinge_sides // np.int32(3)
 
-    @cached_property
-    def hinge_edges(self) -> Index:
+    @property
+    def hinge_edges(self) -> Int32:
         """Edge index ``(H,)`` of every hinge."""
-        return self._sorted_edges[1][self._hinge_sides[:, 0]].astype(np.int64)
+        return self._numbered_edges[1][self._hinge_sides[:, 0]]
 
     @cached_property
     def boundary_edges(self) -> Index:
@@ -123,7 +116,7 @@ class Topology(PickledWithoutCaches):
         """Indices of edges whose two faces have opposite orientations."""
         start, end = self._sides
         direction = np.where(start < end, 1, -1)
-        balance = np.bincount(self._sorted_edges[1], weights=direction, minlength=len(self.edges))
+        balance = np.bincount(self._numbered_edges[1], weights=direction, minlength=len(self.edges))
         return np.flatnonzero((self.edge_face_counts == 2) & (balance != 0))
 
     @cached_property
@@ -131,25 +124,25 @@ class Topology(PickledWithoutCaches):
         """Vertices that no face uses."""
         return np.flatnonzero(~index_mask(self.faces, self.vertex_count))
 
-    @cached_property
+    @property
     def vertex_adjacency(self) -> sparse.csr_array:
-        """Symmetric ``(V, V)`` matrix with a one for every edge."""
+        """Symmetric ``(V, V)`` matrix of bytes with a one for every edge."""
         return _symmetric(self.edges, self.vertex_count)
 
-    @cached_property
+    @property
     def face_adjacency(self) -> sparse.csr_array:
-        """Symmetric ``(F, F)`` matrix; its entries count the hinges between two faces."""
+        """Symmetric ``(F, F)`` matrix of bytes; its entries count the hinges between two faces."""
         return _symmetric(self.hinge_faces, len(self.faces))
 
     @cached_property
-    def component_of_vertex(self) -> NDArray[np.int32]:
+    def component_of_vertex(self) -> Int32:
         """Connected component ``(V,)`` of every vertex; an unused vertex forms a component."""
-        return csgraph.connected_components(self.vertex_adjacency, directed=False)[1]
+        return connected_components(self.vertex_count, self.edges)
 
     @cached_property
-    def component_of_face(self) -> NDArray[np.int32]:
+    def component_of_face(self) -> Int32:
         """Hinge-connected component ``(F,)`` of every face: faces that are connected across edges."""
-        return csgraph.connected_components(self.face_adjacency, directed=False)[1]
+        return connected_components(len(self.faces), self.hinge_faces)
 
     @cached_property
     def component_count(self) -> int:
@@ -177,17 +170,21 @@ def _next_side(sides: Int32) -> Int32:
     return np.where(sides % 3 == 2, sides - 2, sides + 1)
 
 
-def _symmetric(pairs: Index, count: int) -> sparse.csr_array:
-    """Return the symmetric matrix ``(count, count)`` with ones at pairs ``(n, 2)`` and at reversed pairs."""
-    # With reversed pairs first, rows are sorted if the pairs are sorted.
-    indices = np.concatenate([pairs[:, ::-1], pairs], dtype=np.int32, casting="same_kind").T
-    return sparse.coo_array((np.ones(2 * len(pairs)), tuple(indices)), shape=(count, count)).tocsr()
+def _symmetric(pairs: Int32, count: int) -> sparse.csr_array:
+    """Return the symmetric matrix ``(count, count)`` that counts pairs ``(n, 2)`` and reversed pairs."""
+    from mixseq.mesh.topology_kernels import neighbour_lists
+
+    starts, neighbours = neighbour_lists(pairs, count)
+    matrix = sparse.csr_array((np.ones(len(neighbours), dtype=np.int8), neighbours, starts), shape=(count, count))
+    matrix.sum_duplicates()
+    return matrix
 
 
-def connected_components(count: int, pairs: IntArray) -> Index:
-    """Return the connected component ``(count,)`` of each of ``count`` nodes, by pairs ``(n, 2)``."""
-    graph = sparse.coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    return csgraph.connected_components(graph, directed=False)[1].astype(np.int64)
+def connected_components(count: int, pairs: IntArray) -> Int32:
+    """Number the connected components ``(count,)`` of nodes in order of their first nodes, by pairs ``(n, 2)``."""
+    from mixseq.mesh.topology_kernels import number_components
+
+    return number_components(np.ascontiguousarray(pairs, dtype=np.int32), count)
 
 
 def mark_face_vertices(topology: Topology, faces: Mask) -> Mask:
@@ -198,9 +195,9 @@ def mark_face_vertices(topology: Topology, faces: Mask) -> Mask:
 def dilate_vertices(topology: Topology, vertices: Mask, rings: int) -> Mask:
     """Mark the vertices ``(V,)`` at most `rings` edges away from a marked vertex."""
     marked = vertices.copy()
-    ring = np.flatnonzero(marked)
+    ring, graph = np.flatnonzero(marked), topology.vertex_adjacency
     for _ in range(rings):
-        neighbours = topology.vertex_adjacency[ring].indices
+        neighbours = graph[ring].indices
         ring = np.unique(neighbours[~marked[neighbours]])
         marked[ring] = True
     return marked
@@ -208,8 +205,7 @@ def dilate_vertices(topology: Topology, vertices: Mask, rings: int) -> Mask:
 
 def interior_hinges(topology: Topology, faces: Mask) -> Index:
     """Return the indices of hinges between two marked faces ``(F,)``, ascending."""
-    first, second = topology.hinge_faces.T
-    return np.flatnonzero(faces[first] & faces[second])
+    return np.flatnonzero(faces[topology.hinge_faces].all(axis=1))
 
 
 def face_patches(topology: Topology, faces: Mask) -> NDArray[np.int64]:

@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import scatter_add, triangle_areas
 from mixseq.mesh.topology import Topology, connected_components
+from mixseq.mesh.topology_kernels import number_pairs
 from mixseq.runtime.jit import compiled
-from mixseq.types import Float, FloatArray, Index, IntArray, Single, evenly_spaced, index_mask
+from mixseq.types import Float, FloatArray, Index, Int32, IntArray, Single, evenly_spaced, index_mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,7 @@ class Boundaries:
     """The boundaries between n pairs of neighbouring parts."""
 
     parts: Index  # (n, 2) parts i < j
-    edges: Index  # (k, 2) vertices of the edges between faces of two parts
+    edges: Int32  # (k, 2) vertices of the edges between faces of two parts
     pair: Index  # (k,) index of the pair of parts at each edge
 
     @classmethod
@@ -155,11 +156,12 @@ def find_passes(topology: Topology, heights: Float, bottoms: Float, areas: Float
 
 def renumber_by_area(labels: NDArray[np.integer], areas: Float) -> Index:
     """Renumber the labels ``(F,)`` of faces by decreasing area; labels of equal area are ordered by first face."""
-    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
-    order = np.lexsort((first, -np.bincount(inverse, areas)))
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return np.asarray(rank[inverse], dtype=np.int64)
+    first = np.empty(int(labels.max(initial=-1)) + 1, dtype=np.int64)
+    first[labels[::-1]] = np.arange(len(labels))[::-1]
+    sums, used = np.bincount(labels, areas), np.flatnonzero(np.bincount(labels))
+    rank = np.empty_like(first)
+    rank[used[np.lexsort((first[used], -sums[used]))]] = np.arange(len(used))
+    return rank[labels]
 
 
 def check_part_count(parts: int | None, topology: Topology) -> None:
@@ -172,11 +174,8 @@ def check_part_count(parts: int | None, topology: Topology) -> None:
         raise SettingsError(f"parts is {given}; a whole number from 1 to {len(topology.faces)} (the faces) is expected")
 
 
-Table = NDArray[np.int32]
-
-
 @compiled
-def partition_cells(starts: Table, neighbours: Table, owner: Table) -> Index:
+def partition_cells(starts: Int32, neighbours: Int32, owner: Int32) -> Index:
     """Partition vertices into cells of a centre and unassigned neighbours; write owners ``(V,)``, return centres."""
     centres = np.empty(len(owner), dtype=np.int64)
     count = 0
@@ -191,33 +190,52 @@ def partition_cells(starts: Table, neighbours: Table, owner: Table) -> Index:
     return centres[:count].copy()
 
 
+@compiled
+def add_neighbours(pairs: Int32, table: Int32) -> None:
+    """Write the neighbours of elements by pairs ``(n, 2)`` after the first column of a table ``(E, m)``."""
+    ends = np.ones(len(table), dtype=np.int32)
+    for side in range(2):
+        for k in range(len(pairs)):
+            element = pairs[k, side]
+            table[element, ends[element]] = pairs[k, 1 - side]
+            ends[element] += 1
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectories:
     """Vertex positions in T frames."""
 
-    coordinates: Single  # (3T, V) frame by frame
-    # (V, 4T + 4) coordinates x_t of every vertex, then squares |x_t|^2, then h = (rest position, 1).
-    rows: Float
+    x: Float  # (T, V, 3); the first frame is the rest pose
 
-    @classmethod
-    def from_frames(cls, x: Float) -> Trajectories:
-        """Make trajectories of frames ``(T, V, 3)``; the first frame is the rest pose."""
+    @cached_property
+    def coordinates(self) -> Single:
+        """Coordinates ``(3T, V)``, frame by frame."""
+        return self.x.transpose(0, 2, 1).astype(np.float32).reshape(3 * len(self.x), -1)
+
+    @cached_property
+    def rows(self) -> Float:
+        """Rows of all frames, see `frame_rows`."""
+        return self.frame_rows(slice(None))
+
+    def frame_rows(self, frames: slice) -> Float:
+        """Return rows ``(V, 4T + 4)``: coordinates x_t, then squares |x_t|^2, then h = (rest position, 1)."""
+        x = self.x[frames]
         count, vertices = x.shape[:2]
         rows = np.empty((vertices, 4 * count + 4))
         rows[:, : 3 * count].reshape(vertices, count, 3)[:] = x.transpose(1, 0, 2)
         rows[:, 3 * count : 4 * count] = np.einsum("tvi,tvi->vt", x, x)
-        rows[:, -4:-1] = x[0]
+        rows[:, -4:-1] = self.x[0]
         rows[:, -1] = 1.0
-        return cls(x.transpose(0, 2, 1).reshape(3 * count, vertices).astype(np.float32), rows)
+        return rows
 
     def at(self, vertices: Index) -> Trajectories:
         """Return the trajectories of the given vertices."""
-        return Trajectories(np.ascontiguousarray(self.coordinates[:, vertices]), self.rows[vertices])
+        return Trajectories(np.take(self.x, vertices, axis=1))
 
     @property
     def frame_count(self) -> int:
         """Number of frames T."""
-        return len(self.coordinates) // 3
+        return len(self.x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,17 +243,17 @@ class Elements:
     """Faces, or groups of faces."""
 
     trajectories: Trajectories  # trajectories of the vertices
-    corners: Table  # (E, 4) vertices of every element, padded with V
+    corners: Int32  # (E, 4) vertices of every element, padded with V
     corner_factors: Single  # (E,) inverse number of vertices of every element
     weights: Float  # (E,) weight of each vertex of an element: a fraction of the element's area
-    pairs: Index  # (n, 2) pairs of neighbours
+    pairs: Int32  # (n, 2) pairs of neighbours
 
     @classmethod
     def from_faces(cls, topology: Topology, x: Float) -> Elements:
         """Make elements of the triangles of a mesh in frames ``(T, V, 3)``; neighbours share a hinge."""
         count = len(topology.faces)
         return cls(
-            trajectories=Trajectories.from_frames(x),
+            trajectories=Trajectories(x),
             corners=_padded(topology.faces, topology.vertex_count),
             corner_factors=np.full(count, 1.0 / 3.0, dtype=np.float32),
             weights=face_areas(x[0], topology) / 3.0,
@@ -251,26 +269,22 @@ class Elements:
         centres = partition_cells(graph.indptr, graph.indices, owner)
         count = len(centres)
         thirds = np.repeat(faces.weights, 3)
-        i, j = owner[topology.edges].T.astype(np.int64)
-        pairs = np.sort((np.minimum(i, j) * count + np.maximum(i, j))[i != j])
-        pairs = pairs[np.diff(pairs, prepend=-1) > 0]
+        ends = owner[topology.edges]
+        ends = ends[ends[:, 0] != ends[:, 1]]
         elements = cls(
             trajectories=faces.trajectories.at(centres),
             corners=_padded(np.arange(count)[:, None], count),
             corner_factors=np.ones(count, dtype=np.float32),
             weights=np.bincount(owner[topology.faces].reshape(-1), thirds, count).astype(np.float64),
-            pairs=np.stack(np.divmod(pairs, count), axis=1),
+            pairs=number_pairs(ends.min(axis=1), ends.max(axis=1), count)[0],
         )
         return elements, owner[topology.faces[:, 0]].astype(np.int64)
 
     @cached_property
-    def neighbourhoods(self) -> Table:
+    def neighbourhoods(self) -> Int32:
         """Table ``(E, m)``, m >= 4, of every element and its neighbours, padded with E."""
         table = _padded(np.arange(len(self))[:, None], len(self), int(self._neighbourhood_sizes.max(initial=1)))
-        ends, others = self.pairs.T.reshape(-1), self.pairs[:, ::-1].T.reshape(-1)
-        order = np.argsort(ends, kind="stable")
-        first = np.searchsorted(ends[order], ends[order])
-        table[ends[order], 1 + np.arange(len(order)) - first] = others[order]
+        add_neighbours(self.pairs, table)
         return table
 
     @cached_property
@@ -310,7 +324,7 @@ def face_areas(x: Float, topology: Topology) -> Float:
     return np.maximum(triangle_areas(x, topology.faces), 1e-12)
 
 
-def _padded(members: NDArray[np.integer], padding: int, width: int = 0) -> Table:
+def _padded(members: NDArray[np.integer], padding: int, width: int = 0) -> Int32:
     """Pad a table of members ``(E, n)`` to at least four columns."""
     table = np.full((len(members), max(4, width)), padding, dtype=np.int32)
     table[:, : members.shape[1]] = members

@@ -34,13 +34,13 @@ from mixseq.runtime.jit import compiled
 from mixseq.segmentation.elements import (
     Elements,
     Rim,
-    Table,
     Trajectories,
     check_part_count,
+    face_areas,
     renumber_by_area,
     sample_frames,
 )
-from mixseq.types import Float, FloatArray, Index, Mask, Single
+from mixseq.types import Float, FloatArray, Index, Int32, Mask, Single
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ def union_errors(one: Moments, others: Sequence[Moments]) -> Float:
 
 @compiled
 def move_elements(
-    elements: Index, source: Index, target: Index, corners: Table, weights: Float, rows: Float, tallies: Float
+    elements: Index, source: Index, target: Index, corners: Int32, weights: Float, rows: Float, tallies: Float
 ) -> None:
     """Move elements ``(n,)`` between clusters ``(E,)`` (-1: no cluster), and update tallies ``(K, 4, D)`` in place.
 
@@ -172,7 +172,7 @@ def squared_distances(posed: Single, rest: Single, motions: Single, result: Sing
 
 
 @compiled
-def average_members(values: Single, members: Table, factors: Single, result: Single) -> None:
+def average_members(values: Single, members: Int32, factors: Single, result: Single) -> None:
     """Write the means ``(E, K)`` of values ``(n, K)`` over each element's members ``(E, m)``; padding has value 0."""
     for e in range(len(members)):
         a, b = values[members[e, 0]], values[members[e, 1]]
@@ -187,7 +187,8 @@ def average_members(values: Single, members: Table, factors: Single, result: Sin
 
 
 _COLUMN_MULTIPLE = 8  # columns are padded to a multiple, for vectorised loops over clusters
-_MAX_WORK_NUMBERS = 1 << 24  # entries in an array of costs with more than `_COLUMN_MULTIPLE` columns
+_MAX_WORK_NUMBERS = 1 << 22  # entries in an array of costs with more than `_COLUMN_MULTIPLE` columns
+_MAX_TALLY_NUMBERS = 1 << 22  # entries in rows of trajectories of several frames
 
 
 class Clusters:
@@ -260,10 +261,19 @@ class Clusters:
 
 def tally(elements: Elements, labels: Index, count: int, mask: Mask | None = None) -> Float:
     """Sum ``w h y^T`` ``(count, 4, 4T + 4)`` over the vertices of (masked) elements with each label."""
-    rows = elements.trajectories.rows
-    tallies = np.zeros((count, 4, rows.shape[1]))
+    frames, vertices = elements.trajectories.x.shape[:2]
+    tallies = np.zeros((count, 4, 4 * frames + 4))
     ids = np.arange(len(elements)) if mask is None else np.flatnonzero(mask)
-    move_elements(ids, np.full(len(elements), -1), labels, elements.corners, elements.weights, rows, tallies)
+    size = max(_MAX_TALLY_NUMBERS // (4 * vertices), 1)
+    for start in range(0, frames, size):  # sums of frames are independent
+        block = slice(start, min(start + size, frames))
+        rows = elements.trajectories.rows if size >= frames else elements.trajectories.frame_rows(block)
+        sums = np.zeros((count, 4, rows.shape[1]))
+        move_elements(ids, np.full(len(elements), -1), labels, elements.corners, elements.weights, rows, sums)
+        width = block.stop - block.start
+        tallies[:, :, 3 * block.start : 3 * block.stop] = sums[:, :, : 3 * width]
+        tallies[:, :, 3 * frames + block.start : 3 * frames + block.stop] = sums[:, :, 3 * width : 4 * width]
+        tallies[:, :, -4:] = sums[:, :, -4:]
     return tallies
 
 
@@ -344,7 +354,10 @@ def segment_by_motion(
     """Find the near-rigid part ``(F,)`` of every face from points ``(T, V, 3)``."""
     settings = settings or MotionSettings()
     check_part_count(parts, topology)
-    faces = Elements.from_faces(topology, sample_frames(points, settings.frames))
+    x = sample_frames(points, settings.frames)
+    if parts is None and len(x) == 1:  # nothing moves
+        return renumber_by_area(topology.component_of_face, face_areas(x[0], topology) / 3.0)
+    faces = Elements.from_faces(topology, x)
     clusters = max(settings.clusters, round(1.5 * (parts or 1)))
     labels = _cluster(topology, faces, min(clusters, len(topology.faces)), settings)
     patches = _Patches.from_labels(topology, faces, split_labels(topology, labels))

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from mixseq.choices import BetweenName
 from mixseq.runtime.low_memory import LargeArray, new_large_array
-from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.header import FileKeys, SequenceHeader
 from mixseq.sequence.sequence import FrameStore, iterate_blocks
-from mixseq.types import Float, Index, Mask, evenly_spaced
+from mixseq.types import Float, Index, IntArray, Mask, evenly_spaced
 
 if TYPE_CHECKING:
     from mixseq.mesh.topology import Topology
@@ -37,6 +37,9 @@ SAMPLED_EDGES = 768
 
 MIN_COMPONENT_EDGES, MAX_COMPONENTS = 48, 64
 """Least number of compared edges of a component, and largest number of components that are examined by themselves."""
+
+MAX_GROUPS = 8
+"""Largest number of groups of components with cuts and pops of their own; each has as many modes as frames."""
 
 CUT_RATIO = 5.0
 """Least ratio of a cut to the two steps on either side. With 4, real motions have cuts (docs/resampling.md)."""
@@ -94,6 +97,37 @@ class SequenceEvents:
     whole: Events = Events()
     components: tuple[tuple[int, Events], ...] = ()  # by component of `Topology.component_of_vertex`
 
+    def group_components(self, component_of_vertex: IntArray) -> tuple[list[Events], Index]:
+        """Group components ``(V,)`` by their cuts and pops; return the events of the groups, and the group ``(V,)``.
+
+        Components without cuts or pops of their own are the first group. Above `MAX_GROUPS`, the smallest are together.
+        """
+        own: dict[Events, list[int]] = {}
+        for component, events in self.components:
+            if events.pops or events.cuts != self.whole.cuts:
+                own.setdefault(events, []).append(component)
+        sizes = np.bincount(component_of_vertex)
+        groups = sorted(own.items(), key=lambda item: -int(sizes[item[1]].sum()))
+        if len(groups) >= MAX_GROUPS:
+            groups, rest = groups[: MAX_GROUPS - 2], groups[MAX_GROUPS - 2 :]
+            cuts, pops = (sorted({k for each, _ in rest for k in getattr(each, name)}) for name in ("cuts", "pops"))
+            united = replace(self.whole, cuts=tuple(cuts), pops=tuple(pops))
+            groups.append((united, [component for _, ids in rest for component in ids]))
+        group_of_component = np.zeros(len(sizes), dtype=np.int64)
+        for number, (_, ids) in enumerate(groups, 1):
+            group_of_component[ids] = number
+        numbers, group_of_vertex = np.unique(group_of_component[component_of_vertex], return_inverse=True)
+        all_events = [self.whole, *(events for events, _ in groups)]
+        return [all_events[number] for number in numbers], group_of_vertex
+
+    def with_keys(self, keys: FileKeys) -> SequenceEvents:
+        """Return the events with the keys of a file, instead of repeated poses and keys found in the frames."""
+        if keys.is_held:
+            return SequenceEvents(Events(poses=keys.frames))
+        changes: dict[str, Any] = {"keys": keys.frames, "poses": (), "frames_per_pose": 0.0}
+        components = tuple((component, replace(events, **changes)) for component, events in self.components)
+        return SequenceEvents(replace(self.whole, **changes), components)
+
     def describe(self, header: SequenceHeader, between: BetweenName) -> str:
         """Return the events in words, by frame number, and how to change the motion; empty without events."""
         whole = self.whole
@@ -126,12 +160,16 @@ class SequenceEvents:
         return "; ".join(texts) + cure
 
 
-def distinct_poses(frames: FrameStore, events: Events) -> tuple[FrameStore, Events]:
-    """Return the repeated poses at their own times, or the keys of a baked motion, without the frames between them."""
+def distinct_poses(frames: FrameStore, groups: Sequence[Events]) -> tuple[FrameStore, list[Events]]:
+    """Return the repeated poses at their own times, or the keys of a baked motion, without the frames between them.
+
+    The events are those of groups of components, which have the same poses and keys.
+    """
+    events = groups[0]
     times, holds, count = frames.header.times, events.holds, len(frames.header.times)
+    added_holds: list[tuple[int, int]] = []
     if events.keys:
         ids, new_times = np.array(events.keys), times[list(events.keys)]
-        holds = tuple((a, b) for a, b in holds if a in events.keys and b in events.keys)
     elif events.poses:
         poses = np.array(events.poses)
         tail = np.arange(holds[-1][0] if holds and holds[-1][0] > poses[-1] else count - 1, count)
@@ -144,9 +182,9 @@ def distinct_poses(frames: FrameStore, events: Events) -> tuple[FrameStore, Even
         if poses[-1] == count - 1:
             ids, new_times = ids[:-1], np.append(new_times[:-2], times[-1])
         elif not holds or holds[-1][0] <= poses[-1]:
-            holds = (*holds, (int(poses[-1]), count - 1))
+            added_holds.append((int(poses[-1]), count - 1))
     else:
-        return frames, events
+        return frames, list(groups)
 
     def new_id(frame: int) -> int:
         return int(np.searchsorted(ids, frame, side="right")) - 1
@@ -154,9 +192,13 @@ def distinct_poses(frames: FrameStore, events: Events) -> tuple[FrameStore, Even
     points = new_large_array((len(ids), *frames.points.shape[1:]), frames.points.dtype)
     for row, frame in enumerate(ids):
         points[row : row + 1] = frames.points[frame : frame + 1]
-    cuts, pops = (tuple(map(new_id, intervals)) for intervals in (events.cuts, events.pops))
-    new_holds = tuple((new_id(a), new_id(b)) for a, b in holds if new_id(a) < new_id(b))
-    return FrameStore(frames.header.with_times(new_times), points), Events(cuts, pops, new_holds)
+    new_events = []
+    for each in groups:
+        cuts, pops = (tuple(map(new_id, intervals)) for intervals in (each.cuts, each.pops))
+        kept = [(a, b) for a, b in each.holds if not events.keys or (a in events.keys and b in events.keys)]
+        new_holds = tuple((new_id(a), new_id(b)) for a, b in (*kept, *added_holds) if new_id(a) < new_id(b))
+        new_events.append(Events(cuts, pops, new_holds))
+    return FrameStore(frames.header.with_times(new_times), points), new_events
 
 
 class _Motion(NamedTuple):

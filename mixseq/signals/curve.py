@@ -124,6 +124,14 @@ class Curve:
             points[is_between] = self._evaluate(times[is_between], 0)
         return points
 
+    def on_both_sides(self, times: Float) -> Float:
+        """Return the points ``(N, k)`` at increasing times; of a break given twice, first the end of the spline."""
+        points = self(times)
+        is_end = np.append(times[:-1] == times[1:], False)
+        knots = np.searchsorted(self.times, times[is_end], side="left")
+        points[is_end] = self.values[knots]
+        return points
+
     def derivative(self, times: ArrayLike, order: int = 1) -> Float:
         """Return the time derivatives ``(N, k)`` of an order at times ``(N,)``, per second to the power of `order`."""
         times = np.atleast_1d(np.asarray(times, dtype=np.float64))

@@ -7,7 +7,7 @@ error is raised.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import blake2b
@@ -135,7 +135,7 @@ class InterpolatedPoses(NamedTuple):
     """Poses interpolated in time, at the frames and between them."""
 
     times: Float  # (n,) frames and midpoints, in seconds, and twice the breaks
-    weights: FrameWeights  # weights of the frames at these times
+    weights: tuple[FrameWeights, ...]  # weights of the frames at these times, of every group
     quarter_times: Float  # (m,) frames and points at quarters of the intervals, in seconds, and twice the breaks
     part_poses: Float  # (m, ...) part poses in body axes, at the quarter points
     placement: Float  # (m, P) placements at the quarter points
@@ -149,7 +149,9 @@ class EncodedSequence:
     space: ShapeSpace  # shape space of the vectors
     shapes: LargeArray  # (T, S) shape part of the vectors of the frames
     placement: Float  # (T, P) placements of the frames, with continuous signs of quaternions
-    operator: TemporalOperator  # interpolates sampled vertices in body axes with the least errors
+    # Of every group of components, the operator that interpolates sampled vertices with the least errors.
+    operators: tuple[TemporalOperator, ...]
+    group_of_vertex: Index  # (V,) groups of components with cuts and pops of their own
     pose: PoseForm = "modes"  # form of the key shapes
 
     @cached_property
@@ -167,17 +169,24 @@ class EncodedSequence:
 
     @cached_property
     def modes(self) -> Modes:
-        """All principal components of the shapes."""
-        return principal_modes(self.shapes, self.space.shape_weights)
+        """All principal components of the shapes, of every group."""
+        groups = self.space.group_coordinates(self.group_of_vertex)
+        return principal_modes(self.shapes, self.space.shape_weights, groups)
 
     @cached_property
     def interpolated(self) -> InterpolatedPoses:
         """Poses interpolated between the frames."""
         times = insert_midpoints(self.header.times)
-        times, quarter_times = map(self.operator.add_breaks, (times, insert_midpoints(times)))
-        signals = self.poses, self.placement, quarter_times
-        poses = self.space.interpolate_poses(self.operator, *signals)
-        return InterpolatedPoses(times, self.operator.weights_at(times), quarter_times, *poses)
+        quarter_times = insert_midpoints(times)
+        for operator in self.operators:
+            times, quarter_times = map(operator.add_breaks, (times, quarter_times))
+        weights = tuple(operator.weights_at(times) for operator in self.operators)
+        return InterpolatedPoses(times, weights, quarter_times, *self.interpolate_poses(quarter_times))
+
+    def interpolate_poses(self, times: Float) -> tuple[Float, Float]:
+        """Interpolate target part poses ``(N, ...)`` and placements ``(N, P)`` at times ``(N,)``."""
+        poses = [self.space.interpolate_poses(each, self.poses, self.placement, times) for each in self.operators]
+        return self.space.merge_poses(poses, self.group_of_vertex) if len(poses) > 1 else poses[0]
 
 
 def encode_sequence(
@@ -186,15 +195,20 @@ def encode_sequence(
     pose: PoseForm = "modes",
     workers: Executor = serial_executor,
     progress: Progress = log_progress,
-    timing: Timing = Timing(),  # noqa: B008 - frozen
+    timings: Sequence[Timing] = (Timing(),),
+    group_of_vertex: Index | None = None,
 ) -> EncodedSequence:
-    """Encode all frames of a sequence in a shape space."""
+    """Encode all frames of a sequence in a shape space; groups ``(V,)`` of components have a timing each."""
     count, size = len(sequence.points), space.shape_dim
+    if group_of_vertex is None:
+        group_of_vertex = np.zeros(sequence.header.vertex_count, dtype=np.int64)
     placement_columns = slice(size, size + space.placement_dim)
     shapes = new_large_array((count, size))
     raw_placement = np.empty((count, space.placement_dim))
-    vertex_ids = evenly_spaced(sequence.header.vertex_count, OPERATOR_VERTICES)
-    samples = np.empty((count, 3 * len(vertex_ids)))
+    of_groups = (np.flatnonzero(group_of_vertex == number) for number in range(len(timings)))
+    sampled = [ids[evenly_spaced(len(ids), OPERATOR_VERTICES)] for ids in of_groups]
+    vertex_ids = np.concatenate(sampled)
+    samples = np.empty((count, len(vertex_ids), 3))
     previous, done = None, 0
     for block, block_samples in workers(_encode_block, (space, vertex_ids), iterate_blocks(sequence.points)):
         vectors = space.unwrap(block, previous)
@@ -205,21 +219,24 @@ def encode_sequence(
         progress(done, count, "encoding frames")
     rotations, centres = space.unpack_placements(raw_placement)
     placement = space.pack_placements(Poses(align_quat_signs(rotations), centres))  # signs continuous in time
-    motion_ids = evenly_spaced(len(vertex_ids), MOTION_VERTICES)
-    motion = samples.reshape(count, -1, 3)[:, motion_ids].reshape(count, -1)  # a copy: samples become those of bodies
-    for start in range(0, count, FRAMES_IN_BODY_AXES):  # samples of few vertices are as large as the sequence
-        rows = slice(start, start + FRAMES_IN_BODY_AXES)
-        world = samples[rows].reshape(-1, len(vertex_ids), 3)
-        samples[rows] = space.to_body_axes(world, vertex_ids, placement[rows]).reshape(len(world), -1)
-    operator = timing.select_operator(sequence.header.times, samples, motion)
-    return EncodedSequence(sequence.header, space, shapes, placement, operator, pose)
+    columns = np.split(np.arange(len(vertex_ids)), np.cumsum([len(ids) for ids in sampled])[:-1])
+    motion_ids = [ids[evenly_spaced(len(ids), MOTION_VERTICES)] for ids in columns]
+    motions = [samples[:, ids].reshape(count, -1) for ids in motion_ids]  # copies: samples become those of bodies
+    for start in range(0, count, FRAMES_IN_BODY_AXES) if len(timings) == 1 else ():  # else bodies jump with a group
+        rows = slice(start, start + FRAMES_IN_BODY_AXES)  # samples of few vertices are as large as the sequence
+        samples[rows] = space.to_body_axes(samples[rows], vertex_ids, placement[rows])
+    operators = tuple(
+        timing.select_operator(sequence.header.times, samples[:, ids].reshape(count, -1), motion)
+        for timing, ids, motion in zip(timings, columns, motions, strict=True)
+    )
+    return EncodedSequence(sequence.header, space, shapes, placement, operators, group_of_vertex, pose)
 
 
 def _encode_block(context: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Float, Float]:
     """Encode a block of frames independently of other frames; return vectors and coordinates of sampled vertices."""
     space, vertex_ids = context
     samples = points[:, vertex_ids].astype(np.float64)
-    return space.encode_independently(points), samples.reshape(len(points), -1)
+    return space.encode_independently(points), samples
 
 
 @dataclass(frozen=True)
@@ -249,7 +266,7 @@ def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
     key_poses = shapes[:, encoded.pose_columns]
 
     def corrections(time: Curve, times: Float, targets: Float) -> Float:
-        return encoded.space.pose_corrections(pose.weights(time(times)) @ key_poses, targets)
+        return encoded.space.pose_corrections(pose.weights(time.on_both_sides(times)) @ key_poses, targets)
 
     if detail.knots is not None:
         curves = _fit_curves_with_knots(encoded, modes.scores, corrections, _inner_knots(detail.knots, times))
@@ -269,8 +286,7 @@ def _fit_curves_with_knots(
     times = encoded.header.times
     time = least_squares_curve(times, scores, inner)
     placement = least_squares_curve(times, encoded.placement, inner)
-    signals = encoded.operator, encoded.poses, encoded.placement, times
-    part_poses, _ = encoded.space.interpolate_poses(*signals)
+    part_poses, _ = encoded.interpolate_poses(times)
     return time, placement, least_squares_curve(times, corrections(time, times, part_poses), inner)
 
 
@@ -280,17 +296,21 @@ def _fit_curves_within_slack(
     """Fit rounded time, placement and correction curves that deviate from the interpolated poses within the slack."""
     slack, step, space = detail.slack, detail.step, encoded.space
     times, weights, quarter_times, part_poses, placements = encoded.interpolated
+    values = np.empty((len(times), scores.shape[1]))
+    for number, of_group in enumerate(weights):
+        mask = encoded.modes.groups[: scores.shape[1]] == number
+        values[:, mask] = of_group.interpolate(scores[:, mask])
     # Scale the step by mode: faint modes also change lengths and angles, which have little weight in the metric.
     scales = 2.0 ** np.floor(np.log2(np.maximum(np.abs(scores).max(axis=0), MIN_SCORE_SCALE)))
     score_norm = rms_over_vertices(encoded.header.vertex_count)
-    time = _fit_rounded(times, weights.interpolate(scores), slack, score_norm, step * scales)
+    time = _fit_rounded(times, values, slack, score_norm, step * scales)
     pose_weights = np.split(space.weights[space.shape_dim :], [space.placement_dim])
     placement_norm, correction_norm = map(max_norm, pose_weights)
     placement = _fit_rounded(quarter_times, placements, slack, placement_norm, step)
-    values = corrections(time, quarter_times, part_poses)
+    rotations_and_shifts = corrections(time, quarter_times, part_poses)
     if step and not slack:
         step = max(step, CORRECTION_STEP)
-    return time, placement, _fit_rounded(quarter_times, values, slack, correction_norm, step)
+    return time, placement, _fit_rounded(quarter_times, rotations_and_shifts, slack, correction_norm, step)
 
 
 def _fit_rounded(times: Float, values: Float, slack: float, norm: DeviationNorm, step: float | Float) -> Curve:

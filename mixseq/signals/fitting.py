@@ -59,7 +59,7 @@ from mixseq.spaces.making import SPACE_STAGES, MixedSettings, SpaceOptions, make
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
 from mixseq.spaces.temporal import FrameWeights
 from mixseq.spaces.temporal_pieces import Timing
-from mixseq.types import Float, FloatArray, evenly_spaced
+from mixseq.types import Float, FloatArray, Index, evenly_spaced
 
 MIN_VALIDATED_FRAMES = 4
 """Least number of frames of a sequence for cross-validation."""
@@ -90,20 +90,23 @@ def select_share(encoded: EncodedSequence, frames: LargeArray) -> EncodedSequenc
         return encoded
     if len(frames) < MIN_VALIDATED_FRAMES or not space.joint_faces.any():
         return encoded
-    frame_ids, weights = encoded.operator.leave_one_out()
+    frame_ids, weights = encoded.operators[0].leave_one_out()
     limit = MAX_VALIDATION_VERTICES // space.vertex_count
     if not len(frame_ids):
         return encoded
     sample = evenly_spaced(len(frame_ids), min(max(limit, MIN_VALIDATION_FRAMES), MAX_VALIDATION_FRAMES))
-    expected = [_lengths_and_angles(space, frames[frame] / space.scale) for frame in frame_ids[sample]]
+    topology, is_first = space.topology, encoded.group_of_vertex == 0  # others may have no size in some frames
+    edges, hinges = (each[is_first[each[:, 0]]] for each in (topology.edges, topology.hinges))
+    elements = edges, hinges
+    expected = [_lengths_and_angles(elements, frames[frame] / space.scale) for frame in frame_ids[sample]]
     blocks = space.split(_interpolated_vectors(encoded, space, weights.select(sample)))
     skinned = space.skin(space.join(blocks))
-    errors_without = np.maximum(_rms_errors(space, skinned, expected), ERROR_FLOOR)
+    errors_without = np.maximum(_rms_errors(elements, skinned, expected), ERROR_FLOOR)
     gains = []
     for share in CANDIDATE_SHARES:
         vectors = zip(skinned, blocks.lengths, blocks.angles, strict=True)
         projected = [space.joint_projection.project(*vector, share) for vector in vectors]
-        gains.append(1.0 - float((_rms_errors(space, projected, expected) / errors_without).max()))
+        gains.append(1.0 - float((_rms_errors(elements, projected, expected) / errors_without).max()))
     share = CANDIDATE_SHARES[int(np.argmax(np.array(gains) >= SUFFICIENT_GAIN * max(gains) - 1e-12))]
     return replace(encoded, space=space.with_weights(projection=replace(space.projection, share=share)))
 
@@ -114,24 +117,23 @@ def _interpolated_vectors(encoded: EncodedSequence, space: MixedSpace, weights: 
     for shape, *row in zip(shapes, weights.frame_ids, weights.weights, strict=True):
         for frame, weight in zip(*row, strict=True):  # one frame is in memory at a time
             shape += weight * encoded.shapes[frame : frame + 1][0]
-    signals = encoded.operator, encoded.poses, encoded.placement
+    signals = encoded.operators[0], encoded.poses, encoded.placement
     body_poses, part_poses = space.pose_interpolation(*signals).interpolate(weights)
     blocks = space.split(np.pad(shapes, ((0, 0), (0, space.placement_dim + space.correction_dim))))
     poses = space.articulation.add_relations(part_poses)
     return space.join(MixedBlocks(*blocks[:3], *poses, *body_poses, blocks.corrections))
 
 
-def _lengths_and_angles(space: MixedSpace, points: FloatArray) -> tuple[Float, Float]:
-    """Return all edge lengths and dihedral angles of points ``(V, 3)`` in diagonals."""
-    topology = space.topology
-    return lengths_and_angles(np.ascontiguousarray(points, dtype=np.float64), topology.edges, topology.hinges)
+def _lengths_and_angles(elements: tuple[Index, Index], points: FloatArray) -> tuple[Float, Float]:
+    """Return lengths of edges and dihedral angles of hinges of points ``(V, 3)`` in diagonals."""
+    return lengths_and_angles(np.ascontiguousarray(points, dtype=np.float64), *elements)
 
 
-def _rms_errors(space: MixedSpace, points: Iterable[Float], expected: list[tuple[Float, Float]]) -> Float:
+def _rms_errors(elements: tuple[Index, Index], points: Iterable[Float], expected: list[tuple[Float, Float]]) -> Float:
     """Return root mean square errors ``(2,)`` of relative lengths and of angles in frames ``(n, V, 3)``."""
     squares = np.zeros(2)
     for frame, (expected_lengths, expected_angles) in zip(points, expected, strict=True):
-        lengths, angles = _lengths_and_angles(space, frame)
+        lengths, angles = _lengths_and_angles(elements, frame)
         strain = lengths / np.maximum(expected_lengths, 1e-12) - 1.0
         errors = strain, wrap_angles(angles - expected_angles)
         squares += [float(np.square(each).mean()) if len(each) else 0.0 for each in errors]
@@ -289,17 +291,23 @@ def fit(
     executor = workers or thread_executor()
     with one_blas_thread():
         frames = whole = load_frames(sequence, stages.at(0))
-        found = SequenceEvents()
+        found, keys = SequenceEvents(), frames.header.keys if knots is None else None
         if knots is None:
             topology = Topology(frames.header.faces, frames.header.vertex_count)
             found = find_events(frames.points, frames.header.times, topology)
-            found = replace(found, whole=_with_cuts(found.whole, cuts, frames.header))
-        timing = Timing(found.whole, between)
+            found = found.with_keys(keys) if keys else found
+            if cuts != "auto":
+                found = SequenceEvents(_with_cuts(found.whole, cuts, frames.header))
+        groups, group_of_vertex = [found.whole], None
+        if pose == "modes" and space in ("mixed", "vertex") and found.components:
+            groups, group_of_vertex = found.group_components(topology.component_of_vertex)
         if between == "smooth":
-            frames, events = distinct_poses(frames, timing.events)
-            timing = replace(timing, events=events)
+            frames, groups = distinct_poses(frames, groups)
+        is_held = between == "auto" and bool(keys and keys.is_held)
+        timings = [Timing(events, "hold" if is_held else between) for events in groups]
         shape_space = make_space(frames, space, options, executor, stages.at(1, SPACE_STAGES))
-        encoded = encode_sequence(frames, shape_space, pose, executor, stages.at(1 + SPACE_STAGES), timing)
+        stage = stages.at(1 + SPACE_STAGES)
+        encoded = encode_sequence(frames, shape_space, pose, executor, stage, timings, group_of_vertex)
         encoded = select_share(encoded, frames.points)
         if exact:
             max_error, model = EXACT_TOLERANCE, build_model(encoded, Detail(step=EXACT_ROUNDING_STEP))
@@ -320,10 +328,8 @@ def fit(
         return replace(model, header=header)
 
 
-def _with_cuts(events: Events, cuts: CutChoice, header: SequenceHeader) -> Events:
+def _with_cuts(events: Events, cuts: Literal["none"] | Sequence[int], header: SequenceHeader) -> Events:
     """Return events with chosen cuts instead of those found."""
-    if cuts == "auto":
-        return events
     frames = [] if cuts == "none" else np.unique(np.asarray(cuts)).tolist()
     for frame in frames:
         if not (isinstance(frame, int) and 0 < frame < header.frame_count):

@@ -137,10 +137,11 @@ class Modes:
     sizes: Float  # (r,) singular values, decreasing: norms of the columns of scores
     mean: Float  # (D,) mean vector
     deviations: Deviations  # yields one standard deviation along every mode
+    groups: Index  # (r,) group whose coordinates the mode changes
 
     def first(self, rank: int) -> Modes:
         """Return the first `rank` modes."""
-        return replace(self, scores=self.scores[:, :rank], sizes=self.sizes[:rank])
+        return replace(self, scores=self.scores[:, :rank], sizes=self.sizes[:rank], groups=self.groups[:rank])
 
     def pose_map(self) -> PoseMap:
         """Return the map from scores to weights of the key shapes."""
@@ -156,10 +157,32 @@ class Modes:
         return shapes
 
 
-def principal_modes(vectors: LargeArray, metric: Float) -> Modes:
-    """Compute all modes of vectors ``(T, D)`` in a metric ``(D,)``: at most the minimum of D and T - 1."""
+def principal_modes(vectors: LargeArray, metric: Float, groups: Index | None = None) -> Modes:
+    """Compute all modes of vectors ``(T, D)`` in a metric ``(D,)``: at most the minimum of D and T - 1 of every group.
+
+    With groups ``(D,)`` of coordinates, a mode changes the coordinates of one group.
+    """
     count, dim = vectors.shape
-    return _from_frames(vectors, metric) if count <= dim else _from_coordinates(vectors, metric)
+    modes_of = _from_frames if count <= dim else _from_coordinates
+    if groups is None or not groups.any():
+        return modes_of(vectors, metric)
+    numbers = np.unique(groups)
+    parts = [modes_of(vectors, np.where(groups == number, metric, 0.0)) for number in numbers]
+    sizes = np.concatenate([part.sizes for part in parts])
+    order = np.argsort(-sizes, kind="stable")
+    mode_groups = np.repeat(numbers, [len(part.sizes) for part in parts])[order]
+    scores = np.concatenate([part.scores for part in parts], axis=1)[:, order]
+
+    def deviations(rank: int) -> Iterator[tuple[slice, Float]]:
+        masks = [mode_groups[:rank] == number for number in numbers]
+        for blocks in zip(*(part.deviations(mask.sum()) for part, mask in zip(parts, masks, strict=True)), strict=True):
+            columns = blocks[0][0]
+            block = np.zeros((rank, len(groups[columns])))
+            for number, mask, (_, of_group) in zip(numbers, masks, blocks, strict=True):
+                block[mask] = of_group * (groups[columns] == number)
+            yield columns, block
+
+    return Modes(scores, sizes[order], parts[0].mean, deviations, mode_groups)
 
 
 def _from_frames(vectors: LargeArray, metric: Float) -> Modes:
@@ -194,7 +217,7 @@ def _from_frames(vectors: LargeArray, metric: Float) -> Modes:
     order = _significant_modes(sizes)
     sizes, directions = sizes[order], directions[order]
     scores = (directions * sizes[:, None]).T
-    return Modes(scores, sizes, mean, lambda rank: deviations(directions[:rank]))
+    return Modes(scores, sizes, mean, lambda rank: deviations(directions[:rank]), np.zeros(len(sizes), dtype=np.int64))
 
 
 def _from_coordinates(vectors: LargeArray, metric: Float) -> Modes:
@@ -221,7 +244,7 @@ def _from_coordinates(vectors: LargeArray, metric: Float) -> Modes:
     def deviations(rank: int) -> Iterator[tuple[slice, Float]]:
         yield slice(None), directions[:rank] * (sizes[:rank, None] / np.sqrt(count)) / weights
 
-    return Modes(scores, sizes, mean, deviations)
+    return Modes(scores, sizes, mean, deviations, np.zeros(len(sizes), dtype=np.int64))
 
 
 def _significant_modes(sizes: Float) -> Index:

@@ -133,6 +133,17 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """Return the placements ``(T, placement_dim)`` of poses; the inverse of `unpack_placements`."""
         return flatten_blocks(poses)
 
+    def group_coordinates(self, group_of_vertex: Index) -> Index | None:
+        """Return the group ``(S,)`` of shape coordinates from the group ``(V,)`` of vertices; None if they are shared.
+
+        Groups have temporal operators of their own, and consist of components of the mesh.
+        """
+        return None
+
+    def merge_poses(self, poses: Sequence[tuple[Float, Float]], group_of_vertex: Index) -> tuple[Float, Float]:
+        """Merge results of `interpolate_poses` with the operators of all groups; by default there are no poses."""
+        return poses[0]
+
     def interpolate_poses(
         self, operator: TemporalOperator, poses: Float, placements: Float, times: Float
     ) -> tuple[Float, Float]:
@@ -276,6 +287,10 @@ class VertexSpace(ShapeSpace):
     def weights(self) -> Float:
         """Ones: coordinates are in diagonals."""
         return np.ones(self.dim)
+
+    def group_coordinates(self, group_of_vertex: Index) -> Index:
+        """Implement `ShapeSpace.group_coordinates`."""
+        return np.repeat(group_of_vertex, 3)
 
     def encode_independently(self, points: FloatArray) -> Float:
         """Implement `ShapeSpace.encode_independently`."""

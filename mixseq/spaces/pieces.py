@@ -67,9 +67,14 @@ def register_parts(shapes: Float, parts: Sequence[Index], x: FloatArray) -> tupl
     ends, vertex_ids = np.cumsum([len(part) for part in parts]), np.concatenate(parts)
     points = np.ascontiguousarray(x, dtype=np.float64)
     centred, centres, covariances = centre_parts(points, vertex_ids, ends, shapes)
+    squares = np.add.reduceat(np.square(shapes).sum(axis=1), np.append(0, ends[:-1]))
+    covariances[np.abs(covariances).max(axis=(1, 2)) <= MIN_PART_SCALE * squares] = 0.0  # rounding errors of a point
     rotations = aligning_rotations(covariances)
     return rotate_back(centred, ends, rotations), rotations, centres
 
+
+MIN_PART_SCALE = 1e-12
+"""Ratio of the size of a part to that of its mean shape below which it is a point, and is not turned."""
 
 MIN_WIDTH_RATIO = 1e-3
 """Least ratio of width to length of a piece; narrower pieces are lines."""

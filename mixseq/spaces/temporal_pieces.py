@@ -170,7 +170,7 @@ def _window(own: FrameWeights, row: int, start: int, size: int) -> Float:
 
 @dataclass(frozen=True)
 class Timing:
-    """Events of a sequence, and the motion between its frames."""
+    """Events of a sequence, or of a group of components, and the motion between its frames."""
 
     events: Events = Events()  # noqa: RUF009 - frozen
     between: BetweenName = "auto"

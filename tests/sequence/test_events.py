@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mixseq.mesh.topology import Topology
-from mixseq.sequence.events import Events, distinct_poses, find_events
+from mixseq.sequence.events import MAX_GROUPS, Events, SequenceEvents, distinct_poses, find_events
 from mixseq.sequence.sequence import FrameStore, MeshSequence
 from mixseq.types import Float
 from tests.meshes import joined
@@ -143,10 +143,25 @@ def test_components_are_cut_and_pop_by_themselves() -> None:
     assert events(first, stopped)[1].holds == ((10, 15),)
 
 
+def test_components_with_equal_cuts_and_pops_are_groups() -> None:
+    """Groups are ordered by size, the smallest are united, and a group without components is left out."""
+    labels = np.repeat(np.arange(12), np.arange(1, 13))  # component k has k + 1 vertices
+    whole = Events(cuts=(4,))
+    own = [(k, Events(cuts=(4,), pops=(k,))) for k in range(8, 12)] + [(7, Events(cuts=(4,), pops=(11,)))]
+    held = (6, Events(cuts=(4,), holds=((1, 3),)))
+    events, groups = SequenceEvents(whole, (*own, held)).group_components(labels)
+    assert [each.pops for each in events] == [(), (11,), (10,), (9,), (8,)]
+    assert groups.tolist() == np.repeat([0] * 7 + [1, 4, 3, 2, 1], np.arange(1, 13)).tolist()
+    many = SequenceEvents(whole, tuple((k, Events(pops=(20 - k,))) for k in range(12)))
+    events, groups = many.group_components(labels)
+    assert [each.pops for each in events] == [(9,), (10,), (11,), (12,), (13,), (14,), tuple(range(15, 21))]
+    assert groups.max() == len(events) - 1 == MAX_GROUPS - 2
+
+
 def test_poses_are_kept_at_their_own_times() -> None:
     poses = np.repeat(FRAMES[:15], 2)
     sequence = MeshSequence.from_arrays(moving(poses), MESH[1], fps=24)
-    store, events = distinct_poses(FrameStore(sequence.header, sequence.points), found(moving(poses)))
+    store, (events,) = distinct_poses(FrameStore(sequence.header, sequence.points), [found(moving(poses))])
     np.testing.assert_allclose(store.header.times[:-1] * 24, np.arange(0, 30, 2), atol=1e-12)
     assert store.header.times[-1] == sequence.times[-1]
     np.testing.assert_array_equal(store.points[:-1], sequence.points[::2])

@@ -81,6 +81,8 @@ def test_times_given_twice_break_a_curve() -> None:
     np.testing.assert_allclose(BROKEN(t)[:, 0], [0.25, 6.25, 2, 1.5, -0.75, -1, 2], atol=1e-13)
     np.testing.assert_allclose(BROKEN.derivative(t)[:, 0], [1, 5, -1, -1, -1, 6, 6], atol=1e-12)
     assert BROKEN.breaks.tolist() == [3, 6]
+    both = BROKEN.on_both_sides(np.array([0.5, 3.0, 3.0, 3.5, 6.0, 6.0]))
+    np.testing.assert_allclose(both[:, 0], [0.25, 9, 2, 1.5, -1, -1], atol=1e-13)
     assert [piece(piece.end).item() for piece in BROKEN.pieces] == [9, -1, 5]
     again = Curve.from_pieces(BROKEN.pieces)
     np.testing.assert_array_equal(again.times, BROKEN.times)

@@ -30,7 +30,7 @@ from mixseq.spaces.making import MixedSettings, make_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from mixseq.spaces.temporal import FrameWeights
 from mixseq.types import Float
-from tests.meshes import bar, tube
+from tests.meshes import bar, joined, tube
 from tests.motions import MESH, moving
 
 SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
@@ -318,3 +318,32 @@ def test_poses_on_twos_are_kept_or_made_smooth(space: SpaceName) -> None:
     at = np.arange(4.0, 14)
     np.testing.assert_allclose(smooth.sample(times=at / 20).points, moving(at), atol=0.01)
     assert np.abs(kept.sample(times=at / 20).points - moving(at)).max() > 0.05
+
+
+@pytest.mark.parametrize(("space", "apart"), [("mixed", 1.05), ("mixed", 4.0), ("vertex", 4.0)])
+def test_cuts_and_pops_of_a_component_leave_the_others_smooth(space: SpaceName, apart: float) -> None:
+    """Two tubes, of which one is moved far away, or is a point in some frames."""
+    frames, count, faces = np.arange(36.0), len(MESH[0]), joined(MESH, (MESH[0] + [apart, 0, 0], MESH[1]))[1]
+
+    def shot(at: Float, event: str) -> Float:
+        other = moving(at) + np.array([apart, 0, 0])
+        if event == "cut":
+            other += 25.0 * (at > 20.5)[:, None, None]
+        is_point = (event == "blink") & (at > 15.5) & (at < 18.5)
+        centres = np.repeat(other.mean(axis=1, keepdims=True), count, axis=1)
+        return np.concatenate([moving(at), np.where(is_point[:, None, None], centres, other)], axis=1)
+
+    at = np.sort(np.concatenate([frames[:-1] + 0.25, frames[:-1] + 0.75]))
+
+    def errors(event: str) -> tuple[Float, Float]:
+        sequence = MeshSequence.from_arrays(shot(frames, event), faces, fps=24)
+        model = fit(sequence, exact=True, space=space, parts=faces[:, 0] // count if space == "mixed" else None)
+        found = np.linalg.norm(model.sample(times=at / 24).points - shot(at, event), axis=2)
+        return found[:, :count].max(axis=1), found[:, count:].max(axis=1)
+
+    smooth, _ = errors("none")
+    for event, waiting in (("cut", []), ("blink", [15.25, 15.75, 18.25, 18.75])):
+        others, own = errors(event)
+        assert (others <= smooth + 2e-4).all(), event
+        is_smooth = ~np.isin(at, waiting)  # a component that appears waits until half-way
+        assert own[is_smooth].max() < 0.02, event

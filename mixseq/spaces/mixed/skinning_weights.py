@@ -22,7 +22,7 @@ from mixseq.runtime.jit import compiled
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.solvers import factorise
 from mixseq.spaces.pieces import register_parts
-from mixseq.types import Float, FloatArray, Index
+from mixseq.types import Float, FloatArray, Index, Int32
 
 EXCHANGE_ROUNDS = 4
 """Number of rounds of exchanges between the parts of a vertex in a sweep."""
@@ -35,8 +35,8 @@ def fit_weights(
     weights: Float,
     products: Float,
     smoothness: Float,
-    starts: Index,
-    neighbours: Index,
+    starts: Int32,
+    neighbours: Int32,
     sweeps: int,
 ) -> None:
     """Fit skinning weights ``(V, k)`` of vertices ``(n,)``, in place, by Gauss-Seidel sweeps.
@@ -137,8 +137,7 @@ def fit_skinning_weights(
             squares = np.square(errors - mean_errors[:, None]).sum(axis=2)
             variances += np.einsum("nk,nk->n", weights[blended], squares)
         smoothness = SMOOTHNESS_WEIGHT * variances + MOTION_NOISE * len(frames)
-        neighbours = graph.indptr.astype(np.int64), graph.indices.astype(np.int64)
-        fit_weights(blended, parts, weights, products, smoothness, *neighbours, GAUSS_SEIDEL_SWEEPS)
+        fit_weights(blended, parts, weights, products, smoothness, graph.indptr, graph.indices, GAUSS_SEIDEL_SWEEPS)
     weights[weights < MIN_WEIGHT] = 0.0
     rows, columns = np.nonzero(weights)
     vertex_ids = np.concatenate([fitted[rows], rigid])
@@ -180,7 +179,7 @@ def _parts_near(topology: Topology, decomposition: Decomposition, vertex_ids: In
 def _diffuse(graph: sparse.csr_array, fractions: sparse.csr_array) -> tuple[Index, Float]:
     """Diffuse fractions ``(n, p)``: return nearby parts ``(n, k)``, -1 for none, and their weights, decreasing."""
     vertex_count, part_count = fractions.shape
-    degrees = np.asarray(graph.sum(axis=1)).reshape(-1)
+    degrees = np.asarray(graph.sum(axis=1), dtype=np.float64).reshape(-1)
     laplacian = sparse.diags_array(degrees) - graph
     diffusion = sparse.eye_array(vertex_count) + INFLUENCE_RINGS**2 / 4.0 * laplacian
     factor = factorise(sparse.csr_array(diffusion))
