@@ -171,7 +171,7 @@ class MeshSequence(SequenceHeader):
             points: FloatArray = self.points[frame]
             return points
         velocities = None if self.velocities is None else self.velocities[frame]
-        return replace(self, points=self.points[frame], velocities=velocities, times=self.times[frame])
+        return replace(self, points=self.points[frame], velocities=velocities, times=self.times[frame], keys=None)
 
     def to_trimesh(self, frame: int = 0) -> Trimesh:
         """Return a frame by its index from 0 as a `trimesh.Trimesh`, with the same vertices and triangulated faces."""
