@@ -104,8 +104,7 @@ def select_share(encoded: EncodedSequence, frames: LargeArray) -> EncodedSequenc
     errors_without = np.maximum(_rms_errors(elements, skinned, expected), ERROR_FLOOR)
     gains = []
     for share in CANDIDATE_SHARES:
-        vectors = zip(skinned, blocks.lengths, blocks.angles, strict=True)
-        projected = [space.joint_projection.project(*vector, share) for vector in vectors]
+        projected = space.joint_projection.project(skinned, blocks.lengths, blocks.angles, share)
         gains.append(1.0 - float((_rms_errors(elements, projected, expected) / errors_without).max()))
     share = CANDIDATE_SHARES[int(np.argmax(np.array(gains) >= SUFFICIENT_GAIN * max(gains) - 1e-12))]
     return replace(encoded, space=space.with_weights(projection=replace(space.projection, share=share)))
