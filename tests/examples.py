@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Generator
 from functools import cache
+from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
+
+TESTS = Path(__file__).parent
 
 
 @cache
@@ -21,6 +25,13 @@ def _folder() -> TemporaryDirectory[str]:
     mixseq.save(f"{folder.name}/arm.h5", mixseq.fit(arm, exact=True))
     mixseq.write(f"{folder.name}/long.obj", arm[:1].with_points(arm.points[:1] * [1.5, 1, 1]))
     return folder
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file(file_path: Path) -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
+    """Look for examples in the product only: looking in all tests takes as long as collecting them."""
+    found = yield
+    return [each for each in found if type(each) is pytest.Module] if TESTS in file_path.parents else found
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

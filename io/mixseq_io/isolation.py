@@ -18,7 +18,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from importlib import import_module
 from itertools import count
@@ -28,6 +28,7 @@ from typing import Any
 from weakref import WeakSet, finalize
 
 from mixseq.errors import FormatError
+from mixseq.runtime.interrupts import blocked_interrupts
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray
 from mixseq_io.files import format_gigabytes, max_memory
@@ -43,7 +44,7 @@ class WorkerProcess:
 
     def __init__(self) -> None:
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        with _blocked_interrupts():
+        with blocked_interrupts():
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "mixseq_io.worker"],
                 stdin=subprocess.PIPE,
@@ -118,19 +119,6 @@ class WorkerProcess:
             f"{path}: the library that reads it crashed; the file is damaged, export it again (or it needs more than "
             f"{format_gigabytes(max_memory())} of memory: --max-memory)"
         )
-
-
-@contextmanager
-def _blocked_interrupts() -> Iterator[None]:
-    """Start processes that Ctrl-C, which goes to all processes of a terminal, does not end before they ignore it."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

@@ -19,7 +19,8 @@ from mixseq.compression.numbering import find_numbering
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, MixseqError
 from mixseq.mesh.polygons import PolygonMatch, Polygons, match_polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, FaceSet, MeshObject, Origin, Surface
-from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.frame_rates import FRAME_TOLERANCE
+from mixseq.sequence.header import FileKeys, SequenceHeader
 from mixseq.types import Float, FloatArray, Index, IntArray
 from mixseq_io.files import LimitError
 from mixseq_io.reader import warn
@@ -190,6 +191,22 @@ def insert_times(times: Float, more: Float, tolerance: float | Float) -> Float:
     after = np.searchsorted(times, more)
     is_close = np.minimum(more - padded[after], padded[after + 1] - more) <= tolerance
     return np.union1d(times, more[~is_close])
+
+
+MIN_KEY_SPACING_FRAMES = 1.5
+"""Least mean distance of linear keys in frames; a key at every frame was baked, and says nothing about the motion."""
+
+
+def find_keys(keys: Float, times: Float, fps: float, is_held: bool) -> FileKeys | None:
+    """Return the frames at times ``(T,)`` at which linear or held motion has keys ``(n,)``; None if others have."""
+    if len(keys) < 2:
+        return None
+    slack = TIME_TOLERANCE + FRAME_TOLERANCE / fps
+    ids = np.minimum(np.searchsorted(times, keys - slack), len(times) - 1)
+    is_dense = (keys[-1] - keys[0]) * fps < MIN_KEY_SPACING_FRAMES * (len(keys) - 1)
+    if not is_held and (is_dense or (np.abs(times[ids] - keys) > slack).any()):
+        return None
+    return FileKeys(tuple(np.unique(ids).tolist()), is_held)
 
 
 def snap_to_frames(times: Float, fps: float) -> Float:

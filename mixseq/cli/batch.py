@@ -1,349 +1,111 @@
-"""``mixseq batch``: find sequences, encode them locally or on a cluster, and update a report after every asset.
+"""``mixseq batch``: run a command for many assets, in processes or on a cluster, and report after every asset.
 
-The report is written as JSON, for resuming the batch, and as Markdown.
+An asset is run as the command line of its job, with the options that were given to the batch.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import re
 import warnings
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import asdict, dataclass, field, fields, replace
-from hashlib import sha256
-from html import escape
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import (
+    AbstractContextManager,
+    closing,
+    contextmanager,
+    nullcontext,
+    redirect_stderr,
+    redirect_stdout,
+    suppress,
+)
+from dataclasses import dataclass, replace
+from importlib import import_module
+from io import StringIO
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import click
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.encode import aiming, compressed
-from mixseq.cli.files import Claim, check_options, decoded, is_model, options_of, overwriting
-from mixseq.cli.formats import as_markdown
-from mixseq.cli.group import format_bytes, length_text, print_table, printable, progress_bar, say
-from mixseq.cli.options import in_diagonals
-from mixseq.errors import (
-    FormatError,
-    GivenUpError,
-    MissingFileError,
-    MixseqError,
-    MixseqWarning,
-    OutputError,
-    SettingsError,
+from mixseq.cli.batch_report import (
+    Entry,
+    Report,
+    Settings,
+    files_of,
+    find_sources,
+    plan,
+    read_report,
+    rows,
+    size_and_hash,
+    write_report,
 )
+from mixseq.cli.files import VAT_EXTENSION, Claim, check_options, decoded, overwriting
+from mixseq.cli.group import print_table, progress_bar, say
+from mixseq.cli.options import READING_OPTIONS
+from mixseq.errors import FormatError, GivenUpError, MissingFileError, MixseqError, MixseqWarning, OutputError
 from mixseq.runtime.progress import Progress, log_progress
-from mixseq.version import __version__
 
 if TYPE_CHECKING:
     from mixseq.runtime.cluster import ClusterExecutor
     from mixseq.runtime.parallel import Executor
-
-
-TABLE_HEADINGS = ("asset", "frames", "vertices", "time", "max error", "KG error", "size", "bits", "")
-
-_INPUTS = ("source", "target", "source_bytes", "source_signature", "settings")
-"""Fields of an `Entry` on which its result depends."""
-
-Settings = Mapping[str, Any]
-"""JSON settings of `mixseq.fit`, with `mixseq.compress` settings in ``aim`` and reader settings in ``reading``."""
+    from mixseq.runtime.processes import ProcessPool
 
 
 @dataclass(frozen=True)
-class Entry:
-    """A sequence to encode, and the result."""
+class Job:
+    """A command that a batch can run: its first argument is an asset, its last the file to write."""
 
-    # File, or pattern of numbered files; paths are absolute, as other processes may have a different working directory.
-    source: str
-    target: str  # path of the model to write
-    source_bytes: int  # total size of the source files
-    source_signature: str  # hash of the names, sizes and modification times of the source files
-    settings: Settings  # settings of the encoding
-    state: Literal["done", "failed", "left"] = "left"  # left: not started
-    frames: int | None = None  # number of frames
-    vertices: int | None = None  # number of vertices
-    seconds: float | None = None  # duration of the encoding, without the comparison
-    max_error: float | None = None  # largest vertex error of the decoded model, in diagonals
-    diagonal: float | None = None  # diagonal of the first frame, in metres
-    kg_percent: float | None = None  # Karni-Gotsman error
-    bytes: int | None = None  # size of the model
-    target_signature: str | None = None  # hash of the name, size and modification time of the last model written
-    bits: float | None = None  # size of the model in bits per vertex and frame
-    history: str = ""  # what the model comes from and how far it is from it, see `mixseq.sequence.provenance`
-    message: str = ""  # reason of a failure
-    warnings: tuple[str, ...] = field(default=())  # warnings while reading
-
-    @property
-    def model(self) -> Path:
-        """Path of the model."""
-        return Path(self.target)
-
-    def holds_for(self, asset: Entry) -> bool:
-        """Return whether the entry is a valid result: equal source and settings, and the model still exists."""
-        is_same = all(getattr(self, name) == getattr(asset, name) for name in _INPUTS)
-        return self.state == "done" and is_same and self.is_unchanged()
-
-    def is_unchanged(self) -> bool:
-        """Return whether the model has the size and modification time that the batch has written."""
-        return self.model.is_file() and _size_and_hash([self.model])[1] == self.target_signature
+    reads: tuple[Literal["sequences", "models"], ...]  # what is taken from folders
+    extension: str | None = None  # extension of the files; None for that of the asset
 
 
-def find_sources(paths: Iterable[Path]) -> list[Path]:
-    """Return the distinct absolute paths of sequences: the given files and patterns, and the sequences in folders.
+JOBS = {
+    "encode": Job(("sequences",), ".h5"),
+    "convert": Job(("sequences",)),
+    "decode": Job(("models",), ".usdc"),
+    "resample": Job(("sequences", "models")),
+    "edit": Job(("sequences", "models"), ".h5"),
+    "transfer": Job(("sequences", "models")),
+    "segment": Job(("sequences",), ".npz"),
+}
 
-    Sequences in a folder are files in sequence formats and numbered files; subfolders are not searched. Models and the
-    meshes of point caches are skipped; other single meshes are skipped with a warning.
-    """
-    sources: dict[Path, None] = {}
-    for path in paths:
-        candidates = sorted(_sequences_in(path)) if path.is_dir() else [path]
-        if not candidates:
-            raise FormatError(f"{path}: there are no sequences in this folder; `mixseq formats` lists what can be read")
-        for source in candidates:
-            if not files_of(source):
-                raise MissingFileError(f"{source} does not exist")
-            sources[source.parent.resolve() / source.name] = None
-    return list(sources)
-
-
-def files_of(source: Path) -> list[Path]:
-    """Return the file or numbered files of a sequence; return an empty list if no file exists."""
-    from mixseq_io.numbered.files import find_numbered_files
-
-    return [source] if source.exists() else [file for _, file in find_numbered_files(source)]
-
-
-def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str], settings: Settings) -> tuple[Entry, ...]:
-    """Choose model paths: ``walk.h5`` for ``walk.usdc``, or ``walk.usdc.h5`` if several sources are named walk."""
-    taken = {name.casefold() for name in names.values()}
-    stems = Counter(stem_of(source).casefold() for source in sources if str(source) not in names)
-    owners: dict[str, Path | str] = {
-        name.casefold(): other for other, name in names.items() if Path(other) not in set(sources)
-    }
-    assets = []
-    for source in sources:
-        stem = stem_of(source)
-        is_unique = stems[stem.casefold()] == 1 and f"{stem}.h5".casefold() not in taken
-        name = names.get(str(source)) or (f"{stem}.h5" if is_unique else f"{stem}{source.suffix}.h5")
-        other = owners.setdefault(name.casefold(), source)
-        if other is not source:
-            raise OutputError(
-                f"{source} and {other} would both be written to {out / name}; give one of them another --out"
-            )
-        target = out.resolve() / name
-        if target in sources:
-            raise OutputError(f"{target} is a source itself and would be lost; give another --out")
-        assets.append(Entry(str(source), str(target), *_size_and_hash(files_of(source)), settings))
-    return tuple(assets)
+_OMITTED_OPTIONS = (
+    "set",
+    "quiet",
+    "overwrite",
+    "threads",
+    "cluster",
+    "as_json",
+    "check",
+    "picture",
+    "save_map",
+    "travel",
+)
+"""Options of commands that a batch has itself, or whose file all assets would write."""
 
 
-def _size_and_hash(files: Iterable[Path]) -> tuple[int, str]:
-    """Return the total size of files, and a hash of their names, sizes and modification times."""
-    states = sorted((file.name, (state := file.stat()).st_size, state.st_mtime_ns) for file in files)
-    return sum(size for _, size, _ in states), sha256(repr(states).encode()).hexdigest()
-
-
-def stem_of(source: Path) -> str:
-    """Return the name of a sequence without frame numbers, or the name of its folder if only a number is there.
-
-    >>> [stem_of(Path("shots") / name) for name in ("walk.usdc", "run_####.obj", "%04d.ply")]
-    ['walk', 'run', 'shots']
-    """
-    from mixseq_io.numbered.files import is_pattern
-
-    if source.is_dir():
-        return source.name
-    if not is_pattern(source):
-        return source.stem
-    return re.sub(r"[ ._-]*(#+|%\d*d)", "", source.stem) or source.parent.name
-
-
-def _sequences_in(folder: Path) -> Iterator[Path]:
-    from mixseq_io.numbered.files import group_numbered_files
-    from mixseq_io.registry import FORMATS
-
-    formats = {extension: form for form in FORMATS for extension in form.extensions}
-    caches = set()
-    numbered = []
-    for file in sorted(folder.iterdir()):
-        form = formats.get(file.suffix.lower())
-        if form is None or file.name.startswith(".") or not file.is_file():
-            continue
-        if not form.numbered:
-            if not _is_model(file):
-                if "mesh" in form.read_options:
-                    caches.add(file.stem)
-                yield file
-        else:
-            numbered.append(file)
-    single = []
-    for pattern, files in group_numbered_files(numbered):
-        if len(files) > 1:
-            yield folder / pattern
-        else:
-            single.append(files[0][1].name)
-    left_out = [name for name in single if Path(name).stem not in caches]
-    if left_out:
-        shown = ", ".join(left_out[:5]) + (f" and {len(left_out) - 5} more" if len(left_out) > 5 else "")
-        warnings.warn(
-            f"{folder}: single meshes are no sequences and are left out: {shown}", MixseqWarning, stacklevel=2
-        )
-
-
-def _is_model(file: Path) -> bool:
-    """Return whether a file is a model; an unreadable file counts as a sequence, whose encoding fails."""
-    with suppress(FormatError):
-        return is_model(file)
-    return False
-
-
-@dataclass(frozen=True)
-class Report:
-    """Entries by source path, and whether the batch is complete."""
-
-    entries: Mapping[str, Entry]
-    finished: bool = False
-
-    def with_entry(self, entry: Entry) -> Report:
-        """Return the report with the given entry replaced or added."""
-        return replace(self, entries={**self.entries, entry.source: entry})
-
-    def of(self, assets: Iterable[Entry]) -> Report:
-        """Return the report of the given assets only, in the given order."""
-        return replace(self, entries={asset.source: self.entries[asset.source] for asset in assets})
-
-    def without_lost(self) -> Report:
-        """Return the report without entries whose source files no longer exist; their models are not deleted."""
-        return replace(self, entries={key: entry for key, entry in self.entries.items() if files_of(Path(key))})
-
-    def of_others(self, assets: Iterable[Entry], folder: Path) -> list[Path]:
-        """Return files that the batch would replace in a folder, but did not write itself or were modified since."""
-        replaced = [folder / asset.model.name for asset in assets if asset.model.exists() and not self._made(asset)]
-        table = folder / "report.md"
-        return replaced + [table] * (table.exists() and not (folder / "report.json").exists())
-
-    def _made(self, asset: Entry) -> bool:
-        """Return whether the model of an asset is unchanged since a batch wrote it."""
-        entry = self.entries.get(asset.source)
-        return entry is not None and entry.target == asset.target and (entry.state == "left" or entry.is_unchanged())
-
-    def count(self, state: str) -> int:
-        """Return the number of entries in a state."""
-        return sum(entry.state == state for entry in self.entries.values())
-
-    def summary(self) -> str:
-        """Return one line about all entries."""
-        return ", ".join(f"{self.count(state)} {state}" for state in ("done", "failed", "left") if self.count(state))
-
-
-def read_report(folder: Path) -> Report:
-    """Read the report in a folder; return an empty report if there is no file."""
-    path = folder / "report.json"
-    if not path.exists():
-        return Report({})
-    names = {each.name for each in fields(Entry)}
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        entries = [Entry(**{key: value for key, value in asset.items() if key in names}) for asset in stored["assets"]]
-        rows(entries)  # raises an error for damaged entries
-        if not all(isinstance(each, str) for entry in entries for each in (entry.source, entry.target)):
-            raise TypeError("a path is no text")
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise FormatError(f"{path} is damaged; delete it, and everything is encoded again") from error
-    return Report({entry.source: entry for entry in entries}, bool(stored.get("finished")))
-
-
-def write_report(folder: Path, report: Report) -> None:
-    """Write ``report.json`` and ``report.md``, each atomically."""
-    from mixseq_io.files import atomic_file
-
-    stored = {
-        "mixseq": __version__,
-        "finished": report.finished,
-        "assets": [asdict(entry) for entry in report.entries.values()],
-    }
-    for name, text in (
-        ("report.json", json.dumps(stored, indent=2) + "\n"),
-        ("report.md", in_markdown(report)),
-    ):
-        with atomic_file(folder / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-
-
-def rows(entries: Iterable[Entry]) -> list[tuple[str, ...]]:
-    """Return the table rows of entries, with the columns of `TABLE_HEADINGS`."""
-
-    def shown(value: float | None, form: str) -> str:
-        return "" if value is None else form.format(value)
-
-    return [
-        (
-            entry.model.stem,
-            shown(entry.frames, "{:,}"),
-            shown(entry.vertices, "{:,}"),
-            shown(entry.seconds, "{:.1f} s"),
-            ""
-            if entry.max_error is None or entry.diagonal is None
-            else length_text(entry.max_error, entry.diagonal, digits=2),
-            shown(entry.kg_percent, "{:.2g} %"),
-            "" if entry.bytes is None else format_bytes(entry.bytes),
-            shown(entry.bits, "{:.3g}"),
-            {"done": "", "failed": f"failed: {entry.message}", "left": "left"}[entry.state],
-        )
-        for entry in entries
-    ]
-
-
-def in_markdown(report: Report) -> str:
-    """Return the report in Markdown."""
-    entries = list(report.entries.values())
-    again = "" if report.finished else " Not finished: the same command goes on with what is left."
-    cells = [[_plain(cell).replace("|", "\\|") for cell in row] for row in rows(entries)]
-    lines = [
-        "# Batch",
-        "",
-        f"{len(entries)} assets: {report.summary()}.{again}",
-        "",
-        as_markdown([TABLE_HEADINGS, *cells]),
-        "",
-        "Times are those of encoding. Errors are of all decoded frames: the largest of a vertex, and the one of Karni",
-        "and Gotsman. Bits are per vertex and frame.",
-    ]
-    lines += [_plain(f"- {each.model.stem}: {each.history}") for each in entries if ", which" in each.history]
-    messages = [_plain(f"- {entry.model.stem}: {each}") for entry in entries for each in entry.warnings]
-    return "\n".join([*lines, *(["", "## Warnings", "", *messages] if messages else [])]) + "\n"
-
-
-def _plain(text: str) -> str:
-    """Escape control characters, and HTML, which Markdown passes through."""
-    return escape(printable(text), quote=False)
-
-
-Work = Callable[[Sequence[Entry]], Iterator[tuple[Entry, Callable[[], Entry]]]]
-"""Function that encodes assets and yields each finished asset with a function that returns its result."""
+Work = Callable[[Sequence[Entry]], Generator[tuple[Entry, Callable[[], Entry]], None, None]]
+"""Function that runs assets and yields each finished asset with a function that returns its result."""
 
 
 def run(assets: Iterable[Entry], earlier: Report, out: Path, work: Work, force: bool) -> Report:
-    """Encode the assets without valid results, and return the report; write it at the start and after every asset."""
+    """Run the assets without valid results, and return the report; write it at the start and after every asset."""
     with _alone(out):
         pending = []
         entries: dict[str, Entry] = {}
         for asset in assets:
-            before = earlier.entries.get(asset.source)
+            before = earlier.entries.get(asset.target)
             if before is None or force or not before.holds_for(asset):
                 before = replace(asset, target_signature=before.target_signature if before else None)
                 pending.append(before)
-            entries[asset.source] = before
+            entries[asset.target] = before
         report = Report(entries | {key: entry for key, entry in earlier.entries.items() if key not in entries})
         write_report(out, report)
-        for asset, result in work(pending):
-            report = report.with_entry(_entry(asset, result))
-            write_report(out, report)
+        with closing(work(pending)) as finished:
+            for asset, result in finished:
+                report = report.with_entry(_entry(asset, result))
+                write_report(out, report)
         report = replace(report, finished=not report.of(entries.values()).count("left"))
         write_report(out, report)
         return report
@@ -374,151 +136,291 @@ def _entry(asset: Entry, result: Callable[[], Entry]) -> Entry:
         entry = result()
     except GivenUpError as error:
         entry = replace(asset, state="failed", message=str(error))
-    if entry.state == "failed" and asset.model.exists():
-        return replace(entry, message=f"{entry.message}; an older model is left at {asset.model.name}")
+    if entry.state == "failed" and files_of(asset.path):
+        return replace(entry, message=f"{entry.message}; an older file is left at {asset.path.name}")
     return entry
 
 
-def in_turn(workers: Executor, progress: Progress) -> Work:
-    """Return a function that encodes assets locally, one after the other, with frames distributed over `workers`."""
+def on_workers(workers: ClusterExecutor | None, progress: Progress) -> Work:
+    """Return a function that runs an asset on each worker of a cluster, or in processes of this machine."""
+    from mixseq.runtime.parallel import thread_count
+    from mixseq.runtime.processes import process_pool
 
-    def work(assets: Sequence[Entry]) -> Iterator[tuple[Entry, Callable[[], Entry]]]:
-        for number, asset in enumerate(assets, start=1):
-            place = f"asset {number} of {len(assets)}, {asset.model.stem}"
-            entry = encode_asset(workers, asset, _naming(place, progress))
-            yield asset, lambda entry=entry: entry  # type: ignore[misc]
-
-    return work
-
-
-def on_cluster(cluster: ClusterExecutor, progress: Progress) -> Work:
-    """Return a function that encodes assets on a cluster, with one worker per asset."""
-
-    def work(assets: Sequence[Entry]) -> Iterator[tuple[Entry, Callable[[], Entry]]]:
-        progress(0, len(assets), "encoding assets")
-        for done, item in enumerate(cluster.as_completed(encode_asset, None, assets), start=1):
-            yield item
-            progress(done, len(assets), "encoding assets")
+    def work(assets: Sequence[Entry]) -> Generator[tuple[Entry, Callable[[], Entry]], None, None]:
+        # The largest first, so that all workers end at about the same time.
+        waiting = sorted(assets, key=lambda asset: -asset.source_bytes)
+        count = max(1, min(thread_count(), len(assets)))
+        pool: AbstractContextManager[ClusterExecutor | ProcessPool]
+        pool = nullcontext(workers) if workers else process_pool(count, max(1, thread_count() // count))
+        progress(0, len(assets), "assets")
+        with pool as processes:
+            for done, item in enumerate(processes.as_completed(run_asset, None, waiting), start=1):
+                yield item
+                progress(done, len(assets), f"assets, {item[0].name}")
 
     return work
 
 
-def _naming(place: str, progress: Progress) -> Progress:
-    return lambda done, total, what: progress(done, total, f"{place}: {what}")
-
-
-def encode_asset(workers: Executor | None, asset: Entry, progress: Progress = log_progress) -> Entry:
-    """Encode an asset, compare the decoded model with it, and move the model to its path; store errors in the entry."""
+def run_asset(_: object, asset: Entry) -> Entry:
+    """Run the command of an asset, and measure what it wrote; store its output, warnings and errors in the entry."""
+    output = StringIO()
     try:
-        with warnings.catch_warnings(record=True) as caught:
+        with (
+            warnings.catch_warnings(record=True) as caught,
+            redirect_stdout(output),
+            redirect_stderr(StringIO()),  # no progress
+        ):
             warnings.simplefilter("always", MixseqWarning)
-            result = _encode(asset, workers, progress)
+            start = perf_counter()
+            _invoke(asset)
+            seconds = perf_counter() - start
         messages = tuple(str(each.message) for each in caught if issubclass(each.category, MixseqWarning))
-        return replace(asset, state="done", warnings=messages, **result)
+        lines = tuple(output.getvalue().splitlines())
+        size, signature = size_and_hash(files_of(asset.path))
+        done = replace(asset, state="done", seconds=seconds, bytes=size, target_signature=signature, output=lines)
+        return replace(done, warnings=messages, **_measure(done))
     except MixseqError as error:
         message = str(error)
+    except click.ClickException as error:
+        message = error.format_message()
     except OSError as error:
         message = f"{error.filename or asset.source}: {error.strerror or error}"
     except MemoryError:
         message = "there is not enough memory"
     except Exception as error:
         # A bug in mixseq; the batch continues with the next asset.
-        message = f"a bug in mixseq, {type(error).__name__}: {error}; `mixseq encode` prints more, please report it"
+        job = asset.settings["job"]
+        message = f"a bug in mixseq, {type(error).__name__}: {error}; `mixseq {job}` prints more, please report it"
     return replace(asset, state="failed", message=" ".join(message.split()))
 
 
-def _encode(asset: Entry, workers: Executor | None, progress: Progress) -> dict[str, Any]:
-    from mixseq.runtime.parallel import serial_executor
-    from mixseq_io.files import atomic_file
+def _measure(asset: Entry) -> dict[str, Any]:
+    """Return the dimensions of a written sequence, and the errors of a model that the asset was encoded to."""
+    from mixseq.runtime.parallel import thread_executor
 
-    mapped, settings, source = workers or serial_executor, asset.settings, Path(asset.source)
-    reading = options_of(source, settings["reading"])
-    fitting = {name: value for name, value in settings.items() if name not in ("reading", "aim")}
-    with mixseq.open_sequence(source, **reading) as reader, atomic_file(asset.model) as file:
-        start = perf_counter()
-        if "aim" in settings:
-            mixseq.save(file, compressed(reader, settings["aim"], progress))
+    measured: dict[str, Any] = {}
+    with warnings.catch_warnings(), suppress(FormatError):  # labels of faces are no sequence
+        warnings.simplefilter("ignore", MixseqWarning)
+        if asset.settings["job"] != "encode":
+            with mixseq.open_sequence(asset.path) as reader:
+                frames, vertices = reader.header.frame_count, reader.header.vertex_count
         else:
-            fitting = in_diagonals(fitting, reader, "tolerance")
-            mixseq.save(file, mixseq.fit(reader, **fitting, progress=progress, workers=mapped))
-        seconds = perf_counter() - start
-        model = mixseq.load(file)
-        error = mixseq.compare(reader, decoded(model, progress, mapped))
-    size, signature = _size_and_hash([asset.model])
-    return {
-        "frames": error.frames,
-        "vertices": error.vertices,
-        "seconds": seconds,
-        "max_error": error.as_dict()["max_error"],
-        "diagonal": error.diagonal * reader.header.metres_per_unit,
-        "kg_percent": error.as_dict()["kg_percent"],
-        "history": str(model.header.provenance or ""),
-        "bytes": size,
-        "target_signature": signature,
-        "bits": 8 * size / (error.frames * error.vertices),
-    }
+            command = job_command("encode").make_context("encode", asset.arguments())
+            reading = {
+                name: value for name in READING_OPTIONS.values() if (value := command.params.get(name)) is not None
+            }
+            model = mixseq.load(asset.path)
+            with mixseq.open_sequence(Path(asset.source), **reading) as reader:
+                error = mixseq.compare(reader, decoded(model, log_progress, thread_executor()))
+                frames, vertices = error.frames, error.vertices
+                measured |= {
+                    "max_error": error.as_dict()["max_error"],
+                    "diagonal": error.diagonal * reader.header.metres_per_unit,
+                    "kg_percent": error.as_dict()["kg_percent"],
+                    "history": str(model.header.provenance or ""),
+                }
+        measured |= {"frames": frames, "vertices": vertices, "bits": 8 * (asset.bytes or 0) / (frames * vertices)}
+    return measured
 
 
-@options.command(
+# Command --------------------------------------------------------------------------------------------------
+
+
+def job_command(name: str) -> options.CommandWithSettings:
+    """Return the command that a job runs."""
+    command: options.CommandWithSettings = import_module(f"mixseq.cli.{name}").command
+    return command
+
+
+def _invoke(asset: Entry, claim: Callable[..., None] | None = None) -> None:
+    """Run the command of an asset, with its own checks of files if there is no other `claim`."""
+    command = job_command(asset.settings["job"])
+    with command.make_context(command.name, asset.arguments(), obj=claim) as context:
+        command.invoke(context)
+
+
+class BatchCommand(options.CommandWithSettings):
+    """A command whose first argument is a job, of which it takes the options."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """Parse the arguments, those of a job with its options."""
+        if args[:1] and args[0] in JOBS:
+            return _JobCommand(self, args[0]).make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
+        return super().make_context(info_name, args, parent, **extra)
+
+
+class _JobCommand(options.CommandWithSettings):
+    """A batch of one job, with the options of both."""
+
+    def __init__(self, batch: BatchCommand, name: str) -> None:
+        job = job_command(name)
+        arguments = [each for each in job.params if isinstance(each, click.Argument)]
+        self._between = [str(each.name) for each in arguments[1:-1]]
+        own = [each for each in batch.params if each.name not in ("job", "set")]
+        names = {*_OMITTED_OPTIONS, *(each.name for each in own)}
+        self._options = [
+            *(_required_option(each) for each in arguments[1:-1]),
+            *(each for each in job.params if isinstance(each, click.Option) and each.name not in names),
+        ]
+        super().__init__(
+            f"{batch.name} {name}",
+            params=[*own, *self._options],
+            callback=batch.callback,
+            help=f"Run mixseq {name} for many assets, with one report.\n\nSee mixseq batch --help and "
+            f"mixseq {name} --help.",
+            epilog=options.examples(f"mixseq batch {name} shots --out {name}d"),
+        )
+        self._job = name
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments, and keep the options of the job as they are for its own command line."""
+        expanded = list(self._expanded(ctx, args)) if self.settings else args
+        texts, _, _ = self.make_parser(ctx).parse_args(args=list(expanded))
+        rest = super().parse_args(ctx, args)
+        if ctx.resilient_parsing:
+            return rest
+        given = {str(each.name): _spell(each, texts[each.name]) for each in self._options if each.name in texts}
+        between = [str(ctx.params[name].absolute()) for name in self._between]
+        files = [Path(text) for each in self._options for text in _paths(each, texts.get(each.name))]
+        ctx.params = {each: value for each, value in ctx.params.items() if each not in {o.name for o in self._options}}
+        ctx.params |= {
+            "job": self._job,
+            "settings": {
+                "job": self._job,
+                "between": between,
+                "options": {name: each for name, each in given.items() if name not in self._between},
+                "files": size_and_hash(file for path in files for file in files_of(path))[1],
+            },
+        }
+        return rest
+
+
+def _required_option(argument: click.Argument) -> click.Option:
+    """Return an option in place of an argument that all assets share."""
+    return click.Option(
+        [f"--{argument.name}"],
+        type=argument.type,
+        required=True,
+        metavar="FILE",
+        help=f"{str(argument.name).upper()} of all assets.",
+    )
+
+
+def _spell(option: click.Option, value: Any) -> list[str]:
+    """Return the command-line arguments that give an option a value; paths are absolute."""
+    if option.is_flag:
+        return [(option.opts if value else option.secondary_opts)[-1]]
+    is_path = isinstance(option.type, click.Path)
+    values = value if option.multiple else [value]
+    return [f"{option.opts[-1]}={Path(text).absolute() if is_path else text}" for text in values]
+
+
+def _paths(option: click.Option, value: Any) -> list[str]:
+    if value is None or not isinstance(option.type, click.Path):
+        return []
+    return list(value) if option.multiple else [value]
+
+
+class _AcceptedError(Exception):
+    """Raised where a command would begin to work."""
+
+
+def _check_arguments(assets: Iterable[Entry]) -> None:
+    """Run the commands of assets up to their work, so that wrong options are errors of the batch."""
+
+    def accept(*targets: Path | None, read: Iterable[Path | None] = ()) -> NoReturn:
+        raise _AcceptedError
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MixseqWarning)
+        for asset in assets:
+            with suppress(_AcceptedError, FormatError, MissingFileError):
+                _invoke(asset, accept)
+
+
+def _extension(text: str) -> str:
+    from mixseq_io.registry import FORMATS
+
+    extension = f".{text.lower().removeprefix('.')}"
+    known = [*(each for form in FORMATS for each in form.extensions), VAT_EXTENSION]
+    if extension not in known:
+        raise click.BadParameter(f"{text!r} is none of {', '.join(each[1:] for each in known)}")
+    return extension
+
+
+@click.command(
     "batch",
-    "mixseq batch shots/*.usdc --out models",
-    "mixseq batch shots --out models --tolerance 0.001",
-    "mixseq batch shots --out small --max-error 0.001",
-    "mixseq batch shots --out models --cluster tcp://host:8786",
+    cls=BatchCommand,
+    epilog=options.examples(
+        "mixseq batch encode shots/*.usdc --out models",
+        "mixseq batch convert shots --out caches --format abc",
+        "mixseq batch encode shots --out models --cluster tcp://host:8786",
+    ),
 )
-@options.argument("caches", nargs=-1, required=True)
-@options.option("--out FOLDER", required=True, help="Folder for models and report.")
-@options.option("--force", is_flag=True, help="Encode everything again, also what is done.")
-@aiming
-@options.fitting
+@click.argument("job", type=click.Choice(list(JOBS)))
+@options.argument("assets", nargs=-1, required=True)
+@options.option("--out FOLDER", required=True, help="Folder for the files and the report.")
+@options.option(
+    "--format EXTENSION",
+    "extension",
+    type=_extension,
+    help="Format of the files: usdc, abc, glb, ...  [default: h5 of encode and edit, usdc of decode, npz of segment, "
+    "else as the asset]",
+)
+@options.setting("--force", is_flag=True, help="Do everything again, also what is done.")
 @options.workers
-@options.reading
 @overwriting
 @options.quiet
 def command(
-    caches: tuple[Path, ...],
+    job: str,
+    assets: tuple[Path, ...],
     out: Path,
+    extension: str | None,
     force: bool,
-    aim: dict[str, Any],
-    fitting: dict[str, Any],
     workers: AbstractContextManager[Executor],
-    reading: dict[str, Any],
     claim: Claim,
     quiet: bool,
+    settings: Settings | None = None,
 ) -> None:
-    """Turn many sequences into models, with one report.
+    """Run a command for many sequences or models, with one report.
 
-    CACHES are sequences in any format, or folders of sequences. Each becomes a model in the output folder, is decoded
-    and compared; report.json and report.md there are updated. If a sequence fails, the batch continues.
+    JOB is the command, and its options are options of the batch: see "mixseq batch JOB --help". ASSETS are files in any
+    format, or folders of sequences (of models, for decode). Every asset becomes a file in the output folder;
+    report.json and report.md there are updated. Encoded models are compared with their sequences. If an asset fails,
+    the batch continues.
 
-    After an interruption, run the same command again: it encodes only what is missing, failed or has changed. Files
-    that no batch has made are replaced only with --overwrite, or if you agree on a terminal.
+    As many assets as there are cores are worked on at the same time, in a process each.
 
-    With --max-error, --kg or --size every model is compressed, see "mixseq encode".
+    After an interruption, run the same command again: it does only what is missing, failed or has changed. Files that
+    no batch has made are replaced only with --overwrite, or if you agree on a terminal.
     """
-    if len(options.given_options("exact", "tolerance", "rank")) > 1:
-        raise SettingsError("--exact, --tolerance and --rank exclude each other; give one of them")
     if out.exists() and not out.is_dir():
         raise OutputError(f"{out} is a file; give the name of a folder")
     from mixseq.runtime.cluster import ClusterExecutor
 
-    read_with = {name: str(value.resolve()) if isinstance(value, Path) else value for name, value in reading.items()}
-    settings = {**({"aim": aim} if aim else fitting), "reading": read_with}
+    settings = settings or {"job": job, "between": [], "options": {}, "files": size_and_hash([])[1]}
     earlier = read_report(out).without_lost()
-    names = {source: entry.model.name for source, entry in earlier.entries.items()}
-    assets = plan(find_sources(caches), out, names, settings)
-    check_options((Path(asset.source) for asset in assets), reading, "none of the sequences is")
-    claim.permit(earlier.of_others(assets, out), unasked=False)
+    sources = find_sources(assets, JOBS[job].reads)
+    planned = plan(sources, out, earlier.entries.values(), settings, extension or JOBS[job].extension)
+    given = {text.partition("=")[0] for texts in settings["options"].values() for text in texts}
+    check_options(
+        sources, {name: None for text, name in READING_OPTIONS.items() if text in given}, "none of the sequences is"
+    )
+    _check_arguments(planned)
+    claim.permit(earlier.of_others(planned, out), unasked=False)
     try:
         out.mkdir(exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot make the folder {out}: {error.strerror}; choose another one") from error
     with workers as mapped, progress_bar(quiet) as progress:
-        work = on_cluster(mapped, progress) if isinstance(mapped, ClusterExecutor) else in_turn(mapped, progress)
-        report = run(assets, earlier, out.resolve(), work, force)
-    results = report.of(assets)
+        cluster = mapped if isinstance(mapped, ClusterExecutor) else None
+        report = run(planned, earlier, out.resolve(), on_workers(cluster, progress), force)
+    results = report.of(planned)
     if not quiet:
-        print_table(rows(results.entries.values()), TABLE_HEADINGS)
+        heading, *table = rows(results.entries.values())
+        print_table(table, heading)
     say(f"wrote {click.format_filename(out / 'report.md')} ({results.summary()})")
-    if results.count("done") < len(assets):
+    if results.count("done") < len(planned):
         click.get_current_context().exit(1)

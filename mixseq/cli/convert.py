@@ -7,7 +7,7 @@ from typing import Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import Claim, counted, overwriting, select_frames, write_sequence
+from mixseq.cli.files import Claim, counted, each_animation, overwriting, select_frames, write_sequence
 from mixseq.cli.group import announce, progress_bar
 
 
@@ -18,6 +18,7 @@ from mixseq.cli.group import announce, progress_bar
     "mixseq convert shot.abc part.abc --frames 1005-1010",
     "mixseq convert fox.glb run.glb --set animation=Run",
 )
+@each_animation
 @options.argument("source")
 @options.argument("target")
 @options.frames(help="Only these frames, by their numbers.  [default: all]")

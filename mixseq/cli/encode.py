@@ -114,6 +114,7 @@ def compressed(
     "mixseq encode walk.usdc small.h5 --size 200kB",
     "mixseq encode walk.usdz walk.glb --max-error 0.001",
 )
+@files.each_animation
 @options.argument("source")
 @options.argument("target")
 @aiming

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -152,7 +153,7 @@ def between_rows(
     `points_at` returns points of the motion ``(B, V, 3)`` at times ``(N,)`` of the file.
     """
     from mixseq.sequence.sequence import UnitConversion, reference_diagonal
-    from mixseq_io.rig_files import measure_file_between
+    from mixseq_io.rig_files import GLTF_EXTENSIONS, measure_file_between
 
     if path.suffix.lower() not in GLTF_EXTENSIONS or header.frame_count == 1:
         return []
@@ -353,7 +354,11 @@ class Claim:
 
 
 def _claim(overwrite: bool | None = None) -> Claim:
-    given = click.get_current_context().params
+    context = click.get_current_context()
+    if context.obj is not None:  # of a batch, to know options before the work
+        of_batch: Claim = context.obj
+        return of_batch
+    given = context.params
     files = _paths(value for name, value in given.items() if name not in _FOLDER_PARAMETERS)
     return Claim(overwrite, tuple(files), bool(given.get("clips")))
 
@@ -455,18 +460,52 @@ labelling = options.group(
 """Options for labels from other programs; the argument ``labels`` gets a `LabelChoice`."""
 
 
-GLTF_EXTENSIONS = (".glb", ".gltf")
-"""Extensions of formats that store a pose in addition to animations."""
-
-
 def first_frame(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
     """Read the first frame of a file; from glTF, whose animations rarely begin at rest, read the unanimated pose."""
     from mixseq.sequence.sequence import MeshSequence
+    from mixseq_io.rig_files import GLTF_EXTENSIONS
 
     still = {"animation": "none"} if path.suffix.lower() in GLTF_EXTENSIONS else {}
     with mixseq.open_sequence(path, **options_of(path, still | dict(reading))) as reader:
         first = next(iter(reader.blocks(1)))[:1]
         return MeshSequence.from_header(reader.header.with_times(reader.header.times[:1]), first)
+
+
+def animations_of(path: Path) -> dict[str, str]:
+    """Return a part of file names and a choice for every animation of a file, glTF; {} for other formats."""
+    from mixseq_io.rig_files import GLTF_EXTENSIONS
+
+    if path.suffix.lower() not in GLTF_EXTENSIONS:
+        return {}
+    from mixseq_io.gltf.animation import animation_choices
+
+    return animation_choices(path)
+
+
+def each_animation(command: options.Command) -> options.Command:
+    """Decorate a command to run once for every animation of SOURCE with ``--animation all``."""
+
+    @wraps(command)
+    def run(**values: Any) -> None:
+        if values["animation"] != options.ALL_ANIMATIONS:
+            command(**values)
+            return
+        source, target = values["source"], values["target"]
+        choices = animations_of(source)
+        if not choices:
+            raise SettingsError(f"{source} has no animations to choose from; leave out --animation all")
+        named = re.match(r"(.*?)([-_. ]*(?:#+|%\d*d).*|\.[^.]*)$", target.name)
+        before, after = named.groups() if named else (target.name, "")
+        targets = {
+            choice: target.with_name(f"{before}{label and '-'}{label}{after}") for label, choice in choices.items()
+        }
+        Claim(values["overwrite"], (source,))(*targets.values())
+        parameters = click.get_current_context().params  # also read by `_claim`
+        for choice, path in targets.items():
+            parameters |= {"animation": choice, "target": path, "overwrite": True}
+            command(**parameters)
+
+    return run
 
 
 def picture_path(target: Path, what: str, picture: Path | None = None, no_picture: bool = False) -> Path | None:

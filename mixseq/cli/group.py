@@ -36,6 +36,7 @@ import click
 from mixseq.choices import UNITS
 from mixseq.errors import MixseqError, MixseqWarning, SettingsError
 from mixseq.runtime.interrupts import signals_as_exceptions
+from mixseq.runtime.parallel import environment
 from mixseq.runtime.progress import Progress, forward_warnings, log_progress
 
 _CONTROL_CHARACTERS = re.compile(
@@ -222,20 +223,6 @@ def _limit_memory(context: click.Context, option: click.Parameter, size: int | N
 
         # Threads and processes started here inherit the variable.
         context.with_resource(environment(**{MEMORY_LIMIT_VARIABLE: str(size / (1 << 30))}))
-
-
-@contextmanager
-def environment(**variables: str) -> Iterator[None]:
-    """Set environment variables inside the ``with`` block."""
-    before = {name: os.environ.get(name) for name in variables}
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name)
-            if value is not None:
-                os.environ[name] = value
 
 
 max_memory = click.Option(

@@ -17,8 +17,8 @@ import click
 from click.core import ParameterSource
 
 from mixseq.choices import BETWEENS, PLACEMENTS, PROJECTIONS, SEGMENTATIONS, SPACES, UNITS
-from mixseq.cli.group import environment
 from mixseq.errors import SettingsError
+from mixseq.runtime.parallel import environment
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE, format_number, number_to_time
 
 if TYPE_CHECKING:
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
 Command = Callable[..., None]
 Decorator = Callable[[Command], Command]
+
+ALL_ANIMATIONS = "all"
+"""Choice of a file for every animation."""
 
 YES_WORDS = ("yes", "true", "on", "1")
 NO_WORDS = ("no", "false", "off", "0")
@@ -408,6 +411,13 @@ SPACE_OPTIONS = (
 making = group("making", *SPACE_OPTIONS)
 """Options of shape spaces, in the argument ``making``."""
 
+
+def _fitting(**settings: Any) -> dict[str, Any]:
+    if len(given_options("exact", "tolerance", "rank")) > 1:
+        raise SettingsError("--exact, --tolerance and --rank exclude each other; give one of them")
+    return settings
+
+
 fitting = group(
     "fitting",
     flag("--exact", help="Keep everything; frames come back up to rounding."),
@@ -418,6 +428,7 @@ fitting = group(
     ),
     option("--rank N", type=NON_NEGATIVE_INTEGER, help="Number of shape modes; parts stay in place exactly."),
     *SPACE_OPTIONS,
+    make=_fitting,
 )
 """Options of fitting and of shape spaces, in the argument ``fitting``."""
 
@@ -475,7 +486,11 @@ reading = group(
         "--prim PATH",
         help="Mesh to read, or something above it, in USD, Alembic and glTF; / is all.  [default: all that move]",
     ),
-    setting("--animation NAME", help="Animation to read of glTF; none is the pose at rest.  [default: the first]"),
+    setting(
+        "--animation NAME",
+        help="Animation to read of glTF; none is the pose at rest; in convert, encode, resample and batch, all is a "
+        "file for each.  [default: the first]",
+    ),
     setting(
         "--input-fps N",
         "fps",
@@ -502,6 +517,14 @@ reading = group(
     ),
 )
 """Options of file readers, in the argument ``reading``."""
+
+
+@reading
+def _read(**_: object) -> None: ...
+
+
+READING_OPTIONS = {each.opts[0]: str(each.name) for each in vars(_read)["__click_params__"]}
+"""Parameters of file readers, by the spelling of their options."""
 
 writing = group(
     "writing",

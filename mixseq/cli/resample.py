@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.cli import options
-from mixseq.cli.files import Claim, between_rows, counted, is_model, overwriting, time_rows, write_sequence
+from mixseq.cli.files import (
+    Claim,
+    between_rows,
+    counted,
+    each_animation,
+    is_model,
+    overwriting,
+    time_rows,
+    write_sequence,
+)
 from mixseq.cli.group import announce, print_table, progress_bar
 from mixseq.cli.options import in_diagonals
 from mixseq.errors import SettingsError
@@ -33,6 +42,7 @@ if TYPE_CHECKING:
     "mixseq resample walk.usdc film.usdc --set conform=24000/1001",
     "mixseq resample walk.h5 blurred.abc --set shutter=180,5",
 )
+@each_animation
 @options.argument("source")
 @options.argument("target")
 @options.fps("rate", help="Frames per second of TARGET.  [default: those of SOURCE]")

@@ -170,7 +170,7 @@ def _exchange_shapes(model: Model, keys: Frames | Model) -> Model:
     moved_poses = Poses(align_quat_signs(rotations), poses.centres + shift)
     provenance = with_other_motion(header.provenance)
     played = Model(
-        replace(header, times=model.header.times, fps=model.header.fps, provenance=provenance),
+        replace(header, times=model.header.times, fps=model.header.fps, provenance=provenance, keys=None),
         second,
         model.time,
         model.pose,

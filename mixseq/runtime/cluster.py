@@ -28,7 +28,7 @@ from typing import Any, TypeVar
 from uuid import uuid4
 
 from mixseq.errors import ClusterError, GivenUpError, MissingExtraError, SettingsError
-from mixseq.runtime.parallel import one_blas_thread
+from mixseq.runtime.parallel import one_blas_thread, thread_variables
 from mixseq.version import __version__
 
 Shared = TypeVar("Shared")
@@ -198,10 +198,6 @@ def dask_module(module: str) -> Any:
 CONNECT_TIMEOUT_SECONDS = 10.0
 """Time in which a scheduler must answer and at least one worker must connect."""
 
-_ONE_THREAD_VARIABLES = dict.fromkeys(
-    ("MIXSEQ_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
-)
-
 
 @contextmanager
 def connect_to_cluster(address: str) -> Iterator[ClusterExecutor]:
@@ -259,7 +255,7 @@ def _local_cluster(process_count: int, folder: str) -> Any:
                 silence_logs=logging.CRITICAL,
                 memory_limit=None,  # dask would kill workers above a limit
                 local_directory=folder,
-                env=_ONE_THREAD_VARIABLES,
+                env=thread_variables(1),
             )
         except RuntimeError as error:
             raise ClusterError(

@@ -108,6 +108,19 @@ def deferred_signals() -> Iterator[None]:
         signal.raise_signal(received[0])
 
 
+@contextmanager
+def blocked_interrupts() -> Iterator[None]:
+    """Start processes that Ctrl-C, which goes to all processes of a terminal, does not end before they ignore it."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
 def raise_pending_signal() -> None:
     """Raise the exception of a signal that was swallowed."""
     if _pending is not None and threading.current_thread() is threading.main_thread():

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from mixseq.choices import BetweenName
 from mixseq.runtime.low_memory import LargeArray, new_large_array
-from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.header import FileKeys, SequenceHeader
 from mixseq.sequence.sequence import FrameStore, iterate_blocks
 from mixseq.types import Float, Index, IntArray, Mask, evenly_spaced
 
@@ -119,6 +119,14 @@ class SequenceEvents:
         numbers, group_of_vertex = np.unique(group_of_component[component_of_vertex], return_inverse=True)
         all_events = [self.whole, *(events for events, _ in groups)]
         return [all_events[number] for number in numbers], group_of_vertex
+
+    def with_keys(self, keys: FileKeys) -> SequenceEvents:
+        """Return the events with the keys of a file, instead of repeated poses and keys found in the frames."""
+        if keys.is_held:
+            return SequenceEvents(Events(poses=keys.frames))
+        changes: dict[str, Any] = {"keys": keys.frames, "poses": (), "frames_per_pose": 0.0}
+        components = tuple((component, replace(events, **changes)) for component, events in self.components)
+        return SequenceEvents(replace(self.whole, **changes), components)
 
     def describe(self, header: SequenceHeader, between: BetweenName) -> str:
         """Return the events in words, by frame number, and how to change the motion; empty without events."""

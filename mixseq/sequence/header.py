@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,13 @@ DEFAULT_FPS = 24.0
 
 MAX_FRAME_COUNT = 10_000_000
 """Largest number of frames, to detect wrong rates and speeds."""
+
+
+class FileKeys(NamedTuple):
+    """Frames that are keys in a file, between which its motion is linear or held."""
+
+    frames: tuple[int, ...]  # counted from 0
+    is_held: bool
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -45,6 +52,8 @@ class SequenceHeader:
         Texture coordinates, hard edges, face sets, objects, and the source file.
     provenance : Provenance, optional
         The file, and what its frames were compressed from or fitted to, with the bound of the error.
+    keys : FileKeys, optional
+        Frames that are keys of a rig, if the file says that all of its motion is linear or held between them.
 
     Raises
     ------
@@ -61,6 +70,7 @@ class SequenceHeader:
     name: str = "mesh"
     surface: Surface = Surface()  # noqa: RUF009 - frozen all the way down
     provenance: Provenance | None = None
+    keys: FileKeys | None = None
 
     def __post_init__(self) -> None:
         times = np.asarray(self.times, dtype=np.float64).reshape(-1)
@@ -158,6 +168,7 @@ class SequenceHeader:
                 **header_fields(self),
                 "times": np.asarray(times, dtype=np.float64),
                 "fps": self.fps if fps is None else fps,
+                "keys": None,
             }
         )
 

@@ -23,7 +23,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.events import Events, SequenceEvents, distinct_poses, find_events
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import as_edited
@@ -104,8 +104,7 @@ def select_share(encoded: EncodedSequence, frames: LargeArray) -> EncodedSequenc
     errors_without = np.maximum(_rms_errors(elements, skinned, expected), ERROR_FLOOR)
     gains = []
     for share in CANDIDATE_SHARES:
-        vectors = zip(skinned, blocks.lengths, blocks.angles, strict=True)
-        projected = [space.joint_projection.project(*vector, share) for vector in vectors]
+        projected = space.joint_projection.project(skinned, blocks.lengths, blocks.angles, share)
         gains.append(1.0 - float((_rms_errors(elements, projected, expected) / errors_without).max()))
     share = CANDIDATE_SHARES[int(np.argmax(np.array(gains) >= SUFFICIENT_GAIN * max(gains) - 1e-12))]
     return replace(encoded, space=space.with_weights(projection=replace(space.projection, share=share)))
@@ -162,7 +161,7 @@ class FitOptions(SpaceOptions, total=False):
 
 @public
 def fit(
-    sequence: FileOr[Frames],
+    sequence: FileOr[Frames | HasFrames],
     exact: bool = False,
     tolerance: float | None = None,
     rank: int | None = None,
@@ -291,9 +290,11 @@ def fit(
     executor = workers or thread_executor()
     with one_blas_thread():
         frames = whole = load_frames(sequence, stages.at(0))
-        found, topology = SequenceEvents(), Topology(frames.header.faces, frames.header.vertex_count)
+        found, keys = SequenceEvents(), frames.header.keys if knots is None else None
+        topology = Topology(frames.header.faces, frames.header.vertex_count)
         if knots is None:
             found = find_events(frames.points, frames.header.times, topology)
+            found = found.with_keys(keys) if keys else found
             if cuts != "auto":
                 found = SequenceEvents(_with_cuts(found.whole, cuts, frames.header))
         groups, group_of_vertex = [found.whole], None
@@ -302,7 +303,8 @@ def fit(
         del topology  # its tables are large
         if between == "smooth":
             frames, groups = distinct_poses(frames, groups)
-        timings = [Timing(events, between) for events in groups]
+        is_held = between == "auto" and bool(keys and keys.is_held)
+        timings = [Timing(events, "hold" if is_held else between) for events in groups]
         shape_space = make_space(frames, space, options, executor, stages.at(1, SPACE_STAGES))
         stage = stages.at(1 + SPACE_STAGES)
         encoded = encode_sequence(frames, shape_space, pose, executor, stage, timings, group_of_vertex)

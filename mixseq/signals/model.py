@@ -38,6 +38,10 @@ if TYPE_CHECKING:
     from mixseq.spaces.mixed.mixed_space import MixedSpace
 
 
+BLENDED_NUMBERS = 1 << 17
+"""Number of coordinates of key shapes that stay in the cache of a core while they are blended for several frames."""
+
+
 @dataclass(frozen=True, eq=False)
 class Model(Decodable, PickledWithoutCaches):
     """A mesh sequence as signals in a shape space, continuous in time. Make it with `mixseq.fit` or `mixseq.load`.
@@ -160,13 +164,14 @@ class Model(Decodable, PickledWithoutCaches):
     def curve(self, times: ArrayLike) -> Float:
         """Return the vectors ``(N, D)`` of the space at times ``(N,)`` in seconds; see `__call__`."""
         clipped = self.clip_times(times)
-        return self._vectors(self.pose.weights(self.time(clipped)), self.placement(clipped), self.correction(clipped))
+        weights = self.pose.weights(self.time(clipped))
+        return self._blend_shapes(weights, self.placement(clipped), self.correction(clipped))
 
     def rates(self, times: ArrayLike) -> Float:
         """Return the derivatives ``(N, D)`` of `curve` by time, per second."""
         clipped = self.clip_times(times)
-        others = self.placement.derivative(clipped), self.correction.derivative(clipped)
-        return self._vectors(self.pose.rates(self.time.derivative(clipped)), *others)
+        weights = self.pose.rates(self.time.derivative(clipped))
+        return self._blend_shapes(weights, self.placement.derivative(clipped), self.correction.derivative(clipped))
 
     def decode_points(self, times: Float) -> Float:
         """Implement `Decodable.decode_points`."""
@@ -176,14 +181,17 @@ class Model(Decodable, PickledWithoutCaches):
         """Implement `Decodable.decode_moving`."""
         return self.space.decode_with_velocities(self.curve(times), self.rates(times))
 
-    def _vectors(self, weights: Float, placement: Float, correction: Float) -> Float:
-        """Return vectors ``(N, D)`` of weighted sums of key shapes, row by row, so that each is independent."""
-        size = self.shapes.shape[1]
-        vectors = np.empty((len(weights), size + placement.shape[1] + correction.shape[1]))
-        vectors[:, size:] = np.concatenate([placement, correction], axis=1)
+    def _blend_shapes(self, weights: Float, *others: Float) -> Float:
+        """Return weighted sums of key shapes, followed by other columns: ``(N, D)``; rows do not depend on others."""
+        count, size = self.shapes.shape
+        vectors = np.empty((len(weights), self.space.dim))
+        vectors[:, size:] = np.concatenate(others, axis=1)
+        width = BLENDED_NUMBERS // count + 1
         with one_blas_thread():
-            for row, weight in zip(vectors, weights, strict=True):
-                np.matmul(weight, self.shapes, out=row[:size])
+            for start in range(0, size, width):
+                columns = np.s_[start : min(start + width, size)]
+                for vector, weight in zip(vectors, weights, strict=True):
+                    np.matmul(weight, self.shapes[:, columns], out=vector[columns])
         return vectors
 
     @property

@@ -47,7 +47,7 @@ COMMANDS = {
     "decode to pc2": "decode {in}/model.h5 out.pc2 --fps 240",
     "convert from usd": "convert {in}/walk.usdc out.h5",
     "convert to usdz": "convert {in}/walk.npz out.usdz",
-    "batch": "batch {in}/walk.npz {in}/short.npz --out models --overwrite",
+    "batch": "batch encode {in}/walk.npz {in}/short.npz --out models --overwrite",
 }
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from mixseq.choices import SPACES
 from mixseq.cli import main
-from mixseq.cli.batch import read_report, rows
+from mixseq.cli.batch_report import read_report, rows
 from mixseq.cli.group import exit_code
 from mixseq.operations.retiming import read_retiming
 from mixseq_io.text.maps import read_map, to_correspondence

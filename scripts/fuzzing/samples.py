@@ -137,7 +137,7 @@ def stl_text() -> str:
 def report(folder: Path) -> None:
     """Write the report of a batch."""
     mixseq.write(folder / "mesh.npz", arm())
-    main(["batch", str(folder / "mesh.npz"), "--out", str(folder / "models"), "-q"], standalone_mode=False)
+    main(["batch", "encode", str(folder / "mesh.npz"), "--out", str(folder / "models"), "-q"], standalone_mode=False)
 
 
 PAIRS = [(5, 6), (1, 2), (3, 3), (10, 11)]

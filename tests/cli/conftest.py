@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
@@ -23,6 +26,28 @@ Run = Callable[..., Result]
 @pytest.fixture(autouse=True)
 def _low_resolution(monkeypatch: pytest.MonkeyPatch) -> None:
     set_resolution(monkeypatch, LOW_RESOLUTION)
+
+
+class SerialPool:
+    """Run tasks here, as a `ProcessPool` does in processes that take seconds to start."""
+
+    def as_completed(
+        self, function: Callable[..., Any], shared: object, items: Iterable[Any]
+    ) -> Iterator[tuple[Any, Callable[[], Any]]]:
+        """Yield items in their order."""
+        for item in items:
+            yield item, partial(lambda result: result, function(shared, item))
+
+
+@pytest.fixture
+def processes() -> None:
+    """Let batches start processes."""
+
+
+@pytest.fixture(autouse=True)
+def _batches_in_this_process(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+    if "processes" not in request.fixturenames:
+        monkeypatch.setattr("mixseq.runtime.processes.process_pool", lambda *_: nullcontext(SerialPool()))
 
 
 @pytest.fixture(scope="session")

@@ -14,27 +14,22 @@ from click.testing import CliRunner, Result
 
 import mixseq
 from mixseq.cli import main
-from mixseq.cli.batch import (
-    Entry,
-    Report,
-    encode_asset,
-    find_sources,
-    in_markdown,
-    in_turn,
-    on_cluster,
-    plan,
-    read_report,
-    run,
-)
+from mixseq.cli.batch import on_workers, run, run_asset
+from mixseq.cli.batch_report import Entry, Report, files_of, find_sources, in_markdown, plan, read_report
 from mixseq.cli.group import length_text
 from mixseq.errors import FormatError, MixseqWarning, OutputError
-from mixseq.runtime.parallel import serial_executor
 from mixseq.runtime.progress import log_progress
 from mixseq.sequence.sequence import MeshSequence
+from tests.formats.gltf_maker import moving
 
 pytestmark = pytest.mark.slow
 
-SETTINGS = {"space": "vertex", "exact": True, "reading": {}}
+SETTINGS = {
+    "job": "encode",
+    "between": [],
+    "options": {"space": ["--space=vertex"], "exact": ["--exact"]},
+    "files": "",
+}
 
 
 @pytest.fixture
@@ -50,7 +45,7 @@ def shots(tmp_path: Path, bent_bar: MeshSequence, monkeypatch: pytest.MonkeyPatc
 
 
 def batch(*arguments: str) -> Result:
-    command = ["batch", "shots", "--out", "models", "--space", "vertex", *arguments]
+    command = ["batch", "encode", "shots", "--out", "models", "--space", "vertex", *arguments]
     return CliRunner().invoke(main, command, prog_name="mixseq", catch_exceptions=False)
 
 
@@ -84,7 +79,7 @@ def test_a_failure_does_not_stop_the_batch(bent_bar: MeshSequence) -> None:
 @pytest.mark.usefixtures("shots")
 def test_report_has_the_measured_values(bent_bar: MeshSequence) -> None:
     batch("--tolerance", "0.01")
-    entry = read_report(Path("models")).entries[str(Path("shots/one.npz").resolve())]
+    entry = read_report(Path("models")).entries[str(Path("models/one.h5").resolve())]
     model = Path("models/one.h5")
     error = mixseq.compare(bent_bar, mixseq.load(model).sample())
     assert (entry.frames, entry.vertices) == (bent_bar.frame_count, bent_bar.vertex_count)
@@ -157,7 +152,7 @@ def test_changed_settings_encode_again(arguments: list[str]) -> None:
 @pytest.mark.usefixtures("shots")
 @pytest.mark.parametrize("aim", [("--max-error", "0.003"), ("--kg", "2"), ("--size", "20kB")])
 def test_assets_are_compressed(aim: tuple[str, str], bent_bar: MeshSequence) -> None:
-    arguments = ["batch", "shots", "--out", "models", *aim]
+    arguments = ["batch", "encode", "shots", "--out", "models", *aim]
     CliRunner().invoke(main, arguments, catch_exceptions=False)
     assert states() == {"one.npz": "done", "three.npz": "failed", "two.usdc": "done"}
     found = mixseq.verify("models/one.h5", bent_bar)
@@ -173,13 +168,14 @@ def test_assets_are_compressed(aim: tuple[str, str], bent_bar: MeshSequence) -> 
 
 
 @pytest.mark.usefixtures("shots")
-def test_progress_names_the_asset() -> None:
-    told: list[str] = []
-    assets = plan(find_sources([Path("shots")]), Path("models").resolve(), {}, SETTINGS)
+def test_progress_counts_and_names_assets() -> None:
+    told: list[tuple[int, int, str]] = []
+    assets = plan(find_sources([Path("shots")]), Path("models").resolve(), (), SETTINGS, ".h5")
     Path("models").mkdir()
-    work = in_turn(serial_executor, lambda done, total, what: told.append(what))
-    list(work(assets))
-    assert {line.partition(":")[0] for line in told} == {"asset 1 of 3, one", "asset 3 of 3, two"}
+    list(on_workers(None, lambda *step: told.append(step))(assets))
+    assert told[0] == (0, 3, "assets")
+    assert [step[:2] for step in told[1:]] == [(1, 3), (2, 3), (3, 3)]
+    assert {step[2] for step in told[1:]} == {"assets, one", "assets, two", "assets, three"}
 
 
 @pytest.mark.usefixtures("shots")
@@ -196,9 +192,9 @@ def test_interrupted_and_continued(monkeypatch: pytest.MonkeyPatch) -> None:
         patch.setattr(mixseq, "fit", interrupted)
         result = batch()
     assert (result.exit_code, result.stderr.strip()) == (130, "mixseq: interrupted")
-    assert states() == {"one.npz": "done", "three.npz": "failed", "two.usdc": "left"}
+    assert states() == {"one.npz": "done", "three.npz": "left", "two.usdc": "left"}  # larger ones first
     assert not read_report(Path("models")).finished
-    assert "1 left. Not finished: the same command goes on" in Path("models/report.md").read_text()
+    assert "2 left. Not finished: the same command goes on" in Path("models/report.md").read_text()
     assert sorted(path.name for path in Path("models").iterdir()) == ["one.h5", "report.json", "report.md"]
     before = times()
     batch()
@@ -214,8 +210,8 @@ def test_a_bug_is_a_failure_of_one_asset(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(mixseq, "fit", buggy)
     assert batch().exit_code == 1
-    entry = read_report(Path("models")).entries[str(Path("shots/one.npz").resolve())]
-    assert entry.message.startswith("a bug in mixseq, ZeroDivisionError: one two;")
+    entry = entry_of("one.npz")
+    assert entry.message.startswith("a bug in mixseq, ZeroDivisionError: one two; `mixseq encode`")
 
 
 @pytest.mark.usefixtures("shots")
@@ -245,7 +241,7 @@ def test_names_and_messages_are_no_html_in_the_report() -> None:
 
 
 def entry_of(name: str) -> Entry:
-    return read_report(Path("models")).entries[str(Path("shots", name).resolve())]
+    return read_report(Path("models")).entries[str(Path("models", name).with_suffix(".h5").resolve())]
 
 
 @pytest.mark.usefixtures("shots")
@@ -254,7 +250,7 @@ def test_a_failure_keeps_and_reports_the_older_model() -> None:
     before = Path("models/one.h5").read_bytes()
     Path("shots/one.npz").write_text("no mesh any more")
     assert batch().exit_code == 1
-    assert entry_of("one.npz").message.endswith("; an older model is left at one.h5")
+    assert entry_of("one.npz").message.endswith("; an older file is left at one.h5")
     assert "older" not in entry_of("three.npz").message
     assert Path("models/one.h5").read_bytes() == before
     assert entry_of("one.npz").state == "failed"
@@ -275,7 +271,7 @@ def test_missing_sources_leave_the_report() -> None:
 @pytest.mark.usefixtures("shots")
 def test_exit_code_covers_the_given_sources() -> None:
     batch()
-    arguments = ["batch", "shots/one.npz", "--out", "models", "--space", "vertex"]
+    arguments = ["batch", "encode", "shots/one.npz", "--out", "models", "--space", "vertex"]
     result = CliRunner().invoke(main, arguments, catch_exceptions=False)
     assert (result.exit_code, result.stdout.splitlines()[-1][-8:]) == (0, "(1 done)")
     assert len(states()) == 3
@@ -287,7 +283,7 @@ def test_any_of_the_numbered_files_may_change(tmp_path: Path, bent_bar: MeshSequ
         os.utime(file, (1000, 1000 + number))
 
     def signature() -> str:
-        (asset,) = plan([tmp_path / "walk_#.obj"], tmp_path / "out", {}, SETTINGS)
+        (asset,) = plan([tmp_path / "walk_#.obj"], tmp_path / "out", (), SETTINGS, ".h5")
         return asset.source_signature
 
     before = signature()
@@ -321,8 +317,8 @@ def test_sequences_in_a_folder_are_found(tmp_path: Path, bent_bar: MeshSequence)
     (tmp_path / "cloth.pc2").unlink()
     found = find_sources([tmp_path, tmp_path / "a.npz", tmp_path / "deeper" / ".." / "b.h5"])
     assert [path.name for path in found] == ["a.npz", "b.h5", "run7_##.ply", "walk_####.obj"]
-    assets = plan(found, tmp_path / "out", {}, SETTINGS)
-    assert [asset.model.name for asset in assets] == ["a.h5", "b.h5", "run7.h5", "walk.h5"]
+    assets = plan(found, tmp_path / "out", (), SETTINGS, ".h5")
+    assert [asset.path.name for asset in assets] == ["a.h5", "b.h5", "run7.h5", "walk.h5"]
     assert assets[3].source_bytes == sum(file.stat().st_size for file in tmp_path.glob("walk_*.obj"))
 
 
@@ -335,28 +331,38 @@ def touched(folder: Path, *names: str) -> list[Path]:
 
 def test_two_of_the_same_stem_have_two_names(tmp_path: Path) -> None:
     sources = touched(tmp_path, "walk.usdc", "Walk.abc", "run.abc")
-    assert [a.model.name for a in plan(sources, tmp_path, {}, SETTINGS)] == ["walk.usdc.h5", "Walk.abc.h5", "run.h5"]
+    assert [a.path.name for a in plan(sources, tmp_path, (), SETTINGS, ".h5")] == [
+        "walk.usdc.h5",
+        "Walk.abc.h5",
+        "run.h5",
+    ]
 
 
 def test_names_are_kept_when_sources_are_added(tmp_path: Path) -> None:
     first, second = touched(tmp_path, "walk.usdc", "walk.abc")
-    names = {str(first): "walk.h5"}
-    assert [a.model.name for a in plan([first, second], tmp_path, names, SETTINGS)] == ["walk.h5", "walk.abc.h5"]
-    assert [a.model.name for a in plan([second], tmp_path, names, SETTINGS)] == ["walk.abc.h5"]
+    earlier = plan([first], tmp_path, (), SETTINGS, ".h5")
+    assert [a.path.name for a in plan([first, second], tmp_path, earlier, SETTINGS, ".h5")] == [
+        "walk.h5",
+        "walk.abc.h5",
+    ]
+    assert [a.path.name for a in plan([second], tmp_path, earlier, SETTINGS, ".h5")] == ["walk.abc.h5"]
 
 
 def test_two_of_the_same_name_are_refused(tmp_path: Path) -> None:
     sources = touched(tmp_path, "a/walk.usdc", "b/walk.usdc")
     with pytest.raises(OutputError, match=r"b/walk.usdc and .*a/walk.usdc would both be written to .*another --out"):
-        plan(sources, tmp_path / "out", {}, SETTINGS)
-    names = {str(sources[0]): "walk.h5", "gone.usdc": "walk.usdc.h5"}
+        plan(sources, tmp_path / "out", (), SETTINGS, ".h5")
+    earlier = [
+        *plan(sources[:1], tmp_path / "out", (), SETTINGS, ".h5"),
+        Entry("gone.usdc", str(tmp_path / "out/walk.usdc.h5"), 0, "", SETTINGS),
+    ]
     with pytest.raises(OutputError, match=r"b/walk.usdc and gone.usdc would both"):
-        plan(sources, tmp_path / "out", names, SETTINGS)
+        plan(sources, tmp_path / "out", earlier, SETTINGS, ".h5")
 
 
 def test_a_source_is_never_a_target(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"walk.h5 is a source itself"):
-        plan(touched(tmp_path, "walk.h5"), tmp_path, {}, SETTINGS)
+        plan(touched(tmp_path, "walk.h5"), tmp_path, (), SETTINGS, ".h5")
 
 
 # Refusals -------------------------------------------------------------------------------------------------
@@ -383,7 +389,9 @@ def test_refusals(arguments: str, message: str) -> None:
     Path("empty").mkdir()
     Path("damaged").mkdir()
     Path("damaged/report.json").write_text("{")
-    result = CliRunner().invoke(main, ["batch", *arguments.split()], prog_name="mixseq", catch_exceptions=False)
+    result = CliRunner().invoke(
+        main, ["batch", "encode", *arguments.split()], prog_name="mixseq", catch_exceptions=False
+    )
     assert result.exit_code == 2
     assert message in result.stderr
     assert len(result.stderr.splitlines()) == 1
@@ -413,7 +421,154 @@ def test_damaged_reports(text: str, tmp_path: Path) -> None:
         read_report(tmp_path)
 
 
-# Clusters -------------------------------------------------------------------------------------------------
+# Jobs -----------------------------------------------------------------------------------------------------
+
+
+def do(*arguments: str) -> Result:
+    return CliRunner().invoke(main, ["batch", *arguments], prog_name="mixseq", catch_exceptions=False)
+
+
+@pytest.mark.usefixtures("shots")
+@pytest.mark.parametrize(
+    ("job", "extension", "options"),
+    [
+        ("convert", "npz", ["--frames", "1-2"]),
+        ("convert", "obj", []),
+        ("resample", None, ["--fps", "20"]),
+        ("resample", "npz", ["--set", "conform=25"]),
+        ("encode", None, ["--kg", "1", "--set", "inbetweens=no"]),
+        ("segment", None, ["--parts", "2", "--no-picture"]),
+        ("transfer", "npz", ["--target", "shots/one.npz", "--no-picture"]),
+    ],
+)
+def test_every_job_writes_what_its_command_writes(job: str, extension: str | None, options: list[str]) -> None:
+    Path("shots/three.npz").unlink()
+    assert do(job, "shots", "--out", "out", *options, *(["--format", extension] if extension else [])).exit_code == 0
+    between, rest = (options[1:2], options[2:]) if job == "transfer" else ([], options)
+    for entry in read_report(Path("out")).entries.values():
+        source, target = Path(entry.source), entry.path
+        alone = target.with_name(f"alone-{target.name}")
+        result = CliRunner().invoke(main, [job, str(source), *between, str(alone), *rest], catch_exceptions=False)
+        assert (entry.state, result.exit_code) == ("done", 0)
+        for made in files_of(target):
+            assert made.read_bytes() == made.with_name(f"alone-{made.name}").read_bytes()
+        assert entry.bytes == sum(file.stat().st_size for file in files_of(target))
+        told = [line for line in result.stdout.replace("alone-", "").splitlines() if not line.startswith("time  ")]
+        assert [line for line in entry.output if not line.startswith("time  ")] == told
+    before = {file: file.stat().st_mtime_ns for file in Path("out").iterdir() if not file.name.startswith("report")}
+    assert do(job, "shots", "--out", "out", *options, *(["--format", extension] if extension else [])).exit_code == 0
+    assert {file: file.stat().st_mtime_ns for file in before} == before
+
+
+def test_models_are_decoded_and_edited(shots: Path) -> None:
+    batch()
+    Path("reverse.toml").write_text('[[edit]]\noperation = "reverse"\n')
+    assert do("decode", "models", "--out", "back", "--format", "npz", "--fps", "20").exit_code == 0
+    assert [each.name for each in sorted(Path("back").glob("*.npz"))] == ["one.npz", "two.npz"]
+    assert mixseq.read("back/one.npz").frame_count == 7
+    assert do("edit", "models", "--out", "edited", "--script", "reverse.toml").exit_code == 0
+    made = Path("edited/one.h5").stat().st_mtime_ns
+    assert do("edit", "models", "--out", "edited", "--script", "reverse.toml").exit_code == 0
+    assert Path("edited/one.h5").stat().st_mtime_ns == made
+    Path("reverse.toml").write_text('[[edit]]\noperation = "speed"\nfactor = 2\n')
+    assert do("edit", "models", "--out", "edited", "--script", "reverse.toml").exit_code == 0
+    assert mixseq.load("edited/one.h5").header.times[-1] == pytest.approx(0.15)
+
+
+@pytest.mark.usefixtures("shots")
+def test_formats_are_beside_each_other() -> None:
+    for extension in ("usdc", "npz"):
+        do("convert", "shots/one.npz", "--out", "out", "--format", extension)
+    assert sorted(file.name for file in Path("out").iterdir()) == ["one.npz", "one.usdc", "report.json", "report.md"]
+    assert len(read_report(Path("out")).entries) == 2
+
+
+@pytest.mark.usefixtures("shots")
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("shots --out out", "'shots' is not one of 'encode', 'convert'"),
+        ("convert shots --out out --format doc", "'doc' is none of usd"),
+        ("resample shots --out out --exact --tolerance 1", "--exact keeps everything and --tolerance does not"),
+        ("transfer shots --out out", "Missing option '--target'"),
+        ("encode shots --out out --fps 3", "No such option"),
+        ("decode shots --out out", "shots: there are no models in this folder"),
+        ("encode shots --out out --format npz", "models are HDF5 files"),
+    ],
+)
+def test_wrong_jobs_are_refused_before_work(arguments: str, message: str) -> None:
+    result = do(*arguments.split())
+    assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+    assert message in result.stderr
+    assert not Path("out").exists()
+
+
+def test_help_of_a_job_has_the_options_of_both() -> None:
+    text = do("resample", "--help").stdout
+    for option in ("--out FOLDER", "--format EXTENSION", "--fps N", "--reverse", "conform=N", "--cluster"):
+        assert option in text
+    assert text.count("--threads") == 1 and "TARGET" not in text.partition("Options:")[0]
+
+
+# Animations -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def fox(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A triangle of glTF with the animations Walk, Armature|Run, and Walk again, which go 1, 2 and 3 m far."""
+    monkeypatch.chdir(tmp_path)
+    maker = moving(values=[[0, 0, 0], [1, 0, 0]])
+    for number, name in enumerate(("Armature|Run", "Walk"), start=2):
+        maker.animate(0, "translation", [0, 1], [[0, 0, 0], [number, 0, 0]], name=name)
+    maker.json["animations"][0]["name"] = "Walk"
+    return maker.glb(tmp_path / "fox.glb")
+
+
+ANIMATIONS = {"fox-Walk": 1, "fox-Run": 2, "fox-Walk_2": 3}
+"""Distances in the files of the animations of `fox`."""
+
+
+def distances(pattern: str) -> dict[str, float]:
+    return {file.stem: float(np.ptp(mixseq.read(file).points[:, 0, 0])) for file in Path().glob(pattern)}
+
+
+@pytest.mark.usefixtures("fox")
+def test_all_animations_are_assets(bent_bar: MeshSequence) -> None:
+    mixseq.write("bar.npz", bent_bar)
+    arguments = ("convert", "fox.glb", "bar.npz", "--out", "out", "--format", "npz", "--animation", "all")
+    assert do(*arguments).exit_code == 0
+    assert distances("out/fox*.npz") == pytest.approx(ANIMATIONS)
+    assert mixseq.read("out/bar.npz").frame_count == 4
+    before = {file: file.stat().st_mtime_ns for file in Path("out").glob("*.npz")}
+    assert do(*arguments).exit_code == 0
+    assert {file: file.stat().st_mtime_ns for file in before} == before
+    assert do("convert", "fox.glb", "--out", "one", "--format", "npz", "--animation", "Run").exit_code == 0
+    assert distances("one/*.npz") == pytest.approx({"fox": 2})
+
+
+@pytest.mark.usefixtures("fox")
+def test_all_animations_are_files_of_a_command() -> None:
+    result = CliRunner().invoke(main, ["convert", "fox.glb", "new.npz", "--animation", "all"], catch_exceptions=False)
+    assert [line.split()[1] for line in result.stdout.splitlines()] == ["new-Walk.npz", "new-Run.npz", "new-Walk_2.npz"]
+    assert distances("new*.npz") == pytest.approx({name.replace("fox", "new"): x for name, x in ANIMATIONS.items()})
+    CliRunner().invoke(main, ["convert", "fox.glb", "run_##.obj", "--set", "animation=all"], catch_exceptions=False)
+    assert len(list(Path().glob("run-Walk_2_0?.obj"))) == 2
+    refused = CliRunner().invoke(main, ["convert", "fox.glb", "new.npz", "--animation", "all", "--no-overwrite"])
+    assert (refused.exit_code, "new-Walk.npz, new-Run.npz and new-Walk_2.npz exist" in refused.stderr) == (2, True)
+    still = CliRunner().invoke(main, ["convert", "new-Run.npz", "new.usdc", "--animation", "all"])
+    assert (still.exit_code, "new-Run.npz has no animations to choose from" in still.stderr) == (2, True)
+
+
+# Processes and clusters -----------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("shots", "processes")
+def test_processes_write_the_same(bent_bar: MeshSequence) -> None:
+    assert do("convert", "shots", "--out", "two", "--format", "h5", "--threads", "2").exit_code == 1
+    assert do("convert", "shots", "--out", "one", "--format", "h5", "--threads", "1").exit_code == 1
+    for name in ("one.h5", "two.h5"):
+        assert Path("one", name).read_bytes() == Path("two", name).read_bytes()
+    assert states("two") == {"one.npz": "done", "three.npz": "failed", "two.usdc": "done"}
 
 
 def test_assets_on_a_cluster_of_which_a_worker_dies(tmp_path: Path, bent_bar: MeshSequence) -> None:
@@ -425,10 +580,10 @@ def test_assets_on_a_cluster_of_which_a_worker_dies(tmp_path: Path, bent_bar: Me
         mixseq.write(tmp_path / f"shot{'abcd'[number]}.npz", bent_bar.with_points(points))
     for name in ("here", "there"):
         (tmp_path / name).mkdir()
-    here = plan(find_sources([tmp_path]), tmp_path / "here", {}, SETTINGS)
-    there = plan(find_sources([tmp_path]), tmp_path / "there", {}, SETTINGS)
+    here = plan(find_sources([tmp_path]), tmp_path / "here", (), SETTINGS, ".h5")
+    there = plan(find_sources([tmp_path]), tmp_path / "there", (), SETTINGS, ".h5")
     for asset in here:
-        assert encode_asset(None, asset).state == "done"
+        assert run_asset(None, asset).state == "done"
     with connect_to_cluster("local:2") as workers:
         victims = list(workers._client.run(os.getpid).values())[:1]
 
@@ -436,10 +591,10 @@ def test_assets_on_a_cluster_of_which_a_worker_dies(tmp_path: Path, bent_bar: Me
             if done == 1 and victims:
                 os.kill(victims.pop(), signal.SIGKILL)
 
-        report = run(there, Report({}), tmp_path / "there", on_cluster(workers, kill_one), force=False)
+        report = run(there, Report({}), tmp_path / "there", on_workers(workers, kill_one), force=False)
     assert report.finished and report.count("done") == 4
     for one, other in zip(here, there, strict=True):
-        assert one.model.read_bytes() == other.model.read_bytes()
+        assert one.path.read_bytes() == other.path.read_bytes()
 
 
 def test_work_that_was_given_up_is_a_failure(tmp_path: Path, bent_bar: MeshSequence) -> None:
@@ -449,9 +604,9 @@ def test_work_that_was_given_up_is_a_failure(tmp_path: Path, bent_bar: MeshSeque
         def result() -> Entry:
             raise GivenUpError("several workers died")
 
-        return ((asset, result) for asset in assets)
+        yield from ((asset, result) for asset in assets)
 
-    assets = plan(touched(tmp_path, "walk.npz"), tmp_path, {}, SETTINGS)
+    assets = plan(touched(tmp_path, "walk.npz"), tmp_path, (), SETTINGS, ".h5")
     report = run(assets, Report({}), tmp_path, given_up, force=False)
     assert [(entry.state, entry.message) for entry in report.entries.values()] == [("failed", "several workers died")]
 
@@ -465,7 +620,7 @@ def test_silence(shots: Path) -> None:
 
 def test_two_batches_do_not_write_to_one_folder(tmp_path: Path, bent_bar: MeshSequence) -> None:
     mixseq.write(tmp_path / "walk.npz", bent_bar)
-    assets = plan(find_sources([tmp_path / "walk.npz"]), tmp_path, {}, SETTINGS)
+    assets = plan(find_sources([tmp_path / "walk.npz"]), tmp_path, (), SETTINGS, ".h5")
 
     def meanwhile(assets: Any) -> Any:
         with pytest.raises(OutputError, match="another batch is writing here"):
@@ -473,11 +628,11 @@ def test_two_batches_do_not_write_to_one_folder(tmp_path: Path, bent_bar: MeshSe
                 list(assets),
                 Report({}),
                 tmp_path,
-                in_turn(serial_executor, log_progress),
+                on_workers(None, log_progress),
                 force=False,
             )
-        return iter(())
+        yield from ()
 
     run(assets, Report({}), tmp_path, meanwhile, force=False)
-    report = run(assets, Report({}), tmp_path, in_turn(serial_executor, log_progress), force=False)
+    report = run(assets, Report({}), tmp_path, on_workers(None, log_progress), force=False)
     assert report.count("done") == 1  # the lock is lifted

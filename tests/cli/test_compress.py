@@ -333,7 +333,7 @@ def test_a_batch_leaves_compressed_models_alone(run: Run, small: Path) -> None:
     Path("caches").mkdir()
     small.rename("caches/small.h5")
     Path("bar.npz").rename("caches/bar.npz")
-    result = run("batch", "caches", "--out", "models")
+    result = run("batch", "encode", "caches", "--out", "models")
     assert result.exit_code == 0, result.output
     assert sorted(path.name for path in Path("models").glob("*.h5")) == ["bar.h5"]
 

@@ -120,6 +120,6 @@ def test_a_batch_leaves_them_alone(run: Run, glb: Path) -> None:
     Path("caches").mkdir()
     glb.rename("caches/small.glb")
     Path("bar.npz").rename("caches/bar.npz")
-    result = run("batch", "caches", "--out", "models")
+    result = run("batch", "encode", "caches", "--out", "models")
     assert result.exit_code == 0, result.output
     assert [path.name for path in Path("models").glob("*.h5")] == ["bar.h5"]

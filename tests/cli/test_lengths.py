@@ -111,6 +111,6 @@ def test_a_batch_converts_by_the_size_of_every_asset(run: Run, tmp_path: Path, m
     Path("shots").mkdir()
     mixseq.write("shots/small.npz", moving())
     mixseq.write("shots/large.npz", moving(10.0))
-    assert run("batch", "shots", "--out", "models", "--max-error", "130mm", "-q").exit_code == 0
+    assert run("batch", "encode", "shots", "--out", "models", "--max-error", "130mm", "-q").exit_code == 0
     bounds = [read_compressed(Path(f"models/{name}.h5")).parameters.max_error for name in ("small", "large")]
     assert bounds == pytest.approx([0.01, 0.001])

@@ -34,7 +34,7 @@ WRITING = {
     "transfer": ("bar.npz", "bar.usdc", "new.npz", "new-transfer.png"),
     "transfer --no-picture --save-map old.npz": ("bar.npz", "bar.usdc", "new.usdc", "old.npz"),
     "segment": ("bar.npz", "parts.npz", "parts-parts.png"),
-    "batch --out .": ("bar.npz", "bar.h5"),
+    "batch encode --out .": ("bar.npz", "bar.h5"),
 }
 """Arguments, the last is a file that is there already."""
 
@@ -92,7 +92,7 @@ def test_a_pipe_behind_a_link_is_replaced_by_no_command(folder: Path, contents: 
     assert "Traceback" not in result.output
     assert exists.is_symlink()
     assert exists.is_fifo()
-    if name == "batch --out .":  # which goes on with other sequences
+    if name == "batch encode --out .":  # which goes on with other sequences
         assert (result.exit_code, json.loads(Path("report.json").read_text())["assets"][0]["state"]) == (1, "failed")
     else:
         assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
@@ -186,7 +186,7 @@ def test_the_viewer_has_its_own_question(run: Run) -> None:
 def test_batch_replaces_only_what_it_made(folder: Path, run: Run, contents: Contents) -> None:
     (folder / "models").mkdir()
     (folder / "models/bar.h5").write_bytes(b"somebody's work")
-    batch = ("batch", "bar.npz", "--out", "models", "--space", "vertex")
+    batch = ("batch", "encode", "bar.npz", "--out", "models", "--space", "vertex")
     before = contents()
     result = run(*batch)
     assert (result.exit_code, contents()) == (2, before)

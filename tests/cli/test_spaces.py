@@ -91,6 +91,7 @@ def test_settings_for_nothing_are_refused(run: Run, folder: Path, options: str, 
 def test_a_batch_remembers_settings_of_the_edge_space(run: Run) -> None:
     arguments = [
         "batch",
+        "encode",
         "bar.npz",
         "--out",
         "models",
@@ -103,8 +104,8 @@ def test_a_batch_remembers_settings_of_the_edge_space(run: Run) -> None:
     ]
     assert run(*arguments).exit_code == 0
     made = Path("models/bar.h5").stat().st_mtime_ns
-    settings = json.loads(Path("models/report.json").read_text())["assets"][0]["settings"]
-    assert (settings["projection"], settings["volume"]) == ("dso", 1.0)
+    settings = json.loads(Path("models/report.json").read_text())["assets"][0]["settings"]["options"]
+    assert (settings["projection"], settings["volume"]) == (["--projection=dso"], ["--volume=1"])
     assert run(*arguments).exit_code == 0
     assert Path("models/bar.h5").stat().st_mtime_ns == made
     assert run(*arguments, "--volume", "2").exit_code == 0

@@ -227,3 +227,71 @@ def test_cesium_man_is_what_usd_computes_between_frames(data: Path) -> None:
         matrix = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(binding.GetSkeleton().GetPrim()))
         expected = np.array(skinned_points) @ matrix[:3, :3] + matrix[3, :3]
         np.testing.assert_allclose(got[vertices], expected, atol=1e-6)
+
+
+# Keys of baked rigs ---------------------------------------------------------------------------------------
+
+KEYS = np.array([0, 5, 7, 13, 17, 20]) / 10
+PLACES = np.stack([[0, 3, -1, 2, 2, 5], [0, 1, 4, 1, 0, 0], np.zeros(6)], axis=1)
+
+
+def test_a_model_of_steps_holds_every_pose_until_its_key(tmp_path: Path) -> None:
+    with opened(moving(KEYS, PLACES, "STEP"), tmp_path) as reader:
+        assert reader.header.keys is not None
+        assert reader.header.keys.is_held
+        model = mixseq.fit(reader, exact=True, space="vertex")
+    at = np.array([0.2, 0.49, 0.5, 0.69, 0.71, 1.9, 2.0])
+    np.testing.assert_allclose(model(at)[:, 0, 0], [0, 0, 3, 3, -1, 2, 5], atol=1e-6)
+
+
+@pytest.mark.parametrize("turned", [False, True], ids=["moved", "turned"])
+def test_a_model_of_linear_keys_has_corners_there_only(tmp_path: Path, turned: bool) -> None:
+    """Straight between them, or on the arcs of joints."""
+    maker = skinned(WEIGHTS, JOINTS) if turned else moving(KEYS, PLACES, "LINEAR")
+    if turned:
+        angles = PLACES[:, 0] / 4
+        quats = np.stack([0 * angles, 0 * angles, np.sin(angles / 2), np.cos(angles / 2)], axis=1)
+        del maker.json["animations"]
+        maker.animate(0, "rotation", KEYS, quats)
+    with opened(maker, tmp_path) as reader:
+        times, keys = reader.header.times, reader.header.keys
+        assert keys is not None
+        np.testing.assert_allclose(times[list(keys.frames)], KEYS, atol=1e-6)
+        model = mixseq.fit(reader, exact=True, space="vertex")
+        at = (times[1:] + times[:-1]) / 2
+        expected = joined(reader.blocks_at(at))
+    np.testing.assert_allclose(model.time.breaks, KEYS[1:-1], atol=1e-6)
+    np.testing.assert_allclose(model(at), expected, atol=5e-3 if turned else 1e-6)
+    sequence = mixseq.read(tmp_path / "rig.glb")
+    assert sequence.keys == keys  # also when baked
+    assert sequence.header.with_times(sequence.times + 1).keys is None
+
+
+def test_keys_that_were_baked_at_every_frame_or_differ_in_kind_say_nothing(tmp_path: Path) -> None:
+    dense = np.arange(21) / 24
+    path = np.sin(3 * dense)[:, None] * [1, 0, 0]
+    maker = moving(dense, path, "LINEAR")
+    with opened(maker, tmp_path) as reader:
+        assert reader.header.keys is None
+    mixed = moving(KEYS, PLACES, "STEP")
+    mixed.animate(0, "scale", KEYS, 1 + PLACES / 10, "LINEAR")
+    with opened(mixed, tmp_path) as reader:
+        assert reader.header.keys is None
+
+
+def test_keys_of_a_stage_are_linear(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "rig.usda"))
+    stage.SetTimeCodesPerSecond(10)
+    mesh = UsdGeom.Mesh.Define(stage, "/body")
+    mesh.CreatePointsAttr(CORNERS)
+    mesh.CreateFaceVertexCountsAttr([4, 3])
+    mesh.CreateFaceVertexIndicesAttr(INDICES)
+    move = mesh.AddTranslateOp()
+    for key, place in zip(KEYS * 10, PLACES.tolist(), strict=True):
+        move.Set(Gf.Vec3d(place), float(key))
+    stage.Save()
+    with open_usd(tmp_path / "rig.usda") as reader:
+        keys = reader.header.keys
+        assert keys is not None
+        assert not keys.is_held
+        np.testing.assert_allclose(reader.header.times[list(keys.frames)], KEYS, atol=1e-9)

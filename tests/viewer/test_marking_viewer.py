@@ -27,7 +27,8 @@ from mixseq.viewer.live.marking import MarkedMeshes, MarkingViewer, run_marking_
 
 pytestmark = pytest.mark.slow
 
-FOXES = short(), tall()
+FOXES = short, tall
+"""Made when they are first called."""
 
 PLACE = """([side, vertex]) => {
   let mesh = null;
@@ -68,7 +69,7 @@ class Hand:
 
     def click(self, side: int, bone: str) -> None:
         """Click a bone from its left, and wait until that is heard."""
-        self.click_vertex(side, seen_from_left(FOXES[side], bone))
+        self.click_vertex(side, seen_from_left(FOXES[side](), bone))
 
     def click_vertex(self, side: int, vertex: int) -> None:
         before = self.session.marking
@@ -88,7 +89,7 @@ class Hand:
     def bones(self) -> list[tuple[str, str]]:
         """What is set, by the bones that it is on."""
         pairs = [pair.vertices for pair in self.session.marking.pairs]
-        return [(FOXES[0].bones[source], FOXES[1].bones[target]) for source, target in pairs]
+        return [(FOXES[0]().bones[source], FOXES[1]().bones[target]) for source, target in pairs]
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +105,7 @@ def running(target: Path) -> Iterator[MarkingViewer]:
         return "saved"
 
     nothing = Markers.from_pairs(np.zeros((0, 2), np.int64))
-    meshes = MarkedMeshes(FOXES[0].mesh, FOXES[1].mesh, ("short.obj", "tall.obj"), nothing, "pairs.txt")
+    meshes = MarkedMeshes(FOXES[0]().mesh, FOXES[1]().mesh, ("short.obj", "tall.obj"), nothing, "pairs.txt")
     with run_marking_viewer(meshes, ViewSettings(port=own_port(), material="toon5"), save) as started:
         yield started
 
@@ -194,7 +195,7 @@ def test_no_mesh_hides_the_other(hand: Hand, running: MarkingViewer) -> None:
     hand.wait_until_still()
     ends = [
         [hand.page.evaluate(PLACE, [side, vertex])[0] for vertex in range(0, fox.mesh.vertex_count, 40)]
-        for side, fox in enumerate(FOXES)
+        for side, fox in enumerate((short(), tall()))
     ]
     assert max(ends[0]) < min(ends[1])
 

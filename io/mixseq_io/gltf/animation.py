@@ -7,6 +7,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#appendi
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,10 +16,10 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_array
 
-from mixseq.errors import FormatError, SettingsError
+from mixseq.errors import FormatError, MixseqError, SettingsError
 from mixseq.rigging.rigs import slerp
 from mixseq.types import Float, FloatArray, Index, Single
-from mixseq_io.gltf.document import POINTER_EXTENSION, Document, Fields
+from mixseq_io.gltf.document import POINTER_EXTENSION, Document, Fields, load_document
 from mixseq_io.gltf.primitives import Weld, count_targets, read_deltas, read_influences
 from mixseq_io.gltf.scene import Pose, Scene
 from mixseq_io.reader import warn
@@ -115,6 +116,11 @@ class Channel:
         return len(at_keys) > 1 and bool((at_keys[1:] != at_keys[:-1]).any() or tangents.any())
 
     @property
+    def interpolations(self) -> set[str]:
+        """All interpolations of the channel's values."""
+        return {self.interpolation}
+
+    @property
     def is_linear_motion(self) -> bool:
         """Whether points moved by this channel alone move linearly in time between keys."""
         return self.interpolation == "LINEAR" and self.name in ("translation", "weights")
@@ -159,9 +165,14 @@ class SeparateWeights(Channel):
         return any(each.is_animated for each in self.tracks.values())
 
     @property
+    def interpolations(self) -> set[str]:
+        """Interpolations of all weights."""
+        return {each.interpolation for each in self.tracks.values()}
+
+    @property
     def is_linear_motion(self) -> bool:
         """Whether all weights change linearly between keys."""
-        return all(each.interpolation == "LINEAR" for each in self.tracks.values())
+        return self.interpolations == {"LINEAR"}
 
     def evaluate(self, times: Float) -> Float:
         """Return all weights ``(B, k)`` at times ``(B,)`` in s; see `Channel.evaluate`."""
@@ -221,6 +232,25 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
     )
 
 
+def animation_choices(path: Path) -> dict[str, str]:
+    """Return a part of file names for every animation of a file, with the choice that selects it.
+
+    The part is empty for an animation that is the only one and has no name.
+    """
+    names = [each.text("name") for each in load_document(path).items("animations")]
+    if names == [""]:
+        return {"": "0"}
+    choices: dict[str, str] = {}
+    for index, name in enumerate(names):
+        tail = name.rpartition("|")[2]
+        is_unique = [other.rpartition("|")[2] for other in names].count(tail) == 1
+        label = re.sub(r"[^\w.-]+", "_", tail if is_unique else name).strip("._") or f"animation_{index}"
+        if label.casefold() in map(str.casefold, choices):
+            label = f"{label}_{index}"
+        choices[label] = name if name and names.count(name) == 1 else str(index)
+    return choices
+
+
 def _format_numbered(names: Sequence[str], first: int = 0) -> str:
     """Format the names from index `first` on with their indices for a message: "1 'Dance', 2 'Death'"."""
     return format_names([f"{index} {name!r}" for index, name in enumerate(names)][first:], str)
@@ -235,31 +265,38 @@ def read_extra_number(animation: Fields | None, name: str, above: float = -_MAX_
     return float(value) if above < value < _MAX_EXTRA_NUMBER else None
 
 
-def read_channels(document: Document, animation: Fields | None, nodes: Collection[int]) -> list[Channel]:
-    """Read the channels of an animation that target the given nodes."""
+def read_channels(
+    document: Document,
+    animation: Fields | None,
+    nodes: Collection[int],
+    errors: dict[int, MixseqError] | None = None,
+) -> list[Channel]:
+    """Read the channels of an animation that target the given nodes; add errors to `errors` by node, or raise them."""
     if animation is None:
         return []
     samplers = animation.objects("samplers")
     channels: dict[tuple[int, str], Channel] = {}
     tracks: defaultdict[int, dict[int, Channel]] = defaultdict(dict)
-    missing, numbers, node_count = [], 0, len(document.items("nodes"))
+    with_mesh = {index for index, each in enumerate(document.items("nodes")) if "mesh" in each}
+    missing, numbers = [], 0
     for fields in animation.objects("channels"):
         target = fields.object("target")
         node, name = target.index("node"), target.text("path")
-        if name == "pointer":
-            missing.append(target.object("extensions").object(POINTER_EXTENSION).text("pointer"))
+        pointer = target.object("extensions").object(POINTER_EXTENSION).text("pointer")
         name, _, weight = name.partition("/")
-        if node is None or name not in (*_PROPERTY_WIDTHS, "weights"):
-            continue
-        if node >= node_count or (name == "weights" and "mesh" not in document.item("nodes", node)):
-            missing.append(f"/nodes/{node}/{name}")
+        is_known = name in _PROPERTY_WIDTHS or (name == "weights" and node in with_mesh)
+        if node is None or not is_known or node >= len(document.items("nodes")):
+            missing.append(pointer or f"{fields.place} ({name})")
             continue
         if node not in nodes:
             continue
-        index = fields.integer("sampler")
-        if index >= len(samplers):
-            raise fields.error(f"has sampler {index} of {len(samplers)}; the file is damaged")
-        channel = _read_channel(document, node, name, samplers[index])
+        try:
+            channel = _read_channel(document, fields, node, name, samplers)
+        except MixseqError as error:
+            if errors is None:
+                raise
+            errors[node] = error
+            continue
         numbers += channel.times.size + channel.values.size
         document.check_effort(numbers, animation.place)
         if weight:
@@ -287,7 +324,9 @@ def _join_tracks(document: Document, node: int, tracks: Mapping[int, Channel]) -
     times = merge_key_times(each.times for each in tracks.values())
     is_stepped = all(each.interpolation == "STEP" for each in tracks.values())
     still = _read_still_weights(document, fields, count)
-    joined = SeparateWeights(node, "weights", times, still, "STEP" if is_stepped else "LINEAR", still, tracks)
+    joined = SeparateWeights(
+        node, "weights", times, still.astype(np.float32), "STEP" if is_stepped else "LINEAR", still, tracks
+    )
     return replace(joined, values=joined.evaluate(times).astype(np.float32))
 
 
@@ -298,7 +337,11 @@ def _read_still_weights(document: Document, node: Fields, count: int) -> Float:
     return np.zeros(count) if weights is None else weights
 
 
-def _read_channel(document: Document, node: int, name: str, sampler: Fields) -> Channel:
+def _read_channel(document: Document, fields: Fields, node: int, name: str, samplers: Sequence[Fields]) -> Channel:
+    index = fields.integer("sampler")
+    if index >= len(samplers):
+        raise fields.error(f"has sampler {index} of {len(samplers)}; the file is damaged")
+    sampler = samplers[index]
     interpolation = sampler.text("interpolation", "LINEAR")
     if interpolation not in _INTERPOLATIONS:
         raise sampler.error(f"has the interpolation {interpolation[:40]!r}; one of {_INTERPOLATIONS} is expected")

@@ -21,7 +21,7 @@ from scipy.sparse import csr_array
 from mixseq.errors import FormatError, InvalidSequenceError, NoMeshError
 from mixseq.mesh.surface import FaceSet, Origin
 from mixseq.sequence.frame_rates import estimate_frame_rate, format_frame, is_on_frames, snap_rate
-from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.header import FileKeys, SequenceHeader
 from mixseq.types import Float, FloatArray
 from mixseq_io.reader import AnimationReader, SequenceReader, prefix_errors, warn
 from mixseq_io.scene_meshes import (
@@ -30,6 +30,7 @@ from mixseq_io.scene_meshes import (
     SceneMesh,
     check_finite,
     common_name,
+    find_keys,
     insert_times,
     join_meshes,
     merge_times,
@@ -230,7 +231,18 @@ def _header(
         metres_per_unit=UsdGeom.GetStageMetersPerUnit(stage),
         name=common_name(scene_objects_of([mesh.mesh for mesh in meshes])) or path.stem,
         surface=surface,
+        keys=_find_keys(stage, meshes, rate),
     )
+
+
+def _find_keys(stage: Usd.Stage, meshes: Sequence[AnimatedMesh], rate: float) -> FileKeys | None:
+    """Return the frames that are keys of transforms, joints and blend shapes, which USD interpolates linearly."""
+    if any(is_animated(mesh.mesh.GetPointsAttr()) for mesh in meshes):
+        return None
+    code_rate = stage.GetTimeCodesPerSecond()
+    samples = dict.fromkeys(tuple(each.GetTimeSamples()) for mesh in meshes for each in mesh.animated_attributes)
+    keys = merge_times((np.array(each) / code_rate for each in samples), TIME_TOLERANCE)
+    return find_keys(keys, meshes[0].codes / code_rate, rate, is_held=False)
 
 
 _MAX_CODE_RATE = 240.0
