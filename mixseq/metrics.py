@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from mixseq.compression.numbering import Renumbering, match_meshes, mesh_of, with_mesh_of
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.measures import Diagonal, degenerate_faces, dihedral_angles, edge_lengths, wrap_angles
+from mixseq.mesh.measures import Diagonal, degenerate_faces, dihedral_angles, edge_lengths, element_blocks, wrap_angles
 from mixseq.mesh.polygons import describe_difference
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
