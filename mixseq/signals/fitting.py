@@ -59,7 +59,7 @@ from mixseq.spaces.making import SPACE_STAGES, MixedSettings, SpaceOptions, make
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
 from mixseq.spaces.temporal import FrameWeights
 from mixseq.spaces.temporal_pieces import Timing
-from mixseq.types import Float, FloatArray, Index, evenly_spaced
+from mixseq.types import Float, FloatArray, Int32, evenly_spaced
 
 MIN_VALIDATED_FRAMES = 4
 """Least number of frames of a sequence for cross-validation."""
@@ -123,12 +123,12 @@ def _interpolated_vectors(encoded: EncodedSequence, space: MixedSpace, weights: 
     return space.join(MixedBlocks(*blocks[:3], *poses, *body_poses, blocks.corrections))
 
 
-def _lengths_and_angles(elements: tuple[Index, Index], points: FloatArray) -> tuple[Float, Float]:
+def _lengths_and_angles(elements: tuple[Int32, Int32], points: FloatArray) -> tuple[Float, Float]:
     """Return lengths of edges and dihedral angles of hinges of points ``(V, 3)`` in diagonals."""
     return lengths_and_angles(np.ascontiguousarray(points, dtype=np.float64), *elements)
 
 
-def _rms_errors(elements: tuple[Index, Index], points: Iterable[Float], expected: list[tuple[Float, Float]]) -> Float:
+def _rms_errors(elements: tuple[Int32, Int32], points: Iterable[Float], expected: list[tuple[Float, Float]]) -> Float:
     """Return root mean square errors ``(2,)`` of relative lengths and of angles in frames ``(n, V, 3)``."""
     squares = np.zeros(2)
     for frame, (expected_lengths, expected_angles) in zip(points, expected, strict=True):

@@ -22,7 +22,7 @@ from mixseq.runtime.lazy import cached_property
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, log_progress
 from mixseq.spaces.base import ShapeSpace, flatten_blocks, radii_of_gyration
-from mixseq.types import Float, FloatArray, Index
+from mixseq.types import Float, FloatArray, Index, IntArray
 
 
 @compiled
@@ -120,7 +120,7 @@ class Pieces:
         """Piece ``(N,)`` of every row."""
         return np.repeat(np.arange(len(self)), [len(each) for each in self.vertices])
 
-    def find_rows(self, pieces: Index, vertices: Index) -> Index:
+    def find_rows(self, pieces: Index, vertices: IntArray) -> Index:
         """Return the rows of vertices in pieces; arrays broadcast."""
         count = int(self.vertex_of_row.max(initial=-1)) + 1
         # Rows ascend by piece, then by vertex.

@@ -389,7 +389,7 @@ class JointProjection(PickledWithoutCaches):
         sides = self.topology.face_edges[self._face_ids]
         edges, index = np.unique(sides, return_inverse=True)
         targeted = np.searchsorted(edges, self.edge_ids)
-        return edges, index.reshape(sides.shape).astype(np.int64), targeted.astype(np.int64)
+        return edges.astype(np.int64), index.reshape(sides.shape).astype(np.int64), targeted.astype(np.int64)
 
     @cached_property
     def _edges(self) -> Index:

@@ -369,7 +369,9 @@ class MixedSpace(ShapeSpace):
         )
         vectors[:, columns[3].start : columns[8].stop] = flatten_blocks((*parts, *bodies))
         for vector, *frame in zip(vectors, *parts, *bodies, strict=True):
-            motions = self.articulation.part_motions(PartPoses(*frame[:4]), frame[4:], np.zeros(self.correction_dim))
+            motions = self.articulation.part_motions(
+                PartPoses(*frame[:4]), (frame[4], frame[5]), np.zeros(self.correction_dim)
+            )
             vertices = vector[columns[2]].reshape(-1, 3)
             vertices[:] = self._unskin(motions, vertices)
         return vectors
