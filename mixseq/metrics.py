@@ -31,7 +31,7 @@ from mixseq.mesh.polygons import describe_difference
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
 from mixseq.runtime.progress import Progress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, reference_diagonal
@@ -109,7 +109,7 @@ class Comparison:
 
 
 @public
-def compare(a: FileOr[Frames], b: FileOr[Frames]) -> Comparison:
+def compare(a: FileOr[Frames | HasFrames], b: FileOr[Frames | HasFrames]) -> Comparison:
     """Measure how far a sequence is from a reference.
 
     Both sequences may be larger than memory, see `mixseq.open_sequence`.

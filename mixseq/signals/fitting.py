@@ -23,7 +23,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.events import Events, SequenceEvents, distinct_poses, find_events
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import as_edited
@@ -161,7 +161,7 @@ class FitOptions(SpaceOptions, total=False):
 
 @public
 def fit(
-    sequence: FileOr[Frames],
+    sequence: FileOr[Frames | HasFrames],
     exact: bool = False,
     tolerance: float | None = None,
     rank: int | None = None,
