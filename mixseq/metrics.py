@@ -24,19 +24,18 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compression.numbering import Renumbering, identity_numbering, match_meshes, mesh_of
+from mixseq.compression.numbering import Renumbering, match_meshes, mesh_of, with_mesh_of
 from mixseq.errors import InvalidSequenceError
 from mixseq.mesh.measures import Diagonal, degenerate_faces, dihedral_angles, edge_lengths, wrap_angles
-from mixseq.mesh.polygons import match_triangles
+from mixseq.mesh.polygons import describe_difference
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
 from mixseq.runtime.progress import Progress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, reference_diagonal
 from mixseq.signals.decoding import largest_distance, played_blocks, quarter_times
-from mixseq.signals.fitting import as_motion
 from mixseq.signals.model import Model
 from mixseq.types import Float
 
@@ -110,7 +109,7 @@ class Comparison:
 
 
 @public
-def compare(a: FileOr[Frames], b: FileOr[Frames]) -> Comparison:
+def compare(a: FileOr[Frames | HasFrames], b: FileOr[Frames | HasFrames]) -> Comparison:
     """Measure how far a sequence is from a reference.
 
     Both sequences may be larger than memory, see `mixseq.open_sequence`.
@@ -220,6 +219,8 @@ def measure_between(
     >>> mixseq.measure_between("arm.h5", "arm.h5")
     0.0
     """
+    from mixseq.signals.fitting import as_motion
+
     source = cast("Frames | Model", source)
     delivery = cast("Frames | Model", delivery)
     motion = as_motion(source, progress)
@@ -271,7 +272,7 @@ def match_reference(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
             f"{header.frame_name(frame)} is at {header.times[frame]:.9g} s in the reference, at "
             f"{b.times[frame]:.9g} s in the other sequence; give sequences with the same times"
         )
-    return (a if renumbering.order != "free" else renumbering.renumber_frames(a)), renumbering
+    return (a if renumbering.order != "free" else with_mesh_of(a, b, renumbering.vertices)), renumbering
 
 
 def _match_mesh(a: SequenceHeader, b: SequenceHeader) -> Renumbering:
@@ -279,11 +280,8 @@ def _match_mesh(a: SequenceHeader, b: SequenceHeader) -> Renumbering:
     _check_count("vertices", a.vertex_count, b.vertex_count)
     renumbering = match_meshes(mesh_of(a), mesh_of(b))
     if renumbering is None:
-        renumbering = identity_numbering(a.polygons, a.vertex_count)
-        try:
-            match_triangles(a.polygons, b.polygons, ("the reference", "the other sequence"))
-        except InvalidSequenceError as error:
-            raise InvalidSequenceError(f"{error}; vertices must be in the same order") from None
+        difference = describe_difference(a.polygons, b.polygons, ("the reference", "the other sequence"))
+        raise InvalidSequenceError(f"{difference}; vertices must be in the same order")
     return renumbering
 
 

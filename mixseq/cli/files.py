@@ -153,7 +153,7 @@ def between_rows(
     `points_at` returns points of the motion ``(B, V, 3)`` at times ``(N,)`` of the file.
     """
     from mixseq.sequence.sequence import UnitConversion, reference_diagonal
-    from mixseq_io.rig_files import measure_file_between
+    from mixseq_io.rig_files import GLTF_EXTENSIONS, measure_file_between
 
     if path.suffix.lower() not in GLTF_EXTENSIONS or header.frame_count == 1:
         return []
@@ -460,13 +460,10 @@ labelling = options.group(
 """Options for labels from other programs; the argument ``labels`` gets a `LabelChoice`."""
 
 
-GLTF_EXTENSIONS = (".glb", ".gltf")
-"""Extensions of formats that store a pose in addition to animations."""
-
-
 def first_frame(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
     """Read the first frame of a file; from glTF, whose animations rarely begin at rest, read the unanimated pose."""
     from mixseq.sequence.sequence import MeshSequence
+    from mixseq_io.rig_files import GLTF_EXTENSIONS
 
     still = {"animation": "none"} if path.suffix.lower() in GLTF_EXTENSIONS else {}
     with mixseq.open_sequence(path, **options_of(path, still | dict(reading))) as reader:
@@ -476,6 +473,8 @@ def first_frame(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
 
 def animations_of(path: Path) -> dict[str, str]:
     """Return a part of file names and a choice for every animation of a file, glTF; {} for other formats."""
+    from mixseq_io.rig_files import GLTF_EXTENSIONS
+
     if path.suffix.lower() not in GLTF_EXTENSIONS:
         return {}
     from mixseq_io.gltf.animation import animation_choices

@@ -394,8 +394,10 @@ def command(
 
 def _rest_frame_or_file(text: str | None, source: Path) -> tuple[int, Path | None]:
     """Parse the rest pose: return a frame index, negative from the end, and the file if it is given as a file."""
+    from mixseq_io.rig_files import GLTF_EXTENSIONS
+
     if text is None:
-        return 0, source if source.suffix.lower() in files.GLTF_EXTENSIONS else None
+        return 0, source if source.suffix.lower() in GLTF_EXTENSIONS else None
     return (int(text), None) if re.fullmatch(r"-?\d+", text) else (0, Path(text))
 
 

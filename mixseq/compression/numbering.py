@@ -67,6 +67,8 @@ class Renumbering:
         """Return labels ``(F,)`` of the triangles of polygons in the order of the renumbered polygons."""
         if labels.shape != (len(polygons.triangles),) or self.order == "keep":
             return labels  # another shape is refused where labels are used
+        if len(self.polygons) != len(polygons.counts):
+            polygons = Polygons.from_triangles(polygons.triangles)
         old = Polygons(polygons.counts, np.argsort(self.vertices)[polygons.indices])
         return labels[match_triangles(self.renumber_polygons(polygons), old, ("", ""))]
 
@@ -161,7 +163,17 @@ def match_meshes(a: Mesh, b: Mesh) -> Renumbering | None:
     """Return the renumbering of mesh `a` that gives mesh `b`; return None if they are different meshes.
 
     Polygons may be in any order. Vertices have the same numbers, or a compressed file has renumbered those of a mesh.
+    If only the triangles of the polygons match, the renumbering is of these.
     """
+    numbering = _match_polygons(a, b)
+    if numbering is None and len(a[0].triangles) == len(b[0].triangles):
+        cut = [(Polygons.from_triangles(polygons.triangles), sizes) for polygons, sizes in (a, b)]
+        is_cut = not (a[0].only_triangles and b[0].only_triangles)
+        numbering = _match_polygons(*cut) if is_cut else None
+    return numbering
+
+
+def _match_polygons(a: Mesh, b: Mesh) -> Renumbering | None:
     numbering = find_numbering(b[0], *a)
     if numbering is None:
         inverse = find_numbering(a[0], *b)
@@ -246,6 +258,12 @@ def _checksum(polygons: Polygons) -> str:
     """Return a checksum of triangles in any order."""
     triangles = Polygons.from_triangles(polygons.triangles)
     return sha256(triangles.indices[canonical_order(triangles).corners].astype("<i4").tobytes()).hexdigest()[:16]
+
+
+def with_mesh_of(frames: Frames, header: SequenceHeader, vertex_ids: Index) -> LazyFrames:
+    """Return frames with their vertices ``(V,)`` in the order of another header of the mesh, and its polygons."""
+    changed = replace(frames.header, polygons=header.polygons, surface=header.surface)
+    return LazyFrames(changed, lambda size: (block[:, vertex_ids] for block in frames.blocks(size)))
 
 
 def mesh_of(header: SequenceHeader) -> Mesh:

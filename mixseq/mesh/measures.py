@@ -98,6 +98,10 @@ def choose_origin(points: FloatArray) -> Float:
 
 def vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
     """Return the vector areas ``(T, P, 3)`` of the polygons in frames of points ``(T, V, 3)``."""
+    if polygons.only_triangles:  # as below, by a single product
+        a, b, c = polygons.triangles.T
+        apex = points[:, a].astype(np.float64)
+        return np.asarray(np.cross(points[:, b] - apex, points[:, c] - apex) / 2)
     starts = np.cumsum(polygons.counts) - polygons.counts
     first = np.repeat(starts, polygons.counts)
     step = np.arange(polygons.indices.size) - first
@@ -113,7 +117,7 @@ def corner_normals(points: FloatArray, polygons: Polygons, groups: IntArray | No
     """Return normals ``(T, G, 3)`` of corner groups ``(sum of counts,)``, or of vertices, for points ``(T, V, 3)``."""
     group_of_corner = polygons.indices if groups is None else groups
     count = points.shape[1] if groups is None else int(group_of_corner.max(initial=-1)) + 1
-    areas = (_triangle_vector_areas if polygons.only_triangles else vector_areas)(points, polygons)
+    areas = vector_areas(points, polygons)
     polygon_of_corner = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
     sums = np.zeros((len(points), count, 3))
     for frame, total in enumerate(sums):
@@ -123,13 +127,6 @@ def corner_normals(points: FloatArray, polygons: Polygons, groups: IntArray | No
     up = np.array([0.0, 0.0, 1.0])
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(lengths > 0, sums / lengths, up).astype(np.float32)
-
-
-def _triangle_vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
-    """Return `vector_areas` of triangles by a single cross product; only signs of zeros may differ."""
-    a, b, c = polygons.triangles.T
-    origin = points[:, a].astype(np.float64)
-    return np.asarray(np.cross(points[:, b] - origin, points[:, c] - origin) / 2)
 
 
 def hard_edges_from_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np.int32] | None:

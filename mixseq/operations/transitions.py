@@ -17,7 +17,7 @@ from typing import cast
 
 import numpy as np
 
-from mixseq.compression.numbering import match_headers
+from mixseq.compression.numbering import match_headers, with_mesh_of
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.operations.sections import (
     ModelSection,
@@ -112,7 +112,7 @@ def _encode_like(model: Model, first: Model) -> Model:
             f"{a.name!r} has {a.vertex_count} vertices, {b.name!r} {b.vertex_count}, or other faces; two models of one "
             "mesh are needed"
         )
-    frames = numbering.renumber_frames(model.sample())
+    frames = with_mesh_of(model.sample(), a, numbering.vertices)
     with one_blas_thread():
         encoded = encode_sequence(load_frames(frames), first.space, timings=[model.timing])
         return build_model(encoded, Detail())

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from mixseq.compression.numbering import match_vertices
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.measures import edge_lengths
-from mixseq.mesh.polygons import match_triangles
+from mixseq.mesh.polygons import describe_difference
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
@@ -88,11 +88,8 @@ def _scaled_rest_shape(rest: MeshSequence, header: SequenceHeader, topology: Top
         )
     vertex_ids: Index | None = match_vertices(rest, header)
     if vertex_ids is None:
-        try:
-            match_triangles(header.polygons, rest.polygons, ("the motion", "the mesh at rest"))
-        except InvalidSequenceError as error:
-            raise InvalidSequenceError(f"{error}; give the same mesh, with its vertices in the same order") from None
-        vertex_ids = np.arange(rest.vertex_count)
+        difference = describe_difference(header.polygons, rest.polygons, ("the motion", "the mesh at rest"))
+        raise InvalidSequenceError(f"{difference}; give the same mesh, with its vertices in the same order")
     shape = rest.points[0, vertex_ids].astype(np.float64)
     samples = points[sample_frame_ids(len(points))].astype(np.float64)
     rest_lengths, lengths = edge_lengths(shape, topology.edges), edge_lengths(samples, topology.edges)

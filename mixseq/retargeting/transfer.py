@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.choices import TRANSFERS, TransferName
-from mixseq.compression.numbering import match_headers, match_meshes, object_vertex_counts, warn_of_numbers
+from mixseq.compression.numbering import match_headers
 from mixseq.errors import SettingsError
-from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.contacts import ContactReport, PlantedMotion, plant_contacts
 from mixseq.retargeting.correspond import CorrespondenceQuality, RestMesh, correspond_and_assess
@@ -23,7 +22,7 @@ from mixseq.retargeting.parts import PartCorrespondence, PartPoses
 from mixseq.retargeting.sources import SourceMotion, prepare_source
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import with_other_motion
 from mixseq.sequence.sequence import Frames, MeshSequence, block_size, check_frames, join_blocks
@@ -158,28 +157,21 @@ def _find_correspondence(
         return correspond_and_assess(source_mesh, target_mesh, pairs, progress=progress)
     if np.array_equal(source.topology.faces, header.faces):
         return Correspondence.identity(*sizes[0]), None
-    polygons, numbering = source.header.polygons, match_headers(source.header, header)
-    if numbering is None:  # one of the files may have cut polygons into triangles
-        polygons = Polygons.from_triangles(source.header.faces)
-        triangulated = (Polygons.from_triangles(header.faces), object_vertex_counts(header))
-        numbering = match_meshes((polygons, object_vertex_counts(source.header)), triangulated)
-        if numbering is not None:
-            order = {"vertices": numbering.order == "free", "faces": numbering.reorders_faces}
-            warn_of_numbers(source.header.file_name, header.file_name, **order)
+    numbering = match_headers(source.header, header)
     if numbering is None:
         (vertices, faces), (target_vertices, target_faces) = sizes
         raise SettingsError(
             f"the source has {vertices} vertices and {faces} triangles, the target {target_vertices} and "
             f"{target_faces}, or they are in another order; give markers or a map"
         )
-    face_ids = np.asarray(numbering.renumber_labels(np.arange(sizes[0][1]), polygons), dtype=np.int64)
+    face_ids = np.asarray(numbering.renumber_labels(np.arange(sizes[0][1]), source.header.polygons), dtype=np.int64)
     return Correspondence.identity(*sizes[0]).renumbered(numbering.vertices, face_ids), None
 
 
 @public
 def transfer(
     source: FileOr[Frames | Model],
-    target: FileOr[Frames],
+    target: FileOr[Frames | HasFrames],
     markers: FileOr[Markers | ArrayLike] | None = None,
     mapping: FileOr[Correspondence | Callable[[RestMesh, RestMesh], Correspondence]] | None = None,
     method: TransferName = "mixed",

@@ -15,13 +15,15 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
+from hashlib import sha256
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, TypeVar, cast
 
 import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import _numba_unpickle
 from numba.core.types import unliteral
@@ -59,9 +61,10 @@ def force_inlined(function: Function) -> Function:
     """Compile a function that LLVM inlines into its callers: faster than `inlined`, and faster to compile.
 
     Arguments keep their types. LLVM assumes that signed sums and products do not overflow; use `numpy.uint64` for
-    intended overflow.
+    intended overflow. References to arrays are not counted, which takes longer than many a function does, so the
+    function neither allocates nor returns arrays.
     """
-    dispatcher = numba.njit(forceinline=True, **_NUMBA_OPTIONS)(function)
+    dispatcher = numba.njit(forceinline=True, _nrt=False, **_NUMBA_OPTIONS)(function)
     if dispatcher is not function:  # NUMBA_DISABLE_JIT
         dispatcher.get_call_template = partial(_unliteral_template, dispatcher.get_call_template)
     return cast(Function, dispatcher)
@@ -87,14 +90,32 @@ class _CompactCacheImpl(CompileResultCacheImpl):
         return (*rest, tuple(kept))
 
 
+@cache
+def _file_hash(file: str) -> bytes:
+    return sha256(Path(file).read_bytes()).digest()
+
+
+def _source_hash(function: Callable[..., Any]) -> str:
+    """Return the hash of the texts of a function's module, and of the modules whose compiled functions it can call."""
+    functions, hashes = [function], {}
+    for caller in functions:  # grows
+        file = caller.__code__.co_filename
+        if file not in hashes:
+            hashes[file] = _file_hash(file)
+            functions += [value.py_func for value in caller.__globals__.values() if isinstance(value, Dispatcher)]
+    return sha256(b"".join(sorted(hashes.values()))).hexdigest()
+
+
 class _Cache(FunctionCache):
-    """numba's cache of compiled functions, which recompiles them on errors."""
+    """numba's cache of compiled functions, which compiles again on errors and if called functions change."""
 
     _impl_class = _CompactCacheImpl
 
     @uninterrupted
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return a cached compiled function or None; skip numba's `refresh`, which takes 0.25 s to load compilers."""
+        self._cache_file._version = f"{numba.__version__} {_source_hash(self._py_func)}"
+        self._cache_file._source_stamp = None  # the version is compared before what may be of other types is unpickled
         try:
             rtsys.initialize(target)
             return self._load_overload(signature, target)  # type: ignore[no-untyped-call]

@@ -115,9 +115,14 @@ def snap_rate(fps: float, tolerance: float = _RATE_ROUNDING) -> float:
 
 def is_on_frames(times: Float, fps: float) -> bool:
     """Whether times ``(T,)`` in s are at frames of a rate, counted from 0 or from the first time."""
+    return _distance_from_frames(times, fps) <= FRAME_TOLERANCE
+
+
+def _distance_from_frames(times: Float, fps: float) -> float:
+    """Return the largest distance of times from frames of a rate, in frames; see `is_on_frames`."""
     import numpy as np
 
-    return any(bool(np.abs(n - np.rint(n)).max() <= FRAME_TOLERANCE) for n in (times * fps, (times - times[0]) * fps))
+    return min(float(np.abs(n - np.rint(n)).max()) for n in (times * fps, (times - times[0]) * fps))
 
 
 def estimate_frame_rate(times: Float, declared: float = 0.0, lowest: float = 0.0) -> float | None:
@@ -142,6 +147,9 @@ def estimate_frame_rate(times: Float, declared: float = 0.0, lowest: float = 0.0
     span = float(times[-1] - times[0]) if times.size > 1 else 0.0
     if not (isfinite(span) and span > 0):
         return declared or None
+    exact = snap_to_ntsc(declared)
+    if _distance_from_frames(times, exact) < min(_distance_from_frames(times, declared) / 2, FRAME_TOLERANCE):
+        declared = exact  # such as 23.98 of a file whose times are at 24000/1001
     rate = _rate_of_even_times(times, span) or 0.0
     if declared and abs(declared - rate) > _RATE_ROUNDING * declared:
         return declared

@@ -23,7 +23,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.events import CutChoice, SequenceEvents, distinct_poses, find_events
 from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import (
@@ -103,8 +103,7 @@ def select_share(encoded: EncodedSequence, frames: LargeArray) -> EncodedSequenc
     errors_without = np.maximum(_rms_errors(elements, skinned, expected), ERROR_FLOOR)
     gains = []
     for share in CANDIDATE_SHARES:
-        vectors = zip(skinned, blocks.lengths, blocks.angles, strict=True)
-        projected = [space.joint_projection.project(*vector, share) for vector in vectors]
+        projected = space.joint_projection.project(skinned, blocks.lengths, blocks.angles, share)
         gains.append(1.0 - float((_rms_errors(elements, projected, expected) / errors_without).max()))
     share = CANDIDATE_SHARES[int(np.argmax(np.array(gains) >= SUFFICIENT_GAIN * max(gains) - 1e-12))]
     return replace(encoded, space=space.with_weights(projection=replace(space.projection, share=share)))
@@ -157,7 +156,7 @@ class FitOptions(SpaceOptions, total=False):
 
 @public
 def fit(
-    sequence: FileOr[Frames],
+    sequence: FileOr[Frames | HasFrames],
     exact: bool = False,
     tolerance: float | None = None,
     rank: int | None = None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import importlib
 import os
 import pickle
 import signal
@@ -76,7 +77,9 @@ def test_what_was_cut_short_is_compiled_again(kept: Path, suffix: str, size: int
 def test_an_index_of_something_else(kept: Path) -> None:
     assert double(kept)(3) == 6
     (index,) = (kept / "kept").rglob("*.nbi")
-    index.write_bytes(pickle.dumps(numba.__version__) + pickle.dumps(7))
+    with index.open("rb") as file:
+        version = pickle.load(file)
+    index.write_bytes(pickle.dumps(version) + pickle.dumps(7))
     with pytest.warns(MixseqWarning, match="is damaged"):
         assert double(kept)(3) == 6
 
@@ -124,6 +127,24 @@ def test_no_folder_at_all(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
     assert double(kept)(3) == 6
+
+
+def test_a_change_of_a_called_function_is_compiled_and_its_old_index_is_not_read(
+    kept: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (kept / "doubling.py").write_text(f"from called import add\n{SOURCE.replace('2 * number', 'add(number, number)')}")
+    monkeypatch.syspath_prepend(kept)
+    for sign, result in (("+", 6), ("-", 0), ("+", 6)):
+        text = (
+            f"from mixseq.runtime.jit import force_inlined\n\n@force_inlined\ndef add(a, b):\n    return a {sign} b\n"
+        )
+        (kept / "called.py").write_text(text)
+        monkeypatch.delitem(sys.modules, "called", raising=False)
+        jit._file_hash.cache_clear()
+        importlib.invalidate_caches()
+        with monkeypatch.context() as patched:
+            patched.setattr(sys, "dont_write_bytecode", True)
+            assert double(kept)(3) == result
 
 
 CALLING = """

@@ -129,6 +129,15 @@ def test_uneven_times_keep_their_distances() -> None:
     np.testing.assert_allclose(moved - 1001 / 24, times, atol=1e-12)
 
 
+@pytest.mark.parametrize(("declared", "rate"), [(23.98, 24000 / 1001), (29.97, 30000 / 1001), (59.94, 60000 / 1001)])
+def test_declared_rates_with_two_digits(declared: float, rate: float) -> None:
+    """Frames at the exact rate, or on twos of it, have that rate; those at the rounded rate keep it."""
+    numbers = np.arange(1001, 1201)
+    assert estimate_frame_rate(numbers / rate, declared) == rate
+    assert estimate_frame_rate(numbers[::2] / rate, declared) == rate
+    assert estimate_frame_rate(numbers / declared, declared) == declared
+
+
 def test_seconds_that_are_frames() -> None:
     shot = (1001 / 24, 1096 / 24, 24.0)
     assert hint_frame_number(1096, *shot) == "; frame 1096 is at 45.6667 s"

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_array
 
-from mixseq.errors import FormatError, SettingsError
+from mixseq.errors import FormatError, MixseqError, SettingsError
 from mixseq.rigging.rigs import slerp
 from mixseq.types import Float, FloatArray, Index, Single
 from mixseq_io.gltf.document import POINTER_EXTENSION, Document, Fields, load_document
@@ -265,31 +265,38 @@ def read_extra_number(animation: Fields | None, name: str, above: float = -_MAX_
     return float(value) if above < value < _MAX_EXTRA_NUMBER else None
 
 
-def read_channels(document: Document, animation: Fields | None, nodes: Collection[int]) -> list[Channel]:
-    """Read the channels of an animation that target the given nodes."""
+def read_channels(
+    document: Document,
+    animation: Fields | None,
+    nodes: Collection[int],
+    errors: dict[int, MixseqError] | None = None,
+) -> list[Channel]:
+    """Read the channels of an animation that target the given nodes; add errors to `errors` by node, or raise them."""
     if animation is None:
         return []
     samplers = animation.objects("samplers")
     channels: dict[tuple[int, str], Channel] = {}
     tracks: defaultdict[int, dict[int, Channel]] = defaultdict(dict)
-    missing, numbers, node_count = [], 0, len(document.items("nodes"))
+    with_mesh = {index for index, each in enumerate(document.items("nodes")) if "mesh" in each}
+    missing, numbers = [], 0
     for fields in animation.objects("channels"):
         target = fields.object("target")
         node, name = target.index("node"), target.text("path")
-        if name == "pointer":
-            missing.append(target.object("extensions").object(POINTER_EXTENSION).text("pointer"))
+        pointer = target.object("extensions").object(POINTER_EXTENSION).text("pointer")
         name, _, weight = name.partition("/")
-        if node is None or name not in (*_PROPERTY_WIDTHS, "weights"):
-            continue
-        if node >= node_count or (name == "weights" and "mesh" not in document.item("nodes", node)):
-            missing.append(f"/nodes/{node}/{name}")
+        is_known = name in _PROPERTY_WIDTHS or (name == "weights" and node in with_mesh)
+        if node is None or not is_known or node >= len(document.items("nodes")):
+            missing.append(pointer or f"{fields.place} ({name})")
             continue
         if node not in nodes:
             continue
-        index = fields.integer("sampler")
-        if index >= len(samplers):
-            raise fields.error(f"has sampler {index} of {len(samplers)}; the file is damaged")
-        channel = _read_channel(document, node, name, samplers[index])
+        try:
+            channel = _read_channel(document, fields, node, name, samplers)
+        except MixseqError as error:
+            if errors is None:
+                raise
+            errors[node] = error
+            continue
         numbers += channel.times.size + channel.values.size
         document.check_effort(numbers, animation.place)
         if weight:
@@ -317,7 +324,9 @@ def _join_tracks(document: Document, node: int, tracks: Mapping[int, Channel]) -
     times = merge_key_times(each.times for each in tracks.values())
     is_stepped = all(each.interpolation == "STEP" for each in tracks.values())
     still = _read_still_weights(document, fields, count)
-    joined = SeparateWeights(node, "weights", times, still, "STEP" if is_stepped else "LINEAR", still, tracks)
+    joined = SeparateWeights(
+        node, "weights", times, still.astype(np.float32), "STEP" if is_stepped else "LINEAR", still, tracks
+    )
     return replace(joined, values=joined.evaluate(times).astype(np.float32))
 
 
@@ -328,7 +337,11 @@ def _read_still_weights(document: Document, node: Fields, count: int) -> Float:
     return np.zeros(count) if weights is None else weights
 
 
-def _read_channel(document: Document, node: int, name: str, sampler: Fields) -> Channel:
+def _read_channel(document: Document, fields: Fields, node: int, name: str, samplers: Sequence[Fields]) -> Channel:
+    index = fields.integer("sampler")
+    if index >= len(samplers):
+        raise fields.error(f"has sampler {index} of {len(samplers)}; the file is damaged")
+    sampler = samplers[index]
     interpolation = sampler.text("interpolation", "LINEAR")
     if interpolation not in _INTERPOLATIONS:
         raise sampler.error(f"has the interpolation {interpolation[:40]!r}; one of {_INTERPOLATIONS} is expected")

@@ -16,22 +16,21 @@ from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
+from mixseq.errors import FormatError
 from mixseq_io.gltf.codecs import Json, append, decompress_document
 from mixseq_io.gltf.document import (
     INSTANCING_EXTENSION,
     POINTER_EXTENSION,
     Document,
     Fields,
-    collect_extensions,
     load_document,
-    unknown_extensions,
+    used_extensions,
 )
 from mixseq_io.reader import warn
-from mixseq_io.scene_meshes import format_names
 
-_WEIGHTS = r"weights(?:/\d{1,9})?"
+_WEIGHTS_PATTERN = r"weights(?:/\d{1,9})?"
 _POINTER_PATTERN = re.compile(
-    rf"/nodes/(\d{{1,9}})/(translation|rotation|scale|{_WEIGHTS})|/meshes/(\d{{1,9}})/({_WEIGHTS})"
+    rf"/nodes/(\d{{1,9}})/(translation|rotation|scale|{_WEIGHTS_PATTERN})|/meshes/(\d{{1,9}})/({_WEIGHTS_PATTERN})"
 )
 _INSTANCE_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}  # numbers of an instance by attribute
 
@@ -39,13 +38,15 @@ _INSTANCE_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}  # numbers of a
 def load_plain_document(path: Path) -> Document:
     """Read a .gltf or .glb file, without compression, pointers of animations to nodes, and instances."""
     document = decompress_document(load_document(path))
-    used = collect_extensions(document.json) | {*document.top.texts("extensionsUsed")}
-    if unknown := unknown_extensions(used):
-        warn(f"{path}: extensions that are not supported are ignored: {format_names(unknown)}")
-    if not {POINTER_EXTENSION, INSTANCING_EXTENSION} & used:
+    if not {POINTER_EXTENSION, INSTANCING_EXTENSION} & used_extensions(document):
         return document
     plain = replace(document, json=deepcopy(document.json))
-    instances = {index: _add_instances(document, plain.json, index) for index in _instanced_nodes(document)}
+    instances = {}
+    for index in _instanced_nodes(document):
+        try:
+            instances[index] = _add_instances(document, plain.json, index)
+        except FormatError as error:
+            warn(f"{error}; its instances are left out")
     for animation, entry in zip(document.items("animations"), plain.json.get("animations", ()), strict=True):
         entry["channels"] = [
             {**channel.values, "target": target}
@@ -95,7 +96,8 @@ def _add_instances(document: Document, plain: Json, index: int) -> list[int]:
     attributes = extension.object("attributes")
     stored = [name for name in _INSTANCE_WIDTHS if name.upper() in attributes]
     values = {name: document.accessor(attributes.integer(name.upper())) for name in stored}
-    counts = {len(each) for each in values.values()}
+    accessors = (document.item("accessors", attributes.integer(name)) for name in attributes.values)
+    counts = {accessor.integer("count") for accessor in accessors}
     if len(counts) != 1 or any(each.shape[1:] != (_INSTANCE_WIDTHS[name],) for name, each in values.items()):
         raise extension.error("has attributes of different counts or types; the file is damaged")
     (count,) = counts

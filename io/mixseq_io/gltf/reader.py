@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from mixseq.errors import InvalidSequenceError, NoMeshError
+from mixseq.errors import InvalidSequenceError, MixseqError, NoMeshError
 from mixseq.mesh.measures import hard_edges_from_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, FaceSet, Origin
@@ -49,7 +49,7 @@ from mixseq_io.gltf.animation import (
     read_mesh_node,
     sample_times,
 )
-from mixseq_io.gltf.document import Document, Fields
+from mixseq_io.gltf.document import Document, Fields, unknown_extensions, used_extensions
 from mixseq_io.gltf.expansion import load_plain_document
 from mixseq_io.gltf.primitives import Primitive, Weld, texture_transform, weld_vertices
 from mixseq_io.gltf.scene import Pose, Scene, read_scene
@@ -60,6 +60,7 @@ from mixseq_io.scene_meshes import (
     check_finite,
     common_name,
     find_keys,
+    format_names,
     join_meshes,
     read_valid_meshes,
     select_meshes,
@@ -82,10 +83,11 @@ def _select_nodes(document: Document, scene: Scene, prim: str | None) -> list[in
 
 
 def _find_moving_nodes(
-    document: Document, scene: Scene, nodes: Sequence[int], channels: Collection[Channel]
+    document: Document, scene: Scene, nodes: Sequence[int], channels: Collection[Channel], others: Collection[int]
 ) -> list[bool]:
-    """Return whether the mesh of each node moves."""
+    """Return whether the mesh of each node moves; `others` are nodes that may move."""
     moved = {(channel.node, channel.name == "weights") for channel in channels if channel.is_animated}
+    moved |= {(node, is_morph) for node in others for is_morph in (False, True)}
     return [
         (node, True) in moved
         or any(
@@ -293,15 +295,18 @@ def open_gltf(
     # Reading a frame reports non-finite points with their vertex.
     with prefix_errors(path), np.errstate(all="ignore"):
         document = load_plain_document(path)
+        if unknown := unknown_extensions(used_extensions(document)):
+            warn(f"{path}: extensions that are not supported are ignored: {format_names(unknown)}")
         scene = read_scene(document)
         nodes = _select_nodes(document, scene, prim)
         if not nodes:
             raise NoMeshError(f"{path} has no triangles to read; points and lines alone are not a mesh")
         fields = choose_animation(document, animation)
-        all_channels = read_channels(document, fields, _influencing_nodes(document, scene, nodes))
+        errors: dict[int, MixseqError] = {}  # by node whose channels cannot be read
+        all_channels = read_channels(document, fields, _influencing_nodes(document, scene, nodes), errors)
         is_moving = [False] * len(nodes)
         if prim is None:
-            is_moving = _find_moving_nodes(document, scene, nodes, all_channels)
+            is_moving = _find_moving_nodes(document, scene, nodes, all_channels, errors)
         stored_rate, start = read_extra_number(fields, "fps", 0.0), read_extra_number(fields, "start") or 0.0
         channels, times, rate = all_channels, np.zeros(1), DEFAULT_FPS
 
@@ -315,6 +320,9 @@ def open_gltf(
             world: dict[int, Float] = {}  # of ancestors of all meshes, computed once
 
             def read_mesh(index: int) -> tuple[MeshNode, SceneMesh]:
+                for node in _influencing_nodes(document, scene, nodes[index : index + 1]) if errors else ():
+                    if node in errors:
+                        raise errors[node]
                 mesh_node = read(nodes[index])
                 scene.world_matrices(mesh_node.transform_nodes, pose, world)
                 return mesh_node, _make_scene_mesh(document, mesh_node, pose, world, frame_name)

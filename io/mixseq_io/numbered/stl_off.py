@@ -186,8 +186,11 @@ def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
 
 def _split(corners: FloatArray, vertices: IntArray, first_corners: IntArray) -> tuple[IntArray, IntArray]:
     """Split vertices ``(3 F,)`` of other frames, with first corners ``(V,)``, where corners ``(3 F, 3)`` are apart."""
+    at_vertices = corners[first_corners][vertices]
+    if np.array_equal(at_vertices, corners):
+        return vertices, first_corners
     tolerance = _weld_tolerance(corners)
-    is_near = (np.abs(corners - corners[first_corners][vertices]) <= tolerance).all(axis=1)
+    is_near = (np.abs(corners - at_vertices) <= tolerance).all(axis=1)
     if is_near.all():
         return vertices, first_corners
     clusters = np.array(first_corners)[vertices]

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
-from mixseq.mesh.polygons import Polygons, match_triangles
+from mixseq.errors import AmbiguousError, FormatError, OutputError, SettingsError
+from mixseq.mesh.polygons import Polygons, describe_difference
 from mixseq.mesh.surface import FaceSet
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, MeshSequence
@@ -231,16 +231,12 @@ def _match_faces(file: Path, header: SequenceHeader, polygons: Polygons, sizes: 
     if np.array_equal(a, b) or _is_welded(a, b) or _is_welded(b, a):
         return None
     numbering = match_meshes((polygons, sizes), mesh_of(header))
-    if numbering is not None:
-        is_free, reorders_faces = numbering.order == "free", numbering.reorders_faces
-        warn_of_numbers(file.name, header.file_name, vertices=is_free, faces=reorders_faces)
-        return np.asarray(numbering.renumber_labels(np.arange(len(b) // 3), polygons))
-    try:
-        face_ids = match_triangles(header.polygons, polygons, ("the sequence", str(file)))
-    except InvalidSequenceError as error:
-        raise FormatError(f"{error}; labels need a file of the same mesh") from None
-    warn_of_numbers(file.name, header.file_name, faces=bool((np.diff(face_ids) < 0).any()))
-    return face_ids
+    if numbering is None:
+        difference = describe_difference(header.polygons, polygons, ("the sequence", str(file)))
+        raise FormatError(f"{difference}; labels need a file of the same mesh")
+    is_free, reorders_faces = numbering.order == "free", numbering.reorders_faces
+    warn_of_numbers(file.name, header.file_name, vertices=is_free, faces=reorders_faces)
+    return np.asarray(numbering.renumber_labels(np.arange(len(b) // 3), polygons))
 
 
 def _is_welded(a: IntArray, b: IntArray) -> bool:

@@ -213,14 +213,18 @@ class Texels:
         """Number of rows of a layer in the texture."""
         return -(-self.count // _MAX_TEXELS_PER_ROW)
 
-    def stack_layers(self, layers: NDArray[np.floating], content: str) -> NDArray[np.floating]:
-        """Stack layers ``(n, N, channels)`` into pixels ``(n * rows, width, channels)``, padded with zeros."""
-        count, _, channels = layers.shape
+    def check_height(self, count: int, content: str) -> None:
+        """Raise an error if a number of layers takes too many rows of a texture."""
         if count * self.rows > MAX_TEXTURE_SIDE_PIXELS:
             raise SettingsError(
                 f"{count} {content} of {self.count} texels take {count * self.rows} rows of a texture; graphics cards "
                 f"take {MAX_TEXTURE_SIDE_PIXELS}; write fewer frames, or few basis vectors (--max-error)"
             )
+
+    def stack_layers(self, layers: NDArray[np.floating], content: str) -> NDArray[np.floating]:
+        """Stack layers ``(n, N, channels)`` into pixels ``(n * rows, width, channels)``, padded with zeros."""
+        count, _, channels = layers.shape
+        self.check_height(count, content)
         padded = np.pad(layers, ((0, 0), (0, self.rows * self.width - self.count), (0, 0)))
         return padded.reshape(count * self.rows, self.width, channels)
 
@@ -301,8 +305,6 @@ def encode_low_rank(fitted: LowRank, frames: VertexFrames, texels: Texels, pixel
     coefficients = np.pad(fitted.coefficients, ((0, 0), (0, 0), (0, columns - fitted.rank), (0, 0)))
     if parts * columns > MAX_TEXTURE_SIDE_PIXELS:
         raise SettingsError(f"{parts} parts with {columns} basis vectors are too wide for a texture; allow more error")
-    if 2 * count > MAX_TEXTURE_SIDE_PIXELS:
-        raise SettingsError(f"{count} frames are too high for a texture of coefficients; write fewer")
     largest = float(np.abs(coefficients).max(initial=0)) or 1.0
     table, decoded = encode_coarse_and_fine(coefficients.reshape(count, -1, 3), largest, pixel_type)
     decoded = decoded.reshape(coefficients.shape)

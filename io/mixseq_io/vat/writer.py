@@ -19,7 +19,7 @@ from mixseq.errors import OutputError, SettingsError
 from mixseq.mesh.measures import choose_origin
 from mixseq.rigging.low_rank import fit_low_rank
 from mixseq.runtime.progress import Progress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.sequence import Frames, MeshSequence
 from mixseq.signals.decoding import Decodable, hold_between, largest_distance, quarter_times, straight_blocks
 from mixseq.signals.fitting import as_motion
@@ -28,6 +28,7 @@ from mixseq_io.files import atomic_folder
 from mixseq_io.gltf.codecs import open_buffer_writer
 from mixseq_io.reader import warn
 from mixseq_io.vat.textures import (
+    MAX_TEXTURE_SIDE_PIXELS,
     PixelType,
     Texels,
     Textures,
@@ -99,7 +100,7 @@ class VatReport:
 @public
 def write_vat(
     path: str | os.PathLike[str],
-    sequence: FileOr[MeshSequence],
+    sequence: FileOr[MeshSequence | HasFrames],
     max_error: float | None = None,
     texture: TextureName = "png16",
     progress: Progress = log_progress,
@@ -211,6 +212,10 @@ def _encode(
     if origin.any():
         sequence = sequence.with_points(sequence.points - origin)
     texels = Texels.from_header(sequence.header, origin)
+    if max_error is None:
+        texels.check_height(sequence.frame_count, "frames")
+    elif 2 * sequence.frame_count > MAX_TEXTURE_SIDE_PIXELS:
+        raise SettingsError(f"{sequence.frame_count} frames are too high for a texture of coefficients; write fewer")
     frames = VertexFrames.from_points(sequence.points, texels)
     if max_error is None:
         textures = encode_plain(frames, texels, pixel_type)

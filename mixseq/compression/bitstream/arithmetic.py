@@ -25,17 +25,19 @@ different rounding, an error in a library or port, or a damaged file changes the
 error in each case.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/*.npz`` and
-``tests/formats/golden/compressed-v1.h5``). numba caches compiled loops by the text of their own file: edit files that
-inline these functions (`connectivity_kernels`, `uv_seams`, `corner_values`) whenever this module changes.
+``tests/formats/golden/compressed-v1.h5``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
+from numba.cpython.unsafe.numbers import leading_zeros
+from numba.extending import overload
 from numpy.typing import NDArray
 
 from mixseq.runtime.jit import force_inlined
@@ -67,6 +69,9 @@ def split_checksum(data: bytes) -> tuple[bytes, int]:
 PROBABILITY_SCALE = 1 << 16
 """Integer that represents the probability 1. Frozen: breaks old files."""
 
+EVEN_PROBABILITY = PROBABILITY_SCALE // 2
+"""Probability of bits without a model. Frozen: breaks old files."""
+
 _MAX_INTERVAL_END = (1 << 32) - 1
 """Largest end of an interval. Frozen: breaks old files."""
 
@@ -75,23 +80,30 @@ PADDING_BYTES = 4
 
 
 class BitStream(NamedTuple):
-    """A byte buffer with the state of writing or reading."""
+    """A byte buffer, and the state of writing or reading between two calls of compiled loops."""
 
     is_input: bool  # whether bits are read
     data: NDArray[np.uint8]  # (n,) bytes to read, or buffer for written bytes
-    place: Index  # (1,) index of the next byte
-    interval: Index  # (3,) both ends of the interval; when reading, also the coded number in the interval
+    state: Index  # (4,) values of a `CoderState`
+
+
+class CoderState(NamedTuple):
+    """The state of writing or reading between two bits; loops hold it in local variables, which stay in registers."""
+
+    low: int  # ends of the interval
+    high: int
+    number: int  # coded number in the interval when reading
+    place: int  # index of the next byte
 
 
 def new_output_stream(capacity: int) -> BitStream:
     """Return an empty stream with room for `capacity` bytes."""
-    place, interval = np.zeros(1, dtype=np.int64), np.array([0, _MAX_INTERVAL_END, 0], dtype=np.int64)
-    return BitStream(False, np.zeros(capacity, dtype=np.uint8), place, interval)
+    return BitStream(False, np.zeros(capacity, dtype=np.uint8), np.array([0, _MAX_INTERVAL_END, 0, 0], dtype=np.int64))
 
 
 def reserve(stream: BitStream, capacity: int) -> BitStream:
     """Return the stream with room for at least `capacity` more bytes."""
-    written = int(stream.place[0])
+    written = int(stream.state[3])
     if len(stream.data) - written >= capacity:
         return stream
     data = np.zeros(2 * written + capacity, dtype=np.uint8)
@@ -103,13 +115,12 @@ def new_input_stream(data: bytes) -> BitStream:
     """Return a stream for reading the output of `finish_stream`."""
     padded = np.frombuffer(data + bytes(PADDING_BYTES), dtype=np.uint8).copy()
     first = int.from_bytes(padded[:4].tobytes(), "big")
-    interval = np.array([0, _MAX_INTERVAL_END, first], dtype=np.int64)
-    return BitStream(True, padded, np.array([4], dtype=np.int64), interval)
+    return BitStream(True, padded, np.array([0, _MAX_INTERVAL_END, first, 4], dtype=np.int64))
 
 
 def finish_stream(stream: BitStream) -> bytes:
     """Return the bytes of a stream; the last bytes are the shortest number in the interval."""
-    low, high = int(stream.interval[0]), int(stream.interval[1])
+    low, high, _, place = map(int, stream.state)
     tail = b""
     for size in range(5):
         unit = 1 << 8 * (4 - size)
@@ -117,62 +128,70 @@ def finish_stream(stream: BitStream) -> bytes:
         if number <= high:
             tail = number.to_bytes(4, "big")[:size]
             break
-    return stream.data[: stream.place[0]].tobytes() + tail
+    return stream.data[:place].tobytes() + tail
 
 
 def is_past_end(stream: BitStream) -> bool:
     """Return whether bits were read beyond the end of a stream; compiled loops use `has_failed`."""
-    return int(stream.place[0]) > len(stream.data) + PADDING_BYTES
+    return bool(stream.state[3] > len(stream.data) + PADDING_BYTES)
 
 
 @force_inlined
-def code_bit(stream: BitStream, probability: int, bit: int) -> int:
-    """Write or read a bit that is 1 with probability `probability` / 65536; return the bit."""
-    low, high = stream.interval[0], stream.interval[1]
+def load_state(stream: BitStream) -> CoderState:
+    """Return the state of a stream."""
+    return CoderState(stream.state[0], stream.state[1], stream.state[2], stream.state[3])
+
+
+@force_inlined
+def store_state(stream: BitStream, state: CoderState) -> None:
+    """Set the state of a stream."""
+    for i in range(4):
+        stream.state[i] = state[i]
+
+
+@force_inlined
+def code_bit(stream: BitStream, state: CoderState, probability: int, bit: int) -> tuple[int, CoderState]:
+    """Write or read a bit that is 1 with probability `probability` / 65536; return the bit and the new state."""
+    low, high, number, place = state
     middle = low + (((high - low) * probability) >> 16)
     if stream.is_input:
-        bit = 1 if stream.interval[2] <= middle else 0
+        bit = 1 if number <= middle else 0
     if bit:
         high = middle
     else:
         low = middle + 1
     while (low ^ high) >> 24 == 0:
-        place = stream.place[0]
         if stream.is_input:
             byte = stream.data[place] if place < len(stream.data) else 0
-            stream.interval[2] = ((stream.interval[2] & 0xFFFFFF) << 8) | byte
+            number = ((number & 0xFFFFFF) << 8) | byte
         else:
             stream.data[place] = high >> 24
-        stream.place[0] += 1
+        place += 1
         low, high = (low & 0xFFFFFF) << 8, ((high & 0xFFFFFF) << 8) | 0xFF
-    stream.interval[0], stream.interval[1] = low, high
-    return bit
+    return bit, CoderState(low, high, number, place)
 
 
 @force_inlined
-def code_raw_bits(stream: BitStream, size: int, number: int) -> int:
-    """Write or read the last `size` bits of a number without a model, and return them."""
+def code_raw_bits(stream: BitStream, state: CoderState, size: int, number: int) -> tuple[int, CoderState]:
+    """Write or read the last `size` bits of a number without a model; return them and the new state."""
     value = 0
-    for bit in range(size - 1, -1, -1):
-        value = (value << 1) | code_bit(stream, 32768, (number >> bit) & 1)
-    return value
+    for shift in range(size - 1, -1, -1):
+        bit, state = code_bit(stream, state, EVEN_PROBABILITY, (number >> shift) & 1)
+        value = (value << 1) | bit
+    return value, state
 
 
-@force_inlined
 def bit_length(number: int) -> int:
-    """Return the bit length of a number's magnitude."""
-    size, bits = abs(number), 0
-    while size >= 1 << 16:
-        size, bits = size >> 16, bits + 16
-    if size >= 1 << 8:
-        size, bits = size >> 8, bits + 8
-    if size >= 1 << 4:
-        size, bits = size >> 4, bits + 4
-    if size >= 1 << 2:
-        size, bits = size >> 2, bits + 2
-    if size >= 1 << 1:
-        size, bits = size >> 1, bits + 1
-    return bits + size
+    """Return the bit length of a number's magnitude; in compiled loops, from one instruction of the processor."""
+    return int(abs(number)).bit_length()
+
+
+@overload(bit_length, jit_options={"forceinline": True, "nogil": True})
+def _compiled_bit_length(number: int) -> Callable[[int], int]:
+    def bit_length(number: int) -> int:
+        return 64 - leading_zeros(abs(np.int64(number)))  # type: ignore[no-any-return]
+
+    return bit_length
 
 
 _MAX_LOGIT = 2047
@@ -198,7 +217,6 @@ class BitModels(NamedTuple):
     # (inputs, contexts, positions) frequencies of 1, and the numbers of bits counted: 256 p + n.
     frequencies: NDArray[np.int32]
     weights: Index  # (kinds, inputs) mixing weights; kinds are positions, except for hashed contexts
-    contexts: Index  # (inputs,) current contexts, set before every bit
     inputs: Index  # (inputs,) the inputs x of the current bit
     stretch: Index  # (4096,) table of x by p, with p in units of 2^-12
     squash: Index  # (2 _MAX_LOGIT + 1,) table of p by x, from x = -_MAX_LOGIT on
@@ -211,7 +229,6 @@ def new_bit_models(inputs: int, contexts: int, positions: int, kinds: int | None
     return BitModels(
         np.full((inputs, contexts, positions), 1 << 23, dtype=np.int32),
         np.full((kinds or positions, inputs), ((1 << 16) + inputs // 2) // inputs, dtype=np.int64),
-        np.zeros(inputs, dtype=np.int64),
         np.zeros(inputs, dtype=np.int64),
         *_logistic_tables(),
     )
@@ -237,31 +254,40 @@ def _logistic_tables() -> tuple[Index, Index, Index, Index]:
 
 
 @force_inlined
-def code_modelled_bit(stream: BitStream, models: BitModels, position: int, bit: int) -> int:
-    """Write or read a bit at a position in the current contexts, update the models, and return the bit."""
-    return code_bit_of_kind(stream, models, position, position, bit)
+def code_modelled_bit(
+    stream: BitStream, state: CoderState, models: BitModels, contexts: tuple[int, ...], position: int, bit: int
+) -> tuple[int, CoderState]:
+    """Write or read a bit at a position in contexts, update the models, and return the bit and the new state."""
+    return code_bit_of_kind(stream, state, models, contexts, position, position, bit)
 
 
 @force_inlined
-def code_bit_of_kind(stream: BitStream, models: BitModels, position: int, kind: int, bit: int) -> int:
+def code_bit_of_kind(
+    stream: BitStream,
+    state: CoderState,
+    models: BitModels,
+    contexts: tuple[int, ...],
+    position: int,
+    kind: int,
+    bit: int,
+) -> tuple[int, CoderState]:
     """Write or read a bit as `code_modelled_bit` does, with the mixing weights of a kind."""
-    frequencies, weights = models.frequencies, models.weights
-    inputs, contexts = models.inputs, models.contexts
+    frequencies, weights, inputs = models.frequencies, models.weights, models.inputs
     x = 0
-    for i in range(len(inputs)):
+    for i in range(len(contexts)):
         frequency = frequencies[i, contexts[i], position]
         inputs[i] = (models.stretch[frequency >> 12] * models.confidences[frequency & 255]) >> 8
         x += weights[kind, i] * inputs[i]
     probability = models.squash[min(max(x >> 16, -_MAX_LOGIT), _MAX_LOGIT) + _MAX_LOGIT]
-    bit = code_bit(stream, probability, bit)
+    bit, state = code_bit(stream, state, probability, bit)
     error = ((bit << 16) - probability) >> 4
-    for i in range(len(inputs)):
+    for i in range(len(contexts)):
         weights[kind, i] += (inputs[i] * error * _LEARNING_RATE + (1 << 15)) >> 16
         frequency = frequencies[i, contexts[i], position]
         p, count = frequency >> 8, frequency & 255
         p += (((bit << 16) - bit - p) * models.rates[count]) >> 16
         frequencies[i, contexts[i], position] = (p << 8) + min(count + 1, _MAX_FREQUENCY_COUNT)
-    return bit
+    return bit, state
 
 
 CONTEXTS_PER_BIT = 8
@@ -308,15 +334,22 @@ def reserve_bits(bits: HashedBits, count: int) -> HashedBits:
 @force_inlined
 def code_hashed_bit(bits: HashedBits, kind: int, bit: int) -> int:
     """Write or read a bit of a kind in the current contexts, update the models, and return the bit."""
-    slots, contexts = bits.models.contexts, bits.contexts
-    for i in range(CONTEXTS_PER_BIT):
-        slots[i] = np.int64(np.uint64(contexts[i]) * HASH_MULTIPLIER >> _HASH_SHIFT)
-    return code_bit_of_kind(bits.stream, bits.models, 0, kind, bit)
+    c = bits.contexts
+    slots = (_slot(c[0]), _slot(c[1]), _slot(c[2]), _slot(c[3]), _slot(c[4]), _slot(c[5]), _slot(c[6]), _slot(c[7]))
+    bit, state = code_bit_of_kind(bits.stream, load_state(bits.stream), bits.models, slots, 0, kind, bit)
+    store_state(bits.stream, state)
+    return bit
+
+
+@force_inlined
+def _slot(context: int) -> int:
+    """Return the slot of a hashed context."""
+    return np.int64(np.uint64(context) * HASH_MULTIPLIER >> _HASH_SHIFT)
 
 
 @force_inlined
 def has_failed(bits: HashedBits) -> bool:
     """Return whether the stream is damaged or ends early; loops call it once per corner, to save time."""
-    if bits.stream.place[0] > len(bits.stream.data) + PADDING_BYTES:
+    if bits.stream.state[3] > len(bits.stream.data) + PADDING_BYTES:
         bits.failed[0] = 1
     return bool(bits.failed[0])

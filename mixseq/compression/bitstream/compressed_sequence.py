@@ -21,6 +21,7 @@ from mixseq.compression.bitstream.corner_values import MAX_COORDINATE
 from mixseq.compression.bitstream.residual_layer import CodedResidualLayer
 from mixseq.compression.bitstream.signal_graph import SignalGraph, mesh_graph
 from mixseq.compression.bitstream.spatial_basis import (
+    MAX_NORM,
     MAX_PARTS,
     BasisKind,
     SpatialBasis,
@@ -382,7 +383,10 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
         raise FormatError(f"the spatial basis is damaged, it has {count} groups of {expected}; {DAMAGE_CURE}")
     coordinates, step = 1 if parameters.factors == "trajectories" else 3, parameters.step
     vectors, vertices = read_basis(coded.basis, ranks, coordinates, step, coded.header.faces, graph)
-    return assemble_basis(parameters.factors, vectors, vertices, parameters.frame_count)
+    basis = assemble_basis(parameters.factors, vectors, vertices, parameters.frame_count)
+    if not basis.norms.max(initial=0.0) < MAX_NORM:
+        raise FormatError(f"the parameters are damaged, basis vectors are beyond single precision; {DAMAGE_CURE}")
+    return basis
 
 
 def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialBasis) -> Float:

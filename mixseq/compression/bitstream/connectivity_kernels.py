@@ -30,8 +30,7 @@ corner before, the vertex named last at this place, and the corners of the last 
 that was nearest on average. The bits of a number are whether it is not 0, whether it is negative, whether its magnitude
 has a second bit, a third, ..., and its bits after the highest. The code here specifies the contexts of all bits.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``). numba caches compiled loops
-by the text of their own file, and this file inlines `arithmetic`: edit it whenever `arithmetic` changes. Format 5.
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/compressed-v1.h5``).
 """
 
 from __future__ import annotations

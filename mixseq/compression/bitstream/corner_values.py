@@ -25,8 +25,7 @@ the length of the edge across, and the spread of guesses (for v, the error of u)
 per bit, plus the value of the four bits after the highest.
 
 Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``, and the digest in
-``tests/compression/bitstream/test_hard_edges.py``). numba caches compiled loops by the text of their own file, and this
-one inlines `arithmetic`, `connectivity` and `uv_seams`: edit this file whenever these change. Format 4.
+``tests/compression/bitstream/test_hard_edges.py``).
 """
 
 from __future__ import annotations
@@ -37,19 +36,23 @@ import numpy as np
 
 from mixseq.compression.bitstream.arithmetic import (
     DAMAGE_CURE,
+    EVEN_PROBABILITY,
     HashedBits,
     append_checksum,
     bit_length,
     checksum_of,
+    code_bit,
     code_hashed_bit,
     code_raw_bits,
     finish_stream,
     has_failed,
+    load_state,
     new_hashed_bits,
     new_hashed_output,
     new_input_stream,
     reserve_bits,
     split_checksum,
+    store_state,
 )
 from mixseq.compression.bitstream.connectivity import (
     Corners,
@@ -263,10 +266,12 @@ def _code_number(bits: HashedBits, facts: Index, sizes: Index, kind: int, number
         length += 1
     if length == 0:
         return 0
-    value = 1 << (length - 1) | code_raw_bits(bits.stream, length - 1, magnitude)
-    if kind < _REGION_KIND and code_raw_bits(bits.stream, 1, 1 if number < 0 else 0):
-        return -value
-    return value
+    rest, state = code_raw_bits(bits.stream, load_state(bits.stream), length - 1, magnitude)
+    value, is_negative = 1 << (length - 1) | rest, 0
+    if kind < _REGION_KIND:
+        is_negative, state = code_bit(bits.stream, state, EVEN_PROBABILITY, 1 if number < 0 else 0)
+    store_state(bits.stream, state)
+    return -value if is_negative else value
 
 
 @compiled

@@ -20,12 +20,17 @@ from numpy.typing import NDArray
 
 from mixseq.compression.bitstream.arithmetic import (
     DAMAGE_CURE,
+    EVEN_PROBABILITY,
     BitModels,
     BitStream,
+    CoderState,
     bit_length,
+    code_bit,
     code_modelled_bit,
     code_raw_bits,
+    load_state,
     new_bit_models,
+    store_state,
 )
 from mixseq.compression.bitstream.signal_coder import Reader, Writer
 from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph
@@ -60,43 +65,41 @@ def code_residuals(
 
     `neighbours`, `counts`, `ring` and `starts` are arrays of a `SignalGraph`.
     """
-    contexts = models.contexts
+    state = load_state(stream)
     any_displaced = 0
     for node in range(len(numbers)):
         any_displaced |= _is_displaced(numbers, node)
-    contexts[:] = 0
-    if not code_modelled_bit(stream, models, 0, any_displaced):
-        return
-    sums = np.zeros(3, dtype=np.int64)
-    for node in range(len(numbers)):
+    any_displaced, state = code_modelled_bit(stream, state, models, (0, 0, 0), 0, any_displaced)
+    for node in range(len(numbers) if any_displaced else 0):
         displaced, count = 0, counts[node]  # number of displaced neighbours, and of all
-        sums[:] = 0
         for i in range(count):
-            neighbour = neighbours[node, i]
-            displaced += _is_displaced(numbers, neighbour)
-            for k in range(3):
-                sums[k] += min(max(numbers[neighbour, k], -1), 1)
+            displaced += _is_displaced(numbers, neighbours[node, i])
         last_displaced = 0  # number of adjacent nodes displaced in the last frame
         for place in range(starts[node], starts[node + 1]):
             last_displaced += _is_displaced(last, ring[place])
         was_displaced = _is_displaced(last, node)
         around = 2 if was_displaced else min(last_displaced, 1)
-        contexts[0] = (displaced * NEIGHBOUR_COUNTS + count) * 3 + around
         last_displaced = min(last_displaced, NEIGHBOUR_COUNTS - 1)
-        contexts[1] = (last_displaced * NEIGHBOUR_COUNTS + min(displaced, 3)) * 2 + was_displaced
-        contexts[2] = min(displaced, 3) * 3 + around
-        if not code_modelled_bit(stream, models, 1, _is_displaced(numbers, node)):
+        contexts = (
+            (displaced * NEIGHBOUR_COUNTS + count) * 3 + around,
+            (last_displaced * NEIGHBOUR_COUNTS + min(displaced, 3)) * 2 + was_displaced,
+            min(displaced, 3) * 3 + around,
+        )
+        bit, state = code_modelled_bit(stream, state, models, contexts, 1, _is_displaced(numbers, node))
+        if not bit:
             for k in range(3):
                 numbers[node, k] = 0
             continue
         nonzero_axes = 0
         for k in range(3):
-            here, around = min(max(last[node, k], -3), 3) + 3, min(max(sums[k], -3), 3) + 3
-            contexts[0] = here * 7 + around
-            contexts[1] = (nonzero_axes * 7 + around) * 3 + k
-            contexts[2] = (nonzero_axes * 7 + here) * 3 + k
-            numbers[node, k] = _code_coordinate(stream, models, numbers[node, k])
+            total = 0
+            for i in range(count if displaced else 0):
+                total += min(max(numbers[neighbours[node, i], k], -1), 1)
+            here, around = min(max(last[node, k], -3), 3) + 3, min(max(total, -3), 3) + 3
+            contexts = (here * 7 + around, (nonzero_axes * 7 + around) * 3 + k, (nonzero_axes * 7 + here) * 3 + k)
+            numbers[node, k], state = _code_coordinate(stream, state, models, contexts, numbers[node, k])
             nonzero_axes |= (1 if numbers[node, k] else 0) << k
+    store_state(stream, state)
 
 
 @force_inlined
@@ -105,22 +108,26 @@ def _is_displaced(numbers: Index, node: int) -> int:
 
 
 @force_inlined
-def _code_coordinate(stream: BitStream, models: BitModels, number: int) -> int:
-    if not code_modelled_bit(stream, models, 2, 1 if number else 0):
-        return 0
-    sign = code_modelled_bit(stream, models, 3, 1 if number < 0 else 0)
+def _code_coordinate(
+    stream: BitStream, state: CoderState, models: BitModels, contexts: tuple[int, ...], number: int
+) -> tuple[int, CoderState]:
+    bit, state = code_modelled_bit(stream, state, models, contexts, 2, 1 if number else 0)
+    if not bit:
+        return 0, state
+    sign, state = code_modelled_bit(stream, state, models, contexts, 3, 1 if number < 0 else 0)
     rest, value = abs(number) - 1, 0
-    while value < _MAX_MODELLED_NUMBER:
-        if not code_modelled_bit(stream, models, 4 + value, 1 if rest > value else 0):
-            break
-        value += 1
-    if value == _MAX_MODELLED_NUMBER:
+    while bit and value < _MAX_MODELLED_NUMBER:
+        bit, state = code_modelled_bit(stream, state, models, contexts, 4 + value, 1 if rest > value else 0)
+        value += bit
+    if bit:
         excess, length = max(rest - _MAX_MODELLED_NUMBER, 0), 0
         bits = bit_length(excess)
-        while length < _MAX_EXCESS_BITS and code_raw_bits(stream, 1, 1 if bits > length else 0):
-            length += 1
-        value += code_raw_bits(stream, length, excess)
-    return -(value + 1) if sign else value + 1
+        while bit and length < _MAX_EXCESS_BITS:
+            bit, state = code_bit(stream, state, EVEN_PROBABILITY, 1 if bits > length else 0)
+            length += bit
+        excess, state = code_raw_bits(stream, state, length, excess)
+        value += excess
+    return -(value + 1) if sign else value + 1, state
 
 
 Residuals = tuple[Index, Index]

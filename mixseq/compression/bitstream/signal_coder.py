@@ -31,15 +31,20 @@ import numpy as np
 from mixseq.compression.bitstream import arithmetic
 from mixseq.compression.bitstream.arithmetic import (
     DAMAGE_CURE,
+    EVEN_PROBABILITY,
     BitModels,
     BitStream,
+    CoderState,
     append_checksum,
     bit_length,
     checksum_of,
+    code_bit,
     code_modelled_bit,
     code_raw_bits,
+    load_state,
     new_bit_models,
     split_checksum,
+    store_state,
 )
 from mixseq.compression.bitstream.predictor import Predictor
 from mixseq.compression.bitstream.predictor_kernels import UNITS_PER_STEP, predict
@@ -91,7 +96,7 @@ def code_numbers(
     `activity` and `ring_activity` ``(N,)`` are in units of 1 / `UNITS_PER_STEP`; `previous` ``(N,)`` are the numbers
     of the previous signal.
     """
-    contexts = models.contexts
+    state = load_state(stream)
     age = min(size_level(age), AGE_CLASSES - 1)
     depth = 0
     for node in range(len(numbers)):
@@ -101,12 +106,15 @@ def code_numbers(
         expected = expected_size(size, activity[node], ring_activity[node])
         here, own, ring = size_level(size), size_level(activity[node]), size_level(ring_activity[node])
         fine = min(fine_size_level(expected), CONTEXT_VALUES // DEPTH_CLASSES - 1)
-        contexts[0] = here * SIZE_LEVELS + own
-        contexts[1] = own * SIZE_LEVELS + ring
-        contexts[2] = fine * DEPTH_CLASSES + min(depth, DEPTH_CLASSES - 1)
-        contexts[3] = here * SIZE_LEVELS + size_level(UNITS_PER_STEP * min(abs(previous[node]), _MAX_SIZE))
-        contexts[4] = size_level(expected) * AGE_CLASSES + age
-        numbers[node] = code_signed_number(stream, models, numbers[node])
+        contexts = (
+            here * SIZE_LEVELS + own,
+            own * SIZE_LEVELS + ring,
+            fine * DEPTH_CLASSES + min(depth, DEPTH_CLASSES - 1),
+            here * SIZE_LEVELS + size_level(UNITS_PER_STEP * min(abs(previous[node]), _MAX_SIZE)),
+            size_level(expected) * AGE_CLASSES + age,
+        )
+        numbers[node], state = code_signed_number(stream, state, models, contexts, numbers[node])
+    store_state(stream, state)
 
 
 @compiled
@@ -164,25 +172,30 @@ def expected_size(size: int, activity: int, ring_activity: int) -> int:
 
 
 @force_inlined
-def code_signed_number(stream: BitStream, models: BitModels, number: int) -> int:
+def code_signed_number(
+    stream: BitStream, state: CoderState, models: BitModels, contexts: tuple[int, ...], number: int
+) -> tuple[int, CoderState]:
     """Write or read a number: its bit length, the bit after the highest bit, the remaining bits, and the sign."""
     magnitude = abs(number)
     bits = bit_length(magnitude)
-    size = 0
-    while size < _MAX_MODELLED_BITS and code_modelled_bit(stream, models, size, 1 if bits > size else 0):
-        size += 1
-    if size == _MAX_MODELLED_BITS:
-        while size < _MAX_NUMBER_BITS and code_raw_bits(stream, 1, 1 if bits > size else 0):
-            size += 1
+    size, bit = 0, 1
+    while size < _MAX_MODELLED_BITS and bit:
+        bit, state = code_modelled_bit(stream, state, models, contexts, size, 1 if bits > size else 0)
+        size += bit
+    while bit and size < _MAX_NUMBER_BITS:
+        bit, state = code_bit(stream, state, EVEN_PROBABILITY, 1 if bits > size else 0)
+        size += bit
     if size == 0:
-        return 0
+        return 0, state
     value = 1
     if size > 1:
         rest = size - 2  # bits without a model
         position = _MAX_MODELLED_BITS + min(size, _MAX_MODELLED_BITS) - 2
-        top = code_modelled_bit(stream, models, position, (magnitude >> rest) & 1)
-        value = ((2 + top) << rest) | code_raw_bits(stream, rest, magnitude & ((1 << rest) - 1))
-    return -value if code_raw_bits(stream, 1, 1 if number < 0 else 0) else value
+        top, state = code_modelled_bit(stream, state, models, contexts, position, (magnitude >> rest) & 1)
+        low_bits, state = code_raw_bits(stream, state, rest, magnitude)
+        value = ((2 + top) << rest) | low_bits
+    is_negative, state = code_bit(stream, state, EVEN_PROBABILITY, 1 if number < 0 else 0)
+    return -value if is_negative else value, state
 
 
 @force_inlined

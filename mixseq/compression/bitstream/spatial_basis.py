@@ -42,7 +42,9 @@ from mixseq.compression.bitstream.arithmetic import (
     BitModels,
     BitStream,
     code_modelled_bit,
+    load_state,
     new_bit_models,
+    store_state,
 )
 from mixseq.compression.bitstream.signal_coder import Reader, SignalCoder, Writer, new_number_models
 from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph, path_graph
@@ -122,7 +124,7 @@ def _new_label_models() -> BitModels:
 @compiled
 def _code_labels(stream: BitStream, models: BitModels, labels: Index, neighbours: Index, counts: Index) -> None:
     """Write or read the labels ``(N,)`` of nodes."""
-    votes = np.zeros(1 << _LABEL_BITS, dtype=np.int64)
+    state, votes = load_state(stream), np.zeros(1 << _LABEL_BITS, dtype=np.int64)
     for node in range(len(labels)):
         count = counts[node]
         for i in range(count):
@@ -140,20 +142,21 @@ def _code_labels(stream: BitStream, models: BitModels, labels: Index, neighbours
         first_votes, second_votes = (votes[first] if first >= 0 else 0), (votes[second] if second >= 0 else 0)
         for i in range(count):
             votes[labels[neighbours[node, i]]] = 0
-        models.contexts[0] = first_votes * NEIGHBOUR_COUNTS + second_votes
-        models.contexts[1] = first_votes * NEIGHBOUR_COUNTS + count
-        label = labels[node]
-        if first >= 0 and code_modelled_bit(stream, models, 0, 1 if label == first else 0):
-            labels[node] = first
+        contexts = (first_votes * NEIGHBOUR_COUNTS + second_votes, first_votes * NEIGHBOUR_COUNTS + count)
+        label, is_first, is_second = labels[node], 0, 0
+        if first >= 0:
+            is_first, state = code_modelled_bit(stream, state, models, contexts, 0, 1 if label == first else 0)
+        if second >= 0 and not is_first:
+            is_second, state = code_modelled_bit(stream, state, models, contexts, 1, 1 if label == second else 0)
+        if is_first or is_second:
+            labels[node] = first if is_first else second
             continue
-        if second >= 0 and code_modelled_bit(stream, models, 1, 1 if label == second else 0):
-            labels[node] = second
-            continue
-        models.contexts[0] = models.contexts[1] = 0
         prefix = 1  # a 1, then the bits coded up to now
         for shift in range(_LABEL_BITS - 1, -1, -1):
-            prefix = 2 * prefix + code_modelled_bit(stream, models, 1 + prefix, (label >> shift) & 1)
+            bit, state = code_modelled_bit(stream, state, models, (0, 0), 1 + prefix, (label >> shift) & 1)
+            prefix = 2 * prefix + bit
         labels[node] = prefix - (1 << _LABEL_BITS)
+    store_state(stream, state)
 
 
 BasisKind = Literal["trajectories", "shapes"]
@@ -248,6 +251,10 @@ class SpatialBasis:
             of_part = coefficients[:, self.part_ids == part].transpose(0, 2, 1)
             frames[:, basis.vertices] = (of_part @ basis.vectors[:, 0]).transpose(0, 2, 1)
         return frames
+
+
+MAX_NORM = 2.0**127
+"""Limit on norms of basis vectors, as players compute in single precision."""
 
 
 def group_slices(rank: int) -> list[slice]:

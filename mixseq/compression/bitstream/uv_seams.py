@@ -33,9 +33,7 @@ region, the copy of x is
 as complex numbers, where primes are images, conjugated if they are mirrored. If only one corner is known, its image is
 translated, and mirrored in u.
 
-Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``). numba caches compiled loops by
-the text of their own file, and this one inlines `arithmetic` and `connectivity`: edit this file whenever these change,
-and `mixseq.compression.bitstream.corner_values` whenever this one does. Format 4.
+Frozen: changing this breaks old files (golden: ``tests/compression/golden/uvs.npz``).
 """
 
 from __future__ import annotations

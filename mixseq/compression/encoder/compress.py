@@ -32,7 +32,7 @@ from mixseq.mesh.measures import choose_origin
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, StagedProgress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.events import CutChoice, describe_cuts, find_events
 from mixseq.sequence.sequence import (
     Frames,
@@ -51,7 +51,7 @@ from mixseq.types import Index
 
 @public
 def compress(
-    sequence: FileOr[Frames],
+    sequence: FileOr[Frames | HasFrames],
     max_error: float | None = None,
     kg: float | None = None,
     size: int | None = None,

@@ -21,8 +21,9 @@ from mixseq.compression.bitstream.compressed_sequence import (
 )
 from mixseq.compression.bitstream.residual_layer import FRAMES_PER_RUN, CodedResidualLayer, read_residuals
 from mixseq.compression.bitstream.signal_graph import mesh_graph
+from mixseq.compression.bitstream.spatial_basis import MAX_NORM
 from mixseq.compression.encoder.compress import compress
-from mixseq.errors import FormatError
+from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.temporal import TemporalOperator, insert_midpoints
 from mixseq.types import Float
@@ -248,3 +249,20 @@ def test_damaged_streams_give_another_model_or_an_error() -> None:
                 assert np.isfinite(decode(coded).sample().points).all()
             except FormatError as error:
                 assert "damaged" in str(error)
+
+
+def test_vectors_that_players_cannot_hold_are_neither_read_nor_written() -> None:
+    """Norms from 2^127 on are beyond the single precision of players."""
+    coded = noisy()
+    graph = mesh_graph(coded.header.faces, coded.header.vertex_count)
+    largest = decode_basis(coded, graph).norms.max()
+    scales = np.array([0.99, 1.01]) * MAX_NORM / largest
+    held, beyond = (
+        replace(coded, parameters=replace(coded.parameters, step=coded.parameters.step * k)) for k in scales
+    )
+    assert decode_basis(held, graph).norms.max() == pytest.approx(0.99 * MAX_NORM)
+    with pytest.raises(FormatError, match="basis vectors are beyond single precision"):
+        decode_basis(beyond, graph)
+    far = bar(sides=4, rings=3)
+    with pytest.raises(InvalidSequenceError, match="players of compressed models compute in single precision; scale"):
+        compress(far.with_points(far.points * 1e39), max_error=1e-3)

@@ -210,11 +210,21 @@ def test_a_pointer_at_a_weight_without_target_is_refused(made: Callable[..., Mes
         made(maker)
 
 
-@pytest.mark.parametrize("target", [{"node": 7, "path": "translation"}, pointer("/nodes/7/translation")])
-def test_channels_of_no_node_are_named(made: Callable[..., MeshSequence], target: dict[str, object]) -> None:
+@pytest.mark.parametrize(
+    ("target", "place"),
+    [
+        ({"node": 7, "path": "translation"}, r"animations\[0\].channels\[1\] \(translation\)"),
+        ({"path": "translation"}, r"animations\[0\].channels\[1\] \(translation\)"),
+        ({"node": 0, "path": "colour"}, r"animations\[0\].channels\[1\] \(colour\)"),
+        (pointer("/nodes/7/translation"), "/nodes/7/translation"),
+    ],
+)
+def test_channels_of_no_node_are_named(
+    made: Callable[..., MeshSequence], target: dict[str, object], place: str
+) -> None:
     maker = moving()
     maker.json["animations"][0]["channels"].append({"sampler": 0, "target": target})
-    with pytest.warns(MixseqWarning, match="1 channels are left out.*'/nodes/7/translation'"):
+    with pytest.warns(MixseqWarning, match=f"1 channels are left out.*'{place}'"):
         assert made(maker).points[1, 0].tolist() == [2, 0, 0]
 
 
@@ -241,6 +251,20 @@ def test_instances_are_meshes_below_their_node(made: Callable[..., MeshSequence]
     first = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 0, 0], [5, 1, 0], [4, 0, 0], [10, 0, 0], [13, 0, 0], [10, 3, 0]]
     expected = np.array(first, np.float64) + np.array([[[0, 0, 0]], [[0, 0, 4]]])
     np.testing.assert_allclose(got.points, expected, rtol=0, atol=1e-6)
+
+
+def test_instances_with_attributes_of_their_own_alone(made: Callable[..., MeshSequence]) -> None:
+    maker = moving()
+    maker.json["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {"_ID": maker.add([3.0, 4.0])}}}
+    assert made(maker).points[1, ::3].tolist() == [[2, 0, 0], [2, 0, 0]]
+
+
+def test_damaged_instances_are_left_out(made: Callable[..., MeshSequence]) -> None:
+    maker = moving()
+    attributes = {"TRANSLATION": maker.add([[0, 0, 0], [5, 0, 0]]), "SCALE": maker.add([[1, 1, 1]])}
+    maker.json["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    with pytest.warns(MixseqWarning, match=r"nodes\[0\].* different counts or types.*its instances are left out"):
+        assert made(maker).points[1].tolist() == [[2, 0, 0], [3, 0, 0], [2, 1, 0]]
 
 
 def test_instances_and_pointers_are_written_over_their_original(tmp_path: Path) -> None:

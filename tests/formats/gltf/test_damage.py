@@ -388,3 +388,29 @@ def test_the_texture_of_the_base_colour_decides(tmp_path: Path) -> None:
 def test_damage(transform: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="is missing or damaged"):
         load(textured(base({}, **transform)).glb(tmp_path / "bad.glb"))
+
+
+SECOND_MESH_DAMAGES: dict[str, Callable[[dict[str, Any]], object]] = {
+    "no such mesh": lambda it: it["nodes"][1].update(mesh=9),
+    "no such sampler": lambda it: it["animations"][0]["channels"][1].update(sampler=9),
+    "no such interpolation": lambda it: it["animations"][0]["samplers"][1].update(interpolation="QUADRATIC"),
+    "no such accessor": lambda it: it["animations"][0]["samplers"][1].update(output=99),
+    "channel of another width": lambda it: it["animations"][0]["channels"][1]["target"].update(path="rotation"),
+    "channel of the parent": lambda it: it["animations"][0]["channels"][2].update(sampler=9),
+    "no such vertex": lambda it: it["meshes"][1]["primitives"][0].update(indices=0),
+}
+
+
+@pytest.mark.parametrize("damage", SECOND_MESH_DAMAGES)
+def test_one_damaged_mesh_is_left_out(made: Callable[..., MeshSequence], damage: str) -> None:
+    """Damage to the mesh, or to an animation that moves it or its parent, leaves all other meshes as they are."""
+    maker = moving()
+    second = maker.node("second", mesh=maker.mesh(TRIANGLE, [0, 1, 2]))
+    parent = maker.node("parent", children=[second])
+    for node in (second, parent):
+        maker.animate(node, "translation", [0, 1], [[0, 0, 0], [0, 0, 5]])
+    assert made(maker).vertex_count == 6
+    SECOND_MESH_DAMAGES[damage](maker.json)
+    with pytest.warns(MixseqWarning, match="cannot be read are left out: parent/second"):
+        got = made(maker)
+    np.testing.assert_array_equal(got.points, made(moving()).points)

@@ -143,3 +143,15 @@ def test_what_is_refused(fox: MeshSequence, tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(SettingsError, match=r"17 frames of .* texels take 17 rows"):
         write_vat(tmp_path / "long.vat", bar(frames=17))
     assert [each.name for each in tmp_path.iterdir()] == ["file.vat"]
+
+
+@pytest.mark.parametrize(
+    ("max_error", "problem"), [(None, "16385 frames of 3 texels take 16385 rows"), (0.1, "16385 frames are too high")]
+)
+def test_too_many_frames_are_refused_before_anything_is_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, max_error: float | None, problem: str
+) -> None:
+    monkeypatch.setattr("mixseq_io.vat.textures.VertexFrames.from_points", lambda *given: pytest.fail("computed"))
+    still = np.tile(np.eye(3, dtype=np.float32), (16385, 1, 1))
+    with pytest.raises(SettingsError, match=problem):
+        write_vat(tmp_path / "long.vat", MeshSequence.from_arrays(still, [[0, 1, 2]]), max_error)
