@@ -41,6 +41,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 _NUMBA_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
+_INLINED_OPTIONS: dict[str, Any] = {"forceinline": True, "_nrt": False}
+
 _PICKLE_ERRORS = (UnpicklingError, EOFError, AttributeError, ImportError, LookupError, TypeError, ValueError)
 """Errors raised by loading damaged pickles."""
 
@@ -75,7 +77,7 @@ def force_inlined(function: Function) -> Function:
     intended overflow. References to arrays are not counted, which takes longer than many a function does, so the
     function neither allocates nor returns arrays.
     """
-    dispatcher = numba.njit(forceinline=True, _nrt=False, **_NUMBA_OPTIONS)(function)
+    dispatcher = numba.njit(**_NUMBA_OPTIONS, **_INLINED_OPTIONS)(function)
     if dispatcher is not function:  # NUMBA_DISABLE_JIT
         dispatcher.get_call_template = partial(_unliteral_template, dispatcher.get_call_template)
     return cast(Function, dispatcher)
@@ -154,7 +156,7 @@ class _Cache(FunctionCache):
         file = IndexDataCacheFile(str(folder), self._impl.filename_base, None)  # type: ignore[no-untyped-call]
         file._version = self._cache_file._version
         data = file.load((signature, (triple, PORTABLE_CPU, ""), hashes))  # type: ignore[no-untyped-call]
-        return None if data is None else self._impl.rebuild(target, data)  # type: ignore[no-untyped-call]
+        return None if data is None else self._impl.rebuild(target, data)
 
     @uninterrupted
     def save_overload(self, signature: Any, overload: Any) -> None:
