@@ -31,12 +31,11 @@ from mixseq.mesh.polygons import describe_difference
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
 from mixseq.runtime.progress import Progress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, reference_diagonal
 from mixseq.signals.decoding import largest_distance, played_blocks, quarter_times
-from mixseq.signals.fitting import as_motion
 from mixseq.signals.model import Model
 from mixseq.types import Float
 
@@ -110,7 +109,7 @@ class Comparison:
 
 
 @public
-def compare(a: FileOr[Frames], b: FileOr[Frames]) -> Comparison:
+def compare(a: FileOr[Frames | HasFrames], b: FileOr[Frames | HasFrames]) -> Comparison:
     """Measure how far a sequence is from a reference.
 
     Both sequences may be larger than memory, see `mixseq.open_sequence`.
@@ -220,6 +219,8 @@ def measure_between(
     >>> mixseq.measure_between("arm.h5", "arm.h5")
     0.0
     """
+    from mixseq.signals.fitting import as_motion
+
     source = cast("Frames | Model", source)
     delivery = cast("Frames | Model", delivery)
     motion = as_motion(source, progress)

@@ -16,12 +16,12 @@ from typing import Literal
 import numpy as np
 
 import mixseq
-from mixseq.cli.decode import _measure_rig
 from mixseq.errors import MixseqError, SettingsError
 from mixseq.mesh.measures import choose_origin
 from mixseq.sequence.sequence import MeshSequence, rounding_margin
 from mixseq.signals.detail import EXACT_TOLERANCE
 from mixseq.types import FloatArray, Index
+from mixseq_io.rig_files import write_measured_rig
 from mixseq_io.verification import read_compressed
 from tests.formats.vat.shader import looked_up, told, vertices_of
 
@@ -134,8 +134,7 @@ def _delivered(
         )
         if distance(points, np.concatenate(list(rig.blocks()))) > bound:
             raise SettingsError("the rig does not reach the bound, which a warning says")
-        mixseq.write_rig(folder / "rig.glb", rig)
-        _measure_rig(folder / "rig.glb", rig, sequence, bound)
+        write_measured_rig(folder / "rig.glb", rig, sequence, bound)
         return mixseq.read(folder / "rig.glb").points
     file = folder / f"{bound}.h5"
     if not file.exists():

@@ -26,7 +26,7 @@ import secrets
 import shutil
 import time
 from collections import defaultdict
-from collections.abc import Container, Iterator
+from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -219,14 +219,16 @@ def _delete(folder: Path, names: list[str]) -> None:
 
 
 @contextmanager
-def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path; its file replaces `path` if the block ends without an exception."""
+def atomic_file(path: str | os.PathLike[str], check: Callable[[Path], object] | None = None) -> Iterator[Path]:
+    """Yield a temporary path; its file replaces `path` if the block and `check`, called with it, raise no exception."""
     target = Path(os.path.realpath(path))
     with _translate_write_errors(target):
         check_target(path)
         with temporary_prefix(target.parent) as prefix:
             temporary = Path(f"{prefix}{target.suffix}")
             yield temporary
+            if check is not None:
+                check(temporary)
             if target.exists():
                 shutil.copymode(target, temporary)
             _flush(temporary)

@@ -67,17 +67,40 @@ def write_rig(path: PathLike, rig: Skin | Morph) -> None:
     >>> import mixseq
     >>> mixseq.write_rig("arm.glb", mixseq.fit_skin("arm.usdc", bones=2))
     """
-    file = Path(path)
+    _write(Path(path), rig)
+
+
+def write_measured_rig(path: Path, rig: Skin | Morph, sequence: MeshSequence, bound: float | None) -> RigErrors:
+    """Write a rig and return its errors; write no file if rounding breaks a bound in diagonals that the rig keeps."""
+    from mixseq.signals.decoding import largest_distance
+
+    errors: list[RigErrors] = []
+
+    def check(file: Path) -> None:
+        errors.append(measured := measure_rig_file(file, sequence))
+        if bound is None or measured.max_error <= bound:
+            return
+        if largest_distance(sequence.blocks(), rig.blocks()) <= bound * (sequence.diagonal or 1.0):
+            raise OutputError(
+                f"{path}: rounding to single precision moves vertices by up to {measured.max_error:.3g} of the "
+                f"diagonal, more than {bound:g}, so nothing is written; give a larger bound"
+            )
+
+    _write(path, rig, check)
+    return errors[-1]
+
+
+def _write(file: Path, rig: Skin | Morph, check: Callable[[Path], object] | None = None) -> None:
     check_rig_target(file)
     if file.suffix.lower() in USD_EXTENSIONS:
         from mixseq_io.usd.rigs import write_usd_rig
 
-        write_usd_rig(file, rig)
+        write_usd_rig(file, rig, check)
     else:
-        _write_gltf_rig(file, rig)
+        _write_gltf_rig(file, rig, check)
 
 
-def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
+def _write_gltf_rig(file: Path, rig: Skin | Morph, check: Callable[[Path], object] | None) -> None:
     from mixseq.rigging.rigs import Skin
     from mixseq_io.gltf.codecs import open_buffer_writer
     from mixseq_io.gltf.rigs import create_morphed_scene, create_skinned_scene
@@ -85,7 +108,7 @@ def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
 
     layout = create_skinned_scene(rig) if isinstance(rig, Skin) else create_morphed_scene(rig)
     warn_of_changes(file, rig.header, standalone_losses(rig.header))
-    with open_buffer_writer(file, layout):
+    with open_buffer_writer(file, layout, check):
         pass  # the layout already has all data
 
 

@@ -14,7 +14,7 @@ import mixseq
 from mixseq.cli import files, options
 from mixseq.cli.group import announce, format_bytes, length_text, print_table, progress_bar
 from mixseq.cli.options import in_diagonals
-from mixseq.errors import MixseqError, MixseqWarning, NoMeshError, OutputError, SettingsError
+from mixseq.errors import MixseqError, MixseqWarning, NoMeshError, SettingsError
 from mixseq.sequence.frame_rates import format_rate, snap_to_ntsc
 
 if TYPE_CHECKING:
@@ -112,22 +112,6 @@ def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
         stacklevel=2,
     )
     return None
-
-
-def _measure_rig(path: Path, rig: Skin | Morph, sequence: MeshSequence, bound: float | None) -> RigErrors:
-    """Measure a written rig; raise an error if rounding to single precision breaks a bound that the rig keeps."""
-    from mixseq.signals.decoding import largest_distance
-    from mixseq_io.rig_files import measure_rig_file
-
-    measured = measure_rig_file(path, sequence)
-    if bound is None or measured.max_error <= bound:
-        return measured
-    if largest_distance(sequence.blocks(), rig.blocks()) <= bound * (sequence.diagonal or 1.0):
-        raise OutputError(
-            f"{path} holds numbers in single precision, and vertices are off by up to {measured.max_error:.3g} of the "
-            f"diagonal, more than {bound:g}; the file is written, but give a larger bound"
-        )
-    return measured
 
 
 def rows(
@@ -293,7 +277,7 @@ def command(
 
         check_vat_target(target)
     elif kind is not None:
-        from mixseq_io.rig_files import check_rig_target
+        from mixseq_io.rig_files import check_rig_target, write_measured_rig
 
         check_rig_target(target)
     with workers as work, progress_bar(quiet) as progress, ExitStack() as opened:
@@ -317,10 +301,9 @@ def command(
                     rig_model, sequence = _hold_rig_between(kind or "", sequence, motion, progress, **rig)
                 else:
                     rig_model = _fit_rig(kind or "", sequence, progress, **rig)
-                mixseq.write_rig(target, rig_model)
                 bound = rig.get("correctives") or rig.get("max_error")
-                measured = None if quiet and bound is None else _measure_rig(target, rig_model, sequence, bound)
-                table = [] if quiet or measured is None else rows(target, rig_model, sequence, measured, motion)
+                measured = write_measured_rig(target, rig_model, sequence, bound)
+                table = [] if quiet else rows(target, rig_model, sequence, measured, motion)
     if not quiet:
         print_table(table)
     announce(target)

@@ -21,12 +21,13 @@ from mixseq.operations.retiming import Retiming
 from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, log_progress
 from mixseq.runtime.public import FileOr, public
+from mixseq.sequence.events import CutChoice
 from mixseq.sequence.frame_rates import FRAME_ROUNDING, FRAME_TOLERANCE, format_span, snap_to_ntsc
 from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
 from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence, Rig, is_rig, join_blocks, without_velocities
-from mixseq.signals.decoding import FRAMES_PER_BLOCK, Decodable
-from mixseq.signals.fitting import CutChoice, as_motion, fit
+from mixseq.signals.decoding import MAX_FRAMES_PER_BLOCK, Decodable
+from mixseq.signals.fitting import as_motion, fit
 from mixseq.signals.model import Model
 from mixseq.types import Float, FloatArray
 
@@ -42,7 +43,7 @@ class Resampling:
     slopes: Float  # (N,) source seconds per output second at every frame; negative if the source runs backwards
 
     def blocks(
-        self, size: int = FRAMES_PER_BLOCK, progress: Progress = log_progress, workers: Executor | None = None
+        self, size: int = MAX_FRAMES_PER_BLOCK, progress: Progress = log_progress, workers: Executor | None = None
     ) -> Iterator[Float]:
         """Yield the decoded frames in blocks of points ``(B, V, 3)`` with ``B <= size``, see `Model.blocks`."""
         return self.motion.blocks(self.sources, size, progress, workers)
@@ -53,7 +54,7 @@ class Resampling:
         return self.motion.blocks(np.clip(self.retiming(inside), self.motion.start, self.motion.end))
 
     def moving_blocks(
-        self, size: int = FRAMES_PER_BLOCK, progress: Progress = log_progress, workers: Executor | None = None
+        self, size: int = MAX_FRAMES_PER_BLOCK, progress: Progress = log_progress, workers: Executor | None = None
     ) -> Iterator[tuple[Float, Float]]:
         """Yield blocks of points ``(B, V, 3)`` and of velocities ``(B, V, 3)`` in units per second of the output."""
         done = 0

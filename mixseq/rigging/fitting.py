@@ -42,7 +42,7 @@ from mixseq.rigging.decomposition import (
 from mixseq.rigging.rigs import BONES_PER_VERTEX, Morph, Skeleton, Skin, rotation_matrices
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames
 from mixseq.types import Float
 
@@ -189,7 +189,7 @@ def _predict_count(rough_error: Callable[[int], float], too_few: int, limit: int
 
 @public
 def fit_skin(
-    sequence: FileOr[Frames],
+    sequence: FileOr[Frames | HasFrames],
     bones: int | ArrayLike | None = None,
     correctives: float | None = None,
     max_targets: int = 32,
@@ -197,7 +197,7 @@ def fit_skin(
     progress: Progress = log_progress,
     *,
     skeleton: FileOr[Skeleton] | None = None,
-    bind_pose: FileOr[MeshSequence] | None = None,
+    bind_pose: FileOr[MeshSequence | HasFrames] | None = None,
     max_error: float | None = None,
     kg: float | None = None,
 ) -> Skin:
@@ -303,7 +303,7 @@ def fit_skin(
 
 @public
 def fit_morph(
-    sequence: FileOr[Frames],
+    sequence: FileOr[Frames | HasFrames],
     max_error: float | None = None,
     max_targets: int | None = None,
     progress: Progress = log_progress,

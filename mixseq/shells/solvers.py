@@ -52,7 +52,7 @@ class Factor:
         self._solve = solve
 
     def solve(self, right: Float) -> Float:
-        """Solve for right-hand sides ``(n,)`` or ``(n, k)``."""
+        """Solve for right-hand sides ``(n,)`` or ``(n, k)``; for k > 1, a column's bits do not depend on others."""
         return np.asarray(self._solve(np.ascontiguousarray(right)), dtype=np.float64)
 
 
@@ -344,6 +344,8 @@ class _SuperLUAnalysis:
         matrix = sparse.csc_array((values[source], full.indices, full.indptr), shape=full.shape)
         options = {"SymmetricMode": True}
         try:
-            return Factor(splu(matrix, "MMD_AT_PLUS_A", 0.0, relax=1, options=options).solve)
+            solve = splu(matrix, "MMD_AT_PLUS_A", 0.0, relax=1, options=options).solve
         except RuntimeError as error:
             raise _singular_error(error) from None
+        # SuperLU sums in another order for several columns.
+        return Factor(lambda right: solve(right) if right.ndim == 1 else np.stack(list(map(solve, right.T)), axis=1))

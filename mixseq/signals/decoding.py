@@ -30,7 +30,10 @@ Decoded = TypeVar("Decoded")
 Delivery = TypeVar("Delivery")
 
 FRAMES_PER_BLOCK = 4
-"""Number of frames that a thread decodes at once."""
+"""Number of frames of large meshes that a thread decodes at once."""
+
+MAX_FRAMES_PER_BLOCK, VERTICES_PER_BLOCK = 16, 1 << 19
+"""Largest number of frames that a thread decodes at once, and of their vertices, if there are more frames than 4."""
 
 
 class Decodable(ABC):
@@ -153,7 +156,7 @@ class Decodable(ABC):
     def blocks(
         self,
         times: ArrayLike,
-        size: int = FRAMES_PER_BLOCK,
+        size: int = MAX_FRAMES_PER_BLOCK,
         progress: Progress = log_progress,
         workers: Executor | None = None,
     ) -> Iterator[Float]:
@@ -163,7 +166,7 @@ class Decodable(ABC):
     def moving_blocks(
         self,
         times: ArrayLike,
-        size: int = FRAMES_PER_BLOCK,
+        size: int = MAX_FRAMES_PER_BLOCK,
         progress: Progress = log_progress,
         workers: Executor | None = None,
     ) -> Iterator[tuple[Float, Float]]:
@@ -180,6 +183,7 @@ class Decodable(ABC):
     ) -> Iterator[Decoded]:
         """Yield results of `decode_points` or `decode_moving` at times ``(N,)`` in blocks of `size` frames."""
         clipped = self.clip_times(times)
+        size = min(size, max(FRAMES_PER_BLOCK, VERTICES_PER_BLOCK // self.header.vertex_count))
         blocks = (clipped[start : start + size] for start in range(0, len(clipped), size))
         threads = thread_executor() if len(clipped) > size else serial_executor
         executor = serial_executor if self.is_serial else workers or threads

@@ -38,6 +38,10 @@ if TYPE_CHECKING:
     from mixseq.spaces.mixed.mixed_space import MixedSpace
 
 
+BLENDED_NUMBERS = 1 << 17
+"""Number of coordinates of key shapes that stay in the cache of a core while they are blended for several frames."""
+
+
 @dataclass(frozen=True, eq=False)
 class Model(Decodable, PickledWithoutCaches):
     """A mesh sequence as signals in a shape space, continuous in time. Make it with `mixseq.fit` or `mixseq.load`.
@@ -160,15 +164,14 @@ class Model(Decodable, PickledWithoutCaches):
     def curve(self, times: ArrayLike) -> Float:
         """Return the vectors ``(N, D)`` of the space at times ``(N,)`` in seconds; see `__call__`."""
         clipped = self.clip_times(times)
-        shapes = self._blend_shapes(self.pose.weights(self.time(clipped)))
-        return np.concatenate([shapes, self.placement(clipped), self.correction(clipped)], axis=1)
+        weights = self.pose.weights(self.time(clipped))
+        return self._blend_shapes(weights, self.placement(clipped), self.correction(clipped))
 
     def rates(self, times: ArrayLike) -> Float:
         """Return the derivatives ``(N, D)`` of `curve` by time, per second."""
         clipped = self.clip_times(times)
-        shapes = self._blend_shapes(self.pose.rates(self.time.derivative(clipped)))
-        others = self.placement.derivative(clipped), self.correction.derivative(clipped)
-        return np.concatenate([shapes, *others], axis=1)
+        weights = self.pose.rates(self.time.derivative(clipped))
+        return self._blend_shapes(weights, self.placement.derivative(clipped), self.correction.derivative(clipped))
 
     def decode_points(self, times: Float) -> Float:
         """Implement `Decodable.decode_points`."""
@@ -178,13 +181,18 @@ class Model(Decodable, PickledWithoutCaches):
         """Implement `Decodable.decode_moving`."""
         return self.space.decode_with_velocities(self.curve(times), self.rates(times))
 
-    def _blend_shapes(self, weights: Float) -> Float:
-        """Return weighted sums ``(N, S)`` of key shapes, row by row, so that each is independent of the others."""
-        blended = np.empty((len(weights), self.shapes.shape[1]))
+    def _blend_shapes(self, weights: Float, *others: Float) -> Float:
+        """Return weighted sums of key shapes, followed by other columns: ``(N, D)``; rows do not depend on others."""
+        count, size = self.shapes.shape
+        vectors = np.empty((len(weights), self.space.dim))
+        vectors[:, size:] = np.concatenate(others, axis=1)
+        width = BLENDED_NUMBERS // count + 1
         with one_blas_thread():
-            for row, weight in zip(blended, weights, strict=True):
-                row[:] = weight @ self.shapes
-        return blended
+            for start in range(0, size, width):
+                columns = np.s_[start : min(start + width, size)]
+                for vector, weight in zip(vectors, weights, strict=True):
+                    np.matmul(weight, self.shapes[:, columns], out=vector[columns])
+        return vectors
 
     @property
     def timing(self) -> Timing:

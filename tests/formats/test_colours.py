@@ -446,6 +446,17 @@ def test_a_promised_bound_that_rounding_may_exceed_is_an_error(name: str, promis
             assert not (tmp_path / f"new{name[1:]}").exists()
 
 
+@pytest.mark.parametrize("name", ["a.pc2", "a.mdd", "a.usdc", "a.usdz", "a.abc", "a.glb", "a.gltf"])
+def test_a_file_that_would_break_a_promise_replaces_none(name: str, tmp_path: Path) -> None:
+    """Where a format has a node for the origin, other numbers of large coordinates are beyond single precision."""
+    apart = CLOUD.with_points(CLOUD.points + np.linspace(0, 1e3, CLOUD.vertex_count)[:, None])
+    write(tmp_path / name, CLOUD)
+    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+    with pytest.raises(OutputError, match="exceed the promised 2e-08"):
+        write_blocks(tmp_path / name, FrameStore(apart.header, apart.points).trace(2e-8, True), apart.blocks(1))
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.* holds points in single precision")
 @pytest.mark.parametrize("bound", [1e-3, 1e-5, 2e-6])

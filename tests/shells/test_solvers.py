@@ -67,6 +67,17 @@ def test_one_analysis_serves_all_values(solver: str, monkeypatch: pytest.MonkeyP
     np.testing.assert_allclose(first.solve(right), np.linalg.solve(matrix, right), rtol=1e-9)
 
 
+@pytest.mark.parametrize("solver", ["rslab", "SuperLU"])
+def test_columns_do_not_depend_on_others(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    use(monkeypatch, solver)
+    rng = np.random.default_rng(4)
+    factor = factorise(sparse.csr_array(positive_definite(rng, 150)))
+    right = rng.normal(size=(150, 51))
+    together = factor.solve(right)
+    for count in (2, 3, 6, 7, 15, 48):
+        np.testing.assert_array_equal(factor.solve(right[:, :count]), together[:, :count])
+
+
 def test_solvers_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rslab")
     rng = np.random.default_rng(0)

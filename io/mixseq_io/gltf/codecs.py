@@ -152,13 +152,15 @@ class BufferWriter:
 
 
 @contextmanager
-def open_buffer_writer(path: Path, layout: Layout) -> Iterator[BufferWriter]:
-    """Write the data of a layout; on exit from the context, complete the buffer and the document in the file."""
+def open_buffer_writer(
+    path: Path, layout: Layout, check: Callable[[Path], object] | None = None
+) -> Iterator[BufferWriter]:
+    """Write the data of a layout; on exit from the context, complete the file; `check` is that of `atomic_file`."""
     is_binary = path.suffix.lower() == ".glb"
     layout.document["buffers"] = [{"byteLength": layout.length}]
     _check_size(path, layout, is_binary)
     write = _write_glb if is_binary else _write_text
-    with atomic_file(path) as temporary, temporary.open("wb") as file, write(file, layout) as writer:
+    with atomic_file(path, check) as temporary, temporary.open("wb") as file, write(file, layout) as writer:
         for offset, data in layout.contents:
             writer.put(offset, data)
         yield writer

@@ -14,6 +14,7 @@ Specification: https://openusd.org/release/api/_usd_skel__schemas.html
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -210,8 +211,8 @@ def _add_shapes(
         binding.CreateBlendShapeTargetsRel().SetTargets(paths)
 
 
-def write_usd_rig(path: Path, rig: Skin | Morph) -> None:
-    """Write a skin or a morph as a USD file."""
+def write_usd_rig(path: Path, rig: Skin | Morph, check: Callable[[Path], object] | None) -> None:
+    """Write a skin or a morph as a USD file; `check` is that of `atomic_file`."""
     header = rig.header
     check_up_axis(path, header)
     origin = header.surface.origin
@@ -219,7 +220,7 @@ def write_usd_rig(path: Path, rig: Skin | Morph) -> None:
         check_not_overwritten(path, Path(origin.path))
     is_package = path.suffix.lower() == ".usdz"
     left_out: list[str] = []
-    with atomic_file(path) as temporary, capture_diagnostics(), translate_usd_write_errors(path):
+    with atomic_file(path, check) as temporary, capture_diagnostics(), translate_usd_write_errors(path):
         layer = Sdf.Layer.CreateNew(str(temporary.with_suffix(".usdc") if is_package else temporary))
         author_time_range(layer, header, TimeMap.from_header(header, header.fps), None)
         define_rig(layer, path, rig)

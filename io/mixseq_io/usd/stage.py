@@ -193,11 +193,17 @@ def find_clips(path: Path) -> list[Path]:
     def collect(prim_path: Sdf.Path | str) -> None:
         prim = layer.GetPrimAtPath(prim_path)
         for clips in prim.GetInfo("clips").values() if prim else ():
-            assets = [*clips.get("assetPaths", ()), clips.get("manifestAssetPath", Sdf.AssetPath())]
-            used.update(asset.path for asset in assets)
+            used.update(asset.path for asset in _clip_assets(clips, "assetPaths", "manifestAssetPath"))
 
     layer.Traverse(Sdf.Path.absoluteRootPath, collect)
     return [file for file in sorted(folder.iterdir()) if f"./{folder.name}/{file.name}" in used]
+
+
+def _clip_assets(clips: Any, *keys: str) -> list[Sdf.AssetPath]:
+    """Return the asset paths of a set of value clips; a file may hold values of other types."""
+    values = [clips.get(key) for key in keys] if isinstance(clips, dict) else []
+    values = [asset for value in values for asset in (value if isinstance(value, Sdf.AssetPathArray) else [value])]
+    return [asset for asset in values if isinstance(asset, Sdf.AssetPath)]
 
 
 _MAX_PRIMS = 1_000_000
@@ -287,8 +293,8 @@ def _describe_missing(path: Path, stage: Usd.Stage) -> str:
             else:
                 files[file] = None
     for prim in stage.TraverseAll():
-        for clips in prim.GetMetadata("clips").values() if prim.HasMetadata("clips") else ():
-            files |= {asset.path: None for asset in (clips or {}).get("assetPaths", ()) if not asset.resolvedPath}
+        for clips in (prim.GetMetadata("clips") or {}).values():
+            files |= {asset.path: None for asset in _clip_assets(clips, "assetPaths") if not asset.resolvedPath}
     problems = []
     if files:
         problems.append(f"files that it refers to are missing or cannot be read: {format_names(list(files), str)}")

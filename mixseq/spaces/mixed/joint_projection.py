@@ -64,6 +64,12 @@ def solve_columns(factor: Factor, right: RealOrComplex) -> RealOrComplex:
     return to_complex_step(solution[:, :columns], solution[:, columns:])
 
 
+def _solve_frames(factor: Factor, right_sides: list[RealOrComplex]) -> RealOrComplex:
+    """Return solutions ``(T, n, 3)`` for right-hand sides ``(n, 3)`` of T frames; the factor is read once for all."""
+    solutions = solve_columns(factor, np.concatenate(right_sides, axis=1))
+    return np.ascontiguousarray(np.swapaxes(solutions.reshape(len(solutions), -1, 3), 0, 1))
+
+
 MIN_HEIGHT_RATIO = 1e-12
 """Least ratio of height to side of triangles; lower triangles are degenerate, with the unit quaternion as frame."""
 
@@ -451,9 +457,33 @@ class JointProjection(PickledWithoutCaches):
         return all_lengths, all_angles
 
     def project(self, x: RealOrComplex, lengths: RealOrComplex, angles: RealOrComplex, share: float) -> RealOrComplex:
-        """Move skinned vertices ``(V, 3)`` at joints by a share towards lengths ``(E',)`` and angles ``(H',)``."""
+        """Move skinned vertices ``(..., V, 3)`` by a share towards lengths ``(..., E')`` and angles ``(..., H')``."""
         if not share or self.frame_factor is None or self.vertex_factor is None:
             return x
+        result = x.copy()
+        meshes = result.reshape(-1, *x.shape[-2:])
+        frames = zip(meshes, *(each.reshape(len(meshes), -1) for each in (lengths, angles)), strict=True)
+        triangles, rotations = zip(*(self._targets(*frame, share) for frame in frames), strict=True)
+        target_frames, moving_count = [frames for frames, *_ in triangles], len(self._moving_face_ids)
+        for _ in range(FACE_AVERAGING_ROUNDS):
+            right = [
+                averaging_right_side(frames, self._pairs, each, self._angle_weights, moving_count)
+                for frames, each in zip(target_frames, rotations, strict=True)
+            ]
+            steps = _solve_frames(self.frame_factor, right)
+            target_frames = [apply_small_rotations(*pair) for pair in zip(target_frames, steps, strict=True)]
+        moving = self._faces[:moving_count], self._side_weights, self._moving_index, len(self.moving_vertex_ids)
+        right = [
+            displacement_right_side(frames, flat, each, target_flat, *moving)
+            for each, (frames, flat, target_flat) in zip(target_frames, triangles, strict=True)
+        ]
+        meshes[:, self.moving_vertex_ids] += _solve_frames(self.vertex_factor, right)
+        return result
+
+    def _targets(
+        self, x: RealOrComplex, lengths: RealOrComplex, angles: RealOrComplex, share: float
+    ) -> tuple[tuple[RealOrComplex, RealOrComplex, RealOrComplex], RealOrComplex]:
+        """Return frames, flat and target triangles of a skinned mesh ``(V, 3)``, and target rotations of hinges."""
         _, face_edges, targeted = self._edge_tables
         skinned_lengths = analytic_edge_lengths(x, self._edges)
         target_lengths = skinned_lengths.copy()
@@ -464,15 +494,4 @@ class JointProjection(PickledWithoutCaches):
         target_flat = flat + quality[:, None] * (flatten_triangles(target_lengths, face_edges) - flat)
         frames = analytic_frames(x, self._faces)
         arguments = frames, self._pairs, flat, target_flat, quality, *self._hinge_tables, angles, share
-        rotations = target_rotations(*arguments)
-        target_frames, moving_count = frames, len(self._moving_face_ids)
-        hinges = self._pairs, rotations, self._angle_weights
-        for _ in range(FACE_AVERAGING_ROUNDS):
-            right = averaging_right_side(target_frames, *hinges, moving_count)
-            target_frames = apply_small_rotations(target_frames, solve_columns(self.frame_factor, right))
-        moving = self._faces[:moving_count], self._side_weights, self._moving_index
-        triangles = frames, flat, target_frames, target_flat
-        right = displacement_right_side(*triangles, *moving, len(self.moving_vertex_ids))
-        result = x.copy()
-        result[self.moving_vertex_ids] += solve_columns(self.vertex_factor, right)
-        return result
+        return (frames, flat, target_flat), target_rotations(*arguments)

@@ -82,6 +82,10 @@ MAX_ANGLE_STEP_RATIO = 64
 """Largest ratio of the rounding step of angles in radians to that of positions in diagonals."""
 
 
+MAX_PROJECTED_FRAMES, MAX_PROJECTED_VERTICES = 16, 1 << 19
+"""Largest number of frames projected at once, which share passes over factors, and of their vertices, in memory."""
+
+
 @dataclass(frozen=True)
 class Projection:
     """Settings of the projection P_m; raises `SettingsError` if a number is out of range."""
@@ -392,27 +396,34 @@ class MixedSpace(ShapeSpace):
         return self.articulation.part_motions(frame.part_poses, bodies, correction)
 
     def decode(self, vectors: Float, progress: Progress = log_progress) -> Float:
-        """Implement `ShapeSpace.decode`: the projection P_m, frame by frame."""
-        blocks = self.split(np.asarray(vectors, dtype=np.float64))
+        """Implement `ShapeSpace.decode`: the projection P_m."""
         points = np.empty((len(vectors), self.vertex_count, 3))
-        with one_blas_thread():
-            for number, frame in enumerate(zip(*blocks, strict=True)):
-                points[number] = self._project(MixedBlocks(*frame))
-                progress(number + 1, len(vectors), "decoding frames")
-        points *= self.scale
+        for frames, projected in self._project(np.asarray(vectors, dtype=np.float64)):
+            np.multiply(projected, self.scale, out=points[frames])
+            progress(frames.stop, len(vectors), "decoding frames")
         return points
 
-    def _project(self, frame: MixedBlocks) -> RealOrComplex:
-        """Return the mesh ``(V, 3)`` of one frame, in diagonals; complex for complex blocks of an analytic P_m."""
-        skinned = self._skin(frame)
-        lengths, angles = (np.ascontiguousarray(block) for block in (frame.lengths, frame.angles))
+    def _project(self, vectors: RealOrComplex) -> Iterator[tuple[slice, RealOrComplex]]:
+        """Yield meshes ``(B, V, 3)`` of vectors, in diagonals; complex for complex vectors and an analytic P_m."""
+        size = max(1, min(MAX_PROJECTED_FRAMES, MAX_PROJECTED_VERTICES // self.vertex_count))
+        blocks = self.split(vectors)
+        for start in range(0, len(vectors), size):
+            frames = slice(start, min(start + size, len(vectors)))
+            with one_blas_thread():
+                yield frames, self._project_frames(MixedBlocks(*(block[frames] for block in blocks)))
+
+    def _project_frames(self, blocks: MixedBlocks) -> RealOrComplex:
+        skinned = np.stack([self._skin(MixedBlocks(*frame)) for frame in zip(*blocks, strict=True)])
+        lengths, angles = (np.ascontiguousarray(block) for block in (blocks.lengths, blocks.angles))
+        frames = zip(lengths, angles, blocks.rest_vertices, skinned, strict=True)
         if self.placement == "free":
-            return self.assembly.assemble(FreeFrame(lengths, angles, frame.rest_vertices, skinned)).points
+            return np.stack([self.assembly.assemble(FreeFrame(*frame)).points for frame in frames])
         projected = self.joint_projection.project(skinned, lengths, angles, self.projection.share)
-        if not self.projection.steps:
-            return projected
-        targets = self.joint_projection.mesh_targets(skinned, lengths, angles)
-        return self.joint_projection.shell.relax(projected, *targets, self.projection.steps).points
+        if self.projection.steps:
+            for mesh, (*targets, _, x) in zip(projected, frames, strict=True):
+                targets = self.joint_projection.mesh_targets(x, *targets)
+                mesh[:] = self.joint_projection.shell.relax(mesh, *targets, self.projection.steps).points
+        return projected
 
     def _skin(self, frame: MixedBlocks) -> RealOrComplex:
         rest_vertices = np.ascontiguousarray(frame.rest_vertices)
@@ -426,11 +437,9 @@ class MixedSpace(ShapeSpace):
         """Implement `ShapeSpace.decode_with_velocities` by a complex step, where all of P_m is analytic."""
         if self.projection.steps or self.placement == "free":
             return super().decode_with_velocities(vectors, rates)
-        blocks = self.split(to_complex_step(np.asarray(vectors, dtype=np.float64), rates))
         points, velocities = np.empty((2, len(vectors), self.vertex_count, 3))
-        with one_blas_thread():
-            for number, frame in enumerate(zip(*blocks, strict=True)):
-                points[number], velocities[number] = from_complex_step(self._project(MixedBlocks(*frame)))
+        for frames, projected in self._project(to_complex_step(np.asarray(vectors, dtype=np.float64), rates)):
+            points[frames], velocities[frames] = from_complex_step(projected)
         return points * self.scale, velocities * self.scale
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:

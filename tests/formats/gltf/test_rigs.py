@@ -18,7 +18,7 @@ from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.decoding import quarter_times, straight_blocks
 from mixseq_io.gltf.new_document import size_with_frame_targets
 from mixseq_io.rig_arrays import four_influences
-from mixseq_io.rig_files import measure_file_between, measure_rig_file
+from mixseq_io.rig_files import measure_file_between, measure_rig_file, write_measured_rig
 from tests.formats.conftest import dressed, lossy
 from tests.formats.gltf_files import Gltf, read, validate
 from tests.formats.rig_maker import AXES, QUARTER, carried, hinge, random_skin, swelling
@@ -197,6 +197,20 @@ def test_a_skin_that_stands_still_has_no_animation(tmp_path: Path) -> None:
     assert "animations" not in file.json
     np.testing.assert_allclose(read(tmp_path / "a.glb").points[0], bent(skin.rest, QUARTER), atol=1e-6)
     assert measure_rig_file(tmp_path / "a.glb", MeshSequence.from_header(still.header, still.points())).max_error < 1e-6
+
+
+@pytest.mark.parametrize("name", ["a.glb", "a.gltf", "a.usdc", "a.usdz"])
+def test_a_rig_that_rounding_moves_beyond_its_bound_replaces_no_file(name: str, tmp_path: Path) -> None:
+    skin, file = hinge(), tmp_path / name
+    sequence = MeshSequence.from_header(skin.header, skin.points())
+    error = write_measured_rig(file, skin, sequence, 1e-6).max_error
+    before = file.read_bytes()
+    with pytest.raises(OutputError, match=f"{name}: rounding .*, more than 1e-12, so nothing is written; give a larg"):
+        write_measured_rig(file, skin, sequence, 1e-12)
+    assert 1e-12 < error < 1e-6
+    assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {name: before}
+    further = sequence.with_points(sequence.points + 0.1)
+    assert write_measured_rig(file, skin, further, 1e-12).max_error > 0.01  # the fit had no such bound, and says so
 
 
 # Morphs ---------------------------------------------------------------------------------------------------

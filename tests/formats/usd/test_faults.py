@@ -11,6 +11,7 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom
 
 from mixseq.errors import InvalidSequenceError, MixseqWarning, NoMeshError
+from mixseq_io.usd.stage import clips_folder, find_clips
 from tests.formats.usd.stage_maker import INDICES, raised, read
 
 KEYS = ("metersPerUnit", "timeCodesPerSecond", "framesPerSecond", "startTimeCode", "endTimeCode")
@@ -129,6 +130,22 @@ def test_missing_files_are_named(tmp_path: Path, kind: str, has_mesh: bool) -> N
     else:
         with pytest.raises(NoMeshError, match=named):
             read(tmp_path / "shot.usda")
+
+
+@pytest.mark.filterwarnings("ignore:.*USD finds 1 problems")
+@pytest.mark.parametrize("clips", ["int default = 3", "dictionary default = { int[] assetPaths = [1, 2] }"])
+def test_value_clips_that_are_none_name_no_files(tmp_path: Path, clips: str) -> None:
+    path = tmp_path / "stage.usda"
+    stage = Usd.Stage.CreateNew(str(path))
+    mesh = UsdGeom.Mesh.Define(stage, "/mesh")
+    mesh.CreateFaceVertexCountsAttr([4, 3])
+    mesh.CreateFaceVertexIndicesAttr(INDICES)
+    mesh.CreatePointsAttr().Set(raised(0))
+    stage.Save()
+    path.write_text(path.read_text().replace('def Mesh "mesh"', f'def Mesh "mesh" (clips = {{ {clips} }})'))
+    clips_folder(path).mkdir()
+    np.testing.assert_array_equal(read(path).points, [raised(0)])
+    assert find_clips(path) == []
 
 
 @pytest.mark.parametrize(
