@@ -36,7 +36,6 @@ from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, reference_diagonal
 from mixseq.signals.decoding import largest_distance, played_blocks, quarter_times
-from mixseq.signals.fitting import as_motion
 from mixseq.signals.model import Model
 from mixseq.types import Float
 
@@ -220,6 +219,8 @@ def measure_between(
     >>> mixseq.measure_between("arm.h5", "arm.h5")
     0.0
     """
+    from mixseq.signals.fitting import as_motion
+
     source = cast("Frames | Model", source)
     delivery = cast("Frames | Model", delivery)
     motion = as_motion(source, progress)

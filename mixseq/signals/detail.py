@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
-from scipy.interpolate import make_lsq_spline
 
 from mixseq.choices import PoseForm
 from mixseq.errors import ReconstructionError, SettingsError
@@ -85,6 +84,8 @@ def fit_curve(times: Float, values: Float, tolerance: float, norm: DeviationNorm
 
 def least_squares_curve(times: Float, values: Float, inner: Float) -> Curve:
     """Fit a curve with inner knots ``(n,)`` to values ``(T, k)`` at times ``(T,)`` by least squares."""
+    from scipy.interpolate import make_lsq_spline  # slow import, unused by exact models
+
     first, last = times[0], times[-1]
     if len(times) < 4 or len(inner) >= len(times) - 4:
         return Curve(times, values)

@@ -9,9 +9,9 @@ dihedral angles,
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import Literal, Unpack, cast
+from typing import Unpack, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,8 +24,7 @@ from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, log_progress
 from mixseq.runtime.public import FileOr, HasFrames, public
-from mixseq.sequence.events import Events, SequenceEvents, distinct_poses, find_events
-from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.events import CutChoice, SequenceEvents, distinct_poses, find_events
 from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import (
     Frames,
@@ -144,10 +143,6 @@ FIT_STAGES = 2 + SPACE_STAGES
 
 _SHELL_ACCURACY_RATIO = 10.0
 """Ratio of the tolerance of frames to the accuracy of fits to lengths and angles."""
-
-
-CutChoice = Literal["auto", "none"] | Sequence[int]
-"""Cuts of a sequence: found in its frames, none, or the first frames after them, counted from 0."""
 
 
 class FitOptions(SpaceOptions, total=False):
@@ -295,8 +290,7 @@ def fit(
         if knots is None:
             found = find_events(frames.points, frames.header.times, topology)
             found = found.with_keys(keys) if keys else found
-            if cuts != "auto":
-                found = SequenceEvents(_with_cuts(found.whole, cuts, frames.header))
+            found = found.with_cuts(cuts, frames.header)
         groups, group_of_vertex = [found.whole], None
         if pose == "modes" and space in ("mixed", "vertex") and found.components:
             groups, group_of_vertex = found.group_components(topology.component_of_vertex)
@@ -326,18 +320,6 @@ def fit(
         if frames is not whole:
             header = replace(header, times=whole.header.times, provenance=as_edited(header.provenance))
         return replace(model, header=header)
-
-
-def _with_cuts(events: Events, cuts: Literal["none"] | Sequence[int], header: SequenceHeader) -> Events:
-    """Return events with chosen cuts instead of those found."""
-    frames = [] if cuts == "none" else np.unique(np.asarray(cuts)).tolist()
-    for frame in frames:
-        if not (isinstance(frame, int) and 0 < frame < header.frame_count):
-            raise SettingsError(
-                f"cuts has the frame {frame!r}; first frames after cuts are expected, whole numbers from 1 to "
-                f"{header.frame_count - 1}"
-            )
-    return replace(events, cuts=tuple(frame - 1 for frame in frames), pops=())
 
 
 def as_motion(source: Decodable | Frames, progress: Progress = log_progress) -> Decodable:
