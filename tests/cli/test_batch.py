@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.shell_completion import ShellComplete
 from click.testing import CliRunner, Result
 
 import mixseq
@@ -508,6 +509,12 @@ def test_help_of_a_job_has_the_options_of_both() -> None:
     for option in ("--out FOLDER", "--format EXTENSION", "--fps N", "--reverse", "conform=N", "--cluster"):
         assert option in text
     assert text.count("--threads") == 1 and "TARGET" not in text.partition("Options:")[0]
+
+
+def test_shells_complete_jobs_and_their_options() -> None:
+    complete = ShellComplete(main, {}, "mixseq", "_MIXSEQ_COMPLETE").get_completions
+    assert [each.value for each in complete(["batch"], "res")] == ["resample"]
+    assert {"--reverse", "--retime"} <= {each.value for each in complete(["batch", "resample"], "--re")}
 
 
 # Animations -----------------------------------------------------------------------------------------------
