@@ -16,7 +16,7 @@ import click
 import mixseq
 from mixseq.choices import TRANSFERS
 from mixseq.cli import files, options
-from mixseq.cli.group import announce, length_text, print_json, print_table, progress_bar, say
+from mixseq.cli.group import announce, length_text, print_json, print_table, progress_bar
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.runtime.progress import forward_warnings
 
@@ -120,6 +120,7 @@ def rows(transferred: Transfer, method: str, report: TransferReport) -> list[tup
     frames = _number(header.frame_count, "frame")
     strains = (100 * each.rms for each in (report.strain, report.source_strain, report.excess))
     return [
+        ("verdict", verdict(transferred, report)),
         ("transferred", f"{frames} to {header.vertex_count:,} vertices, by {by}"),
         *_coverage_rows(report.coverage),
         *([] if transferred.quality is None else _quality_rows(transferred.quality, diagonal)),
@@ -427,7 +428,6 @@ def command(
         print_json(named | facts(transferred, method, report) | {"warnings": notes})
         return
     if not quiet:
-        say(verdict(transferred, report))
         print_table(rows(transferred, method, report))
     announce(save_map, out, picture_file)
 

@@ -456,6 +456,7 @@ def test_every_job_writes_what_its_command_writes(job: str, extension: str | Non
         assert entry.bytes == sum(file.stat().st_size for file in files_of(target))
         told = [line for line in result.stdout.replace("alone-", "").splitlines() if not line.startswith("time  ")]
         assert [line for line in entry.output if not line.startswith("time  ")] == told
+        assert (entry.verdict in Path("out/report.md").read_text()) and bool(entry.verdict) == (job == "transfer")
     before = {file: file.stat().st_mtime_ns for file in Path("out").iterdir() if not file.name.startswith("report")}
     assert do(job, "shots", "--out", "out", *options, *(["--format", extension] if extension else [])).exit_code == 0
     assert {file: file.stat().st_mtime_ns for file in before} == before
