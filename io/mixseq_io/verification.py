@@ -24,7 +24,7 @@ from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.polygons import match_polygons
 from mixseq.metrics import match_reference, paired_blocks
 from mixseq.runtime.progress import Progress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance, frames_checksum
 from mixseq.sequence.sequence import Frames, LazyFrames, check_frames, reference_diagonal
@@ -141,7 +141,7 @@ class Verification:
 @public
 def verify(
     path: PathLike,
-    original: FileOr[Frames] | None = None,
+    original: FileOr[Frames | HasFrames] | None = None,
     progress: Progress = log_progress,
     *,
     script: PathLike | None = None,

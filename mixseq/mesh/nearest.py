@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.box_tree import BoxTree, closest, crossing_pairs, triangle_corners, unit_normals
@@ -171,6 +170,8 @@ def _spanning_tree(
     """Return the minimum spanning tree as rows of piece, vertex, holder vertex and holder."""
     if not free:
         return []
+    from scipy.spatial import cKDTree  # slow import, unused by meshes of one piece
+
     vertices = np.concatenate([pieces[piece] for piece in free])
     owners = np.repeat(free, [len(pieces[piece]) for piece in free])
     distances = np.full(len(vertices), np.inf)

@@ -25,7 +25,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.segmentation.methods import MethodSettings
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, FrameStore, MeshSequence, check_frames, load_frames, own_parts
@@ -175,7 +175,7 @@ class PoseInterpolator(PickledWithoutCaches):
 
 @public
 def interpolate(
-    poses: FileOr[Frames],
+    poses: FileOr[Frames | HasFrames],
     weights: ArrayLike,
     space: SpaceName = "mixed",
     *,

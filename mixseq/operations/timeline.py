@@ -142,11 +142,13 @@ def ground_drift(
     a: Model, b: Model, start: float, end: float, weight_rate: Callable[[Float], Float]
 ) -> Callable[[Float], Float]:
     r"""Return the integral :math:`\int w' (m_a - m_b)\, dt` from the start of a transition, as a function of times."""
+    from scipy.interpolate import CubicHermiteSpline  # slow import
+
     position_a, position_b = ground_position(a), ground_position(b)
     knots = np.concatenate([breakpoints(position_a), breakpoints(position_b)])
     sites = subdivide(sites_between(start, end, knots), SITES_PER_KNOT)
     integrand = Curve(sites, weight_rate(sites) * (position_a(sites) - position_b(sites)))
-    integral = integrand.spline.antiderivative()
+    integral = CubicHermiteSpline(integrand.times, integrand.values, integrand.slopes).antiderivative()
     return lambda times: np.asarray(integral(times) - integral(start))
 
 

@@ -33,7 +33,7 @@ from mixseq.retargeting.markers import Correspondence, Markers, Pairing, pair_co
 from mixseq.retargeting.registration import LAST_STIFFNESS, STIFFNESS_STEPS, register
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, IntArray, Mask
 
@@ -193,8 +193,8 @@ MAX_FLIPPED_FACE_SHARE = 0.01  # largest share of flipped target triangles; test
 
 @public
 def correspond(
-    source: FileOr[MeshSequence],
-    target: FileOr[MeshSequence],
+    source: FileOr[MeshSequence | HasFrames],
+    target: FileOr[MeshSequence | HasFrames],
     markers: FileOr[Markers],
     rest: int = 0,
     progress: Progress = log_progress,

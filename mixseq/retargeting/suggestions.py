@@ -59,7 +59,7 @@ from mixseq.retargeting.checks import Suspicion, check_rest_frame, find_suspicio
 from mixseq.retargeting.correspond import correspond_and_assess
 from mixseq.retargeting.markers import Markers, Similarity, fit_similarity
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.segmentation.silhouettes import Diffusion
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, IntArray
@@ -504,7 +504,9 @@ def _decimate_mesh(points: Float, faces: IntArray, keep: Index) -> tuple[Index, 
 
 
 @public
-def suggest_markers(source: FileOr[MeshSequence], target: FileOr[MeshSequence], rest: int = 0) -> Markers:
+def suggest_markers(
+    source: FileOr[MeshSequence | HasFrames], target: FileOr[MeshSequence | HasFrames], rest: int = 0
+) -> Markers:
     """Suggest markers at corresponding tips of limbs, tails, noses and ears.
 
     Both meshes are in about the same pose, in any orientation and size.

@@ -22,7 +22,7 @@ from mixseq.retargeting.parts import PartCorrespondence, PartPoses
 from mixseq.retargeting.sources import SourceMotion, prepare_source
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import with_other_motion
 from mixseq.sequence.sequence import Frames, MeshSequence, block_size, check_frames, join_blocks
@@ -171,7 +171,7 @@ def _find_correspondence(
 @public
 def transfer(
     source: FileOr[Frames | Model],
-    target: FileOr[Frames],
+    target: FileOr[Frames | HasFrames],
     markers: FileOr[Markers | ArrayLike] | None = None,
     mapping: FileOr[Correspondence | Callable[[RestMesh, RestMesh], Correspondence]] | None = None,
     method: TransferName = "mixed",

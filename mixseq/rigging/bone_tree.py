@@ -128,19 +128,34 @@ class _MotionFit:
         self.products = np.asarray((rows.T @ rows).todense())
         self.motions, self.pivots = motions.copy(), joints.pivots.copy()
         self.residual = np.asarray(rows.T @ tracks) - self.products @ self.motions.reshape(4 * bone_count, -1)
-        self.parents, self.sliding, self.descendants = joints.parents, joints.sliding, joints.descendants()
+        self.parents, self.sliding = joints.parents, joints.sliding
         self.parent_stiffness = parent_stiffness
+        descendants = joints.descendants()
+        # For every bone, its descendants, and the child through which each of them hangs on it.
+        self.below = [np.flatnonzero(each & (np.arange(bone_count) != bone)) for bone, each in enumerate(descendants)]
+        self.branches = [
+            np.array(
+                [np.flatnonzero((self.parents == bone) & descendants[:, each])[0] for each in below], dtype=np.int64
+            )
+            for bone, below in enumerate(self.below)
+        ]
+        self.subtree_levers: Float = np.kron(descendants, np.eye(1, 4, 3)).astype(
+            np.float64
+        )  # (B, 4B), H of every bone
+        self.subtree_products = self.subtree_levers @ self.products
+        self.subtree_weights = np.einsum("ab,ab->a", self.subtree_levers, self.subtree_products)  # sums of h_v^2
 
     def fit_rotations(self, bone: int) -> None:
         """Fit the rotations of a bone, which move the bone and its subtree."""
         bone_count = len(self.motions)
         arms = np.zeros((3, bone_count, 4))
         arms[:, bone, :3], arms[:, bone, 3] = np.eye(3), -self.pivots[bone]
-        for child in np.flatnonzero(self.parents == bone).tolist():
-            arms[:, self.descendants[child], 3] += (self.pivots[child] - self.pivots[bone])[:, None]
+        arms[:, self.below[bone], 3] = (self.pivots[self.branches[bone]] - self.pivots[bone]).T
         lever = arms.reshape(3, -1)  # U
         if self.sliding[bone]:
-            lever -= self._rotation_centre(bone, lever)[:, None] * self._subtree_lever(bone)
+            weight = max(self.subtree_weights[bone], _ROTATION_STIFFNESS)
+            centre = lever @ self.subtree_products[bone] / weight  # sum h_v u_v / sum h_v^2
+            lever -= centre[:, None] * self.subtree_levers[bone]
         products = self.products @ lever.T
         moments = lever @ products
         moment = float(np.trace(moments))
@@ -174,22 +189,10 @@ class _MotionFit:
 
     def _subtree_residual(self, bone: int) -> tuple[Float, float]:
         """Return the residual ``(3T,)`` summed over the subtree of a bone, and the sum of h_v^2."""
-        lever = self._subtree_lever(bone)
-        return lever @ self.residual, float(lever @ self.products @ lever)
-
-    def _rotation_centre(self, bone: int, lever: Float) -> Float:
-        """Return sum h_v u_v / sum h_v^2 ``(3,)`` for the lever U of a bone's rotations."""
-        products = self.products @ self._subtree_lever(bone)
-        return lever @ products / max(float(self._subtree_lever(bone) @ products), _ROTATION_STIFFNESS)
-
-    def _subtree_lever(self, bone: int) -> Float:
-        lever = np.zeros((len(self.motions), 4))  # H
-        lever[self.descendants[bone], 3] = 1.0
-        return lever.reshape(-1)
+        return self.subtree_levers[bone] @ self.residual, float(self.subtree_weights[bone])
 
     def _translate_subtree(self, bone: int, change: Float) -> None:
-        lever = self._subtree_lever(bone)
-        self._apply(lever[None], (self.products @ lever)[:, None], change[None])
+        self._apply(self.subtree_levers[bone, None], self.subtree_products[bone, :, None], change[None])
 
     def _apply(self, lever: Float, products: Float, change: Float) -> None:
         self.motions += (lever.T @ change).reshape(self.motions.shape)

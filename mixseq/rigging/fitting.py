@@ -24,7 +24,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from typing import cast
 
 import numpy as np
@@ -42,7 +42,7 @@ from mixseq.rigging.decomposition import (
 from mixseq.rigging.rigs import BONES_PER_VERTEX, Morph, Skeleton, Skin, rotation_matrices
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames
 from mixseq.types import Float
 
@@ -189,7 +189,7 @@ def _predict_count(rough_error: Callable[[int], float], too_few: int, limit: int
 
 @public
 def fit_skin(
-    sequence: FileOr[Frames],
+    sequence: FileOr[Frames | HasFrames],
     bones: int | ArrayLike | None = None,
     correctives: float | None = None,
     max_targets: int = 32,
@@ -197,7 +197,7 @@ def fit_skin(
     progress: Progress = log_progress,
     *,
     skeleton: FileOr[Skeleton] | None = None,
-    bind_pose: FileOr[MeshSequence] | None = None,
+    bind_pose: FileOr[MeshSequence | HasFrames] | None = None,
     max_error: float | None = None,
     kg: float | None = None,
 ) -> Skin:
@@ -290,7 +290,7 @@ def fit_skin(
                 free = fit_free_bones(centred, bones, rounds, report)
                 skin, _ = fit_tree_skin(centred, free, rounds, lambda done: report(rounds + done))
             else:
-                skin = _fit_to_error(centred, max_error, kg, rounds, report)
+                skin = _fit_to_error(centred, max_error, kg, rounds, progress)
         if correctives is None:
             return skin
         progress(2 * rounds, 2 * rounds + 1, "fitting correctives")
@@ -303,7 +303,7 @@ def fit_skin(
 
 @public
 def fit_morph(
-    sequence: FileOr[Frames],
+    sequence: FileOr[Frames | HasFrames],
     max_error: float | None = None,
     max_targets: int | None = None,
     progress: Progress = log_progress,
@@ -359,22 +359,26 @@ def fit_morph(
 
 
 def _fit_to_error(
-    sequence: Centred, max_error: float | None, kg: float | None, rounds: int, report: Callable[[int], None]
+    sequence: Centred, max_error: float | None, kg: float | None, rounds: int, progress: Progress
 ) -> Skin:
     """Fit a skin with the fewest bones for `max_error` or `kg`."""
     index, target_error = (0, max_error) if kg is None else (1, kg)
     assert target_error is not None, "one of them is given"
 
+    def report(count: int, round_count: int, round_id: int) -> None:
+        progress(round_id, round_count, f"searching for the fewest bones, fitting {count}")
+
     @cache
     def rough_error(count: int) -> float:
-        return fit_free_bones(sequence, count, ROUGH_FIT_ROUNDS, report).errors[index]
+        return fit_free_bones(sequence, count, ROUGH_FIT_ROUNDS, partial(report, count, ROUGH_FIT_ROUNDS)).errors[index]
 
     @lru_cache(1)
     def free_bones(count: int) -> FreeBones:
-        return fit_free_bones(sequence, count, rounds, report)
+        return fit_free_bones(sequence, count, rounds, partial(report, count, 2 * rounds + 1))
 
     def fit_tree(count: int) -> tuple[Skin, float]:
-        skin, errors = fit_tree_skin(sequence, free_bones(count), rounds, lambda done: report(rounds + done))
+        free = free_bones(count)
+        skin, errors = fit_tree_skin(sequence, free, rounds, lambda done: report(count, 2 * rounds + 1, rounds + done))
         return skin, errors[index]
 
     max_count = min(MAX_BONES, len(sequence.header.faces))

@@ -14,7 +14,7 @@ from contextlib import AbstractContextManager, ExitStack
 from functools import cache, wraps
 from inspect import Parameter, signature
 from types import NoneType, UnionType
-from typing import Any, Literal, ParamSpec, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, ParamSpec, Protocol, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -27,6 +27,15 @@ Contents = TypeVar("Contents")
 
 FileOr: TypeAlias = Contents | PathLike
 """Argument of a public function, or the path of its file. `public` reads the file; the functions' bodies cast."""
+
+
+class HasFrames(Protocol):
+    """Model in place of a sequence; `public` decodes it at its frames."""
+
+    @property
+    def frames(self) -> Any:
+        """Decoded points of the frames."""
+
 
 _SEQUENCE_TYPES = {"Frames", "MeshSequence"}
 
@@ -114,7 +123,7 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
     """Return the types in a union; for array-likes, return array, number and mixseq's types."""
     members = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     if complex not in members:
-        contents_types = tuple(member for member in members if member not in get_args(PathLike))
+        contents_types = tuple(member for member in members if member not in (*get_args(PathLike), HasFrames))
         is_file_or = set(get_args(PathLike)) <= set(members) and set(contents_types) - {NoneType}
         return contents_types if is_file_or else members
     kept = (

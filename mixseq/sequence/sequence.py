@@ -32,7 +32,7 @@ from mixseq.mesh.measures import Diagonal
 from mixseq.mesh.polygons import Polygons, read_only
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.progress import Progress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS, UP_AXES, SequenceHeader, header_fields
 from mixseq.sequence.provenance import Provenance, as_edited, frames_checksum
@@ -516,7 +516,7 @@ class UnitConversion:
 
 @public
 def convert_units(
-    sequence: FileOr[MeshSequence], up_axis: str | None = None, units: str | float | None = None
+    sequence: FileOr[MeshSequence | HasFrames], up_axis: str | None = None, units: str | float | None = None
 ) -> MeshSequence:
     """Return a sequence rotated so that an axis points up, and scaled to a unit of length.
 

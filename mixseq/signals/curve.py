@@ -1,8 +1,12 @@
-"""Cubic spline curves over time that pass through given values at knots.
+r"""Cubic spline curves over time that pass through given values at knots.
 
-A curve has *knots*: times with a value each. It is a twice continuously differentiable cubic B-spline through the
+A curve has *knots*: times with a value each. It is a twice continuously differentiable cubic spline through the
 values. At each not-a-knot end, two pieces are one cubic. With two knots the curve is a line, with three a parabola.
-Values at knots can be edited by hand, independently of the other knots.
+Values at knots can be edited by hand, independently of the other knots. With knots :math:`h_i` apart and secants
+:math:`d_i` between them, the slopes :math:`m_i` at four or more knots are (de Boor, A Practical Guide to Splines, IV)
+
+.. math:: h_i m_{i-1} + 2 (h_{i-1} + h_i) m_i + h_{i-1} m_{i+1} = 3 (h_i d_{i-1} + h_{i-1} d_i), \qquad
+   h_1 m_0 + (h_0 + h_1) m_1 = \frac{(3 h_0 + 2 h_1) h_1 d_0 + h_0^2 d_1}{h_0 + h_1} .
 
 A time given twice *breaks* the curve: a spline ends there with the first value, and another begins with the second. The
 curve jumps if both values differ, and has a corner if they are equal. At the break it has the second value.
@@ -10,10 +14,10 @@ curve jumps if both values differ, and has a corner if they are equal. At the br
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,10 +25,6 @@ from numpy.typing import ArrayLike
 from mixseq.errors import SettingsError
 from mixseq.mesh.polygons import read_only
 from mixseq.types import Float
-
-if TYPE_CHECKING:
-    from scipy.interpolate import BSpline
-
 
 MIN_KNOT_SPACING = 1e-100
 """Least time between knots in seconds; in double precision its third power is still a valid divisor."""
@@ -106,11 +106,25 @@ class Curve:
         return cls(np.concatenate(times), np.concatenate(values))
 
     @cached_property
-    def spline(self) -> BSpline:
-        """A curve without breaks as a B-spline of knots and control points."""
-        from scipy.interpolate import make_interp_spline  # slow import, unused at knots
+    def slopes(self) -> Float:
+        """Slopes ``(m, k)`` at the knots of a curve without breaks."""
+        from scipy.linalg import solve_banded  # unused at knots; all of scipy.interpolate would take longer to import
 
-        return make_interp_spline(self.times, self.values, k=min(3, len(self.times) - 1))
+        h = np.diff(self.times)[:, None]
+        secants = np.diff(self.values, axis=0) / h
+        if len(h) < 3:  # a line or a parabola
+            bend = np.diff(secants, axis=0).sum(axis=0) / h.sum()
+            starts = secants[:1] - bend * h[:1]
+            return np.concatenate([starts, secants + bend * h])
+        matrix, right = np.zeros((3, len(self.times))), np.empty(self.values.shape)
+        matrix[0, 2:], matrix[2, :-2] = h[:-1, 0], h[1:, 0]
+        matrix[1, 1:-1] = 2 * (h[:-1, 0] + h[1:, 0])
+        right[1:-1] = 3 * (h[1:] * secants[:-1] + h[:-1] * secants[1:])
+        for end, beside, next_to in ((0, 1, (0, 1)), (-1, -2, (2, -2))):
+            both = h[end, 0] + h[beside, 0]
+            matrix[1, end], matrix[next_to] = h[beside, 0], both
+            right[end] = (h[end] + 2 * both) * h[beside] / both * secants[end] + h[end] ** 2 / both * secants[beside]
+        return np.asarray(solve_banded((1, 1), matrix, right))
 
     def __call__(self, times: ArrayLike) -> Float:
         """Return the points ``(N, k)`` of the curve at times ``(N,)``; at knots exactly the given values."""
@@ -142,9 +156,23 @@ class Curve:
         result = np.zeros((len(times), self.dim))
         piece_ids = np.searchsorted(self.breaks, times, side="right")
         for number in np.unique(piece_ids):
-            mask, spline = piece_ids == number, self.pieces[number].spline
-            if order <= spline.k:
-                result[mask] = spline(times[mask], nu=order)
+            mask = piece_ids == number
+            result[mask] = self.pieces[number]._evaluate_spline(times[mask], order)
+        return result
+
+    def _evaluate_spline(self, times: Float, order: int) -> Float:
+        """Evaluate a curve without breaks, see `_evaluate`."""
+        degree = min(3, len(self.times) - 1)
+        if order > degree or not degree:
+            return self.values[np.zeros(len(times), dtype=int)] * (order == 0)
+        knots = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
+        h, offset = (each[:, None] for each in (self.times[knots + 1] - self.times[knots], times - self.times[knots]))
+        secants = (self.values[knots + 1] - self.values[knots]) / h
+        start, end = self.slopes[knots] - secants, self.slopes[knots + 1] - secants
+        powers = self.values[knots], self.slopes[knots], -(2 * start + end) / h, (start + end) / h**2
+        result = np.zeros(secants.shape)
+        for power in range(3, order - 1, -1):
+            result = result * offset + math.perm(power, order) * powers[power]
         return result
 
 

@@ -80,8 +80,8 @@ def jumps(curve: Curve) -> Float:
     """How much value, slope and curvature ``(3,)`` jump between the cubics of a curve, relative to the largest."""
     if not curve.values.any():
         return np.zeros(3)
-    knots = np.unique(curve.spline.t)
-    starts = np.stack([curve.spline(knots[:-1], nu=order) for order in range(4)])
+    knots = curve.times
+    starts = np.stack([curve.derivative(knots[:-1], order) for order in range(4)])
     step = np.diff(knots)[:, None]
     value = starts[0] + step * (starts[1] + step * (starts[2] / 2 + step * starts[3] / 6))
     slope = starts[1] + step * (starts[2] + step * starts[3] / 2)

@@ -324,7 +324,9 @@ def _join_tracks(document: Document, node: int, tracks: Mapping[int, Channel]) -
     times = merge_key_times(each.times for each in tracks.values())
     is_stepped = all(each.interpolation == "STEP" for each in tracks.values())
     still = _read_still_weights(document, fields, count)
-    joined = SeparateWeights(node, "weights", times, still, "STEP" if is_stepped else "LINEAR", still, tracks)
+    joined = SeparateWeights(
+        node, "weights", times, still.astype(np.float32), "STEP" if is_stepped else "LINEAR", still, tracks
+    )
     return replace(joined, values=joined.evaluate(times).astype(np.float32))
 
 

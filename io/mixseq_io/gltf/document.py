@@ -437,6 +437,11 @@ def collect_extensions(document: Mapping[str, Any]) -> set[str]:
     return names
 
 
+def used_extensions(document: Document) -> set[str]:
+    """Return the names of all extensions of a document, declared or in use."""
+    return collect_extensions(document.json) | {*document.top.texts("extensionsUsed")}
+
+
 def unknown_extensions(names: Iterable[str]) -> list[str]:
     """Return the sorted names of extensions that are not read and may change meshes or their motion."""
     return sorted(

@@ -23,12 +23,10 @@ from mixseq_io.gltf.document import (
     POINTER_EXTENSION,
     Document,
     Fields,
-    collect_extensions,
     load_document,
-    unknown_extensions,
+    used_extensions,
 )
 from mixseq_io.reader import warn
-from mixseq_io.scene_meshes import format_names
 
 _WEIGHTS_PATTERN = r"weights(?:/\d{1,9})?"
 _POINTER_PATTERN = re.compile(
@@ -40,10 +38,7 @@ _INSTANCE_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}  # numbers of a
 def load_plain_document(path: Path) -> Document:
     """Read a .gltf or .glb file, without compression, pointers of animations to nodes, and instances."""
     document = decompress_document(load_document(path))
-    used = collect_extensions(document.json) | {*document.top.texts("extensionsUsed")}
-    if unknown := unknown_extensions(used):
-        warn(f"{path}: extensions that are not supported are ignored: {format_names(unknown)}")
-    if not {POINTER_EXTENSION, INSTANCING_EXTENSION} & used:
+    if not {POINTER_EXTENSION, INSTANCING_EXTENSION} & used_extensions(document):
         return document
     plain = replace(document, json=deepcopy(document.json))
     instances = {}

@@ -49,7 +49,7 @@ from mixseq_io.gltf.animation import (
     read_mesh_node,
     sample_times,
 )
-from mixseq_io.gltf.document import Document, Fields
+from mixseq_io.gltf.document import Document, Fields, unknown_extensions, used_extensions
 from mixseq_io.gltf.expansion import load_plain_document
 from mixseq_io.gltf.primitives import Primitive, Weld, texture_transform, weld_vertices
 from mixseq_io.gltf.scene import Pose, Scene, read_scene
@@ -60,6 +60,7 @@ from mixseq_io.scene_meshes import (
     check_finite,
     common_name,
     find_keys,
+    format_names,
     join_meshes,
     read_valid_meshes,
     select_meshes,
@@ -294,6 +295,8 @@ def open_gltf(
     # Reading a frame reports non-finite points with their vertex.
     with prefix_errors(path), np.errstate(all="ignore"):
         document = load_plain_document(path)
+        if unknown := unknown_extensions(used_extensions(document)):
+            warn(f"{path}: extensions that are not supported are ignored: {format_names(unknown)}")
         scene = read_scene(document)
         nodes = _select_nodes(document, scene, prim)
         if not nodes:

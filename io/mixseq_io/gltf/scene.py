@@ -186,8 +186,8 @@ def _read_objects(document: Document, parents: Sequence[int], order: Sequence[in
         path_lengths += len(path)
         document.check_effort(path_lengths, "paths of all nodes together")
         paths.add(path)
-        has_mesh = mesh is not None and mesh < len(document.items("meshes"))  # others are reported when they are read
-        mesh_name = document.item("meshes", mesh).text("name") if has_mesh else ""
+        is_missing = mesh is None or mesh >= len(document.items("meshes"))  # which is reported when it is read
+        mesh_name = "" if mesh is None or is_missing else document.item("meshes", mesh).text("name")
         objects[node] = SceneObject(path, (name, mesh_name), parent)
     return objects
 

@@ -193,8 +193,8 @@ class _Lines:
 def _read_lines(file: Path, data: bytes, first: MeshFile | None) -> _Lines:
     """Sort the lines of a first frame by kind; for later frames, collect only vertices and faces."""
     is_first, has_colours = first is None, first is None or not first.has_changing_colours
-    text = strip_byte_order_mark(file, data, "an OBJ file")
-    lines = _CONTINUATION_PATTERN.sub(b" ", text).splitlines() if b"\\" in text else text.splitlines()
+    data = strip_byte_order_mark(file, data, "an OBJ file")
+    lines = _CONTINUATION_PATTERN.sub(b" ", data).splitlines() if b"\\" in data else data.splitlines()
     if lines and lines[0].startswith(PRECISION_COMMENT) and lines[-1] != END_COMMENT:
         raise FormatError(f"{file} ends in the middle; it is truncated, write it again")
     result = _Lines()

@@ -19,7 +19,7 @@ from mixseq.errors import OutputError, SettingsError
 from mixseq.mesh.measures import choose_origin
 from mixseq.rigging.low_rank import fit_low_rank
 from mixseq.runtime.progress import Progress, log_progress
-from mixseq.runtime.public import FileOr, public
+from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.sequence.sequence import Frames, MeshSequence
 from mixseq.signals.decoding import Decodable, hold_between, largest_distance, quarter_times, straight_blocks
 from mixseq.signals.fitting import as_motion
@@ -100,7 +100,7 @@ class VatReport:
 @public
 def write_vat(
     path: str | os.PathLike[str],
-    sequence: FileOr[MeshSequence],
+    sequence: FileOr[MeshSequence | HasFrames],
     max_error: float | None = None,
     texture: TextureName = "png16",
     progress: Progress = log_progress,
