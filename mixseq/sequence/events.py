@@ -362,7 +362,7 @@ def _find(motion: _Motion, diagonal: float, cut_ratio: float) -> Events:
     cuts = set()
     if len(firsts) > 3:
         at = (motion.times[firsts] + motion.times[lasts]) / 2 if events.poses else motion.times[firsts]
-        poses = motion.points[firsts]
+        poses = motion.points if not is_equal.any() else motion.points[firsts]  # a copy is as large as the sequence
         floor = max(ROUNDING_UNITS * motion.unit, 2 * motion.noise)
         cuts = {int(lasts[k]) for k in _find_cuts(at, poses, diagonal, cut_ratio, floor)}
     if not events.poses:  # a still component that is moved once

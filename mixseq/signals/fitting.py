@@ -58,7 +58,7 @@ from mixseq.spaces.making import SPACE_STAGES, MixedSettings, SpaceOptions, make
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
 from mixseq.spaces.temporal import FrameWeights
 from mixseq.spaces.temporal_pieces import Timing
-from mixseq.types import Float, FloatArray, Index, evenly_spaced
+from mixseq.types import Float, FloatArray, Int32, evenly_spaced
 
 MIN_VALIDATED_FRAMES = 4
 """Least number of frames of a sequence for cross-validation."""
@@ -122,12 +122,12 @@ def _interpolated_vectors(encoded: EncodedSequence, space: MixedSpace, weights: 
     return space.join(MixedBlocks(*blocks[:3], *poses, *body_poses, blocks.corrections))
 
 
-def _lengths_and_angles(elements: tuple[Index, Index], points: FloatArray) -> tuple[Float, Float]:
+def _lengths_and_angles(elements: tuple[Int32, Int32], points: FloatArray) -> tuple[Float, Float]:
     """Return lengths of edges and dihedral angles of hinges of points ``(V, 3)`` in diagonals."""
     return lengths_and_angles(np.ascontiguousarray(points, dtype=np.float64), *elements)
 
 
-def _rms_errors(elements: tuple[Index, Index], points: Iterable[Float], expected: list[tuple[Float, Float]]) -> Float:
+def _rms_errors(elements: tuple[Int32, Int32], points: Iterable[Float], expected: list[tuple[Float, Float]]) -> Float:
     """Return root mean square errors ``(2,)`` of relative lengths and of angles in frames ``(n, V, 3)``."""
     squares = np.zeros(2)
     for frame, (expected_lengths, expected_angles) in zip(points, expected, strict=True):
@@ -286,14 +286,15 @@ def fit(
     with one_blas_thread():
         frames = whole = load_frames(sequence, stages.at(0))
         found, keys = SequenceEvents(), frames.header.keys if knots is None else None
+        topology = Topology(frames.header.faces, frames.header.vertex_count)
         if knots is None:
-            topology = Topology(frames.header.faces, frames.header.vertex_count)
             found = find_events(frames.points, frames.header.times, topology)
             found = found.with_keys(keys) if keys else found
             found = found.with_cuts(cuts, frames.header)
         groups, group_of_vertex = [found.whole], None
         if pose == "modes" and space in ("mixed", "vertex") and found.components:
             groups, group_of_vertex = found.group_components(topology.component_of_vertex)
+        del topology  # its tables are large
         if between == "smooth":
             frames, groups = distinct_poses(frames, groups)
         is_held = between == "auto" and bool(keys and keys.is_held)
