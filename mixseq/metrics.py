@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from mixseq.compression.numbering import Renumbering, match_meshes, mesh_of, with_mesh_of
 from mixseq.errors import InvalidSequenceError
-from mixseq.mesh.measures import Diagonal, degenerate_faces, dihedral_angles, edge_lengths, wrap_angles
+from mixseq.mesh.measures import Diagonal, degenerate_faces, dihedral_angles, edge_lengths, element_blocks, wrap_angles
 from mixseq.mesh.polygons import describe_difference
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
@@ -36,7 +36,6 @@ from mixseq.sequence.frame_rates import FRAME_TOLERANCE
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import Frames, reference_diagonal
 from mixseq.signals.decoding import largest_distance, played_blocks, quarter_times
-from mixseq.signals.fitting import as_motion
 from mixseq.signals.model import Model
 from mixseq.types import Float
 
@@ -144,7 +143,7 @@ def compare(a: FileOr[Frames | HasFrames], b: FileOr[Frames | HasFrames]) -> Com
     header = a.header
     topology = Topology(header.faces, header.vertex_count)
     strains = RunningStatistics(header.frame_count * len(topology.edges))
-    angles = RunningStatistics(header.frame_count * len(topology.hinges))
+    angles = RunningStatistics(header.frame_count * len(topology.hinge_faces))
     defects = topology.boundary_edges, topology.non_manifold_edges, topology.inconsistent_edges
     is_closed = not any(len(edges) for edges in defects)
     error_squares = variation_squares = 0.0
@@ -220,6 +219,8 @@ def measure_between(
     >>> mixseq.measure_between("arm.h5", "arm.h5")
     0.0
     """
+    from mixseq.signals.fitting import as_motion
+
     source = cast("Frames | Model", source)
     delivery = cast("Frames | Model", delivery)
     motion = as_motion(source, progress)
@@ -309,9 +310,13 @@ def _add_strains(strains: RunningStatistics, topology: Topology, x: Float, y: Fl
 
 def _add_angles(angles: RunningStatistics, topology: Topology, x: Float, y: Float) -> None:
     degenerate = np.logical_or(*(degenerate_faces(z, topology.faces, MIN_NORMAL_HEIGHT_RATIO) for z in (x, y)))
-    defined = ~degenerate[:, topology.hinge_faces].any(axis=2)
-    x_angles, y_angles = (dihedral_angles(z, topology.hinges)[defined] for z in (x, y))
-    angles.add(np.degrees(np.abs(wrap_angles(y_angles - x_angles))))
+    hinge_faces = topology.hinge_faces
+    errors = np.full((len(x), len(hinge_faces)), np.nan)
+    for block in element_blocks(len(hinge_faces), len(x)):
+        hinges, defined = topology.hinges_at(block), ~degenerate[:, hinge_faces[block]].any(axis=2)
+        x_angles, y_angles = (dihedral_angles(z, hinges)[defined] for z in (x, y))
+        errors[:, block][defined] = np.degrees(np.abs(wrap_angles(y_angles - x_angles)))
+    angles.add(errors)
 
 
 def _signed_volumes(points: Float, faces: NDArray[np.int32]) -> Float:

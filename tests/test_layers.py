@@ -135,6 +135,13 @@ def test_names_load_only_what_they_need() -> None:
         assert not modules & (HEAVY - {"scipy"} if name == "fit" else HEAVY), name
 
 
+def test_reading_files_loads_no_compiler() -> None:
+    """Every worker that opens a file would wait for it."""
+    (loaded,) = loaded_by("import mixseq_io.usd.reader, mixseq_io.gltf.reader")
+    assert "pxr" in loaded
+    assert not loaded & (HEAVY - {"pxr", "scipy"} | {"numba"})
+
+
 def test_decoding_a_compressed_model_imports_little() -> None:
     path = ROOT / "tests/formats/golden/compressed-v1-uvs.h5"
     decode = f"import mixseq\nmixseq.load({str(path)!r})(0.0)\n"

@@ -86,7 +86,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
         archive.extraction_filter = getattr(tarfile, "data_filter", None)  # from Python 3.11.4 on
         archive.extractall(folder)
     source = folder / f"mixseq-{mixseq.__version__}"
-    run(*build, "wheel", folder=source)
+    run(*build, "wheel", folder=source, PYTHONDONTWRITEBYTECODE="1")
     return Built(source, next(folder.glob("*.whl")))
 
 

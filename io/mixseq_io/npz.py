@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import shutil
 import struct
+import sys
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
@@ -79,7 +80,11 @@ class Archive:
         with self._file.open(f"{name}.npy") as stream:
             array: NDArray[Any] = npy.read_array(stream, allow_pickle=False)
             stream.read(1)  # at the end zipfile compares the checksum
-            return array
+        if array.dtype.kind == "U" and array.nbytes:
+            characters = np.frombuffer(array.tobytes(), f"{array.dtype.str[0]}u4")
+            if characters.max() > sys.maxunicode:
+                raise DamageError(f"{name} has characters that do not exist")
+        return array
 
     @contextmanager
     def open(self, name: str) -> Iterator[tuple[IO[bytes], ArrayHeader]]:

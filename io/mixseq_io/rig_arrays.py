@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError
 from mixseq.mesh.measures import choose_origin
-from mixseq.mesh.rigid import nearest_rotations
 from mixseq.rigging.rigs import Morph, Skeleton, Skin
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import bounding_diagonal
@@ -115,6 +113,10 @@ def choose_skeleton(file: Path, names: Sequence[tuple[str, ...]], name: str | No
 
 def build_skeleton(names: Sequence[str], parents: Sequence[int], bind: Float) -> Skeleton:
     """Build a skeleton from joints in any order, their parents (-1 for none) and bind matrices ``(B, 4, 4)``."""
+    from scipy.spatial.transform import Rotation
+
+    from mixseq.mesh.rigid import nearest_rotations
+
     if not np.isfinite(bind).all():
         joint = int(np.argmin(np.isfinite(bind).all(axis=(1, 2))))
         raise InvalidSequenceError(f"the bind pose of joint {joint} ({names[joint]!r}) is not finite")

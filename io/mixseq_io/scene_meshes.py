@@ -15,7 +15,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from mixseq.compression.numbering import find_numbering
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, MixseqError
 from mixseq.mesh.polygons import PolygonMatch, Polygons, match_polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, DEFAULT_UV, CornerValues, FaceSet, MeshObject, Origin, Surface
@@ -259,6 +258,8 @@ class SceneMesh:
 
     def with_vertex_order_of(self, original: Polygons) -> SceneMesh | None:
         """Undo the renumbering of vertices by compressed models; return None if `original` is another mesh."""
+        from mixseq.compression.numbering import find_numbering
+
         numbering = find_numbering(self.polygons, original, [self.vertex_count])
         if numbering is None or numbering.order != "free":
             return None if numbering is None else self

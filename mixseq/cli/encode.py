@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _OF_FITTING = (
     *("exact", "tolerance", "rank", "space", "segmentation", "joint_width", "placement"),
-    *("projection", "volume", "knots", "pose", "between", "cuts"),
+    *("projection", "volume", "knots", "pose", "between"),
 )
 """Options of ``mixseq encode`` that apply only to uncompressed models."""
 
@@ -186,7 +186,8 @@ def command(
         model: Model | CompressedSequence
         parts = labels.parts(reader, fitting.get("parts"), reading)
         if aim:
-            model = compressed(reader, aim | {"parts": parts}, progress, still if web else None)
+            chosen = {"parts": parts, **options.at_frames(timing, reader.header)}
+            model = compressed(reader, aim | chosen, progress, still if web else None)
         elif web:
             model = read_compressed(source)
         else:

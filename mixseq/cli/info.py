@@ -33,13 +33,13 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
 
     For a sequence, only the first frame is read.
     """
-    from mixseq_io.verification import is_compressed, read_compressed
-
     facts: dict[str, Any] = {
         "file": str(path),
         "bytes": {"total": path.stat().st_size if path.is_file() else None},
     }
     if is_model(path):
+        from mixseq_io.verification import is_compressed, read_compressed
+
         if is_compressed(path):
             coded = read_compressed(path)
             header = coded.header

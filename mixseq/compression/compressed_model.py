@@ -15,6 +15,7 @@ import numpy as np
 
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, Playback, decode
 from mixseq.runtime.progress import Progress, log_progress
+from mixseq.sequence.events import CutChoice
 from mixseq.sequence.frame_rates import FRAME_ROUNDING
 from mixseq.sequence.sequence import LazyFrames
 from mixseq.signals.curve import Curve
@@ -89,7 +90,9 @@ class CompressedModel(Model):
             fitted = self._fitted
             if fitted is None:
                 frames = LazyFrames(self.header, lambda size: self.playback.blocks(self.times, size))
-                fitted = self.__dict__["_fitted"] = fit(frames, exact=True, parts=self.parts, progress=progress)
+                cuts: CutChoice = self.playback.between.cuts or "auto"
+                fitted = fit(frames, exact=True, parts=self.parts, cuts=cuts, progress=progress)
+                self.__dict__["_fitted"] = fitted
             return fitted
 
     @property

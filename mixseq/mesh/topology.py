@@ -137,12 +137,12 @@ class Topology(PickledWithoutCaches):
     @cached_property
     def component_of_vertex(self) -> Int32:
         """Connected component ``(V,)`` of every vertex; an unused vertex forms a component."""
-        return connected_components(self.vertex_count, self.edges)
+        return _number_components(self.vertex_count, self.edges)
 
     @cached_property
     def component_of_face(self) -> Int32:
         """Hinge-connected component ``(F,)`` of every face: faces that are connected across edges."""
-        return connected_components(len(self.faces), self.hinge_faces)
+        return _number_components(len(self.faces), self.hinge_faces)
 
     @cached_property
     def component_count(self) -> int:
@@ -180,8 +180,12 @@ def _symmetric(pairs: Int32, count: int) -> sparse.csr_array:
     return matrix
 
 
-def connected_components(count: int, pairs: IntArray) -> Int32:
+def connected_components(count: int, pairs: IntArray) -> Index:
     """Number the connected components ``(count,)`` of nodes in order of their first nodes, by pairs ``(n, 2)``."""
+    return _number_components(count, pairs).astype(np.int64)
+
+
+def _number_components(count: int, pairs: IntArray) -> Int32:
     from mixseq.mesh.topology_kernels import number_components
 
     return number_components(np.ascontiguousarray(pairs, dtype=np.int32), count)

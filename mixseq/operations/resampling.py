@@ -21,12 +21,13 @@ from mixseq.operations.retiming import Retiming
 from mixseq.runtime.parallel import Executor
 from mixseq.runtime.progress import Progress, log_progress
 from mixseq.runtime.public import FileOr, public
+from mixseq.sequence.events import CutChoice
 from mixseq.sequence.frame_rates import FRAME_ROUNDING, FRAME_TOLERANCE, format_span, snap_to_ntsc
 from mixseq.sequence.header import MAX_FRAME_COUNT, SequenceHeader
 from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import Frames, LazyFrames, MeshSequence, Rig, is_rig, join_blocks, without_velocities
 from mixseq.signals.decoding import MAX_FRAMES_PER_BLOCK, Decodable
-from mixseq.signals.fitting import CutChoice, as_motion, fit
+from mixseq.signals.fitting import as_motion, fit
 from mixseq.signals.model import Model
 from mixseq.types import Float, FloatArray
 

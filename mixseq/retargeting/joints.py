@@ -44,7 +44,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.retargeting.gradient_transfer import GradientTransfer, average_matrices, normalise_rows
 from mixseq.segmentation.joints import Decomposition, Joint
 from mixseq.shells.fitting import Patch, ShellReport, ShellSettings, SoftConstraint, rebuild_patch
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, Int32
 
 BEND_CONCENTRATION = 4.0
 """Concentration of the differences of angles from skinned positions; larger values retain more bend and more noise."""
@@ -269,11 +269,11 @@ class EdgewiseMetrics:
     target: Float  # (V, 3) target at rest, in the unit of its space
 
     @cached_property
-    def _edges(self) -> Index:
+    def _edges(self) -> Int32:
         return self.topology.edges[self.joints.edge_ids]
 
     @cached_property
-    def _hinges(self) -> Index:
+    def _hinges(self) -> Int32:
         return self.topology.hinges[self.joints.hinge_ids]
 
     @cached_property

@@ -40,7 +40,7 @@ from mixseq.retargeting.markers import Correspondence
 from mixseq.segmentation.elements import Boundaries
 from mixseq.segmentation.joints import MIN_MOTION_HEIGHT_RATIO, Decomposition, PartMotion, decompose
 from mixseq.shells.solvers import Factor, factorise
-from mixseq.spaces.pieces import register_parts
+from mixseq.spaces.pieces import align_parts
 from mixseq.types import Float, Index, IntArray
 
 MIN_REGION_AREA_RATIO = 0.1  # smallest area of a region that is not merged, relative to the largest of its label
@@ -72,7 +72,7 @@ class RestShapes:
 
     def register(self, points: Float) -> tuple[Float, PartPoses]:
         """Return the parts ``(N, 3)`` of a frame ``(V, 3)``, rigidly aligned to the rest shapes, and the part poses."""
-        aligned, rotations, centres = register_parts(self.shapes, self.vertices, points)
+        aligned, rotations, centres = align_parts(self.shapes, self.vertices, points)
         return aligned, PartPoses(rotations, centres)
 
 

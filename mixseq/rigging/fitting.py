@@ -24,7 +24,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from typing import cast
 
 import numpy as np
@@ -290,7 +290,7 @@ def fit_skin(
                 free = fit_free_bones(centred, bones, rounds, report)
                 skin, _ = fit_tree_skin(centred, free, rounds, lambda done: report(rounds + done))
             else:
-                skin = _fit_to_error(centred, max_error, kg, rounds, report)
+                skin = _fit_to_error(centred, max_error, kg, rounds, progress)
         if correctives is None:
             return skin
         progress(2 * rounds, 2 * rounds + 1, "fitting correctives")
@@ -359,22 +359,26 @@ def fit_morph(
 
 
 def _fit_to_error(
-    sequence: Centred, max_error: float | None, kg: float | None, rounds: int, report: Callable[[int], None]
+    sequence: Centred, max_error: float | None, kg: float | None, rounds: int, progress: Progress
 ) -> Skin:
     """Fit a skin with the fewest bones for `max_error` or `kg`."""
     index, target_error = (0, max_error) if kg is None else (1, kg)
     assert target_error is not None, "one of them is given"
 
+    def report(count: int, round_count: int, round_id: int) -> None:
+        progress(round_id, round_count, f"searching for the fewest bones, fitting {count}")
+
     @cache
     def rough_error(count: int) -> float:
-        return fit_free_bones(sequence, count, ROUGH_FIT_ROUNDS, report).errors[index]
+        return fit_free_bones(sequence, count, ROUGH_FIT_ROUNDS, partial(report, count, ROUGH_FIT_ROUNDS)).errors[index]
 
     @lru_cache(1)
     def free_bones(count: int) -> FreeBones:
-        return fit_free_bones(sequence, count, rounds, report)
+        return fit_free_bones(sequence, count, rounds, partial(report, count, 2 * rounds + 1))
 
     def fit_tree(count: int) -> tuple[Skin, float]:
-        skin, errors = fit_tree_skin(sequence, free_bones(count), rounds, lambda done: report(rounds + done))
+        free = free_bones(count)
+        skin, errors = fit_tree_skin(sequence, free, rounds, lambda done: report(count, 2 * rounds + 1, rounds + done))
         return skin, errors[index]
 
     max_count = min(MAX_BONES, len(sequence.header.faces))

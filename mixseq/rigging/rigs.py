@@ -26,17 +26,19 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import read_only
 from mixseq.mesh.rotations import align_quat_signs, normalise_quat, quat_to_matrix
 from mixseq.sequence.header import SequenceHeader
 from mixseq.types import Float, FloatArray, Index
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 BONES_PER_VERTEX = 4
 """Number of skinning weights of a vertex, as in engines and in the core of glTF 2.0."""
@@ -118,7 +120,7 @@ class Skeleton:
     def to_local(self, rotations: Float, translations: Float) -> tuple[Float, Float]:
         """Convert a world motion, R ``(T, B, 4)`` and c ``(T, B, 3)``, to Q and q relative to the parents."""
         local_rotations, local_translations = np.empty_like(rotations), np.array(translations)
-        world = [Rotation.from_quat(rotations[:, bone]) * self._axes(bone) for bone in range(self.bone_count)]
+        world = [_rotation(rotations[:, bone]) * self._axes(bone) for bone in range(self.bone_count)]
         for bone, parent in enumerate(self.parents.tolist()):
             if parent < 0:
                 local_rotations[:, bone] = world[bone].as_quat()
@@ -133,7 +135,7 @@ class Skeleton:
         rotations, translations = np.empty_like(local_rotations), np.array(local_translations)
         world: list[Rotation] = []
         for bone, parent in enumerate(self.parents.tolist()):
-            rotation = Rotation.from_quat(local_rotations[:, bone])
+            rotation = _rotation(local_rotations[:, bone])
             world.append(rotation if parent < 0 else world[parent] * rotation)
             if parent >= 0:
                 offsets = world[parent].apply(local_translations[:, bone])
@@ -142,7 +144,14 @@ class Skeleton:
         return rotations, translations
 
     def _axes(self, bone: int) -> Rotation:
-        return Rotation.from_quat(self.axes[bone])
+        return _rotation(self.axes[bone])
+
+
+def _rotation(quaternions: Float) -> Rotation:
+    """Make rotations of unit quaternions; the first one loads SciPy."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat(quaternions)
 
 
 class _RigFrames(ABC):

@@ -41,6 +41,7 @@ class ClusterExecutor:
 
     def __init__(self, client: Any) -> None:
         self._client = client
+        self._is_lost = False
 
     def __call__(
         self, function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
@@ -92,7 +93,7 @@ class ClusterExecutor:
             while True:
                 free = max_pending() - len(pending)  # the number of workers changes
                 for item in islice(remaining, max(0, free)):
-                    with _convert_errors():
+                    with self._connected():
                         work = dumps((function, shared, item))
                         future = self._client.submit(_apply_alone, work, key=f"{name}-{uuid4()}")
                     pending[future] = item
@@ -106,27 +107,39 @@ class ClusterExecutor:
 
     def _thread_count(self) -> int:
         """Return the current number of worker threads, at least 1, as lost workers may reconnect."""
-        with _convert_errors():
+        with self._connected():
             threads: dict[str, int] = self._client.nthreads()
         return max(1, sum(threads.values()))
 
+    @contextmanager
+    def _connected(self) -> Iterator[None]:
+        """Convert connection errors to ClusterError; after one, raise it at once, as dask would wait half a minute."""
+        if self._is_lost or self._client.status != "running":
+            raise ClusterError(_CONNECTION_LOST)
+        try:
+            with _convert_errors():
+                yield
+        except ClusterError:
+            self._is_lost = True
+            raise
+
     def _cancel(self, futures: Iterable[Any]) -> None:
         """Cancel futures; ignore a lost connection, so that the original error is raised."""
-        with suppress(ClusterError), _convert_errors():
+        with suppress(ClusterError), self._connected():
             self._client.cancel(list(futures))
 
     def _prepare(self, function: Callable[..., Any], shared: object) -> Callable[[Any], Any]:
         """Send the function and shared object to a worker; return a function that submits an item."""
         # Arguments are pickled here, so that dask does not search them for tasks.
         dumps, name = dask_module("distributed.protocol.pickle").dumps, _task_name(function)
-        with _convert_errors():
+        with self._connected():
             call = self._client.submit(_bind, dumps((function, shared)), key=f"{name}-call-{uuid4()}")
             workers = sorted(self._client.nthreads())
         # Workers take turns, as dask would favour workers with the shared object; lost workers are replaced by any.
         turns = cycle([{"workers": worker, "allow_other_workers": True} for worker in workers] or [{}])
 
         def submit(item: object) -> Any:
-            with _convert_errors():
+            with self._connected():
                 return self._client.submit(_apply, call, dumps(item), key=f"{name}-{uuid4()}", **next(turns))
 
         return submit

@@ -22,7 +22,7 @@ from typing import Any, NoReturn, TypeVar, cast
 HANDLED_SIGNALS = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
 
 _RETRY_SECONDS = 0.1
-_MAX_RETRIES = 50  # number of retries while an import or an uninterrupted function runs
+_MAX_RETRIES = 50  # number of retries while an import runs; it may never end
 
 _uninterrupted: set[CodeType] = set()
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -48,7 +48,7 @@ def signals_as_exceptions() -> Iterator[None]:
     def handle(number: int, frame: FrameType | None) -> None:
         global _pending
         _pending = number
-        if _is_deferred(frame) and len(retries) < _MAX_RETRIES:
+        if _is_deferred(frame, may_import=len(retries) < _MAX_RETRIES):
             resend(number)
         else:
             _raise(number)
@@ -139,10 +139,12 @@ def _raise(number: int) -> NoReturn:
     raise SystemExit(128 + number)
 
 
-def _is_deferred(frame: FrameType | None) -> bool:
-    """Return whether an import or an `uninterrupted` function is on the stack."""
+def _is_deferred(frame: FrameType | None, may_import: bool) -> bool:
+    """Return whether an `uninterrupted` function, or an import that may go on, is on the stack."""
     while frame is not None:
-        if frame.f_code in _uninterrupted or frame.f_code.co_filename.startswith("<frozen importlib"):
+        if frame.f_code in _uninterrupted:
+            return True
+        if may_import and frame.f_code.co_filename.startswith("<frozen importlib"):
             return True
         frame = frame.f_back
     return False

@@ -4,6 +4,9 @@ Compiled functions release the interpreter's lock. They add in source order, so 
 number of threads. Division by zero gives infinity, as in NumPy. Without an entry point for C, compilation takes a third
 less time.
 
+A wheel can bring functions compiled for `PORTABLE_CPU` (``scripts/compiled_wheel.py``). They are used where processor,
+system, Python, numba and the text of the functions are those they were compiled for, otherwise functions are compiled.
+
 If the cache on disk is damaged, or cannot be written, functions are compiled again, with a warning.
 
 Signals are deferred while functions are loaded, saved and return results. The reasons: numba ignores exceptions of
@@ -12,6 +15,7 @@ Python code that it calls, llvmlite frees memory twice after an interrupt, and p
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -22,7 +26,7 @@ from pickle import UnpicklingError
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import _numba_unpickle
@@ -37,8 +41,17 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 _NUMBA_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
+_INLINED_OPTIONS: dict[str, Any] = {"forceinline": True, "_nrt": False}
+
 _PICKLE_ERRORS = (UnpicklingError, EOFError, AttributeError, ImportError, LookupError, TypeError, ValueError)
 """Errors raised by loading damaged pickles."""
+
+
+PORTABLE_CPU = "x86-64-v3"
+"""Processor for which a wheel brings compiled functions: any x86-64 that has AVX2 (from 2013 on)."""
+
+_PORTABLE_CPU_FEATURES = {"+avx2", "+bmi", "+bmi2", "+f16c", "+fma", "+lzcnt", "+movbe", "+popcnt"}
+"""Features that a processor needs for this code, as LLVM names them."""
 
 
 def compiled(function: Function) -> Function:
@@ -64,7 +77,7 @@ def force_inlined(function: Function) -> Function:
     intended overflow. References to arrays are not counted, which takes longer than many a function does, so the
     function neither allocates nor returns arrays.
     """
-    dispatcher = numba.njit(forceinline=True, _nrt=False, **_NUMBA_OPTIONS)(function)
+    dispatcher = numba.njit(**_NUMBA_OPTIONS, **_INLINED_OPTIONS)(function)
     if dispatcher is not function:  # NUMBA_DISABLE_JIT
         dispatcher.get_call_template = partial(_unliteral_template, dispatcher.get_call_template)
     return cast(Function, dispatcher)
@@ -118,7 +131,12 @@ class _Cache(FunctionCache):
         self._cache_file._source_stamp = None  # the version is compared before what may be of other types is unpickled
         try:
             rtsys.initialize(target)
-            return self._load_overload(signature, target)  # type: ignore[no-untyped-call]
+            overload = self._load_overload(signature, target)  # type: ignore[no-untyped-call]
+            if overload is None:
+                overload = self._load_shipped(signature, target)
+            if overload is None:
+                logging.getLogger("mixseq").debug("compiling %s", self._name)
+            return overload
         except OSError as error:
             self._disable(error)
         except _PICKLE_ERRORS:
@@ -128,6 +146,17 @@ class _Cache(FunctionCache):
             except OSError as error:
                 self._disable(error)
         return None
+
+    def _load_shipped(self, signature: Any, target: Any) -> Any:
+        """Return a function that the package brings compiled for `PORTABLE_CPU`, or None; its folder is only read."""
+        signature, (triple, _, features), hashes = self._index_key(signature, target.codegen())  # type: ignore[no-untyped-call]
+        if not set(features.split(",")) >= _PORTABLE_CPU_FEATURES:
+            return None
+        folder = Path(self._py_func.__code__.co_filename).parent / "__pycache__"
+        file = IndexDataCacheFile(str(folder), self._impl.filename_base, None)  # type: ignore[no-untyped-call]
+        file._version = self._cache_file._version
+        data = file.load((signature, (triple, PORTABLE_CPU, ""), hashes))  # type: ignore[no-untyped-call]
+        return None if data is None else self._impl.rebuild(target, data)
 
     @uninterrupted
     def save_overload(self, signature: Any, overload: Any) -> None:

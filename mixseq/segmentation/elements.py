@@ -57,9 +57,9 @@ class Rim:
     """Edges and faces near the boundaries of patches."""
 
     vertex_count: int  # number of vertices of the mesh
-    ends: Index  # (n, 2) vertices of the boundary edges
-    sides: Index  # (n, 2) faces at the boundary edges
-    edges: Index  # (m, 2) edges with at least one end on a boundary
+    ends: Int32  # (n, 2) vertices of the boundary edges
+    sides: Int32  # (n, 2) faces at the boundary edges
+    edges: Int32  # (m, 2) edges with at least one end on a boundary
     faces: Index  # (k,) faces with a corner on a boundary or one edge away
     corners: IntArray  # (k, 3) vertices of these faces
 
@@ -119,7 +119,7 @@ class Passes:
 
 
 @compiled
-def kruskal(ends: Index, heights: Float, bottoms: Float, areas: Float) -> tuple[Index, Float, Float]:
+def kruskal(ends: Int32, heights: Float, bottoms: Float, areas: Float) -> tuple[Index, Float, Float]:
     """Join nodes by edges ``(m, 2)`` in order of height; return tree edges with their areas and depths ``(k,)``."""
     parent = np.arange(len(areas))
     tree = np.empty(len(areas), dtype=np.int64)
@@ -161,7 +161,7 @@ def renumber_by_area(labels: NDArray[np.integer], areas: Float) -> Index:
     sums, used = np.bincount(labels, areas), np.flatnonzero(np.bincount(labels))
     rank = np.empty_like(first)
     rank[used[np.lexsort((first[used], -sums[used]))]] = np.arange(len(used))
-    return rank[labels]
+    return np.asarray(rank[labels])
 
 
 def check_part_count(parts: int | None, topology: Topology) -> None:

@@ -48,7 +48,7 @@ from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.segmentation.elements import check_part_count, face_areas, find_passes, sample_frames
-from mixseq.types import Float, FloatArray, Index, Mask, index_mask
+from mixseq.types import Float, FloatArray, Index, IntArray, Mask, index_mask
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
@@ -88,7 +88,7 @@ def vertex_strain(points: FloatArray, topology: Topology) -> Float:
     return np.where(lengths > 0.0, change / np.maximum(lengths, _SMALLEST_FLOAT), 0.0)
 
 
-def _sum_at_vertices(edges: Index, values: Float, count: int) -> Float:
+def _sum_at_vertices(edges: IntArray, values: Float, count: int) -> Float:
     """Sum the values ``(n,)`` of edges ``(n, 2)`` at their vertices ``(count,)``."""
     return np.asarray(np.bincount(edges.reshape(-1), np.repeat(values, 2), count), dtype=np.float64)
 

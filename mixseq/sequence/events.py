@@ -18,12 +18,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.choices import BetweenName
+from mixseq.errors import SettingsError
 from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.sequence.header import FileKeys, SequenceHeader
 from mixseq.sequence.sequence import FrameStore, iterate_blocks
@@ -78,6 +79,10 @@ MAX_KEY_PERIOD, MAX_PULLDOWN_PERIOD = 8, 12
 """Largest period, in frames, of baked keys and of single duplicates."""
 
 
+CutChoice = Literal["auto", "none"] | Sequence[int]
+"""Cuts of a sequence: found in its frames, none, or the first frames after them, counted from 0."""
+
+
 @dataclass(frozen=True)
 class Events:
     """Events of a motion; frames are counted from 0."""
@@ -128,6 +133,19 @@ class SequenceEvents:
         components = tuple((component, replace(events, **changes)) for component, events in self.components)
         return SequenceEvents(replace(self.whole, **changes), components)
 
+    def with_cuts(self, cuts: CutChoice, header: SequenceHeader) -> SequenceEvents:
+        """Return the events with chosen cuts instead of those found."""
+        if cuts == "auto":
+            return self
+        frames = [] if cuts == "none" else np.unique(np.asarray(cuts)).tolist()
+        for frame in frames:
+            if not (isinstance(frame, int) and 0 < frame < header.frame_count):
+                raise SettingsError(
+                    f"cuts has the frame {frame!r}; first frames after cuts are expected, whole numbers from 1 to "
+                    f"{header.frame_count - 1}"
+                )
+        return SequenceEvents(replace(self.whole, cuts=tuple(frame - 1 for frame in frames), pops=()))
+
     def describe(self, header: SequenceHeader, between: BetweenName) -> str:
         """Return the events in words, by frame number, and how to change the motion; empty without events."""
         whole = self.whole
@@ -158,6 +176,11 @@ class SequenceEvents:
         cure = "makes ones" if whole.poses else "rounds them" if whole.keys else ""
         cure = f": --between smooth {cure}" if cure and between == "auto" else ""
         return "; ".join(texts) + cure
+
+
+def describe_cuts(frames: Sequence[int], header: SequenceHeader) -> str:
+    """Return cuts before frames in words, as `SequenceEvents.describe`."""
+    return SequenceEvents(Events(cuts=tuple(frame - 1 for frame in frames))).describe(header, "smooth")
 
 
 def distinct_poses(frames: FrameStore, groups: Sequence[Events]) -> tuple[FrameStore, list[Events]]:
@@ -339,7 +362,7 @@ def _find(motion: _Motion, diagonal: float, cut_ratio: float) -> Events:
     cuts = set()
     if len(firsts) > 3:
         at = (motion.times[firsts] + motion.times[lasts]) / 2 if events.poses else motion.times[firsts]
-        poses = motion.points[firsts]
+        poses = motion.points if not is_equal.any() else motion.points[firsts]  # a copy is as large as the sequence
         floor = max(ROUNDING_UNITS * motion.unit, 2 * motion.noise)
         cuts = {int(lasts[k]) for k in _find_cuts(at, poses, diagonal, cut_ratio, floor)}
     if not events.poses:  # a still component that is moved once

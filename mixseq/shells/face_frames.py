@@ -159,8 +159,8 @@ class HingeFrames:
     """Hinges, expressed in the frames of their two faces."""
 
     faces: IntArray  # (m, 3) triangles
-    hinges: Index  # (h, 4) hinges a, b, c, d: edge ab, opposite vertices c and d
-    hinge_faces: Index  # (h, 2) the two faces of every hinge
+    hinges: IntArray  # (h, 4) hinges a, b, c, d: edge ab, opposite vertices c and d
+    hinge_faces: IntArray  # (h, 2) the two faces of every hinge
 
     @cached_property
     def _edge_corners(self) -> tuple[Index, Index]:
@@ -244,7 +244,7 @@ class FrameGraph(PickledWithoutCaches):
         return order, np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), link[used]
 
 
-def bridging_mask(count: int, pairs: Index, sound: Mask) -> Mask:
+def bridging_mask(count: int, pairs: IntArray, sound: Mask) -> Mask:
     """Mark sound pairs ``(h, 2)`` of `count` nodes, and a spanning forest of unsound pairs between sound components."""
     components = np.sort(connected_components(count, pairs[sound])[pairs], axis=1)
     separate = np.flatnonzero(components[:, 0] != components[:, 1])

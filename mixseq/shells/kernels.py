@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from mixseq.runtime.jit import compiled, inlined
-from mixseq.types import Float, Index, Mask
+from mixseq.types import Float, Index, Int32, Mask
 
 Vector = tuple[float, float, float]
 
@@ -142,7 +142,7 @@ def angle_misfit(
 
 
 @compiled
-def lengths_and_angles(x: Float, edges: Index, hinges: Index) -> tuple[Float, Float]:
+def lengths_and_angles(x: Float, edges: Int32, hinges: Int32) -> tuple[Float, Float]:
     """Return lengths ``(e,)`` in the unit of points ``(n, 3)``, and angles ``(h,)`` in radians."""
     lengths, angles = np.empty(len(edges)), np.empty(len(hinges))
     for k in range(len(edges)):
@@ -155,8 +155,8 @@ def lengths_and_angles(x: Float, edges: Index, hinges: Index) -> tuple[Float, Fl
 @compiled
 def shell_energy(
     x: Float,
-    edges: Index,
-    hinges: Index,
+    edges: Int32,
+    hinges: Int32,
     lengths: Float,
     targets: Float,
     length_weights: Float,
@@ -205,7 +205,7 @@ def _is_collapsed(p: Vector, q: Vector, normal: Vector, min_height_ratio: float)
 
 
 @compiled
-def hinge_nearness(x: Float, hinges: Index, targets: Float, min_height_ratio: float) -> tuple[Float, Mask]:
+def hinge_nearness(x: Float, hinges: Int32, targets: Float, min_height_ratio: float) -> tuple[Float, Mask]:
     """Return the squared cosines ``(H,)`` of half the angle errors of hinges: 1 without error, 0 at 180 degrees.
 
     Also mark the hinges ``(H,)`` of a triangle whose ratio of height to longest side is at most `min_height_ratio`.

@@ -19,6 +19,7 @@ from scipy import linalg
 
 from mixseq.choices import PoseForm
 from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.mesh.measures import element_blocks
 from mixseq.mesh.rotations import align_quat_signs
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray, new_large_array
@@ -171,7 +172,7 @@ class EncodedSequence:
     @cached_property
     def modes(self) -> Modes:
         """All principal components of the shapes, of every group."""
-        groups = self.space.group_coordinates(self.group_of_vertex)
+        groups = self.space.group_coordinates(self.group_of_vertex) if self.group_of_vertex.any() else None
         return principal_modes(self.shapes, self.space.shape_weights, groups)
 
     @cached_property
@@ -263,7 +264,9 @@ def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
         shapes = encoded.shapes[frames]
     if detail.step:  # weights add up to one, so that errors of the first key shape are not amplified
         steps = detail.step * encoded.space.rounding_step_ratios
-        shapes = _round(shapes[:1], steps) + _round(shapes - shapes[:1], steps)
+        for columns in element_blocks(len(steps), len(shapes)):
+            block, step = shapes[:, columns], steps[columns]
+            block[:] = _round(block[:1], step) + _round(block - block[:1], step)
     key_poses = shapes[:, encoded.pose_columns]
 
     def corrections(time: Curve, times: Float, targets: Float) -> Float:

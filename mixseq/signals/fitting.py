@@ -9,9 +9,9 @@ dihedral angles,
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import Literal, Unpack, cast
+from typing import Unpack, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,8 +24,7 @@ from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, StagedProgress, log_progress
 from mixseq.runtime.public import FileOr, HasFrames, public
-from mixseq.sequence.events import Events, SequenceEvents, distinct_poses, find_events
-from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.events import CutChoice, SequenceEvents, distinct_poses, find_events
 from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import (
     Frames,
@@ -59,7 +58,7 @@ from mixseq.spaces.making import SPACE_STAGES, MixedSettings, SpaceOptions, make
 from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
 from mixseq.spaces.temporal import FrameWeights
 from mixseq.spaces.temporal_pieces import Timing
-from mixseq.types import Float, FloatArray, Index, evenly_spaced
+from mixseq.types import Float, FloatArray, Int32, evenly_spaced
 
 MIN_VALIDATED_FRAMES = 4
 """Least number of frames of a sequence for cross-validation."""
@@ -123,12 +122,12 @@ def _interpolated_vectors(encoded: EncodedSequence, space: MixedSpace, weights: 
     return space.join(MixedBlocks(*blocks[:3], *poses, *body_poses, blocks.corrections))
 
 
-def _lengths_and_angles(elements: tuple[Index, Index], points: FloatArray) -> tuple[Float, Float]:
+def _lengths_and_angles(elements: tuple[Int32, Int32], points: FloatArray) -> tuple[Float, Float]:
     """Return lengths of edges and dihedral angles of hinges of points ``(V, 3)`` in diagonals."""
     return lengths_and_angles(np.ascontiguousarray(points, dtype=np.float64), *elements)
 
 
-def _rms_errors(elements: tuple[Index, Index], points: Iterable[Float], expected: list[tuple[Float, Float]]) -> Float:
+def _rms_errors(elements: tuple[Int32, Int32], points: Iterable[Float], expected: list[tuple[Float, Float]]) -> Float:
     """Return root mean square errors ``(2,)`` of relative lengths and of angles in frames ``(n, V, 3)``."""
     squares = np.zeros(2)
     for frame, (expected_lengths, expected_angles) in zip(points, expected, strict=True):
@@ -144,10 +143,6 @@ FIT_STAGES = 2 + SPACE_STAGES
 
 _SHELL_ACCURACY_RATIO = 10.0
 """Ratio of the tolerance of frames to the accuracy of fits to lengths and angles."""
-
-
-CutChoice = Literal["auto", "none"] | Sequence[int]
-"""Cuts of a sequence: found in its frames, none, or the first frames after them, counted from 0."""
 
 
 class FitOptions(SpaceOptions, total=False):
@@ -291,15 +286,15 @@ def fit(
     with one_blas_thread():
         frames = whole = load_frames(sequence, stages.at(0))
         found, keys = SequenceEvents(), frames.header.keys if knots is None else None
+        topology = Topology(frames.header.faces, frames.header.vertex_count)
         if knots is None:
-            topology = Topology(frames.header.faces, frames.header.vertex_count)
             found = find_events(frames.points, frames.header.times, topology)
             found = found.with_keys(keys) if keys else found
-            if cuts != "auto":
-                found = SequenceEvents(_with_cuts(found.whole, cuts, frames.header))
+            found = found.with_cuts(cuts, frames.header)
         groups, group_of_vertex = [found.whole], None
         if pose == "modes" and space in ("mixed", "vertex") and found.components:
             groups, group_of_vertex = found.group_components(topology.component_of_vertex)
+        del topology  # its tables are large
         if between == "smooth":
             frames, groups = distinct_poses(frames, groups)
         is_held = between == "auto" and bool(keys and keys.is_held)
@@ -325,18 +320,6 @@ def fit(
         if frames is not whole:
             header = replace(header, times=whole.header.times, provenance=as_edited(header.provenance))
         return replace(model, header=header)
-
-
-def _with_cuts(events: Events, cuts: Literal["none"] | Sequence[int], header: SequenceHeader) -> Events:
-    """Return events with chosen cuts instead of those found."""
-    frames = [] if cuts == "none" else np.unique(np.asarray(cuts)).tolist()
-    for frame in frames:
-        if not (isinstance(frame, int) and 0 < frame < header.frame_count):
-            raise SettingsError(
-                f"cuts has the frame {frame!r}; first frames after cuts are expected, whole numbers from 1 to "
-                f"{header.frame_count - 1}"
-            )
-    return replace(events, cuts=tuple(frame - 1 for frame in frames), pops=())
 
 
 def as_motion(source: Decodable | Frames, progress: Progress = log_progress) -> Decodable:

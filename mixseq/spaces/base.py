@@ -220,7 +220,7 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """Encode frames ``(T, V, 3)`` as vectors ``(T, D)``, each frame independently; see `unwrap`."""
 
     def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
-        """Make vectors ``(T, D)`` continuous in time, and with a previous vector ``(D,)``; by default unchanged."""
+        """Make vectors ``(T, D)`` continuous in time, in place, and with a previous ``(D,)``; by default unchanged."""
         return vectors
 
     @abstractmethod

@@ -22,59 +22,58 @@ from mixseq.runtime.lazy import cached_property
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, log_progress
 from mixseq.spaces.base import ShapeSpace, flatten_blocks, radii_of_gyration
-from mixseq.types import Float, FloatArray, Index
+from mixseq.types import Float, FloatArray, Index, IntArray
 
 
 @compiled
-def centre_parts(x: Float, vertex_ids: Index, ends: Index, shapes: Float) -> tuple[Float, Float, Float]:
-    """Return centred vertices ``(N, 3)`` of parts, centres ``(p, 3)``, and covariances with shapes ``(p, 3, 3)``."""
-    centred = np.empty((len(vertex_ids), 3))
+def measure_parts(x: Float, vertex_ids: Index, ends: Index, shapes: Float) -> tuple[Float, Float]:
+    """Return centres ``(p, 3)`` of parts with vertices ``(N,)``, and covariances ``(p, 3, 3)`` with their shapes."""
     centres, covariances = np.zeros((len(ends), 3)), np.zeros((len(ends), 3, 3))
     start = 0
     for part in range(len(ends)):
         for row in range(start, ends[part]):
             for i in range(3):
-                centred[row, i] = x[vertex_ids[row], i]
-                centres[part, i] += centred[row, i]
+                centres[part, i] += x[vertex_ids[row], i]
         for i in range(3):
             centres[part, i] /= ends[part] - start
         for row in range(start, ends[part]):
             for i in range(3):
-                centred[row, i] -= centres[part, i]
+                offset = x[vertex_ids[row], i] - centres[part, i]
                 for j in range(3):
-                    covariances[part, i, j] += centred[row, i] * shapes[row, j]
+                    covariances[part, i, j] += offset * shapes[row, j]
         start = ends[part]
-    return centred, centres, covariances
+    return centres, covariances
 
 
 @compiled
-def rotate_back(centred: Float, ends: Index, rotations: Float) -> Float:
-    """Return vertices ``(N, 3)`` rotated by the inverse rotations ``(p, 3, 3)`` of their parts."""
-    result = np.empty((len(centred), 3))
+def rotate_back(x: Float, vertex_ids: Index, ends: Index, centres: Float, rotations: Float) -> Float:
+    """Return vertices ``(N,)`` of parts, centred and rotated by the inverse rotations ``(p, 3, 3)``, as ``(N, 3)``."""
+    result = np.empty((len(vertex_ids), 3))
     start = 0
     for part in range(len(ends)):
-        r = rotations[part]
+        r, centre = rotations[part], centres[part]
         for row in range(start, ends[part]):
+            point = x[vertex_ids[row]]
+            a, b, c = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
             for i in range(3):
-                a, b, c = centred[row, 0], centred[row, 1], centred[row, 2]
                 result[row, i] = a * r[0, i] + b * r[1, i] + c * r[2, i]
         start = ends[part]
     return result
 
 
-def register_parts(shapes: Float, parts: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
-    """Register parts of a frame to mean shapes ``(N, 3)``; return aligned vertices, rotations and centres of parts."""
-    ends, vertex_ids = np.cumsum([len(part) for part in parts]), np.concatenate(parts)
-    points = np.ascontiguousarray(x, dtype=np.float64)
-    centred, centres, covariances = centre_parts(points, vertex_ids, ends, shapes)
-    squares = np.add.reduceat(np.square(shapes).sum(axis=1), np.append(0, ends[:-1]))
-    covariances[np.abs(covariances).max(axis=(1, 2)) <= MIN_PART_SCALE * squares] = 0.0  # rounding errors of a point
-    rotations = aligning_rotations(covariances)
-    return rotate_back(centred, ends, rotations), rotations, centres
+def register_parts(shapes: Float, parts: Sequence[Index], x: FloatArray) -> tuple[Float, Float]:
+    """Register parts of a frame to mean shapes ``(N, 3)``; return rotations and centres of parts."""
+    ends, points = np.cumsum([len(part) for part in parts]), np.ascontiguousarray(x, dtype=np.float64)
+    centres, covariances = measure_parts(points, np.concatenate(parts), ends, shapes)
+    return aligning_rotations(covariances), centres
 
 
-MIN_PART_SCALE = 1e-12
-"""Ratio of the size of a part to that of its mean shape below which it is a point, and is not turned."""
+def align_parts(shapes: Float, parts: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
+    """Register parts as `register_parts`; return their aligned vertices ``(N, 3)``, rotations and centres."""
+    rotations, centres = register_parts(shapes, parts, x)
+    ends, points = np.cumsum([len(part) for part in parts]), np.ascontiguousarray(x, dtype=np.float64)
+    return rotate_back(points, np.concatenate(parts), ends, centres, rotations), rotations, centres
+
 
 MIN_WIDTH_RATIO = 1e-3
 """Least ratio of width to length of a piece; narrower pieces are lines."""
@@ -121,7 +120,7 @@ class Pieces:
         """Piece ``(N,)`` of every row."""
         return np.repeat(np.arange(len(self)), [len(each) for each in self.vertices])
 
-    def find_rows(self, pieces: Index, vertices: Index) -> Index:
+    def find_rows(self, pieces: Index, vertices: IntArray) -> Index:
         """Return the rows of vertices in pieces; arrays broadcast."""
         count = int(self.vertex_of_row.max(initial=-1)) + 1
         # Rows ascend by piece, then by vertex.
@@ -179,8 +178,8 @@ class Pieces:
 
     def _register(self, vertex_ids: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
         """Register pieces twice, because the first registration of lines is approximate."""
-        aligned, rotations, centres = register_parts(self.registration_shapes, vertex_ids, x)
-        aligned, refinement, _ = register_parts(self.registration_shapes, self._rows_of_pieces, aligned)
+        aligned, rotations, centres = align_parts(self.registration_shapes, vertex_ids, x)
+        aligned, refinement, _ = align_parts(self.registration_shapes, self._rows_of_pieces, aligned)
         return aligned, rotations @ refinement, centres
 
     def _mean_rows(self, rows: Float) -> Float:

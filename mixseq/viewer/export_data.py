@@ -241,6 +241,7 @@ def encode_mesh(
         "name": item.mesh.name,
         "coding": container.text.decode("ascii"),
         "times": None if has_frame_times else np.round(elapsed, 9).tolist(),
+        "cuts": compressed.between.cuts if compressed.between else (),
         "start": float(header.times[0]),
         "fps": header.fps,
         "centre": to_y_up(np.array(parameters.origin or NO_ORIGIN), header.up_axis).tolist(),

@@ -120,10 +120,10 @@ def _mutate_stream(rng: Random, coding: Coding) -> str:
     stream, packed = coding.streams[number], False
     if stream[:2] == b"\x78\xda":  # zlib
         stream, packed = zlib.decompress(stream), True
-    at, size = rng.randrange(len(stream)), rng.choice([1, 4, 16, 100])
+    at, size = rng.randrange(len(stream) or 1), rng.choice([1, 4, 16, 100])
     changed = rng.choice(
         [
-            stream[:at] + bytes([stream[at] ^ 1 << rng.randrange(8)]) + stream[at + 1 :],
+            stream[:at] + bytes(byte ^ 1 << rng.randrange(8) for byte in stream[at : at + 1]) + stream[at + 1 :],
             stream[:at] + rng.randbytes(size) + stream[at + size :],
             stream[:at],
             stream + rng.randbytes(size),

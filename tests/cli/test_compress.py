@@ -110,6 +110,16 @@ def test_encode_to_an_error_and_check(run: Run) -> None:
     assert re.match(r"diagonals \(\S+ mm\), in frame ", rest)
 
 
+@pytest.mark.parametrize("target", ["shot.h5", "shot.glb"])
+def test_cuts_are_kept_and_listed(run: Run, target: str) -> None:
+    walk = bar(5, 13, 12)
+    mixseq.write("shot.npz", walk.with_points(walk.points + 9.0 * (np.arange(12) > 6)[:, None, None]))
+    for options, text in (("", "cut between 6 and 7"), ("--cuts 3,9", "cut between 2 and 3; 8 and 9")):
+        arguments = f"encode shot.npz {target} --max-error 1e-3 --no-inbetweens --overwrite {options}"
+        assert rows(succeed(run(*arguments.split())))["motion"] == text
+        assert rows(succeed(run("info", target)))["motion"] == text
+
+
 def test_encode_to_a_kg_error(run: Run) -> None:
     succeed(run("encode", "bar.npz", "new.h5", "--kg", "0.5"))
     assert mixseq.verify("new.h5", mixseq.read("bar.npz")).kg_percent == pytest.approx(0.5, rel=0.2)

@@ -86,6 +86,7 @@ def test_quads_in_one_array(path: Path) -> None:
         ({"fps": [24, 25]}, FormatError, "cannot be read as an npz file"),
         ({"times": np.array([None] * 4)}, FormatError, "cannot be read as an npz file"),
         ({"up_axis": "W"}, InvalidSequenceError, "up axis is 'W'"),
+        ({"up_axis": np.full(1, 0x110000, "<u4").view("<U1")}, FormatError, "up_axis has characters that do not exist"),
     ],
 )
 def test_arrays_that_are_no_sequence(path: Path, arrays: dict[str, Any], error: type[Exception], message: str) -> None:

@@ -92,7 +92,7 @@ def test_a_bump_keeps_its_shape_in_the_frame_of_its_part(kind: str, error: float
 def turn_of(model: Model, part: int, time: float) -> Float:
     """How the part is turned: the rotation from its mean shape."""
     space = model.mixed
-    rotation: Float = register_parts(space.shapes, space.decomposition.parts, model(time) / space.scale)[1][part]
+    rotation: Float = register_parts(space.shapes, space.decomposition.parts, model(time) / space.scale)[0][part]
     return rotation
 
 

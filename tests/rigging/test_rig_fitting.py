@@ -197,6 +197,13 @@ def test_progress_is_told() -> None:
     assert all(done <= total for done, total in told)
 
 
+def test_progress_of_a_search_names_the_number_of_bones() -> None:
+    told: list[tuple[int, int, str]] = []
+    skin = fit_skin(bar(), max_error=1e-2, progress=lambda done, total, what: told.append((done, total, what)))
+    assert all(done <= total and what.startswith("searching") for done, total, what in told)
+    assert f"searching for the fewest bones, fitting {skin.bone_count}" in {what for _, _, what in told}
+
+
 @pytest.mark.parametrize("bones", [0, -1, 10**6])
 def test_numbers_of_bones_that_cannot_be_are_refused(bones: int) -> None:
     with pytest.raises(SettingsError, match=f"bones is {bones}; a number from 1 to"):

@@ -207,19 +207,21 @@ def scheduler() -> Iterator[tuple[str, subprocess.Popen[str]]]:
 
 @pytest.mark.parametrize("way", ["in order", "as done"])
 def test_the_scheduler_dies(way: str, scheduler: tuple[str, subprocess.Popen[str]]) -> None:
+    """Further calls do not wait for it."""
     address, process = scheduler
-    with (
-        pytest.raises(ClusterError, match="the connection to the scheduler of the cluster was lost"),
-        connect_to_cluster(address) as workers,
-    ):
-        results = (
-            workers(slept, None, [0.1] * 100) if way == "in order" else workers.as_completed(slept, None, [0.1] * 100)
-        )
-        for number, each in enumerate(results):
-            if callable(result := each[1] if isinstance(each, tuple) else None):
-                result()
-            if number == 2:
-                process.kill()
+    lost = "the connection to the scheduler of the cluster was lost"
+    with connect_to_cluster(address) as workers:
+        call = workers if way == "in order" else workers.as_completed
+        with pytest.raises(ClusterError, match=lost):
+            for number, each in enumerate(call(slept, None, [0.1] * 100)):
+                if callable(result := each[1] if isinstance(each, tuple) else None):
+                    result()
+                if number == 2:
+                    process.kill()
+        start = time.monotonic()
+        with pytest.raises(ClusterError, match=lost):
+            list(call(slept, None, [0.1]))
+        assert time.monotonic() - start < 5
 
 
 def test_nothing_is_left(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

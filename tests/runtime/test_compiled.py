@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import errno
 import importlib
+import logging
 import os
 import pickle
+import platform
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -145,6 +148,35 @@ def test_a_change_of_a_called_function_is_compiled_and_its_old_index_is_not_read
         with monkeypatch.context() as patched:
             patched.setattr(sys, "dont_write_bytecode", True)
             assert double(kept)(3) == result
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="a wheel brings functions for x86-64 only")
+def test_what_a_wheel_brings_is_loaded_where_the_processor_can_run_it(
+    kept: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    settings = {"NUMBA_CPU_NAME": jit.PORTABLE_CPU, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(kept / "built")}
+    code = "import sys\nsys.path.append('.')\nimport doubling\nprint(doubling.double(3))"
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=kept, env=os.environ | settings, capture_output=True, check=True
+    )
+    assert run.stdout.strip() == b"6"
+    monkeypatch.syspath_prepend(kept)  # what is kept names its module
+    monkeypatch.delitem(sys.modules, "doubling", raising=False)
+    brought = kept / "__pycache__"
+    brought.mkdir(exist_ok=True)
+    for file in (kept / "built").rglob("*.nb?"):
+        file.rename(brought / file.name)
+    caplog.set_level(logging.DEBUG, logger="mixseq")
+    function = double(kept)
+    assert function(3) == 6
+    assert loaded(function) == 1
+    assert not caplog.messages
+    assert not list((kept / "kept").rglob("*.nbi"))  # nothing had to be kept
+    monkeypatch.setattr(jit, "_PORTABLE_CPU_FEATURES", {"+avx2", "+of another processor"})
+    function = double(kept)
+    assert function(3) == 6
+    assert loaded(function) == 0
+    assert ["compiling" in message and "double" in message for message in caplog.messages] == [True]
 
 
 CALLING = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import subprocess
@@ -12,17 +13,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import h5py
+import numpy as np
 import pytest
 
 from mixseq.runtime import interrupts
 from mixseq.runtime.interrupts import (
     acknowledge_signal,
     deferred_signals,
+    raise_pending_signal,
     signals_as_exceptions,
     uninterrupted,
 )
 from mixseq_io import files as temporary
 from mixseq_io.files import atomic_file, atomic_files
+from mixseq_io.hdf5.datasets import DeferredErrorFile
 
 PATIENCE = 60.0  # seconds
 
@@ -83,6 +88,40 @@ def test_what_is_unbroken_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None
     with pytest.raises(KeyboardInterrupt), signals_as_exceptions():
         work()
     assert done == ["called"]
+
+
+def test_what_is_unbroken_is_never_broken(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """On a busy disk HDF5 writes longer than any number of signals, and fails if one is raised in what it calls."""
+    monkeypatch.setattr(interrupts, "_MAX_RETRIES", 0)
+    monkeypatch.setattr(interrupts, "_RETRY_SECONDS", PATIENCE)
+    raised: list[str] = []
+
+    class Raw(io.FileIO):
+        def truncate(self, size: int | None = None) -> int:
+            raised.append("truncate")
+            send()
+            return super().truncate(size)
+
+        def tell(self) -> int:
+            raised.append("tell")
+            send()
+            return super().tell()
+
+        def seek(self, offset: int, whence: int = 0) -> int:
+            raised.append("seek")
+            send()
+            return super().seek(offset, whence)
+
+    def work() -> None:
+        with Raw(tmp_path / "a.h5", "w+") as raw, h5py.File(DeferredErrorFile(raw), "w") as file:
+            file["numbers"] = np.arange(10)
+        raise_pending_signal()
+
+    with pytest.raises(KeyboardInterrupt), signals_as_exceptions():
+        work()
+    assert {"truncate", "seek"} <= set(raised)
+    with h5py.File(tmp_path / "a.h5") as file:
+        np.testing.assert_array_equal(file["numbers"], np.arange(10))
 
 
 def test_an_import_without_end_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

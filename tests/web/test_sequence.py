@@ -94,6 +94,14 @@ def test_inbetweens(node: Node, tmp_path: Path, name: str, levels: int, of_parts
     plays_as_in_python(node, tmp_path, coded)
 
 
+@pytest.mark.parametrize(("name", "cuts"), [("shapes", (7,)), ("shapes", (1, 2, 19)), ("long", (60, 100, 140))])
+@pytest.mark.parametrize("levels", [0, 2])
+def test_cuts(node: Node, tmp_path: Path, name: str, cuts: tuple[int, ...], levels: int) -> None:
+    """Also of single frames, at both ends, and between chunks."""
+    coded = replace(stored(name)[0], between=TemporalInterpolation(2.0, (0.2, 0.9), cuts))
+    plays_as_in_python(node, tmp_path, with_random_inbetweens(coded, levels) if levels else coded)
+
+
 def test_golden_file(node: Node, tmp_path: Path) -> None:
     path = Path(__file__).parents[1] / "formats/golden/compressed-v1-uvs.h5"
     model = mixseq.load(path)

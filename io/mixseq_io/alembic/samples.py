@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import FormatError, MissingExtraError
-from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.rotations import matrix_to_rotvec, rotvec_to_matrix
 from mixseq.types import Float, FloatArray, Single
 
@@ -227,6 +226,8 @@ def determinant(matrix: Float) -> float:
 
 def interpolate_matrices(first: Float, second: Float, weight: float) -> Float:
     """Interpolate affine matrices ``(4, 4)`` by translation, stretch and rotation."""
+    from mixseq.mesh.rigid import nearest_rotations
+
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         return np.full((4, 4), np.nan)  # the reader reports the frame and the vertex
     blend = (1 - weight) * first + weight * second

@@ -79,5 +79,6 @@ def facts_json(coded: CompressedSequence) -> bytes:
         facts["order"] = coded.order
     if coded.between is not None:
         length, cubic = coded.between.length, coded.between.cubic
-        facts["between"] = {"length": None if length == inf else length, "cubic": cubic}
+        cuts = {"cuts": coded.between.cuts} if coded.between.cuts else {}
+        facts["between"] = {"length": None if length == inf else length, "cubic": cubic, **cuts}
     return json.dumps(facts, separators=(",", ":")).encode("ascii")

@@ -44,6 +44,7 @@ from mixseq.compression.compressed_model import CompressedModel
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import DEFAULT_COLOUR, CornerValues, Surface
+from mixseq.sequence.events import describe_cuts
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
 from mixseq.types import Float, Index
@@ -405,9 +406,13 @@ def read_sequence(path: Path, container: Container) -> CompressedSequence:
     order: OrderName = facts.get("order", "keep")
     if order not in ORDERS:
         raise FormatError(f"{path}: the order {order!r} is unknown to this mixseq; upgrade it")
-    header = replace(header, provenance=_provenance(path, facts, parameters, order))
+    between = _between(path, facts)
+    provenance = _provenance(path, facts, parameters, order)
+    header = replace(
+        header, provenance=replace(provenance, events=describe_cuts(between.cuts if between else (), header))
+    )
     parts = _face_labels(path, facts["coding"].get(LABEL_COUNT), header_data.get("labels", b""), header)
-    return CompressedSequence(header, parameters, basis, chunks, order, _between(path, facts), parts)
+    return CompressedSequence(header, parameters, basis, chunks, order, between, parts)
 
 
 def _face_labels(path: Path, count: object, data: bytes, header: SequenceHeader) -> Index | None:
@@ -458,14 +463,17 @@ def _between(path: Path, facts: Mapping[str, Any]) -> TemporalInterpolation | No
     between = facts.get("between")
     if between is None:
         return None
-    if not (isinstance(between, dict) and set(between) == {"length", "cubic"}):
-        raise FormatError(f"{path}: between is {between!r}; length and cubic are expected; it is damaged")
-    length, cubic = between["length"], between["cubic"]
-    cubic = tuple(cubic) if isinstance(cubic, list) else cubic
+    if not (isinstance(between, dict) and set(between) in ({"length", "cubic"}, {"length", "cubic", "cuts"})):
+        raise FormatError(f"{path}: between is {between!r}; length, cubic and cuts are expected; it is damaged")
+    length, (cubic, cuts) = between["length"], (between["cubic"], between.get("cuts", []))
+    cubic, cuts = (tuple(value) if isinstance(value, list) else value for value in (cubic, cuts))
     try:
-        return TemporalInterpolation(inf if length is None else length, cubic)
+        interpolation = TemporalInterpolation(inf if length is None else length, cubic, cuts)
     except SettingsError as error:
         raise FormatError(f"{path}: between: {error}; it is damaged") from error
+    if cuts and cuts[-1] >= facts["frame_count"]:
+        raise FormatError(f"{path}: between: a cut is before frame {cuts[-1]} of {facts['frame_count']}; it is damaged")
+    return interpolation
 
 
 _ELEMENTS = ("vertex", "polygon", "corner", "frame")

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdShade, UsdSkel
-from scipy.sparse import csr_array
 
 from mixseq.errors import FormatError, InvalidSequenceError, NoMeshError
 from mixseq.mesh.surface import FaceSet, Origin
@@ -327,6 +326,8 @@ def _read_skinning(animated: AnimatedMesh) -> Skinning:
     skin = animated.skin
     if skin is None or not skin.has_joints:
         return Skinning.rigid(str(animated.mesh.GetPath()), animated.vertex_count)
+    from scipy.sparse import csr_array
+
     names = [str(each) for each in skin.query.GetJointOrder() or skin.skeleton.query.GetJointOrder()]
     point_count, vertex_count = animated.point_count, animated.vertex_count
     influences = skin.query.ComputeVaryingJointInfluences(point_count, Usd.TimeCode(animated.start))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from math import inf
 from typing import Any, get_args
 
@@ -20,6 +21,7 @@ from mixseq.compression.bitstream.corner_values import MAX_COORDINATE
 from mixseq.compression.bitstream.residual_layer import CodedResidualLayer
 from mixseq.compression.bitstream.signal_graph import SignalGraph, mesh_graph
 from mixseq.compression.bitstream.spatial_basis import (
+    MAX_NORM,
     MAX_PARTS,
     BasisKind,
     SpatialBasis,
@@ -152,6 +154,8 @@ class TemporalInterpolation:
     length: float  # length of the covariance, in mean steps between frames: from 0.5 to 64, or infinite
     # Weights of the usual cubic spline in the first and the last interval between frames, from 0 to 1.
     cubic: tuple[float, float]
+    # First frames after cuts, increasing. The frames between two cuts are interpolated by themselves.
+    cuts: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         length, cubic, least, most = self.length, self.cubic, MIN_COVARIANCE_LENGTH, MAX_COVARIANCE_LENGTH
@@ -160,6 +164,9 @@ class TemporalInterpolation:
         is_pair = isinstance(cubic, tuple) and len(cubic) == 2
         if not (is_pair and all(_is_number(value) and 0 <= value <= 1 for value in cubic)):
             raise SettingsError(f"cubic is {cubic!r}; two numbers from 0 to 1 are expected")
+        are_frames = isinstance(self.cuts, tuple) and all(type(frame) is int for frame in self.cuts)
+        if not (are_frames and all(a < b for a, b in pairwise((0, *self.cuts)))):
+            raise SettingsError(f"cuts is {self.cuts!r}; increasing numbers of frames from 1 on are expected")
 
 
 def _is_number(value: object) -> bool:
@@ -223,7 +230,10 @@ class CompressedSequence(PickledWithoutCaches):
 
 @dataclass(frozen=True, eq=False)
 class Playback(Decodable, PickledWithoutCaches):
-    """A compressed sequence as players in browsers show it: cubic splines of vertex positions through in-betweens."""
+    """A compressed sequence as players in browsers show it: cubic splines of vertex positions through in-betweens.
+
+    Frames between two cuts have a spline of their own, which goes on straight until half-way to the next frame.
+    """
 
     header: SequenceHeader  # mesh and times
     basis: SpatialBasis  # spatial basis of K varying vectors
@@ -242,34 +252,67 @@ class Playback(Decodable, PickledWithoutCaches):
         return self.parts_basis or self.basis
 
     @cached_property
-    def curve(self) -> Curve:
-        """The coefficients over time, K d coordinates, and those of `parts_basis`."""
-        times = insert_midpoints(self.header.times)
-        operator = TemporalOperator(self.header.times, self.between.length, self.between.cubic)
-        values = operator.weights_at(times).interpolate(self.coefficients.reshape(len(self.coefficients), -1))
-        if self.parts_basis is not None:
-            values = np.pad(values, ((0, 0), (0, 3 * len(self.parts_basis.part_ids))))
+    def sections(self) -> tuple[Curve, ...]:
+        """The coefficients over time between two cuts, K d coordinates, and those of `parts_basis`."""
+        bounds = (0, *self.between.cuts, len(self.coefficients))
+        return tuple(self._section(first, end) for first, end in pairwise(bounds))
+
+    def _section(self, first: int, end: int) -> Curve:
+        times = insert_midpoints(self.header.times[first:end])
+        operator = TemporalOperator(times[::2], self.between.length, self.between.cubic)
+        values = operator.weights_at(times).interpolate(self._rows(first, end))
         for level, offsets in enumerate(self.inbetweens):
             if level:
                 finer = insert_midpoints(times)
                 times, values = finer, Curve(times, values)(finer)
-            values[1::2, -offsets[0].size :] += offsets.reshape(len(offsets), -1)
+            own = offsets[first << level : (end - 1) << level]
+            values[1::2, -offsets[0].size :] += own.reshape(len(own), offsets[0].size)
         return Curve(times, values)
 
+    def _rows(self, first: int, end: int) -> Float:
+        """Return the coordinates of frames from `first` to before `end`."""
+        rows = self.coefficients[first:end].reshape(end - first, -1)
+        return rows if self.parts_basis is None else np.pad(rows, ((0, 0), (0, 3 * len(self.parts_basis.part_ids))))
+
+    @cached_property
+    def _edges(self) -> Float:
+        """Times half-way between the frames beside cuts, at which the next section begins."""
+        times, after = self.header.times, np.array(self.between.cuts, dtype=np.int64)
+        return np.asarray(times[after - 1] + 0.5 * (times[after] - times[after - 1]))
+
+    def _coordinates(self, times: Float, order: int) -> Float:
+        """Return the coordinates, or their derivatives, at times ``(N,)``."""
+        section_ids = np.searchsorted(self._edges, times, side="right")
+        result = np.empty((len(times), self.sections[0].dim))
+        for number in np.unique(section_ids):
+            mask, curve = section_ids == number, self.sections[number]
+            own = np.clip(times[mask], curve.start, curve.end)
+            values = curve.derivative(own) if order else curve(own)
+            beyond = times[mask] - own
+            first, end = (0, *self.between.cuts, len(self.coefficients))[number : number + 2]
+            for outside, at in ((beyond < 0, first), (beyond > 0, max(end - 2, first))):
+                if outside.any():
+                    ends = slice(at, min(at + 2, end))
+                    change = np.diff(self._rows(ends.start, ends.stop), axis=0).sum(axis=0)
+                    slope = change / (np.diff(self.header.times[ends]).sum() or 1.0)
+                    values[outside] = slope if order else values[outside] + beyond[outside, None] * slope
+            result[mask] = values
+        return result
+
     def prepare(self, times: Float, velocities: bool, progress: Progress) -> None:
-        """Make the curve, before threads use it."""
-        _ = self.curve
+        """Make the curves, before threads use them."""
+        _ = self.sections
 
     def decode_points(self, times: Float) -> Float:
         """Implement `Decodable.decode_points`."""
-        points = self._decode_coefficients(self.curve(times))
+        points = self._decode_coefficients(self._coordinates(times, 0))
         if self.residual_layer is not None:
             points += self.residual_layer.at(times)
         return points + self.origin if self.origin else points
 
     def decode_moving(self, times: Float) -> tuple[Float, Float]:
         """Implement `Decodable.decode_moving`."""
-        rates = self.curve.derivative(times)
+        rates = self._coordinates(times, 1)
         velocities = self._decode_coefficients(rates) - self._decode_coefficients(0 * rates)  # without the mean shape
         if self.residual_layer is not None:
             velocities += self.residual_layer.rates(times)
@@ -287,8 +330,8 @@ class Playback(Decodable, PickledWithoutCaches):
         return points
 
 
-def decode(coded: CompressedSequence) -> Playback:
-    """Decode the streams of a compressed sequence."""
+def decode(coded: CompressedSequence, cuts: tuple[int, ...] = ()) -> Playback:
+    """Decode the streams of a compressed sequence, and choose its interpolation between `cuts` if it has none."""
     header = coded.header
     graph = mesh_graph(header.faces, header.vertex_count)
     # Damaged files may have numbers that are not finite.
@@ -308,8 +351,10 @@ def decode(coded: CompressedSequence) -> Playback:
     between = coded.between
     if between is None:
         displacements = coefficients * basis.norms[basis.varying, None]
-        operator = select_operator(header.times, displacements.reshape(len(displacements), -1))
-        between = TemporalInterpolation(operator.length_scale, operator.cubic_shares)
+        first, end = max(pairwise((0, *cuts, len(displacements))), key=lambda bounds: bounds[1] - bounds[0])
+        longest = displacements[first:end]
+        operator = select_operator(header.times[first:end], longest.reshape(len(longest), -1))
+        between = TemporalInterpolation(operator.length_scale, operator.cubic_shares, cuts)
     origin = coded.parameters.origin
     return Playback(header, basis, coefficients, between, residual_layer, inbetweens, origin, parts_basis)
 
@@ -338,7 +383,10 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
         raise FormatError(f"the spatial basis is damaged, it has {count} groups of {expected}; {DAMAGE_CURE}")
     coordinates, step = 1 if parameters.factors == "trajectories" else 3, parameters.step
     vectors, vertices = read_basis(coded.basis, ranks, coordinates, step, coded.header.faces, graph)
-    return assemble_basis(parameters.factors, vectors, vertices, parameters.frame_count)
+    basis = assemble_basis(parameters.factors, vectors, vertices, parameters.frame_count)
+    if not basis.norms.max(initial=0.0) < MAX_NORM:
+        raise FormatError(f"the parameters are damaged, basis vectors are beyond single precision; {DAMAGE_CURE}")
+    return basis
 
 
 def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialBasis) -> Float:

@@ -253,6 +253,10 @@ class SpatialBasis:
         return frames
 
 
+MAX_NORM = 2.0**127
+"""Limit on norms of basis vectors, as players compute in single precision."""
+
+
 def group_slices(rank: int) -> list[slice]:
     """Return the slice of a part's basis vectors in every group: 12, 24, 48, ... vectors."""
     ends, size = [0], FIRST_GROUP_SIZE

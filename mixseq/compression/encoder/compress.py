@@ -33,6 +33,7 @@ from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress, StagedProgress, log_progress
 from mixseq.runtime.public import FileOr, HasFrames, public
+from mixseq.sequence.events import CutChoice, describe_cuts, find_events
 from mixseq.sequence.sequence import (
     Frames,
     FrameStore,
@@ -63,6 +64,7 @@ def compress(
     parts: int | ArrayLike | None = None,
     inbetweens: bool = True,
     between_frames: bool = False,
+    cuts: CutChoice = "auto",
 ) -> CompressedSequence:
     """Compress a sequence.
 
@@ -102,6 +104,8 @@ def compress(
     between_frames : bool
         Whether `max_error` also bounds the distance of players from the fitted model between frames, at the quarters
         of a frame, at in-betweens and at the middles between these. In-betweens take as many bytes as this needs.
+    cuts : {"auto", "none"} or sequence of int
+        Cuts, where the motion jumps half-way between two frames: found (default), none, or the first frames after them.
 
     Returns
     -------
@@ -152,13 +156,18 @@ def compress(
             size -= len(encode_face_labels(labels, header.faces))
         coded = _search_streams(frames, stages, chunk, unit, max_error, kg, size)
         stages.at(1 + MAX_ROUNDS)(0, 1, "checking")
-        playback = decode(coded)
+        events = find_events(frames.points, header.times, Topology(header.faces, header.vertex_count))
+        whole = events.with_cuts(cuts, header).whole
+        playback = decode(coded, tuple(k + 1 for k in sorted({*whole.cuts, *whole.pops})))
         parameters = _measure_errors(frames, playback, coded.parameters, max_error, kg)
         coded = replace(coded, parameters=parameters, between=playback.between, order=numbering.order, parts=labels)
         if inbetweens:
             coded = add_inbetweens(coded, playback, size, between_frames, stages.at(2 + MAX_ROUNDS))
     parameters = coded.parameters
-    header = replace(header, provenance=frames.trace(parameters.max_error, parameters.promised, coded.order).provenance)
+    provenance = frames.trace(parameters.max_error, parameters.promised, coded.order).provenance
+    if provenance and coded.between:
+        provenance = replace(provenance, events=describe_cuts(coded.between.cuts, header))
+    header = replace(header, provenance=provenance)
     if uv_steps is not None:
         parameters = replace(parameters, uv_steps=uv_steps, uv_error=float(uv_error))
     return replace(coded, header=header, parameters=parameters)

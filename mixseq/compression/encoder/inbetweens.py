@@ -147,6 +147,8 @@ def _add_levels(
         if is_within or level == MAX_INBETWEEN_LEVELS or not basis.coefficient_shape[0]:
             break
         offsets = _project(playback, times, points)
+        for frame in playback.between.cuts:  # the splines end there
+            offsets[(frame - 1) << level : frame << level] = 0.0
         if not level:
             least = _distances(_with_level(playback, offsets), times, points)[1]
             step = max(parameters.step, float(np.sqrt(12 * ROUNDING_RATIO * least / offsets.size)))

@@ -24,6 +24,7 @@ from mixseq.compression.bitstream.residual_layer import write_residuals
 from mixseq.compression.bitstream.signal_coder import Signal, SignalCoder, Writer, new_number_models
 from mixseq.compression.bitstream.signal_graph import SignalGraph, path_graph
 from mixseq.compression.bitstream.spatial_basis import (
+    MAX_NORM,
     Part,
     SpatialBasis,
     assemble_basis,
@@ -32,6 +33,7 @@ from mixseq.compression.bitstream.spatial_basis import (
     write_labels,
 )
 from mixseq.compression.encoder.components import PartComponents, PrincipalComponents
+from mixseq.errors import InvalidSequenceError
 from mixseq.runtime.parallel import thread_executor, two_thread_executor
 from mixseq.sequence.sequence import FrameStore, block_size, iterate_blocks
 from mixseq.types import Float, Index
@@ -237,6 +239,11 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int
     vectors = [part.vectors for part in rounded]
     vertices = [components.part.vertices for components in candidate.parts]
     basis = assemble_basis(candidate.components.kind, vectors, vertices, len(sequence.points))
+    if not basis.norms.max(initial=0.0) < MAX_NORM:
+        raise InvalidSequenceError(
+            f"{sequence.header.name!r}: the mesh is {sequence.diagonal:.3g} units across, and players of compressed "
+            "models compute in single precision; scale the sequence, in the program it comes from"
+        )
     fits = [part.fit(part_basis) for part, part_basis in zip(candidate.parts, basis.part_bases, strict=True)]
     scales, part_ids = basis.norms[basis.varying], basis.part_ids[basis.varying]
     # Vectors over the whole mesh are longer; coefficients are rounded as accurately as for those.

@@ -22,6 +22,7 @@ from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.progress import Progress, log_progress
 from mixseq.segmentation.joints import Decomposition, sample_frame_ids
 from mixseq.sequence.sequence import iterate_blocks, reference_diagonal
+from mixseq.spaces.mixed.articulation import PartPoses
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
 from mixseq.spaces.mixed.skinning_weights import fit_skinning_weights
 from mixseq.types import Float, FloatArray, Mask, evenly_spaced, index_mask
@@ -107,8 +108,7 @@ def mixed_space(
     )
     if purpose == "blends":
         base = base.with_weights(projection=Projection(relations=FAR_RELATIONS))
-    poses = base.split(base.encode(frames)).part_poses
-    base = base.with_weights(steadiness=base.articulation.measure_steadiness(poses))
+    base = base.with_weights(steadiness=base.articulation.measure_steadiness(_encode_poses(base, frames)))
     progress(2, 2, "registering parts")
     pairs = _all_pairs(frames) if purpose == "blends" else _neighbour_pairs(points)
     errors = midpoint_errors(base, pairs, *ERROR_LIMITS["free" if placement == "free" else purpose])
@@ -132,8 +132,21 @@ def mixed_space(
 
 
 def _round_positions(x: Float) -> Float:
-    """Round positions in diagonals to `REFERENCE_STEP`, to save bytes."""
-    return np.asarray(np.round(x / REFERENCE_STEP) * REFERENCE_STEP)
+    """Round positions in diagonals to `REFERENCE_STEP`, in place, to save bytes."""
+    x /= REFERENCE_STEP
+    np.round(x, out=x)
+    x *= REFERENCE_STEP
+    return x
+
+
+def _encode_poses(space: MixedSpace, frames: FloatArray) -> PartPoses:
+    """Encode frames ``(S, V, 3)`` in blocks, and return their part poses and relations."""
+    poses, previous = [], None
+    for block in iterate_blocks(frames):
+        vectors = space.encode(block, previous)
+        poses.append([np.array(each) for each in space.split(vectors).part_poses])
+        previous = vectors[-1]
+    return PartPoses(*map(np.concatenate, zip(*poses, strict=True)))
 
 
 def _limit_joint_faces(space: MixedSpace, errors: Float) -> Mask:
@@ -193,7 +206,9 @@ def midpoint_errors(space: MixedSpace, pairs: Iterable[FloatArray], stretch: flo
     errors = np.zeros(len(topology.faces))
     for pair in pairs:
         midpoint = _skinned_midpoint(space, pair)
-        edge_errors = _length_errors(midpoint, pair, topology.edges) / stretch
+        blocks = element_blocks(len(topology.edges))
+        edge_errors = np.concatenate([_length_errors(midpoint, pair, topology.edges[block]) for block in blocks])
+        edge_errors /= stretch
         for side in topology.face_edges.T:
             np.maximum(errors, edge_errors[side], out=errors)
         for block in element_blocks(len(topology.hinge_faces)):

@@ -338,11 +338,15 @@ class JointProjection(PickledWithoutCaches):
     @cached_property
     def edge_ids(self) -> Index:
         """Edges ``(E',)`` with a target length: the edges of joint faces, ascending."""
+        if not self.joint_faces.any():  # needs no tables of edges
+            return np.zeros(0, dtype=np.int64)
         return np.unique(self.topology.face_edges[self.joint_faces]).astype(np.int64)
 
     @cached_property
     def hinge_ids(self) -> Index:
         """Hinges ``(H',)`` with a target angle: the hinges of joint faces, ascending."""
+        if not self.joint_faces.any():
+            return np.zeros(0, dtype=np.int64)
         return np.flatnonzero(self.joint_faces[self.topology.hinge_faces].any(axis=1))
 
     @cached_property
@@ -385,7 +389,7 @@ class JointProjection(PickledWithoutCaches):
         sides = self.topology.face_edges[self._face_ids]
         edges, index = np.unique(sides, return_inverse=True)
         targeted = np.searchsorted(edges, self.edge_ids)
-        return edges, index.reshape(sides.shape).astype(np.int64), targeted.astype(np.int64)
+        return edges.astype(np.int64), index.reshape(sides.shape).astype(np.int64), targeted.astype(np.int64)
 
     @cached_property
     def _edges(self) -> Index:

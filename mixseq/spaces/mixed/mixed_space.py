@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,7 +59,7 @@ from mixseq.spaces.mixed.joint_projection import (
 from mixseq.spaces.mixed.pose_interpolation import PoseInterpolation
 from mixseq.spaces.pieces import register_parts
 from mixseq.spaces.temporal import Poses, TemporalOperator
-from mixseq.types import Float, FloatArray, Index, Mask
+from mixseq.types import Float, FloatArray, Index, Int32, Mask
 
 JOINT_WEIGHT = 1e-3
 """Weight of lengths and angles in the metric. Rest vertices have the weight 1 and determine the same shape."""
@@ -195,16 +196,17 @@ class MixedSpace(ShapeSpace):
         starts, parts, _ = self._skinning
         return np.where(np.diff(starts) == 1, parts[starts[:-1]], -1)
 
-    @cached_property
-    def _skinning(self) -> tuple[Index, Index, Float]:
+    @property
+    def _skinning(self) -> tuple[Int32, Int32, Float]:
         """Starts of rows ``(V + 1,)``, parts and weights ``(n,)`` of the skinning weights."""
         weights = self.skinning_weights
-        return weights.indptr.astype(np.int64), weights.indices.astype(np.int64), weights.data
+        starts, parts = (each.astype(np.int32, copy=False) for each in (weights.indptr, weights.indices))
+        return starts, parts, weights.data
 
     @cached_property
     def _rest_poses(self) -> Poses:
         """Poses of the parts in the reference frame, relative to their mean shapes."""
-        _, rotations, centres = register_parts(self.shapes, self.decomposition.parts, self.reference)
+        rotations, centres = register_parts(self.shapes, self.decomposition.parts, self.reference)
         return Poses(matrix_to_quat(rotations)[None], centres[None])
 
     @cached_property
@@ -283,7 +285,7 @@ class MixedSpace(ShapeSpace):
         edges = self.topology.edges[self.topology.hinge_edges[self.hinge_ids]]
         return ANGLE_WEIGHT * edge_lengths(self.reference, edges)
 
-    @cached_property
+    @property
     def weights(self) -> Float:
         """Metric ``(D,)``: vertex displacement in diagonals per unit of each coordinate.
 
@@ -349,8 +351,13 @@ class MixedSpace(ShapeSpace):
 
     def encode_independently(self, points: FloatArray) -> Float:
         """Implement `ShapeSpace.encode_independently`: wrapped angles, and quaternions with w >= 0."""
-        frames = [frame.astype(np.float64) / self.scale for frame in points]
-        poses = [register_parts(self.shapes, self.decomposition.parts, x)[1:] for x in frames]
+        frames = (np.divide(frame, self.scale, dtype=np.float64) for frame in points)
+        columns = [slice(*ends) for ends in pairwise(np.cumsum([0, *self.block_sizes]))]
+        vectors, poses = np.zeros((len(points), self.dim)), []
+        for vector, x in zip(vectors, frames, strict=True):  # large frames take much memory: one at a time
+            poses.append(register_parts(self.shapes, self.decomposition.parts, x))
+            vector[columns[0]], vector[columns[1]] = self.measure_joints(x)
+            vector[columns[2]] = x.reshape(-1)
         rotations, centres = (np.stack(arrays) for arrays in zip(*poses, strict=True))
         to_rest = quat_conjugate(self._rest_poses.rotations)
         world = Poses(quat_multiply(matrix_to_quat(rotations), to_rest), centres)
@@ -360,31 +367,32 @@ class MixedSpace(ShapeSpace):
             rotations=_with_positive_w(parts.rotations),
             relation_rotations=_with_positive_w(parts.relation_rotations),
         )
-        corrections = np.zeros((len(frames), self.correction_dim))
-        motions = [
-            self.articulation.part_motions(PartPoses(*frame[:4]), frame[4:6], frame[6])
-            for frame in zip(*parts, *bodies, corrections, strict=True)
-        ]
-        rest_vertices = np.stack([self._unskin(*pair) for pair in zip(motions, frames, strict=True)])
-        joints = [self.measure_joints(x) for x in frames]
-        lengths, angles = (np.stack(arrays) for arrays in zip(*joints, strict=True))
-        return self.join(MixedBlocks(lengths, angles, rest_vertices, *parts, *bodies, corrections))
+        vectors[:, columns[3].start : columns[8].stop] = flatten_blocks((*parts, *bodies))
+        for vector, *frame in zip(vectors, *parts, *bodies, strict=True):
+            motions = self.articulation.part_motions(
+                PartPoses(*frame[:4]), (frame[4], frame[5]), np.zeros(self.correction_dim)
+            )
+            vertices = vector[columns[2]].reshape(-1, 3)
+            vertices[:] = self._unskin(motions, vertices)
+        return vectors
 
     def measure_joints(self, x: Float) -> tuple[Float, Float]:
         """Return lengths ``(..., E')`` and angles ``(..., H')`` of joint faces in frames ``(..., V, 3)``."""
+        if not self.joint_faces.any():  # needs no tables of edges and hinges
+            return np.zeros((*x.shape[:-2], 0)), np.zeros((*x.shape[:-2], 0))
         edges, hinges = self.topology.edges[self.edge_ids], self.topology.hinges_at(self.hinge_ids)
         return edge_lengths(x, edges), dihedral_angles(x, hinges)
 
     def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
-        """Implement `ShapeSpace.unwrap`."""
+        """Implement `ShapeSpace.unwrap`, in place."""
         blocks = self.split(vectors)
         before = None if previous is None else self.split(previous[None])
         start = self.measure_joints(self.reference)[1] if before is None else before.angles[0]
-        signed = {
-            name: align_quat_signs(getattr(blocks, name), before and getattr(before, name)[0])
-            for name in QUATERNION_BLOCKS
-        }
-        return self.join(blocks._replace(angles=unwrap_angles(blocks.angles, start), **signed))
+        blocks.angles[:] = unwrap_angles(blocks.angles, start)
+        for name in QUATERNION_BLOCKS:
+            block = getattr(blocks, name)
+            block[:] = align_quat_signs(block, before and getattr(before, name)[0])
+        return vectors
 
     def _unskin(self, motions: Float, x: Float) -> Float:
         return np.asarray(kernels.unskin_vertices(*self._skinning, motions, x))
@@ -413,7 +421,8 @@ class MixedSpace(ShapeSpace):
                 yield frames, self._project_frames(MixedBlocks(*(block[frames] for block in blocks)))
 
     def _project_frames(self, blocks: MixedBlocks) -> RealOrComplex:
-        skinned = np.stack([self._skin(MixedBlocks(*frame)) for frame in zip(*blocks, strict=True)])
+        meshes = [self._skin(MixedBlocks(*frame)) for frame in zip(*blocks, strict=True)]
+        skinned = meshes[0][None] if len(meshes) == 1 else np.stack(meshes)  # large frames are not copied
         lengths, angles = (np.ascontiguousarray(block) for block in (blocks.lengths, blocks.angles))
         frames = zip(lengths, angles, blocks.rest_vertices, skinned, strict=True)
         if self.placement == "free":

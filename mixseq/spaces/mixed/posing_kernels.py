@@ -11,7 +11,7 @@ import numpy as np
 
 from mixseq.runtime.jit import compiled, inlined
 from mixseq.shells.face_frames import multiply, multiply_by_inverse
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, Int32
 
 PART_AVERAGING_ROUNDS = 2
 """Rounds of rotation averaging over parts."""
@@ -194,7 +194,7 @@ def part_motions(
 
 
 @inlined
-def _blend(starts: Index, parts: Index, weights: Float, duals: Float, v: int, motion: Float) -> None:
+def _blend(starts: Int32, parts: Int32, weights: Float, duals: Float, v: int, motion: Float) -> None:
     """Write the blended motion of a vertex: a unit quaternion and a translation, seven numbers."""
     first, end = starts[v], starts[v + 1]
     if end == first + 1:  # the motion of a single part is a unit dual quaternion already
@@ -220,7 +220,7 @@ def _blend(starts: Index, parts: Index, weights: Float, duals: Float, v: int, mo
 
 
 @compiled
-def skin_vertices(starts: Index, parts: Index, weights: Float, duals: Float, rest_vertices: Float) -> Float:
+def skin_vertices(starts: Int32, parts: Int32, weights: Float, duals: Float, rest_vertices: Float) -> Float:
     """Move rest vertices ``(V, 3)`` by blended motions ``(p, 8)``; `starts` ``(V + 1,)`` index parts and weights."""
     x = np.empty_like(rest_vertices)
     m = np.empty(8, duals.dtype)
@@ -233,7 +233,7 @@ def skin_vertices(starts: Index, parts: Index, weights: Float, duals: Float, res
 
 
 @compiled
-def unskin_vertices(starts: Index, parts: Index, weights: Float, duals: Float, x: Float) -> Float:
+def unskin_vertices(starts: Int32, parts: Int32, weights: Float, duals: Float, x: Float) -> Float:
     """Move vertices ``(V, 3)`` to rest space; the inverse of `skin_vertices`."""
     rest_vertices = np.empty_like(x)
     m = np.empty(8, duals.dtype)

@@ -22,7 +22,7 @@ from mixseq.runtime.jit import compiled
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.solvers import factorise
 from mixseq.spaces.pieces import register_parts
-from mixseq.types import Float, FloatArray, Index, Int32
+from mixseq.types import Float, FloatArray, Index, Int32, index_mask
 
 EXCHANGE_ROUNDS = 4
 """Number of rounds of exchanges between the parts of a vertex in a sweep."""
@@ -117,17 +117,17 @@ def fit_skinning_weights(
     topology: Topology, decomposition: Decomposition, shapes: Float, frames: FloatArray, reference: Float
 ) -> sparse.csr_array:
     """Fit skinning weights ``(V, p)``, rows adding up to one, to frames ``(S, V, 3)``; shapes ``(N, 3)``."""
-    fitted, rigid, part_of_rigid = _split_vertices(topology, decomposition)
+    fitted, part_of_vertex = _split_vertices(topology, decomposition)
     graph = topology.vertex_adjacency[fitted][:, fitted]
     parts, weights = _diffuse(graph, _parts_near(topology, decomposition, fitted))
     blended = np.flatnonzero(parts[:, 1] >= 0)
     if len(blended):
-        _, rest_rotations, rest_centres = register_parts(shapes, decomposition.parts, reference)
+        rest_rotations, rest_centres = register_parts(shapes, decomposition.parts, reference)
         size = len(blended), MAX_PARTS_PER_VERTEX, MAX_PARTS_PER_VERTEX
         products, variances = np.zeros(size), np.zeros(len(blended))
         for frame in frames:
             x = frame.astype(np.float64)
-            _, rotations, centres = register_parts(shapes, decomposition.parts, x)
+            rotations, centres = register_parts(shapes, decomposition.parts, x)
             turns = rotations @ np.swapaxes(rest_rotations, 1, 2)
             shifts = centres - rotate_vectors(turns, rest_centres)
             at_rest, posed = reference[fitted[blended]], x[fitted[blended]]
@@ -140,21 +140,31 @@ def fit_skinning_weights(
         fit_weights(blended, parts, weights, products, smoothness, graph.indptr, graph.indices, GAUSS_SEIDEL_SWEEPS)
     weights[weights < MIN_WEIGHT] = 0.0
     rows, columns = np.nonzero(weights)
-    vertex_ids = np.concatenate([fitted[rows], rigid])
-    part_ids = np.concatenate([parts[rows, columns], part_of_rigid])
-    values = np.concatenate([weights[rows, columns], np.ones(len(rigid))])
-    shape = topology.vertex_count, len(decomposition.parts)
-    matrix = sparse.coo_array((values, (vertex_ids, part_ids)), shape=shape).tocsr()
-    return _round_weights(_normalise_rows(matrix))
+    shape = len(fitted), len(decomposition.parts)
+    entries = sparse.coo_array((weights[rows, columns], (rows, parts[rows, columns])), shape=shape).tocsr()
+    return _with_rigid_rows(_round_weights(_normalise_rows(entries)), fitted, part_of_vertex)
 
 
-def _split_vertices(topology: Topology, decomposition: Decomposition) -> tuple[Index, Index, Index]:
-    """Return fitted vertices ``(n,)``, rigid vertices ``(m,)``, and the part ``(m,)`` of each rigid vertex.
+def _with_rigid_rows(weights: sparse.csr_array, fitted: Index, part_of_vertex: Int32) -> sparse.csr_array:
+    """Return weights ``(V, p)`` from those of fitted vertices ``(n, p)``; others have one part ``(V,)``."""
+    counts = np.ones(len(part_of_vertex), dtype=np.int32)
+    counts[fitted] = np.diff(weights.indptr)
+    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+    parts, is_fitted = np.repeat(part_of_vertex, counts), np.repeat(index_mask(fitted, len(counts)), counts)
+    data = np.ones(len(parts))
+    parts[is_fitted], data[is_fitted] = weights.indices, weights.data
+    return sparse.csr_array((data, parts, starts), shape=(len(counts), weights.shape[1]))
+
+
+def _split_vertices(topology: Topology, decomposition: Decomposition) -> tuple[Index, Int32]:
+    """Return fitted vertices ``(n,)``, and a part ``(V,)`` of every vertex.
 
     Vertices near vertices with faces of several parts are fitted; in small meshes, all vertices with faces are fitted.
     """
     labels = decomposition.part_of_face[:, None]
-    part = np.full(topology.vertex_count, len(decomposition.parts) - 1)  # unused vertices are the last part
+    part = np.full(
+        topology.vertex_count, len(decomposition.parts) - 1, dtype=np.int32
+    )  # unused vertices are the last part
     part[topology.faces] = labels
     mask = np.zeros(topology.vertex_count, dtype=bool)
     if topology.vertex_count <= MAX_FULLY_FITTED_VERTICES:
@@ -162,8 +172,7 @@ def _split_vertices(topology: Topology, decomposition: Decomposition) -> tuple[I
     else:
         mask[topology.faces[part[topology.faces] != labels]] = True
         mask = dilate_vertices(topology, mask, FITTED_BOUNDARY_RINGS)
-    rigid = np.flatnonzero(~mask)
-    return np.flatnonzero(mask), rigid, part[rigid]
+    return np.flatnonzero(mask), part
 
 
 def _parts_near(topology: Topology, decomposition: Decomposition, vertex_ids: Index) -> sparse.csr_array:

@@ -109,13 +109,14 @@
     return { mesh, pose, time: before + ((pose % STEPS) / STEPS) * (after - before), frame: Math.round(pose / STEPS), ...(top && !stored ? { measure: name, top } : {}) };
   }
 
-  /** Current pose of an item, the steps to the next one, and its weight. */
+  /** Current pose of an item, the steps to the next one, and its weight, which jumps half-way between frames at a cut. */
   function poseAt(item) {
     const { pose, share } = clock.poseAt(item), place = STEPS * (pose + share), rate = source.seconds() * item.fps * items.length * clock.speed;
     let steps = 1;
     while (clock.playing && steps < STEPS && (STEPS / steps) * rate > MAX_DECODING) steps *= 2;
     const first = Math.floor(place / steps) * steps;
-    return { pose: first, steps, share: (place - first) / steps };
+    const edge = item.cuts.map((frame) => STEPS * (frame - 0.5)).find((each) => each > first && each <= first + steps);
+    return { pose: first, steps, share: edge === undefined ? (place - first) / steps : Number(place >= edge) };
   }
 
   /** Requests for the current poses and the following ones, in order. */

@@ -134,8 +134,15 @@ export class Curve {
     Object.assign(this, { times, width, row, levels, offsets, operator: new TemporalOperator(times, between), middles: new Map() });
   }
 
-  /** The row at a time. */
+  /** The row at a time; before the first and after the last frame, on a straight line. */
   at(time) {
+    const { times, row, width } = this, last = times.length - 1;
+    if (last && (time < times[0] || time > times[last])) {
+      const [end, beside] = time < times[0] ? [0, 1] : [last, last - 1], share = (time - times[end]) / (times[end] - times[beside]);
+      const weights = [1 + share, -share], rows = [end, beside];
+      return this.sum(weights, (k) => row(rows[k]));
+    }
+    if (time < times[0] || time > times[last]) return row(0).slice(0, width);
     const place = lowerBound(this.times, time);
     return this.times[place] === time ? this.row(place) : this.spline(time, place - 1, Math.max(this.levels, 1));
   }
@@ -185,5 +192,22 @@ export class Curve {
       for (let i = 0; i < sum.length; i++) sum[i] += weight * values[i];
     });
     return sum;
+  }
+}
+
+/** Curves through the frames between two cuts, each until half-way to the next frame; see `Curve`. */
+export class CutCurve {
+  constructor(times, { cuts, ...between }, width, row, levels, offsets) {
+    const bounds = [0, ...cuts, times.length];
+    this.edges = cuts.map((frame) => times[frame - 1] + 0.5 * (times[frame] - times[frame - 1]));
+    this.sections = bounds.slice(1).map((end, k) => {
+      const first = bounds[k], offset = (level, middle) => offsets(level, middle + (first << level));
+      return new Curve(times.subarray(first, end), between, width, (frame) => row(first + frame), levels, offset);
+    });
+  }
+
+  /** The row at a time. */
+  at(time) {
+    return this.sections[this.edges.filter((edge) => edge <= time).length].at(time);
   }
 }

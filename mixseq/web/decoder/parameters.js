@@ -59,7 +59,7 @@ export function readFacts(text) {
   return {
     name, fps, upAxis, metresPerUnit,
     vertexCount: vertices, polygonCount: polygons, cornerCount: corners, frameCount: frames, firstTime: facts.first_time, origin,
-    between: readInterpolation(facts.between),
+    between: readInterpolation(facts.between, frames),
     parameters: {
       factors, rank, ranks: parts.length ? parts : [rank], step: given.step, diagonal: given.diagonal, maxError: given.max_error,
       kgPercent: given.kg_percent, promised: given.promised, correction, uvSteps: steps, uvError: error,
@@ -88,11 +88,12 @@ function checkNumber(_, value) {
 }
 
 /** The interpolation of weights between frames: that of the sequence, or a default. */
-function readInterpolation(given) {
-  if (given === undefined || given === null) return { length: null, cubic: [0.5, 0.5] };
-  const { length, cubic, ...others } = given;
+function readInterpolation(given, frames) {
+  if (given === undefined || given === null) return { length: null, cubic: [0.5, 0.5], cuts: [] };
+  const { length, cubic, cuts = [], ...others } = given;
   const inside = (value, least, most) => typeof value === "number" && value >= least && value <= most;
   const areWeights = Array.isArray(cubic) && cubic.length === 2 && cubic.every((weight) => inside(weight, 0, 1));
-  if (areWeights && (length === null || inside(length, 0.5, 64)) && !Object.keys(others).length) return { length, cubic };
+  const areCuts = Array.isArray(cuts) && cuts.every((cut, k) => Number.isInteger(cut) && cut > (k ? cuts[k - 1] : 0) && cut < frames);
+  if (areWeights && areCuts && (length === null || inside(length, 0.5, 64)) && !Object.keys(others).length) return { length, cubic, cuts };
   throw new MixseqError("between is out of range; it is damaged");
 }

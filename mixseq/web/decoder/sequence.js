@@ -1,6 +1,6 @@
 // A compressed sequence: its mesh, and its frames at any time.
 import { decodePolygons, triangulated } from "./connectivity.js";
-import { Curve } from "./curve.js";
+import { CutCurve } from "./curve.js";
 import { MixseqError, guarded } from "./errors.js";
 import { readFacts } from "./parameters.js";
 import { addPartFields, readPartVertices } from "./part_fields.js";
@@ -159,7 +159,7 @@ export class Sequence {
     const { chunks } = this.streams, width = 3 * basis.fields.count, displaced = chunks.some(({ residuals }) => residuals.length);
     return {
       basis, width,
-      curve: new Curve(this.times, this.#between, width, (frame) => this.#row(frame), this.parameters.inbetweenLevels,
+      curve: new CutCurve(this.times, this.#between, width, (frame) => this.#row(frame), this.parameters.inbetweenLevels,
         (level, number) => this.#offsets(level, number)),
       residuals: displaced ? new ResidualLayer(this.times, chunks, graphOf, this.parameters.correction) : null,
     };

@@ -18,7 +18,7 @@ from mixseq.mesh.rigid import mean_shape, transform_points
 from mixseq.mesh.rotations import align_quat_signs, matrix_to_quat, quat_to_matrix
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.kernels import lengths_and_angles
-from mixseq.spaces.pieces import register_parts
+from mixseq.spaces.pieces import align_parts
 from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses
 from scripts.paper_study.common.registration import Overlaps, register
@@ -62,7 +62,7 @@ class PaperSpace:
     def aligned(self) -> tuple[Float, Float, Float]:
         """Aligned vertices ``(T, N, 3)`` of all parts, and their poses: quaternions and centres."""
         frames = self.poses.points / self.poses.diagonal
-        found = [register_parts(self.shapes, self.decomposition.parts, frame) for frame in frames]
+        found = [align_parts(self.shapes, self.decomposition.parts, frame) for frame in frames]
         parts, rotations, centres = (np.stack(each) for each in zip(*found, strict=True))
         return parts, align_quat_signs(matrix_to_quat(rotations)), centres
 

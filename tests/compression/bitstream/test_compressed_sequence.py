@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from math import inf
 
 import numpy as np
@@ -20,8 +21,9 @@ from mixseq.compression.bitstream.compressed_sequence import (
 )
 from mixseq.compression.bitstream.residual_layer import FRAMES_PER_RUN, CodedResidualLayer, read_residuals
 from mixseq.compression.bitstream.signal_graph import mesh_graph
+from mixseq.compression.bitstream.spatial_basis import MAX_NORM
 from mixseq.compression.encoder.compress import compress
-from mixseq.errors import FormatError
+from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.spaces.temporal import TemporalOperator, insert_midpoints
 from mixseq.types import Float
@@ -103,9 +105,9 @@ def test_what_encoders_choose_between_frames_is_what_decoders_would(
     coded: object, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = coded()  # type: ignore[operator]
-    expected = decode(replace(made, between=None)).curve
+    expected = decode(replace(made, between=None)).sections[0]
     monkeypatch.setattr(compressed_sequence, "select_operator", None)  # nobody asks for it
-    found = decode(made).curve
+    found = decode(made).sections[0]
     np.testing.assert_array_equal(found.times, expected.times)
     np.testing.assert_array_equal(found.values, expected.values)
 
@@ -117,7 +119,29 @@ def test_what_a_file_says_is_between_frames_is_there() -> None:
         operator = TemporalOperator(playback.times, between.length, between.cubic)
         coefficients = playback.coefficients.reshape(len(playback.times), -1)
         expected = operator.weights_at(insert_midpoints(playback.times)).interpolate(coefficients)
-        np.testing.assert_allclose(playback.curve.values, expected, atol=1e-12)
+        np.testing.assert_allclose(playback.sections[0].values, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("cuts", [(5,), (1, 4), (7, 8)], ids=str)
+def test_frames_between_cuts_are_splines_of_their_own_and_go_on_straight(cuts: tuple[int, ...]) -> None:
+    made = replace(noisy(), between=TemporalInterpolation(2.0, (0.5, 0.25), cuts))
+    playback, times = decode(made), made.header.times
+    frames = frames_of(made)
+    for first, end in pairwise((0, *cuts, len(times))):
+        own = slice(first, end)
+        alone = replace(playback, header=made.header.with_times(times[own]), coefficients=playback.coefficients[own])
+        alone = replace(alone, between=TemporalInterpolation(2.0, (0.5, 0.25)))
+        at = np.linspace(times[first], times[end - 1], 11)
+        np.testing.assert_allclose(playback.decode_points(at), alone.decode_points(at), atol=1e-11)
+        beside = [max(first, end - 2), min(first + 1, end - 1)]
+        for frame, other, neighbour in ((end - 1, beside[0], end), (first, beside[1], first - 1)):
+            if not 0 <= neighbour < len(times):
+                continue
+            share = 0.4 * (times[neighbour] - times[frame])
+            slope = (frames[frame] - frames[other]) / ((times[frame] - times[other]) or 1.0)
+            points, velocities = playback.decode_moving(times[frame : frame + 1] + share)
+            np.testing.assert_allclose(points[0], frames[frame] + share * slope, atol=1e-10)
+            np.testing.assert_allclose(velocities[0], slope, atol=1e-9)
 
 
 def test_residuals_are_linear_between_frames() -> None:
@@ -225,3 +249,20 @@ def test_damaged_streams_give_another_model_or_an_error() -> None:
                 assert np.isfinite(decode(coded).sample().points).all()
             except FormatError as error:
                 assert "damaged" in str(error)
+
+
+def test_vectors_that_players_cannot_hold_are_neither_read_nor_written() -> None:
+    """Norms from 2^127 on are beyond the single precision of players."""
+    coded = noisy()
+    graph = mesh_graph(coded.header.faces, coded.header.vertex_count)
+    largest = decode_basis(coded, graph).norms.max()
+    scales = np.array([0.99, 1.01]) * MAX_NORM / largest
+    held, beyond = (
+        replace(coded, parameters=replace(coded.parameters, step=coded.parameters.step * k)) for k in scales
+    )
+    assert decode_basis(held, graph).norms.max() == pytest.approx(0.99 * MAX_NORM)
+    with pytest.raises(FormatError, match="basis vectors are beyond single precision"):
+        decode_basis(beyond, graph)
+    far = bar(sides=4, rings=3)
+    with pytest.raises(InvalidSequenceError, match="players of compressed models compute in single precision; scale"):
+        compress(far.with_points(far.points * 1e39), max_error=1e-3)

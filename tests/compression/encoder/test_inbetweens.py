@@ -28,6 +28,7 @@ from mixseq.spaces.temporal import insert_midpoints
 from mixseq.types import Float
 from tests.compression.test_golden import stored
 from tests.meshes import bar, joined, rotation, tube
+from tests.motions import MESH, moving
 
 
 def with_random_inbetweens(coded: CompressedSequence, levels: int, of_parts: bool = False) -> CompressedSequence:
@@ -111,7 +112,7 @@ def test_between_is_about_max_error_and_in_betweens(settings: dict[str, Any]) ->
 def test_players_are_nearer_to_the_model(coded: CompressedSequence) -> None:
     model, unit = CompressedModel.from_sequence(coded), coded.parameters.diagonal
     spline = replace(model.playback, inbetweens=())
-    knots = model.playback.curve.times
+    knots = model.playback.sections[0].times
     times = np.union1d(knots, insert_midpoints(knots))
     exact = model.fitted.decode_points(times)
     before, after = (
@@ -218,11 +219,11 @@ def test_files(tmp_path: Path, name: str, levels: int, of_parts: bool) -> None:
     model = mixseq.load(tmp_path / "coded.h5")
     assert isinstance(model, CompressedModel)
     playback, expected = model.playback, decode(coded)
-    np.testing.assert_array_equal(playback.curve.values, expected.curve.values)
-    lower = replace(playback, inbetweens=playback.inbetweens[:-1]).curve
+    np.testing.assert_array_equal(playback.sections[0].values, expected.sections[0].values)
+    lower = replace(playback, inbetweens=playback.inbetweens[:-1]).sections[0]
     middles = insert_midpoints(playback.times) if levels == 1 else insert_midpoints(lower.times)
     basis = playback.inbetween_basis
-    offsets = (playback.curve.values - lower(middles))[1::2, -np.prod(basis.coefficient_shape) :]
+    offsets = (playback.sections[0].values - lower(middles))[1::2, -np.prod(basis.coefficient_shape) :]
     steps = offsets.reshape(-1, *basis.coefficient_shape) * basis.norms[basis.varying, None]
     steps /= 2 * coded.parameters.step
     assert np.abs(steps).max() == pytest.approx(9, abs=1)
@@ -278,3 +279,28 @@ def test_vertices_have_the_label_of_most_triangles() -> None:
 def test_errors_out_of_range_are_refused(coded: CompressedSequence, error: float) -> None:
     with pytest.raises(SettingsError, match="inbetween_error"):
         replace(coded.parameters, inbetween_error=error)
+
+
+def test_cuts_are_kept_by_players_and_by_the_model_of_the_file(tmp_path: Path) -> None:
+    """A motion that is spliced, and moved away."""
+    frames = np.arange(24.0)
+
+    def shot(at: Float) -> Float:
+        return moving(np.where(at < 11.5, at, at + 40)) + 20.0 * (at > 11.5)[:, None, None]
+
+    coded = compress(MeshSequence.from_arrays(shot(frames), MESH[1], fps=24), max_error=1e-3)
+    assert coded.between is not None
+    assert coded.between.cuts == (12,)
+    assert coded.parameters.inbetween_error is not None
+    assert coded.parameters.inbetween_error < 2e-3
+    mixseq.save(tmp_path / "shot.h5", coded)
+    model = mixseq.load(tmp_path / "shot.h5")
+    assert isinstance(model, CompressedModel)
+    assert model.header.provenance is not None
+    assert model.header.provenance.events == "cut between 11 and 12"
+    at = np.sort([*frames, 11.4, 11.6, *(frames[:-1][frames[:-1] != 11] + 0.5)])
+    for motion in (model, model.playback):
+        np.testing.assert_allclose(np.concatenate(list(motion.blocks(at / 24))), shot(at), atol=0.03)
+    smooth = compress(MeshSequence.from_arrays(shot(frames), MESH[1], fps=24), max_error=1e-3, cuts="none")
+    assert smooth.between is not None
+    assert not smooth.between.cuts

@@ -57,7 +57,7 @@ def test_what_the_golden_file_says_of_the_time_between_frames_still_holds() -> N
     assert 0 < coded.between.length < inf
 
 
-@pytest.mark.parametrize("name", ["inbetweens", "parts"])
+@pytest.mark.parametrize("name", ["inbetweens", "parts", "cuts"])
 def test_what_the_golden_file_says_of_inbetweens_still_holds(name: str) -> None:
     path = GOLDEN / f"compressed-v1-{name}.h5"
     model = mixseq.load(path)
@@ -67,7 +67,8 @@ def test_what_the_golden_file_says_of_inbetweens_still_holds(name: str) -> None:
             points = expected["points" if times == "times" else "between"]
             np.testing.assert_allclose(model.playback.sample(expected[times]).points, points, atol=1e-9)
     assert len(model.playback.inbetweens) == 2
-    assert (model.playback.parts_basis is None) == (name == "inbetweens")
+    assert (model.playback.parts_basis is None) == (name != "parts")
+    assert model.playback.between.cuts == ((2, 5) if name == "cuts" else ())
 
 
 def test_the_golden_glb_has_text_and_streams_of_the_golden_file() -> None:
