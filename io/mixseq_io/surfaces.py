@@ -60,8 +60,8 @@ class RoundingMonitor:
         count = 0
         for block in blocks:
             points = np.asarray(block)
-            if points.ndim == 3 and points.size and not self._diagonal.fraction and np.isfinite(points).all():
-                self._diagonal = reference_diagonal([points])
+            if points.ndim == 3 and points.size and points.dtype != np.float32 and not self._diagonal.fraction:
+                self._diagonal = reference_diagonal([points]) if np.isfinite(points).all() else self._diagonal
             yield block
             if not has_nodes:
                 for frame, own in enumerate(points, count):

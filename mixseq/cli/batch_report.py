@@ -68,8 +68,9 @@ class Entry:
 
     @property
     def verdict(self) -> str:
-        """Judgement of the result by the command, its first line; empty for commands that do not judge."""
-        return self.output[0] if self.output and self.settings["job"] == "transfer" else ""
+        """Judgement of the result by the command, the first row of its table; empty for commands that do not judge."""
+        label, _, text = (self.output or ("",))[0].partition("  ")
+        return text.strip() if label == "verdict" else ""
 
     def arguments(self) -> list[str]:
         """Return the arguments of the command for this asset."""

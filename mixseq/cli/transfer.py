@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from mixseq.retargeting.correspond import CorrespondenceQuality
     from mixseq.retargeting.report import Coverage, FrameCounts, TransferReport
     from mixseq.retargeting.transfer import Transfer
-    from mixseq.runtime.low_memory import Statistics
     from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
     from mixseq.sequence.sequence import MeshSequence
@@ -38,7 +37,18 @@ if TYPE_CHECKING:
 _SHARED_READ_OPTIONS = ("up_axis", "metres_per_unit")  # reader options that apply to all files
 
 MAX_LISTED_NAMES = 4
-"""Largest number of followers and markers named in the table."""
+"""Largest number of followers in the table, and of problems in the verdict."""
+
+# Limits of a good transfer, as docs/transfer.md explains them.
+MIN_AREA_SHARE = 0.95
+MAX_MEAN_DISTANCE_DIAGONALS = 0.01
+MAX_MARKER_DISTANCE_DIAGONALS = 0.02
+MAX_STRAIN_RATIO = 1.25
+MIN_RMS_STRAIN = 0.01
+MAX_POP_RATIO = 2.0
+MAX_CROSSING_RATIO, MAX_CROSSING_COUNT = 2.0, 10
+MAX_TURNED_OVER_SHARE, MAX_TURNED_OVER_COUNT = 0.001, 5
+MAX_LIMB_STRETCH = 0.01
 
 
 def facts(transferred: Transfer, method: str, report: TransferReport) -> dict[str, Any]:
@@ -58,6 +68,48 @@ def facts(transferred: Transfer, method: str, report: TransferReport) -> dict[st
     )
 
 
+def verdict(transferred: Transfer, report: TransferReport) -> str:
+    """Return one line: whether a transfer is good, or what to check."""
+    problems = list(_problems(transferred, report))
+    if not problems:
+        return "good: corresponds everywhere, and is as smooth as the source; nothing to check"
+    return f"check: {_first_names(problems, '; ')}"
+
+
+def _problems(transferred: Transfer, report: TransferReport) -> Iterator[str]:
+    """Yield what is outside the limits of a good transfer, with the frame to look at."""
+    header, covered, quality = transferred.header, report.coverage, transferred.quality
+    if covered.area < MIN_AREA_SHARE and not covered.followers:
+        yield f"{_percent(1 - covered.area)} of the target has no counterpart; set markers there"
+    if quality is not None:
+        if quality.target_coverage < MIN_AREA_SHARE or not quality.mean_distance <= MAX_MEAN_DISTANCE_DIAGONALS:
+            yield f"only {_percent(quality.target_coverage)} of the target fits the source; set more markers"
+        for name, distance in quality.worst_markers(1):
+            if distance > MAX_MARKER_DISTANCE_DIAGONALS:
+                yield f"marker {name} is missed by {distance:.2g} diagonals; set it anew"
+    stretching = report.strain.rms / max(report.source_strain.rms, MIN_RMS_STRAIN)
+    if stretching > MAX_STRAIN_RATIO:
+        yield f"stretches {stretching:.2g} times as much as the source"
+    smooth = report.smoothness
+    if smooth is not None and smooth.ratio is not None:
+        pop = smooth.max / smooth.source_max
+        if pop > MAX_POP_RATIO * max(smooth.ratio, 1.0):
+            yield f"pops in frame {header.frame_number(smooth.worst_frame)}"
+    crossings = report.intersections
+    density = math.sqrt(len(header.faces) / len(transferred.source.header.faces))
+    expected = max(crossings.rest, density * report.source_intersections.worst, MAX_CROSSING_COUNT)
+    if crossings.worst > MAX_CROSSING_RATIO * expected:
+        yield f"goes through itself in frame {header.frame_number(crossings.worst_frame)} ({crossings.worst:,} pairs)"
+    turned = report.turned_over
+    if turned.worst > max(MAX_TURNED_OVER_COUNT, MAX_TURNED_OVER_SHARE * len(header.faces)):
+        yield f"{turned.worst:,} triangles are turned over in frame {header.frame_number(turned.worst_frame)}"
+    if report.flat.worst:
+        yield f"{report.flat.worst:,} triangles are flat in frame {header.frame_number(report.flat.worst_frame)}"
+    for group in transferred.contacts.groups:
+        if group.residual > MAX_LIMB_STRETCH:
+            yield f"the limb of {group.name} gets {100 * group.residual:.2g} % longer"
+
+
 def rows(transferred: Transfer, method: str, report: TransferReport) -> list[tuple[str, str]]:
     """Return the report of a transfer as table rows."""
     from mixseq.sequence.sequence import bounding_diagonal
@@ -66,17 +118,17 @@ def rows(transferred: Transfer, method: str, report: TransferReport) -> list[tup
     diagonal = bounding_diagonal(transferred.target) * header.metres_per_unit
     by = ", ".join(_number(count, what[:-1]) for what, count in parts.items()) or "deformation gradients"
     frames = _number(header.frame_count, "frame")
+    strains = (100 * each.rms for each in (report.strain, report.source_strain, report.excess))
     return [
+        ("verdict", verdict(transferred, report)),
         ("transferred", f"{frames} to {header.vertex_count:,} vertices, by {by}"),
         *_coverage_rows(report.coverage),
         *([] if transferred.quality is None else _quality_rows(transferred.quality, diagonal)),
-        ("strain", f"{_strain(report.strain)}; source {_strain(report.source_strain)}"),
-        ("unlike the source's", _strain(report.excess)),
-        ("acceleration", _smoothness(report, header, diagonal)),
-        ("self-intersections", _crossings(report.intersections, header)),
-        ("... of the source", _crossings(report.source_intersections, header)),
+        ("strain", "{:.3g} % rms, source {:.3g} %; {:.3g} % unlike the source's".format(*strains)),
+        ("acceleration", _smoothness(report, header)),
+        ("self-intersections", _crossings(report, header)),
         ("turned over", _triangles(report.turned_over, header)),
-        ("flat", _triangles(report.flat, header)),
+        *([("flat", _triangles(report.flat, header))] if report.flat.worst else []),
         *_contact_rows(transferred.contacts, diagonal),
     ]
 
@@ -88,7 +140,7 @@ def _part_counts(transferred: Transfer) -> dict[str, int]:
 
 
 def _coverage_rows(covered: Coverage) -> list[tuple[str, str]]:
-    shares = f"{_percent(covered.area)} of the target's area; {_percent(covered.source_area)} of the source's moves it"
+    shares = f"{_percent(covered.area)} of the target's area, {_percent(covered.source_area)} of the source's"
     followers = [f"{each.name} ({each.vertices:,} vertices) follows {each.leads}" for each in covered.followers]
     result = [("corresponds", shares)]
     if followers:
@@ -119,52 +171,40 @@ def _quality_facts(quality: CorrespondenceQuality) -> dict[str, Any]:
 
 
 def _quality_rows(quality: CorrespondenceQuality, diagonal: float) -> list[tuple[str, str]]:
-    mean, p99, largest = (
-        length_text(distance, diagonal, digits=2)
-        for distance in (quality.mean_distance, quality.p99_distance, quality.largest_distance)
+    mean, largest = (
+        length_text(distance, diagonal, digits=2) for distance in (quality.mean_distance, quality.largest_distance)
     )
-    distances = f"{mean} on average, {p99} at 99 %, {largest} at most"
-    worst = [f"{name} by {length_text(distance, diagonal, digits=2)}" for name, distance in quality.worst_markers(3)]
+    distances = f"{mean} off on average, {largest} at most"
+    if not math.isfinite(quality.largest_distance):
+        distances = "no vertex is near the source"
+    facing = f"; {_number(quality.flipped_count, 'triangle')} on its other side" if quality.flipped_count else ""
+    ((name, missed),) = quality.worst_markers(1)
     return [
-        (
-            "matched",
-            f"{_percent(quality.target_coverage)} of the target's area, {_percent(quality.source_coverage)} of the "
-            f"source's; {quality.filled_vertex_count:,} vertices, {quality.filled_face_count:,} triangles like their "
-            "neighbours",
-        ),
-        ("distances", distances if math.isfinite(quality.largest_distance) else "no vertex is near the source"),
-        ("facing away", _number(quality.flipped_count, "triangle")),
-        ("markers", f"{len(quality.markers)}, missed most: {', '.join(worst)}"),
+        ("matched", f"{_percent(quality.target_coverage)} of the target's area, {distances}{facing}"),
+        ("markers", f"{len(quality.markers)}, at most {length_text(missed, diagonal, digits=2)} off: {name}"),
     ]
 
 
-def _strain(strain: Statistics) -> str:
-    return f"{100 * strain.rms:.3g} % rms, {100 * strain.p999:.3g} % at 99.9 %"
-
-
-def _smoothness(report: TransferReport, header: SequenceHeader, diagonal: float) -> str:
+def _smoothness(report: TransferReport, header: SequenceHeader) -> str:
     smooth = report.smoothness
     if smooth is None:
         return "takes three frames"
-    ratio = "" if smooth.ratio is None else f", {smooth.ratio:.2f} times the source's"
-    most = "" if not smooth.source_max else f", {smooth.max / smooth.source_max:.2f} times at most"
+    if smooth.ratio is None:
+        return "the source has none"
     worst = header.frame_number(smooth.worst_frame)
-    return f"{length_text(smooth.rms, diagonal, digits=2)} per squared frame rms{ratio}{most} (frame {worst})"
+    return f"{smooth.ratio:.2f} times the source's, {smooth.max / smooth.source_max:.2f} at most (frame {worst})"
 
 
-def _crossings(counts: FrameCounts, header: SequenceHeader) -> str:
-    worst = header.frame_number(counts.worst_frame)
-    return (
-        f"{_number(counts.rest, 'pair')} at rest, {counts.worst:,} at most (frame {worst}), "
-        f"{counts.mean:.3g} on average of {_number(len(counts.frames), 'frame')}"
-    )
+def _crossings(report: TransferReport, header: SequenceHeader) -> str:
+    counts, worst = report.intersections, header.frame_number(report.intersections.worst_frame)
+    of_source = f"source {report.source_intersections.worst:,}"
+    return f"{_number(counts.worst, 'pair')} at most (frame {worst}), {counts.rest:,} at rest; {of_source}"
 
 
 def _triangles(counts: FrameCounts, header: SequenceHeader) -> str:
     if not counts.worst:
         return "no triangle"
-    worst = header.frame_number(counts.worst_frame)
-    return f"{_number(counts.worst, 'triangle')} at most (frame {worst}), {counts.mean:.2g} on average"
+    return f"{_number(counts.worst, 'triangle')} at most (frame {header.frame_number(counts.worst_frame)})"
 
 
 def _contact_rows(contacts: ContactReport, diagonal: float) -> list[tuple[str, str]]:
@@ -183,9 +223,9 @@ def _contact_rows(contacts: ContactReport, diagonal: float) -> list[tuple[str, s
     return result
 
 
-def _first_names(names: list[str]) -> str:
+def _first_names(names: list[str], separator: str = ", ") -> str:
     more = len(names) - MAX_LISTED_NAMES
-    return ", ".join(names[:MAX_LISTED_NAMES]) + (f" and {more} more" if more > 0 else "")
+    return separator.join(names[:MAX_LISTED_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _number(count: int, what: str) -> str:
@@ -298,8 +338,8 @@ def command(
     vertices per line, counted from 0. The other correspondences are found by bending SOURCE onto TARGET, which takes a
     while; --save-map saves them for the next time. Components of TARGET without markers follow adjacent components.
 
-    The table shows which regions correspond, how much OUT is strained in comparison with SOURCE, whether it moves as
-    smoothly, and where it goes through itself. A picture of both is drawn next to OUT.
+    The first line says whether OUT is good, or what to check in which frame; the table below it has the figures, and
+    --json all of them. A picture of both is drawn next to OUT.
 
     With --as-model only the key poses of SOURCE are transferred, and OUT moves by SOURCE's time and pose signals. Edits
     of one model can then be played on the other (mixseq.operations.with_shapes).

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.shell_completion import ShellComplete
 from click.testing import CliRunner, Result
 
 import mixseq
@@ -455,6 +456,7 @@ def test_every_job_writes_what_its_command_writes(job: str, extension: str | Non
         assert entry.bytes == sum(file.stat().st_size for file in files_of(target))
         told = [line for line in result.stdout.replace("alone-", "").splitlines() if not line.startswith("time  ")]
         assert [line for line in entry.output if not line.startswith("time  ")] == told
+        assert (entry.verdict in Path("out/report.md").read_text()) and bool(entry.verdict) == (job == "transfer")
     before = {file: file.stat().st_mtime_ns for file in Path("out").iterdir() if not file.name.startswith("report")}
     assert do(job, "shots", "--out", "out", *options, *(["--format", extension] if extension else [])).exit_code == 0
     assert {file: file.stat().st_mtime_ns for file in before} == before
@@ -508,6 +510,12 @@ def test_help_of_a_job_has_the_options_of_both() -> None:
     for option in ("--out FOLDER", "--format EXTENSION", "--fps N", "--reverse", "conform=N", "--cluster"):
         assert option in text
     assert text.count("--threads") == 1 and "TARGET" not in text.partition("Options:")[0]
+
+
+def test_shells_complete_jobs_and_their_options() -> None:
+    complete = ShellComplete(main, {}, "mixseq", "_MIXSEQ_COMPLETE").get_completions
+    assert [each.value for each in complete(["batch"], "res")] == ["resample"]
+    assert {"--reverse", "--retime"} <= {each.value for each in complete(["batch", "resample"], "--re")}
 
 
 # Animations -----------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,9 @@ import pytest
 from click.testing import Result
 
 import mixseq
+from mixseq.cli.transfer import verdict
+from mixseq.retargeting.report import FrameCounts, measure_transfer
+from mixseq.retargeting.transfer import plan_transfer
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import FloatArray
 from tests.meshes import tube
@@ -56,12 +60,35 @@ def test_the_same_triangles_need_nothing_else(run: Run, folder: Path, bar: MeshS
     np.testing.assert_array_equal(out.times, bar.times)
     assert (out.name, out.faces.tolist()) == ("large", bar.faces.tolist())
     lines = text.splitlines()
-    assert lines[0].startswith("transferred ")
-    assert ("by deformation gradients" in lines[0]) == (method == "gradients")
-    assert "corresponds" in lines[1] and "100.0 % of the target's area" in lines[1]
+    assert lines[0].split("  ")[0] == "verdict"
+    assert lines[0].endswith("good: corresponds everywhere, and is as smooth as the source; nothing to check")
+    assert lines[1].startswith("transferred ")
+    assert ("by deformation gradients" in lines[1]) == (method == "gradients")
+    assert "corresponds" in lines[2] and "100.0 % of the target's area" in lines[2]
+    assert len(lines) <= 10
     assert lines[-2].startswith("wrote out.npz (")
     assert lines[-1].startswith("wrote out-transfer.png (")
     assert (folder / "out-transfer.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_verdict_says_what_to_check_and_where(bar: MeshSequence) -> None:
+    transferred = plan_transfer(bar, mixseq.read("large.npz"))
+    good = measure_transfer(transferred)
+    assert good.smoothness is not None
+    assert verdict(transferred, good).startswith("good: ")
+    counts = FrameCounts(0, (0, 1, 2, 3), (0, 0, 30, 1))
+    changes: dict[str, tuple[str, Any]] = {
+        "30 triangles are turned over in frame 2": ("turned_over", counts),
+        "30 triangles are flat in frame 2": ("flat", counts),
+        "goes through itself in frame 2 (30 pairs)": ("intersections", counts),
+        "pops in frame 1": ("smoothness", replace(good.smoothness, max=3 * good.smoothness.source_max, worst_frame=1)),
+        "stretches 2 times as much": ("strain", replace(good.strain, rms=2 * max(good.source_strain.rms, 0.01))),
+        "10.0 % of the target has no counterpart": ("coverage", replace(good.coverage, area=0.9)),
+    }
+    for text, (name, value) in changes.items():
+        assert verdict(transferred, replace(good, **{name: value})).startswith(f"check: {text}")
+    worst = replace(good, **dict(changes.values()))
+    assert verdict(transferred, worst).endswith(" and 2 more")
 
 
 def test_a_model_moves_like_its_sequence(run: Run, bar: MeshSequence) -> None:
@@ -133,12 +160,7 @@ def test_markers_and_their_report(run: Run, bar: MeshSequence) -> None:
             "--no-picture",
         )
     )
-    assert [line.split()[0] for line in text.splitlines()[1:5]] == [
-        "corresponds",
-        "matched",
-        "distances",
-        "facing",
-    ]
+    assert [line.split()[0] for line in text.splitlines()[2:5]] == ["corresponds", "matched", "markers"]
     np.testing.assert_array_equal(mixseq.read("out.npz").points, mixseq.read("two.npz").points)
 
 

@@ -160,6 +160,8 @@ def test_what_a_wheel_brings_is_loaded_where_the_processor_can_run_it(
         [sys.executable, "-c", code], cwd=kept, env=os.environ | settings, capture_output=True, check=True
     )
     assert run.stdout.strip() == b"6"
+    monkeypatch.syspath_prepend(kept)  # what is kept names its module
+    monkeypatch.delitem(sys.modules, "doubling", raising=False)
     brought = kept / "__pycache__"
     brought.mkdir(exist_ok=True)
     for file in (kept / "built").rglob("*.nb?"):

@@ -189,7 +189,7 @@ def bit_length(number: int) -> int:
 @overload(bit_length, jit_options={"forceinline": True, "nogil": True})
 def _compiled_bit_length(number: int) -> Callable[[int], int]:
     def bit_length(number: int) -> int:
-        return 64 - leading_zeros(abs(np.int64(number)))  # type: ignore[no-any-return]
+        return 64 - leading_zeros(abs(np.int64(number)))  # type: ignore[call-arg]
 
     return bit_length
 
@@ -344,7 +344,7 @@ def code_hashed_bit(bits: HashedBits, kind: int, bit: int) -> int:
 @force_inlined
 def _slot(context: int) -> int:
     """Return the slot of a hashed context."""
-    return np.int64(np.uint64(context) * HASH_MULTIPLIER >> _HASH_SHIFT)
+    return int(np.int64(np.uint64(context) * HASH_MULTIPLIER >> _HASH_SHIFT))
 
 
 @force_inlined

@@ -466,8 +466,9 @@ class JointProjection(PickledWithoutCaches):
             return x
         result = x.copy()
         meshes = result.reshape(-1, *x.shape[-2:])
-        frames = zip(meshes, *(each.reshape(len(meshes), -1) for each in (lengths, angles)), strict=True)
-        triangles, rotations = zip(*(self._targets(*frame, share) for frame in frames), strict=True)
+        goals = lengths.reshape(len(meshes), -1), angles.reshape(len(meshes), -1)
+        planned = [self._targets(*frame, share) for frame in zip(meshes, *goals, strict=True)]
+        triangles, rotations = zip(*planned, strict=True)
         target_frames, moving_count = [frames for frames, *_ in triangles], len(self._moving_face_ids)
         for _ in range(FACE_AVERAGING_ROUNDS):
             right = [

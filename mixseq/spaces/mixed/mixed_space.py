@@ -429,8 +429,8 @@ class MixedSpace(ShapeSpace):
             return np.stack([self.assembly.assemble(FreeFrame(*frame)).points for frame in frames])
         projected = self.joint_projection.project(skinned, lengths, angles, self.projection.share)
         if self.projection.steps:
-            for mesh, (*targets, _, x) in zip(projected, frames, strict=True):
-                targets = self.joint_projection.mesh_targets(x, *targets)
+            for mesh, (mesh_lengths, mesh_angles, _, x) in zip(projected, frames, strict=True):
+                targets = self.joint_projection.mesh_targets(x, mesh_lengths, mesh_angles)
                 mesh[:] = self.joint_projection.shell.relax(mesh, *targets, self.projection.steps).points
         return projected
 
