@@ -18,7 +18,7 @@ from pxr import Usd, UsdGeom, Vt
 from scipy.interpolate import make_interp_spline
 
 import mixseq
-from mixseq.types import Float, FloatArray
+from mixseq.types import Float, FloatArray, IntArray
 from scripts.benchmarks.common.harness import animation, cpu_timed, print_table
 
 RUNS = 7
@@ -85,7 +85,7 @@ def left_out_errors(sequence: mixseq.MeshSequence) -> tuple[float, float]:
     return model_error, spline_error
 
 
-def write_plainly(file: str, points: FloatArray, faces: FloatArray) -> None:
+def write_plainly(file: str, points: FloatArray, faces: IntArray) -> None:
     """Write points and faces with pxr alone, with the extents that it computes."""
     stage = Usd.Stage.CreateInMemory()
     mesh = UsdGeom.Mesh.Define(stage, "/mesh")

@@ -114,7 +114,7 @@ def test_a_single_frame_stands_still() -> None:
 
 
 def test_it_is_a_sequence_where_one_is_expected(model: CompressedModel) -> None:
-    again = mixseq.compress(model, max_error=1e-3)  # type: ignore[arg-type]
+    again = mixseq.compress(model, max_error=1e-3)
     assert mixseq.compare(model.sample(), CompressedModel.from_sequence(again).sample()).max_error <= 1e-3
 
 

@@ -105,9 +105,14 @@ def test_what_was_found_is_compared(tmp_path: Path) -> None:
 
 
 def test_a_case_that_ends_the_process_is_told_and_the_next_ones_go_on(tmp_path: Path) -> None:
-    ends = {"well": lambda: 0, "refused": lambda: 2, "wrong": lambda: 1 // 0, "killed": lambda: os.kill(os.getpid(), 9)}
-    with closing(Sandbox(lambda case: print(case) or ends[case](), tmp_path / "log")) as sandbox:
-        found = {case: sandbox.run(case) for case in (*ends, "well")}
+    def run(case: str) -> int:
+        print(case)
+        if case == "killed":
+            os.kill(os.getpid(), 9)
+        return 1 // 0 if case == "wrong" else {"well": 0, "refused": 2}[case]
+
+    with closing(Sandbox(run, tmp_path / "log")) as sandbox:
+        found = {case: sandbox.run(case) for case in ("well", "refused", "wrong", "killed", "well")}
     assert [ended.code for ended in found.values()] == [0, 2, 70, -9]
     assert found["well"].text == "well\n"
     assert "ZeroDivisionError" in found["wrong"].text

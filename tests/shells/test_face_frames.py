@@ -21,7 +21,7 @@ from mixseq.types import Float
 from tests.meshes import Mesh, flipped, grid, pages, rotation, topology_of, torus, tube
 
 TOPOLOGY = topology_of(torus(10, 6))
-COUNT, PAIRS = len(TOPOLOGY.faces), TOPOLOGY.hinge_faces
+COUNT, PAIRS = len(TOPOLOGY.faces), TOPOLOGY.hinge_faces.astype(np.int64)
 
 
 def graph(*known: int) -> FrameGraph:

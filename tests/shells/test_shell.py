@@ -119,7 +119,10 @@ def test_steps_go_where_gauss_newton_goes() -> None:
     (la, ta), (lb, tb) = measured(shell, mesh[0]), measured(shell, bent)
     lengths, angles = (la + lb) / 2, ta + wrap_angles(tb - ta) / 2
     t = shell.topology
-    patch = Patch(t.faces.astype(np.int64), t.edges, t.face_edges, t.hinges, t.hinge_faces, np.zeros(len(bent), bool))
+    faces, edges, face_edges, hinges, hinge_faces = (
+        each.astype(np.int64) for each in (t.faces, t.edges, t.face_edges, t.hinges, t.hinge_faces)
+    )
+    patch = Patch(faces, edges, face_edges, hinges, hinge_faces, np.zeros(len(bent), bool))
     problem = ShellProblem(patch, lengths, angles, shell.length_weights, 0.25)
     assert (shell.relative_angle_weights > 0.9).all()
     _, report = fit_shell(problem, mesh[0], ShellSettings(tolerance=1e-10))

@@ -140,7 +140,7 @@ def test_a_gap_is_shared_by_weight() -> None:
 def test_true_differences_give_the_mesh(seed: int) -> None:
     rng = np.random.default_rng(seed)
     mesh = joined(grid(4, 5), (np.zeros((1, 3)), np.zeros((0, 3), int)), tetrahedron())
-    edges = topology_of(mesh).edges
+    edges = topology_of(mesh).edges.astype(np.int64)
     x = rng.normal(size=mesh[0].shape)
     system = PoissonSystem(edges, rng.uniform(0.5, 2.0, len(edges)), np.zeros(len(x), dtype=bool))
     wanted = np.concatenate([x[:30] - x[0], [[0, 0, 0]], x[31:] - x[31]])

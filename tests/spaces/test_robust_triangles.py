@@ -48,7 +48,7 @@ def test_vectors_across_are_perpendicular_and_those_of_opposites() -> None:
 
 def test_vertices_of_a_tetrahedron_look_outwards() -> None:
     points, faces = tetrahedron()
-    normals = vertex_normals(points, faces, topology_of((points, faces)).edges)
+    normals = vertex_normals(points, faces, topology_of((points, faces)).edges.astype(np.int64))
     np.testing.assert_allclose(normals, points / np.sqrt(3), atol=1e-14)
 
 
@@ -56,7 +56,7 @@ def test_vertices_without_a_normal_ask_their_neighbours_and_theirs() -> None:
     """A triangle with area, and a chain of flat ones, out along its side; and a piece with none."""
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0], [9, 9, 9], [9, 9, 8]])
     faces = np.array([[0, 1, 2], [0, 1, 3], [1, 3, 4], [3, 4, 5], [6, 7, 7]])
-    normals = vertex_normals(points, faces, topology_of((points, faces)).edges)
+    normals = vertex_normals(points, faces, topology_of((points, faces)).edges.astype(np.int64))
     np.testing.assert_allclose(normals, [[0, 0, 1]] * 6 + [[0, 0, 0]] * 2)
 
 
@@ -68,7 +68,7 @@ def test_opposite_faces_cancel_and_chance_has_no_say(motion: tuple[Float, Float]
     points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, -0.5, 0]])
     faces = np.array([[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0], [1, 0, 4]])
     moved = points @ turn.T + shift
-    normals = vertex_normals(moved, faces, topology_of((points, faces)).edges)
+    normals = vertex_normals(moved, faces, topology_of((points, faces)).edges.astype(np.int64))
     np.testing.assert_allclose(normals, np.tile(turn @ [0, 0, 1.0], (5, 1)), atol=1e-12)
 
 
@@ -79,7 +79,7 @@ CORNERS = np.array([[0.0, 0, 0], [2, 0, 0], [0, 3, 0], [6, 0, 0], [1, 1, 1]])
 
 def matrices_of(faces: list[list[int]]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     index = np.array(faces)
-    return triangle_matrices(CORNERS, index, topology_of((CORNERS, index)).edges)
+    return triangle_matrices(CORNERS, index, topology_of((CORNERS, index)).edges.astype(np.int64))
 
 
 def test_the_fourth_vertex_grows_with_the_triangle() -> None:

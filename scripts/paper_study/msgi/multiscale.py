@@ -133,7 +133,7 @@ class Merge(PickledWithoutCaches):
         """Find what the children of a patch share."""
         own = [np.unique(topology.faces[child.faces]).astype(np.int64) for child in region.children]
         own_edges = [np.unique(topology.face_edges[child.faces]) for child in region.children]
-        vertices, edges = np.unique(np.concatenate(own)), np.unique(np.concatenate(own_edges))
+        vertices, edges = np.unique(np.concatenate(own)), np.unique(np.concatenate(own_edges)).astype(np.int64)
         starts = np.cumsum([0, *(len(each) for each in own)])
         rows = [
             start + np.searchsorted(mine, topology.edges[those])

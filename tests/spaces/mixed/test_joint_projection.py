@@ -20,7 +20,7 @@ from mixseq.spaces.mixed.joint_projection import (
     solve_columns,
     to_complex_step,
 )
-from mixseq.types import Float, Index, Mask
+from mixseq.types import Float, Int32, Mask
 from tests.meshes import Mesh, grid, joined, rigid_motions, rotation, seeds, topology_of, torus, tube
 from tests.spaces.mixed.made import MESHES
 
@@ -249,14 +249,14 @@ def dual(turn: Float, shift: Float) -> Float:
     return np.concatenate([real, 0.5 * quat_multiply(np.array([0.0, *shift]), real)])
 
 
-def rows(weights: Float) -> tuple[Index, Index, Float]:
+def rows(weights: Float) -> tuple[Int32, Int32, Float]:
     """Weights ``(V, p)`` as rows of a sparse matrix; zeros are none."""
     vertices, parts = np.nonzero(weights)
     starts = np.concatenate([[0], np.cumsum(np.bincount(vertices, minlength=len(weights)))])
-    return starts.astype(np.int64), parts.astype(np.int64), weights[vertices, parts]
+    return starts.astype(np.int32), parts.astype(np.int32), weights[vertices, parts]
 
 
-def wild(seed: int, parts: int = 4) -> tuple[tuple[Index, Index, Float], Float]:
+def wild(seed: int, parts: int = 4) -> tuple[tuple[Int32, Int32, Float], Float]:
     """Weights of some of the parts, and motions by less than half a turn from each other."""
     rng = np.random.default_rng(seed)
     weights = rng.dirichlet(np.ones(parts), len(POINTS)) * (rng.random((len(POINTS), parts)) < 0.6)
