@@ -9,7 +9,7 @@ import click
 
 import mixseq
 from mixseq.cli.group import LazyGroup
-from mixseq.cli.options import examples
+from mixseq.cli.options import HELP_OPTIONS, examples
 
 
 @click.command(
@@ -24,7 +24,7 @@ from mixseq.cli.options import examples
     },
     epilog=examples("mixseq demo", "mixseq encode walk.usdc walk.h5", "mixseq decode walk.h5 walk48.usdc --fps 48"),
     invoke_without_command=True,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    context_settings={"help_option_names": HELP_OPTIONS, "max_content_width": 100},
 )
 @click.version_option(mixseq.__version__, message="mixseq %(version)s")
 @click.pass_context

@@ -205,10 +205,8 @@ def _measure(asset: Entry) -> dict[str, Any]:
             with mixseq.open_sequence(asset.path) as reader:
                 frames, vertices = reader.header.frame_count, reader.header.vertex_count
         else:
-            command = job_command("encode").make_context("encode", asset.arguments())
-            reading = {
-                name: value for name in READING_OPTIONS.values() if (value := command.params.get(name)) is not None
-            }
+            given = _context(asset).params
+            reading = {name: value for name in READING_OPTIONS.values() if (value := given.get(name)) is not None}
             model = mixseq.load(asset.path)
             with mixseq.open_sequence(Path(asset.source), **reading) as reader:
                 error = mixseq.compare(reader, decoded(model, log_progress, thread_executor()))
@@ -232,11 +230,16 @@ def job_command(name: str) -> options.CommandWithSettings:
     return command
 
 
-def _invoke(asset: Entry, claim: Callable[..., None] | None = None) -> None:
-    """Run the command of an asset, with its own checks of files if there is no other `claim`."""
+def _context(asset: Entry, claim: Callable[..., None] | None = None) -> click.Context:
+    """Parse the arguments of an asset's command; it has its own checks of files if there is no other `claim`."""
     command = job_command(asset.settings["job"])
-    with command.make_context(command.name, asset.arguments(), obj=claim) as context:
-        command.invoke(context)
+    return command.make_context(command.name, asset.arguments(), obj=claim, help_option_names=options.HELP_OPTIONS)
+
+
+def _invoke(asset: Entry, claim: Callable[..., None] | None = None) -> None:
+    """Run the command of an asset."""
+    with _context(asset, claim) as context:
+        context.command.invoke(context)
 
 
 class BatchCommand(options.CommandWithSettings):

@@ -60,6 +60,9 @@ class Setting(click.Option):
         return self.secondary_opts[-1:]
 
 
+HELP_OPTIONS = ["-h", "--help"]
+
+
 class CommandWithSettings(click.Command):
     """A command whose help lists settings after options; a command with settings also has the option ``--set``."""
 

@@ -37,9 +37,10 @@ BOX_ROW_POINTS = 64
 def bounding_box(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the lowest and the highest corner ``(3,)`` of the bounding box of points ``(V, 3)``."""
     whole = len(points) - len(points) % BOX_ROW_POINTS
-    rows, rest = points[:whole].reshape(-1, 3 * BOX_ROW_POINTS), points[whole:]
-    low, high = rows.min(axis=0, initial=np.inf), rows.max(axis=0, initial=-np.inf)
-    low, high = (np.concatenate([row.reshape(-1, 3), rest]) for row in (low, high))
+    low = high = points
+    if whole:
+        rows, rest = points[:whole].reshape(-1, 3 * BOX_ROW_POINTS), points[whole:]
+        low, high = (np.concatenate([row.reshape(-1, 3), rest]) for row in (rows.min(axis=0), rows.max(axis=0)))
     return low.min(axis=0), high.max(axis=0)
 
 

@@ -44,7 +44,7 @@ class Curve:
     Examples
     --------
     >>> curve = Curve(np.arange(5.0), np.arange(5.0)[:, None] ** 3)
-    >>> curve([1.5]).item(), curve.derivative([2.0]).round(12).item()
+    >>> curve([1.5]).round(12).item(), curve.derivative([2.0]).round(12).item()
     (3.375, 12.0)
     """
 

@@ -106,6 +106,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are looked up in /proc")
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize(("number", "to_group"), [(signal.SIGINT, True), (signal.SIGKILL, False)])
 def test_no_process_is_left(tmp_path: Path, number: signal.Signals, to_group: bool) -> None:
     script = tmp_path / "script.py"

@@ -254,7 +254,7 @@ class SpatialBasis:
 
 
 MAX_NORM = 2.0**127
-"""Limit on norms of basis vectors, as players compute in single precision."""
+"""Limit on norms of basis vectors. Frozen: players compute in single precision."""
 
 
 def group_slices(rank: int) -> list[slice]:
