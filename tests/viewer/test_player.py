@@ -265,6 +265,22 @@ def test_the_browser_shows_in_betweens(new_page: NewPage, tmp_path: Path, make: 
     assert item.description["between"] == pytest.approx(report.between * diagonal, rel=0.01)
 
 
+def test_a_cut_is_a_cut_between_frames(new_page: NewPage, tmp_path: Path) -> None:
+    """The bar jumps between its frames 4 and 5: half-way, and in no place between both."""
+    bending = bar(frames=9)
+    shot = bending.with_points(bending.points + 0.3 * bending.diagonal * (np.arange(9) > 4)[:, None, None])
+    export_page(tmp_path / "shot.html", [exported("shot", shot)])
+    page = Player(new_page(*SMALL), tmp_path / "shot.html")
+    pictures = []
+    for frame in (4.26, 4.49, 4.5, 4.74):
+        page.seek(frame * shot.times[1])
+        pictures.append(page.picture("#view"))
+    first, before, after, last = pictures
+    assert changed(before, after) > 0.1
+    assert changed(first, before) == 0, "poses are interpolated up to a quarter before the cut"
+    assert changed(after, last) < 0.05
+
+
 def test_in_betweens_of_parts_keep_labels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mixseq.compression.encoder.search.BASIS_KINDS", ("shapes",))
     report = export_page(tmp_path / "bars.html", [exported("bars", turning_bars())])[0]
