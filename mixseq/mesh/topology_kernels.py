@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.runtime.jit import compiled
-from mixseq.types import Int32
+from mixseq.runtime.jit import compiled, force_inlined
+from mixseq.types import Int32, IntArray
 
 
 @compiled
@@ -80,18 +80,21 @@ def neighbour_lists(pairs: Int32, node_count: int) -> tuple[Int32, Int32]:
     return starts, neighbours
 
 
+@force_inlined
+def find_root(parent: IntArray, node: int) -> int:
+    """Return the root of a node in a union-find forest, and halve the path to it."""
+    while parent[node] != node:
+        parent[node] = parent[parent[node]]
+        node = parent[node]
+    return node
+
+
 @compiled
 def number_components(pairs: Int32, node_count: int) -> Int32:
     """Number the connected components ``(node_count,)`` of nodes in order of their first nodes, by pairs ``(n, 2)``."""
     parent = np.arange(node_count).astype(np.int32)  # no higher than the node
     for k in range(len(pairs)):
-        a, b = pairs[k, 0], pairs[k, 1]
-        while parent[a] != a:
-            parent[a] = parent[parent[a]]
-            a = parent[a]
-        while parent[b] != b:
-            parent[b] = parent[parent[b]]
-            b = parent[b]
+        a, b = find_root(parent, pairs[k, 0]), find_root(parent, pairs[k, 1])
         parent[max(a, b)] = min(a, b)
     count = 0
     for node in range(node_count):

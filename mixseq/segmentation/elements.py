@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from mixseq.errors import SettingsError
 from mixseq.mesh.measures import scatter_add, triangle_areas
 from mixseq.mesh.topology import Topology, connected_components
-from mixseq.mesh.topology_kernels import number_pairs
+from mixseq.mesh.topology_kernels import find_root, number_pairs
 from mixseq.runtime.jit import compiled
 from mixseq.types import Float, FloatArray, Index, Int32, IntArray, Single, evenly_spaced, index_mask
 
@@ -126,13 +126,7 @@ def kruskal(ends: Int32, heights: Float, bottoms: Float, areas: Float) -> tuple[
     area, depth = np.empty(len(areas)), np.empty(len(areas))
     count = 0
     for edge in range(len(ends)):
-        a, b = ends[edge]
-        while parent[a] != a:
-            parent[a] = parent[parent[a]]
-            a = parent[a]
-        while parent[b] != b:
-            parent[b] = parent[parent[b]]
-            b = parent[b]
+        a, b = find_root(parent, ends[edge, 0]), find_root(parent, ends[edge, 1])
         if a == b:
             continue
         tree[count] = edge
