@@ -15,28 +15,27 @@ from typing import Any
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.benchmarks.common.origin import origin
 
-OUT = Path("docs/paper")
 Json = dict[str, Any]
 Results = dict[str, Json]
 """What was measured, by mesh."""
 
 
-def load(name: str) -> Results:
-    """Return the results of a table or figure by mesh."""
-    file = _file(name)
+def load(out: Path, name: str) -> Results:
+    """Return the results of a table or figure in a folder, by mesh."""
+    file = _file(out, name)
     results: Results = json.loads(file.read_text()) if file.exists() else {}
     return results
 
 
-def save(name: str, results: Results) -> None:
+def save(out: Path, name: str, results: Results) -> None:
     """Keep them."""
-    file = _file(name)
+    file = _file(out, name)
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(results, indent=1) + "\n")
 
 
-def _file(name: str) -> Path:
-    return OUT / "results" / f"{name}.json"
+def _file(out: Path, name: str) -> Path:
+    return out / "results" / f"{name}.json"
 
 
 def stamped(result: Json, seconds: float) -> Json:

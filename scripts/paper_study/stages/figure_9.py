@@ -31,7 +31,7 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
         blends.append(Panel(name, blend.points))
         say(f"{name}: {text(found[name]['lengths'])}")
     given = [Panel(f"frame {frame}", x) for frame, x in zip(six.frames, six.points, strict=True)]
-    rows = [given[:3], given[3:], blends[:3], blends[3:]]
+    rows = [given[:3], given[3:], blends[:4], blends[4:]]
     gallery(folder / f"figure-9-{poses.mesh}.png", six, rows, f"{six.title}, weights 1/6")
     return {"title": six.title, "methods": found}
 

@@ -19,7 +19,7 @@ RUNS, BUDGET = 5, 25.0
 """Times are medians of so many runs, or fewer where the seconds are spent."""
 
 EDGE = ("MSGI", "DSO, from a pose", "DSO", "S_e, steps")
-MIXED = ("MixIT, printed", "MixIT, free", "MixIT")
+MIXED = ("MixIT, printed", "MixIT, whole joints", "MixIT, free", "MixIT")
 STEPS = ("align", "init", "interpolation", "stitching", "settling")
 
 
