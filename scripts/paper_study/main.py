@@ -30,6 +30,7 @@ STAGES = {
     "figure-1": "what becomes of legs in four shape spaces",
     "figure-9": "six poses",
     "figures-10-12": "errors over the weight",
+    "baselines": "methods of others",
     "figure-14": "a segmentation with too few parts",
     "figure-15": "segmentation methods",
     "figure-16": "vertex noise, local self-intersections",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,13 @@ def stamped(result: Json, seconds: float) -> Json:
     """Add when and on what something was measured."""
     now, load = time.strftime("%Y-%m-%d %H:%M"), os.getloadavg()[0]
     return {**result, "seconds": seconds, "measured": now, "load": load, **origin()}
+
+
+def ratio_range(values: Iterable[float]) -> str:
+    """Return the smallest and the largest value, with two digits: ``0.6 to 1.2``."""
+    known = list(values)
+    low, high = (f"{value:.2g}" if value < 100 else f"{value:.0f}" for value in (min(known), max(known)))
+    return low if low == high else f"{low} to {high}"
 
 
 def machine_line(result: Mapping[str, Any]) -> str:
