@@ -51,6 +51,11 @@ def ratio_range(values: Iterable[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
+def named(meshes: Iterable[str]) -> str:
+    """Return the names of meshes: ``lion, cat``."""
+    return ", ".join(meshes) or "none"
+
+
 def machine_line(result: Mapping[str, Any]) -> str:
     """Return the machine that something was measured on, in one line."""
     return ", ".join(f"{key} {value}" for key, value in result["machine"].items())

@@ -47,12 +47,16 @@ def page(results: Results) -> list[str]:
             f"![Six poses and their blends, {mesh}](figure-9-{mesh}.png)",
             error_table("method", result["methods"]),
         ]
-    return blocks
+    return [*blocks, "## What it shows", *verdict(results)]
 
 
 def verdict(results: Results) -> list[str]:
-    found = [
-        f"{mesh} {result['methods']['MixIT']['lengths'][1]:.2g} ({result['methods']['DSO']['lengths'][1]:.2g})"
-        for mesh, result in results.items()
-    ]
-    return [f"Length errors at 99.9 % of a blend of six poses by MixIT (by DSO): {', '.join(found)}."]
+    lines = []
+    for kind, share in (("lengths", 1), ("degrees", 0)):
+        found = [
+            f"{mesh} {text([result['methods']['MixIT'][kind][share]])} "
+            f"({text([result['methods']['DSO'][kind][share]])})"
+            for mesh, result in results.items()
+        ]
+        lines.append(f"{kind} at {('99 %', '99.9 %')[share]} {', '.join(found)}")
+    return [f"Errors of a blend of six poses by MixIT (by DSO): {'; '.join(lines)}."]
