@@ -181,7 +181,9 @@ class PoseSolver:
     def _shape_steps(self) -> Float:
         """Changes ``(r, S')`` of the shapes of handle vertices along the directions."""
         columns = self._columns[self._columns < self.space.shape_dim]
-        return np.asarray(self.directions @ self.model.pose.matrix @ (self.model.shapes[:, columns] - self.model.shapes[0, columns]))
+        return np.asarray(
+            self.directions @ self.model.pose.matrix @ (self.model.shapes[:, columns] - self.model.shapes[0, columns])
+        )
 
     @property
     def _move_weights(self) -> Float:
@@ -257,7 +259,9 @@ class PoseSolver:
             return np.asarray((self._average(points) - targets).reshape(*points.shape[:-2], -1) / self.softness)
 
         def departures(change: PoseChange) -> Float:
-            steps = np.append(change.scores - prior.scores, (change.moves - prior.moves).reshape(-1)[: self._move_count])
+            steps = np.append(
+                change.scores - prior.scores, (change.moves - prior.moves).reshape(-1)[: self._move_count]
+            )
             return np.asarray(weights * steps)
 
         def energy(change: PoseChange) -> float:
@@ -269,7 +273,7 @@ class PoseSolver:
             at = vector(change)
             rates = np.zeros((unknown_count, len(at)))
             rates[:pose_count, :shape_dim] = self._shape_steps
-            rates[pose_count:, shape_dim:-self.space.correction_dim] = self._move_rates(at[shape_dim:])
+            rates[pose_count:, shape_dim : -self.space.correction_dim] = self._move_rates(at[shape_dim:])
             points, slopes = from_complex_step(self._skinned.skin(to_complex_step(at, rates)))
             slopes = self._average(slopes).reshape(unknown_count, -1) / self.softness
             gradient = slopes @ difference(points[0]) + weights * departures(change)
@@ -295,13 +299,15 @@ class PoseSolver:
         for body in range(count):
             rates[body, :3, 4 * body : 4 * body + 4] = 0.5 * quat_multiply(np.eye(4)[1:], quaternions[body])
             rates[body, 3:, 4 * count + 3 * body :][:, :3] = np.eye(3)
-        return rates.reshape(-1, self.space.placement_dim)[: self._move_count]
+        return np.asarray(rates.reshape(-1, self.space.placement_dim)[: self._move_count])
 
     def _after_step(self, change: PoseChange, step: Float) -> PoseChange:
         scores, moves = change.scores + step[: len(change.scores)], change.moves
         if self._move_count:
             moves = moves + step[len(scores) :].reshape(-1, 6)
-            turns = quat_multiply(rotvec_to_quat(step[len(scores) :].reshape(-1, 6)[:, :3]), rotvec_to_quat(change.moves[:, :3]))
+            turns = quat_multiply(
+                rotvec_to_quat(step[len(scores) :].reshape(-1, 6)[:, :3]), rotvec_to_quat(change.moves[:, :3])
+            )
             moves[:, :3] = matrix_to_rotvec(quat_to_matrix(turns))
         return PoseChange(scores, moves)
 
@@ -376,8 +382,8 @@ def pose(
             posed = add_key_shape(posed, difference, weights.curve(posed, number))
         elif (miss := float(np.linalg.norm(misses, axis=1).max()) / model.space.scale) > MAX_SILENT_MISS:
             warnings.warn(
-                f"at {time:g} s a handle misses its target by {miss:.2g} diagonals, where the poses of the model do not "
-                "reach; give a nearer target, or exact=True to deform the mesh around it",
+                f"at {time:g} s a handle misses its target by {miss:.2g} diagonals, where the poses of the model do "
+                "not reach; give a nearer target, or exact=True to deform the mesh around it",
                 MixseqWarning,
                 stacklevel=3,
             )

@@ -33,7 +33,10 @@ NAMES = ("horse_poses", "cat_poses", "lion_poses", "camel_poses", "horse_gallop:
 
 HANDLE_COUNTS = (1, 2, 4, 8, 16)
 
-MAX_POSES = 5
+MAX_GRADIENT_STEPS = 12
+"""Largest number of Gauss-Newton steps of MeshIK."""
+
+MAX_POSES = 4
 """Largest number of poses of an animation that are left out, one at a time."""
 
 COLUMNS = ("sequence", "handles", "mixseq: rms / strain", "vertices", "MeshIK", "poses per second", "while dragging")
@@ -96,7 +99,7 @@ def gradient_solver(frames: Float, space: GradientSpace) -> Solver:
         free = np.setdiff1d(np.arange(count), ids)
         tie = sparse.diags_array(np.full(len(free), 1e-9 * matrix.diagonal().mean()))  # for parts without handles
         factor = splu(sparse.csc_array(matrix[free][:, free] + tie))
-        base, step = np.zeros((count, 3)), 1e-4
+        base, step = np.zeros((count, 3)), 1e-5
         base[ids] = targets
 
         def fitted(vector: Float) -> tuple[Float, Float]:
@@ -109,11 +112,10 @@ def gradient_solver(frames: Float, space: GradientSpace) -> Solver:
 
         scores = np.zeros(len(directions))
         current = energy(scores)
-        for _ in range(30):
+        for _ in range(MAX_GRADIENT_STEPS):
             vector = vectors[start] + scores @ directions
             misfit = fitted(vector)[1].reshape(-1)
-            ends = ((fitted(vector + s * row)[1].reshape(-1) for s in (step, -step)) for row in directions)
-            slopes = np.stack([(ahead - behind) / (2 * step) for ahead, behind in ends])
+            slopes = np.stack([(fitted(vector + step * row)[1].reshape(-1) - misfit) / step for row in directions])
             change = -np.linalg.solve(slopes @ slopes.T + np.eye(len(scores)), slopes @ misfit + scores)
             lowered = energy(scores + change)
             while lowered > current and np.abs(change).max() > 1e-4:
@@ -122,7 +124,7 @@ def gradient_solver(frames: Float, space: GradientSpace) -> Solver:
             if lowered > current:
                 break
             scores, current = scores + change, lowered
-            if np.abs(change).max() <= 1e-3:
+            if np.abs(change).max() <= 0.01:
                 break
         return fitted(vectors[start] + scores @ directions)[0]
 
@@ -132,7 +134,9 @@ def gradient_solver(frames: Float, space: GradientSpace) -> Solver:
 def speeds(model: mixseq.Model, ids: Index, targets: Float, start: int) -> tuple[float, float]:
     """Return decoded poses per second on one core: solved from a frame, and dragged along a line in 20 steps."""
     when = float(model.times[start])
-    solver = PoseSolver(model, [ids[[i]] for i in range(len(ids))], DEFAULT_SOFTNESS, len(ids) >= MIN_HANDLES_OF_FREE_BODY)
+    solver = PoseSolver(
+        model, [ids[[i]] for i in range(len(ids))], DEFAULT_SOFTNESS, len(ids) >= MIN_HANDLES_OF_FREE_BODY
+    )
     begin, change = solver.positions(model(when)), solver.unchanged()
     solver.solve(when, begin)
     with one_blas_thread():
