@@ -49,7 +49,8 @@ def sides_and_normals(x: Float, a: int, b: int, c: int, d: int) -> tuple[Vector,
 @force_inlined
 def opening(e: Vector, n: Vector, m: Vector) -> tuple[float, float]:
     """Return cosine and sine of the angle from normal n to m about e, times the lengths of n, m and e."""
-    return dot(n, m) * math.sqrt(dot(e, e)), dot(cross(n, m), e)
+    # Adding zero makes negative zeros positive, so that hinges of degenerate faces have the angle 0, and not pi.
+    return (0.0 + dot(n, m)) * math.sqrt(dot(e, e)), 0.0 + dot(cross(n, m), e)
 
 
 @force_inlined
