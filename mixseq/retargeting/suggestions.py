@@ -77,18 +77,16 @@ class CoarseSurface:
     size: float  # unit of the surface, in units of the mesh
 
     @classmethod
-    def from_mesh(cls, points: FloatArray, topology: Topology, count: int = COARSE_VERTEX_COUNT) -> CoarseSurface:
-        """Decimate the component with the largest area to `count` vertices: points ``(V, 3)`` of the mesh."""
+    def from_mesh(
+        cls, points: FloatArray, topology: Topology, count: int = COARSE_VERTEX_COUNT, keep: Index | None = None
+    ) -> CoarseSurface:
+        """Decimate the component of a mesh with the largest area to `count` vertices, with its vertices `keep`."""
         x = np.asarray(points, np.float64)
-        areas = TriangleMesh(x, topology).face_areas
-        if not areas.sum() > 0:
-            raise SettingsError("no triangle of the mesh has an area; give a surface")
-        component_of_face = topology.component_of_face
-        is_largest = component_of_face == np.bincount(component_of_face, areas).argmax()
-        vertex_ids, faces = np.unique(topology.faces[is_largest].astype(np.int64), return_inverse=True)
+        vertex_ids, faces = np.unique(find_largest_component(x, topology), return_inverse=True)
         faces = faces.reshape(-1, 3)
         if len(vertex_ids) > count:
-            kept, faces = decimate(x[vertex_ids], faces, count)
+            keep = None if keep is None else np.searchsorted(vertex_ids, keep)
+            kept, faces = decimate(x[vertex_ids], faces, count, keep)
             vertex_ids = vertex_ids[kept]
         mesh = TriangleMesh(x[vertex_ids], Topology(faces, len(vertex_ids)))
         centre = mesh.face_areas @ mesh.centroids / mesh.face_areas.sum()
@@ -128,6 +126,16 @@ class CoarseSurface:
         order = np.lexsort((lengths, edges[:, 1], edges[:, 0]))
         edges, first = np.unique(edges[order], axis=0, return_index=True)  # keep the shorter of two equal edges
         return sparse.csr_array((lengths[order][first], (edges[:, 0], edges[:, 1])), shape=2 * (len(x),))
+
+
+def find_largest_component(points: Float, topology: Topology) -> Index:
+    """Return the triangles ``(f, 3)`` of the component of a mesh with the largest area."""
+    areas = TriangleMesh(points, topology).face_areas
+    if not areas.sum() > 0:
+        raise SettingsError("no triangle of the mesh has an area; give a surface")
+    component_of_face = topology.component_of_face
+    is_largest = component_of_face == np.bincount(component_of_face, areas).argmax()
+    return topology.faces[is_largest].astype(np.int64)
 
 
 DISTANCE_SAMPLES = 100  # number of sample vertices for the mean distance
