@@ -3,7 +3,8 @@ r"""Propose markers of two bodies of one kind, in any poses, from their shapes a
 *Tips* (of limbs, tail and head) are maxima of the mean distance along the surface with a large prominence
 (`mixseq.retargeting.suggestions`). All injective maps of the tips of one body to those of the other are ranked by
 
-.. math:: \operatorname{mean}_{ij} |\log (d_{ij} / d'_{ij})| + \tfrac12 \operatorname{mean}_i |\log (m_i / m'_i)| + 2 r ,
+.. math::
+    \operatorname{mean}_{ij} |\log (d_{ij} / d'_{ij})| + \tfrac12 \operatorname{mean}_i |\log (m_i / m'_i)| + 2 r ,
 
 with distances d between tips, their mean distances m to the surface, and the least residual r of a proper similarity
 between the tips over all pairs of poses. That pair of poses is where both bodies are most alike.
@@ -11,10 +12,10 @@ between the tips over all pairs of poses. That pair of poses is where both bodie
 A *dense map* starts at the nearest neighbours in a space of features: distances to the tips, positions after the
 similarity, and the *handedness* :math:`n \cdot (\nabla d_p \times \nabla d_q)` of pairs of tips p, q. A mirror changes
 the sign of the handedness, a change of the pose does not. ZoomOut (Melzi et al. 2019) refines the map, both ways, in
-the lowest eigenfunctions of the Laplacian with the features kept. So a map that exchanges left and right also exchanges
-chest and back, which is refuted by shape. The *score* of a map is the mean relative residual of similarities of patches,
-plus the residuals of similarities of the whole body and, with half the weight, of the tips. The *margin* is the score
-of the best map with other partners of the tips, minus the score.
+the lowest eigenfunctions of the Laplacian with the features kept. So a map that exchanges left and right also
+exchanges chest and back, which is refuted by shape. The *score* of a map is the mean relative residual of similarities
+of patches, plus the residuals of similarities of the whole body and, with half the weight, of the tips. The *margin* is
+the score of the best map with other partners of the tips, minus the score.
 
 A proposal is sure if a second run on other coarse surfaces, the other way round, has the same tips, and both runs have
 a low score, a margin and maps that preserve orientation. Sure maps are sampled at points far apart. A point is held out
@@ -36,7 +37,6 @@ import numpy as np
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.rigid import aligning_rotations
 from mixseq.mesh.topology import Topology
-from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.correspond import correspond_and_assess
 from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.suggestions import MIN_LIMB_PROMINENCE, CoarseSurface, find_largest_component, find_maxima
@@ -46,7 +46,7 @@ from mixseq.segmentation.silhouettes import Diffusion
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced
 
-RUN_VERTEX_COUNTS = 1500, 900  # number of vertices of coarse surfaces in the first and in the second run
+RUN_VERTEX_COUNTS = 1000, 700  # number of vertices of coarse surfaces in the first and in the second run
 MAX_POSES = 13  # largest number of sampled poses of a body
 MAX_TIPS = 8  # largest number of tips of a body; all of their injective maps are ranked
 MIN_MATCHED_TIPS = 4  # smallest number of matched tips: fewer have similarities to their mirror image
@@ -61,23 +61,28 @@ class Body:
     surface: CoarseSurface  # surface in the first pose
     poses: Float  # (T, n, 3) centred poses
     distances: Float  # (n, n) distances along the surface
+    is_own: Mask  # (n,) vertices of the mesh itself, not of its subdivision
     known: Index  # (h,) vertices of the surface with a known partner
     tips: Index  # (k,) vertices of the surface at other tips, the most prominent first
 
     @classmethod
     def from_poses(cls, poses: FloatArray, topology: Topology, count: int, known: Index) -> Body:
         """Decimate the largest component of a mesh in poses ``(T, V, 3)``, with known vertices ``(h,)``."""
+        vertex_count = topology.vertex_count
+        while topology.vertex_count < count / 2:
+            poses, topology = subdivide(poses, topology)
         surface = CoarseSurface.from_mesh(poses[0], topology, count, keep=known)
         coarse = np.asarray(poses[:, surface.vertices], np.float64)
         coarse = (coarse - coarse.mean(axis=1, keepdims=True)) / surface.size
         distances = np.minimum(surface.distances(np.arange(len(surface.vertices))), MAX_DISTANCE)
         distances = (distances + distances.T) / 2
-        known = np.searchsorted(surface.vertices, known)
+        is_own, known = surface.vertices < vertex_count, np.searchsorted(surface.vertices, known)
         peaks, prominences = find_maxima(distances @ surface.mesh.vertex_areas, surface)
         is_tip = prominences >= MIN_LIMB_PROMINENCE
         if len(known):
             is_tip &= distances[np.ix_(peaks, known)].min(axis=1) > SAME_TIP_DISTANCE
-        return cls(surface, coarse, distances, known, peaks[is_tip][:MAX_TIPS])
+        tips = np.flatnonzero(is_own)[distances[np.ix_(peaks[is_tip], is_own)].argmin(axis=1)]
+        return cls(surface, coarse, distances, is_own, known, tips[:MAX_TIPS])
 
     @cached_property
     def mean_distances(self) -> Float:
@@ -101,11 +106,12 @@ class Body:
         """Return coefficients ``(count, c)`` of values ``(n, c)`` in the lowest eigenfunctions."""
         return np.asarray(self.eigenfunctions[:, :count].T @ (self.areas[:, None] * values))
 
-    def sample(self, count: int) -> Index:
-        """Sample vertices ``(count,)`` far from each other, the innermost first (Gonzalez 1985)."""
-        samples = [int(self.mean_distances.argmin())]
-        nearest = self.distances[samples[0]].copy()
-        for _ in range(min(count, len(nearest)) - 1):
+    def sample(self, count: int, mask: Mask | None = None) -> Index:
+        """Sample vertices ``(count,)`` far from each other, in a mask ``(n,)``, the innermost first (Gonzalez 1985)."""
+        mask = np.ones(len(self.areas), dtype=bool) if mask is None else mask
+        samples = [int(np.where(mask, self.mean_distances, np.inf).argmin())]
+        nearest = np.where(mask, self.distances[samples[0]], -1.0)
+        for _ in range(min(count, int(mask.sum())) - 1):
             samples.append(int(nearest.argmax()))
             nearest = np.minimum(nearest, self.distances[samples[-1]])
         return np.array(samples)
@@ -132,6 +138,15 @@ class Body:
         return np.asarray(self.eigenfunctions[:, :count] @ coefficients)
 
 
+def subdivide(poses: FloatArray, topology: Topology) -> tuple[FloatArray, Topology]:
+    """Cut every triangle into four: the vertices of poses ``(T, V, 3)``, then the midpoints of edges."""
+    a, b, c = topology.faces.T
+    ab, bc, ca = len(poses[0]) + topology.face_edges.T
+    faces = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
+    points = np.concatenate([poses, poses[:, topology.edges].mean(axis=2)], axis=1)
+    return points, Topology(faces, points.shape[1])
+
+
 MAX_DISTANCE = 9.0  # replaces infinite distances
 SAME_TIP_DISTANCE = 0.15  # largest distance of two vertices that are the same tip
 
@@ -145,6 +160,14 @@ def _fit_similarities(covariances: Float, first_norms: Float, second_norms: Floa
     products = (rotations * covariances).sum(axis=(-2, -1))
     scales = products / np.maximum(first_norms, 1e-12)
     return rotations, scales, np.maximum(second_norms - scales * products, 0.0)
+
+
+def similarity_residuals(poses: Float, points: Float) -> Float:
+    """Return the root mean square residuals ``(T,)`` of poses ``(T, n, 3)`` fitted to points, in their mean radius."""
+    x, y = poses - poses.mean(axis=1, keepdims=True), points - points.mean(axis=0)
+    norms = (x * x).sum(axis=(1, 2)), np.full(len(x), (y * y).sum())
+    squares = _fit_similarities(np.einsum("ni,tnj->tij", y, x), *norms)[2]
+    return np.asarray(np.sqrt(squares / np.maximum(norms[1], np.finfo(float).tiny)))
 
 
 @dataclass(frozen=True)
@@ -177,7 +200,9 @@ RESIDUAL_WEIGHT = 2.0  # weight of residuals in ranks of maps, per root of the a
 def rank_tip_maps(first: Body, second: Body) -> list[tuple[float, Index]]:
     """Return maps of tips by increasing cost of distances: costs and vertices ``(k, 2)``, known pairs first."""
     ends = [np.concatenate([body.known, body.tips]) for body in (first, second)]
-    logs = [np.log(np.maximum(body.distances[np.ix_(e, e)], 1e-3)) for body, e in zip((first, second), ends, strict=True)]
+    logs = [
+        np.log(np.maximum(body.distances[np.ix_(e, e)], 1e-3)) for body, e in zip((first, second), ends, strict=True)
+    ]
     mean_logs = [np.log(body.mean_distances[e]) for body, e in zip((first, second), ends, strict=True)]
     known_count = len(first.known)
     known_ids = np.arange(known_count)
@@ -259,7 +284,9 @@ def _features(first: Body, second: Body, pairs: Index, poses: PosePair) -> tuple
     tip_weight, pair_weight = 1 / np.sqrt(len(pairs)), HANDEDNESS_WEIGHT / np.sqrt(len(i))
     return (
         np.concatenate([tip_weight * to_tips[0], POSITION_WEIGHT * x, pair_weight * first.handedness(a)], axis=1),
-        np.concatenate([tip_weight * ratio * to_tips[1], POSITION_WEIGHT * y, pair_weight * second.handedness(b)], axis=1),
+        np.concatenate(
+            [tip_weight * ratio * to_tips[1], POSITION_WEIGHT * y, pair_weight * second.handedness(b)], axis=1
+        ),
     )
 
 
@@ -294,17 +321,15 @@ PATCH_COUNT, PATCH_SAMPLES = 120, 40  # number of patches, and of sample vertice
 PATCH_SHARE = 0.1  # share of a body's vertices in a patch
 
 
-def assess_map(
-    first: Body, second: Body, pairs: Index, to_first: Index, to_second: Index, poses: PosePair
-) -> DenseMap:
+def assess_map(first: Body, second: Body, pairs: Index, to_first: Index, to_second: Index, poses: PosePair) -> DenseMap:
     """Compute the score and the orientation of a dense map in the most similar poses."""
     f, g = poses.poses
     vertex_pairs = np.stack([to_first, np.arange(len(to_first))], axis=1)
     in_pose = [replace(body, poses=body.poses[pose][None]) for body, pose in ((first, f), (second, g))]
-    body_residual, tip_residual = (
-        find_pose_pair(*in_pose, each).residual for each in (vertex_pairs, pairs)
+    body_residual, tip_residual = (find_pose_pair(*in_pose, each).residual for each in (vertex_pairs, pairs))
+    patch_residual = _patch_residual(first, second, to_first, (f, g)) + _patch_residual(
+        second, first, to_second, (g, f)
     )
-    patch_residual = _patch_residual(first, second, to_first, (f, g)) + _patch_residual(second, first, to_second, (g, f))
     score = patch_residual / 2 + body_residual + tip_residual / 2
     orientation = (_preserved_area(first, second, to_first) + _preserved_area(second, first, to_second)) / 2
     return DenseMap(pairs, to_first, to_second, poses, score, orientation)
@@ -391,6 +416,7 @@ class Proposal:
 
     markers: Markers  # known markers, tips, then points between them; only known markers if there is a doubt
     tip_count: int  # number of markers that are known or at tips
+    tips: Index  # (k, 2) best pairs of tips, also if there is a doubt
     poses: tuple[int, int]  # pose of each body in which both are most alike
     score: float  # score of the worse run; infinite if there is none
     margin: float  # mean margin of both runs
@@ -418,22 +444,28 @@ def propose_markers(first: Poses, second: Poses, known: Markers | None = None) -
         runs.append(find_best_map(*(pair if len(bodies) == 1 else pair[::-1])))
     if runs[0] is None or runs[1] is None:
         doubt = "the bodies have fewer than four limbs in common"
-        return Proposal(known, len(known), (0, 0), np.inf, 0.0, doubt)
+        return Proposal(known, len(known), known_pairs, (0, 0), np.inf, 0.0, doubt)
     (best, margin), (check, check_margin) = runs
-    score, margin = max(best.score, check.score), (margin + check_margin) / 2
-    doubt = _find_doubt(best, check, margin, _count_agreeing_tips(bodies, best, check))
+    tips = _to_mesh_vertices(bodies[0], best.pairs)
+    unsure = Proposal(
+        known, len(known), tips, best.poses.poses, max(best.score, check.score), (margin + check_margin) / 2, ""
+    )
+    doubt = _find_doubt(best, check, unsure.margin, _count_agreeing_tips(bodies, best, check))
     if doubt:
-        return Proposal(known, len(known), best.poses.poses, score, margin, doubt)
+        return replace(unsure, doubt=doubt)
     pairs, is_tip = sample_markers(*bodies[0], best)
     if is_tip.sum() < MIN_MATCHED_TIPS or len(pairs) < MIN_MARKERS:
-        doubt = "too few points of the bodies fit each other"
-        return Proposal(known, len(known), best.poses.poses, score, margin, doubt)
-    vertices = np.stack([body.surface.vertices[pairs[:, side]] for side, body in enumerate(bodies[0])], axis=1)
+        return replace(unsure, doubt="too few points of the bodies fit each other")
+    vertices = _to_mesh_vertices(bodies[0], pairs)
     is_new = ~np.isin(vertices[:, 0], known.source) & ~np.isin(vertices[:, 1], known.target)
     source, target = np.concatenate([np.stack([known.source, known.target], axis=1), vertices[is_new]]).T
     names = (*known.names, *[""] * int(is_new.sum())) if known.names else ()
-    tip_count = len(known) + int((is_tip & is_new).sum())
-    return Proposal(Markers(source, target, names), tip_count, best.poses.poses, score, margin, "")
+    return replace(unsure, markers=Markers(source, target, names), tip_count=len(known) + int((is_tip & is_new).sum()))
+
+
+def _to_mesh_vertices(bodies: list[Body], pairs: Index) -> Index:
+    """Return the vertices of the meshes for vertices ``(k, 2)`` of coarse surfaces."""
+    return np.stack([body.surface.vertices[pairs[:, side]] for side, body in enumerate(bodies)], axis=1)
 
 
 def _find_doubt(best: DenseMap, check: DenseMap, margin: float, agreement: tuple[int, int]) -> str:
@@ -457,22 +489,27 @@ def _count_agreeing_tips(bodies: list[list[Body]], best: DenseMap, check: DenseM
         tips = body.surface.points[best.pairs[:, side]] * body.surface.size + body.surface.centre
         other_tips = other.surface.points[check.pairs[:, 1 - side]] * other.surface.size + other.surface.centre
         distances = np.linalg.norm(tips[:, None] - other_tips, axis=2) / body.surface.size
-        is_nearest = distances == distances.min(axis=1, keepdims=True)
+        is_nearest = (distances == distances.min(axis=1, keepdims=True)) & (distances == distances.min(axis=0))
         near.append(is_nearest & (distances < SAME_TIP_DISTANCE))
-    is_same = (near[0] & near[1]).any(axis=1)
-    is_found = near[0].any(axis=1) | near[1].any(axis=1)
-    return int(is_same.sum()), int((is_found & ~is_same).sum())
+    is_same = near[0] @ near[1].T  # whether a pair of the second run joins a tip to the partner of another
+    return int(is_same.diagonal().sum()), int((is_same & ~np.eye(len(is_same), dtype=bool)).sum())
 
 
 def sample_markers(first: Body, second: Body, best: DenseMap) -> tuple[Index, Mask]:
     """Sample a dense map: corresponding vertices ``(n, 2)``, tips first, and the mask ``(n,)`` of tips."""
-    samples = np.setdiff1d(second.sample(MARKER_SAMPLES), best.pairs[:, 1])
-    sampled = np.stack([best.to_first[samples], samples], axis=1)
-    round_trips = second.distances[samples, best.to_second[sampled[:, 0]]]
+    # Samples are on the mesh with fewer vertices, the images on the other one.
+    side = 1 if first.is_own.all() else 0
+    body, to_body, to_other = ((first, best.to_first, best.to_second), (second, best.to_second, best.to_first))[side]
+    samples = np.setdiff1d(body.sample(MARKER_SAMPLES, body.is_own), best.pairs[:, side])
+    images = to_other[samples]
+    round_trips = body.distances[samples, to_body[images]]
     order = np.argsort(round_trips, kind="stable")
-    sampled = sampled[order[round_trips[order] < MAX_ROUND_TRIP]]
+    order = order[round_trips[order] < MAX_ROUND_TRIP]
+    sampled = np.stack([samples, images] if side == 0 else [images, samples], axis=1)[order]
+    sampled = sampled[first.is_own[sampled[:, 0]] & second.is_own[sampled[:, 1]]]
     pairs = np.concatenate([best.pairs, sampled])
-    pairs = pairs[np.sort(np.unique(pairs[:, 0], return_index=True)[1])]
+    for column in range(2):
+        pairs = pairs[np.sort(np.unique(pairs[:, column], return_index=True)[1])]
     is_tip = np.isin(pairs[:, 1], best.pairs[:, 1])
     number = np.cumsum(~is_tip)
     distances = np.full(len(pairs), np.inf)
