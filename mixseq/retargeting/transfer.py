@@ -184,8 +184,8 @@ def _propose(source: SourceMotion, rest: Float, header: SequenceHeader, progress
     if proposal.doubt:
         raise SettingsError(
             f"the source has {source.header.vertex_count} vertices and {len(source.header.faces)} triangles, the "
-            f"target {header.vertex_count} and {len(header.faces)}, or they are in another order, and no markers "
-            f"are sure: {proposal.doubt}. Set markers (mixseq view SOURCE TARGET --markers pairs.txt), or give a map"
+            f"target {header.vertex_count} and {len(header.faces)}, or they are in another order, and markers that "
+            f"could be proposed are not sure: {proposal.doubt}; give markers or a map"
         )
     return proposal
 
