@@ -25,6 +25,7 @@ from mixseq.cli.files import (
     check_target,
     first_frame,
     is_model,
+    options_of,
     overwriting,
     scene_items,
     write_frames,
@@ -134,8 +135,8 @@ def command(
     started.
 
     With --markers, the two FILES are shown at rest, each in its first frame (from glTF, in the pose without animation).
-    --animation and the motion only help to propose pairs. Click corresponding points in pairs; the viewer proposes pairs
-    where it is sure, and shows how well all pairs fit.
+    Their motion only helps to propose pairs. Click corresponding points in pairs; the viewer proposes pairs where it is
+    sure, and shows how well all pairs fit.
 
     The viewer runs until Ctrl-C. On another machine, forward its port: ssh -L 8080:127.0.0.1:8080 machine.
     """
@@ -339,18 +340,17 @@ def _with_motion(path: Path, reading: Mapping[str, Any], rest: MeshSequence) -> 
     import numpy as np
 
     from mixseq.retargeting.proposals import MAX_POSES
+    from mixseq.sequence.sequence import load_frames
     from mixseq.types import evenly_spaced
 
     if is_model(path):
-        model = mixseq.load(path)
-        frames = [
-            model(time)[None] for time in model.header.times[evenly_spaced(model.header.frame_count, MAX_POSES - 1)]
-        ]
+        frames = load_frames(mixseq.load(path).frames)
     else:
         with mixseq.open_sequence(path, **options_of(path, reading)) as reader:
-            times = reader.header.times
-            frames = list(reader.blocks_at(times[evenly_spaced(len(times), MAX_POSES - 1)]))
-    poses = np.concatenate([rest.points[:1], *frames]) if frames[0].shape[1] == rest.vertex_count else rest.points[:1]
+            frames = load_frames(reader)
+    if frames.header.vertex_count != rest.vertex_count:
+        return rest
+    poses = np.concatenate([rest.points[:1], frames.points[evenly_spaced(len(frames.points), MAX_POSES - 1)]])
     return mixseq.MeshSequence.from_header(rest.header.with_times(np.arange(len(poses), dtype=float)), poses)
 
 

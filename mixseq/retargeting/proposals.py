@@ -50,7 +50,7 @@ RUN_VERTEX_COUNTS = 1000, 700  # number of vertices of coarse surfaces in the fi
 MAX_POSES = 13  # largest number of sampled poses of a body
 MAX_TIPS = 8  # largest number of tips of a body; all of their injective maps are ranked
 MIN_MATCHED_TIPS = 4  # smallest number of matched tips: fewer have similarities to their mirror image
-EIGENFUNCTIONS = 60  # number of eigenfunctions of the finest map
+MAX_EIGENFUNCTIONS = 60  # number of eigenfunctions of the finest map
 HANDEDNESS_EIGENFUNCTIONS = 40  # number of eigenfunctions to which handedness is smoothed
 
 
@@ -99,7 +99,7 @@ class Body:
     def eigenfunctions(self) -> Float:
         """Lowest eigenfunctions ``(n, k)`` of the Laplacian, the constant one first, orthonormal by area."""
         diffusion = Diffusion(self.surface.points, self.surface.mesh.topology)
-        functions = diffusion.embedding(0.0, min(EIGENFUNCTIONS - 1, len(self.areas) // 3))
+        functions = diffusion.embedding(0.0, min(MAX_EIGENFUNCTIONS - 1, len(self.areas) // 3))
         return np.concatenate([np.ones((len(functions), 1)), functions], axis=1)
 
     def project(self, values: Float, count: int) -> Float:

@@ -1,10 +1,10 @@
 """Proposed markers: how many pairs of bodies are accepted, whether the proposals are right, and how exact they are.
 
 A proposal is right if no marker at a tip is on another side of the body: corresponding tips are compared in the
-bounding boxes of both bodies, in their mean pose, which stand alike (upright ones not forwards, as their arms swing). Distances of all markers from the truth are in
-diagonals of the source. The truth is exact where both are motions of one mesh, of which the target is decimated to
-other triangles. Elsewhere it is the correspondence from markers set by hand. Coverage is the share of the target's area
-within a tenth of its diagonal of a marker.
+bounding boxes of both bodies, in their mean pose, which stand alike (upright ones not forwards, as their arms swing).
+Distances of all markers from the truth are in diagonals of the source. The truth is exact where both are motions of one
+mesh, of which the target is decimated to other triangles. Elsewhere it is the correspondence from markers set by hand.
+Coverage is the share of the target's area within a tenth of its diagonal of a marker.
 
 Usage: scripts/bench markers [PAIR ...]   (animations of $MIXSEQ_DATA; pairs such as horse-camel, see PAIRS)
 """
