@@ -194,7 +194,7 @@ def _quality_rows(quality: CorrespondenceQuality, diagonal: float) -> list[tuple
 
 def _proposed(proposal: Proposal) -> str:
     between = len(proposal.markers) - proposal.tip_count
-    return f"all markers: {proposal.tip_count} at tips, {between} between them; certain, but look at the picture"
+    return f"all markers: {proposal.tip_count} at tips, {between} between them; sure, but look at the picture"
 
 
 def _smoothness(report: TransferReport, header: SequenceHeader) -> str:

@@ -325,8 +325,8 @@ def assess_map(first: Body, second: Body, pairs: Index, to_first: Index, to_seco
     """Compute the score and the orientation of a dense map in the most similar poses."""
     f, g = poses.poses
     vertex_pairs = np.stack([to_first, np.arange(len(to_first))], axis=1)
-    in_pose = [replace(body, poses=body.poses[pose][None]) for body, pose in ((first, f), (second, g))]
-    body_residual, tip_residual = (find_pose_pair(*in_pose, each).residual for each in (vertex_pairs, pairs))
+    posed = replace(first, poses=first.poses[f : f + 1]), replace(second, poses=second.poses[g : g + 1])
+    body_residual, tip_residual = (find_pose_pair(*posed, each).residual for each in (vertex_pairs, pairs))
     patch_residual = _patch_residual(first, second, to_first, (f, g)) + _patch_residual(
         second, first, to_second, (g, f)
     )
@@ -436,34 +436,33 @@ def propose_markers(first: Poses, second: Poses, known: Markers | None = None) -
         on_body = np.unique(find_largest_component(np.asarray(poses[0], np.float64), topology))
         known_pairs = known_pairs[np.isin(known_pairs[:, side], on_body)]
         known_pairs = known_pairs[np.sort(np.unique(known_pairs[:, side], return_index=True)[1])]
-    runs, bodies = [], []
-    for count in RUN_VERTEX_COUNTS:
-        pair = [Body.from_poses(*body, count, known_pairs[:, side]) for side, body in enumerate((first, second))]
-        bodies.append(pair)
-        # The second run is the other way round.
-        runs.append(find_best_map(*(pair if len(bodies) == 1 else pair[::-1])))
-    if runs[0] is None or runs[1] is None:
+    bodies, check_bodies = (
+        (Body.from_poses(*first, count, known_pairs[:, 0]), Body.from_poses(*second, count, known_pairs[:, 1]))
+        for count in RUN_VERTEX_COUNTS
+    )
+    run, check_run = find_best_map(*bodies), find_best_map(*check_bodies[::-1])
+    if run is None or check_run is None:
         doubt = "the bodies have fewer than four limbs in common"
         return Proposal(known, len(known), known_pairs, (0, 0), np.inf, 0.0, doubt)
-    (best, margin), (check, check_margin) = runs
-    tips = _to_mesh_vertices(bodies[0], best.pairs)
+    (best, margin), (check, check_margin) = run, check_run
+    tips = _to_mesh_vertices(bodies, best.pairs)
     unsure = Proposal(
         known, len(known), tips, best.poses.poses, max(best.score, check.score), (margin + check_margin) / 2, ""
     )
-    doubt = _find_doubt(best, check, unsure.margin, _count_agreeing_tips(bodies, best, check))
+    doubt = _find_doubt(best, check, unsure.margin, _count_agreeing_tips(bodies, check_bodies, best, check))
     if doubt:
         return replace(unsure, doubt=doubt)
-    pairs, is_tip = sample_markers(*bodies[0], best)
+    pairs, is_tip = sample_markers(*bodies, best)
     if is_tip.sum() < MIN_MATCHED_TIPS or len(pairs) < MIN_MARKERS:
         return replace(unsure, doubt="too few points of the bodies fit each other")
-    vertices = _to_mesh_vertices(bodies[0], pairs)
+    vertices = _to_mesh_vertices(bodies, pairs)
     is_new = ~np.isin(vertices[:, 0], known.source) & ~np.isin(vertices[:, 1], known.target)
     source, target = np.concatenate([np.stack([known.source, known.target], axis=1), vertices[is_new]]).T
     names = (*known.names, *[""] * int(is_new.sum())) if known.names else ()
     return replace(unsure, markers=Markers(source, target, names), tip_count=len(known) + int((is_tip & is_new).sum()))
 
 
-def _to_mesh_vertices(bodies: list[Body], pairs: Index) -> Index:
+def _to_mesh_vertices(bodies: tuple[Body, Body], pairs: Index) -> Index:
     """Return the vertices of the meshes for vertices ``(k, 2)`` of coarse surfaces."""
     return np.stack([body.surface.vertices[pairs[:, side]] for side, body in enumerate(bodies)], axis=1)
 
@@ -482,10 +481,12 @@ def _find_doubt(best: DenseMap, check: DenseMap, margin: float, agreement: tuple
     return ""
 
 
-def _count_agreeing_tips(bodies: list[list[Body]], best: DenseMap, check: DenseMap) -> tuple[int, int]:
+def _count_agreeing_tips(
+    bodies: tuple[Body, Body], check_bodies: tuple[Body, Body], best: DenseMap, check: DenseMap
+) -> tuple[int, int]:
     """Return the numbers of tips of the first run with the same and with other partners in the second run."""
     near = []
-    for side, (body, other) in enumerate(zip(*bodies, strict=True)):
+    for side, (body, other) in enumerate(zip(bodies, check_bodies, strict=True)):
         tips = body.surface.points[best.pairs[:, side]] * body.surface.size + body.surface.centre
         other_tips = other.surface.points[check.pairs[:, 1 - side]] * other.surface.size + other.surface.centre
         distances = np.linalg.norm(tips[:, None] - other_tips, axis=2) / body.surface.size

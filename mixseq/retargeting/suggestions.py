@@ -122,7 +122,7 @@ def find_largest_component(points: Float, topology: Topology) -> Index:
         raise SettingsError("no triangle of the mesh has an area; give a surface")
     component_of_face = topology.component_of_face
     is_largest = component_of_face == np.bincount(component_of_face, areas).argmax()
-    return topology.faces[is_largest].astype(np.int64)
+    return np.asarray(topology.faces[is_largest], dtype=np.int64)
 
 
 DISTANCE_SAMPLES = 100  # number of sample vertices for the mean distance

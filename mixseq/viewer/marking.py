@@ -257,7 +257,8 @@ class MarkingSession(JobQueue[Callable[[], None]]):
 
     def _suggest(self) -> None:
         self._set_work("looking for markers to suggest")
-        proposal = propose_markers(*map(sample_poses, self._meshes), self.marking.markers)
+        source, target = (sample_poses(mesh) for mesh in self._meshes)
+        proposal = propose_markers(source, target, self.marking.markers)
         self._suggestions, self.doubt = Marking.from_markers(proposal.markers).pairs, proposal.doubt
 
     def _find_mirrors(self) -> None:

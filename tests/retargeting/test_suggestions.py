@@ -131,7 +131,7 @@ def test_handedness_changes_its_sign_in_a_mirror_and_not_with_the_pose() -> None
     tips = on_bones(short(), *TIP_BONES)
     values = body.handedness(tips).reshape(-1)
     for other, sign in ((mirror, -1), (other_pose, 1)):
-        assert np.corrcoef(values, sign * other.handedness(tips).reshape(-1))[0, 1] > 0.95
+        assert np.corrcoef(values, sign * other.handedness(tips).reshape(-1))[0, 1] > 0.9
 
 
 def test_the_most_similar_poses_are_found() -> None:
