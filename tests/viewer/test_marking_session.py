@@ -41,7 +41,7 @@ def listener() -> Iterator[Listener]:
 
 def test_suggestions_are_accepted_and_skipped(listener: Listener) -> None:
     with MarkingSession(short().mesh, tall().mesh, NOTHING, listener) as session:
-        eventually(lambda: len(session.proposals) >= 8)
+        eventually(lambda: len(session.proposals) >= 8, seconds=240.0)
         first, second, *_ = session.proposals
         session.accept()
         assert session.marking.pairs == (first,)
