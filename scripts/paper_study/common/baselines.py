@@ -41,7 +41,7 @@ from mixseq.shells.fitting import ShellReport, ShellSettings
 from mixseq.shells.solvers import factorise
 from mixseq.spaces.edge import DiscreteShell, EdgeSettings
 from mixseq.spaces.gradient import GradientSpace
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, IntArray
 from scripts.paper_study.common.methods import Blended, Edge, Method
 from scripts.paper_study.common.poses import Poses
 
@@ -131,7 +131,7 @@ def minimise(
         found = model(x)
         diagonal = found.matrix.diagonal()
         while True:
-            matrix = found.matrix + sparse.diags_array(damping * diagonal + 1e-12 * diagonal.max())
+            matrix = found.matrix + sparse.diags_array(damping * diagonal + 1e-9 * float(np.median(diagonal)))
             step = -factorise(matrix).solve(found.gradient)
             gain = -float(found.gradient @ step)
             if gain <= TOLERANCE * found.value + 1e-16 or damping > MAX_DAMPING:
@@ -144,7 +144,7 @@ def minimise(
     return x, ShellReport(value(x), MAX_STEPS, False)
 
 
-def angle_gradients(x: Float, hinges: Index) -> Float:
+def angle_gradients(x: Float, hinges: IntArray) -> Float:
     """Return the gradients ``(H, 4, 3)`` of dihedral angles, in the order of their vertices."""
     a, b, c, d = (x[column] for column in hinges.T)
     side = b - a
@@ -195,7 +195,7 @@ class Elastic:
         return _rows(self.topology.hinges, angle_gradients(x, self.topology.hinges), x.size)
 
 
-def _rows(vertices: Index, gradients: Float, size: int) -> sparse.csr_array:
+def _rows(vertices: IntArray, gradients: Float, size: int) -> sparse.csr_array:
     """Return gradients ``(n, k, 3)`` at vertices ``(n, k)`` as rows of a matrix."""
     columns = (3 * vertices[:, :, None] + np.arange(3)).reshape(-1)
     starts = np.arange(len(vertices) + 1) * (3 * vertices.shape[1])
@@ -283,8 +283,8 @@ class Geodesic(Nric):
 
     @cached_property
     def path(self) -> tuple[Float, ShellReport]:
-        """The inner shapes ``(K - 1, V, 3)``."""
-        starts = [super(Geodesic, self).at(np.array([1 - w, w])).points for w in np.arange(1, SEGMENTS) / SEGMENTS]
+        """The inner shapes ``(K - 1, V, 3)``, found from discrete shells, which collapse no faces."""
+        starts = [self.linear.at(np.array([1 - w, w])).points for w in np.arange(1, SEGMENTS) / SEGMENTS]
         with one_blas_thread():
             return minimise(self.value, self.model, np.stack(starts) / self.poses.diagonal)
 
@@ -361,6 +361,5 @@ BASELINES: dict[str, Callable[[Poses, Index], Method]] = {
     "ARAP": lambda poses, _: Arap(poses),
     "skin": lambda poses, _: Skinned(poses),
     "NRIC": lambda poses, _: Nric(poses),
-    "geodesic": lambda poses, _: Geodesic(poses),
 }
-"""All of them, of two poses."""
+"""All but the geodesic, of two poses."""
