@@ -26,6 +26,7 @@ from scripts.paper_study.common.baselines import (
 from scripts.paper_study.common.damage import apart
 from scripts.paper_study.common.errors import errors
 from scripts.paper_study.common.poses import Poses, between
+from scripts.paper_study.common.record import Results
 from scripts.paper_study.stages import geodesic
 from scripts.paper_study.stages.baselines import compared, page
 from tests.meshes import bar, grid, rotation, topology_of, tube
@@ -155,7 +156,9 @@ def test_a_page_has_what_was_compared(tmp_path: Path) -> None:
     found = compared(poses, makers, tmp_path / "picture.png", lambda text: None)
     assert (tmp_path / "picture.png").exists()
     assert found["ARAP"]["turned"] < 1e-9 and -1 < found["vertices"]["at"]["0.5"]["volume"] < 0
-    results = {"lion": {"title": "bar", "methods": dict.fromkeys(("ARAP", "skin", "NRIC", "MixIT"), found["ARAP"])}}
+    results: Results = {
+        "lion": {"title": "bar", "methods": dict.fromkeys(("ARAP", "skin", "NRIC", "MixIT"), found["ARAP"])}
+    }
     results["lion"]["placed"] = [1.0, 2.0, 3.0]
     assert "lengths 1, angles 1;" in page(results)[-1] and "| ARAP | 0.25 |" in page(results)[4]
     results["lion"]["methods"] |= {"geodesic": found["vertices"]}

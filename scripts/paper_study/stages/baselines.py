@@ -40,7 +40,8 @@ def compared(
     poses: Poses, methods: Mapping[str, Callable[[Poses, Index], Method]], picture: Path, say: Callable[[str], None]
 ) -> Json:
     """Blend by all methods; return errors, volumes, processor seconds, and how far blends move with the turn."""
-    labels, rotation, found = poses.segmented(), rotvec_to_matrix(TURN), {}
+    labels, rotation = poses.segmented(), rotvec_to_matrix(TURN)
+    found: Json = {}
     volumes = np.array([signed_volume(x - x.mean(axis=0), poses.topology.faces) for x in poses.points])
     panels = [Panel("first pose", poses.points[0]), Panel("second pose", poses.points[1])]
     for name, make in methods.items():
