@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import sys
@@ -37,6 +36,8 @@ def return_large_blocks() -> None:
     """
     if sys.platform != "linux" or _THRESHOLD_VARIABLE in os.environ:
         return
+    import ctypes  # slow to import
+
     os.environ[_THRESHOLD_VARIABLE] = str(LARGE_BLOCK_BYTES)
     with suppress(OSError, AttributeError):  # other C libraries have no such setting
         ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, LARGE_BLOCK_BYTES)
