@@ -64,8 +64,8 @@ MIN_DEVIATION_RATIO = 1e-6
 MIN_HANDLES_OF_FREE_BODY = 3
 """Number of handles, the kept vertices included, from which on bodies move: three points determine a rigid motion."""
 
-MAX_STEPS, STEP_TOLERANCE = 30, 1e-4
-"""Largest number of Levenberg-Marquardt steps, and the step in standard deviations at which they stop."""
+MAX_STEPS, STEP_TOLERANCE, ENERGY_TOLERANCE = 30, 1e-4, 1e-5
+"""Largest number of Levenberg-Marquardt steps; step in standard deviations, and relative decrease, at which they stop."""
 
 START_DAMPING, MAX_DAMPING = 1e-3, 1e8
 """First damping of steps, and the damping at which no step is left that lowers the energy."""
@@ -286,8 +286,8 @@ class PoseSolver:
                 damping *= 0.1 if lowered <= current else 10.0
             if lowered > current:
                 break
-            change, current = candidate, lowered
-            if np.abs(weights * step).max(initial=0.0) <= STEP_TOLERANCE:
+            decrease, change, current = current - lowered, candidate, lowered
+            if decrease <= ENERGY_TOLERANCE * current or np.abs(weights * step).max() <= STEP_TOLERANCE:
                 break
         return change
 
