@@ -73,7 +73,8 @@ def vertex_solver(frames: Float) -> Solver:
         slopes = directions[:, columns].T / DEFAULT_SOFTNESS
         misses = (targets - frames[start, ids]).reshape(-1) / DEFAULT_SOFTNESS
         system = slopes.T @ slopes + np.eye(len(directions))
-        return frames[start] + (np.linalg.solve(system, slopes.T @ misses) @ directions).reshape(-1, 3)
+        change = np.linalg.solve(system, slopes.T @ misses) @ directions
+        return np.asarray(frames[start] + change.reshape(-1, 3))
 
     return solve
 
@@ -100,14 +101,14 @@ def gradient_solver(frames: Float, space: GradientSpace) -> Solver:
 
     def solve(ids: Index, targets: Float, start: int) -> Float:
         free = np.setdiff1d(np.arange(count), ids)
-        tie = sparse.diags_array(np.full(len(free), 1e-9 * matrix.diagonal().mean()))  # for parts without handles
+        tie = sparse.diags_array(np.full(len(free), 1e-9 * matrix.diagonal().mean()))  # for components without handles
         factor = splu(sparse.csc_array(matrix[free][:, free] + tie))
-        base, step = np.zeros((count, 3)), 1e-5
+        base, step = frames[start].copy(), 1e-5
         base[ids] = targets
 
         def fitted(vector: Float) -> tuple[Float, Float]:
             goal, x = target_sides(vector), base.copy()
-            x[free] = factor.solve((incidence.T @ (weights * (goal - incidence @ base)))[free])
+            x[free] += factor.solve((incidence.T @ (weights * (goal - incidence @ base)))[free])
             return x, np.sqrt(weights) * (incidence @ x - goal)
 
         def energy(scores: Float) -> float:
