@@ -1,4 +1,4 @@
-"""Read the scripts of pages, which exported pages and the live viewer share; those of `mixseq.web.PAGE_SCRIPTS` are in ``web/page``."""
+"""Read the scripts of pages; those that exported pages share with `mixseq.web` are in ``web/page``."""
 
 from __future__ import annotations
 
