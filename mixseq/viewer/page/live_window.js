@@ -23,6 +23,8 @@ var mixseqWindow = (function () {
   .mixseq-sheet .mantine-Slider-thumb { width: 24px; height: 24px; }
   .mantine-Notifications-root { position: fixed !important; left: 8px !important; width: auto !important; max-width: calc(100% - 16px); }
   #mixseq-charts { height: 560px !important; }
+  .mixseq-sheet div:has(> div > .mantine-Tabs-root) { display: flex; flex-direction: column; }
+  .mixseq-sheet div:has(> .mantine-Tabs-root) { order: -1; } /* curves first, one tap away */
 }`;
   const notice = document.createElement("div"), keys = document.createElement("dialog"), seen = new WeakSet();
   let sheet = null, viewport = null;
