@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 from functools import cache
 from importlib import import_module
+from itertools import takewhile
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -188,8 +189,8 @@ def test_measurements_that_are_shown_are_there() -> None:
                 if line[0] == "scripts/bench":
                     assert (ROOT / "scripts" / "benchmarks" / f"{line[1]}.py").is_file(), line
                 elif "scripts/paper" in line:
-                    options = line.index("--mesh") if "--mesh" in line else len(line)
-                    assert set(line[line.index("scripts/paper") + 1 : options]) <= set(STAGES), line
+                    names = takewhile(lambda word: not word.startswith("-"), line[line.index("scripts/paper") + 1 :])
+                    assert set(names) <= set(STAGES), line
                 elif line[0] == "python" and line[1].endswith(".py"):
                     assert (ROOT / line[1]).is_file(), line
                 elif line[0].startswith("scripts/"):

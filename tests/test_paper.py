@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -13,7 +14,8 @@ from mixseq.mesh.topology import Topology
 from scripts.paper_study.common.errors import band, errors, text
 from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.printed import TABLE_1, TABLE_2, TABLE_3, TABLE_4, edge_dimension
-from scripts.paper_study.main import STAGES
+from scripts.paper_study.common.record import named, ratio_range
+from scripts.paper_study.main import STAGES, write, write_index
 from tests.meshes import tetrahedron
 
 
@@ -73,3 +75,23 @@ def test_numbers_have_two_digits_and_no_exponents() -> None:
 def test_every_table_and_figure_has_its_module(name: str) -> None:
     module = import_module(f"scripts.paper_study.stages.{name.replace('-', '_')}")
     assert module.MESHES and all(callable(getattr(module, what)) for what in ("measure", "page", "verdict"))
+
+
+PAGES = Path(__file__).parents[1] / "docs" / "paper"
+
+
+def test_pages_are_written_from_their_results(tmp_path: Path) -> None:
+    (tmp_path / "results").symlink_to(PAGES / "results")
+    for name in STAGES:
+        write(tmp_path, name)
+    write_index(tmp_path)
+    written = sorted(tmp_path.glob("*.md"))
+    assert len(written) > len(list((PAGES / "results").glob("*.json")))
+    for page in written:
+        assert page.read_text() == (PAGES / page.name).read_text(), f"write it: scripts/paper --pages --out {PAGES}"
+
+
+def test_ranges_and_names() -> None:
+    assert ratio_range([0.512, 2.04]) == "0.51 to 2" and ratio_range([1.0, 1.001]) == "1"
+    assert ratio_range([99.0, 275.3]) == "99 to 275"
+    assert named(["lion", "cat"]) == "lion, cat" and named([]) == "none"

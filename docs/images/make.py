@@ -25,6 +25,7 @@ from mixseq.creature import part_of_vertex, walk_cycle
 from mixseq.mesh.rotations import rotvec_to_matrix
 from mixseq.mesh.triangle_mesh import area_normals
 from mixseq.operations import (
+    Handle,
     blend,
     concatenate,
     cut,
@@ -32,6 +33,7 @@ from mixseq.operations import (
     exaggerate_part,
     hold,
     loop,
+    pose,
     repeat,
     reverse,
     sculpt,
@@ -318,6 +320,25 @@ def sculpted(path: Path) -> None:
     sheet(path, rows, np.arange(7) / 6, against=walk)
 
 
+def posed(path: Path) -> None:
+    """A forepaw put elsewhere at 0.5 s: alone, and with the other paws kept."""
+    walk, (paw, *others) = walk_model(), map(sole, ("forepaw.r", "forepaw.l", "hindpaw.r", "hindpaw.l"))
+    raised = [Handle(0.5, walk(0.5)[paw] + [0.12, 0.1, 0.0], paw)]
+    rows = {
+        "walk": walk,
+        "forepaw up\nand forwards": pose(walk, raised, fade=0.3),
+        "other paws\nkept": pose(walk, raised, keep=others, fade=0.3),
+    }
+    sheet(path, rows, np.linspace(0.2, 0.8, 7), against=walk)
+
+
+def sole(bone_name: str) -> int:
+    """Return the lowest vertex of a bone of the fox at rest."""
+    bone, names = part_of_vertex()
+    vertices = np.flatnonzero(bone == names.index(bone_name))
+    return int(vertices[walk_model()(0.0)[vertices, 1].argmin()])
+
+
 def swapped(path: Path) -> None:
     """A hump on one key shape."""
     model = mixseq.fit(walk_model().sample(), pose="keys", rank=5)
@@ -461,6 +482,7 @@ PICTURES: Mapping[str, Callable[[Path], None]] = {
     "edit-limbs": exaggerated,
     "edit-smooth": smoothed,
     "edit-sculpt": sculpted,
+    "edit-pose": posed,
     "edit-swap": swapped,
     "edit-sketch": sketched,
     "transfer-fox": transfer_fox,

@@ -106,6 +106,7 @@ def nearest_rotation_kernel(matrices: Float, min_ratio: float) -> Float:
 
 POINTS_PER_BLOCK = 1 << 12  # points per block of `mean_shape`, in all frames
 MEAN_SHAPE_TOLERANCE = 1e-10  # relative change of a mean shape at which its iteration stops
+MIN_COVARIANCE_RATIO = 1e-10  # smallest ratio of singular values of covariances that are not of points on a line
 FRAMES_PER_BLOCK = 256  # frames per block of `largest_rotation`, each compared with all frames
 
 
@@ -120,7 +121,7 @@ def aligning_rotations(covariances: FloatArray) -> Float:
     Each is the rotation nearest to its covariance. For points on a line, where the angle about the line is
     undetermined, return the rotation closest to the identity.
     """
-    return _nearest(covariances, min_ratio=1e-10)
+    return _nearest(covariances, MIN_COVARIANCE_RATIO)
 
 
 def _nearest(matrices: FloatArray, min_ratio: float) -> Float:

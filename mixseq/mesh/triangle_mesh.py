@@ -11,6 +11,7 @@ vertex, and are replaced by triangles with area where an inverse is needed.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,6 +19,7 @@ import numpy as np
 
 from mixseq.mesh.measures import scatter_add
 from mixseq.mesh.topology import Topology
+from mixseq.runtime.jit import compiled
 from mixseq.types import Float, Index, Mask
 
 DEGENERATE_HEIGHT_RATIO = 1e-4
@@ -76,19 +78,42 @@ def triangle_matrices(x: Float, faces: Index, edges: Index) -> Float:
 
     The fourth vertex of a face without area is perpendicular to its longest side, along the mean of its vertex normals.
     """
-    corners = x[faces]
-    normals = area_normals(x, faces)
-    areas = np.linalg.norm(normals, axis=1)
-    degenerate = np.flatnonzero(areas == 0)
-    if degenerate.size:
-        _, longest, length = _longest_sides(corners[degenerate])
+    triangles = np.empty((len(faces), 3, 3))
+    if _write_triangles(x, faces, DEGENERATE_HEIGHT_RATIO, triangles):
+        degenerate = np.flatnonzero(~triangles[:, :, 2].any(axis=1))
+        _, longest, length = _longest_sides(x[faces[degenerate]])
         means = vertex_normals(x, faces, edges)[faces[degenerate]].sum(axis=1)
         upright = means - longest * np.sum(means * longest, axis=1, keepdims=True)
         has_normal = np.linalg.norm(upright, axis=1) > DEGENERATE_HEIGHT_RATIO * np.linalg.norm(means, axis=1)
-        normals[degenerate] = np.where(has_normal[:, None], normalise(upright), perpendicular(longest))
-        areas[degenerate] = DEGENERATE_HEIGHT_RATIO * length**2
-    fourth = normalise(normals) * np.sqrt(areas)[:, None]
-    return np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], fourth], axis=2)
+        directions = np.where(has_normal[:, None], normalise(upright), perpendicular(longest))
+        triangles[degenerate, :, 2] = normalise(directions) * np.sqrt(DEGENERATE_HEIGHT_RATIO * length**2)[:, None]
+    return triangles
+
+
+@compiled
+def _write_triangles(x: Float, faces: Index, height_ratio: float, triangles: Float) -> int:
+    """Write matrices D ``(F, 3, 3)`` of faces; return the number of those without area, whose fourth vertex is zero."""
+    count = 0
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        p0, p1, p2 = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+        q0, q1, q2 = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+        o0, o1, o2 = x[c, 0] - x[b, 0], x[c, 1] - x[b, 1], x[c, 2] - x[b, 2]
+        longest = max(p0 * p0 + p1 * p1 + p2 * p2, q0 * q0 + q1 * q1 + q2 * q2, o0 * o0 + o1 * o1 + o2 * o2)
+        n0, n1, n2 = p1 * q2 - p2 * q1, p2 * q0 - p0 * q2, p0 * q1 - p1 * q0
+        size = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+        is_degenerate = size <= height_ratio * longest
+        count += is_degenerate
+        root = 0.0 if is_degenerate else math.sqrt(size)
+        size = 1.0 if is_degenerate else size
+        triangles[f, 0, 0], triangles[f, 1, 0], triangles[f, 2, 0] = p0, p1, p2
+        triangles[f, 0, 1], triangles[f, 1, 1], triangles[f, 2, 1] = q0, q1, q2
+        triangles[f, 0, 2], triangles[f, 1, 2], triangles[f, 2, 2] = (
+            n0 / size * root,
+            n1 / size * root,
+            n2 / size * root,
+        )
+    return count
 
 
 def replace_degenerate(triangles: Float) -> Float:

@@ -1,10 +1,12 @@
 """Make new models and sequences from models. Operations are pure functions that return a model, so they compose.
 
-`timeline`, `retiming` and `resampling` change times; `transitions` joins motions. `filters`, `limbs`, `sculpt` and
-`sketch` change poses; `shape_exchange` changes bodies. `interpolation` blends poses. `script` reads edits from files.
+`timeline`, `retiming` and `resampling` change times; `transitions` joins motions. `filters`, `handles`, `limbs`,
+`sculpt` and `sketch` change poses; `shape_exchange` changes bodies. `interpolation` blends poses. `script` reads edits
+from files.
 """
 
 from mixseq.operations.filters import exaggerate, smooth
+from mixseq.operations.handles import Handle, pose
 from mixseq.operations.limbs import exaggerate_part, hold
 from mixseq.operations.resampling import resample
 from mixseq.operations.retiming import Retiming, read_retiming, retime
@@ -15,6 +17,7 @@ from mixseq.operations.timeline import cut, in_place, loop, repeat, reverse, shi
 from mixseq.operations.transitions import blend, concatenate, into, transition
 
 __all__ = [
+    "Handle",
     "Retiming",
     "blend",
     "concatenate",
@@ -27,6 +30,7 @@ __all__ = [
     "into",
     "key_poses",
     "loop",
+    "pose",
     "read_retiming",
     "repeat",
     "resample",

@@ -45,16 +45,14 @@ from mixseq.mesh.rotations import (
 )
 from mixseq.operations.filters import check_gain
 from mixseq.operations.sections import (
-    CurveSection,
-    Seam,
     blend_key_poses,
     correction_norm,
     fade_window,
     interpolate_adaptively,
-    join_curves,
     model_sites,
     shape_norm,
     snap_time,
+    splice,
     subdivide,
 )
 from mixseq.runtime.public import public
@@ -282,8 +280,8 @@ def hold(
 
     signal = interpolate_adaptively(held_signal, sites, SIGNAL_TOLERANCE, shape_norm(extended))
     return extended.edited(
-        time=_splice(extended, extended.time, signal),
-        correction=_splice(extended, model.correction, correction),
+        time=splice(extended, extended.time, signal),
+        correction=splice(extended, model.correction, correction),
     )
 
 
@@ -298,24 +296,6 @@ def _edit_joint(model: Model, limb: Limb, sites: Float, edit: JointPoseEdit) -> 
     count = 1 + int(np.abs(turn_steps).max(initial=0.0) / MAX_TURN_STEP_RADIANS)
     sites = subdivide(sites, count)
     return interpolate_adaptively(correction, sites, SIGNAL_TOLERANCE, correction_norm(model))
-
-
-def _splice(model: Model, curve: Curve, inside: Curve) -> Curve:
-    """Replace the section of a signal `curve` that the curve `inside` covers.
-
-    The first and last interval of `inside` absorb the jumps at its ends, which are interpolation errors.
-    """
-    first, last = inside.start, inside.end
-    if first == last:
-        return inside
-    sections, seams = [CurveSection(inside, first, last)], []
-    if model.start < first:
-        sections.insert(0, CurveSection(curve, model.start, first))
-        seams.append(Seam(inside.times[2] - first, fraction_before=0.0))
-    if last < model.end:
-        sections.append(CurveSection(curve, last, model.end))
-        seams.append(Seam(last - inside.times[-3], fraction_before=1.0))
-    return join_curves(sections, seams)
 
 
 def _scale_joint_shapes(model: Model, limb: Limb, gain: float) -> Float:

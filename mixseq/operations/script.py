@@ -22,7 +22,7 @@ durations are in frames of the edited model (`mixseq.sequence.frame_rates`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from inspect import Parameter, signature
@@ -33,6 +33,7 @@ from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_ty
 import numpy as np
 
 from mixseq.errors import FormatError, MissingFileError, MixseqError, SettingsError
+from mixseq.operations.handles import Handle
 from mixseq.operations.retiming import RetimingKeys, Unit, check_unit, parse_toml, read_retiming_keys
 from mixseq.runtime.text_files import read_text
 from mixseq.sequence.frame_rates import number_to_time
@@ -206,6 +207,29 @@ def _weight_in_seconds(value: float | Curve, header: SequenceHeader, unit: Unit)
     return value
 
 
+def _read_handles(value: Any, folder: Path, readers: Readers) -> list[Handle]:
+    """Return handles from a list of tables, or a CSV file of time, vertex, x, y and z."""
+    if not isinstance(value, list):
+        path = _find_file(value, folder, readers)
+        try:
+            rows = [line.split(",") for line in read_text(path, "a CSV file").splitlines() if line.strip()]
+            return [Handle(float(time), [float(x) for x in point], int(vertex)) for time, vertex, *point in rows]
+        except ValueError:
+            raise FormatError(f"{path} is not CSV with time,vertex,x,y,z on each line") from None
+    for table in value:
+        if not isinstance(table, dict) or {"time", "position"} - set(table) or set(table) - set(_HANDLE_TYPES):
+            raise WrongTypeError
+        if not all(_matches(entry, _HANDLE_TYPES[name]) for name, entry in table.items()):
+            raise WrongTypeError
+    return [Handle(**table) for table in value]
+
+
+def _handles_in_seconds(value: list[Handle], header: SequenceHeader, unit: Unit) -> list[Handle]:
+    return [replace(handle, time=_number_in_seconds(handle.time, header, unit)) for handle in value]
+
+
+_HANDLE_TYPES = {"time": float, "position": list[float], "vertex": int, "part": int}
+_HANDLES_TEXT = "tables of time, position and vertex or part, or a CSV file of time,vertex,x,y,z,"
 _KEYS_TEXT = "pairs of output and source times, as a list or a CSV or TOML file,"
 _WEIGHT_TEXT = "a number, or pairs of time and weight as a list or a CSV file,"
 
@@ -213,6 +237,7 @@ PARSED_PARAMETERS: Mapping[str, tuple[str, str, ReadValue, ToSeconds | None]] = 
     "b": ("b", "the file of a model", _read_model, None),
     "points": ("mesh", "the file of a mesh", _read_mesh, None),
     "curve": ("curve", "pairs of x and y, as a list or a CSV file,", _read_pairs, None),
+    "handles": ("handles", _HANDLES_TEXT, _read_handles, _handles_in_seconds),
     "to": ("to", "a list of two numbers, x and y,", _read_position, None),
     "keys": ("keys", _KEYS_TEXT, _read_keys, lambda value, header, unit: value.in_seconds(header.fps, header, unit)),
     "weight": ("weight", _WEIGHT_TEXT, _read_weight, _weight_in_seconds),
@@ -237,6 +262,7 @@ OPERATIONS: Mapping[str, str] = {
     "hold": "limbs:hold",
     "smooth": "filters:smooth",
     "sculpt": "sculpt:sculpt",
+    "pose": "handles:pose",
     "drag": "sketch:drag",
     "sketch": "sketch:sketch",
     "swap_key": "sculpt:swap_key",

@@ -199,12 +199,12 @@ def sculpt(
     time = snap_time(model, time)
     difference = encode_edit(model, time, points)
     if where == "window":
-        return _add_key_shape(model, difference, _window_weight(model, time, start, end))
+        return add_key_shape(model, difference, _window_weight(model, time, start, end))
     if where == "similar":
-        return _add_key_shape(
+        return add_key_shape(
             model, difference, _similarity_weight(model, time, DEFAULT_RADIUS if radius is None else radius)
         )
-    return _add_key_shape(model, difference, Curve(model.time.times, np.ones((len(model.time.times), 1))))
+    return add_key_shape(model, difference, Curve(model.time.times, np.ones((len(model.time.times), 1))))
 
 
 def _check_settings(where: Where, start: float | None, end: float | None, radius: float | None) -> None:
@@ -220,7 +220,7 @@ def _check_settings(where: Where, start: float | None, end: float | None, radius
         raise SettingsError(f"radius is {radius}; a positive fraction of the largest distance is expected")
 
 
-def _add_key_shape(model: Model, difference: Float, weight: Curve) -> Model:
+def add_key_shape(model: Model, difference: Float, weight: Curve) -> Model:
     """Add a key shape with a difference ``(S,)`` and a weight curve; its sites include those of the time signal."""
     row = np.zeros((1, len(model.shapes) + 1))
     row[0, 0], row[0, -1] = -1.0, 1.0
@@ -247,7 +247,7 @@ def _window_weight(model: Model, time: float, start: float | None, end: float | 
     knots = [breakpoints(model.time)]
     knots += [np.linspace(first, time, 4)] if first is not None else []
     knots += [np.linspace(time, last, 4)] if last is not None else []
-    sites = _weight_sites(model, np.concatenate(knots))
+    sites = weight_sites(model, np.concatenate(knots))
     rise, fall = None if first is None else (first, time), None if last is None else (time, last)
     return Curve(sites, fade_window(sites, rise, fall)[:, None])
 
@@ -256,7 +256,7 @@ def _similarity_weight(model: Model, time: float, radius: float) -> Curve:
     """Return the similarity weight; `radius` is relative to the largest distance from the shape at the edited time."""
     norm = shape_norm(model, model.space.embedding_weights)
     edited_point = model.time([time])
-    sites = _weight_sites(model, np.concatenate([breakpoints(model.time), model.times, [time]]))
+    sites = weight_sites(model, np.concatenate([breakpoints(model.time), model.times, [time]]))
     scale = radius * float(norm(model.time(subdivide(sites, 4)) - edited_point).max(initial=0.0))
     if scale == 0:
         return Curve(sites, np.ones((len(sites), 1)))
@@ -268,7 +268,7 @@ def _similarity_weight(model: Model, time: float, radius: float) -> Curve:
     return interpolate_adaptively(weight, sites, WEIGHT_TOLERANCE, lambda errors: np.abs(errors[:, 0]))
 
 
-def _weight_sites(model: Model, knots: Float) -> Float:
+def weight_sites(model: Model, knots: Float) -> Float:
     """Return sites over the duration of the time signal with the given knots inside it."""
     if model.time.start == model.time.end:
         return model.time.times

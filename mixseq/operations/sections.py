@@ -286,6 +286,24 @@ def join_curves(sections: Sequence[CurveSection], seams: Sequence[Seam]) -> Curv
     return Curve(sites, np.concatenate(values))
 
 
+def splice(model: Model, curve: Curve, inside: Curve) -> Curve:
+    """Replace the section of a signal `curve` that the curve `inside` covers.
+
+    The first and last interval of `inside` absorb the jumps at its ends, which are interpolation errors.
+    """
+    first, last = inside.start, inside.end
+    if first == last:
+        return inside
+    sections, seams = [CurveSection(inside, first, last)], []
+    if model.start < first:
+        sections.insert(0, CurveSection(curve, model.start, first))
+        seams.append(Seam(inside.times[2] - first, fraction_before=0.0))
+    if last < model.end:
+        sections.append(CurveSection(curve, last, model.end))
+        seams.append(Seam(last - inside.times[-3], fraction_before=1.0))
+    return join_curves(sections, seams)
+
+
 def _jet(curve: Curve, time: float) -> Float:
     """Return value, slope and curvature ``(3, k)`` of a curve at a time."""
     return np.concatenate([curve([time]), curve.derivative([time]), curve.derivative([time], 2)])

@@ -265,7 +265,7 @@ def drag(model: Model, time: Seconds, to: ArrayLike, reach: Seconds | None = Non
     """
     target = _check_target(to)
     time = snap_time(model, time)
-    reach = _check_reach(model, reach)
+    reach = check_reach(model, reach)
     plane = model.plane if plane is None else model.check_plane(plane)
     if not plane.directions.any():
         raise SettingsError(
@@ -342,10 +342,11 @@ def _check_target(to: ArrayLike) -> Float:
     return target
 
 
-def _check_reach(model: Model, reach: float | None) -> float:
+def check_reach(model: Model, reach: float | None, name: str = "reach") -> float:
+    """Validate a reach in seconds and return it; see `default_reach` for None."""
     if reach is None:
         return default_reach(model)
     min_reach = FRAME_TOLERANCE / model.header.fps
     if not (np.isfinite(reach) and reach >= min_reach):
-        raise SettingsError(f"reach is {reach:g} s; a number of seconds is expected, at least {min_reach:g}")
+        raise SettingsError(f"{name} is {reach:g} s; a number of seconds is expected, at least {min_reach:g}")
     return float(reach)

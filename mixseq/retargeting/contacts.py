@@ -361,7 +361,7 @@ def _measure_contacts(shared: tuple[MixedTransfer, Index, Index], block: FloatAr
         inverse_rotations = np.swapaxes(deformed_poses.rotations[parts], 1, 2)
         arms = rotate_vectors(inverse_rotations, deformed[vertices] - deformed_poses.centres[parts])
         local_points.append(arms + method.rest_shapes.centres[parts])
-    source_path = np.stack([correspondence.interpolate(points)[vertices] for points in block])
+    source_path = np.stack([correspondence.interpolate(points, vertices) for points in block])
     block_poses = PartPoses(*(np.stack(values) for values in zip(*poses, strict=True)))
     return block_poses, source_path, np.stack(local_points)
 

@@ -31,6 +31,7 @@ from mixseq.retargeting.markers import Correspondence
 from mixseq.retargeting.sources import Alignment, fit_alignment
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.sequence.sequence import bounding_diagonal
+from mixseq.shells.kernels import deform_sides
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.types import Float, FloatArray, Index
 
@@ -51,18 +52,39 @@ class GradientTransfer(PickledWithoutCaches):
         return attach_pieces(self.target.pieces.vertices, self.target.reference, self.correspondence.leaders)
 
     @cached_property
-    def _holder_means(self) -> sparse.csr_array:
-        """Matrix ``(n, F)`` that averages over the source triangles around the vertices with attached pieces."""
-        return self.averaging_matrix(self.attachments.holder_vertices)
+    def _leader_means(self) -> tuple[Index, sparse.csr_array]:
+        """Source triangles ``(m,)``, and the matrix ``(n, m)`` that averages over those around vertices that lead.
+
+        These are the vertices with attached pieces, then the leaders of the target's triangles without source triangle.
+        """
+        faces = self.target.topology.faces[self.correspondence.faces < 0]
+        is_follower = ~self.correspondence.matched[faces]
+        followers = faces[np.arange(len(faces)), is_follower.argmax(axis=1)].astype(np.int64)
+        means = self.averaging_matrix(np.concatenate([self.attachments.holder_vertices, followers]))
+        face_ids = np.unique(means.indices).astype(np.int64)
+        return face_ids, means[:, face_ids]
 
     @cached_property
-    def _follower_means(self) -> tuple[Index, sparse.csr_array]:
-        """Target triangles ``(n,)`` without source triangle, and averaging matrix ``(n, F)`` around their leaders."""
-        face_ids = np.flatnonzero(self.correspondence.faces < 0)
-        faces = self.target.topology.faces[face_ids]
-        is_follower = ~self.correspondence.matched[faces]
-        vertices = faces[np.arange(len(face_ids)), is_follower.argmax(axis=1)].astype(np.int64)
-        return face_ids, self.averaging_matrix(vertices)
+    def _side_maps(self) -> tuple[Index, Float]:
+        """Matrix ids ``(F',)`` of target triangles, and maps ``(F', 3, 3)`` from these matrices to deformed sides.
+
+        Matrices are those of the source's triangles in a frame, then the rotations of leaders. Sides are in the
+        source's axes.
+        """
+        ids = self.correspondence.faces.copy()
+        is_follower = ids < 0
+        maps = self.alignment.rotation.T @ self.target.reference_sides
+        maps[~is_follower] = self.source.inverse_triangles[ids[~is_follower]] @ maps[~is_follower]
+        ids[is_follower] = len(self.source.topology.faces) + np.arange(np.count_nonzero(is_follower))
+        return ids, maps
+
+    @cached_property
+    def _root_weights(self) -> Float:
+        """Weights ``(V,)`` of the source's vertices in the mean source point of the largest piece."""
+        leaders = self.correspondence.leaders[self.target.pieces.vertices[self.attachments.root]]
+        corners, weights = self.correspondence.corners[leaders], self.correspondence.weights[leaders]
+        total = np.bincount(corners.reshape(-1), weights.reshape(-1), self.source.vertex_count)
+        return np.asarray(total / len(leaders))
 
     def averaging_matrix(self, vertices: Index) -> sparse.csr_array:
         """Return the matrix ``(n, F)`` of area-weighted means over source triangles around target vertices ``(n,)``.
@@ -88,35 +110,34 @@ class GradientTransfer(PickledWithoutCaches):
 
     def transfer_frame(self, points: FloatArray) -> Float:
         """Return the target ``(V', 3)`` for a frame ``(V, 3)`` of the source."""
-        target, faces = self.target, self.correspondence.faces
-        points = points.astype(np.float64)
-        source_gradients = self.source_gradients(points)
-        holder_rotations = nearest_rotations(average_matrices(self._holder_means, source_gradients))
-        target_gradients = self.alignment.rotate_matrices(source_gradients[np.maximum(faces, 0)])
-        follower_faces, follower_means = self._follower_means
-        leader_rotations = nearest_rotations(average_matrices(follower_means, source_gradients))
-        target_gradients[follower_faces] = self.alignment.rotate_matrices(leader_rotations)
-        edge_vectors = np.swapaxes(target_gradients @ target.reference_sides, 1, 2)
-        piece_vertices = target.poisson_system.solve(edge_vectors.reshape(-1, 3))
-        return self._place_pieces(piece_vertices, points, holder_rotations) * target.scale
+        source_points = points.astype(np.float64) / self.source.scale
+        triangles = self.source.complete_triangles(source_points)
+        face_ids, means = self._leader_means
+        gradients = triangles[face_ids] @ self.source.inverse_triangles[face_ids]
+        rotations = nearest_rotations(average_matrices(means, gradients))
+        holder_rotations, leader_rotations = np.split(rotations, [len(self.attachments.holders)])
+        matrix_ids, maps = self._side_maps
+        matrices, sides = np.concatenate([triangles, leader_rotations]), np.empty((3 * len(matrix_ids), 3))
+        deform_sides(matrices, matrix_ids, maps, sides)
+        # Sides are linear in vertices, so that these are rotated instead.
+        piece_vertices = self.target.poisson_system.solve(sides) @ self.alignment.rotation.T
+        return self._place_pieces(piece_vertices, source_points, holder_rotations) * self.target.scale
 
-    def _place_pieces(self, piece_vertices: Float, points: FloatArray, holder_rotations: Float) -> Float:
+    def _place_pieces(self, piece_vertices: Float, source_points: Float, holder_rotations: Float) -> Float:
         """Translate and attach the pieces ``(N, 3)``, and return the target ``(V', 3)`` in the unit of its space."""
         pieces, attachments, rest = self.target.pieces, self.attachments, self.target.reference
         correspondence = self.correspondence
         linear_map = self.alignment.scale * self.source.scale / self.target.scale * self.alignment.rotation
-        root_vertices = pieces.vertices[attachments.root]
-        displacements = correspondence.interpolate(points / self.source.scale - self.source.reference)
-        displacement = displacements[root_vertices].mean(axis=0)
-        placed = piece_vertices.copy()
-        root = pieces.row_slices[attachments.root]
-        root_centre = rest[root_vertices].mean(axis=0) + linear_map @ displacement
+        displacement = self._root_weights @ (source_points - self.source.reference)
+        placed, root = piece_vertices.copy(), pieces.row_slices[attachments.root]
+        root_centre = rest[pieces.vertices[attachments.root]].mean(axis=0) + linear_map @ displacement
         placed[root] += root_centre - piece_vertices[root].mean(axis=0)
 
         own_rows = pieces.find_rows(attachments.pieces, attachments.vertices)
         holder_rows = pieces.find_rows(attachments.holders, attachments.holder_vertices)
-        gaps = correspondence.interpolate(np.stack([self.source.reference, points / self.source.scale]))
-        gaps = gaps[:, attachments.vertices] - gaps[:, attachments.holder_vertices]
+        poses = np.stack([self.source.reference, source_points])
+        ends = attachments.vertices, attachments.holder_vertices
+        gaps = np.subtract(*(correspondence.interpolate(poses, vertices) for vertices in ends))
         gaps[:, ~correspondence.matched[attachments.vertices]] = 0.0
         for attachment, piece in enumerate(attachments.pieces):
             rotation = holder_rotations[attachment]

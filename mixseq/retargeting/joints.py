@@ -37,14 +37,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
+from mixseq.mesh.measures import dihedral_angles, wrap_angles
 from mixseq.mesh.rigid import kabsch, nearest_rotations
 from mixseq.mesh.rotations import rotate_vectors
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.gradient_transfer import GradientTransfer, average_matrices, normalise_rows
 from mixseq.segmentation.joints import Decomposition, Joint
 from mixseq.shells.fitting import Patch, ShellReport, ShellSettings, SoftConstraint, rebuild_patch
+from mixseq.shells.kernels import lengths_and_angles
 from mixseq.types import Float, Index, Int32
+
+NO_EDGES: Int32 = np.zeros((0, 2), dtype=np.int32)
 
 BEND_CONCENTRATION = 4.0
 """Concentration of the differences of angles from skinned positions; larger values retain more bend and more noise."""
@@ -202,6 +205,10 @@ class JointSolver:
             for joint, patch in zip(self.joints.joints, self.joints.patches, strict=True)
         )
 
+    @cached_property
+    def _hinges(self) -> Int32:
+        return self.topology.hinges[self.joints.hinge_ids]
+
     def solve(self, frame: JointFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Return the mesh ``(V, 3)`` of a frame and a report for every joint; vertices shared by parts are averaged."""
         points = self._pose_parts(frame)
@@ -212,14 +219,14 @@ class JointSolver:
         for joint, patch, (edges, hinges, free), skin in systems:
             offsets = rotate_vectors(frame.rotations[skin.main_part], frame.offsets[free])
             guess = skin.deform(rotations, translations) + offsets
-            start = points[joint.vertices]
-            start[patch.free_ids] = guess
+            points[joint.vertices[patch.free_ids]] = guess
+            _, skinned_angles = lengths_and_angles(points, NO_EDGES, self._hinges[hinges])
             rebuilt, report = rebuild_patch(
                 patch,
                 frame.lengths[edges],
-                limit_bends(frame.angles[hinges], dihedral_angles(start, patch.hinges[patch.free_hinge_mask])),
+                limit_bends(frame.angles[hinges], skinned_angles),
                 frame.length_weights[edges],
-                start,
+                points[joint.vertices],
                 settings,
                 SoftConstraint(guess, frame.offset_weights[free]),
             )
@@ -278,12 +285,8 @@ class EdgewiseMetrics:
 
     @cached_property
     def _rest(self) -> tuple[Float, Float, Float, Float]:
-        rest_metrics = [
-            (edge_lengths(points, self._edges), dihedral_angles(points, self._hinges))
-            for points in (self.source, self.target)
-        ]
-        (lengths, angles), (target_lengths, target_angles) = rest_metrics
-        return lengths, angles, target_lengths, target_angles
+        elements = self._edges, self._hinges
+        return *lengths_and_angles(self.source, *elements), *lengths_and_angles(self.target, *elements)
 
     def lengths_and_angles(self, points: Float) -> tuple[Float, Float]:
         """Return lengths ``(E',)``, in the unit of the target's space, and angles ``(H',)`` for a frame ``(V, 3)``.
@@ -291,9 +294,9 @@ class EdgewiseMetrics:
         Edges of zero length on the source keep their rest length.
         """
         lengths, angles, target_lengths, target_angles = self._rest
-        current_lengths = edge_lengths(points, self._edges)
+        current_lengths, current_angles = lengths_and_angles(points, self._edges, self._hinges)
         ratios = np.divide(current_lengths, lengths, out=np.ones_like(current_lengths), where=lengths > 0)
-        angle_changes = wrap_angles(dihedral_angles(points, self._hinges) - angles)
+        angle_changes = wrap_angles(current_angles - angles)
         return target_lengths * ratios, target_angles + angle_changes
 
 

@@ -226,9 +226,10 @@ class Correspondence:
         """Target vertices ``(V',)`` with a point on the source."""
         return np.asarray((self.corners >= 0).all(axis=1))
 
-    def interpolate(self, values: FloatArray) -> Float:
-        """Interpolate source values ``(..., V, c)`` at the source points of the target's vertices, ``(..., V', c)``."""
-        corners, weights = self.corners[self.leaders], self.weights[self.leaders]
+    def interpolate(self, values: FloatArray, vertices: Index | None = None) -> Float:
+        """Interpolate source values ``(..., V, c)`` at the source points of target vertices ``(n,)``."""
+        leaders = self.leaders if vertices is None else self.leaders[vertices]
+        corners, weights = self.corners[leaders], self.weights[leaders]
         return np.asarray(np.einsum("vk,...vkc->...vc", weights, values[..., corners, :]))
 
     def check(self, source_size: tuple[int, int], target_size: tuple[int, int]) -> None:

@@ -38,19 +38,22 @@ vertices. A sweep updates the residual :math:`E = L - K M`. The constants were c
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree, shortest_path
 
-from mixseq.mesh.rigid import aligning_rotations
-from mixseq.rigging.bones import Binding
+from mixseq.mesh.rigid import MIN_COVARIANCE_RATIO, nearest_rotation_kernel
+from mixseq.rigging.bones import Binding, cholesky_solve
+from mixseq.runtime.jit import compiled
 from mixseq.types import Float, Index, Mask
 
 SWEEPS_PER_ROUND = 10  # number of sweeps over the bones in a fit of motions
 _ROTATION_STIFFNESS = 1e-9  # weight of the previous rotation, relative to its moment, for collinear points
 _PARENT_STIFFNESS = 1e-6  # weight of the parent's rotation, for bones of a given skeleton that hardly move vertices
 _JOINT_STIFFNESS = 1e-2  # weight of the previous position, relative to rotations by one radian in all frames
+_FRAMES_PER_BLOCK = 32  # number of frames whose residuals fit into the cache of a processor
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,18 +69,15 @@ class Joints:
         """Return joints of roots without children, which rotate about the origin."""
         return cls(np.full(count, -1), np.zeros((count, 3)), np.ones(count, dtype=bool))
 
-    def descendants(self) -> Mask:
-        """Return a mask ``(B, B)`` of the bones (columns) in the subtree of each bone (rows)."""
-        descendants = np.eye(len(self.parents), dtype=bool)
-        for bone in range(len(self.parents) - 1, -1, -1):
-            if self.parents[bone] >= 0:
-                descendants[self.parents[bone]] |= descendants[bone]
-        return descendants
+    @cached_property
+    def branches(self) -> Index:
+        """The bone or child ``(B, B)`` of each bone (rows) whose subtree has each bone (columns); -1 outside it."""
+        return np.asarray(_find_branches(self.parents))
 
     def moves_vertices(self, binding: Binding) -> Mask:
         """Return a mask ``(B,)`` of the bones with vertices in their subtree."""
         is_used = np.isin(np.arange(len(self.parents)), binding.influences[binding.weights > 0])
-        return np.asarray((self.descendants() & is_used).any(axis=1))
+        return np.asarray(((self.branches >= 0) & is_used).any(axis=1))
 
 
 def attach_joints(motions: Float, joints: Joints) -> Float:
@@ -95,18 +95,30 @@ def fit_motions(
 ) -> tuple[Float, Joints]:
     """Fit the motions ``(B, 4, 3T)`` of bones, and their joints, to tracks ``(V, 3T)``."""
     idle_bones = np.flatnonzero(~joints.moves_vertices(binding) & (joints.parents >= 0))
-    start = attach_joints(_follow_parents(motions, joints, idle_bones), joints)
-    fit = _MotionFit(tracks, binding, start, joints, 0.0 if fit_pivots else _PARENT_STIFFNESS)
-    for _ in range(SWEEPS_PER_ROUND):
-        for bone in range(len(motions)):
-            fit.fit_rotations(bone)
-            if joints.sliding[bone]:
-                fit.fit_translations(bone)
-        if fit_pivots:
-            for bone in np.flatnonzero(~joints.sliding).tolist():
-                fit.fit_joint(bone)
-    fitted = replace(joints, pivots=fit.pivots)
-    return attach_joints(_follow_parents(fit.motions, joints, idle_bones), fitted), fitted
+    fitted = attach_joints(_follow_parents(motions, joints, idle_bones), joints)
+    rows = binding.matrix(len(motions))
+    products = np.asarray((rows.T @ rows).todense())
+    residual = np.asarray(rows.T @ tracks) - products @ fitted.reshape(len(products), -1)
+    if not np.isfinite(residual).all():
+        raise np.linalg.LinAlgError("positions with an entry that is not finite have no motion")
+    fitted_joints = replace(joints, pivots=joints.pivots.copy())
+    subtree_products = products[3::4].copy()  # (B, 4B), H_b K; an entry is zero where no vertex is shared
+    for bone in range(len(motions) - 1, 0, -1):
+        if joints.parents[bone] >= 0:
+            subtree_products[joints.parents[bone]] += subtree_products[bone]
+    _descend(
+        products,
+        subtree_products,
+        joints.parents,
+        joints.branches,
+        joints.sliding,
+        fitted_joints.pivots,
+        fitted,
+        residual.reshape(fitted.shape),
+        fit_pivots,
+        0.0 if fit_pivots else _PARENT_STIFFNESS,
+    )
+    return attach_joints(_follow_parents(fitted, joints, idle_bones), fitted_joints), fitted_joints
 
 
 def _follow_parents(motions: Float, joints: Joints, idle: Index) -> Float:
@@ -117,86 +129,248 @@ def _follow_parents(motions: Float, joints: Joints, idle: Index) -> Float:
     return following
 
 
-class _MotionFit:
-    """State of the coordinate descent: motions, joints, and the residual E."""
+@compiled
+def _find_branches(parents: Index) -> Index:
+    """Return the bone or child ``(B, B)`` of each bone (rows) whose subtree has each bone (columns), or -1."""
+    branches = np.full((len(parents), len(parents)), -1, dtype=np.int64)
+    for bone in range(len(parents)):
+        branch, ancestor = bone, bone
+        while ancestor >= 0:
+            branches[ancestor, bone] = branch
+            branch, ancestor = ancestor, parents[ancestor]
+    return branches
 
-    def __init__(
-        self, tracks: Float, binding: Binding, motions: Float, joints: Joints, parent_stiffness: float
-    ) -> None:
-        bone_count = len(motions)
-        rows = binding.matrix(bone_count)
-        self.products = np.asarray((rows.T @ rows).todense())
-        self.motions, self.pivots = motions.copy(), joints.pivots.copy()
-        self.residual = np.asarray(rows.T @ tracks) - self.products @ self.motions.reshape(4 * bone_count, -1)
-        self.parents, self.sliding = joints.parents, joints.sliding
-        self.parent_stiffness = parent_stiffness
-        descendants = joints.descendants()
-        # For every bone, its descendants, and the child through which each of them hangs on it.
-        self.below = [np.flatnonzero(each & (np.arange(bone_count) != bone)) for bone, each in enumerate(descendants)]
-        self.branches = [
-            np.array(
-                [np.flatnonzero((self.parents == bone) & descendants[:, each])[0] for each in below], dtype=np.int64
+
+@compiled
+def _descend(
+    products: Float,
+    subtree_products: Float,
+    parents: Index,
+    branches: Index,
+    sliding: Mask,
+    pivots: Float,
+    motions: Float,
+    residual: Float,
+    fit_pivots: bool,
+    parent_stiffness: float,
+) -> None:
+    """Fit pivots ``(B, 3)`` and motions ``(B, 4, 3T)`` in place by coordinate descent; the residual E is updated."""
+    bone_count, columns = len(parents), motions.shape[2]
+    origins, moments = np.empty((bone_count, 3)), np.empty((bone_count, 3, 3))
+    levers, changes = np.empty((bone_count, 4 * bone_count, 3)), np.empty((3, columns))
+    for sweep in range(SWEEPS_PER_ROUND):
+        for bone in range(bone_count):
+            if sweep == 0 or fit_pivots:
+                _fill_lever(bone, products, subtree_products, branches, sliding, pivots, origins, levers, moments)
+        for start in range(0, columns, 3 * _FRAMES_PER_BLOCK):
+            width = min(3 * _FRAMES_PER_BLOCK, columns - start)
+            block_motions, block_residual = np.empty((bone_count, 4, width)), np.empty((bone_count, 4, width))
+            _copy_columns(motions, start, block_motions, 0, width)
+            _copy_columns(residual, start, block_residual, 0, width)
+            for bone in range(bone_count):
+                _fit_rotations(
+                    bone, subtree_products, parents, branches, pivots, origins, levers, moments, parent_stiffness,
+                    block_motions, block_residual, changes,
+                )  # fmt: skip
+                if sliding[bone]:
+                    weight = _sum_subtree(bone, subtree_products, branches, block_residual, changes)
+                    if weight > _ROTATION_STIFFNESS:
+                        for i in range(width):
+                            changes[0, i] /= weight
+                        _translate_subtree(bone, subtree_products, branches, block_motions, block_residual, changes)
+            _copy_columns(block_motions, 0, motions, start, width)
+            _copy_columns(block_residual, 0, residual, start, width)
+        if fit_pivots:
+            for bone in range(bone_count):
+                if not sliding[bone]:
+                    _fit_joint(bone, subtree_products, parents, branches, pivots, motions, residual, changes)
+
+
+@compiled
+def _copy_columns(source: Float, source_start: int, target: Float, target_start: int, count: int) -> None:
+    """Copy columns of arrays ``(B, 4, n)``; loops over whole rows, from zero on, are vectorised."""
+    for bone in range(len(source)):
+        for row in range(4):
+            for i in range(count):
+                target[bone, row, target_start + i] = source[bone, row, source_start + i]
+
+
+@compiled
+def _fill_lever(
+    bone: int,
+    products: Float,
+    subtree_products: Float,
+    branches: Index,
+    sliding: Mask,
+    pivots: Float,
+    origins: Float,
+    levers: Float,
+    moments: Float,
+) -> None:
+    """Compute the point about which a bone rotates, the product ``(4B, 3)`` of K and its lever, and its moments."""
+    bone_count, own = len(pivots), 4 * bone
+    weight = 0.0
+    for other in range(bone, bone_count):
+        if branches[bone, other] >= 0:
+            weight += subtree_products[bone, 4 * other + 3]
+    for axis in range(3):
+        origin = pivots[bone, axis]
+        if sliding[bone]:
+            centre = subtree_products[bone, own + axis] - origin * subtree_products[bone, own + 3]
+            for other in range(bone + 1, bone_count):
+                if branches[bone, other] >= 0:
+                    offset = pivots[branches[bone, other], axis] - pivots[bone, axis]
+                    centre += offset * subtree_products[bone, 4 * other + 3]
+            origin += centre / max(weight, _ROTATION_STIFFNESS)
+        for i in range(4 * bone_count):
+            levers[bone, i, axis] = products[own + axis, i] - origin * products[own + 3, i]
+        for child in range(bone + 1, bone_count):
+            if branches[bone, child] == child:
+                offset = pivots[child, axis] - origin
+                for i in range(4 * bone_count):
+                    levers[bone, i, axis] += offset * subtree_products[child, i]
+        origins[bone, axis] = origin
+    for axis in range(3):
+        for i in range(3):
+            moment = levers[bone, own + axis, i] - origins[bone, axis] * levers[bone, own + 3, i]
+            for other in range(bone + 1, bone_count):
+                if branches[bone, other] >= 0:
+                    offset = pivots[branches[bone, other], axis] - origins[bone, axis]
+                    moment += offset * levers[bone, 4 * other + 3, i]
+            moments[bone, axis, i] = moment
+
+
+@compiled
+def _fit_rotations(
+    bone: int,
+    subtree_products: Float,
+    parents: Index,
+    branches: Index,
+    pivots: Float,
+    origins: Float,
+    levers: Float,
+    moments: Float,
+    parent_stiffness: float,
+    motions: Float,
+    residual: Float,
+    changes: Float,
+) -> None:
+    """Fit the rotations of a bone, which move the bone and its subtree."""
+    moment = moments[bone, 0, 0] + moments[bone, 1, 1] + moments[bone, 2, 2]
+    if moment <= _ROTATION_STIFFNESS**2:
+        return
+    parent = parents[bone] if parents[bone] >= 0 else bone
+    covariances = np.empty((residual.shape[2] // 3, 3, 3))
+    for axis in range(3):
+        for i in range(residual.shape[2]):
+            changes[axis, i] = (
+                residual[bone, axis, i]
+                - origins[bone, axis] * residual[bone, 3, i]
+                + moments[bone, axis, 0] * motions[bone, 0, i]
+                + moments[bone, axis, 1] * motions[bone, 1, i]
+                + moments[bone, axis, 2] * motions[bone, 2, i]
+                + _ROTATION_STIFFNESS * moment * motions[bone, axis, i]
+                + parent_stiffness * motions[parent, axis, i]
             )
-            for bone, below in enumerate(self.below)
-        ]
-        self.subtree_levers: Float = np.kron(descendants, np.eye(1, 4, 3)).astype(
-            np.float64
-        )  # (B, 4B), H of every bone
-        self.subtree_products = self.subtree_levers @ self.products
-        self.subtree_weights = np.einsum("ab,ab->a", self.subtree_levers, self.subtree_products)  # sums of h_v^2
+        for other in range(bone + 1, len(parents)):
+            if branches[bone, other] >= 0:
+                offset = pivots[branches[bone, other], axis] - origins[bone, axis]
+                for i in range(residual.shape[2]):
+                    changes[axis, i] += offset * residual[other, 3, i]
+        for i in range(residual.shape[2]):
+            covariances[i // 3, i % 3, axis] = changes[axis, i]
+    rotations = nearest_rotation_kernel(covariances, MIN_COVARIANCE_RATIO)
+    for axis in range(3):
+        for i in range(residual.shape[2]):
+            changes[axis, i] = rotations[i // 3, i % 3, axis] - motions[bone, axis, i]
+            motions[bone, axis, i] += changes[axis, i]
+    for other in range(bone, len(parents)):
+        if branches[bone, other] >= 0:
+            x, y, z = -origins[bone, 0], -origins[bone, 1], -origins[bone, 2]
+            if other != bone:
+                branch = branches[bone, other]
+                x, y, z = x + pivots[branch, 0], y + pivots[branch, 1], z + pivots[branch, 2]
+            for i in range(residual.shape[2]):
+                motions[other, 3, i] += x * changes[0, i] + y * changes[1, i] + z * changes[2, i]
+    for other in range(len(parents)):
+        if subtree_products[bone, 4 * other + 3] != 0.0:
+            for row in range(4):
+                x, y, z = (
+                    levers[bone, 4 * other + row, 0],
+                    levers[bone, 4 * other + row, 1],
+                    levers[bone, 4 * other + row, 2],
+                )
+                for i in range(residual.shape[2]):
+                    residual[other, row, i] -= x * changes[0, i] + y * changes[1, i] + z * changes[2, i]
 
-    def fit_rotations(self, bone: int) -> None:
-        """Fit the rotations of a bone, which move the bone and its subtree."""
-        bone_count = len(self.motions)
-        arms = np.zeros((3, bone_count, 4))
-        arms[:, bone, :3], arms[:, bone, 3] = np.eye(3), -self.pivots[bone]
-        arms[:, self.below[bone], 3] = (self.pivots[self.branches[bone]] - self.pivots[bone]).T
-        lever = arms.reshape(3, -1)  # U
-        if self.sliding[bone]:
-            weight = max(self.subtree_weights[bone], _ROTATION_STIFFNESS)
-            centre = lever @ self.subtree_products[bone] / weight  # sum h_v u_v / sum h_v^2
-            lever -= centre[:, None] * self.subtree_levers[bone]
-        products = self.products @ lever.T
-        moments = lever @ products
-        moment = float(np.trace(moments))
-        if moment <= _ROTATION_STIFFNESS**2:
-            return
-        current = self.motions[bone, :3]
-        targets = (lever @ self.residual + moments @ current).reshape(3, -1, 3).transpose(1, 2, 0)
-        parent_rotations = self.motions[self.parents[bone], :3] if self.parents[bone] >= 0 else current
-        stiffness_terms = _ROTATION_STIFFNESS * moment * current + self.parent_stiffness * parent_rotations
-        covariances = targets + stiffness_terms.reshape(3, -1, 3).transpose(1, 2, 0)
-        fitted = aligning_rotations(covariances).transpose(2, 0, 1).reshape(3, -1)
-        self._apply(lever, products, fitted - current)
 
-    def fit_translations(self, bone: int) -> None:
-        """Fit the translations of a bone, which move the bone and its subtree."""
-        residual, weight = self._subtree_residual(bone)
-        if weight > _ROTATION_STIFFNESS:
-            self._translate_subtree(bone, residual / weight)
+@compiled
+def _fit_joint(
+    bone: int,
+    subtree_products: Float,
+    parents: Index,
+    branches: Index,
+    pivots: Float,
+    motions: Float,
+    residual: Float,
+    changes: Float,
+) -> None:
+    """Fit the position of a joint; a shift of the joint moves the subtree of its bone."""
+    columns, parent = motions.shape[2], parents[bone]
+    weight = _sum_subtree(bone, subtree_products, branches, residual, changes)
+    if weight <= _ROTATION_STIFFNESS:
+        return
+    normal, step = np.zeros((3, 3)), np.zeros(3)
+    for axis in range(3):
+        for i in range(columns):
+            difference = motions[parent, axis, i] - motions[bone, axis, i]
+            step[axis] += difference * changes[0, i]
+            for other in range(3):
+                normal[axis, other] += weight * difference * (motions[parent, other, i] - motions[bone, other, i])
+        normal[axis, axis] += weight * _JOINT_STIFFNESS * (columns // 3)
+    cholesky_solve(normal, step, 3)
+    for axis in range(3):
+        pivots[bone, axis] += step[axis]
+    for i in range(columns):
+        changes[0, i] = 0.0
+        for axis in range(3):
+            changes[0, i] += step[axis] * (motions[parent, axis, i] - motions[bone, axis, i])
+    _translate_subtree(bone, subtree_products, branches, motions, residual, changes)
 
-    def fit_joint(self, bone: int) -> None:
-        """Fit the position of a joint; a shift of the joint moves the subtree of its bone."""
-        residual, weight = self._subtree_residual(bone)
-        if weight <= _ROTATION_STIFFNESS:
-            return
-        # Transposed differences between the rotations of parent and bone.
-        d = (self.motions[self.parents[bone], :3] - self.motions[bone, :3]).reshape(3, -1, 3)
-        normal = weight * (np.einsum("ati,bti->ab", d, d) + _JOINT_STIFFNESS * d.shape[1] * np.eye(3))
-        step = np.linalg.solve(normal, np.einsum("ati,ti->a", d, residual.reshape(-1, 3)))
-        self.pivots[bone] += step
-        self._translate_subtree(bone, step @ d.reshape(3, -1))
 
-    def _subtree_residual(self, bone: int) -> tuple[Float, float]:
-        """Return the residual ``(3T,)`` summed over the subtree of a bone, and the sum of h_v^2."""
-        return self.subtree_levers[bone] @ self.residual, float(self.subtree_weights[bone])
+@compiled
+def _sum_subtree(bone: int, subtree_products: Float, branches: Index, residual: Float, changes: Float) -> float:
+    """Sum the residual over the subtree of a bone into the first row of `changes`; return the sum of h_v^2."""
+    weight = 0.0
+    for i in range(residual.shape[2]):
+        changes[0, i] = 0.0
+    for other in range(bone, len(branches)):
+        if branches[bone, other] >= 0:
+            weight += subtree_products[bone, 4 * other + 3]
+            for i in range(residual.shape[2]):
+                changes[0, i] += residual[other, 3, i]
+    return weight
 
-    def _translate_subtree(self, bone: int, change: Float) -> None:
-        self._apply(self.subtree_levers[bone, None], self.subtree_products[bone, :, None], change[None])
 
-    def _apply(self, lever: Float, products: Float, change: Float) -> None:
-        self.motions += (lever.T @ change).reshape(self.motions.shape)
-        self.residual -= products @ change
+@compiled
+def _translate_subtree(
+    bone: int,
+    subtree_products: Float,
+    branches: Index,
+    motions: Float,
+    residual: Float,
+    changes: Float,
+) -> None:
+    """Translate the subtree of a bone by the first row of `changes`."""
+    for other in range(len(branches)):
+        if branches[bone, other] >= 0:
+            for i in range(residual.shape[2]):
+                motions[other, 3, i] += changes[0, i]
+        if subtree_products[bone, 4 * other + 3] != 0.0:
+            for row in range(4):
+                factor = subtree_products[bone, 4 * other + row]
+                for i in range(residual.shape[2]):
+                    residual[other, row, i] -= factor * changes[0, i]
 
 
 _PIVOT_DAMPING = 1e-2

@@ -120,20 +120,19 @@ def _squared_error(h: Float, bones: Index, n: int, w: Float) -> float:
 
 
 @compiled
-def _active_set(
-    h: Float, scale: float, candidates: Index, bones: Index, w: Float, n: int, limit: int, a: Float, z: Float
-) -> int:
+def _active_set(h: Float, scale: float, bones: Index, w: Float, n: int, limit: int, a: Float, z: Float) -> int:
     """Minimise by Lawson and Hanson's active set, from feasible w; return the number of bones, at most `limit`."""
     for _ in range(MAX_ACTIVE_SET_ROUNDS):
         if n == limit:
             break
         value = _squared_error(h, bones, n, w)
         best_bone, lowest_slope = -1, value - MIN_RELATIVE_GAIN * scale
-        for b in candidates:
-            slope = 0.0
+        for b in range(len(h)):
+            slope, is_active = 0.0, False
             for i in range(n):
                 slope += h[b, bones[i]] * w[i]
-            if slope < lowest_slope and not (bones[:n] == b).any():
+                is_active |= bones[i] == b
+            if slope < lowest_slope and not is_active:
                 best_bone, lowest_slope = b, slope
         if best_bone < 0:
             break
@@ -143,25 +142,66 @@ def _active_set(
 
 
 @compiled
+def _bound_removals(h: Float, scale: float, bones: Index, w: Float, n: int, a: Float, z: Float, bounds: Float) -> None:
+    """Compute `bounds` ``(n,)`` of the errors without each of n bones, whose weights w are optimal.
+
+    Without a bone and with weights of any sign, the error increases by w_i^2 / P_ii, where P is the inverse of h on
+    weights with sum zero: h^-1 - h^-1 1 1^T h^-1 / (1^T h^-1 1).
+    """
+    _minimise_affine(h, bones, n, scale, a, z)  # the lower triangle of a is the Cholesky factor
+    value, total = _squared_error(h, bones, n, w), 0.0
+    for j in range(n):  # the upper triangle becomes the transposed inverse factor
+        z[j] = 0.0
+        inverse = 1.0 / a[j, j]
+        for i in range(j):
+            s = a[j, i] * a[i, i]
+            for k in range(i + 1, j):
+                s += a[j, k] * a[i, k]
+            a[i, j] = -s * inverse
+            z[j] += a[i, j]
+        a[j, j] = inverse
+        z[j] += inverse
+        total += z[j] * z[j]
+    for i in range(n):
+        diagonal, row_sum = 0.0, 0.0
+        for j in range(i, n):
+            diagonal += a[i, j] * a[i, j]
+            row_sum += a[i, j] * z[j]
+        bounds[i] = value + w[i] * w[i] / max(diagonal - row_sum * row_sum / total, 1e-300)
+
+
+@compiled
 def _remove_least_bones(h: Float, scale: float, bones: Index, w: Float, limit: int, n: int, a: Float, z: Float) -> int:
     """Remove the bones whose removal increases the error least, until `limit` remain; return their number."""
     rest, trial, best_weights = np.empty_like(bones), np.empty_like(w), np.empty_like(w)
-    best_bones = np.empty_like(bones)
+    best_bones, bounds = np.empty_like(bones), np.empty_like(w)
     while n > limit:
+        _bound_removals(h, scale, bones, w, n, a, z, bounds)
         lowest_value, best_n = np.inf, 0
-        for removed in range(n):
-            m = n - 1
-            rest[:removed], rest[removed:m] = bones[:removed], bones[removed + 1 : n]
-            trial[:removed], trial[removed:m] = w[:removed], w[removed + 1 : n]
-            total = trial[:m].sum()
-            trial[:m] = trial[:m] / total if total > 0.0 else np.full(m, 1.0 / m)
+        while True:
+            removed = 0
+            for i in range(1, n):
+                if bounds[i] < bounds[removed]:
+                    removed = i
+            if bounds[removed] >= lowest_value:
+                break
+            m, total = 0, 0.0
+            for i in range(n):
+                if i != removed:
+                    rest[m], trial[m] = bones[i], w[i]
+                    total += w[i]
+                    m += 1
+            for i in range(m):
+                trial[i] = trial[i] / total if total > 0.0 else 1.0 / m
             m = _minimise_convex(h, rest, m, trial, scale, a, z)
-            value = _squared_error(h, rest, m, trial)
+            value, bounds[removed] = _squared_error(h, rest, m, trial), np.inf
             if value < lowest_value:
                 lowest_value, best_n = value, m
-                best_bones[:m], best_weights[:m] = rest[:m], trial[:m]
+                for i in range(m):
+                    best_bones[i], best_weights[i] = rest[i], trial[i]
         n = best_n
-        bones[:n], w[:n] = best_bones[:n], best_weights[:n]
+        for i in range(n):
+            bones[i], w[i] = best_bones[i], best_weights[i]
     return n
 
 
@@ -180,12 +220,27 @@ def _homogeneous_form(p: Float, x: float, y: float, z: float) -> float:
 @compiled
 def _choose_candidates(errors: Float, influences: Index, weights: Float, candidates: Index) -> int:
     """Choose the bones of smallest errors, the best first, then the current bones; return the number of candidates."""
-    n = min(NEAREST_CANDIDATES, len(errors))
-    candidates[:n] = np.argsort(errors, kind="mergesort")[:n]
-    for i in range(len(influences)):
-        if weights[i] > 0.0 and not (candidates[:n] == influences[i]).any():
-            candidates[n] = influences[i]
+    n = 0
+    for b in range(len(errors)):
+        i = n
+        if n < NEAREST_CANDIDATES:
             n += 1
+        elif errors[b] < errors[candidates[n - 1]]:
+            i = n - 1
+        else:
+            continue
+        while i > 0 and errors[b] < errors[candidates[i - 1]]:
+            candidates[i] = candidates[i - 1]
+            i -= 1
+        candidates[i] = b
+    for i in range(len(influences)):
+        if weights[i] > 0.0:
+            is_candidate = False
+            for j in range(n):
+                is_candidate |= candidates[j] == influences[i]
+            if not is_candidate:
+                candidates[n] = influences[i]
+                n += 1
     return n
 
 
@@ -207,9 +262,10 @@ def fit_vertices(
     ``(V, B, 4)`` of M_tb^T x_t. Updated in place: `influences`, `weights` ``(V, 4)``, squared `errors` ``(V,)``.
     """
     bone_count, max_count = products.shape[0], influences.shape[1]
-    h, a, z = np.empty((bone_count, bone_count)), np.empty((bone_count, bone_count)), np.empty(bone_count)
-    selected, w = np.empty(bone_count, dtype=np.int64), np.empty(bone_count)
-    old, old_weights = np.empty(bone_count, dtype=np.int64), np.empty(bone_count)
+    size = NEAREST_CANDIDATES + max_count
+    a, z = np.empty((size, size)), np.empty(size)
+    bones, w = np.empty(size, dtype=np.int64), np.empty(size)  # bones are numbered as candidates
+    old, old_weights, selected = np.empty(size, dtype=np.int64), np.empty(size), np.empty(size, dtype=np.int64)
     bone_errors, candidates = np.empty(bone_count), np.empty(bone_count, dtype=np.int64)
     linear, normal, right_side = np.empty(bone_count), np.empty((3, 3)), np.empty(3)
     for v in range(len(rest)):
@@ -217,33 +273,38 @@ def fit_vertices(
         for b in range(bone_count):
             s = projections[v, b]
             linear[b] = s[0] * x + s[1] * y + s[2] * q + s[3]
-        for b in range(bone_count):
-            h[b, b] = _homogeneous_form(products[b, b], x, y, q) - 2.0 * linear[b] + squares[v]
-            bone_errors[b] = h[b, b]
-        n_candidates = _choose_candidates(bone_errors, influences[v], weights[v], candidates)
-        for i in range(n_candidates):
+            bone_errors[b] = _homogeneous_form(products[b, b], x, y, q) - 2.0 * linear[b] + squares[v]
+        n = _choose_candidates(bone_errors, influences[v], weights[v], candidates)
+        h = np.empty((n, n))
+        for i in range(n):
+            b = candidates[i]
+            h[i, i] = bone_errors[b]
             for j in range(i):
-                b, c = candidates[i], candidates[j]
-                h[b, c] = h[c, b] = _homogeneous_form(products[b, c], x, y, q) - linear[b] - linear[c] + squares[v]
+                c = candidates[j]
+                h[i, j] = h[j, i] = _homogeneous_form(products[b, c], x, y, q) - linear[b] - linear[c] + squares[v]
         scale = max(squares[v], 1e-300)
-        selected[0], w[0] = candidates[0], 1.0
-        count = _active_set(h, scale, candidates[:n_candidates], selected, w, 1, bone_count, a, z)
-        count = _remove_least_bones(h, scale, selected, w, max_count, count, a, z)
+        bones[0], w[0] = 0, 1.0
+        count = _active_set(h, scale, bones, w, 1, n, a, z)
+        count = _remove_least_bones(h, scale, bones, w, max_count, count, a, z)
         # A second start from the previous weights ensures that errors never increase.
         m = 0
         for i in range(max_count):
             if weights[v, i] > 0.0:
-                old[m], old_weights[m] = influences[v, i], weights[v, i]
+                for j in range(n):
+                    if candidates[j] == influences[v, i]:
+                        old[m], old_weights[m] = j, weights[v, i]
                 m += 1
         if m > 0:
             m = _minimise_convex(h, old, m, old_weights, scale, a, z)
-            m = _active_set(h, scale, candidates[:n_candidates], old, old_weights, m, max_count, a, z)
-            if _squared_error(h, old, m, old_weights) < _squared_error(h, selected, count, w):
+            m = _active_set(h, scale, old, old_weights, m, max_count, a, z)
+            if _squared_error(h, old, m, old_weights) < _squared_error(h, bones, count, w):
                 count = m
-                selected[:m], w[:m] = old[:m], old_weights[:m]
+                bones[:m], w[:m] = old[:m], old_weights[:m]
+        errors[v] = max(_squared_error(h, bones, count, w), 0.0)
+        for i in range(count):
+            selected[i] = candidates[bones[i]]
         influences[v], weights[v] = selected[0], 0.0
         influences[v, :count], weights[v, :count] = selected[:count], w[:count]
-        errors[v] = max(_squared_error(h, selected, count, w), 0.0)
         if free_rest:
             # Normal equations of sum_t |A_t r + b_t - x_t|^2; A_t and b_t are weighted means of the motions.
             for i in range(3):

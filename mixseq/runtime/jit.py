@@ -26,6 +26,7 @@ from pickle import UnpicklingError
 from typing import Any, TypeVar, cast
 
 import numba
+from llvmlite.binding import parse_assembly, parse_bitcode
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys
@@ -101,6 +102,21 @@ class _CompactCacheImpl(CompileResultCacheImpl):
         *rest, environments = super().reduce(overload)  # type: ignore[no-untyped-call]
         kept = (entry for entry in environments if not str(entry.globals["__name__"]).startswith("numba."))
         return (*rest, tuple(kept))
+
+    def rebuild(self, target: Any, payload: tuple[Any, ...]) -> Any:
+        """Return the function of a pickle; what its callers link is parsed when one of them is compiled."""
+        (name, kind, (machine_code, bitcode)), function, *rest, environments = payload
+        symbols = {function.llvm_func_name, function.llvm_cpython_wrapper_name, function.env_name}
+        target.codegen()._engine._defined_symbols |= symbols | {each.env_name for each in environments}
+        library_data = name, kind, (machine_code, _empty_bitcode())
+        overload = super().rebuild(target, (library_data, function, *rest, environments))  # type: ignore[no-untyped-call]
+        overload.library._get_module_for_linking = cache(partial(parse_bitcode, bitcode))
+        return overload
+
+
+@cache
+def _empty_bitcode() -> bytes:
+    return bytes(parse_assembly("").as_bitcode())
 
 
 @cache

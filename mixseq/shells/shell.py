@@ -87,8 +87,10 @@ class Shell(PickledWithoutCaches):
     ties: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
 
     @cached_property
-    def _faces(self) -> Index:
-        return self.topology.faces.astype(np.int64)
+    def _sides(self) -> Index:
+        """Vertices ``(3F, 2)`` of the sides 01, 12, 20 of all faces."""
+        faces = self.topology.faces.astype(np.int64)
+        return np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
 
     @cached_property
     def hinge_frames(self) -> HingeFrames:
@@ -159,15 +161,14 @@ class Shell(PickledWithoutCaches):
     @cached_property
     def factor(self) -> Factor:
         """Factor of the Laplacian."""
-        i = np.concatenate([self._faces.reshape(-1), self.ties[:, 0]])
-        j = np.concatenate([np.roll(self._faces, -1, axis=1).reshape(-1), self.ties[:, 1]])
         weights = np.concatenate([self.side_weights.reshape(-1), np.full(len(self.ties), self.tie_weight)])
-        return factorise_laplacian(np.stack([i, j], axis=1), weights, self.tie_weight * self.position_weights)
+        edges = np.concatenate([self._sides, self.ties])
+        return factorise_laplacian(edges, weights, self.tie_weight * self.position_weights)
 
     def integrate(self, sides: Float, expected: Float, tie_sides: Float | None = None) -> Float:
         """Integrate sides of faces ``(F, 3, 3)`` and ties ``(t, 3)`` to vertices near expected positions ``(V, 3)``."""
         right = (self.tie_weight * self.position_weights)[:, None] * expected
-        kernels.add_weighted_sides(self._faces, self.side_weights, sides, right)
+        kernels.add_weighted_sides(self._sides, self.side_weights.reshape(-1), sides.reshape(-1, 3), right)
         if tie_sides is not None:
             np.add.at(right, self.ties[:, 1], self.tie_weight * tie_sides)
             np.add.at(right, self.ties[:, 0], -self.tie_weight * tie_sides)

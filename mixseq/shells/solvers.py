@@ -33,6 +33,7 @@ from mixseq.mesh.measures import scatter_add
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.topology import connected_components
 from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
+from mixseq.shells.kernels import add_weighted_sides
 from mixseq.types import Float, Index, Mask
 
 MIN_ROWS_FOR_THREADS = 30_000
@@ -224,11 +225,10 @@ class PoissonSystem(PickledWithoutCaches):
         result = np.zeros((len(self.fixed_mask), sides.shape[1]))
         if positions is not None:
             result[self.fixed_mask] = positions[self.fixed_mask]
+            sides = sides - (result[self.edges[:, 1]] - result[self.edges[:, 0]])
         if self.unknown_ids.size:
-            i, j = self.edges.T
-            forces = self.weights[:, None] * (sides - (result[j] - result[i]))
-            at_ends = np.stack([-forces, forces], axis=1).reshape(-1, sides.shape[1])
-            right = scatter_add(at_ends, self.edges.reshape(-1), len(result))
+            right = np.zeros_like(result)
+            add_weighted_sides(self.edges, self.weights, np.ascontiguousarray(sides), right)
             result[self.unknown_ids] = self.factor.solve(right[self.unknown_ids])
         return result
 

@@ -108,23 +108,21 @@ class Curve:
     @cached_property
     def slopes(self) -> Float:
         """Slopes ``(m, k)`` at the knots of a curve without breaks."""
-        from scipy.linalg import solve_banded  # unused at knots; all of scipy.interpolate would take longer to import
-
         h = np.diff(self.times)[:, None]
         secants = np.diff(self.values, axis=0) / h
         if len(h) < 3:  # a line or a parabola
             bend = np.diff(secants, axis=0).sum(axis=0) / h.sum()
             starts = secants[:1] - bend * h[:1]
             return np.concatenate([starts, secants + bend * h])
-        matrix, right = np.zeros((3, len(self.times))), np.empty(self.values.shape)
-        matrix[0, 2:], matrix[2, :-2] = h[:-1, 0], h[1:, 0]
-        matrix[1, 1:-1] = 2 * (h[:-1, 0] + h[1:, 0])
+        below, diagonal, above = np.zeros((3, len(self.times)))
+        right = np.empty(self.values.shape)
+        below[1:-1], diagonal[1:-1], above[1:-1] = h[1:, 0], 2 * (h[:-1, 0] + h[1:, 0]), h[:-1, 0]
         right[1:-1] = 3 * (h[1:] * secants[:-1] + h[:-1] * secants[1:])
-        for end, beside, next_to in ((0, 1, (0, 1)), (-1, -2, (2, -2))):
+        for end, beside, next_to in ((0, 1, above), (-1, -2, below)):
             both = h[end, 0] + h[beside, 0]
-            matrix[1, end], matrix[next_to] = h[beside, 0], both
+            diagonal[end], next_to[end] = h[beside, 0], both
             right[end] = (h[end] + 2 * both) * h[beside] / both * secants[end] + h[end] ** 2 / both * secants[beside]
-        return np.asarray(solve_banded((1, 1), matrix, right))
+        return _solve_tridiagonal(below, diagonal, above, right)
 
     def __call__(self, times: ArrayLike) -> Float:
         """Return the points ``(N, k)`` of the curve at times ``(N,)``; at knots exactly the given values."""
@@ -174,6 +172,18 @@ class Curve:
         for power in range(3, order - 1, -1):
             result = result * offset + math.perm(power, order) * powers[power]
         return result
+
+
+def _solve_tridiagonal(below: Float, diagonal: Float, above: Float, right: Float) -> Float:
+    """Solve for ``(m, k)`` in place. Rows are diagonally dominant; SciPy takes as long to import as a file to load."""
+    for row in range(1, len(right)):
+        factor = below[row] / diagonal[row - 1]
+        diagonal[row] -= factor * above[row - 1]
+        right[row] -= factor * right[row - 1]
+    right[-1] /= diagonal[-1]
+    for row in range(len(right) - 2, -1, -1):
+        right[row] = (right[row] - above[row] * right[row + 1]) / diagonal[row]
+    return right
 
 
 def is_increasing(times: Float) -> bool:

@@ -1,7 +1,7 @@
-"""Regenerate the paper's tables and figures on our data, in docs/paper.
+"""Regenerate the paper's tables and figures on our data.
 
-Usage: scripts/paper [NAME ...] [--mesh MESH ...], all of them without names, on all meshes without meshes. The rest of
-docs/paper stays as it is. --pages writes the pages again from what was measured before.
+Usage: scripts/paper --out FOLDER [NAME ...] [--mesh MESH ...], all of them without names, on all meshes without meshes.
+What else is in the folder stays as it is. --pages writes the pages again from what was measured before.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Protocol, cast
 
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.poses import ALL, Poses
-from scripts.paper_study.common.record import OUT, Json, Results, load, origins, save, stamped
+from scripts.paper_study.common.record import Json, Results, load, origins, save, stamped
 
 Say = Callable[[str], None]
 
@@ -30,6 +30,8 @@ STAGES = {
     "figure-1": "what becomes of legs in four shape spaces",
     "figure-9": "six poses",
     "figures-10-12": "errors over the weight",
+    "baselines": "methods of others",
+    "geodesic": "geodesics in the space of shells",
     "figure-14": "a segmentation with too few parts",
     "figure-15": "segmentation methods",
     "figure-16": "vertex noise, local self-intersections",
@@ -58,6 +60,7 @@ class Stage(Protocol):
 def main() -> int:
     parser = argparse.ArgumentParser(prog="scripts/paper", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(STAGES))
+    parser.add_argument("--out", type=Path, required=True, help="folder of pages, pictures and results")
     parser.add_argument("--mesh", action="append", choices=ALL, default=[])
     parser.add_argument("--pages", action="store_true", help="only write the pages again")
     given = parser.parse_args()
@@ -69,10 +72,10 @@ def main() -> int:
     failures = 0
     for name in given.names or STAGES:
         meshes = () if given.pages else (given.mesh or stage(name).MESHES)
-        failures += sum(not measured(name, mesh) for mesh in meshes if mesh in stage(name).MESHES)
-        write(name)
-    write_index()
-    say(f"see {OUT / 'index.md'}" + (f"; {failures} measurements failed" if failures else ""))
+        failures += sum(not measured(given.out, name, mesh) for mesh in meshes if mesh in stage(name).MESHES)
+        write(given.out, name)
+    write_index(given.out)
+    say(f"see {given.out / 'index.md'}" + (f"; {failures} measurements failed" if failures else ""))
     return 1 if failures else 0
 
 
@@ -82,34 +85,34 @@ def stage(name: str) -> Stage:
     return cast(Stage, module)
 
 
-def measured(name: str, mesh: str) -> bool:
-    """Measure a table or figure on a mesh and keep the result; tell whether that went well."""
+def measured(out: Path, name: str, mesh: str) -> bool:
+    """Measure a table or figure on a mesh and keep the result; return whether that went well."""
     say(f"{name}, {mesh} ...")
-    OUT.mkdir(parents=True, exist_ok=True)
+    out.mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
     try:
-        result = stage(name).measure(Poses.of(mesh), OUT, lambda text: say(f"{name}, {mesh}: {text}"))
+        result = stage(name).measure(Poses.of(mesh), out, lambda text: say(f"{name}, {mesh}: {text}"))
     except Exception:
         traceback.print_exc()
         say(f"{name}, {mesh} FAILED; what was there before stays")
         return False
-    results = {**load(name), mesh: stamped(result, time.perf_counter() - start)}
-    save(name, {known: results[known] for known in ALL if known in results})
+    results = {**load(out, name), mesh: stamped(result, time.perf_counter() - start)}
+    save(out, name, {known: results[known] for known in ALL if known in results})
     return True
 
 
-def write(name: str) -> None:
+def write(out: Path, name: str) -> None:
     """Write the page of a table or figure from its results."""
-    results = load(name)
+    results = load(out, name)
     if results:
         title = name.replace("-", " ").capitalize().replace("s 10 12", "s 10 to 12")
         blocks = [f"# {title}: {STAGES[name]}", *stage(name).page(results), *origins(results)]
-        (OUT / f"{name}.md").write_text("\n\n".join([*blocks, "[All tables and figures](index.md)"]) + "\n")
+        (out / f"{name}.md").write_text("\n\n".join([*blocks, "[All tables and figures](index.md)"]) + "\n")
 
 
-def write_index() -> None:
+def write_index(out: Path) -> None:
     """Write the page that leads to all others, with what they show."""
-    known: Mapping[str, Results] = {name: load(name) for name in STAGES if load(name)}
+    known: Mapping[str, Results] = {name: load(out, name) for name in STAGES if load(out, name)}
     rows = [(f"[{name}]({name}.md)", STAGES[name], ", ".join(results)) for name, results in known.items()]
     intro = (Path(__file__).with_name("intro.md")).read_text().strip()
     shown = [f"- **{name}**: {text}" for name in known for text in stage(name).verdict(known[name])]
@@ -119,8 +122,8 @@ def write_index() -> None:
         "## What came out",
         "\n".join(shown),
     ]
-    OUT.mkdir(parents=True, exist_ok=True)
-    (OUT / "index.md").write_text("\n\n".join(blocks) + "\n")
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "index.md").write_text("\n\n".join(blocks) + "\n")
 
 
 def say(text: str) -> None:

@@ -65,6 +65,11 @@ def limb(model: Source) -> int:
     return int(np.flatnonzero(model.mixed.articulation.parents >= 0)[0]) if has_parts(model) else 0
 
 
+def raised(model: Source) -> Float:
+    """A place near the first vertex at 0.3 s."""
+    return np.asarray(model(0.3)[0] + 0.02 if isinstance(model, Model) else original().points[0, 0])
+
+
 def moved(model: Source, time: float) -> Float:
     """A frame, some vertices moved."""
     points = np.array(model(time) if isinstance(model, Model) else original().points[0])
@@ -146,6 +151,7 @@ TABLE: Mapping[str, Operation] = {
     "hold": Operation(lambda model: operations.hold(model, limb(model), 0.2, 0.3, 0.4), 2),
     "smooth": Operation(lambda model: operations.smooth(model, 0.1), 2),
     "sculpt": Operation(lambda model: operations.sculpt(model, 0.3, moved(model, 0.3)), 2),
+    "pose": Operation(lambda model: operations.pose(model, [operations.Handle(0.3, raised(model), 0)]), 2),
     "swap_key": Operation(lambda model: operations.swap_key(model, 0, moved(model, 0.0)).sample(frames=[0]), 2),
     "drag": Operation(lambda model: operations.drag(model, 0.3, place(model, TIMES[3:4])[0] + 0.01), 2),
     "sketch": Operation(sketched_frames, 2),
@@ -255,7 +261,7 @@ def check_header(result: Any, source: Any) -> None:
 
 
 def test_the_table_is_complete() -> None:
-    others = {"Retiming", "read_retiming", "key_poses"}  # no motions; `with_shapes` has poses of `key_poses`
+    others = {"Handle", "Retiming", "read_retiming", "key_poses"}  # no motions; `with_shapes` has poses of `key_poses`
     assert OPERATIONS.keys() | set(operations.__all__) == (TABLE.keys() | others) - {
         "sample",
         "velocity",
@@ -347,7 +353,7 @@ def test_saving_twice_changes_nothing(motions: Mapping[str, Motion], tmp_path: P
 
 
 WITHOUT_PARTS = {
-    **dict.fromkeys(("exaggerate_part", "hold", "with_shapes"), r"space='mixed'|mixed space"),
+    **dict.fromkeys(("exaggerate_part", "hold", "pose", "with_shapes"), r"space='mixed'|mixed space"),
     "swap_key": "no frame of the model",
 }
 """Why spaces without parts, and models of modes, are refused."""

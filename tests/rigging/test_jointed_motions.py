@@ -52,12 +52,12 @@ def rotations_of(motions: Float) -> Float:
     return np.asarray(motions[:, :3].reshape(len(motions), 3, -1, 3).transpose(0, 2, 3, 1))
 
 
-def test_what_is_below() -> None:
-    assert tree().descendants().tolist() == [
-        [True, True, True, True],
-        [False, True, True, True],
-        [False, False, True, False],
-        [False, False, False, True],
+def test_branches_of_subtrees() -> None:
+    assert tree().branches.tolist() == [
+        [0, 1, 1, 1],
+        [-1, 1, 2, 3],
+        [-1, -1, 2, -1],
+        [-1, -1, -1, 3],
     ]
 
 

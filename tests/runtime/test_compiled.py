@@ -206,6 +206,14 @@ def test_what_numba_knows_of_numpy_is_not_imported_to_load_what_it_made(kept: Pa
         again(numbers[:0])
 
 
+def test_functions_that_were_loaded_are_linked_into_new_ones(kept: Path) -> None:
+    assert double(kept)(3) == 6
+    function = double(kept)
+    assert function(3) == 6
+    assert loaded(function) == 1
+    assert numba.njit(lambda number: function(number) + 1)(3) == 7
+
+
 def test_numbers_that_stand_in_the_code_are_compiled_for_once(kept: Path) -> None:
     (kept / "doubling.py").write_text(CALLING.replace("def place", "def double"))
     function = double(kept)

@@ -8,7 +8,7 @@
 
 Components are then moved to the poses of their seeds. At frames of the sequence the first two steps are exact. All
 matrices are constant. The paper solves every joint separately, registers joints and parts, and stitches them (Section
-3.4); see `scripts/paper`.
+2.3); see `scripts/paper`.
 """
 
 from __future__ import annotations

@@ -236,6 +236,21 @@ class MixedSpace(ShapeSpace):
         space.__dict__["articulation"] = replace(self.articulation, **weights)  # bodies take long to find
         return space
 
+    def at_vertices(self, vertex_ids: Index) -> tuple[MixedSpace, Index]:
+        """Return the space of vertices ``(n,)`` alone, skinned to all parts, and its columns ``(D',)`` of vectors."""
+        space = replace(
+            self,
+            topology=Topology(np.zeros((0, 3), dtype=np.int32), len(vertex_ids)),
+            reference=self.reference[vertex_ids],
+            skinning_weights=self.skinning_weights[vertex_ids],
+            joint_faces=np.zeros(0, dtype=bool),
+            projection=replace(self.projection, share=0.0, steps=0),
+        )
+        space.__dict__["articulation"] = self.articulation
+        joints, vertices = sum(self.block_sizes[:2]), np.arange(3 * self.vertex_count).reshape(-1, 3)
+        columns = vertices[vertex_ids].reshape(-1), np.arange(vertices.size, self.dim - joints)
+        return space, joints + np.concatenate(columns)
+
     @cached_property
     def _block_shapes(self) -> tuple[tuple[int, ...], ...]:
         """Array shapes of the blocks of a vector, in order."""
@@ -438,7 +453,7 @@ class MixedSpace(ShapeSpace):
         rest_vertices = np.ascontiguousarray(frame.rest_vertices)
         return np.asarray(kernels.skin_vertices(*self._skinning, self._part_motions(frame), rest_vertices))
 
-    def skin(self, vectors: Float) -> Float:
+    def skin(self, vectors: RealOrComplex) -> RealOrComplex:
         """Return skinned vertices ``(T, V, 3)`` of vectors ``(T, D)``, in diagonals, before the joint projection."""
         return np.stack([self._skin(MixedBlocks(*frame)) for frame in zip(*self.split(vectors), strict=True)])
 

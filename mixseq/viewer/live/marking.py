@@ -243,7 +243,7 @@ class MarkingControls:
         with gui.add_folder("Proposed"):
             self._proposal_line = gui.add_html("")
             proposals = gui.add_button_group("", ("Accept", "Skip", "Accept all"))
-            again = gui.add_button("Suggest", hint="Suggest tips of limbs, tail, nose and ears")
+            again = gui.add_button("Suggest", hint="Suggest markers that fit the pairs that are set")
         with gui.add_folder("Map"):
             self._map = gui.add_html("")
         with gui.add_folder("Save"):
@@ -275,7 +275,9 @@ class MarkingControls:
         session = self._session
         marking, proposals, examination = session.marking, session.proposals, session.examination
         self._hint_line.content = _lines("mixseq-hint", [_hint_text(marking, self._names)])
-        self._proposal_line.content = _lines("mixseq-proposed", [_proposal_text(len(proposals), session.work)])
+        self._proposal_line.content = _lines(
+            "mixseq-proposed", [_proposal_text(len(proposals), session.work, session.doubt)]
+        )
         self._map.content = _lines("mixseq-map", _map_lines(marking, examination, session.work))
         state = "changed since it was saved" if session.has_changes else "as in the file"
         self._saved.content = _lines("mixseq-saved", [escape(f"{self._file}: {state}")])
@@ -294,11 +296,13 @@ def _hint_text(marking: Marking, names: tuple[str, str]) -> str:
     return pair_count + text
 
 
-def _proposal_text(count: int, work: str) -> str:
+def _proposal_text(count: int, work: str, doubt: str) -> str:
     if count:
         return f"{count} to confirm, as dark balls: the next one has a ?. Click a ball to accept it"
     if "look" in work:
         return escape(f"{work} ...")
+    if doubt:
+        return escape(f"Not sure: {doubt}. Set two or three pairs (a hand, a foot, the nose), then Suggest")
     return "None: mirrored markers are proposed here"
 
 

@@ -9,7 +9,9 @@ import numpy as np
 from mixseq.mesh.measures import corner_normals
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.rigid import kabsch, transform_points
+from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.pictures.scene import View, to_y_up
+from mixseq.shells.face_frames import triangle_frames
 from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses
 
@@ -27,6 +29,20 @@ def noisy(poses: Poses, share: float, seed: int) -> Poses:
     """Move every vertex of every pose by normal noise, its deviation a share of the mean edge length."""
     size = share * float(poses.lengths.mean())
     return poses.moved(poses.points + np.random.default_rng(seed).normal(0, size, poses.points.shape))
+
+
+def placement_noise(poses: Poses, share: float, seed: int) -> tuple[float, float, float]:
+    """Return how far noise moves a mesh that is placed by a face or by registration, rms in mean edge lengths.
+
+    The first face and the barycentre, as the paper says; the median of all faces; and the registered mesh.
+    """
+    x, faces = poses.points[0], poses.sequence.faces
+    y = noisy(poses, share, seed).points[0]
+    before, after = (quat_to_matrix(triangle_frames(points, faces)) for points in (x, y))
+    turns = np.concatenate([after @ np.swapaxes(before, 1, 2), kabsch(x, y)[0][None]]) - np.eye(3)
+    spread = np.cov(x.T, bias=True)
+    moved = np.sqrt(np.einsum("fij,jk,fik->f", turns, spread, turns)) / float(poses.lengths.mean())
+    return float(moved[0]), float(np.median(moved[:-1])), float(moved[-1])
 
 
 SEEN = 0.5

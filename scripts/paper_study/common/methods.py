@@ -1,14 +1,15 @@
 """The interpolation methods that are compared, each as a blend of poses that is prepared once.
 
-=================  ====================================================================================
-MSGI               S_e, patches merged hierarchically (after Winkler et al. 2010)
-DSO, from a pose   S_e, Gauss-Newton on the whole mesh that starts from the first pose, as the paper ran it
-DSO                S_e, the same from the linear start (ours)
-S_e, steps         S_e, frames averaged and steps by constant matrices (ours)
-MixIT, printed     S_m as printed: strips as joints, every joint by itself, registration, stitching
-MixIT, free        S_m, free placement: frames averaged, one back-substitution, steps (ours)
-MixIT              S_m, anchored placement: what `mixseq.interpolate` does (ours)
-=================  ====================================================================================
+=====================  ==================================================================================
+MSGI                   S_e, patches merged hierarchically (after Winkler et al. 2010)
+DSO, from a pose       S_e, Gauss-Newton on the whole mesh that starts from the first pose, as the paper ran it
+DSO                    S_e, the same from the linear start (ours)
+S_e, steps             S_e, frames averaged and steps by constant matrices (ours)
+MixIT, printed         S_m as printed: strips as joints, every joint by itself, registration, stitching
+MixIT, whole joints    the same; joints keep their own lengths and angles where they overlap with parts
+MixIT, free            S_m, free placement: frames averaged, one back-substitution, steps (ours)
+MixIT                  S_m, anchored placement: what `mixseq.interpolate` does (ours)
+=====================  ==================================================================================
 """
 
 from __future__ import annotations
@@ -238,19 +239,21 @@ class Strips(Free):
 class Printed(Mixed):
     """S_m as the paper prints it: every joint by itself, registration, stitching, and no steps afterwards.
 
-    A joint knows what S_m holds of it: lengths and angles that no part has, and of the others those of the blended
-    part. Joints are found by the linear start and Gauss-Newton; the paper takes MSGI for them.
+    Joints are found by the linear start and Gauss-Newton; the paper takes MSGI for them.
     """
+
+    complete: bool = False
+    """Whether joints have the lengths and angles that a part has as well (`PaperSpace`)."""
 
     @cached_property
     def space(self) -> PaperSpace:
         """The space of the poses."""
-        return PaperSpace(self.poses, self.decomposition)
+        return PaperSpace(self.poses, self.decomposition, self.complete)
 
     @property
     def rigid(self) -> NDArray[np.bool_]:
-        """Faces that have an edge in a part."""
-        return np.asarray(~self.space.free_edges[self.poses.topology.face_edges].all(axis=1))
+        """Faces that have an edge whose length is that of a part."""
+        return np.asarray(~self.space.blended_edges[self.poses.topology.face_edges].all(axis=1))
 
     @cached_property
     def patches(self) -> tuple[Patch, ...]:
@@ -291,6 +294,7 @@ METHODS: dict[str, Callable[[Poses, Index], Method]] = {
     "DSO": lambda poses, _: Edge(poses, EdgeSettings("dso")),
     "S_e, steps": lambda poses, _: Edge(poses, EdgeSettings("steps")),
     "MixIT, printed": lambda poses, labels: Printed(poses, strips(poses, labels)),
+    "MixIT, whole joints": lambda poses, labels: Printed(poses, strips(poses, labels), complete=True),
     "MixIT, free": lambda poses, labels: Free(poses, strips(poses, labels)),
     "MixIT": lambda poses, labels: Anchored(poses, strips(poses, labels)),
 }

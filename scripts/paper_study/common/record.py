@@ -8,41 +8,52 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.benchmarks.common.origin import origin
 
-OUT = Path("docs/paper")
 Json = dict[str, Any]
 Results = dict[str, Json]
 """What was measured, by mesh."""
 
 
-def load(name: str) -> Results:
-    """Return the results of a table or figure by mesh."""
-    file = _file(name)
+def load(out: Path, name: str) -> Results:
+    """Return the results of a table or figure in a folder, by mesh."""
+    file = _file(out, name)
     results: Results = json.loads(file.read_text()) if file.exists() else {}
     return results
 
 
-def save(name: str, results: Results) -> None:
+def save(out: Path, name: str, results: Results) -> None:
     """Keep them."""
-    file = _file(name)
+    file = _file(out, name)
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(results, indent=1) + "\n")
 
 
-def _file(name: str) -> Path:
-    return OUT / "results" / f"{name}.json"
+def _file(out: Path, name: str) -> Path:
+    return out / "results" / f"{name}.json"
 
 
 def stamped(result: Json, seconds: float) -> Json:
     """Add when and on what something was measured."""
     now, load = time.strftime("%Y-%m-%d %H:%M"), os.getloadavg()[0]
     return {**result, "seconds": seconds, "measured": now, "load": load, **origin()}
+
+
+def ratio_range(values: Iterable[float]) -> str:
+    """Return the smallest and the largest value, with two digits: ``0.6 to 1.2``."""
+    known = list(values)
+    low, high = (f"{value:.2g}" if value < 100 else f"{value:.0f}" for value in (min(known), max(known)))
+    return low if low == high else f"{low} to {high}"
+
+
+def named(meshes: Iterable[str]) -> str:
+    """Return the names of meshes: ``lion, cat``."""
+    return ", ".join(meshes) or "none"
 
 
 def machine_line(result: Mapping[str, Any]) -> str:

@@ -1,7 +1,10 @@
-"""S_m and P_m as the paper prints them (Sections 2.2 and 3.4).
+"""S_m and P_m as the paper prints them (Sections 2.2 and 2.3).
 
-A point of S_m is the aligned vertices of parts, the lengths and angles that no part has, and poses. P_m finds joints by
+A point of S_m is the aligned vertices of parts, the lengths and angles of joints, and poses. P_m finds joints by
 themselves, registers all pieces, and stitches them. mixseq does it otherwise, see `mixseq.spaces.mixed`.
+
+Joints and parts overlap by a strip, whose lengths and angles follow from the blended part as well. Two readings: joints
+have all their own (the dimension that the paper defines counts them), or only those that no part has.
 """
 
 from __future__ import annotations
@@ -31,7 +34,7 @@ class PaperFrame(NamedTuple):
     Attributes
     ----------
     lengths, angles : (E,), (H,) float64
-        Lengths and angles of all edges and hinges: blended, or of the blended part that has them.
+        Lengths and angles of all edges and hinges: blended where joints have them, else of the blended part.
     parts : (N, 3) float64
         Aligned vertices of all parts.
     rotations, centres : (p, 4), (p, 3) float64
@@ -51,6 +54,8 @@ class PaperSpace:
 
     poses: Poses
     decomposition: Decomposition
+    complete: bool = False
+    """Whether joints have the lengths and angles that a part has as well."""
 
     @cached_property
     def shapes(self) -> Float:
@@ -85,9 +90,21 @@ class PaperSpace:
         return result
 
     @cached_property
-    def free_edges(self) -> NDArray[np.bool_]:
-        """Mark the edges ``(E,)`` that no part has both ends of."""
-        return np.asarray(self._rows[0][:, 0] < 0)
+    def blended_edges(self) -> NDArray[np.bool_]:
+        """Mark the edges ``(E,)`` whose lengths are those of joints."""
+        return self._blended(self._rows[0], [joint.edge_ids for joint in self.decomposition.joints])
+
+    @cached_property
+    def blended_hinges(self) -> NDArray[np.bool_]:
+        """Mark the hinges ``(H,)`` whose angles are those of joints."""
+        return self._blended(self._rows[1], [joint.hinge_ids for joint in self.decomposition.joints])
+
+    def _blended(self, rows: Index, of_joints: list[Index]) -> NDArray[np.bool_]:
+        """Mark what no part has, and what joints have if they are complete."""
+        mask = rows[:, 0] < 0
+        for ids in of_joints if self.complete else ():
+            mask[ids] = True
+        return np.asarray(mask)
 
     @cached_property
     def length_weights(self) -> Float:
@@ -101,9 +118,9 @@ class PaperSpace:
         edges, hinges = self._rows
         lengths, angles = lengths_and_angles(parts, np.maximum(edges, 0), np.maximum(hinges, 0))
         blended, told = self.poses.target(weights)
-        free, blended = self.free_edges, blended / self.poses.diagonal
-        lengths[free] = clamp_lengths(blended[free], self.length_weights[free])
-        angles[hinges[:, 0] < 0] = told[hinges[:, 0] < 0]
+        mine, blended = self.blended_edges, blended / self.poses.diagonal
+        lengths[mine] = clamp_lengths(blended[mine], self.length_weights[mine])
+        angles[self.blended_hinges] = told[self.blended_hinges]
         return PaperFrame(lengths, angles, parts, rotations, centres)
 
     # Registration and stitching ----------------------------------------------------------------------------
@@ -131,9 +148,9 @@ class PaperSpace:
     def assembled(self, frame: PaperFrame, joints: list[Float]) -> Float:
         """Return the mesh ``(V, 3)`` of parts and of joints ``(n, 3)``, each anywhere.
 
-        Edges have the lengths that joints say, where no part has them, and elsewhere their own.
+        Edges of joints have the blended lengths, as far as joints have them, and others their own.
         """
-        lengths = np.where(self.free_edges, frame.lengths, np.nan)
+        lengths = np.where(self.blended_edges, frame.lengths, np.nan)
         placed = self._placed(frame, np.concatenate([frame.parts, *joints]))
         return stitch(self.seams, placed, lengths)
 

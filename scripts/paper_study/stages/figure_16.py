@@ -17,7 +17,7 @@ from scripts.paper_study.common.methods import METHODS, Edge, Method, strips
 from scripts.paper_study.common.pictures import Panel, cut, gallery, heat
 from scripts.paper_study.common.poses import MESHES as ALL
 from scripts.paper_study.common.poses import Poses, between
-from scripts.paper_study.common.record import Json, Results
+from scripts.paper_study.common.record import Json, Results, named, ratio_range
 
 MESHES = tuple(mesh for mesh in ALL if mesh != "horse_gallop")
 NOISE = 0.01
@@ -164,15 +164,37 @@ def page(results: Results) -> list[str]:
         "## What it shows",
         "The paper says that MixIT is more robust than MSGI against noise, and against self-intersections in "
         "rigid parts, and gives no numbers.",
-        "- Self-intersections: so it is, for the paper's MixIT: what happens in a rigid part stays there, and "
-        "nothing else moves. In S_e, which has no parts, angles that fold over push their surroundings aside, and "
-        "Gauss-Newton from a pose may end elsewhere altogether. The volume term changes little. *MixIT* takes the "
-        "patch for something that bends and makes a joint of it; it still moves the rest less than DSO on three "
-        "meshes, and as much on the lion. *MixIT, free* moves it less than any method in S_e on all four.\n"
-        "- Noise: by how far blends move, the paper is right for *MixIT*, which moves least on three meshes and "
-        "less than MSGI on the cat. It is not for *MixIT, free*, which moves more than MSGI on three. By the "
-        "growth of errors against the noisy lengths and angles neither S_m nor S_e is better throughout.",
+        "- Self-intersections: so it is for the paper's MixIT. What happens in a rigid part stays there: the rest "
+        "moves "
+        f"by {least(results, 'MixIT, printed')} of an edge. In S_e, which has no parts, angles that fold over push "
+        f"their surroundings aside, by {least(results, 'DSO')} from the linear start, and "
+        f"{least(results, 'DSO, from a pose')} from a pose; the volume term makes {least(results, 'DSO, volume')} of "
+        "the "
+        "former. *MixIT* takes the patch for something that bends and makes a joint of it. It moves the rest less than "
+        f"DSO on {fewer(results, 'local', 'MixIT', 'DSO')}, less than MSGI on "
+        f"{fewer(results, 'local', 'MixIT', 'MSGI')}; "
+        f"*MixIT, free* less than DSO on {fewer(results, 'local', 'MixIT, free', 'DSO')}, less than MSGI on "
+        f"{fewer(results, 'local', 'MixIT, free', 'MSGI')}.\n"
+        f"- Noise: *MixIT* moves less than MSGI on {fewer(results, 'noise', 'MixIT', 'MSGI')}, and *MixIT, free* on "
+        f"{fewer(results, 'noise', 'MixIT, free', 'MSGI')}; least of all methods, *MixIT* on "
+        + named(m for m, r in results.items() if min(r["noise"], key=lambda name: away(r, "noise", name)) == "MixIT")
+        + ".",
     ]
+
+
+def away(result: Json, kind: str, name: str) -> float:
+    """Return how far a blend moves, rms in edges: by noise, or by a patch ("local")."""
+    return float(result[kind][name]["away"][0])
+
+
+def fewer(results: Results, kind: str, mine: str, other: str) -> str:
+    """Name the meshes that a method moves less than another does."""
+    return named(mesh for mesh, r in results.items() if away(r, kind, mine) < away(r, kind, other))
+
+
+def least(results: Results, name: str) -> str:
+    """Say how far a method moves what is outside of the patch, from mesh to mesh."""
+    return ratio_range(away(result, "local", name) for result in results.values())
 
 
 def verdict(results: Results) -> list[str]:

@@ -72,21 +72,22 @@ def page(results: Results) -> list[str]:
     for mesh, result in results.items():
         blocks += [
             f"## {result['far']['title']}",
-            "Chosen for it: of all 45 pairs of the cat's poses (the earlier one first) the one where *DSO, "
-            "from a pose* ends with the highest energy. The paper does not tell its poses.",
+            "Chosen for it: poses between which *DSO, from a pose* is trapped. The paper does not tell its poses.",
             f"![Two far poses and blends, {mesh}](figure-17-{mesh}.png)",
             _table(result["far"]),
-            "The paper shows one picture of DSO that got trapped, and of MixIT that did not. So it is here "
-            "when DSO starts from a pose: the cat stays curled up. *MixIT* ends with less energy. From the linear "
-            "start DSO is not trapped and ends with less still: the trap is in the start, not in the space S_e. "
-            "*MixIT, printed* too comes out of the trap, but its rigid parts cost more energy than the trap does; "
-            "what it gains is the shape, not the energy.",
+            "The paper shows one picture of DSO that got trapped, and of MixIT that did not. "
+            + _ordered(result["far"]),
             f"## {result['other']['title']}",
             _table(result["other"]),
-            "The linear start is no guarantee. We compared it with the start from a pose on eight pairs of "
-            "the cat; on this one, the farthest of all, it ends higher. So does *MixIT*, whose poses are blended.",
+            "The linear start is no guarantee. " + _ordered(result["other"]),
         ]
     return blocks
+
+
+def _ordered(result: Json) -> str:
+    """Say which method ends with how much energy."""
+    found = sorted(result["methods"].items(), key=lambda each: each[1]["energy"])
+    return "Energies, from the lowest: " + ", ".join(f"*{name}* {f['energy']:.3g}" for name, f in found) + "."
 
 
 def _table(result: Json) -> str:

@@ -31,7 +31,7 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
         blends.append(Panel(name, blend.points))
         say(f"{name}: {text(found[name]['lengths'])}")
     given = [Panel(f"frame {frame}", x) for frame, x in zip(six.frames, six.points, strict=True)]
-    rows = [given[:3], given[3:], blends[:3], blends[3:]]
+    rows = [given[:3], given[3:], blends[:4], blends[4:]]
     gallery(folder / f"figure-9-{poses.mesh}.png", six, rows, f"{six.title}, weights 1/6")
     return {"title": six.title, "methods": found}
 
@@ -47,12 +47,16 @@ def page(results: Results) -> list[str]:
             f"![Six poses and their blends, {mesh}](figure-9-{mesh}.png)",
             error_table("method", result["methods"]),
         ]
-    return blocks
+    return [*blocks, "## What it shows", *verdict(results)]
 
 
 def verdict(results: Results) -> list[str]:
-    found = [
-        f"{mesh} {result['methods']['MixIT']['lengths'][1]:.2g} ({result['methods']['DSO']['lengths'][1]:.2g})"
-        for mesh, result in results.items()
-    ]
-    return [f"Length errors at 99.9 % of a blend of six poses by MixIT (by DSO): {', '.join(found)}."]
+    lines = []
+    for kind, share in (("lengths", 1), ("degrees", 0)):
+        found = [
+            f"{mesh} {text([result['methods']['MixIT'][kind][share]])} "
+            f"({text([result['methods']['DSO'][kind][share]])})"
+            for mesh, result in results.items()
+        ]
+        lines.append(f"{kind} at {('99 %', '99.9 %')[share]} {', '.join(found)}")
+    return [f"Errors of a blend of six poses by MixIT (by DSO): {'; '.join(lines)}."]

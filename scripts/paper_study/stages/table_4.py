@@ -9,7 +9,7 @@ from scripts.paper_study.common.methods import Strips, strips
 from scripts.paper_study.common.poses import MESHES as ALL
 from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.printed import TABLE_4
-from scripts.paper_study.common.record import Json, Results
+from scripts.paper_study.common.record import Json, Results, ratio_range
 from scripts.paper_study.common.variants import ours, row_of, table, theirs
 
 MESHES = tuple(mesh for mesh in ALL if mesh != "horse_gallop")
@@ -33,15 +33,19 @@ def page(results: Results) -> list[str]:
                 if name == ALL[mesh].printed and p == parts:
                     rows.append(theirs(mesh, f"{p} parts", str(p), str(q), printed))
             rows.append(ours(mesh, f"{parts} parts", result[str(parts)]))
+    gains = [
+        many["lengths"][1] / few["lengths"][1]
+        for mesh, result in results.items()
+        for few, many in [[result[str(parts)] for parts in PARTS[mesh]]]
+    ]
     return [
         "*MixIT, free* with strips as joints: times in milliseconds and errors at w = 0.5, with few and many parts "
         "by motion. The paper has no lion in this table.",
         table(rows),
         "## Differences",
-        "- As in the paper, joints that touch are one, so there are fewer joints than parts; ours merge "
-        "more.\n"
-        "- The paper tells times only. Errors show what they pay for: with few parts more of what bends is "
-        "taken for rigid.",
+        "- As in the paper, joints that touch are one, so there are fewer joints than parts.\n"
+        "- The paper tells times only. Errors show what they pay for: with few parts more of what bends is taken for "
+        f"rigid. With many, errors of lengths at 99.9 % are {ratio_range(gains)} of those with few.",
     ]
 
 
