@@ -146,7 +146,7 @@ def test_the_command_writes_a_package(tmp_path: Path) -> None:
 
 
 def test_the_readme_names_every_file() -> None:
-    named = re.findall(r"`([\w.-]+\.(?:js|ts|html|json))`", package_files()["README.md"])
+    named = re.findall(r"`([\w.-]+\.(?:js|ts|html|json|css))`", package_files()["README.md"])
     assert {*named, "README.md", "package.json"} == set(package_files())
 
 
