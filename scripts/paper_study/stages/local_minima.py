@@ -1,6 +1,6 @@
 """Random starts: whether it matters where the search for a mesh starts, in S_e and in S_m.
 
-The paper (its Section 5) has not observed local minima in S_m. Here starts are shaken: every vertex is moved by
+The paper (Section 3.3) has not observed local minima in S_m. Here starts are shaken: every vertex is moved by
 Gaussian noise. What every method should find, the blended lengths and angles, stays what it is.
 """
 
