@@ -49,6 +49,16 @@ def test_angles_are_signed(degrees: float) -> None:
     assert np.degrees(dihedral_angles(folded(degrees), HINGE)) == pytest.approx(degrees, abs=1e-9)
 
 
+@pytest.mark.parametrize("corner", [2, 3])
+@pytest.mark.parametrize("end", [0, 1])
+def test_hinges_at_faces_without_area_have_no_angle(corner: int, end: int) -> None:
+    """Not even pi, as zero is the angle of two zeros, and pi that of zero and a negative zero."""
+    for signs in np.stack(np.meshgrid(*3 * [[-1.0, 1.0]]), axis=-1).reshape(-1, 3):
+        points = signs * folded(30)
+        points[corner] = points[end]
+        assert dihedral_angles(points, HINGE)[0] == 0
+
+
 def test_convex_solids_have_positive_angles() -> None:
     points, _ = tetrahedron()
     angles = dihedral_angles(points, topology_of(tetrahedron()).hinges)
