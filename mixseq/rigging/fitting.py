@@ -15,8 +15,9 @@ only its bone of largest weight, and the targets compensate. Both values were ch
 principal shapes of :math:`\delta`, and the error is measured after skinning.
 
 *The number of bones* is predicted by rough fits of free bones, whose errors are calibrated by full fits. The predicted
-number is fitted in full, and then a number smaller by a tenth, which mostly misses the error. Free bones with a far too
-large error are not connected to a tree, since a tree hardly reduces the error.
+number is fitted in full, and then a number smaller by a tenth, which mostly misses the error. Numbers whose rough error
+is hopeless are not fitted in full. Free bones with a far too large error are not connected to a tree, since a tree
+hardly reduces the error; nor are free bones with a far smaller error, unless no fewer suffice.
 """
 
 from __future__ import annotations
@@ -152,7 +153,8 @@ def fit_fewest_bones(
     best: tuple[Skin, float] | None = None  # the fit of `enough` bones, if they have been connected
     while too_few < max_count:
         is_found = enough <= max_count
-        if is_found and enough - too_few <= _count_margin(enough):
+        precision = max(1, enough // _COUNT_PRECISION_DIVISOR)
+        if is_found and enough - too_few <= precision:
             best = best or fit_tree(enough)
             if best[1] <= target_error:
                 return best
@@ -160,7 +162,7 @@ def fit_fewest_bones(
             too_few, enough = enough, max_count + 1
             best = best if too_few == max_count else None
             continue
-        largest = enough - _count_margin(enough) if is_found else max_count
+        largest = enough - precision if is_found else max_count
         rough_target = target_error / max(error_ratio, _TINY_NUMBER)
         predicted = _predict_count(rough_error, too_few, largest, rough_target)
         count = min(largest, max(predicted, too_few + (1 if is_found else _count_margin(too_few))))
@@ -184,6 +186,7 @@ def fit_fewest_bones(
 
 
 def _count_margin(count: int) -> int:
+    """Return the tolerance of predicted numbers of bones."""
     return 1 + count // _COUNT_PRECISION_DIVISOR
 
 
