@@ -1,4 +1,4 @@
-"""The coders of scripts/bench compress: what they decode, and how rates are read off their points."""
+"""Benchmarks: what the coders of compress decode, how rates are read off their points, and other solvers of poses."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ import pytest
 
 from mixseq.mesh.topology import Topology
 from mixseq.sequence.sequence import MeshSequence
+from mixseq.spaces.gradient import GradientSpace
 from scripts.benchmarks.common.harness import repeat_with_variation
 from scripts.benchmarks.compress import CODERS, Point, errors, is_installed, join_loops, rate
 from scripts.benchmarks.peers.coders import Coder, step_of
 from scripts.benchmarks.peers.packing import from_lzma, numbers, planes, to_lzma, width
 from scripts.benchmarks.peers.pca import Pca, Space, components, to_points
 from scripts.benchmarks.peers.prediction import prediction, traversal
-from tests.meshes import SEQUENCES, bar, grid, topology_of, torus
+from scripts.benchmarks.pose import gradient_solver, vertex_solver
+from tests.meshes import SEQUENCES, bar, bent, grid, topology_of, torus, tube
 
 STEPPED = [coder for coder in CODERS if coder.name in ("trajectory", "shape", "differences")]
 
@@ -133,3 +135,17 @@ def test_loops_with_variation_do_not_repeat() -> None:
 
 def test_names_may_be_one_word_or_two() -> None:
     assert join_loops(["a", "x10", "b", "c x2"]) == ["a x10", "b", "c x2"]
+
+
+def test_compared_solvers_find_poses_by_handles() -> None:
+    """MeshIK finds the angle of a hinge, vertices find frames."""
+    points, faces = tube(8, 21, length=4.0)
+    *frames, expected = (bent(points, angle, middle=2.0, blend=0.3) for angle in (*np.linspace(-0.8, 0.8, 9), 0.3))
+    bends, topology = np.stack(frames), Topology(faces, len(points))
+    ids = np.array([0, 2, 5, int(bends[0, :, 2].argmax())])
+    space = GradientSpace(topology, 1.0, bends[0])
+    found = gradient_solver(bends, space)(ids, expected[ids], 4)
+    np.testing.assert_allclose(found[ids], expected[ids], atol=1e-12)
+    assert np.abs(found - expected).max() < 0.02
+    for solve in (gradient_solver(bends, space), vertex_solver(bends)):
+        np.testing.assert_allclose(solve(ids, bends[2, ids], 2), bends[2], atol=1e-8)

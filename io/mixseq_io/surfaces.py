@@ -8,6 +8,7 @@ as ``surface/...`` in docs/file-format.md.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -41,6 +42,8 @@ class RoundingMonitor:
         self._path, self._format_name, self._header = path, format_name, header
         self._near, self._diagonal = NO_ORIGIN, Diagonal(0.0, 0)
         self._largest = self._largest_local = 0.0
+        self._bound = None if header.provenance is None else _promised_bound(header.provenance)
+        self._negligible = min(VISIBLE_ERROR_DIAGONALS, self._bound or math.inf)
 
     def watch(self, blocks: Iterable[FloatArray], has_nodes: bool = False) -> Iterator[FloatArray]:
         """Return an iterator over blocks ``(B, V, 3)``, which raises `OutputError` at its end if a promise is broken.
@@ -70,12 +73,19 @@ class RoundingMonitor:
         self._check_promise()
 
     def measure(self, frame: int, points: FloatArray, written: FloatArray) -> None:
-        """Measure the distances of points ``(V, 3)`` of a frame from those that are written, or rounded, for them."""
+        """Measure the distances of points ``(V, 3)`` of a frame from those that are written, or rounded, for them.
+
+        They are not measured where rounding of the largest coordinate is neither visible nor of weight for a promise.
+        """
         if points.dtype == np.float32 or not points.size:
             return
-        box = np.stack(bounding_box(points))
-        self._largest = max(self._largest, float(np.abs(box).max()))
+        box = np.stack(bounding_box(written)).astype(np.float64)
+        largest = float(np.abs(box).max())
+        self._largest = max(self._largest, largest)
         self._largest_local = max(self._largest_local, float(np.abs(box - self._near).max()))
+        is_rounded = written is points or written.dtype == np.float32
+        if is_rounded and rounding_margin(self._negligible, largest / (self._diagonal.length or 1.0)):
+            return
         with np.errstate(over="ignore", under="ignore"):
             written = written.astype(np.float32) if written is points else written
             errors: Float = self._diagonal.rescale(points - written)
@@ -85,8 +95,7 @@ class RoundingMonitor:
 
     def _check_promise(self) -> None:
         """Raise an error if rounding takes more of a promised bound than encoders leave for it."""
-        provenance, unit = self._header.provenance, self._diagonal.length or 1.0
-        bound = None if provenance is None else _promised_bound(provenance)
+        bound, unit = self._bound, self._diagonal.length or 1.0
         if bound is None or self.error <= rounding_margin(bound, self._largest / unit, self._largest_local / unit):
             return
         alone = ", or a stand-alone USD, Alembic or glTF file (--flatten)" if self._near.any() else ""

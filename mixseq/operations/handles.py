@@ -55,7 +55,7 @@ from mixseq.signals.model import Model
 from mixseq.spaces.mixed.joint_projection import from_complex_step, to_complex_step
 from mixseq.types import Float, Index
 
-DEFAULT_SOFTNESS = 2e-3
+DEFAULT_SOFTNESS = 5e-3
 """Default softness: distance from a target whose energy is that of one standard deviation of the pose, in diagonals."""
 
 MIN_DEVIATION_RATIO = 1e-6
@@ -64,8 +64,8 @@ MIN_DEVIATION_RATIO = 1e-6
 MIN_HANDLES_OF_FREE_BODY = 3
 """Number of handles, the kept vertices included, from which on bodies move: three points determine a rigid motion."""
 
-MAX_STEPS, STEP_TOLERANCE = 30, 1e-4
-"""Largest number of Levenberg-Marquardt steps, and the step in standard deviations at which they stop."""
+MAX_STEPS, STEP_TOLERANCE, ENERGY_TOLERANCE = 30, 1e-4, 1e-5
+"""Largest number of Levenberg-Marquardt steps; they stop at a step in standard deviations, or a relative decrease."""
 
 START_DAMPING, MAX_DAMPING = 1e-3, 1e8
 """First damping of steps, and the damping at which no step is left that lowers the energy."""
@@ -85,21 +85,11 @@ RESIDUAL_RADIUS = 0.05
 
 @dataclass(frozen=True)
 class Handle:
-    """A target position of a vertex, or of the centre of a part's vertices, at a time.
+    """A target position of a vertex, or of the centre of a part's vertices, at a time."""
 
-    Attributes
-    ----------
-    time : float
-        Time in seconds.
-    position : (3,) array_like
-        Target in the units of the sequence.
-    vertex, part : int
-        Number of a vertex or of a part, from 0 on; give one of the two.
-    """
-
-    time: float
-    position: ArrayLike
-    vertex: int | None = None
+    time: float  # in seconds
+    position: ArrayLike  # (3,) target in the units of the sequence
+    vertex: int | None = None  # number of a vertex; or of a part:
     part: int | None = None
 
     def vertices(self, model: Model) -> Index:
@@ -140,21 +130,10 @@ class PoseChange(NamedTuple):
 
 
 class PoseSolver:
-    """Solve for poses of a model from positions of handles.
-
-    Parameters
-    ----------
-    model : Model
-        A model in the mixed space with anchored parts.
-    groups : sequence of (n,) int
-        Vertices of every handle; the position of a handle is their mean.
-    softness : float
-        Distance from a target whose energy is that of one standard deviation of the pose, in diagonals.
-    is_free : bool
-        Whether bodies move, too.
-    """
+    """Solver for poses of a model from positions of handles, means of groups of vertices."""
 
     def __init__(self, model: Model, groups: Sequence[Index], softness: float, is_free: bool) -> None:
+        """Take the vertices ``(n,)`` of every handle, the softness in diagonals, and whether bodies move, too."""
         self.model, self.groups, self.softness, self.is_free = model, groups, softness, is_free
         self.space = model.mixed
         if self.space.placement == "free":
@@ -167,7 +146,12 @@ class PoseSolver:
         self._vertex_ids = np.unique(np.concatenate(groups))
         self._means = self.means[:, self._vertex_ids].toarray()
         self._skinned, self._columns = self.space.at_vertices(self._vertex_ids)
-        self._move_count = 6 * self.space.rotation_count if is_free else 0
+        shapes = model.shapes[:, self._columns[self._columns < self.space.shape_dim]]
+        self._shape_steps = self.directions @ model.pose.matrix @ (shapes - shapes[0])  # (r, S')
+        move_weights = np.ones((self.space.rotation_count if is_free else 0, 6))
+        move_weights[:, :3] = self.space.articulation.body_radii[: len(move_weights), None]
+        self._weights = np.append(np.ones(len(self.directions)), move_weights)
+        self._decoded: tuple[PoseChange | None, float, Float] = (None, 0.0, np.empty((0, 3)))
 
     @cached_property
     def directions(self) -> Float:
@@ -177,20 +161,6 @@ class PoseSolver:
         kept = sizes > MIN_DEVIATION_RATIO * sizes.max(initial=0.0)
         return np.asarray(sizes[kept, None] * axes[kept])
 
-    @cached_property
-    def _shape_steps(self) -> Float:
-        """Changes ``(r, S')`` of the shapes of handle vertices along the directions."""
-        columns = self._columns[self._columns < self.space.shape_dim]
-        return np.asarray(
-            self.directions @ self.model.pose.matrix @ (self.model.shapes[:, columns] - self.model.shapes[0, columns])
-        )
-
-    @property
-    def _move_weights(self) -> Float:
-        """Weights ``(6 B,)`` of moves: the radius of gyration for rotations, 1 for shifts."""
-        radii = self.space.articulation.body_radii
-        return np.repeat(np.stack([radii, np.ones_like(radii)], axis=1), 3, axis=1).reshape(-1)
-
     def unchanged(self) -> PoseChange:
         """Return the change that leaves pose and placement as they are."""
         return PoseChange(np.zeros(len(self.directions)), np.zeros((self.space.rotation_count, 6)))
@@ -199,7 +169,7 @@ class PoseSolver:
         """Return a placement ``(P,)`` after moves ``(B, 6)`` of its bodies."""
         poses = self.space.unpack_placements(placement[None])
         rotations = quat_multiply(rotvec_to_quat(moves[:, :3]), poses.rotations[0])
-        return np.concatenate([rotations.reshape(-1), (poses.centres[0] + moves[:, 3:]).reshape(-1)])
+        return np.append(rotations, poses.centres[0] + moves[:, 3:])
 
     def vectors(self, time: float, change: PoseChange) -> Float:
         """Return the vector ``(1, D)`` of the model at a time, with a change."""
@@ -210,22 +180,31 @@ class PoseSolver:
 
     def positions(self, points: Float) -> Float:
         """Return the positions ``(..., n, 3)`` of handles in meshes ``(..., V, 3)``."""
-        return self._average(points[..., self._vertex_ids, :])
+        return np.asarray(self._means @ points[..., self._vertex_ids, :])
 
-    def _average(self, points: Float) -> Float:
-        return np.asarray(self._means @ points)
+    def points(self, time: float, change: PoseChange) -> Float:
+        """Return the decoded points ``(V, 3)`` of a change at a time; those of the last change are kept."""
+        if self._decoded[0] is not change or self._decoded[1] != time:
+            self._decoded = change, time, self.space.decode(self.vectors(time, change))[0]
+        return self._decoded[2]
 
     def solve(
-        self, time: float, targets: Float, prior: PoseChange | None = None, start: PoseChange | None = None
+        self,
+        time: float,
+        targets: Float,
+        prior: PoseChange | None = None,
+        start: PoseChange | None = None,
+        rounds: int = MAX_PROJECTION_ROUNDS,
     ) -> PoseChange:
         """Solve for the change at a time that moves handles to targets ``(n, 3)``, in the units of the sequence.
 
-        The prior is the likeliest change, by default none. Iterations start from it, or from another change.
+        The prior is the likeliest change, by default none. Iterations start from it, or from another change. One round
+        is enough while handles are dragged, from the change before.
         """
         prior = self.unchanged() if prior is None else prior
         change, targets = start or prior, targets / self.space.scale
         offsets = self._joint_offsets(time, change)
-        for _ in range(MAX_PROJECTION_ROUNDS):
+        for _ in range(rounds):
             change = self._minimise(time, targets - offsets, prior, change)
             previous, offsets = offsets, self._joint_offsets(time, change)
             if np.abs(offsets - previous).max() <= PROJECTION_TOLERANCE:
@@ -236,49 +215,41 @@ class PoseSolver:
         """Return the displacements ``(n, 3)`` of handles by the projection of joints, in diagonals."""
         projection = self.space.projection
         if not (projection.steps or (projection.share and self.space.joint_faces.any())):
-            return np.zeros((self._means.shape[0], 3))
-        vectors = self.vectors(time, change)
-        decoded = self.positions(self.space.decode(vectors)[0]) / self.space.scale
-        return np.asarray(decoded - self._average(self._skinned.skin(vectors[:, self._columns])[0]))
+            return np.zeros((len(self.groups), 3))
+        skinned = self._means @ self._skinned.skin(self.vectors(time, change)[:, self._columns])[0]
+        return np.asarray(self.positions(self.points(time, change)) / self.space.scale - skinned)
 
     def _minimise(self, time: float, targets: Float, prior: PoseChange, change: PoseChange) -> PoseChange:
         """Minimise the energy of skinned handles with targets ``(n, 3)`` in diagonals, starting from a change."""
         base = self.vectors(time, self.unchanged())[0, self._columns]
-        pose_count, shape_dim = self._shape_steps.shape
-        unknown_count = pose_count + self._move_count
-        weights = np.append(np.ones(pose_count), self._move_weights[: self._move_count])
+        weights, (pose_count, shape_dim) = self._weights, self._shape_steps.shape
+        placement = slice(shape_dim, shape_dim + self.space.placement_dim)
+        rates = np.zeros((len(weights), len(base)))
+        rates[:pose_count, :shape_dim] = self._shape_steps
 
         def vector(change: PoseChange) -> Float:
-            result = base.copy()
+            result: Float = base.copy()
             result[:shape_dim] += change.scores @ self._shape_steps
-            placement = slice(shape_dim, shape_dim + self.space.placement_dim)
             result[placement] = self.placement(base[placement], change.moves)
             return result
 
-        def difference(points: Float) -> Float:
-            return np.asarray((self._average(points) - targets).reshape(*points.shape[:-2], -1) / self.softness)
-
-        def departures(change: PoseChange) -> Float:
-            steps = np.append(
-                change.scores - prior.scores, (change.moves - prior.moves).reshape(-1)[: self._move_count]
-            )
-            return np.asarray(weights * steps)
+        def residuals(change: PoseChange, points: Float) -> tuple[Float, Float]:
+            steps = np.append(change.scores - prior.scores, change.moves - prior.moves)[: len(weights)]
+            return (self._means @ points - targets).reshape(-1) / self.softness, weights * steps
 
         def energy(change: PoseChange) -> float:
-            misses = difference(self._skinned.skin(vector(change)[None])[0])
-            return float(misses @ misses + np.square(departures(change)).sum())
+            points = self._skinned.skin(vector(change)[None])[0]
+            return float(np.square(np.concatenate(residuals(change, points))).sum())
 
         damping, current = START_DAMPING, energy(change)
         for _ in range(MAX_STEPS):
             at = vector(change)
-            rates = np.zeros((unknown_count, len(at)))
-            rates[:pose_count, :shape_dim] = self._shape_steps
-            rates[pose_count:, shape_dim : -self.space.correction_dim] = self._move_rates(at[shape_dim:])
+            rates[pose_count:, placement] = self._move_rates(at[placement])[: len(weights) - pose_count]
             points, slopes = from_complex_step(self._skinned.skin(to_complex_step(at, rates)))
-            slopes = self._average(slopes).reshape(unknown_count, -1) / self.softness
-            gradient = slopes @ difference(points[0]) + weights * departures(change)
-            hessian = slopes @ slopes.T + np.diag(np.square(weights))
-            lowered, step = np.inf, np.zeros(unknown_count)
+            slopes = (self._means @ slopes).reshape(len(weights), -1) / self.softness
+            misses, departures = residuals(change, points[0])
+            gradient, hessian = slopes @ misses + weights * departures, slopes @ slopes.T + np.diag(np.square(weights))
+            lowered, step = np.inf, np.zeros(len(weights))
             while lowered > current and damping <= MAX_DAMPING:
                 step = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
                 candidate = self._after_step(change, step)
@@ -286,30 +257,29 @@ class PoseSolver:
                 damping *= 0.1 if lowered <= current else 10.0
             if lowered > current:
                 break
-            change, current = candidate, lowered
-            if np.abs(weights * step).max(initial=0.0) <= STEP_TOLERANCE:
+            decrease, change, current = current - lowered, candidate, lowered
+            if decrease <= ENERGY_TOLERANCE * current or np.abs(weights * step).max() <= STEP_TOLERANCE:
                 break
         return change
 
     def _move_rates(self, placement: Float) -> Float:
-        """Return the rates ``(m, P)`` of a placement, which begins an array, for rotations and shifts of all bodies."""
+        """Return the rates ``(6 B, P)`` of a placement for rotations and shifts of all bodies."""
         count = self.space.rotation_count
-        rates = np.zeros((count, 6, self.space.placement_dim))
-        quaternions = placement[: 4 * count].reshape(-1, 4)
-        for body in range(count):
-            rates[body, :3, 4 * body : 4 * body + 4] = 0.5 * quat_multiply(np.eye(4)[1:], quaternions[body])
+        rates = np.zeros((count, 6, len(placement)))
+        for body, quaternion in enumerate(placement[: 4 * count].reshape(-1, 4)):
+            rates[body, :3, 4 * body : 4 * body + 4] = 0.5 * quat_multiply(np.eye(4)[1:], quaternion)
             rates[body, 3:, 4 * count + 3 * body :][:, :3] = np.eye(3)
-        return np.asarray(rates.reshape(-1, self.space.placement_dim)[: self._move_count])
+        return rates.reshape(-1, len(placement))
 
     def _after_step(self, change: PoseChange, step: Float) -> PoseChange:
-        scores, moves = change.scores + step[: len(change.scores)], change.moves
-        if self._move_count:
-            moves = moves + step[len(scores) :].reshape(-1, 6)
-            turns = quat_multiply(
-                rotvec_to_quat(step[len(scores) :].reshape(-1, 6)[:, :3]), rotvec_to_quat(change.moves[:, :3])
-            )
-            moves[:, :3] = matrix_to_rotvec(quat_to_matrix(turns))
-        return PoseChange(scores, moves)
+        """Return the change after a step ``(n,)``, whose rotations follow those of the change."""
+        scores, steps = np.split(step, [len(change.scores)])
+        moves = change.moves.copy()
+        if self.is_free:
+            turns = (rotvec_to_quat(each[:, :3]) for each in (steps.reshape(-1, 6), moves))
+            moves[:, 3:] += steps.reshape(-1, 6)[:, 3:]
+            moves[:, :3] = matrix_to_rotvec(quat_to_matrix(quat_multiply(*turns)))
+        return PoseChange(change.scores + scores, moves)
 
 
 @public
@@ -416,11 +386,10 @@ class _KeyWeights(NamedTuple):
     """Weights of the changes at K times: 1 at their own time and 0 at the others, C2."""
 
     times: Float  # (K,)
-    start: float  # start of the full change
+    start: float  # start and end of the full change
     end: float
     fade: float
-    first: float  # start of the model
-    last: float
+    model: Model
 
     @classmethod
     def from_times(
@@ -434,7 +403,7 @@ class _KeyWeights(NamedTuple):
                 f"handles are at {times[0]:g} to {times[-1]:g} s, outside the interval from {first:g} to {last:g} s; "
                 "give a start before them and an end after them"
             )
-        return cls(times, first, last, check_reach(model, fade, "fade"), model.start, model.end)
+        return cls(times, first, last, check_reach(model, fade, "fade"), model)
 
     def ramps(self, number: int) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
         """Return the rise and the fall of a weight; None at the ends of the model."""
@@ -442,7 +411,7 @@ class _KeyWeights(NamedTuple):
         rise = (times[number - 1], times[number]) if number else (self.start - self.fade, self.start)
         is_last = number == len(times) - 1
         fall = (self.end, self.end + self.fade) if is_last else (times[number], times[number + 1])
-        return None if rise[1] <= self.first else rise, None if fall[0] >= self.last else fall
+        return None if rise[1] <= self.model.start else rise, None if fall[0] >= self.model.end else fall
 
     def at(self, times: Float) -> Float:
         """Return the weights ``(N, K)`` at times ``(N,)``."""

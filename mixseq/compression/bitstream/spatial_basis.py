@@ -49,9 +49,10 @@ from mixseq.compression.bitstream.arithmetic import (
 from mixseq.compression.bitstream.signal_coder import Reader, SignalCoder, Writer, new_number_models
 from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
+from mixseq.mesh.topology_kernels import number_pairs, pair_sides
 from mixseq.runtime.jit import compiled
 from mixseq.runtime.parallel import two_thread_executor
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, Int32
 
 MAX_PARTS = 128
 """Largest number of parts of a mesh. Frozen: files with more parts are refused."""
@@ -109,11 +110,12 @@ def label_vertices(labels: Index, faces: NDArray[np.integer], vertex_count: int)
 
 def _face_graph(faces: NDArray[np.integer]) -> SignalGraph:
     """Return the graph of triangles ``(F, 3)`` that share an edge with exactly one other triangle."""
-    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    _, edge_ids, counts = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
-    edge_ids = edge_ids.reshape(-1)
-    by_edge = np.argsort(edge_ids, kind="stable")
-    pairs = by_edge[counts[edge_ids[by_edge]] == 2].reshape(-1, 2) // 3
+    starts = faces.astype(np.int32).reshape(-1)
+    ends = np.roll(faces, -1, axis=1).astype(np.int32).reshape(-1)
+    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
+    edges, edge_ids = number_pairs(low, high, int(high.max(initial=-1)) + 1)
+    sides = pair_sides(edge_ids, len(edges))
+    pairs = sides[np.bincount(edge_ids)[edge_ids[sides[:, 0]]] == 2] // 3
     return mesh_graph(pairs[:, [0, 1, 1]], len(faces))
 
 
@@ -122,7 +124,7 @@ def _new_label_models() -> BitModels:
 
 
 @compiled
-def _code_labels(stream: BitStream, models: BitModels, labels: Index, neighbours: Index, counts: Index) -> None:
+def _code_labels(stream: BitStream, models: BitModels, labels: Index, neighbours: Int32, counts: Int32) -> None:
     """Write or read the labels ``(N,)`` of nodes."""
     state, votes = load_state(stream), np.zeros(1 << _LABEL_BITS, dtype=np.int64)
     for node in range(len(labels)):
