@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from mixseq.mesh.measures import dihedral_angles, edge_lengths
 from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
-from mixseq.shells.kernels import lengths_and_angles
 from mixseq.spaces.edge import DiscreteShell, EdgeSettings
 from mixseq.spaces.mixed.construction import MAX_STEPS, MIN_STEPS
 from mixseq.types import Float, Index
@@ -105,7 +105,7 @@ def relaxed(poses: Poses, labels: Index) -> Search:
     vector = (between(0.5) @ method.vectors)[None]
     joints, shell, steps = space.joint_projection, space.joint_projection.shell, space.projection.steps
     blocks, x = space.split(vector), space.skin(vector)[0]
-    wanted = lengths_and_angles(x, poses.topology.edges, poses.topology.hinges)
+    wanted = edge_lengths(x, poses.topology.edges), dihedral_angles(x, poses.topology.hinges)
     wanted[0][space.edge_ids], wanted[1][space.hinge_ids] = blocks.lengths[0], blocks.angles[0]
 
     def search(size: float, rng: np.random.Generator) -> float:
