@@ -49,6 +49,7 @@ from mixseq.compression.bitstream.arithmetic import (
 from mixseq.compression.bitstream.signal_coder import Reader, SignalCoder, Writer, new_number_models
 from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
+from mixseq.mesh.topology_kernels import number_pairs, sort_by_key
 from mixseq.runtime.jit import compiled
 from mixseq.runtime.parallel import two_thread_executor
 from mixseq.types import Float, Index
@@ -109,11 +110,12 @@ def label_vertices(labels: Index, faces: NDArray[np.integer], vertex_count: int)
 
 def _face_graph(faces: NDArray[np.integer]) -> SignalGraph:
     """Return the graph of triangles ``(F, 3)`` that share an edge with exactly one other triangle."""
-    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    _, edge_ids, counts = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
-    edge_ids = edge_ids.reshape(-1)
-    by_edge = np.argsort(edge_ids, kind="stable")
-    pairs = by_edge[counts[edge_ids[by_edge]] == 2].reshape(-1, 2) // 3
+    start, end = faces.reshape(-1).astype(np.int32), faces[:, [1, 2, 0]].reshape(-1).astype(np.int32)
+    vertex_count = int(start.max(initial=-1)) + 1
+    edges, edge_ids = number_pairs(np.minimum(start, end), np.maximum(start, end), vertex_count)
+    by_edge = sort_by_key(edge_ids, np.arange(len(edge_ids), dtype=np.int32), len(edges))
+    is_shared = np.bincount(edge_ids) == 2
+    pairs = by_edge[is_shared[edge_ids[by_edge]]].astype(np.int64).reshape(-1, 2) // 3
     return mesh_graph(pairs[:, [0, 1, 1]], len(faces))
 
 
