@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from mixseq.retargeting.correspond import correspond as correspond
     from mixseq.retargeting.markers import Correspondence as Correspondence
     from mixseq.retargeting.markers import Markers as Markers
-    from mixseq.retargeting.suggestions import suggest_markers as suggest_markers
+    from mixseq.retargeting.proposals import suggest_markers as suggest_markers
     from mixseq.retargeting.transfer import transfer as transfer
     from mixseq.rigging.fitting import fit_morph as fit_morph
     from mixseq.rigging.fitting import fit_skin as fit_skin
@@ -73,7 +73,7 @@ _NAMES_BY_MODULE = {
     "mixseq.operations.interpolation": ("interpolate", "segment"),
     "mixseq.retargeting.correspond": ("correspond",),
     "mixseq.retargeting.markers": ("Correspondence", "Markers"),
-    "mixseq.retargeting.suggestions": ("suggest_markers",),
+    "mixseq.retargeting.proposals": ("suggest_markers",),
     "mixseq.retargeting.transfer": ("transfer",),
     "mixseq.rigging.fitting": ("fit_morph", "fit_skin"),
     "mixseq.rigging.rigs": ("Morph", "Skeleton", "Skin"),

@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
+from contextlib import suppress
 from types import FrameType
 from typing import NoReturn
+
+LARGE_BLOCK_BYTES = 4 << 20
+"""Size of arrays whose memory is returned at once; smaller sizes cost more time (docs/benchmarks.md)."""
+
+_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD, _THRESHOLD_VARIABLE = -3, -1, "MALLOC_MMAP_THRESHOLD_"
 
 
 def _exit(number: int, frame: FrameType | None) -> NoReturn:
@@ -22,9 +29,25 @@ def exit_on_signals() -> None:
             signal.signal(number, _exit)
 
 
+def return_large_blocks() -> None:
+    """Let glibc, here and in new processes, return freed blocks of `LARGE_BLOCK_BYTES` to the system at once.
+
+    It would keep blocks of up to 32 MB for arrays of the same size, so that large meshes take up to twice the memory.
+    """
+    if sys.platform != "linux" or _THRESHOLD_VARIABLE in os.environ:
+        return
+    import ctypes  # slow to import
+
+    os.environ[_THRESHOLD_VARIABLE] = str(LARGE_BLOCK_BYTES)
+    with suppress(OSError, AttributeError):  # other C libraries have no such setting
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, LARGE_BLOCK_BYTES)
+        ctypes.CDLL(None).mallopt(_M_TRIM_THRESHOLD, 4 * LARGE_BLOCK_BYTES)
+
+
 def main() -> None:
     """Run the command line."""
     exit_on_signals()
+    return_large_blocks()
     from mixseq.cli import main as run
 
     run()

@@ -461,12 +461,12 @@ labelling = options.group(
 
 
 def first_frame(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
-    """Read the first frame of a file; from glTF, whose animations rarely begin at rest, read the unanimated pose."""
+    """Read the first frame of a file; of glTF, whose animations rarely begin at rest, always the unanimated pose."""
     from mixseq.sequence.sequence import MeshSequence
     from mixseq_io.rig_files import GLTF_EXTENSIONS
 
     still = {"animation": "none"} if path.suffix.lower() in GLTF_EXTENSIONS else {}
-    with mixseq.open_sequence(path, **options_of(path, still | dict(reading))) as reader:
+    with mixseq.open_sequence(path, **options_of(path, dict(reading) | still)) as reader:
         first = next(iter(reader.blocks(1)))[:1]
         return MeshSequence.from_header(reader.header.with_times(reader.header.times[:1]), first)
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mixseq.choices import TransferName
     from mixseq.retargeting.contacts import ContactReport
     from mixseq.retargeting.correspond import CorrespondenceQuality
+    from mixseq.retargeting.proposals import Proposal
     from mixseq.retargeting.report import Coverage, FrameCounts, TransferReport
     from mixseq.retargeting.transfer import Transfer
     from mixseq.runtime.parallel import Executor
@@ -63,6 +64,7 @@ def facts(transferred: Transfer, method: str, report: TransferReport) -> dict[st
         reported
         | _part_counts(transferred)
         | {"correspondence": None if quality is None else _quality_facts(quality)}
+        | {"proposal": None if transferred.proposal is None else _proposal_facts(transferred.proposal)}
         | report.as_dict()
         | {"contacts": asdict(transferred.contacts)}
     )
@@ -124,6 +126,7 @@ def rows(transferred: Transfer, method: str, report: TransferReport) -> list[tup
         ("transferred", f"{frames} to {header.vertex_count:,} vertices, by {by}"),
         *_coverage_rows(report.coverage),
         *([] if transferred.quality is None else _quality_rows(transferred.quality, diagonal)),
+        *([] if transferred.proposal is None else [("proposed", _proposed(transferred.proposal))]),
         ("strain", "{:.3g} % rms, source {:.3g} %; {:.3g} % unlike the source's".format(*strains)),
         ("acceleration", _smoothness(report, header)),
         ("self-intersections", _crossings(report, header)),
@@ -170,6 +173,10 @@ def _quality_facts(quality: CorrespondenceQuality) -> dict[str, Any]:
     }
 
 
+def _proposal_facts(proposal: Proposal) -> dict[str, Any]:
+    return {"tips": proposal.tip_count, "score": proposal.score, "margin": min(proposal.margin, 1.0)}
+
+
 def _quality_rows(quality: CorrespondenceQuality, diagonal: float) -> list[tuple[str, str]]:
     mean, largest = (
         length_text(distance, diagonal, digits=2) for distance in (quality.mean_distance, quality.largest_distance)
@@ -183,6 +190,11 @@ def _quality_rows(quality: CorrespondenceQuality, diagonal: float) -> list[tuple
         ("matched", f"{_percent(quality.target_coverage)} of the target's area, {distances}{facing}"),
         ("markers", f"{len(quality.markers)}, at most {length_text(missed, diagonal, digits=2)} off: {name}"),
     ]
+
+
+def _proposed(proposal: Proposal) -> str:
+    between = len(proposal.markers) - proposal.tip_count
+    return f"all markers: {proposal.tip_count} at tips, {between} between them; sure, but look at the picture"
 
 
 def _smoothness(report: TransferReport, header: SequenceHeader) -> str:
@@ -269,7 +281,7 @@ def _record_frames(
 @options.argument("source")
 @options.argument("target")
 @options.argument("out")
-@options.option("--markers FILE", help="Pairs of vertices that are the same: SOURCE, TARGET.")
+@options.option("--markers FILE", help="Pairs of vertices that are the same: SOURCE, TARGET.  [default: proposed]")
 @options.option("--reverse", is_flag=True, help="The vertices of TARGET come first in --markers.")
 @options.option("--map FILE", "map_file", help="Dense correspondence, instead of markers.")
 @options.option("--save-map FILE", help="Keep the correspondence, for --map.")
@@ -334,9 +346,11 @@ def command(
     like the pose of SOURCE at --rest. From glTF files, both are read without animation, mostly in the bind pose. OUT's
     format follows from its extension, see "mixseq formats"; frames are written while later frames are computed.
 
-    Meshes with the same triangles need nothing else. For different meshes, --markers is a file with one pair of
-    vertices per line, counted from 0. The other correspondences are found by bending SOURCE onto TARGET, which takes a
-    while; --save-map saves them for the next time. Components of TARGET without markers follow adjacent components.
+    Meshes with the same triangles need nothing else. For two bodies of one kind (two humans, two four-legged animals),
+    markers are proposed where they are sure; otherwise OUT is not made. --markers is a file with your own: one pair of
+    vertices per line, counted from 0 ("mixseq view" sets them). The other correspondences are found by bending SOURCE
+    onto TARGET, which takes a while; --save-map saves them for the next time. Components of TARGET without markers
+    follow adjacent components.
 
     The first line says whether OUT is good, or what to check in which frame; the table below it has the figures, and
     --json all of them. A picture of both is drawn next to OUT.

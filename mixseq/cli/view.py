@@ -25,6 +25,7 @@ from mixseq.cli.files import (
     check_target,
     first_frame,
     is_model,
+    options_of,
     overwriting,
     scene_items,
     write_frames,
@@ -134,7 +135,8 @@ def command(
     started.
 
     With --markers, the two FILES are shown at rest, each in its first frame (from glTF, in the pose without animation).
-    Click corresponding points in pairs. Some pairs are proposed, and the viewer shows how well the pairs fit.
+    Their motion only helps to propose pairs. Click corresponding points in pairs; the viewer proposes pairs where it is
+    sure, and shows how well all pairs fit.
 
     The viewer runs until Ctrl-C. On another machine, forward its port: ssh -L 8080:127.0.0.1:8080 machine.
     """
@@ -311,7 +313,7 @@ def _open_marked_meshes(files: Sequence[Path], path: Path, reading: Mapping[str,
     if path.suffix.lower() in (extension for form in FORMATS for extension in form.extensions):
         raise SettingsError(f"{path}: markers are a text; end the name in .txt, .json or .yml")
     markers = read_markers(path) if path.exists() else Markers.from_pairs(np.zeros((0, 2), np.int64))
-    source, target = (_still(file, reading) for file in files)
+    source, target = (_with_motion(file, reading, _still(file, reading)) for file in files)
     tops = [Topology(mesh.faces, mesh.vertex_count) for mesh in (source, target)]
     try:
         markers = markers.renumbered(source, target)
@@ -331,6 +333,25 @@ def _still(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
     model = mixseq.load(path)
     first = model(model.start)[None]
     return mixseq.MeshSequence.from_header(model.header.with_times(model.header.times[:1]), first)
+
+
+def _with_motion(path: Path, reading: Mapping[str, Any], rest: MeshSequence) -> MeshSequence:
+    """Return a mesh at rest with some frames of its motion, by which markers are proposed."""
+    import numpy as np
+
+    from mixseq.retargeting.proposals import MAX_POSES
+    from mixseq.sequence.sequence import load_frames
+    from mixseq.types import evenly_spaced
+
+    if is_model(path):
+        frames = load_frames(mixseq.load(path).frames)
+    else:
+        with mixseq.open_sequence(path, **options_of(path, reading)) as reader:
+            frames = load_frames(reader)
+    if frames.header.vertex_count != rest.vertex_count:
+        return rest
+    poses = np.concatenate([rest.points[:1], frames.points[evenly_spaced(len(frames.points), MAX_POSES - 1)]])
+    return mixseq.MeshSequence.from_header(rest.header.with_times(np.arange(len(poses), dtype=float)), poses)
 
 
 # Pages that play without the viewer -----------------------------------------------------------------------------

@@ -17,7 +17,8 @@ def command(out: Path, claim: Claim, quiet: bool) -> None:
     """Write a JavaScript package that plays compressed models in browsers.
 
     The folder is an npm package with mixseq.js, the decoder; mesh_sequence.js, a plugin for three.js; types of both;
-    example.html and player.html, pages with and without three.js; the schema of the glTF extension; and a README.
+    example.html and player.html, pages with and without three.js; page.js and page.css, which both need; the schema of
+    the glTF extension; and a README.
     "mixseq encode shot.usdz shot.glb --max-error 0.001" makes a file for the player.
     """
     from mixseq.web import package_files

@@ -314,11 +314,14 @@ class BoxTree:
     boxes: Float
 
     @classmethod
-    def from_triangles(cls, corners: Float) -> BoxTree:
-        """Build the tree of triangles ``(F, 3, 3)``; equal triangles give equal trees."""
+    def from_triangles(cls, corners: Float, order: Index | None = None) -> BoxTree:
+        """Build the tree of triangles ``(F, 3, 3)``, optionally in the order of the tree of similar triangles.
+
+        Equal triangles give equal trees. The order decides how fast a search is, and not what it finds.
+        """
         low, high = corners.min(axis=1), corners.max(axis=1)
         depth = max((len(corners) - 1) // MAX_LEAF_TRIANGLES, 0).bit_length()
-        order = _tree_order(low + high, depth)
+        order = _tree_order(low + high, depth) if order is None else order
         leaf_starts = _range_starts(len(corners), 1 << depth)
         margin = BOX_MARGIN * max(-low.min(initial=0.0), high.max(initial=0.0))
         return cls(order, leaf_starts, _node_boxes(low[order] - margin, high[order] + margin, leaf_starts))

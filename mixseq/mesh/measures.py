@@ -20,8 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import wraps
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,9 +140,7 @@ def hard_edges_from_normals(polygons: Polygons, normals: FloatArray) -> NDArray[
 
 
 ELEMENTS_PER_BLOCK = 1 << 16
-"""Number of edges, faces or hinges that are measured at once, because temporary arrays are ten times their results."""
-
-Measure = TypeVar("Measure", bound=Callable[..., NDArray[Any]])
+"""Number of edges, faces or hinges that are measured at once, where temporary arrays are larger than their results."""
 
 
 def element_blocks(count: int, frames: int = 1) -> Iterator[slice]:
@@ -152,27 +149,27 @@ def element_blocks(count: int, frames: int = 1) -> Iterator[slice]:
     return (slice(start, start + size) for start in range(0, max(count, 1), size))
 
 
-def _in_blocks(measure: Measure) -> Measure:
-    """Measure elements ``(n, k)``, the second argument, in blocks."""
-
-    @wraps(measure)
-    def measured(points: FloatArray, elements: IntArray, *arguments: float) -> NDArray[Any]:
-        slices = element_blocks(len(elements), int(np.prod(points.shape[:-2])))
-        blocks = [measure(points, elements[block], *arguments) for block in slices]
-        return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=-1)
-
-    return cast(Measure, measured)
+def _measure(
+    loop: Callable[..., None], points: FloatArray, elements: IntArray, *arguments: float, kind: type = np.float64
+) -> NDArray[Any]:
+    """Measure elements ``(n, k)`` of points ``(..., V, 3)`` by a compiled loop over a frame; return ``(..., n)``."""
+    elements = np.require(elements, np.int32, "CW")
+    values = np.empty((*points.shape[:-2], len(elements)), kind)
+    frames = points.reshape(-1, *points.shape[-2:])
+    for frame, row in zip(frames, values.reshape(len(frames), len(elements)), strict=True):
+        loop(np.require(frame, np.float64, "CW"), elements, *arguments, row)
+    return values
 
 
 MIN_EDGE_LENGTH_RATIO = 1e-6  # least length of an edge relative to its typical length
 MIN_DIRECTED_LENGTH = 1e-12  # in diagonals; shorter edges have no direction and no weight
 
 
-@_in_blocks
 def edge_lengths(points: FloatArray, edges: IntArray) -> Float:
     """Return the lengths ``(..., E)`` of edges ``(E, 2)`` for points ``(..., V, 3)``."""
-    difference = points[..., edges[:, 1], :] - points[..., edges[:, 0], :]
-    return np.asarray(np.sqrt(np.einsum("...i,...i->...", difference, difference)), dtype=np.float64)
+    from mixseq.mesh.measure_kernels import measure_lengths
+
+    return _measure(measure_lengths, points, edges)
 
 
 def length_weights(typical: Float) -> Float:
@@ -186,7 +183,6 @@ def clamp_lengths(lengths: Float, weights: Float) -> Float:
     return np.maximum(lengths, least)
 
 
-@_in_blocks
 def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:
     """Return the signed dihedral angles ``(..., H)`` of hinges ``(H, 4)`` in radians; 0 at degenerate faces.
 
@@ -198,24 +194,16 @@ def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:
     >>> np.degrees(dihedral_angles(roof, np.array([[0, 1, 2, 3]]))).round(9).tolist()
     [90.0]
     """
-    a, b, c, d = (points[..., hinges[:, i], :] for i in range(4))
-    e = b - a
-    n1, n2 = np.cross(e, c - a), np.cross(d - a, e)
-    length = np.sqrt(np.einsum("...i,...i->...", e, e))
-    sine = np.einsum("...i,...i->...", np.cross(n1, n2), e)
-    cosine = np.einsum("...i,...i->...", n1, n2)
-    # Sine and cosine are both multiplied by |e|, which avoids a division by zero.
-    return np.asarray(np.arctan2(sine, cosine * length), dtype=np.float64)
+    from mixseq.mesh.measure_kernels import measure_angles
+
+    return _measure(measure_angles, points, hinges)
 
 
-@_in_blocks
 def degenerate_faces(points: FloatArray, faces: IntArray, height_ratio: float) -> NDArray[np.bool_]:
     """Mark the faces ``(..., F)`` with a height of at most `height_ratio` times their longest side."""
-    corners = points[..., faces, :]
-    sides = np.roll(corners, -1, axis=-2) - corners
-    longest = np.einsum("...ki,...ki->...k", sides, sides).max(axis=-1)
-    double_area = np.linalg.norm(np.cross(sides[..., 0, :], sides[..., 1, :]), axis=-1)
-    return np.asarray(double_area <= height_ratio * longest)
+    from mixseq.mesh.measure_kernels import mark_degenerate
+
+    return _measure(mark_degenerate, points, faces, height_ratio, kind=np.bool_)
 
 
 def scatter_add(values: FloatArray, indices: IntArray, count: int) -> Float:
@@ -224,11 +212,11 @@ def scatter_add(values: FloatArray, indices: IntArray, count: int) -> Float:
     return np.stack(sums, axis=1).astype(np.float64)  # bincount returns integers without values
 
 
-@_in_blocks
 def triangle_areas(points: FloatArray, faces: IntArray) -> Float:
     """Return the areas ``(F,)`` of triangles ``(F, 3)`` of points ``(V, 3)``."""
-    a, b, c = (points[corner] for corner in faces.T)
-    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    from mixseq.mesh.measure_kernels import measure_areas
+
+    return _measure(measure_areas, points, faces)
 
 
 def signed_volume(points: FloatArray, faces: IntArray) -> float:

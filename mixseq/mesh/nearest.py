@@ -84,10 +84,15 @@ class ClosestPointQuery:
     face_ids: Index | None  # (F,) triangles of the mesh that are searched, None for all
 
     @classmethod
-    def from_mesh(cls, points: FloatArray, faces: IntArray, face_ids: Index | None = None) -> ClosestPointQuery:
-        """Prepare queries on the triangles ``(F, 3)`` of points ``(V, 3)``, or only on those in `face_ids` ``(n,)``."""
+    def from_mesh(
+        cls, points: FloatArray, faces: IntArray, face_ids: Index | None = None, order: Index | None = None
+    ) -> ClosestPointQuery:
+        """Prepare queries on the triangles ``(F, 3)`` of points ``(V, 3)``, or only on those in `face_ids` ``(n,)``.
+
+        The order of the tree of the same triangles in another pose saves two thirds of the time.
+        """
         corners = triangle_corners(points, faces if face_ids is None else faces[face_ids])
-        tree = BoxTree.from_triangles(corners)
+        tree = BoxTree.from_triangles(corners, order)
         corner_order = np.lexsort((corners[..., 2], corners[..., 1], corners[..., 0]), axis=-1)
         sorted_corners = np.take_along_axis(corners, corner_order[..., None], axis=1)[tree.order]
         normals = unit_normals(corners)

@@ -62,17 +62,6 @@ def quat_conjugate(quaternions: FloatArray) -> Float:
     return np.asarray(quaternions * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
-def quat_power(quaternions: FloatArray, exponents: FloatArray) -> Float:
-    """Return powers of unit quaternions ``(..., 4)``: multiply their angles, at most pi, by exponents ``(...)``."""
-    q = np.asarray(quaternions, dtype=np.float64)
-    q = np.where(q[..., :1] <= 0, -q, q)
-    sine = np.linalg.norm(q[..., 1:], axis=-1)
-    half = np.arctan2(sine, q[..., 0])
-    # The ratio sin(c h) / sin h approaches c for small angles h.
-    ratio = np.where(sine > 1e-12, np.sin(exponents * half) / np.where(sine > 1e-12, sine, 1.0), exponents)
-    return np.concatenate([np.cos(exponents * half)[..., None], ratio[..., None] * q[..., 1:]], axis=-1)
-
-
 def rotvec_to_quat(vectors: FloatArray) -> Float:
     """Return the quaternions ``(..., 4)`` of rotation vectors ``(..., 3)``; adding 2 pi to the angle flips the sign."""
     half = np.linalg.norm(vectors, axis=-1, keepdims=True) / 2

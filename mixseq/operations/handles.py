@@ -55,7 +55,7 @@ from mixseq.signals.model import Model
 from mixseq.spaces.mixed.joint_projection import from_complex_step, to_complex_step
 from mixseq.types import Float, Index
 
-DEFAULT_SOFTNESS = 2e-3
+DEFAULT_SOFTNESS = 5e-3
 """Default softness: distance from a target whose energy is that of one standard deviation of the pose, in diagonals."""
 
 MIN_DEVIATION_RATIO = 1e-6
@@ -151,6 +151,7 @@ class PoseSolver:
         move_weights = np.ones((self.space.rotation_count if is_free else 0, 6))
         move_weights[:, :3] = self.space.articulation.body_radii[: len(move_weights), None]
         self._weights = np.append(np.ones(len(self.directions)), move_weights)
+        self._decoded: tuple[PoseChange | None, float, Float] = (None, 0.0, np.empty((0, 3)))
 
     @cached_property
     def directions(self) -> Float:
@@ -181,17 +182,29 @@ class PoseSolver:
         """Return the positions ``(..., n, 3)`` of handles in meshes ``(..., V, 3)``."""
         return np.asarray(self._means @ points[..., self._vertex_ids, :])
 
+    def points(self, time: float, change: PoseChange) -> Float:
+        """Return the decoded points ``(V, 3)`` of a change at a time; those of the last change are kept."""
+        if self._decoded[0] is not change or self._decoded[1] != time:
+            self._decoded = change, time, self.space.decode(self.vectors(time, change))[0]
+        return self._decoded[2]
+
     def solve(
-        self, time: float, targets: Float, prior: PoseChange | None = None, start: PoseChange | None = None
+        self,
+        time: float,
+        targets: Float,
+        prior: PoseChange | None = None,
+        start: PoseChange | None = None,
+        rounds: int = MAX_PROJECTION_ROUNDS,
     ) -> PoseChange:
         """Solve for the change at a time that moves handles to targets ``(n, 3)``, in the units of the sequence.
 
-        The prior is the likeliest change, by default none. Iterations start from it, or from another change.
+        The prior is the likeliest change, by default none. Iterations start from it, or from another change. One round
+        is enough while handles are dragged, from the change before.
         """
         prior = self.unchanged() if prior is None else prior
         change, targets = start or prior, targets / self.space.scale
         offsets = self._joint_offsets(time, change)
-        for _ in range(MAX_PROJECTION_ROUNDS):
+        for _ in range(rounds):
             change = self._minimise(time, targets - offsets, prior, change)
             previous, offsets = offsets, self._joint_offsets(time, change)
             if np.abs(offsets - previous).max() <= PROJECTION_TOLERANCE:
@@ -203,9 +216,8 @@ class PoseSolver:
         projection = self.space.projection
         if not (projection.steps or (projection.share and self.space.joint_faces.any())):
             return np.zeros((len(self.groups), 3))
-        vectors = self.vectors(time, change)
-        decoded = self.positions(self.space.decode(vectors)[0]) / self.space.scale
-        return np.asarray(decoded - self._means @ self._skinned.skin(vectors[:, self._columns])[0])
+        skinned = self._means @ self._skinned.skin(self.vectors(time, change)[:, self._columns])[0]
+        return np.asarray(self.positions(self.points(time, change)) / self.space.scale - skinned)
 
     def _minimise(self, time: float, targets: Float, prior: PoseChange, change: PoseChange) -> PoseChange:
         """Minimise the energy of skinned handles with targets ``(n, 3)`` in diagonals, starting from a change."""

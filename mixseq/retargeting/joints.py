@@ -37,17 +37,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from mixseq.mesh.measures import dihedral_angles, wrap_angles
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.rigid import kabsch, nearest_rotations
 from mixseq.mesh.rotations import rotate_vectors
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.gradient_transfer import GradientTransfer, average_matrices, normalise_rows
 from mixseq.segmentation.joints import Decomposition, Joint
 from mixseq.shells.fitting import Patch, ShellReport, ShellSettings, SoftConstraint, rebuild_patch
-from mixseq.shells.kernels import lengths_and_angles
 from mixseq.types import Float, Index, Int32
-
-NO_EDGES: Int32 = np.zeros((0, 2), dtype=np.int32)
 
 BEND_CONCENTRATION = 4.0
 """Concentration of the differences of angles from skinned positions; larger values retain more bend and more noise."""
@@ -220,7 +217,7 @@ class JointSolver:
             offsets = rotate_vectors(frame.rotations[skin.main_part], frame.offsets[free])
             guess = skin.deform(rotations, translations) + offsets
             points[joint.vertices[patch.free_ids]] = guess
-            _, skinned_angles = lengths_and_angles(points, NO_EDGES, self._hinges[hinges])
+            skinned_angles = dihedral_angles(points, self._hinges[hinges])
             rebuilt, report = rebuild_patch(
                 patch,
                 frame.lengths[edges],
@@ -285,8 +282,10 @@ class EdgewiseMetrics:
 
     @cached_property
     def _rest(self) -> tuple[Float, Float, Float, Float]:
-        elements = self._edges, self._hinges
-        return *lengths_and_angles(self.source, *elements), *lengths_and_angles(self.target, *elements)
+        return *self._measure(self.source), *self._measure(self.target)
+
+    def _measure(self, points: Float) -> tuple[Float, Float]:
+        return edge_lengths(points, self._edges), dihedral_angles(points, self._hinges)
 
     def lengths_and_angles(self, points: Float) -> tuple[Float, Float]:
         """Return lengths ``(E',)``, in the unit of the target's space, and angles ``(H',)`` for a frame ``(V, 3)``.
@@ -294,7 +293,7 @@ class EdgewiseMetrics:
         Edges of zero length on the source keep their rest length.
         """
         lengths, angles, target_lengths, target_angles = self._rest
-        current_lengths, current_angles = lengths_and_angles(points, self._edges, self._hinges)
+        current_lengths, current_angles = self._measure(points)
         ratios = np.divide(current_lengths, lengths, out=np.ones_like(current_lengths), where=lengths > 0)
         angle_changes = wrap_angles(current_angles - angles)
         return target_lengths * ratios, target_angles + angle_changes

@@ -38,6 +38,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
+from mixseq.mesh.box_tree import BoxTree, triangle_corners
 from mixseq.mesh.nearest import ClosestPointQuery
 from mixseq.mesh.rigid import nearest_rotations
 from mixseq.mesh.topology import Topology
@@ -125,10 +126,14 @@ class Energy:
                     right_side[:, 0, c] += np.bincount(rows, moments, minlength=vertex_count)
                 for other in range(constraint.corners.shape[1]):
                     columns = constraint.corners[:, other]
-                    lower = np.flatnonzero(rows >= columns)
-                    keys = 4 * columns[lower] * unknown_count + 4 * rows[lower]
+                    if other == k:  # on the diagonal, the first entry of a column
+                        lower, places = np.arange(len(rows)), self._matrix.indptr[4 * rows]
+                    else:
+                        lower = np.flatnonzero(rows >= columns)
+                        keys = 4 * columns[lower] * unknown_count + 4 * rows[lower]
+                        places = np.searchsorted(self._keys, keys)
                     products = weighted[lower, k] * constraint.barycentric[lower, other]
-                    values += np.bincount(np.searchsorted(self._keys, keys), products, minlength=len(values))
+                    values += np.bincount(places, products, minlength=len(values))
         solution = self._analysis.factor(values).solve(right_side.reshape(unknown_count, 3))
         solution = solution.reshape(vertex_count, 4, 3)
         return solution[:, 0].copy(), solution[:, 1:].transpose(0, 2, 1).copy()
@@ -248,6 +253,12 @@ class DataTerm:
         return [query(points, faces, pairing.target_faces) for pairing in self.pairings]
 
     @cached_property
+    def _source_orders(self) -> list[Index]:
+        """Order of the tree of the undeformed triangles for every pairing."""
+        corners = triangle_corners(self.mesh.points, self.mesh.faces)
+        return [BoxTree.from_triangles(corners[pairing.source_faces]).order for pairing in self.pairings]
+
+    @cached_property
     def _areas(self) -> tuple[Float, Float]:
         """Areas around the vertices of the fitted mesh and of the target; each array adds to one."""
         source_areas, target_areas = self.mesh.vertex_areas, self.target.vertex_areas
@@ -258,7 +269,8 @@ class DataTerm:
         deformed, target = TriangleMesh(points, self.mesh.topology), self.target
         source_areas, target_areas = self._areas
         constraints = [self.markers]
-        for pairing, target_search in zip(self.pairings, self._target_searches, strict=True):
+        searches = zip(self.pairings, self._target_searches, self._source_orders, strict=True)
+        for pairing, target_search, order in searches:
             vertices = pairing.source_vertices
             closest = target_search.query(points[vertices], deformed.vertex_normals[vertices], MAX_NORMAL_ANGLE_DEGREES)
             near = np.flatnonzero(closest.distances <= radius)
@@ -267,7 +279,7 @@ class DataTerm:
             constraints.append(SoftConstraints(corners, np.ones((len(near), 1)), goals, weights))
 
             vertices = pairing.target_vertices
-            source_search = ClosestPointQuery.from_mesh(deformed.points, deformed.faces, pairing.source_faces)
+            source_search = ClosestPointQuery.from_mesh(deformed.points, deformed.faces, pairing.source_faces, order)
             normals = target.vertex_normals[vertices]
             closest = source_search.query(target.points[vertices], normals, MAX_NORMAL_ANGLE_DEGREES)
             near = np.flatnonzero(closest.distances <= radius)

@@ -1,4 +1,4 @@
-r"""Suggest markers of two meshes in the same pose by their extremities, mirror and examine markers while they are set.
+r"""Find extremities of bodies, mirror markers, and examine markers while they are set.
 
 *Distances* along a surface are measured on a coarse copy: the decimated largest component, centred, with unit area, so
 that lengths on two meshes are comparable. Paths follow edges, or cross a hinge between its opposite vertices on a
@@ -10,17 +10,6 @@ a path to a higher maximum (0-dimensional persistence; Edelsbrunner, Letscher an
 of an extremity are described by the heat kernel signature (Sun, Ovsjanikov and Guibas 2009),
 
 .. math:: h_t(v) = \sum_{i \ge 1} e^{-2 t \lambda_i} \phi_i(v)^2 .
-
-*Matching* starts with the prominent extremities: limbs, tail, head. All pairs of triples of both bodies are tried. Each
-pair of triples determines a proper similarity S between the bodies, and the cost of matching i with j,
-
-.. math:: c_{ij} = \|S x_i - y_j\| + \tfrac13 \sum_{k=1}^3 |d_{i\,i_k} - d_{j\,j_k}| ,
-
-the distance of the points plus the mean difference of their surface distances to the triples, in roots of the area. The
-best assignment (Kuhn 1955) of all extremities of the body that has fewer gets a new cost, from the similarity and the
-surface distances of all its pairs. A left-right exchange preserves distances but needs a reflection, which a proper
-similarity excludes. The *margin* of a pair is the additional cost of the best matching without this pair. Then less
-prominent extremities, such as ears, are matched with similar costs, guided by the matched pairs.
 
 *Mirroring* finds the partner of every point of a body with two similar sides, in any pose. The extremities are paired
 by the exchange :math:`\pi` that changes their distances d and signatures h least. A bonus p per exchanged pair
@@ -42,8 +31,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations, permutations
-from typing import cast
+from itertools import permutations
 
 import numpy as np
 from scipy import sparse
@@ -55,11 +43,10 @@ from mixseq.mesh.decimation import decimate
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
-from mixseq.retargeting.checks import Suspicion, check_rest_frame, find_suspicious_markers
+from mixseq.retargeting.checks import Suspicion, find_suspicious_markers
 from mixseq.retargeting.correspond import correspond_and_assess
-from mixseq.retargeting.markers import Markers, Similarity, fit_similarity
+from mixseq.retargeting.markers import Markers
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.runtime.public import FileOr, HasFrames, public
 from mixseq.segmentation.silhouettes import Diffusion
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, FloatArray, Index, IntArray
@@ -77,18 +64,16 @@ class CoarseSurface:
     size: float  # unit of the surface, in units of the mesh
 
     @classmethod
-    def from_mesh(cls, points: FloatArray, topology: Topology, count: int = COARSE_VERTEX_COUNT) -> CoarseSurface:
-        """Decimate the component with the largest area to `count` vertices: points ``(V, 3)`` of the mesh."""
+    def from_mesh(
+        cls, points: FloatArray, topology: Topology, count: int = COARSE_VERTEX_COUNT, keep: Index | None = None
+    ) -> CoarseSurface:
+        """Decimate the component of a mesh with the largest area to `count` vertices, with its vertices `keep`."""
         x = np.asarray(points, np.float64)
-        areas = TriangleMesh(x, topology).face_areas
-        if not areas.sum() > 0:
-            raise SettingsError("no triangle of the mesh has an area; give a surface")
-        component_of_face = topology.component_of_face
-        is_largest = component_of_face == np.bincount(component_of_face, areas).argmax()
-        vertex_ids, faces = np.unique(topology.faces[is_largest].astype(np.int64), return_inverse=True)
+        vertex_ids, faces = np.unique(find_largest_component(x, topology), return_inverse=True)
         faces = faces.reshape(-1, 3)
         if len(vertex_ids) > count:
-            kept, faces = decimate(x[vertex_ids], faces, count)
+            keep = None if keep is None else np.searchsorted(vertex_ids, keep)
+            kept, faces = decimate(x[vertex_ids], faces, count, keep)
             vertex_ids = vertex_ids[kept]
         mesh = TriangleMesh(x[vertex_ids], Topology(faces, len(vertex_ids)))
         centre = mesh.face_areas @ mesh.centroids / mesh.face_areas.sum()
@@ -130,11 +115,19 @@ class CoarseSurface:
         return sparse.csr_array((lengths[order][first], (edges[:, 0], edges[:, 1])), shape=2 * (len(x),))
 
 
+def find_largest_component(points: Float, topology: Topology) -> Index:
+    """Return the triangles ``(f, 3)`` of the component of a mesh with the largest area."""
+    areas = TriangleMesh(points, topology).face_areas
+    if not areas.sum() > 0:
+        raise SettingsError("no triangle of the mesh has an area; give a surface")
+    component_of_face = topology.component_of_face
+    is_largest = component_of_face == np.bincount(component_of_face, areas).argmax()
+    return np.asarray(topology.faces[is_largest], dtype=np.int64)
+
+
 DISTANCE_SAMPLES = 100  # number of sample vertices for the mean distance
 MIN_PROMINENCE = 0.004  # smallest prominence of an extremity, in roots of the area; ears have 0.006 to 0.05
 HEAT_TIMES = np.geomspace(0.002, 0.1, 6)  # times of signatures, in units of the area; for sizes from ears to limbs
-EXTREMITY_FALL = 0.01  # largest decrease of the mean distance within an extremity, in roots of the area
-MAX_EXTREMITY_RADIUS = 0.25  # largest radius of an extremity, in roots of the area
 SIGNATURE_EIGENVECTORS = 80  # number of eigenvectors; higher ones have decayed at the first time
 
 
@@ -143,9 +136,7 @@ class Extremities:
     """Extremities of a surface, the most prominent first; lengths are in roots of the area."""
 
     vertices: Index  # (e,) vertices of the mesh at the extremities
-    points: Float  # (e, 3) positions on the coarse surface
     prominences: Float  # (e,) prominences of the extremities
-    radii: Float  # (e,) radii of regions of nearly equal mean distance: 0.02 to 0.07 for hooves, more for round heads
     distances: Float  # (e, e) distances between extremities along the surface
     signatures: Float  # (e, 6) logarithms of heat kernel signatures
 
@@ -158,11 +149,8 @@ class Extremities:
         peak_ids, prominences = peak_ids[is_prominent], prominences[is_prominent]
         diffusion = Diffusion(surface.points, surface.mesh.topology)
         signatures = np.log(diffusion.heat_kernel(HEAT_TIMES, SIGNATURE_EIGENVECTORS)[peak_ids])
-        distances = surface.distances(peak_ids)
-        is_tip = mean_distances >= mean_distances[peak_ids, None] - EXTREMITY_FALL
-        radii = np.where(is_tip & (distances < MAX_EXTREMITY_RADIUS), distances, 0.0).max(axis=1)
-        vertices, points = surface.vertices[peak_ids], surface.points[peak_ids]
-        return cls(vertices, points, prominences, radii, distances[:, peak_ids], signatures)
+        distances = surface.distances(peak_ids)[:, peak_ids]
+        return cls(surface.vertices[peak_ids], prominences, distances, signatures)
 
 
 def sample_far_apart(surface: CoarseSurface, count: int) -> tuple[Index, Float]:
@@ -210,136 +198,8 @@ def find_maxima(values: Float, surface: CoarseSurface) -> tuple[Index, Float]:
 
 
 MIN_LIMB_PROMINENCE = 0.1  # smallest prominence of limbs, tail and head; tests have at least 0.15, and ears up to 0.06
-MAX_MATCHED_EXTREMITIES = 8  # largest number of prominent extremities; all of their triples are tried
-MAX_TRIPLE_DISTANCE_DIFFERENCE = 0.5  # largest difference of distances between two matched triples
-MIN_SURE_MARGIN = 0.1  # smallest margin of a suggested pair
-MAX_MEAN_PAIR_COST = 0.4  # largest mean cost of the pairs of two similar bodies; horse and camel have 0.26
-MAX_MINOR_PAIR_COST = 0.18  # largest cost of a less prominent pair
-MIN_NEXT_COST_RATIO = 1.25  # smallest ratio of the next best cost to the cost of a less prominent pair
-MAX_SHARP_RADIUS = 0.08  # largest radius of a suggested extremity; blunter ones have no well-defined tip
-GUIDANCE_RADIUS = 0.3  # distance over which prominent extremities guide less prominent ones
+MAX_EXCHANGED_EXTREMITIES = 8  # largest number of prominent extremities; all of their exchanges are tried
 SIGNATURE_WEIGHT = 0.2  # weight of signature differences in costs
-
-
-Matching = tuple[tuple[int, int], ...]
-"""Matched extremities of two bodies, as ids of each body."""
-
-
-@dataclass(frozen=True)
-class ExtremityPair:
-    """A matched pair of extremities."""
-
-    first: int  # id of an extremity of the first body
-    second: int  # id of an extremity of the second body
-    margin: float  # additional cost of the best matching without this pair
-
-
-def match_extremities(first: Extremities, second: Extremities) -> list[ExtremityPair]:
-    """Match the extremities of two bodies."""
-    pairs = _match_prominent(first, second)
-    if len(pairs) < 4:  # too few to determine an orientation
-        return []
-    sharp = [pair for pair in pairs if max(first.radii[pair.first], second.radii[pair.second]) <= MAX_SHARP_RADIUS]
-    return sharp + _match_minor(first, second, pairs)
-
-
-def _match_prominent(first: Extremities, second: Extremities) -> list[ExtremityPair]:
-    """Match prominent extremities, and return the pairs by decreasing margin."""
-    first_ids, second_ids = (
-        np.flatnonzero(body.prominences >= MIN_LIMB_PROMINENCE)[:MAX_MATCHED_EXTREMITIES] for body in (first, second)
-    )
-    matchings: dict[Matching, float] = {}
-    for first_triple in combinations(first_ids.tolist(), 3):
-        for second_triple in permutations(second_ids.tolist(), 3):
-            triples = np.array(first_triple), np.array(second_triple)
-            pairs = _match_from_triples(first, second, (first_ids, second_ids), triples)
-            if pairs is not None and pairs not in matchings:
-                matchings[pairs] = _matching_cost(first, second, pairs)
-    if not matchings:
-        return []
-    best = min(matchings, key=lambda pairs: (matchings[pairs], pairs))
-    if matchings[best] > MAX_MEAN_PAIR_COST * len(best):
-        return []
-    sure_pairs = []
-    for pair in best:
-        other_costs = [cost for pairs, cost in matchings.items() if pair not in pairs]
-        margin = min(other_costs, default=np.inf) - matchings[best]
-        if margin >= MIN_SURE_MARGIN:
-            sure_pairs.append(ExtremityPair(*pair, float(margin)))
-    return sorted(sure_pairs, key=lambda pair: -pair.margin)
-
-
-def _match_from_triples(
-    first: Extremities, second: Extremities, ids: tuple[Index, Index], triples: tuple[Index, Index]
-) -> Matching | None:
-    """Return the matching of extremities guided by a triple of each body, or None if the triples are not similar."""
-    from scipy.optimize import linear_sum_assignment
-
-    (first_ids, second_ids), (a, b) = ids, triples
-    differences = first.distances[np.ix_(a, a)] - second.distances[np.ix_(b, b)]
-    if np.abs(differences).max() > MAX_TRIPLE_DISTANCE_DIFFERENCE:
-        return None
-    try:
-        mapped = fit_similarity(first.points[a], second.points[b])(first.points[first_ids])
-    except SettingsError:  # the triples have opposite orientations
-        return None
-    point_distances = np.linalg.norm(mapped[:, None] - second.points[second_ids], axis=2)
-    costs = point_distances + _distance_differences(first, second, ids, triples)
-    rows, columns = linear_sum_assignment(costs)
-    return tuple(zip(first_ids[rows].tolist(), second_ids[columns].tolist(), strict=True))
-
-
-def _distance_differences(
-    first: Extremities, second: Extremities, ids: tuple[Index, Index], references: tuple[Index, Index]
-) -> Float:
-    """Return the mean difference ``(n, m)`` of distances to matched references for every pair of extremities."""
-    to_references = first.distances[np.ix_(ids[0], references[0])]
-    differences = to_references[:, None] - second.distances[np.ix_(ids[1], references[1])]
-    return np.asarray(np.abs(differences).mean(axis=2))
-
-
-def _matching_cost(first: Extremities, second: Extremities, pairs: Matching) -> float:
-    """Return the total cost of matched pairs; infinite if the pairs need a reflection."""
-    a, b = np.array(pairs).T
-    try:
-        mapped = fit_similarity(first.points[a], second.points[b])(first.points[a])
-    except SettingsError:
-        return np.inf
-    differences = np.abs(first.distances[np.ix_(a, a)] - second.distances[np.ix_(b, b)]).mean(axis=1)
-    return float((np.linalg.norm(mapped - second.points[b], axis=1) + differences).sum())
-
-
-def _match_minor(first: Extremities, second: Extremities, pairs: list[ExtremityPair]) -> list[ExtremityPair]:
-    """Match the remaining extremities that are each other's best partners by a clear margin."""
-    a, b = np.array([(pair.first, pair.second) for pair in pairs]).T
-    first_rest = np.setdiff1d(np.arange(len(first.points)), a)
-    second_rest = np.setdiff1d(np.arange(len(second.points)), b)
-    if not (len(first_rest) and len(second_rest)):
-        return []
-    similarity = fit_similarity(first.points[a], second.points[b])
-    mapped = _guided_positions(first, similarity, a, second.points[b])
-    signature_differences = np.abs(first.signatures[first_rest][:, None] - second.signatures[second_rest])
-    costs = (
-        np.linalg.norm(mapped[first_rest][:, None] - second.points[second_rest], axis=2)
-        + _distance_differences(first, second, (first_rest, second_rest), (a, b))
-        + SIGNATURE_WEIGHT * signature_differences.mean(axis=2)
-    )
-    minor_pairs = []
-    for row, column in enumerate(costs.argmin(axis=1)):
-        cost = costs[row, column]
-        other_costs = np.concatenate([np.delete(costs[row], column), np.delete(costs[:, column], row)])
-        next_best = other_costs.min(initial=np.inf)
-        if cost <= MAX_MINOR_PAIR_COST and next_best >= MIN_NEXT_COST_RATIO * cost:
-            margin = float(next_best - cost)
-            minor_pairs.append(ExtremityPair(int(first_rest[row]), int(second_rest[column]), margin))
-    return sorted(minor_pairs, key=lambda pair: -pair.margin)
-
-
-def _guided_positions(first: Extremities, similarity: Similarity, paired_ids: Index, goals: Float) -> Float:
-    """Map all extremities ``(e, 3)`` by a similarity, and add its weighted mean residual at nearby pairs."""
-    mapped = similarity(first.points)
-    weights = np.exp(-((first.distances[:, paired_ids] / GUIDANCE_RADIUS) ** 2)) + 1e-6
-    return np.asarray(mapped + weights @ (goals - mapped[paired_ids]) / weights.sum(axis=1, keepdims=True))
 
 
 PAIR_BONUS = 0.04  # the bonus p of an exchanged pair, in roots of the area
@@ -431,7 +291,7 @@ def _find_partners(surface: CoarseSurface) -> Index | None:
 
 def _find_exchange(extremities: Extremities) -> Index | None:
     """Return the partner of every prominent extremity (itself in the middle), or None without two similar sides."""
-    count = min(int((extremities.prominences >= MIN_LIMB_PROMINENCE).sum()), MAX_MATCHED_EXTREMITIES)
+    count = min(int((extremities.prominences >= MIN_LIMB_PROMINENCE).sum()), MAX_EXCHANGED_EXTREMITIES)
     distances, signatures = extremities.distances[:count, :count], extremities.signatures[:count]
     if count < MIN_EXTREMITIES:
         return None
@@ -501,53 +361,3 @@ def _decimate_mesh(points: Float, faces: IntArray, keep: Index) -> tuple[Index, 
     """Decimate a mesh without removing the vertices `keep`; return the remaining vertices ``(n,)`` and the mesh."""
     vertex_ids, coarse_faces = decimate(points, faces.astype(np.int64), TRIAL_VERTEX_COUNT, keep)
     return vertex_ids, MeshSequence.from_arrays(points[None, vertex_ids], coarse_faces)
-
-
-@public
-def suggest_markers(
-    source: FileOr[MeshSequence | HasFrames], target: FileOr[MeshSequence | HasFrames], rest: int = 0
-) -> Markers:
-    """Suggest markers at corresponding tips of limbs, tails, noses and ears.
-
-    Both meshes are in about the same pose, in any orientation and size.
-
-    Parameters
-    ----------
-    source : MeshSequence
-        Mesh whose motion is transferred.
-    target : MeshSequence
-        Mesh that receives the motion; its first frame is used.
-    rest : int
-        Frame of the source with a pose like the target's.
-
-    Returns
-    -------
-    Markers
-        Pairs of vertices: first limbs, tail and head, then smaller extremities, each by decreasing certainty. The
-        result is empty for bodies without limbs, and for very different bodies.
-
-    Raises
-    ------
-    SettingsError
-        If the frame does not exist, or a mesh has no area.
-
-    Examples
-    --------
-    >>> import mixseq
-    >>> markers = mixseq.suggest_markers("arm.usdc", "long.obj")
-    >>> len(markers.source) == len(markers.target)
-    True
-    """
-    source = cast("MeshSequence", source)
-    target = cast("MeshSequence", target)
-    check_rest_frame(source, rest)
-    with one_blas_thread():
-        first, second = _find_extremities(source, rest), _find_extremities(target, 0)
-    pairs = match_extremities(first, second)
-    vertices = [(first.vertices[pair.first], second.vertices[pair.second]) for pair in pairs]
-    return Markers.from_pairs(np.array(vertices, np.int64))
-
-
-def _find_extremities(sequence: MeshSequence, frame: int) -> Extremities:
-    topology = Topology(sequence.faces, sequence.vertex_count)
-    return Extremities.from_surface(CoarseSurface.from_mesh(sequence.points[frame], topology))

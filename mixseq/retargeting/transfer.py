@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol, cast
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.choices import TRANSFERS, TransferName
 from mixseq.compression.numbering import match_headers
-from mixseq.errors import SettingsError
+from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.contacts import ContactReport, PlantedMotion, plant_contacts
 from mixseq.retargeting.correspond import CorrespondenceQuality, RestMesh, correspond_and_assess
@@ -19,6 +20,7 @@ from mixseq.retargeting.gradient_transfer import gradient_transfer
 from mixseq.retargeting.markers import Correspondence, Markers, check_numbers
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.retargeting.parts import PartCorrespondence, PartPoses
+from mixseq.retargeting.proposals import MAX_POSES, Proposal, propose_markers, similarity_residuals
 from mixseq.retargeting.sources import SourceMotion, prepare_source
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, log_progress
@@ -28,7 +30,7 @@ from mixseq.sequence.provenance import with_other_motion
 from mixseq.sequence.sequence import Frames, MeshSequence, block_size, check_frames, join_blocks
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.model import Model
-from mixseq.types import Float, FloatArray
+from mixseq.types import Float, FloatArray, evenly_spaced
 
 
 class TransferMethod(Protocol):
@@ -76,6 +78,7 @@ class Transfer:
     correspondence: Correspondence  # correspondence of source and target
     method: TransferMethod  # method that transfers frames
     quality: CorrespondenceQuality | None = None  # quality of a correspondence from markers
+    proposal: Proposal | None = None  # proposed markers, if neither markers nor a map were needed or given
     planted: PlantedMotion | None = None  # motions of the parts after footskate cleanup, if there are contacts
 
     @property
@@ -122,50 +125,94 @@ def plan_transfer(
             source = prepare_source(source, settings.rest, settings.parts, progress)
         rest = next(iter(target.blocks(1)))[0].astype(np.float64)
         topology = Topology(target.header.faces, target.header.vertex_count)
-        correspondence, quality = _find_correspondence(source, rest, target.header, settings, progress)
+        correspondence, quality, proposal = _find_correspondence(source, rest, target.header, settings, progress)
+        _check_rest_poses(source, rest, correspondence)
         gradients = gradient_transfer(source.topology, source.rest, topology, rest, correspondence)
         header = target.header.with_times(source.header.times, source.header.fps)
         header = replace(header, provenance=with_other_motion(target.header.provenance))
         if settings.method == "gradients":
-            return Transfer(header, source, rest, correspondence, gradients, quality)
+            return Transfer(header, source, rest, correspondence, gradients, quality, proposal)
         progress(0, 1, "finding parts")
         shell = settings.shell or ShellSettings()
         mixed = mixed_transfer(gradients, source.points, source.part_of_face(), settings.joint_width, shell)
         if not settings.contacts:
-            return Transfer(header, source, rest, correspondence, mixed, quality)
+            return Transfer(header, source, rest, correspondence, mixed, quality, proposal)
         check_numbers(target.header, "contacts are numbers of vertices, and those of the target")
         run = workers or thread_executor()
         method, planted = plant_contacts(mixed, source.points, header, settings.contacts, run, progress)
-        return Transfer(header, source, rest, correspondence, method, quality, planted)
+        return Transfer(header, source, rest, correspondence, method, quality, proposal, planted)
 
 
 def _find_correspondence(
     source: SourceMotion, rest: Float, header: SequenceHeader, settings: TransferSettings, progress: Progress
-) -> tuple[Correspondence, CorrespondenceQuality | None]:
-    """Find a target's correspondence by map, markers or connectivity: rest ``(V', 3)``; quality only for markers."""
+) -> tuple[Correspondence, CorrespondenceQuality | None, Proposal | None]:
+    """Find a target's correspondence by map, markers, connectivity or proposed markers: rest ``(V', 3)``.
+
+    The quality is only for markers, which are proposed if nothing is given and the meshes differ.
+    """
     sizes = tuple((mesh.vertex_count, len(mesh.faces)) for mesh in (source.header, header))
     mapping, markers = settings.mapping, settings.markers
     if mapping is not None:
         if not isinstance(mapping, Correspondence):
             mapping = mapping((source.rest, source.header.faces), (rest, header.faces))
         mapping.check(*sizes)
-        return mapping, None
-    if markers is not None:
-        pairs = markers if isinstance(markers, Markers) else Markers.from_pairs(markers)
-        source_mesh = MeshSequence.from_header(source.header.with_times([0.0]), source.rest[None])
-        target_mesh = MeshSequence.from_header(header.with_times([0.0]), rest[None])
-        return correspond_and_assess(source_mesh, target_mesh, pairs, progress=progress)
-    if np.array_equal(source.topology.faces, header.faces):
-        return Correspondence.identity(*sizes[0]), None
-    numbering = match_headers(source.header, header)
-    if numbering is None:
-        (vertices, faces), (target_vertices, target_faces) = sizes
+        return mapping, None, None
+    proposal = None
+    if markers is None:
+        if np.array_equal(source.topology.faces, header.faces):
+            return Correspondence.identity(*sizes[0]), None, None
+        numbering = match_headers(source.header, header)
+        if numbering is not None:
+            face_ids = numbering.renumber_labels(np.arange(sizes[0][1]), source.header.polygons)
+            identity = Correspondence.identity(*sizes[0])
+            return identity.renumbered(numbering.vertices, np.asarray(face_ids, np.int64)), None, None
+        proposal = _propose(source, rest, header, progress)
+        markers = proposal.markers
+    pairs = markers if isinstance(markers, Markers) else Markers.from_pairs(markers)
+    source_mesh = MeshSequence.from_header(source.header.with_times([0.0]), source.rest[None])
+    target_mesh = MeshSequence.from_header(header.with_times([0.0]), rest[None])
+    return *correspond_and_assess(source_mesh, target_mesh, pairs, progress=progress), proposal
+
+
+def _propose(source: SourceMotion, rest: Float, header: SequenceHeader, progress: Progress) -> Proposal:
+    """Propose markers of a source and a target at rest ``(V', 3)``; raise SettingsError if they are not sure."""
+    progress(0, 1, "proposing markers")
+    frames = source.points[evenly_spaced(len(source.points), MAX_POSES - 1)]
+    target_topology = Topology(header.faces, header.vertex_count)
+    poses = np.concatenate([source.rest[None], frames])
+    proposal = propose_markers((poses, source.topology), (rest[None], target_topology))
+    if proposal.doubt:
         raise SettingsError(
-            f"the source has {vertices} vertices and {faces} triangles, the target {target_vertices} and "
-            f"{target_faces}, or they are in another order; give markers or a map"
+            f"the source has {source.header.vertex_count} vertices and {len(source.header.faces)} triangles, the "
+            f"target {header.vertex_count} and {len(header.faces)}, or they are in another order, and markers that "
+            f"could be proposed are not sure: {proposal.doubt}; give markers or a map"
         )
-    face_ids = np.asarray(numbering.renumber_labels(np.arange(sizes[0][1]), source.header.polygons), dtype=np.int64)
-    return Correspondence.identity(*sizes[0]).renumbered(numbering.vertices, face_ids), None
+    return proposal
+
+
+MIN_POSE_DIFFERENCE = 0.1  # smallest residual of a rest pose that is warned about, relative to the body's radius
+MAX_POSE_RATIO = 0.7  # largest ratio of a frame's residual to that of a rest pose that is warned about
+POSE_SAMPLES = 500  # number of vertices by which poses are compared
+
+
+def _check_rest_poses(source: SourceMotion, rest: Float, correspondence: Correspondence) -> None:
+    """Warn if a frame of the source is much more like the target at rest ``(V', 3)`` than the source at rest."""
+    vertex_ids = np.flatnonzero(correspondence.matched)
+    vertex_ids = vertex_ids[evenly_spaced(len(vertex_ids), POSE_SAMPLES)]
+    frames = evenly_spaced(len(source.points), MAX_POSES)
+    corners, weights = correspondence.corners[vertex_ids], correspondence.weights[vertex_ids]
+    poses = np.concatenate([source.rest[None], source.points[frames]])
+    points = np.einsum("vk,tvkc->tvc", weights, poses[:, corners])
+    residuals = similarity_residuals(points, rest[vertex_ids])
+    best = int(residuals.argmin())
+    if residuals[0] > MIN_POSE_DIFFERENCE and residuals[best] < MAX_POSE_RATIO * residuals[0]:
+        number = source.header.frame_number(int(frames[best - 1]))
+        warnings.warn(
+            f"the source is not at rest in the target's pose: points are {100 * residuals[0]:.0f} % of the body's "
+            f"radius off, in frame {number} {100 * residuals[best]:.0f} %; --rest {number} takes that one",
+            MixseqWarning,
+            stacklevel=3,
+        )
 
 
 @public
@@ -193,10 +240,10 @@ def transfer(
     source : MeshSequence, SequenceReader or Model
         The motion. A model provides its frames, and also its parts if its shape space is mixed.
     target : MeshSequence
-        Mesh that receives the motion. Its first frame has a pose like the source at rest. Markers or a map are needed
-        unless it has the triangles of the source.
+        Mesh that receives the motion. Its first frame has a pose like the source at rest.
     markers : Markers or (n, 2) int, optional
-        Pairs of a source vertex and the corresponding target vertex; see `mixseq.correspond`.
+        Pairs of a source vertex and the corresponding target vertex; see `mixseq.correspond`. By default they are
+        proposed for meshes with other triangles; see `mixseq.suggest_markers`.
     mapping : Correspondence or callable, optional
         Dense correspondence to use instead of markers, or a function that returns it for source and target at rest
         (each as points and triangles).
@@ -226,7 +273,8 @@ def transfer(
     Raises
     ------
     SettingsError
-        If a setting is out of range, or the correspondence is missing, given twice, or for other meshes.
+        If a setting is out of range, the correspondence is given twice or for other meshes, or none is given and
+        proposed markers are not sure.
     InvalidSequenceError
         If an argument is not a sequence, the rest has another mesh, or corresponding regions have no size or no area.
     SegmentationError

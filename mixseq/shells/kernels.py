@@ -1,6 +1,6 @@
 """Compiled inner loops of `mixseq.shells.shell` and `mixseq.shells.fitting`.
 
-They compute lengths, angles, energies, gradients and normal equations, and solve by conjugate gradients. Tests compare
+They compute energies, gradients and normal equations, and solve by conjugate gradients. Tests compare
 the formulas with `mixseq.mesh.measures`. Loops release the interpreter's lock and sum in a fixed order, so that results
 are bit-identical for any number of threads.
 """
@@ -11,10 +11,9 @@ import math
 
 import numpy as np
 
+from mixseq.mesh.measure_kernels import Vector, angle, dot, length, opening, side, sides_and_normals
 from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.types import Float, Index, Int32, Mask
-
-Vector = tuple[float, float, float]
 
 ONE, TWO, THREE = np.uint64(1), np.uint64(2), np.uint64(3)
 """Steps of unsigned indices; sums with signed numbers would be floats."""
@@ -27,58 +26,12 @@ FULL_TURN = 2.0 * math.pi
 
 
 @force_inlined
-def side(x: Float, a: int, b: int) -> Vector:
-    """Return the vector from vertex a to vertex b."""
-    return x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
-
-
-@force_inlined
-def _cross(p: Vector, q: Vector) -> Vector:
-    """Return the cross product of p and q."""
-    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
-
-
-@force_inlined
-def _dot(p: Vector, q: Vector) -> float:
-    """Return the scalar product of p and q."""
-    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
-
-
-@force_inlined
-def length(x: Float, a: int, b: int) -> float:
-    """Return the length of the edge ab."""
-    e = side(x, a, b)
-    return math.sqrt(_dot(e, e))
-
-
-@force_inlined
 def length_gradient(x: Float, a: int, b: int, scale: float, g: Float) -> None:
     """Write the gradient of the length of the edge ab by its two vertices, times `scale`, to ``g[:2]``."""
     e = side(x, a, b)
-    w = scale / max(math.sqrt(_dot(e, e)), MIN_DOUBLE)
+    w = scale / max(math.sqrt(dot(e, e)), MIN_DOUBLE)
     g[1, 0], g[1, 1], g[1, 2] = w * e[0], w * e[1], w * e[2]
     g[0, 0], g[0, 1], g[0, 2] = -g[1, 0], -g[1, 1], -g[1, 2]
-
-
-@force_inlined
-def _sides_and_normals(x: Float, a: int, b: int, c: int, d: int) -> tuple[Vector, ...]:
-    """Return the sides ab, ac and ad of the hinge abcd, and the normals of its faces."""
-    e, p, q = side(x, a, b), side(x, a, c), side(x, a, d)
-    return e, p, q, _cross(e, p), _cross(q, e)
-
-
-@force_inlined
-def _opening(e: Vector, n: Vector, m: Vector) -> tuple[float, float]:
-    """Return cosine and sine of the angle from normal n to m about e, times the lengths of n, m and e."""
-    return _dot(n, m) * math.sqrt(_dot(e, e)), _dot(_cross(n, m), e)
-
-
-@force_inlined
-def angle(x: Float, a: int, b: int, c: int, d: int) -> float:
-    """Return the dihedral angle of the hinge abcd."""
-    e, _, _, n, m = _sides_and_normals(x, a, b, c, d)
-    cosine, sine = _opening(e, n, m)
-    return math.atan2(sine, cosine)
 
 
 @force_inlined
@@ -92,13 +45,13 @@ def _write_gradient(
     e: Vector, p: Vector, q: Vector, n: Vector, m: Vector, scale: float, min_c: float, min_d: float, g: Float
 ) -> None:
     """Write the gradient of a hinge's angle, times `scale`, in the form of `angle_gradient`."""
-    square = max(_dot(e, e), MIN_DOUBLE)
+    square = max(dot(e, e), MIN_DOUBLE)
     size = scale * math.sqrt(square)
-    first = -size / max(_dot(n, n), min_c, MIN_DOUBLE)
-    second = -size / max(_dot(m, m), min_d, MIN_DOUBLE)
+    first = -size / max(dot(n, n), min_c, MIN_DOUBLE)
+    second = -size / max(dot(m, m), min_d, MIN_DOUBLE)
     g[2, 0], g[2, 1], g[2, 2] = first * n[0], first * n[1], first * n[2]
     g[3, 0], g[3, 1], g[3, 2] = second * m[0], second * m[1], second * m[2]
-    tc, td = _dot(p, e) / square, _dot(q, e) / square  # positions of c and d along the edge
+    tc, td = dot(p, e) / square, dot(q, e) / square  # positions of c and d along the edge
     for i in range(3):
         g[0, i] = -(1.0 - tc) * g[2, i] - (1.0 - td) * g[3, i]
         g[1, i] = -tc * g[2, i] - td * g[3, i]
@@ -112,7 +65,7 @@ def angle_gradient(
 
     `min_c` and `min_d` bound the squares of the normals at c and d from below, in the fourth power of the unit of x.
     """
-    e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
+    e, p, q, n, m = sides_and_normals(x, a, b, c, d)
     _write_gradient(e, p, q, n, m, scale, min_c, min_d, g)
 
 
@@ -134,25 +87,14 @@ def angle_misfit(
 
     The arguments `cosine` and `sine` belong to the target angle. Hinges of triangles without area have no error.
     """
-    e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
-    along, across = _opening(e, n, m)
+    e, p, q, n, m = sides_and_normals(x, a, b, c, d)
+    along, across = opening(e, n, m)
     size = max(math.sqrt(across * across + along * along), MIN_DOUBLE)
     sin_error, cos_error = (across * cosine - along * sine) / size, (along * cosine + across * sine) / size
     _write_gradient(e, p, q, n, m, scale * sin_error, min_c, min_d, g)
     if size == MIN_DOUBLE:
         return 0.0
     return sin_error * sin_error / (1.0 + cos_error) if cos_error > 0.0 else 1.0 - cos_error
-
-
-@compiled
-def lengths_and_angles(x: Float, edges: Int32, hinges: Int32) -> tuple[Float, Float]:
-    """Return lengths ``(e,)`` in the unit of points ``(n, 3)``, and angles ``(h,)`` in radians."""
-    lengths, angles = np.empty(len(edges)), np.empty(len(hinges))
-    for k in range(len(edges)):
-        lengths[k] = length(x, edges[k, 0], edges[k, 1])
-    for k in range(len(hinges)):
-        angles[k] = angle(x, hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3])
-    return lengths, angles
 
 
 @compiled
@@ -203,8 +145,8 @@ def shell_energy(
 def _is_collapsed(p: Vector, q: Vector, normal: Vector, min_height_ratio: float) -> bool:
     """Whether the height of the triangle of sides p and q is at most a ratio of its longest side."""
     opposite = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    longest = max(_dot(p, p), _dot(q, q), _dot(opposite, opposite))
-    return math.sqrt(_dot(normal, normal)) <= min_height_ratio * longest
+    longest = max(dot(p, p), dot(q, q), dot(opposite, opposite))
+    return math.sqrt(dot(normal, normal)) <= min_height_ratio * longest
 
 
 @compiled
@@ -217,7 +159,7 @@ def hinge_nearness(x: Float, hinges: Int32, targets: Float, min_height_ratio: fl
     for k in range(len(hinges)):
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
         nearness[k] = 1.0 - 0.5 * angle_misfit(x, a, b, c, d, targets[k, 0], targets[k, 1], 0.0, 1.0, 1.0, g)
-        e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
+        e, p, q, n, m = sides_and_normals(x, a, b, c, d)
         collapsed[k] = _is_collapsed(e, p, n, min_height_ratio) or _is_collapsed(e, q, m, min_height_ratio)
     return nearness, collapsed
 

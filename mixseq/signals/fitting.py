@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.choices import BETWEENS, POSE_FORMS, BetweenName, PlacementName, PoseForm, SpaceName
 from mixseq.errors import SettingsError
-from mixseq.mesh.measures import choose_origin, wrap_angles
+from mixseq.mesh.measures import choose_origin, dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.low_memory import LargeArray
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
@@ -37,7 +37,6 @@ from mixseq.sequence.sequence import (
     rounding_margin,
 )
 from mixseq.shells.fitting import ShellSettings
-from mixseq.shells.kernels import lengths_and_angles
 from mixseq.signals.decoding import Decodable, RigMotion
 from mixseq.signals.detail import (
     EXACT_ROUNDING_STEP,
@@ -124,7 +123,7 @@ def _interpolated_vectors(encoded: EncodedSequence, space: MixedSpace, weights: 
 
 def _lengths_and_angles(elements: tuple[Int32, Int32], points: FloatArray) -> tuple[Float, Float]:
     """Return lengths of edges and dihedral angles of hinges of points ``(V, 3)`` in diagonals."""
-    return lengths_and_angles(np.ascontiguousarray(points, dtype=np.float64), *elements)
+    return edge_lengths(points, elements[0]), dihedral_angles(points, elements[1])
 
 
 def _rms_errors(elements: tuple[Int32, Int32], points: Iterable[Float], expected: list[tuple[Float, Float]]) -> Float:

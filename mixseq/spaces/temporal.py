@@ -35,7 +35,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from mixseq.mesh.rotations import align_quat_signs, normalise_quat, quat_conjugate, quat_multiply, quat_power
+from mixseq.mesh.rotations import align_quat_signs, normalise_quat
 from mixseq.types import Float, Index, evenly_spaced
 
 EndCondition = Literal["natural", "not-a-knot"]
@@ -213,10 +213,6 @@ def _kriging_weights(knots: Float, times: Float, length_scale: float) -> Float:
     return np.asarray(np.linalg.solve(system, right.T).T[:, :count])
 
 
-EXPONENT_TOLERANCE = 1e-12
-"""Distance to 0 or 1 below which exponents of rotations are rounded."""
-
-
 class Poses(NamedTuple):
     """Poses of p parts in T frames."""
 
@@ -231,16 +227,9 @@ def interpolate_poses(weights: FrameWeights, poses: Poses) -> Poses:
 
 def chain_rotations(weights: FrameWeights, rotations: Float) -> Float:
     """Return the rotations ``(N, p, 4)`` chained from the rotations at the frames ``(T, p, 4)``."""
-    exponents = np.cumsum(weights.weights[:, ::-1], axis=1)[:, ::-1]
-    result = rotations[weights.frame_ids[:, 0]]
-    for column in range(1, weights.frame_ids.shape[1]):
-        exponent = exponents[:, column]
-        previous = rotations[weights.frame_ids[:, column - 1]]
-        current = rotations[weights.frame_ids[:, column]]
-        is_one = np.abs(exponent - 1.0) < EXPONENT_TOLERANCE
-        result[is_one] = current[is_one]  # all preceding exponents are one, too
-        mask = ~is_one & (np.abs(exponent) >= EXPONENT_TOLERANCE)
-        if mask.any():
-            step = quat_multiply(quat_conjugate(previous[mask]), current[mask])
-            result[mask] = quat_multiply(result[mask], quat_power(step, exponent[mask, None]))
+    from mixseq.spaces.mixed.posing_kernels import multiply_powers
+
+    exponents = np.ascontiguousarray(np.cumsum(weights.weights[:, ::-1], axis=1)[:, ::-1])
+    result = np.empty((len(exponents), *rotations.shape[1:]))
+    multiply_powers(np.require(rotations, np.float64, "CW"), weights.frame_ids, exponents, result)
     return align_quat_signs(normalise_quat(result))

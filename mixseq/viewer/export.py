@@ -40,19 +40,9 @@ from mixseq.viewer.export_data import (
     encode_text,
 )
 from mixseq.viewer.page import CHART_SCRIPTS, read_script
-from mixseq.web import bundled, minify
+from mixseq.web import PAGE_SCRIPTS, bundled, minify
 
-PLAYER_SCRIPTS = (
-    "clock.js",
-    "camera.js",
-    "shaders.js",
-    "programs.js",
-    "topology.js",
-    "mesh.js",
-    "stage.js",
-    "pose_source.js",
-    "player.js",
-)
+PLAYER_SCRIPTS = (*PAGE_SCRIPTS, "topology.js", "pose_source.js", "player.js")
 """Scripts of the mesh player."""
 
 
@@ -60,7 +50,7 @@ def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
     """Return the bytes of a page from the description and the data of its meshes."""
     has_charts = any(item["signals"] for item in description["items"])
     sections = (
-        _minify(read_script("player.css")),
+        _minify(read_script("page.css") + read_script("player.css")),
         _minify(read_script("player.html")),
         decoder_script(),
         page_scripts(has_charts),
@@ -87,7 +77,7 @@ def decoder_script() -> str:
 @cache
 def page_scripts(has_charts: bool) -> str:
     """Return the scripts of a page, with or without charts."""
-    names = (*CHART_SCRIPTS[: None if has_charts else 1], *PLAYER_SCRIPTS)
+    names = (*(CHART_SCRIPTS if has_charts else ()), *PLAYER_SCRIPTS)
     return "".join(minify(read_script(name)) for name in names)
 
 

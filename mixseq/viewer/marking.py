@@ -13,7 +13,8 @@ import numpy as np
 
 from mixseq.mesh.topology import Topology
 from mixseq.retargeting.markers import Markers
-from mixseq.retargeting.suggestions import Examination, Mirror, examine_markers, suggest_markers
+from mixseq.retargeting.proposals import propose_markers, sample_poses
+from mixseq.retargeting.suggestions import Examination, Mirror, examine_markers
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float
 from mixseq.viewer.playback import JobQueue
@@ -144,6 +145,7 @@ class MarkingSession(JobQueue[Callable[[], None]]):
         self._history = UndoHistory((Marking.from_markers(markers),))
         self._saved_pairs = self.marking.pairs
         self._suggestions: tuple[Pair, ...] = ()
+        self.doubt = ""
         self._mirrors: tuple[Mirror, Mirror] | None = None
         self._mirrored_pairs: dict[tuple[int, int], Pair | None] = {}
         self._examination: tuple[tuple[Pair, ...], Examination] | None = None
@@ -223,7 +225,7 @@ class MarkingSession(JobQueue[Callable[[], None]]):
         self._update_history(UndoHistory.redo)
 
     def suggest(self) -> None:
-        """Suggest markers again, including rejected suggestions."""
+        """Suggest markers again with the current pairs as known, including rejected suggestions."""
         self._apply(lambda marking: replace(marking, skipped=frozenset()))
         self._enqueue_once(self._suggest)
 
@@ -255,7 +257,9 @@ class MarkingSession(JobQueue[Callable[[], None]]):
 
     def _suggest(self) -> None:
         self._set_work("looking for markers to suggest")
-        self._suggestions = Marking.from_markers(suggest_markers(*self._meshes)).pairs
+        source, target = (sample_poses(mesh) for mesh in self._meshes)
+        proposal = propose_markers(source, target, self.marking.markers)
+        self._suggestions, self.doubt = Marking.from_markers(proposal.markers).pairs, proposal.doubt
 
     def _find_mirrors(self) -> None:
         self._set_work("looking for left and right")

@@ -92,6 +92,18 @@ MODULES = (
 )
 """Modules bundled into ``mixseq.js``."""
 
+PAGE_SCRIPTS = (
+    "frame_numbers.js",
+    "clock.js",
+    "camera.js",
+    "transport.js",
+    "shaders.js",
+    "programs.js",
+    "mesh.js",
+    "stage.js",
+)
+"""Scripts of pages in loading order, joined to ``page.js``: controls, lighting and drawing of exported pages, too."""
+
 COPIED_FILES = (
     "mesh_sequence.js",
     "mesh_sequence.d.ts",
@@ -120,6 +132,8 @@ def package_files() -> Mapping[str, str]:
     }
     return {
         "mixseq.js": bundled(*MODULES),
+        "page.js": "\n".join(read_module(f"page/{name}") for name in PAGE_SCRIPTS),
+        "page.css": read_module("page/page.css"),
         "package.json": json.dumps(package, indent=2) + "\n",
         **{name: read_module(f"three/{name}") for name in COPIED_FILES},
     }

@@ -145,11 +145,11 @@ def speeds(model: mixseq.Model, ids: Index, targets: Float, start: int) -> tuple
     solver.solve(when, begin)
     with one_blas_thread():
         clock = time.process_time()
-        model.space.decode(solver.vectors(when, solver.solve(when, targets)))
+        solver.points(when, solver.solve(when, targets))
         once, clock = time.process_time() - clock, time.process_time()
         for fraction in np.arange(1, 21) / 20:
-            change = solver.solve(when, begin + fraction * (targets - begin), start=change)
-            model.space.decode(solver.vectors(when, change))
+            change = solver.solve(when, begin + fraction * (targets - begin), start=change, rounds=1)
+            solver.points(when, change)
     return 1 / once, 20 / (time.process_time() - clock)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import re
 import signal
 import subprocess
@@ -15,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import mixseq
+from mixseq.__main__ import LARGE_BLOCK_BYTES
 from mixseq.cli.group import progress_bar
 from mixseq.runtime.progress import log_progress
 from tests.meshes import bar
@@ -188,3 +190,26 @@ def test_help_imports_no_numerical_packages() -> None:
     )
     assert result.stdout.endswith("loaded: []\n")
     assert result.stderr == ""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have no such setting")
+def test_freed_arrays_are_returned_to_the_system() -> None:
+    """Also those that are smaller than one before, which glibc keeps by default."""
+    program = """
+import os, resource
+import numpy as np
+from mixseq.__main__ import return_large_blocks
+
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * resource.getpagesize()
+
+return_large_blocks()
+np.ones(3 << 20)
+array = np.ones(2 << 20)
+before = resident()
+del array
+print(before - resident() > 15e6, os.environ["MALLOC_MMAP_THRESHOLD_"])
+"""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("MALLOC")}
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, env=environment)
+    assert run.stdout.split() == ["True", str(LARGE_BLOCK_BYTES)]

@@ -1,4 +1,4 @@
-"""Rotations as unit quaternions: closed forms, products, powers, and signs that do not jump."""
+"""Rotations as unit quaternions: closed forms, products, and signs that do not jump."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from mixseq.mesh.rotations import (
     normalise_quat,
     quat_conjugate,
     quat_multiply,
-    quat_power,
     quat_to_matrix,
     rotvec_to_quat,
 )
@@ -70,7 +69,7 @@ def test_shapes_are_kept() -> None:
     assert matrix_to_quat(quat_to_matrix(q)).shape == q.shape
     assert matrix_to_quat(np.zeros((0, 2, 3, 3))).shape == (0, 2, 4)
     assert quat_to_matrix(np.zeros((0, 4))).shape == (0, 3, 3)
-    assert quat_power(q, np.ones((3, 2))).shape == quat_multiply(q, q[0]).shape == q.shape
+    assert quat_multiply(q, q[0]).shape == q.shape
 
 
 def test_units_multiply_as_hamilton_has_them() -> None:
@@ -91,12 +90,6 @@ def test_products_are_rotations_one_after_the_other(seed: int) -> None:
     np.testing.assert_allclose(quat_to_matrix(quat_conjugate(q)), np.swapaxes(quat_to_matrix(q), 1, 2), atol=1e-15)
 
 
-def test_powers_multiply_angles() -> None:
-    for exponent in [0.0, 0.25, 1.0, -1.5, 2.0]:
-        for angle in [0.0, 1e-14, 1e-9, 0.7, 3.0, -2.5]:
-            np.testing.assert_allclose(quat_power(turn(angle), np.array(exponent)), turn(exponent * angle), atol=1e-15)
-
-
 @pytest.mark.parametrize("angle", [0.0, 1e-14, 1e-9, 0.7, 3.0, -2.5, 6.0, 9.0, -20.0])
 def test_exponentials_count_turns(angle: float) -> None:
     np.testing.assert_allclose(rotvec_to_quat(AXIS * angle), turn(angle), atol=1e-14)
@@ -109,21 +102,6 @@ def test_exponentials_are_rotations_of_vectors(vector: Float) -> None:
     size = np.linalg.norm(vector)
     if size > 1e-3:
         np.testing.assert_allclose(rotvec_to_quat(vector * (1 + 2 * np.pi / size)), -rotvec_to_quat(vector), atol=1e-12)
-
-
-def test_powers_take_the_shorter_way() -> None:
-    """A turn by 300 degrees is one by 60 the other way round."""
-    np.testing.assert_allclose(quat_power(turn(np.radians(300)), np.array(0.5)), turn(np.radians(-30)), atol=1e-15)
-    half = quat_power(turn(np.pi), np.array(0.5))
-    np.testing.assert_allclose(np.abs(half), np.abs(turn(np.pi / 2)), atol=1e-15)
-
-
-@settings(max_examples=20, deadline=None)
-@given(seed=seeds)
-def test_powers_add_up(seed: int) -> None:
-    q, (a, b) = random(seed, 4), np.random.default_rng(seed).normal(size=(2, 4))
-    both, one = quat_multiply(quat_power(q, a), quat_power(q, b)), quat_power(q, a + b)
-    np.testing.assert_allclose(quat_to_matrix(both), quat_to_matrix(one), atol=1e-13)
 
 
 @pytest.mark.parametrize("step", [10.0, 90.0, 179.0, -45.0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -25,8 +26,12 @@ from scripts.paper_study.common.baselines import (
 from scripts.paper_study.common.damage import apart
 from scripts.paper_study.common.errors import errors
 from scripts.paper_study.common.poses import Poses, between
-from tests.meshes import grid, rotation, topology_of, tube
+from scripts.paper_study.common.record import Results
+from scripts.paper_study.stages import geodesic
+from scripts.paper_study.stages.baselines import compared, page
+from tests.meshes import bar, grid, rotation, topology_of, tube
 
+METHODS = BASELINES | {"geodesic": lambda poses, _: Geodesic(poses)}
 MANY = ("ARAP", "NRIC", "geodesic")
 
 
@@ -50,7 +55,7 @@ def strip_poses(columns: int, angle: float) -> Poses:
 @pytest.mark.parametrize("weight", [0.25, 0.5])
 def test_a_strip_that_is_folded_is_folded_by_the_share(name: str, weight: float) -> None:
     poses = strip_poses(6, 0.5)
-    blend = BASELINES[name](poses, np.zeros(0, dtype=np.int64)).at(between(weight))
+    blend = METHODS[name](poses, np.zeros(0, dtype=np.int64)).at(between(weight))
     found = errors(poses, between(weight), blend.points)
     assert np.abs(found.strain).max() < 1e-5 and np.abs(found.degrees).max() < 1e-3
 
@@ -59,8 +64,8 @@ def test_a_strip_that_is_folded_is_folded_by_the_share(name: str, weight: float)
 def test_blends_do_not_depend_on_how_poses_are_turned(name: str) -> None:
     poses = strip_poses(6, 0.5)
     other = turned(poses, rotation((0.3, -1.9, 1.5)))
-    blends = [BASELINES[name](each, np.zeros(0, dtype=np.int64)).at(between(0.5)).points for each in (poses, other)]
-    assert apart(*blends).max() < 1e-4
+    blends = [METHODS[name](each, np.zeros(0, dtype=np.int64)).at(between(0.5)).points for each in (poses, other)]
+    assert apart(blends[0], blends[1]).max() < 1e-4
 
 
 def test_bones_of_a_skin_turn_by_the_share() -> None:
@@ -76,7 +81,7 @@ def test_bones_of_a_skin_turn_by_the_share() -> None:
     labels = np.zeros(len(mesh[1]), dtype=np.int64)
     sequence = mixseq.MeshSequence.from_arrays(np.stack([pose(a) for a in (0.0, 0.4, 0.8, 1.2)]), mesh[1])
     poses = Poses("lion", (0, 1), frames, sequence, topology_of(mesh))
-    blend = BASELINES["skin"](poses, labels).at(between(0.5))
+    blend = METHODS["skin"](poses, labels).at(between(0.5))
     assert apart(blend.points, pose(0.5)).max() < 5e-3
 
 
@@ -102,14 +107,15 @@ def test_the_membrane_energy_changes_as_its_derivatives_say() -> None:
     a, b = (np.array([[1.0, 1.2, 0.9], [0.5, 0.7, 0.6]]) + 0.1 * rng.random((2, 3)) for _ in range(2))
     move, step = rng.normal(size=a.shape), 1e-6
     _, to_a, to_b = membrane(a, b)
-    for slope, moved in (
-        (to_a, lambda s: membrane(a + s * step * move, b)[0]),
-        (to_b, lambda s: membrane(a, b + s * step * move)[0]),
-    ):
-        assert (moved(1) - moved(-1)) / (2 * step) == pytest.approx(float((slope * move).sum()), abs=1e-8)
-    roots = membrane_roots(a)
-    second = (membrane(a, a + step * move)[2] - membrane(a, a - step * move)[2]) / (2 * step)
-    np.testing.assert_allclose(np.einsum("fij,fkj,fk->fi", roots, roots, move), second, atol=1e-6)
+    by_a = membrane(a + step * move, b)[0] - membrane(a - step * move, b)[0]
+    by_b = membrane(a, b + step * move)[0] - membrane(a, b - step * move)[0]
+    for slope, change in ((to_a, by_a), (to_b, by_b)):
+        assert change / (2 * step) == pytest.approx(float((slope * move).sum()), abs=1e-8)
+    b = 1.001 * a
+    roots, moves = membrane_roots(a, b), rng.normal(size=(2, 6))
+    ends = [np.hstack(membrane(a + t * moves[:, :3], b + t * moves[:, 3:])[1:]) for t in (step, -step)]
+    second = np.einsum("fij,fkj,fk->fi", roots, roots, moves)
+    np.testing.assert_allclose(second, (ends[0] - ends[1]) / (2 * step), atol=5e-3)
     assert ((a @ SIDES) * a).sum(axis=1) == pytest.approx(16 * areas(a) ** 2)
 
 
@@ -140,3 +146,20 @@ def test_elastic_weights_of_a_square() -> None:
     spread = np.where(np.isclose(lengths, lengths.max()), 2, 1) * (lengths.min() ** 2 / 2) / 3
     np.testing.assert_allclose(of_length, np.sqrt(spread) / lengths)
     assert of_angle == pytest.approx(0.5 * lengths.max() / np.sqrt(spread.max()))
+
+
+def test_a_page_has_what_was_compared(tmp_path: Path) -> None:
+    sequence = bar()
+    frames = sequence.points[[0, 2]].astype(np.float64)
+    poses = Poses("lion", (0, 2), frames, sequence, Topology(sequence.faces, sequence.vertex_count))
+    makers = {name: METHODS[name] for name in ("vertices", "ARAP")}
+    found = compared(poses, makers, tmp_path / "picture.png", lambda text: None)
+    assert (tmp_path / "picture.png").exists()
+    assert found["ARAP"]["turned"] < 1e-9 and -1 < found["vertices"]["at"]["0.5"]["volume"] < 0
+    results: Results = {
+        "lion": {"title": "bar", "methods": dict.fromkeys(("ARAP", "skin", "NRIC", "MixIT"), found["ARAP"])}
+    }
+    results["lion"]["placed"] = [1.0, 2.0, 3.0]
+    assert "lengths 1, angles 1;" in page(results)[-1] and "| ARAP | 0.25 |" in page(results)[4]
+    results["lion"]["methods"] |= {"geodesic": found["vertices"]}
+    assert "of *MixIT*; its volumes differ by" in geodesic.page(results)[-1]

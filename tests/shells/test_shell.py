@@ -58,15 +58,6 @@ def test_the_energy_is_half_the_squared_residuals_and_has_its_gradient() -> None
 
 
 @pytest.mark.parametrize("mesh", MESHES)
-def test_lengths_and_angles_are_those_of_the_geometry(mesh: Mesh) -> None:
-    shell, x = shell_of(mesh), shaken(mesh, 0.3)
-    lengths, angles = kernels.lengths_and_angles(x, shell.topology.edges, shell.topology.hinges)
-    expected = measured(shell, x)
-    np.testing.assert_allclose(lengths, expected[0], rtol=1e-14)
-    np.testing.assert_allclose(angles, expected[1], atol=1e-12)
-
-
-@pytest.mark.parametrize("mesh", MESHES)
 def test_vertices_follow_from_sides(mesh: Mesh) -> None:
     x = shaken(mesh, 0.2)
     found = shell_of(mesh).integrate(sides_of(mesh, x), np.zeros_like(x))

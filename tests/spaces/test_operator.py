@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from mixseq.mesh.rotations import matrix_to_quat, quat_multiply, quat_to_matrix
+from mixseq.mesh.rotations import matrix_to_quat, normalise_quat, quat_multiply, quat_to_matrix
 from mixseq.spaces import temporal as module
 from mixseq.spaces.temporal import (
     CANDIDATE_LENGTH_SCALES,
@@ -310,6 +310,35 @@ def test_middles_are_between_frames() -> None:
 
 
 # Poses between frames: closed forms for even turns, and frames that are passed
+
+
+def powers(quaternions: Float, exponents: Float) -> Float:
+    """Matrices ``(n, 3, 3)`` of powers of quaternions ``(n, 4)``, which are chains of two frames."""
+    frames = np.stack([np.broadcast_to([1.0, 0, 0, 0], quaternions.shape), quaternions])
+    weights = FrameWeights(np.tile([0, 1], (len(exponents), 1)), np.stack([1 - exponents, exponents], axis=1), 2)
+    chained = chain_rotations(weights, frames)
+    return quat_to_matrix(chained[np.arange(len(exponents)), np.arange(len(quaternions))])
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.25, 1.0, -1.5, 2.0])
+def test_powers_multiply_angles(exponent: float) -> None:
+    angles = np.array([0.0, 1e-14, 1e-9, 0.7, 3.0, -2.5])
+    found = powers(turns_of(angles)[:, 0], np.full(len(angles), exponent))
+    np.testing.assert_allclose(found, quat_to_matrix(turns_of(exponent * angles)[:, 0]), atol=1e-14)
+
+
+def test_powers_take_the_shorter_way() -> None:
+    """A turn by 300 degrees is one by 60 the other way round, in either sign."""
+    turns = turns_of(np.radians([300.0]))[:, 0] * [[1.0], [-1.0]]
+    np.testing.assert_allclose(powers(turns, np.full(2, 0.5)), [rotation(AXIS * np.radians(-30))] * 2, atol=1e-14)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=seeds)
+def test_powers_add_up(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    q, (a, b) = normalise_quat(random.normal(size=(4, 4))), random.normal(size=(2, 4))
+    np.testing.assert_allclose(powers(q, a) @ powers(q, b), powers(q, a + b), atol=1e-13)
 
 
 @pytest.mark.parametrize("length", CANDIDATE_LENGTH_SCALES)

@@ -234,6 +234,16 @@ def test_a_session(
     eventually(fits)
     keep(page, "view_phone")
 
+    assert page.get_by_role("button", name="Play").bounding_box()["height"] >= 40
+    page.locator(".mixseq-sheet").get_by_text("Curves").click()
+    eventually(page.locator("#mixseq-charts").is_visible)
+    page.wait_for_timeout(500)  # then the fold is kept
+    page.keyboard.press("?")
+    page.get_by_role("dialog").get_by_text("frame by frame").wait_for()
+    page.get_by_role("button", name="Close").click()
+    page.reload()
+    eventually(page.locator("#mixseq-charts").is_visible)
+
     watched.check()  # its console is told of the connection that is lost now
     assert page.locator("#mixseq-ended").is_hidden()
     end()

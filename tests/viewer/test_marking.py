@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from mixseq.retargeting.markers import Markers
 from mixseq.viewer.marking import (
@@ -84,3 +85,13 @@ def test_proposals_are_new() -> None:
         Pair((500, 500)),
         Pair((300, 301)),
     )
+
+
+def test_labels_do_not_collide() -> None:
+    """Seen along z, with squares of size 1: two at one place stand on each other, the third one stays."""
+    pytest.importorskip("viser", reason="the extra viewer is not installed")
+    from mixseq.viewer.live.marking import separate_labels
+
+    points = np.array([[0.0, 0, 0], [0.2, 0.1, 5], [3.0, 0, 0]])
+    placed = separate_labels(points, np.array([0.0, 0, 1]), 1.0)
+    np.testing.assert_allclose(placed, [[0, 0, 0], [0.2, 1, 5], [3, 0, 0]], atol=1e-12)

@@ -41,7 +41,7 @@ def listener() -> Iterator[Listener]:
 
 def test_suggestions_are_accepted_and_skipped(listener: Listener) -> None:
     with MarkingSession(short().mesh, tall().mesh, NOTHING, listener) as session:
-        eventually(lambda: len(session.proposals) >= 8)
+        eventually(lambda: len(session.proposals) >= 8, seconds=240.0)
         first, second, *_ = session.proposals
         session.accept()
         assert session.marking.pairs == (first,)
@@ -115,7 +115,7 @@ def test_what_fails_is_told_and_the_session_goes_on(monkeypatch: pytest.MonkeyPa
     def broken(*_: object) -> None:
         raise ValueError("a bug")
 
-    monkeypatch.setattr("mixseq.viewer.marking.suggest_markers", broken)
+    monkeypatch.setattr("mixseq.viewer.marking.propose_markers", broken)
     listener = Listener()
     with MarkingSession(short().mesh, tall().mesh, NOTHING, listener) as session:
         eventually(lambda: listener.failures)

@@ -54,7 +54,7 @@ class Hand:
         eventually(lambda: page.get_by_text("Software WebGL").count())
         page.locator(".mantine-Notification-closeButton").first.click()
         self.wait_until_still()  # panels dock, and the camera steps back
-        eventually(lambda: len(self.session.proposals) == 8 and self.session._mirrors is not None)
+        eventually(lambda: len(self.session.proposals) >= 8 and self.session._mirrors is not None, seconds=240.0)
 
     def wait_until_still(self) -> None:
         def is_still() -> bool:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ADDRESS = "http://127.0.0.1/"
 
-_KINDS = {".js": "text/javascript", ".html": "text/html", ".json": "application/json"}
+_KINDS = {".css": "text/css", ".js": "text/javascript", ".html": "text/html", ".json": "application/json"}
 
 _SHIM = """
 export const { BufferAttribute, BufferGeometry, GLBufferAttribute, GLTFLoader, Mesh, MeshStandardMaterial,

@@ -31,7 +31,8 @@ THREE = {
       document.head.append(script);
     });
     export const { Box3, BufferAttribute, BufferGeometry, Color, DirectionalLight, GLBufferAttribute, HemisphereLight,
-      Mesh, MeshStandardMaterial, PerspectiveCamera, Scene, Sphere, Vector2, Vector3, WebGLRenderer } = THREE;""",
+      Mesh, MeshStandardMaterial, PerspectiveCamera, PlaneGeometry, Scene, ShaderMaterial, ShadowMaterial, VSMShadowMap,
+      Vector2, Vector3, WebGLRenderer } = THREE;""",
     f"{FOLDER}examples/jsm/loaders/GLTFLoader.js": 'import "three"; export const { GLTFLoader } = globalThis.THREE;',
     f"{FOLDER}examples/jsm/controls/OrbitControls.js": """import { Vector3 } from "three";
     export class OrbitControls {
@@ -62,17 +63,17 @@ def broken(browser: Browser) -> Iterator[Page]:
 
 def said(page: Page) -> str:
     """Return what stands in the middle of a page that has ended loading."""
-    page.wait_for_function("!['', 'Loading ...'].includes(document.querySelector('p').textContent)")
-    assert page.locator("p").is_visible()
-    return page.inner_text("p")
+    page.wait_for_function("!['', 'Loading'].includes(document.querySelector('#message').textContent)")
+    assert page.locator("#message").is_visible()
+    return page.inner_text("#message")
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_pages_play_without_a_network(page: Page, shot: bytes, name: str, keep: Keep) -> None:
     serve(page, {"shot.glb": shot, "three_global.js": three_of_trimesh(), **THREE})
     page.goto(f"{ADDRESS}{name}")
-    page.wait_for_function("parseFloat(document.querySelector('output').textContent) > 0")
-    assert not page.locator("p").is_visible()
+    page.wait_for_function("parseFloat(document.querySelector('output')?.textContent) > 0")
+    assert not page.locator("#message").is_visible()
     keep(page, f"offline-{name}")
 
 
@@ -83,7 +84,7 @@ def test_player_asks_for_nothing_elsewhere(page: Page, shot: bytes) -> None:
     page.goto(f"{ADDRESS}player.html")
     page.wait_for_function("globalThis.shown > 0")
     assert {url for url in asked if not url.startswith(("data:", "blob:"))} == {
-        f"{ADDRESS}{file}" for file in ("player.html", "mixseq.js", "shot.glb")
+        f"{ADDRESS}{file}" for file in ("player.html", "page.css", "page.js", "mixseq.js", "shot.glb")
     }
 
 
@@ -140,7 +141,7 @@ def test_player_says_that_its_module_is_missing(broken: Page, shot: bytes) -> No
     serve(broken, {"shot.glb": shot})
     broken.route(f"{ADDRESS}mixseq.js", lambda route: route.fulfill(status=404))
     broken.goto(f"{ADDRESS}player.html")
-    assert said(broken).startswith("mixseq.js cannot be loaded. Copy all files")
+    assert said(broken).startswith("A file of this page cannot be loaded. Copy all files")
 
 
 @pytest.mark.parametrize("name", NAMES)

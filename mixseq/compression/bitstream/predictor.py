@@ -53,9 +53,9 @@ from mixseq.compression.bitstream.signal_graph import (
     Level,
     SignalGraph,
     coarser_levels,
+    new_neighbours,
     renumber_adjacency,
 )
-from mixseq.mesh.polygons import read_only
 from mixseq.runtime.jit import compiled
 from mixseq.types import Float, Index, Int32
 
@@ -69,9 +69,9 @@ MAX_SLOPE_NEIGHBOURS = 32
 class Stencils(NamedTuple):
     """Neighbours and weights of every node, before any signal is known."""
 
-    neighbours: Index  # (N, MAX_STENCIL_NODES) earlier nodes of every node; only counts[node] entries of a row are used
-    counts: Index  # (N,) number of neighbours of every node
-    weights: Float  # (N, MAX_STENCIL_NODES) rows add up to one
+    neighbours: Int32  # (N, MAX_STENCIL_NODES) earlier nodes of every node; only counts[node] entries of a row are used
+    counts: Int32  # (N,) number of neighbours of every node
+    weights: Float  # (N, MAX_STENCIL_NODES) multiples of 2^-24; rows add up to one
 
 
 _stencil_cache: WeakKeyDictionary[SignalGraph, Stencils] = WeakKeyDictionary()
@@ -80,13 +80,15 @@ _stencil_cache: WeakKeyDictionary[SignalGraph, Stencils] = WeakKeyDictionary()
 def graph_stencils(graph: SignalGraph) -> Stencils:
     """Return the stencils of a graph; graphs over time, and nodes without edges, keep the weights of the graph."""
     if graph not in _stencil_cache:
-        _stencil_cache[graph] = _compute_stencils(graph)
+        stencils = _compute_stencils(graph)
+        kernels.round_weights(stencils.weights)
+        _stencil_cache[graph] = stencils
     return _stencil_cache[graph]
 
 
 def _compute_stencils(graph: SignalGraph) -> Stencils:
     width, shape = graph.neighbours.shape[1], (graph.size, MAX_STENCIL_NODES)
-    stencils = Stencils(np.zeros(shape, dtype=np.int64), graph.counts.copy(), np.zeros(shape))
+    stencils = Stencils(np.zeros(shape, dtype=np.int32), graph.counts.copy(), np.zeros(shape))
     stencils.neighbours[:, :width] = graph.neighbours
     stencils.weights[:, :width] = graph.weights
     if graph.is_over_time:
@@ -94,8 +96,7 @@ def _compute_stencils(graph: SignalGraph) -> Stencils:
     node_of_vertex = np.argsort(graph.order)  # levels have the numbers of vertices
     starts, adjacent = renumber_adjacency(graph.ring_starts, graph.ring, node_of_vertex, graph.order)
     lengths = np.ones(len(adjacent))
-    scratch = np.zeros((graph.size, MAX_NEIGHBOURS), dtype=np.int64), np.zeros(graph.size, dtype=np.int64)
-    for level in coarser_levels(starts, adjacent, *scratch):
+    for level in coarser_levels(starts, adjacent, *new_neighbours(graph.size)):
         new_lengths = _update_lengths(level, lengths)
         _fit_stencils(level, lengths, new_lengths, node_of_vertex, stencils)
         lengths = new_lengths
@@ -229,6 +230,14 @@ UNIFORM_STEP_SIGNALS = 3
 _LARGE_GRAPH_NODES = 1024
 """Number of nodes above which graphs are processed in larger blocks. Free: affects time only."""
 
+MIN_REPLAYED_NODES, MAX_REPLAYED_SIGNALS = 1 << 15, 24
+"""Number of nodes above which Gram matrices are computed again from up to this number of signals, instead of kept.
+Free: affects memory and time only.
+"""
+
+BLOCKS_PER_REPLAY = 64
+"""Number of blocks whose Gram matrices are computed together from known signals. Free: affects time only."""
+
 
 class Predictor:
     """Weights fitted to signals over a graph, coded or decoded one after another.
@@ -246,13 +255,13 @@ class Predictor:
         self.steps = np.full(graph.size, UNITS_PER_STEP)
         self._set_neighbours(*graph_stencils(graph))
 
-    def _set_neighbours(self, neighbours: Index, counts: Index, weights: Float) -> None:
-        """Set the neighbours of nodes, and their initial weights."""
-        self.neighbours = neighbours.astype(np.int32)
-        self.counts = counts.astype(np.int32)
-        self._initial_weights = kernels.round_weights(read_only(weights))  # same type as stencils
-        self.weights = self._initial_weights.copy()
-        self._blocks, self._gram = group_nodes(self.counts)
+    def _set_neighbours(self, neighbours: Int32, counts: Int32, weights: Float) -> None:
+        """Set the neighbours of nodes, and their initial weights, multiples of 2^-24, which are not changed."""
+        self.neighbours, self.counts, self._initial_weights = neighbours, counts, weights
+        self.weights = weights.copy()
+        self._blocks = group_nodes(counts)
+        self._gram: Float | None = None
+        self._learned: list[tuple[Float, Float]] = []  # signals and their trusts that are not yet in the Gram matrices
         self._ridge = 0.0
 
     def finish(self) -> None:
@@ -273,26 +282,46 @@ class Predictor:
             self._next_update = count + max(1, count >> RENEWAL_SHIFT)
 
     def _update_weights(self) -> None:
-        """Add the pending signals to the Gram matrices, and solve for weights."""
-        signals, graph = np.array(self._pending), (self.neighbours, self.counts)
+        """Add the pending signals to the Gram matrices, and solve for weights.
+
+        Matrices of large graphs take over a kilobyte per node, more than a few signals. So they are computed again from
+        these signals, some blocks at a time, with the same bits.
+        """
+        signals = np.array(self._pending) if len(self._pending) > 1 else self._pending[0][None]
+        graph = self.neighbours, self.counts
         ages = np.arange(self._signal_count - len(signals), self._signal_count) // TRUST_DOUBLING_SIGNALS
         trusts = np.ldexp(1.0, np.minimum(ages, _MAX_TRUST_DOUBLINGS))
         roughness = ROUGHNESS_SCALE * UNITS_PER_STEP**2
         trusts *= [kernels.compute_trust(signal, roughness, *graph) for signal in signals]
         self._ridge += RIDGE_PER_SIGNAL * UNITS_PER_STEP**2 * float(trusts.sum())
-        kernels.accumulate_gram(signals, trusts, self._blocks, self.neighbours, self._gram)
-        kernels.solve_weights(self._ridge, self._blocks, self._gram, self._initial_weights, self.weights)
+        self._learned.append((signals, trusts))
         self._pending = []
+        if self._graph.size > MIN_REPLAYED_NODES and self._signal_count <= MAX_REPLAYED_SIGNALS:
+            for start in range(0, len(self._blocks.nodes), BLOCKS_PER_REPLAY):
+                blocks = kernels.Blocks(*(array[start : start + BLOCKS_PER_REPLAY] for array in self._blocks))
+                blocks = blocks._replace(places=blocks.places - blocks.places[0])
+                self._learn(blocks, new_gram(blocks))
+            return
+        self._gram = new_gram(self._blocks) if self._gram is None else self._gram
+        self._learn(self._blocks, self._gram)
+        self._learned = []
+
+    def _learn(self, blocks: kernels.Blocks, gram: Float) -> None:
+        """Add the learned signals to the Gram matrices of blocks, and solve for the weights of their nodes."""
+        for signals, trusts in self._learned:
+            kernels.accumulate_gram(signals, trusts, blocks, self.neighbours, gram)
+        kernels.solve_weights(self._ridge, blocks, gram, self._initial_weights, self.weights)
 
     def _add_similar_nodes(self) -> None:
         """Join every node to the earlier nodes that are most similar in all known signals."""
         graph = self._graph
         most = SIMILAR_FRAMES if graph.is_over_time else SIMILAR_VERTICES
         similar, counts = np.zeros((graph.size, most), dtype=np.int32), np.zeros(graph.size, dtype=np.int32)
-        sources = graph.neighbours.astype(np.int32), graph.counts.astype(np.int32)
+        sources = graph.neighbours, graph.counts
         kernels.find_similar_nodes(np.array(self._signals), *sources, EXHAUSTIVE_SEARCH_NODES, similar, counts)
-        joined = graph.with_extra_neighbours(similar, counts)
-        self._set_neighbours(joined.neighbours, joined.counts, joined.weights)
+        neighbours, counts, weights = graph.with_extra_neighbours(similar, counts)
+        kernels.round_weights(weights)
+        self._set_neighbours(neighbours, counts, weights)
         self._pending, self._signals = self._signals, []
 
 
@@ -307,8 +336,8 @@ def level_steps(size: int) -> Index:
     return steps
 
 
-def group_nodes(counts: Int32) -> tuple[kernels.Blocks, Float]:
-    """Return blocks of nodes with equal neighbour counts ``(N,)``, and their Gram matrices, filled with zeros.
+def group_nodes(counts: Int32) -> kernels.Blocks:
+    """Return blocks of nodes with equal neighbour counts ``(N,)``.
 
     Nodes with fewer than two neighbours have fixed weights, and no block. Partial blocks repeat their last node.
     """
@@ -320,8 +349,17 @@ def group_nodes(counts: Int32) -> tuple[kernels.Blocks, Float]:
         filled = np.minimum(np.arange(rows * lanes), len(nodes) - 1)
         blocks.append(nodes[filled].reshape(rows, lanes).astype(np.int32))
         block_counts += rows * [count]
-    sizes = np.array(block_counts, dtype=np.int64)
-    entries = sizes * (sizes + 1) // 2 - 1
-    places = np.cumsum(entries) - entries
-    gram = np.zeros((int(entries.sum()), lanes))
-    return kernels.Blocks(np.concatenate(blocks), sizes.astype(np.int32), places), gram
+    sizes = np.array(block_counts, dtype=np.int32)
+    entries = _gram_entries(sizes)
+    return kernels.Blocks(np.concatenate(blocks), sizes, np.cumsum(entries) - entries)
+
+
+def new_gram(blocks: kernels.Blocks) -> Float:
+    """Return the Gram matrices of blocks, filled with zeros."""
+    return np.zeros((int(_gram_entries(blocks.counts).sum()), blocks.nodes.shape[1]))
+
+
+def _gram_entries(counts: Int32) -> Index:
+    """Return the numbers of entries of Gram matrices and right sides of blocks, by numbers of neighbours ``(B,)``."""
+    sizes = counts.astype(np.int64)
+    return sizes * (sizes + 1) // 2 - 1

@@ -67,10 +67,10 @@ def predict(node: int, neighbours: Int32, counts: Int32, weights: Float, values:
     return math.floor(total)
 
 
-@compiled
-def round_weights(weights: Float) -> Float:
-    """Return weights ``(N, n)``, rounded to multiples of 2^-24."""
-    return (weights + _ROUNDING_OFFSET) - _ROUNDING_OFFSET
+def round_weights(weights: Float) -> None:
+    """Round weights ``(N, n)`` to multiples of 2^-24, in place."""
+    weights += _ROUNDING_OFFSET
+    weights -= _ROUNDING_OFFSET
 
 
 @compiled

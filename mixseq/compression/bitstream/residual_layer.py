@@ -38,7 +38,7 @@ from mixseq.errors import FormatError
 from mixseq.runtime.jit import compiled, force_inlined
 from mixseq.runtime.lazy import PickledWithoutCaches
 from mixseq.runtime.parallel import two_thread_executor
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, Int32
 
 CONTEXTS_PER_BIT, CONTEXT_VALUES = 3, 3 * NEIGHBOUR_COUNTS * NEIGHBOUR_COUNTS
 """Number of contexts of a bit, and number of values of each. Frozen: breaks old files."""
@@ -54,9 +54,9 @@ POSITION_COUNT = 4 + _MAX_MODELLED_NUMBER
 def code_residuals(
     stream: BitStream,
     models: BitModels,
-    neighbours: Index,
-    counts: Index,
-    ring: Index,
+    neighbours: Int32,
+    counts: Int32,
+    ring: Int32,
     starts: Index,
     last: Index,
     numbers: Index,
@@ -277,5 +277,5 @@ def _new_models() -> BitModels:
     return new_bit_models(CONTEXTS_PER_BIT, CONTEXT_VALUES, POSITION_COUNT)
 
 
-def _graph_arrays(graph: SignalGraph) -> tuple[Index, Index, Index, Index]:
+def _graph_arrays(graph: SignalGraph) -> tuple[Int32, Int32, Int32, Index]:
     return graph.neighbours, graph.counts, graph.ring, graph.ring_starts

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from mixseq.mesh.polygons import read_only
 from mixseq.runtime.jit import compiled
-from mixseq.types import Float, Index, Mask
+from mixseq.types import Float, Index, Int32, Mask
 
 MAX_NEIGHBOURS = 12
 """Largest number of neighbours that predict a node. Frozen: breaks old files."""
@@ -40,7 +40,7 @@ _HUB_DEGREE_RATIO = 32
 
 
 @compiled
-def update_adjacency(starts: Index, adjacent: Index, remaining_mask: Mask, new_edges: Index) -> tuple[Index, Index]:
+def update_adjacency(starts: Index, adjacent: Int32, remaining_mask: Mask, new_edges: Int32) -> tuple[Index, Int32]:
     """Return the adjacency of the remaining nodes ``(N,)`` of a graph, with new edges ``(E, 2)``.
 
     The neighbours of a node are ``adjacent[starts[node] : starts[node + 1]]``, ascending and unique, with starts
@@ -84,7 +84,7 @@ def update_adjacency(starts: Index, adjacent: Index, remaining_mask: Mask, new_e
     new_starts = np.zeros(count + 1, dtype=np.int64)
     for node in range(count):
         new_starts[node + 1] = new_starts[node] + ends[node] - rows[node]
-    new_adjacent = np.empty(new_starts[count], dtype=np.int64)
+    new_adjacent = np.empty(new_starts[count], dtype=np.int32)
     for node in range(count):
         for i in range(new_starts[node + 1] - new_starts[node]):
             new_adjacent[new_starts[node] + i] = ascending[rows[node] + i]
@@ -92,10 +92,10 @@ def update_adjacency(starts: Index, adjacent: Index, remaining_mask: Mask, new_e
 
 
 @compiled
-def renumber_adjacency(starts: Index, adjacent: Index, order: Index, inverse: Index) -> tuple[Index, Index]:
+def renumber_adjacency(starts: Index, adjacent: Int32, order: Index, inverse: Index) -> tuple[Index, Int32]:
     """Return the adjacency of nodes renumbered by `order` ``(N,)``: node i becomes ``inverse[i]``."""
     new_starts = np.empty(len(order) + 1, dtype=np.int64)
-    new_adjacent = np.empty(len(adjacent), dtype=np.int64)
+    new_adjacent = np.empty(len(adjacent), dtype=np.int32)
     count = 0
     for new, node in enumerate(order):
         new_starts[new] = count
@@ -107,7 +107,7 @@ def renumber_adjacency(starts: Index, adjacent: Index, order: Index, inverse: In
 
 
 @compiled
-def find_independent_nodes(nodes: Index, starts: Index, adjacent: Index, min_degree: int, max_degree: int) -> Index:
+def find_independent_nodes(nodes: Index, starts: Index, adjacent: Int32, min_degree: int, max_degree: int) -> Index:
     """Return nodes with at most `max_degree` neighbours, of which no two are adjacent, by increasing degree.
 
     `nodes` ``(n,)`` int64 have `min_degree` or more neighbours; nodes of equal degree keep their order.
@@ -127,7 +127,7 @@ def find_independent_nodes(nodes: Index, starts: Index, adjacent: Index, min_deg
 
 
 @compiled
-def collapse_nodes(removed: Index, starts: Index, adjacent: Index, neighbours: Index, counts: Index) -> Index:
+def collapse_nodes(removed: Index, starts: Index, adjacent: Int32, neighbours: Int32, counts: Int32) -> Int32:
     """Write neighbours ``(N, n)`` and counts ``(N,)`` of removed nodes; return edges ``(E, 2)`` that close the holes.
 
     A node is collapsed onto the neighbour that is adjacent to most of its neighbours; ties go to the lowest degree.
@@ -135,8 +135,8 @@ def collapse_nodes(removed: Index, starts: Index, adjacent: Index, neighbours: I
     size = 0
     for node in removed:
         size += starts[node + 1] - starts[node]
-    edges = np.empty((size, 2), dtype=np.int64)
-    mark = np.full(len(starts) - 1, -1, dtype=np.int64)
+    edges = np.empty((size, 2), dtype=np.int32)
+    mark = np.full(len(starts) - 1, -1, dtype=np.int32)
     count = 0
     for node in removed:
         first, last = starts[node], starts[node + 1]
@@ -181,15 +181,14 @@ class SignalGraph:
     """Nodes in coding order, and the earlier nodes that predict each node; node numbers refer to this order."""
 
     order: Index  # (N,) vertex, or frame, of every node, coarse to fine
-    neighbours: Index  # (N, n) earlier nodes that predict every node
-    counts: Index  # (N,) number of neighbours of every node
-    weights: Float  # (N, n) initial weights of the neighbours; rows add up to one
-    ring: Index  # (R,) all nodes adjacent to every node, earlier and later, row by row
+    neighbours: Int32  # (N, n) earlier nodes that predict every node
+    counts: Int32  # (N,) number of neighbours of every node
+    ring: Int32  # (R,) all nodes adjacent to every node, earlier and later, row by row
     ring_starts: Index  # (N + 1,) row offsets of ring: ring[ring_starts[i] : ring_starts[i + 1]] of node i
-    is_over_time: bool = False  # whether nodes are frames, not vertices
+    time_weights: Float | None = None  # (N, n) initial weights of the neighbours of frames; rows add up to one
 
     def __post_init__(self) -> None:
-        for name in ("order", "neighbours", "counts", "weights", "ring", "ring_starts"):
+        for name in ("order", "neighbours", "counts", "ring", "ring_starts"):
             # numba would compile again for writable arrays, which have another type.
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
@@ -198,21 +197,34 @@ class SignalGraph:
         """Number N of nodes."""
         return len(self.order)
 
-    def with_extra_neighbours(self, nodes: NDArray[np.integer], sizes: NDArray[np.integer]) -> SignalGraph:
-        """Return the graph with extra neighbours ``(N, k)`` of initial weight zero: ``sizes[i]`` for node i."""
+    @property
+    def is_over_time(self) -> bool:
+        """Whether nodes are frames, not vertices."""
+        return self.time_weights is not None
+
+    @property
+    def weights(self) -> Float:
+        """Initial weights ``(N, n)`` of the neighbours; those of a vertex have the same weight."""
+        if self.time_weights is not None:
+            return self.time_weights
+        is_neighbour = np.arange(self.neighbours.shape[1]) < self.counts[:, None]
+        return np.asarray(is_neighbour / np.maximum(self.counts, 1)[:, None])
+
+    def with_extra_neighbours(self, nodes: Int32, sizes: Int32) -> tuple[Int32, Int32, Float]:
+        """Return neighbours, counts and weights with extra neighbours ``(N, k)`` of weight zero: ``sizes[i]`` of i."""
         neighbours = np.concatenate([self.neighbours, np.zeros_like(nodes)], axis=1)
         for i in range(nodes.shape[1]):
             node_ids = np.flatnonzero(sizes > i)
             neighbours[node_ids, self.counts[node_ids] + i] = nodes[node_ids, i]
-        weights = np.concatenate([self.weights, np.zeros((self.size, nodes.shape[1]))], axis=1)
-        return replace(self, neighbours=neighbours, counts=self.counts + sizes, weights=weights)
+        weights = np.zeros(neighbours.shape)
+        weights[:, : self.neighbours.shape[1]] = self.weights
+        return neighbours, self.counts + sizes, weights
 
 
 def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
     """Return the graph of the vertices and edges of a mesh with faces ``(F, 3)``."""
     ring_starts, ring = mesh_neighbours(faces, vertex_count)
-    neighbours = np.zeros((vertex_count, MAX_NEIGHBOURS), dtype=np.int64)
-    counts = np.zeros(vertex_count, dtype=np.int64)
+    neighbours, counts = new_neighbours(vertex_count)
     levels = [level.removed for level in coarser_levels(ring_starts, ring, neighbours, counts)]
     root_mask = np.ones(vertex_count, dtype=bool)
     for removed in levels:
@@ -226,30 +238,35 @@ def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
     return _order_graph([roots, *levels[::-1]], neighbours, counts, ring, ring_starts)
 
 
+def new_neighbours(node_count: int) -> tuple[Int32, Int32]:
+    """Return zeros for the neighbours ``(N, MAX_NEIGHBOURS)`` and counts ``(N,)`` that `coarser_levels` writes."""
+    return np.zeros((node_count, MAX_NEIGHBOURS), dtype=np.int32), np.zeros(node_count, dtype=np.int32)
+
+
 class Level(NamedTuple):
     """Nodes removed together, and the graphs of N nodes before and after; after removal, nodes have no edges."""
 
     removed: Index  # (n,) removed nodes
     starts: Index  # (N + 1,) row offsets of the graph before, see update_adjacency
-    adjacent: Index  # (2 E,) neighbours in the graph before, row by row
-    new_edges: Index  # (n', 2) edges that close the holes; some are repeated, or exist already
+    adjacent: Int32  # (2 E,) neighbours in the graph before, row by row
+    new_edges: Int32  # (n', 2) edges that close the holes; some are repeated, or exist already
     new_starts: Index  # (N + 1,) row offsets of the graph after
-    new_adjacent: Index  # (2 E',) neighbours in the graph after, row by row
+    new_adjacent: Int32  # (2 E',) neighbours in the graph after, row by row
 
 
-def mesh_neighbours(faces: NDArray[np.integer], vertex_count: int) -> tuple[Index, Index]:
+def mesh_neighbours(faces: NDArray[np.integer], vertex_count: int) -> tuple[Index, Int32]:
     """Return the adjacency of the vertices of triangles ``(F, 3)``, in the format of `update_adjacency`."""
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1)
-    return edge_neighbours(edges.reshape(-1, 2).astype(np.int64), vertex_count)
+    return edge_neighbours(edges.reshape(-1, 2).astype(np.int32, copy=False), vertex_count)
 
 
-def edge_neighbours(edges: Index, count: int) -> tuple[Index, Index]:
+def edge_neighbours(edges: Int32, count: int) -> tuple[Index, Int32]:
     """Return the adjacency of `count` nodes with edges ``(E, 2)``, in the format of `update_adjacency`."""
-    empty = np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    empty = np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.int32)
     return update_adjacency(*empty, np.ones(count, dtype=bool), edges)
 
 
-def coarser_levels(starts: Index, adjacent: Index, neighbours: Index, counts: Index) -> Iterator[Level]:
+def coarser_levels(starts: Index, adjacent: Int32, neighbours: Int32, counts: Int32) -> Iterator[Level]:
     """Remove nodes of a graph until no edge remains, and yield the levels, fine to coarse.
 
     `starts` ``(N + 1,)`` and `adjacent` ``(2 E,)`` have the format of `update_adjacency`. Rows of removed nodes are
@@ -275,8 +292,8 @@ def path_graph(count: int) -> SignalGraph:
     A frame is predicted from up to two known frames before it and two after it, and from the nearest other known
     frames. Initial weights come from the polynomial through the former (Lagrange); the latter have weight zero.
     """
-    neighbours = np.zeros((count, 6), dtype=np.int64)
-    counts = np.zeros(count, dtype=np.int64)
+    neighbours = np.zeros((count, 6), dtype=np.int32)
+    counts = np.zeros(count, dtype=np.int32)
     weights = np.zeros((count, 6))
     known = np.unique([0, count - 1])
     levels = [known]
@@ -305,10 +322,11 @@ def path_graph(count: int) -> SignalGraph:
         weights[new] = np.take_along_axis(all_weights, kept, 1)
         known = np.union1d(known, new)
         levels.append(new)
-    frames = np.arange(count)
+    frames = np.arange(count, dtype=np.int32)
     pairs = np.stack([frames[:-1], frames[1:]], axis=1)
     ring_starts, ring = edge_neighbours(pairs, count)
-    return replace(_order_graph(levels, neighbours, counts, ring, ring_starts, weights), is_over_time=True)
+    graph = _order_graph(levels, neighbours, counts, ring, ring_starts)
+    return replace(graph, time_weights=read_only(weights[graph.order]))
 
 
 def _take(nodes: Index, ids: Index) -> tuple[Index, Mask]:
@@ -328,25 +346,13 @@ def _lagrange_weights(nodes: Index, mask: Mask, at: Index) -> Float:
     return weights
 
 
-def _order_graph(
-    levels: list[Index],
-    neighbours: Index,
-    counts: Index,
-    ring: Index,
-    ring_starts: Index,
-    weights: Float | None = None,
-) -> SignalGraph:
-    """Return a graph with nodes in coding order, from arrays with the numbers of vertices or frames.
-
-    Without weights, all neighbours of a node have the same weight.
-    """
+def _order_graph(levels: list[Index], neighbours: Int32, counts: Int32, ring: Int32, ring_starts: Index) -> SignalGraph:
+    """Return a graph with nodes in coding order, from arrays with the numbers of vertices or frames."""
     order = np.concatenate(levels)
     inverse = np.argsort(order)
     # Read-only like the arrays of stencils, so that numba compiles only once.
     starts, ring = renumber_adjacency(read_only(ring_starts), read_only(ring), order, read_only(inverse))
     counts = counts[order]
-    neighbour_mask = np.arange(neighbours.shape[1]) < counts[:, None]
-    neighbours = inverse[neighbours[order]]  # a tenth of a gigabyte for a million vertices
-    neighbours[~neighbour_mask] = 0
-    weights = neighbour_mask / np.maximum(counts, 1)[:, None] if weights is None else weights[order]
-    return SignalGraph(order, neighbours, counts, weights, ring, starts)
+    neighbours = inverse.astype(np.int32)[neighbours[order]]
+    neighbours[np.arange(neighbours.shape[1]) >= counts[:, None]] = 0
+    return SignalGraph(order, neighbours, counts, ring, starts)

@@ -49,10 +49,10 @@ from mixseq.compression.bitstream.arithmetic import (
 from mixseq.compression.bitstream.signal_coder import Reader, SignalCoder, Writer, new_number_models
 from mixseq.compression.bitstream.signal_graph import NEIGHBOUR_COUNTS, SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
-from mixseq.mesh.topology_kernels import number_pairs, sort_by_key
+from mixseq.mesh.topology_kernels import number_pairs, pair_sides
 from mixseq.runtime.jit import compiled
 from mixseq.runtime.parallel import two_thread_executor
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, Int32
 
 MAX_PARTS = 128
 """Largest number of parts of a mesh. Frozen: files with more parts are refused."""
@@ -110,12 +110,12 @@ def label_vertices(labels: Index, faces: NDArray[np.integer], vertex_count: int)
 
 def _face_graph(faces: NDArray[np.integer]) -> SignalGraph:
     """Return the graph of triangles ``(F, 3)`` that share an edge with exactly one other triangle."""
-    start, end = faces.reshape(-1).astype(np.int32), faces[:, [1, 2, 0]].reshape(-1).astype(np.int32)
-    vertex_count = int(start.max(initial=-1)) + 1
-    edges, edge_ids = number_pairs(np.minimum(start, end), np.maximum(start, end), vertex_count)
-    by_edge = sort_by_key(edge_ids, np.arange(len(edge_ids), dtype=np.int32), len(edges))
-    is_shared = np.bincount(edge_ids) == 2
-    pairs = by_edge[is_shared[edge_ids[by_edge]]].astype(np.int64).reshape(-1, 2) // 3
+    starts = faces.astype(np.int32).reshape(-1)
+    ends = np.roll(faces, -1, axis=1).astype(np.int32).reshape(-1)
+    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
+    edges, edge_ids = number_pairs(low, high, int(high.max(initial=-1)) + 1)
+    sides = pair_sides(edge_ids, len(edges))
+    pairs = sides[np.bincount(edge_ids)[edge_ids[sides[:, 0]]] == 2] // 3
     return mesh_graph(pairs[:, [0, 1, 1]], len(faces))
 
 
@@ -124,7 +124,7 @@ def _new_label_models() -> BitModels:
 
 
 @compiled
-def _code_labels(stream: BitStream, models: BitModels, labels: Index, neighbours: Index, counts: Index) -> None:
+def _code_labels(stream: BitStream, models: BitModels, labels: Index, neighbours: Int32, counts: Int32) -> None:
     """Write or read the labels ``(N,)`` of nodes."""
     state, votes = load_state(stream), np.zeros(1 << _LABEL_BITS, dtype=np.int64)
     for node in range(len(labels)):

@@ -24,11 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.compression.bitstream.signal_graph import (
-    MAX_NEIGHBOURS,
     SignalGraph,
     coarser_levels,
     mesh_graph,
     mesh_neighbours,
+    new_neighbours,
 )
 from mixseq.compression.bitstream.spatial_basis import BasisKind
 from mixseq.compression.encoder.components import (
@@ -48,8 +48,7 @@ def coarsen_mesh(faces: NDArray[np.integer], vertex_count: int, max_vertices: in
     """Remove levels of vertices of a mesh ``(F, 3)``; return the vertices ``(n,)`` and edges ``(E, 3)`` that remain."""
     starts, adjacent = mesh_neighbours(faces, vertex_count)
     remaining_mask = np.ones(vertex_count, dtype=bool)
-    scratch = np.zeros((vertex_count, MAX_NEIGHBOURS), dtype=np.int64), np.zeros(vertex_count, dtype=np.int64)
-    for level in coarser_levels(starts, adjacent, *scratch):
+    for level in coarser_levels(starts, adjacent, *new_neighbours(vertex_count)):
         remaining_mask[level.removed] = False
         starts, adjacent = level.new_starts, level.new_adjacent
         if np.count_nonzero(remaining_mask) <= max_vertices:

@@ -18,13 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.mesh.measures import clamp_lengths, edge_lengths
+from mixseq.mesh.measures import clamp_lengths, dihedral_angles, edge_lengths
 from mixseq.mesh.rigid import kabsch
 from mixseq.mesh.rotations import matrix_to_quat, quat_conjugate, quat_multiply, quat_to_matrix
 from mixseq.mesh.topology import Topology, connected_components
 from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.shells.face_frames import FrameGraph, bridging_mask, flat_triangles, rotate_sides, triangle_frames
-from mixseq.shells.kernels import lengths_and_angles
 from mixseq.shells.shell import ZERO_AREA_HEIGHT_RATIO, Relaxed, Shell
 from mixseq.types import Float, Index, Mask
 
@@ -143,7 +142,8 @@ class Assembly(PickledWithoutCaches):
 
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:
         """Return target lengths ``(E,)`` and angles ``(H,)`` of all edges and hinges."""
-        lengths, angles = lengths_and_angles(frame.rest_vertices, self.topology.edges, self.topology.hinges)
+        lengths = edge_lengths(frame.rest_vertices, self.topology.edges)
+        angles = dihedral_angles(frame.rest_vertices, self.topology.hinges)
         lengths[self.edge_ids] = clamp_lengths(frame.lengths, self.shell.length_weights[self.edge_ids])
         angles[self.hinge_ids] = frame.angles
         return lengths, angles

@@ -173,8 +173,7 @@ def _limit_joint_faces(space: MixedSpace, errors: Float) -> Mask:
 
 def faces_without_area(topology: Topology, frames: FloatArray) -> Mask:
     """Mark the faces ``(F,)`` that are degenerate in any of the frames ``(S, V, 3)``."""
-    flat = [degenerate_faces(frame.astype(np.float64), topology.faces, MIN_HEIGHT_RATIO) for frame in frames]
-    return np.asarray(np.any(flat, axis=0))
+    return np.asarray(degenerate_faces(frames, topology.faces, MIN_HEIGHT_RATIO).any(axis=0))
 
 
 def faces_at_winding_hinges(topology: Topology, frames: FloatArray) -> Mask:
@@ -182,8 +181,8 @@ def faces_at_winding_hinges(topology: Topology, frames: FloatArray) -> Mask:
     winding = np.zeros(len(topology.faces), dtype=bool)
     for block in element_blocks(len(topology.hinge_faces)):
         hinges = topology.hinges_at(block)
-        corners = np.arange(hinges.size).reshape(hinges.shape)
-        angles = [dihedral_angles(frame[hinges.reshape(-1)].astype(np.float64), corners) for frame in frames]
+        corners = np.arange(hinges.size, dtype=np.int32).reshape(hinges.shape)
+        angles = [dihedral_angles(frame[hinges.reshape(-1)], corners) for frame in frames]
         winding[topology.hinge_faces[block][np.ptp(angles, axis=0) > np.pi]] = True
     return winding
 
@@ -206,9 +205,7 @@ def midpoint_errors(space: MixedSpace, pairs: Iterable[FloatArray], stretch: flo
     errors = np.zeros(len(topology.faces))
     for pair in pairs:
         midpoint = _skinned_midpoint(space, pair)
-        blocks = element_blocks(len(topology.edges))
-        edge_errors = np.concatenate([_length_errors(midpoint, pair, topology.edges[block]) for block in blocks])
-        edge_errors /= stretch
+        edge_errors = _length_errors(midpoint, pair, topology.edges) / stretch
         for side in topology.face_edges.T:
             np.maximum(errors, edge_errors[side], out=errors)
         for block in element_blocks(len(topology.hinge_faces)):
@@ -250,13 +247,13 @@ def _linear_midpoint(space: MixedSpace, pair: FloatArray) -> Float:
 
 def _length_errors(midpoint: Float, pair: FloatArray, edges: NDArray[np.integer]) -> Float:
     """Return relative errors ``(E,)`` of lengths against the means of two frames."""
-    expected = edge_lengths(pair.astype(np.float64), edges).mean(axis=0)
+    expected = edge_lengths(pair, edges).mean(axis=0)
     errors = np.abs(edge_lengths(midpoint, edges) - expected)
     return np.asarray(np.divide(errors, expected, out=np.zeros_like(errors), where=expected > 0))
 
 
 def _angle_errors(midpoint: Float, pair: FloatArray, hinges: NDArray[np.integer]) -> Float:
     """Return errors ``(H,)`` of angles, in degrees, against the means of two frames."""
-    first, second = dihedral_angles(pair.astype(np.float64), hinges)
+    first, second = dihedral_angles(pair, hinges)
     expected = first + 0.5 * wrap_angles(second - first)
     return np.degrees(np.abs(wrap_angles(dihedral_angles(midpoint, hinges) - expected)))

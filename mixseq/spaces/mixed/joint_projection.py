@@ -28,12 +28,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.mesh.measures import edge_lengths, wrap_angles
+from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.jit import compiled, inlined
 from mixseq.runtime.lazy import PickledWithoutCaches, cached_property
 from mixseq.shells.face_frames import MIN_SIDE_LENGTH, HingeFrames, averaging_right_side, multiply, multiply_inverse_by
-from mixseq.shells.kernels import lengths_and_angles
 from mixseq.shells.shell import Shell
 from mixseq.shells.solvers import Factor, factorise_laplacian, index_of
 from mixseq.types import Float, Index, Mask
@@ -453,7 +452,7 @@ class JointProjection(PickledWithoutCaches):
     def mesh_targets(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, Float]:
         """Return lengths ``(E,)`` and angles ``(H,)`` of the mesh: targets at joints, skinned values elsewhere."""
         topology = self.topology
-        all_lengths, all_angles = lengths_and_angles(x, topology.edges, topology.hinges)
+        all_lengths, all_angles = edge_lengths(x, topology.edges), dihedral_angles(x, topology.hinges)
         quality = triangle_quality(flatten_triangles(all_lengths, topology.face_edges.astype(np.int64)))
         weights = quality[topology.hinge_faces[self.hinge_ids]].prod(axis=1)
         all_angles[self.hinge_ids] += weights * wrap_angles(angles - all_angles[self.hinge_ids])

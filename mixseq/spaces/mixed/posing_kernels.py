@@ -1,4 +1,4 @@
-"""Compiled inner loops that reconcile part poses, compute motions of parts, and skin a mesh.
+"""Compiled inner loops that chain rotations, reconcile part poses, compute motions of parts, and skin a mesh.
 
 Skinning blends dual quaternions. Quaternions are (w, x, y, z), inputs of any length, results of unit length; positions
 are in diagonals. Arrays are real or complex, for derivatives by a complex step
@@ -7,10 +7,12 @@ are in diagonals. Arrays are real or complex, for derivatives by a complex step
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mixseq.runtime.jit import compiled, inlined
-from mixseq.shells.face_frames import multiply, multiply_by_inverse
+from mixseq.shells.face_frames import multiply, multiply_by_inverse, multiply_inverse_by
 from mixseq.types import Float, Index, Int32
 
 PART_AVERAGING_ROUNDS = 2
@@ -45,6 +47,36 @@ def _normalise(q: Float) -> None:
             q[i] *= inverse
     else:
         q[0] += 1.0
+
+
+EXPONENT_TOLERANCE = 1e-12
+"""Distance to 0 or 1 below which exponents of rotations are rounded."""
+
+
+@compiled
+def multiply_powers(rotations: Float, frame_ids: Index, exponents: Float, result: Float) -> None:
+    """Write products ``(N, p, 4)`` of rotations ``(T, p, 4)`` and of powers ``(N, m)`` of the steps between frames."""
+    step, total, product = np.empty(4), np.empty(4), np.empty(4)
+    for n in range(len(frame_ids)):
+        for part in range(rotations.shape[1]):
+            total[:] = rotations[frame_ids[n, 0], part]
+            for k in range(1, frame_ids.shape[1]):
+                exponent, current = exponents[n, k], rotations[frame_ids[n, k], part]
+                if abs(exponent - 1.0) < EXPONENT_TOLERANCE:
+                    total[:] = current  # all preceding exponents are one, too
+                elif abs(exponent) >= EXPONENT_TOLERANCE:
+                    multiply_inverse_by(rotations[frame_ids[n, k - 1], part], current, step)
+                    sine = math.sqrt(step[1] ** 2 + step[2] ** 2 + step[3] ** 2)
+                    sign = -1.0 if step[0] <= 0.0 else 1.0  # of the quaternion with an angle of at most pi
+                    angle = exponent * math.atan2(sine, sign * step[0])
+                    # The ratio of the sines approaches the exponent for small angles.
+                    ratio = sign * (math.sin(angle) / sine if sine > 1e-12 else exponent)
+                    step[0] = math.cos(angle)
+                    for i in range(1, 4):
+                        step[i] *= ratio
+                    multiply(total, step, product)
+                    total[:] = product
+            result[n, part] = total
 
 
 @compiled

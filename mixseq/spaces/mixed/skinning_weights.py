@@ -83,6 +83,40 @@ def fit_weights(
                             weights[v, b] -= step
 
 
+@compiled
+def add_motion_errors(
+    turns: Float,
+    shifts: Float,
+    rest: Float,
+    posed: Float,
+    parts: Index,
+    weights: Float,
+    products: Float,
+    variances: Float,
+) -> None:
+    """Add the errors of a frame ``(n, 3)`` by the motions of parts ``(p, 3, 3), (p, 3)`` from rest ``(n, 3)``.
+
+    Products ``(n, k, k)`` of errors are those of `fit_weights`; variances ``(n,)`` are weighted, as are their means.
+    """
+    errors, mean = np.empty((parts.shape[1], 3)), np.empty(3)
+    for v in range(len(parts)):
+        count = 0
+        mean[:] = 0.0
+        while count < parts.shape[1] and parts[v, count] >= 0:
+            part = parts[v, count]
+            for i in range(3):
+                moved = turns[part, i, 0] * rest[v, 0] + turns[part, i, 1] * rest[v, 1] + turns[part, i, 2] * rest[v, 2]
+                errors[count, i] = moved + shifts[part, i] - posed[v, i]
+                mean[i] += weights[v, count] * errors[count, i]
+            count += 1
+        for a in range(count):
+            for i in range(3):
+                variances[v] += weights[v, a] * (errors[a, i] - mean[i]) ** 2
+            for b in range(count):
+                for i in range(3):
+                    products[v, a, b] += errors[a, i] * errors[b, i]
+
+
 INFLUENCE_RINGS = 6.0
 """Radius of influence of parts in rings of edges; chosen empirically, as are the next constants (docs/between.md)."""
 
@@ -130,12 +164,8 @@ def fit_skinning_weights(
             rotations, centres = register_parts(shapes, decomposition.parts, x)
             turns = rotations @ np.swapaxes(rest_rotations, 1, 2)
             shifts = centres - rotate_vectors(turns, rest_centres)
-            at_rest, posed = reference[fitted[blended]], x[fitted[blended]]
-            errors = rotate_vectors(turns[parts[blended]], at_rest[:, None]) + shifts[parts[blended]] - posed[:, None]
-            products += errors @ np.swapaxes(errors, 1, 2)
-            mean_errors = np.einsum("nk,nki->ni", weights[blended], errors)
-            squares = np.square(errors - mean_errors[:, None]).sum(axis=2)
-            variances += np.einsum("nk,nk->n", weights[blended], squares)
+            positions = reference[fitted[blended]], x[fitted[blended]]
+            add_motion_errors(turns, shifts, *positions, parts[blended], weights[blended], products, variances)
         smoothness = SMOOTHNESS_WEIGHT * variances + MOTION_NOISE * len(frames)
         fit_weights(blended, parts, weights, products, smoothness, graph.indptr, graph.indices, GAUSS_SEIDEL_SWEEPS)
     weights[weights < MIN_WEIGHT] = 0.0

@@ -46,6 +46,30 @@ SELECTED_SCALE = 1.6
 
 PROPOSAL_COLOUR = (40, 40, 40)
 
+LABEL_SIZE_RATIO = 6.0
+"""Width and height of the room of a label, in radii of a ball."""
+
+MAX_LABEL_TURN_DEGREES = 10.0
+"""Rotation of the camera beyond which labels are placed again."""
+
+
+def separate_labels(points: Float, towards: Float, size: float) -> Float:
+    """Move label positions ``(n, 3)`` up the screen apart, as seen from a direction ``(3,)``."""
+    right = np.cross([0.0, 1.0, 0.0], towards)
+    if np.linalg.norm(right) < 1e-3:  # from straight above
+        right = np.array([1.0, 0.0, 0.0])
+    right = right / np.linalg.norm(right)
+    up = np.cross(towards, right)
+    across, heights = points @ right, points @ up
+    placed: list[int] = []
+    for row in np.lexsort((across, heights)):
+        while below := [
+            k for k in placed if max(abs(across[k] - across[row]), abs(heights[k] - heights[row])) < 0.999 * size
+        ]:
+            heights[row] = heights[below].max() + size
+        placed.append(int(row))
+    return np.asarray(points + (heights - points @ up)[:, None] * up)
+
 
 def pair_colour(number: int) -> tuple[int, int, int]:
     """Return the colour of a pair, given its number counted from 0."""
@@ -87,6 +111,7 @@ class MarkingStage:
         self._on_click = on_click
         self._topologies = topologies
         self._radius = BALL_RADIUS_RATIO * MAX_BALL_DISTANCE
+        self._towards: Float = np.array([0.0, 0.0, 1.0])  # direction of the camera
         self._surfaces: dict[int, tuple[Float, Float]] = {}
         self._labels: dict[str, Any] = {}
         self._nodes: dict[int, Any] = {}
@@ -107,12 +132,14 @@ class MarkingStage:
         """Return the positions ``(n, 3)`` of vertices in the scene."""
         return np.asarray(self._surfaces[side][0][vertices] + self._frames[side].position)
 
-    def set_camera_distance(self, distance: float) -> bool:
-        """Adapt the radius of the balls, and return whether the balls must be redrawn."""
-        radius = BALL_RADIUS_RATIO * min(distance, MAX_BALL_DISTANCE)
-        if 1 / RADIUS_CHANGE_RATIO < radius / self._radius < RADIUS_CHANGE_RATIO:
+    def set_camera(self, offset: Float) -> bool:
+        """Adapt to the offset ``(3,)`` of the camera from its target, and return whether balls must be redrawn."""
+        distance = float(np.linalg.norm(offset))
+        radius, towards = BALL_RADIUS_RATIO * min(distance, MAX_BALL_DISTANCE), offset / distance
+        is_near = 1 / RADIUS_CHANGE_RATIO < radius / self._radius < RADIUS_CHANGE_RATIO
+        if is_near and towards @ self._towards > np.cos(np.radians(MAX_LABEL_TURN_DEGREES)):
             return False
-        self._radius = radius
+        self._radius, self._towards = radius, towards
         return True
 
     def draw(self, side: int, balls: Sequence[Ball]) -> None:
@@ -155,7 +182,9 @@ class MarkingStage:
     def _draw_labels(self, side: int, balls: Sequence[Ball], points: Float) -> None:
         texts = {
             f"/markers/{side}/{row}": (ball.text, point)
-            for row, (ball, point) in enumerate(zip(balls, points, strict=True))
+            for row, (ball, point) in enumerate(
+                zip(balls, separate_labels(points, self._towards, LABEL_SIZE_RATIO * self._radius), strict=True)
+            )
             if ball.text
         }
         for name in list(self._labels):
@@ -214,7 +243,7 @@ class MarkingControls:
         with gui.add_folder("Proposed"):
             self._proposal_line = gui.add_html("")
             proposals = gui.add_button_group("", ("Accept", "Skip", "Accept all"))
-            again = gui.add_button("Suggest", hint="Suggest tips of limbs, tail, nose and ears")
+            again = gui.add_button("Suggest", hint="Suggest markers that fit the pairs that are set")
         with gui.add_folder("Map"):
             self._map = gui.add_html("")
         with gui.add_folder("Save"):
@@ -246,7 +275,9 @@ class MarkingControls:
         session = self._session
         marking, proposals, examination = session.marking, session.proposals, session.examination
         self._hint_line.content = _lines("mixseq-hint", [_hint_text(marking, self._names)])
-        self._proposal_line.content = _lines("mixseq-proposed", [_proposal_text(len(proposals), session.work)])
+        self._proposal_line.content = _lines(
+            "mixseq-proposed", [_proposal_text(len(proposals), session.work, session.doubt)]
+        )
         self._map.content = _lines("mixseq-map", _map_lines(marking, examination, session.work))
         state = "changed since it was saved" if session.has_changes else "as in the file"
         self._saved.content = _lines("mixseq-saved", [escape(f"{self._file}: {state}")])
@@ -265,11 +296,13 @@ def _hint_text(marking: Marking, names: tuple[str, str]) -> str:
     return pair_count + text
 
 
-def _proposal_text(count: int, work: str) -> str:
+def _proposal_text(count: int, work: str, doubt: str) -> str:
     if count:
         return f"{count} to confirm, as dark balls: the next one has a ?. Click a ball to accept it"
     if "look" in work:
         return escape(f"{work} ...")
+    if doubt:
+        return escape(f"Not sure: {doubt}. Set two or three pairs (a hand, a foot, the nose), then Suggest")
     return "None: mirrored markers are proposed here"
 
 
@@ -418,15 +451,9 @@ class MarkingViewer:
         self.on_change()
 
     def _on_camera(self, camera: Any) -> None:
-        """Keep meshes side by side and the screen size of balls constant, while the camera of a page moves."""
-        x, y, z = offset = camera.position - camera.look_at
-        azimuth, distance = float(np.degrees(np.arctan2(x, z))), float(np.linalg.norm(offset))
-        rotation = abs((azimuth - self._stage.arrangement.view.azimuth + 180) % 360 - 180)
-        is_defined = np.hypot(x, z) > 0.05 * abs(y)  # from straight above, there is no azimuth
-        if rotation > 2 and is_defined:  # degrees
-            self._stage.rotate_row(azimuth, camera.look_at, distance)
-            self._balls.set_offsets(self._stage.arrangement.offsets)
-        if self._balls.set_camera_distance(distance):
+        """Keep balls on their meshes and their size on the screen constant, while the camera of a page moves."""
+        self._balls.set_offsets(self._stage.arrangement.offsets)
+        if self._balls.set_camera(camera.position - camera.look_at):
             self.on_change()
 
     def _show_other_mesh(self, camera: Any) -> None:

@@ -19,6 +19,9 @@ GROUND_COLOUR = (243, 243, 240)
 GRID_COLOUR = (222, 222, 218)
 PICK_COLOUR = (20, 20, 20)
 
+ROW_STEP_DEGREES = 2.0
+"""Rotation of the camera beyond which meshes are moved to stay side by side."""
+
 GRID_CELL = SCENE_SIZE / 2
 """Cell size of the ground's grid, in scene units."""
 
@@ -122,11 +125,17 @@ class LiveStage:
         self._camera = camera
         self.arrange(scene, side_by_side=True)
 
-    def rotate_row(self, azimuth: float, target: Float, distance: float) -> None:
-        """Rotate the row of meshes to stay across the current view; see `Arrangement.with_azimuth`."""
-        with self._lock:
-            self._arrangement = self._arrangement.with_azimuth(azimuth, target, distance)
-        self._update_positions()
+    def _follow_camera(self, camera: Any) -> None:
+        """Keep meshes side by side while the camera turns; see `Arrangement.with_azimuth`."""
+        x, y, z = offset = camera.position - camera.look_at
+        azimuth = float(np.degrees(np.arctan2(x, z)))
+        rotation = abs((azimuth - self.arrangement.view.azimuth + 180) % 360 - 180)
+        is_defined = np.hypot(x, z) > 0.05 * abs(y)  # from straight above, there is no azimuth
+        if len(self._meshes) > 1 and is_defined and rotation > ROW_STEP_DEGREES:
+            with self._lock:
+                distance = float(np.linalg.norm(offset))
+                self._arrangement = self._arrangement.with_azimuth(azimuth, camera.look_at, distance)
+            self._update_positions()
 
     @property
     def arrangement(self) -> Arrangement:
@@ -137,6 +146,7 @@ class LiveStage:
     def arrange(self, scene: Scene, side_by_side: bool) -> None:
         """Arrange the meshes side by side or overlaid."""
         arrangement = arrange_meshes(scene, side_by_side, self._camera)
+        self.overlaid = not side_by_side
         with self._lock:
             self._arrangement = arrangement
         self._update_positions()
@@ -216,6 +226,8 @@ class LiveStage:
             is_unmoved = any(np.allclose(camera.position, known, rtol=1e-3, atol=1e-3) for known in (position, initial))
             if is_unmoved and abs(camera.aspect / aspect - 1) > 0.02:
                 self._update_camera(client)
+            elif not self.overlaid:
+                self._follow_camera(camera)
 
         self._update_camera(client)
 

@@ -4,21 +4,37 @@
 var mixseqWindow = (function () {
   const ENDED = "This viewer has ended, or the connection is lost: the page shows the last frame. It continues when the connection returns; " +
     "otherwise start mixseq view again and open the address that it prints.";
-  // in narrow windows, viser has a sheet at the bottom instead of docked panels
+  const KEYS = { "P": "play, pause", "[  ]": "frame by frame", "Ctrl Z": "undo", "Ctrl Shift Z": "redo" };
+  const MARKER_KEYS = { "A": "accept a proposal", "S": "skip it", "D": "delete the selected pair", "O": "the same point of the other mesh" };
+  const FOLDS = "mixseq-folds"; // which sections are open, in the storage of the browser
+  // Notices are at the bottom, away from the meshes. In narrow windows, viser has a sheet at the bottom instead of docked panels.
   const STYLE = `
 #mixseq-ended { position: fixed; inset: 0 0 auto; z-index: 1000; padding: 10px 16px; text-align: center;
   font: 14px/20px system-ui, sans-serif; color: #fff; background: rgb(150 20 20 / 94%); }
+#mixseq-keys { padding: 20px 24px; border: 1px solid #dcd9d3; border-radius: 10px; font: 14px/20px system-ui, sans-serif; color: #3a3a3a; background: #fff; }
+#mixseq-keys td { padding: 3px 16px 3px 0; }
+.mantine-Notifications-root { top: auto !important; bottom: 1em !important; justify-content: end; }
+:focus-visible { outline: 2px solid #31688e !important; outline-offset: 1px; }
+@media (prefers-reduced-motion: reduce) { * { transition-duration: 0s !important; animation-duration: 0s !important; } }
 @media (max-width: 36em) {
   .mixseq-sheet { width: 100% !important; max-height: 45% !important; }
   .mixseq-sheet .mantine-ScrollArea-content > div { width: 100% !important; }
+  .mixseq-sheet :is(.mantine-Button-root, .mantine-Input-input, .mantine-ActionIcon-root) { min-height: 40px; }
+  .mixseq-sheet .mantine-Slider-thumb { width: 24px; height: 24px; }
+  .mantine-Notifications-root { position: fixed !important; left: 8px !important; width: auto !important; max-width: calc(100% - 16px); }
+  #mixseq-charts { height: 560px !important; }
+  .mixseq-sheet div:has(> div > .mantine-Tabs-root) { display: flex; flex-direction: column; }
+  .mixseq-sheet div:has(> .mantine-Tabs-root) { order: -1; } /* curves first, one tap away */
 }`;
-  const notice = document.createElement("div");
+  const notice = document.createElement("div"), keys = document.createElement("dialog"), seen = new WeakSet();
   let sheet = null, viewport = null;
 
   notice.id = "mixseq-ended";
   notice.setAttribute("role", "alert");
   document.head.append(Object.assign(document.createElement("style"), { textContent: STYLE }));
-  document.body.append(notice);
+  keys.id = "mixseq-keys";
+  keys.setAttribute("aria-label", "Keyboard shortcuts");
+  document.body.append(notice, keys);
   showEnded(false);
 
   /** Show or hide the notice that the server has ended. */
@@ -35,9 +51,44 @@ var mixseqWindow = (function () {
       sheet?.classList.add("mixseq-sheet");
       viewport = sheet?.previousElementSibling ?? viewport;
     }
+    restoreFolds();
     const height = sheet ? `calc(100% - ${sheet.offsetHeight}px)` : "100%";
     if (viewport && viewport.style.height !== height) viewport.style.height = height;
   }
+
+  /** Sections of panels: folders, and on phones what is docked elsewhere, closed at first. */
+  function sections() {
+    const folders = [...document.querySelectorAll("#root :is(.tabler-icon-chevron-up, .tabler-icon-chevron-down)")].map((icon) => ({
+      icon, head: icon.parentElement, open: icon.classList.contains("tabler-icon-chevron-up"),
+    }));
+    const docked = [...document.querySelectorAll(".mixseq-sheet .tabler-icon-chevron-right")].map((icon) => ({
+      icon, head: icon.parentElement.parentElement, open: icon.style.transform !== "none",
+    }));
+    return [...folders, ...docked].map((section) => ({ ...section, name: section.head.textContent }));
+  }
+
+  /** Fold new sections as they were when the page was open last. */
+  function restoreFolds() {
+    const kept = JSON.parse(localStorage.getItem(FOLDS) ?? "{}");
+    for (const { icon, head, open, name } of sections()) {
+      if (seen.has(head)) continue;
+      seen.add(head);
+      if ((kept[name] ?? open) !== open) head.click();
+    }
+  }
+
+  document.addEventListener("click", ({ isTrusted }) => isTrusted && setTimeout(() => {
+    const kept = JSON.parse(localStorage.getItem(FOLDS) ?? "{}");
+    localStorage.setItem(FOLDS, JSON.stringify({ ...kept, ...Object.fromEntries(sections().map(({ name, open }) => [name, open])) }));
+  }, 300));
+
+  document.addEventListener("keydown", ({ key, target }) => {
+    if (key !== "?" || target.closest?.("input:not([type=checkbox]), textarea")) return;
+    const shown = { ...KEYS, ...(document.getElementById("mixseq-hint") && MARKER_KEYS), "?": "this list" };
+    if (document.getElementById("mixseq-hint")) ["P", "[  ]"].forEach((name) => delete shown[name]);
+    keys.innerHTML = `<table>${Object.entries(shown).map(([name, what]) => `<tr><td><kbd>${name}</kbd></td><td>${what}</td></tr>`).join("")}</table><form method="dialog"><button>Close</button></form>`;
+    keys.showModal();
+  });
 
   return { showEnded, arrange };
 })();

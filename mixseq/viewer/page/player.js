@@ -10,8 +10,6 @@
   const STEPS = 4; // poses per frame, between which vertices move along straight lines
   const MAX_DECODING = 0.5; // share of the time of playback in which poses are decoded; beyond, there are fewer
   const darkness = window.matchMedia("(prefers-color-scheme: dark)");
-  const LIGHT = { line: [0.45, 0.44, 0.42, 0.38], shade: [0.25, 0.24, 0.28, 0.42], ink: [0.1, 0.1, 0.12, 0.45] };
-  const DARK = { line: [0.75, 0.75, 0.78, 0.26], shade: [0, 0, 0, 0.6], ink: [0.05, 0.05, 0.06, 0.5] };
 
   // Contents of the page ------------------------------------------------------------------------------------------
 
@@ -20,11 +18,7 @@
     mixseqFail(text);
   }
 
-  /** Colours and options of the renderer; the background is that of the page. */
-  function look() {
-    const background = getComputedStyle(document.body).backgroundColor.match(/[\d.]+/g).slice(0, 3).map((value) => value / 255);
-    return { ...(darkness.matches ? DARK : LIGHT), background, wires: state.wires, grid: state.grid };
-  }
+  const look = () => ({ ...mixseqTheme(), wires: state.wires, grid: state.grid });
 
   const damaged = (error) => fail(`The page is damaged: ${error.message}. Download or export it again.`);
 
@@ -72,6 +66,7 @@
 
   const stage = mixseqStage(element("stage"), element("names"), element("legend"));
   const camera = mixseqCamera(canvas, redraw, centreOf);
+  const showTransport = mixseqTransport(element("transport"), clock, camera, base, { c: nextColour, "?": () => element("help").showModal() });
 
   /** Centre of the panel under a pointer, in pixels of the window. */
   function centreOf({ clientX, clientY }) {
@@ -161,14 +156,7 @@
   }
 
   function showTime() {
-    const { start, fps } = base(), frame = (time) => mixseqFrame((start + time) * fps), slider = element("time");
-    const number = frame(clock.moments[clock.number()]), last = frame(clock.moments[clock.moments.length - 1]);
-    const seconds = (start + clock.time).toFixed(3);
-    slider.value = clock.time;
-    slider.setAttribute("aria-valuetext", `frame ${number} of ${last}, ${seconds} seconds`);
-    element("now").textContent = `${number.padStart(last.length, "\u2007")} / ${last} · ${seconds} s`;
-    element("play").classList.toggle("playing", clock.playing);
-    element("play").setAttribute("aria-label", clock.playing ? "Pause" : "Play");
+    showTransport();
     charts?.at(chosenSignals.start + Math.min(clock.time, chosenSignals.end - chosenSignals.start));
   }
 
@@ -249,29 +237,7 @@
     element("facts").replaceChildren(...facts.map((text) => Object.assign(document.createElement("p"), { textContent: text })));
   }
 
-  const KEYS = {
-    " ": () => clock.play(!clock.playing), ArrowLeft: () => clock.step(-1), ArrowRight: () => clock.step(1),
-    Home: () => clock.scrub(0), End: () => clock.scrub(period),
-    "+": () => camera.zoomBy(1.2), "=": () => camera.zoomBy(1.2), "-": () => camera.zoomBy(1 / 1.2), 0: () => camera.reset(), c: nextColour,
-  };
-  const ORBIT_STEPS = { ArrowLeft: [-20, 0], ArrowRight: [20, 0], ArrowUp: [0, -20], ArrowDown: [0, 20] };
-
-  function key(event) {
-    const inside = event.target, typing = inside instanceof HTMLSelectElement || element("help").open;
-    if (typing || event.ctrlKey || event.altKey || event.metaKey) return;
-    if (event.key === " " && inside instanceof HTMLButtonElement) return; // presses the focused button
-    const action = event.shiftKey && ORBIT_STEPS[event.key] ? () => camera.orbit(...ORBIT_STEPS[event.key]) : KEYS[event.key];
-    if (!action || (!period && ["ArrowLeft", "ArrowRight", "Home", "End", " "].includes(event.key) && !event.shiftKey)) return;
-    event.preventDefault();
-    action();
-  }
-
   function connect() {
-    element("play").onclick = () => clock.play(!clock.playing);
-    element("back").onclick = () => clock.step(-1);
-    element("forward").onclick = () => clock.step(1);
-    element("time").max = clock.moments[clock.moments.length - 1];
-    element("time").oninput = (event) => clock.scrub(+event.target.value);
     element("speed").onchange = (event) => (clock.speed = +event.target.value);
     element("layout").value = state.overlaid ? "over" : "side";
     element("layout").onchange = (event) => {
@@ -298,7 +264,6 @@
       charts.show(chosenSignals);
       redraw();
     };
-    window.addEventListener("keydown", key);
     darkness.addEventListener("change", () => {
       makeCharts();
       redraw();

@@ -41,7 +41,7 @@ from mixseq.shells.fitting import ShellReport, ShellSettings
 from mixseq.shells.solvers import factorise
 from mixseq.spaces.edge import DiscreteShell, EdgeSettings
 from mixseq.spaces.gradient import GradientSpace
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, IntArray
 from scripts.paper_study.common.methods import Blended, Edge, Method
 from scripts.paper_study.common.poses import Poses
 
@@ -131,7 +131,7 @@ def minimise(
         found = model(x)
         diagonal = found.matrix.diagonal()
         while True:
-            matrix = found.matrix + sparse.diags_array(damping * diagonal + 1e-12 * diagonal.max())
+            matrix = found.matrix + sparse.diags_array(damping * diagonal + 1e-9 * float(np.median(diagonal)))
             step = -factorise(matrix).solve(found.gradient)
             gain = -float(found.gradient @ step)
             if gain <= TOLERANCE * found.value + 1e-16 or damping > MAX_DAMPING:
@@ -144,7 +144,7 @@ def minimise(
     return x, ShellReport(value(x), MAX_STEPS, False)
 
 
-def angle_gradients(x: Float, hinges: Index) -> Float:
+def angle_gradients(x: Float, hinges: IntArray) -> Float:
     """Return the gradients ``(H, 4, 3)`` of dihedral angles, in the order of their vertices."""
     a, b, c, d = (x[column] for column in hinges.T)
     side = b - a
@@ -195,7 +195,7 @@ class Elastic:
         return _rows(self.topology.hinges, angle_gradients(x, self.topology.hinges), x.size)
 
 
-def _rows(vertices: Index, gradients: Float, size: int) -> sparse.csr_array:
+def _rows(vertices: IntArray, gradients: Float, size: int) -> sparse.csr_array:
     """Return gradients ``(n, k, 3)`` at vertices ``(n, k)`` as rows of a matrix."""
     columns = (3 * vertices[:, :, None] + np.arange(3)).reshape(-1)
     starts = np.arange(len(vertices) + 1) * (3 * vertices.shape[1])
@@ -266,12 +266,14 @@ def membrane(a: Float, b: Float) -> tuple[float, Float, Float]:
     return float((root / 4 * density).sum()), to_a, to_b
 
 
-def membrane_roots(m: Float) -> Float:
-    """Return C ``(F, 3, 3)`` with the second derivatives ``C C^T`` of the membrane energy at faces that keep shape."""
-    mm = m @ SIDES
-    q = np.maximum((mm * m).sum(axis=1), 1e-30)[:, None, None]
-    second = np.sqrt(q) / 4 * (3 * mm[:, :, None] * mm[:, None, :] / q**2 - SIDES / q)
-    values, vectors = np.linalg.eigh(second)
+def membrane_roots(a: Float, b: Float) -> Float:
+    """Return C ``(F, 6, 6)`` with the positive part of the second derivatives by a and b, ``C C^T``."""
+    second, steps = np.empty((len(a), 6, 6)), 1e-6 * (a + b).mean(axis=1, keepdims=True)
+    for k in range(6):
+        move = np.eye(6)[k] * steps
+        ends = [np.hstack(membrane(a + s * move[:, :3], b + s * move[:, 3:])[1:]) for s in (1, -1)]
+        second[:, k] = (ends[0] - ends[1]) / (2 * steps)
+    values, vectors = np.linalg.eigh((second + np.swapaxes(second, 1, 2)) / 2)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0))[:, None, :])
 
 
@@ -281,8 +283,8 @@ class Geodesic(Nric):
 
     @cached_property
     def path(self) -> tuple[Float, ShellReport]:
-        """The inner shapes ``(K - 1, V, 3)``."""
-        starts = [super(Geodesic, self).at(np.array([1 - w, w])).points for w in np.arange(1, SEGMENTS) / SEGMENTS]
+        """The inner shapes ``(K - 1, V, 3)``, found from discrete shells, which collapse no faces."""
+        starts = [self.linear.at(np.array([1 - w, w])).points for w in np.arange(1, SEGMENTS) / SEGMENTS]
         with one_blas_thread():
             return minimise(self.value, self.model, np.stack(starts) / self.poses.diagonal)
 
@@ -303,33 +305,43 @@ class Geodesic(Nric):
         return sum(membrane(a, b)[0] for a, b in pairwise(sides)) + float((bend**2).sum())
 
     def model(self, inner: Float) -> Quadratic:
-        """Return energy, gradient and a matrix: second derivatives as if every segment kept the shape of faces."""
+        """Return energy, gradient, and the second derivatives as far as they are positive."""
         shapes, sides, angles = self._coordinates(inner)
         topology, of_angle, count = self.poses.topology, self.elastic.weights[1], len(sides[0])
-        edges, select = len(topology.edges), topology.face_edges.reshape(-1)
-        chosen = sparse.csr_array((np.full(3 * count, 2.0), select, np.arange(3 * count + 1)), shape=(3 * count, edges))
+        select, size = topology.face_edges.reshape(-1), (3 * count, len(topology.edges))
+        chosen = sparse.csr_array((np.full(3 * count, 2.0), select, np.arange(3 * count + 1)), shape=size)
         by_sides = [chosen @ self.elastic.length_rows(x) for x in shapes]
-        by_angles = [self.elastic.angle_rows(x) for x in shapes]
-        gradients = np.zeros((len(shapes), shapes[0].size))
-        value, rows = 0.0, []
-        for k in range(SEGMENTS):
-            energy, to_a, to_b = membrane(sides[k], sides[k + 1])
-            bend = of_angle * wrap_angles(angles[k + 1] - angles[k])
-            value += energy + float(bend @ bend)
-            pull = 2 * of_angle * bend
-            gradients[k] += by_sides[k].T @ to_a.reshape(-1) - by_angles[k].T @ pull
-            gradients[k + 1] += by_sides[k + 1].T @ to_b.reshape(-1) + by_angles[k + 1].T @ pull
-            roots = np.swapaxes(membrane_roots((sides[k] + sides[k + 1]) / 2), 1, 2)
-            scale = sparse.block_diag([
-                sparse.bsr_array((roots, np.arange(count), np.arange(count + 1))),
-                sparse.diags_array(np.sqrt(2) * of_angle),
-            ]).tocsr()  # fmt: skip
-            parts = [scale @ sparse.vstack([by_sides[m], by_angles[m]]) for m in (k, k + 1)]
-            row: list[sparse.sparray | None] = [None] * (SEGMENTS + 1)
-            row[k], row[k + 1] = -parts[0], parts[1]
-            rows.append(row)
-        jacobian = sparse.block_array([row[1:-1] for row in rows]).tocsr()
-        return Quadratic(value, gradients[1:-1].reshape(-1), sparse.csr_array(jacobian.T @ jacobian))
+        by_angles = [sparse.diags_array(of_angle) @ self.elastic.angle_rows(x) for x in shapes]
+        bends = of_angle * wrap_angles(np.diff(angles, axis=0))
+        pulls, gradients = np.zeros((len(shapes), 3 * count)), np.zeros((len(shapes), shapes[0].size))
+        value, rows = float((bends**2).sum()), []
+        for k, (bend, (a, b)) in enumerate(zip(bends, pairwise(sides), strict=True)):
+            energy, to_a, to_b = membrane(a, b)
+            value += energy
+            pulls[k] += to_a.reshape(-1)
+            pulls[k + 1] += to_b.reshape(-1)
+            gradients[k] -= 2 * (by_angles[k].T @ bend)
+            gradients[k + 1] += 2 * (by_angles[k + 1].T @ bend)
+            roots = np.swapaxes(membrane_roots(a, b), 1, 2)
+            row: list[sparse.sparray | None] = [None] * len(shapes)
+            for end, sign in ((0, -1), (1, 1)):
+                block = np.ascontiguousarray(roots[:, :, 3 * end : 3 * end + 3]), np.arange(count), np.arange(count + 1)
+                stretch = sparse.bsr_array(block, shape=(6 * count, 3 * count)) @ by_sides[k + end]
+                row[k + end] = sparse.vstack([stretch, sign * np.sqrt(2) * by_angles[k + end]])
+            rows.append(row[1:-1])
+        jacobian = sparse.block_array(rows).tocsr()
+        gradients += np.stack([by.T @ pull for by, pull in zip(by_sides, pulls, strict=True)])
+        tension = sparse.block_diag([self._tension(np.maximum(chosen.T @ pull, 0)) for pull in pulls[1:-1]])
+        matrix = sparse.csr_array(jacobian.T @ jacobian + tension)
+        return Quadratic(value, gradients[1:-1].reshape(-1), matrix)
+
+    def _tension(self, pull: Float) -> sparse.csr_array:
+        """Return what edges ``(E,)`` under tension add to the second derivatives: a Laplacian ``(3V, 3V)``."""
+        edges, count = self.poses.topology.edges, self.poses.topology.vertex_count
+        ends = np.arange(len(edges) + 1) * 2, np.tile([-1.0, 1.0], len(edges))
+        incidence = sparse.csr_array((ends[1], edges.reshape(-1), ends[0]), shape=(len(edges), count))
+        laplacian = incidence.T @ sparse.diags_array(pull) @ incidence
+        return sparse.csr_array(sparse.kron(laplacian, sparse.eye_array(3)))
 
     def at(self, weights: Float) -> Blended:
         inner, report = self.path
@@ -349,6 +361,5 @@ BASELINES: dict[str, Callable[[Poses, Index], Method]] = {
     "ARAP": lambda poses, _: Arap(poses),
     "skin": lambda poses, _: Skinned(poses),
     "NRIC": lambda poses, _: Nric(poses),
-    "geodesic": lambda poses, _: Geodesic(poses),
 }
-"""All of them, of two poses."""
+"""All but the geodesic, of two poses."""

@@ -16,11 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.mesh.measures import clamp_lengths
+from mixseq.mesh.measures import clamp_lengths, dihedral_angles, edge_lengths
 from mixseq.mesh.rigid import mean_shape, transform_points
 from mixseq.mesh.rotations import align_quat_signs, matrix_to_quat, quat_to_matrix
 from mixseq.segmentation.joints import Decomposition
-from mixseq.shells.kernels import lengths_and_angles
 from mixseq.spaces.pieces import align_parts
 from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses
@@ -116,7 +115,8 @@ class PaperSpace:
         """Blend poses with weights ``(T,)``."""
         parts, rotations, centres = (np.tensordot(weights, each, 1) for each in self.aligned)
         edges, hinges = self._rows
-        lengths, angles = lengths_and_angles(parts, np.maximum(edges, 0), np.maximum(hinges, 0))
+        lengths = edge_lengths(parts, np.maximum(edges, 0))
+        angles = dihedral_angles(parts, np.maximum(hinges, 0))
         blended, told = self.poses.target(weights)
         mine, blended = self.blended_edges, blended / self.poses.diagonal
         lengths[mine] = clamp_lengths(blended[mine], self.length_weights[mine])

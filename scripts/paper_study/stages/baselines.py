@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -10,11 +10,12 @@ import numpy as np
 
 from mixseq.mesh.measures import signed_volume
 from mixseq.mesh.rotations import rotvec_to_matrix
+from mixseq.types import Index
 from scripts.benchmarks.common.harness import cpu_timed, markdown_table
 from scripts.paper_study.common.baselines import BASELINES, THICKNESS, turned
 from scripts.paper_study.common.damage import apart, placement_noise
 from scripts.paper_study.common.errors import errors, text
-from scripts.paper_study.common.methods import METHODS
+from scripts.paper_study.common.methods import METHODS, Method
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.record import Json, Results, ratio_range
@@ -25,24 +26,28 @@ TURN = np.radians(150) * np.array([2.0, -1.0, 2.0]) / 3
 """Rotation vector that turns the second pose."""
 
 NOISE, SEEDS = 0.01, (0, 1, 2)
-LARGE, TOO_LARGE = 20_000, ("geodesic",)
-"""Meshes with more vertices, and what is not tried on them: its systems have nine unknowns for every vertex."""
-
 OURS = "MixIT"
-OTHERS = ("ARAP", "skin", "NRIC", "geodesic")
+OTHERS = ("ARAP", "skin", "NRIC")
 
 
 def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+    found = compared(poses, BASELINES | METHODS, folder / f"baselines-{poses.mesh}.png", say)
+    placed = np.mean([placement_noise(poses, NOISE, seed) for seed in SEEDS], axis=0).tolist()
+    return {"title": poses.title, "methods": found, "placed": placed}
+
+
+def compared(
+    poses: Poses, methods: Mapping[str, Callable[[Poses, Index], Method]], picture: Path, say: Callable[[str], None]
+) -> Json:
+    """Blend by all methods; return errors, volumes, processor seconds, and how far blends move with the turn."""
     labels, rotation = poses.segmented(), rotvec_to_matrix(TURN)
-    volumes = np.array([signed_volume(x - x.mean(axis=0), poses.topology.faces) for x in poses.points])
     found: Json = {}
+    volumes = np.array([signed_volume(x - x.mean(axis=0), poses.topology.faces) for x in poses.points])
     panels = [Panel("first pose", poses.points[0]), Panel("second pose", poses.points[1])]
-    for name, make in (BASELINES | METHODS).items():
-        if name in TOO_LARGE and poses.sequence.vertex_count > LARGE:
-            continue
-        once = make(poses.moved(poses.points), labels)
-        once.prepare()
-        once.at(between(0.5))  # compiles
+    for name, make in methods.items():
+        other = make(turned(poses, rotation), labels)  # first: compiled loops are loaded
+        other.prepare()
+        moved = other.at(between(0.5)).points
         method = make(poses.moved(poses.points), labels)
         prepared, _ = cpu_timed(method.prepare)
         timed = [cpu_timed(partial(method.at, between(w))) for w in WEIGHTS]
@@ -55,50 +60,28 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
             }
         middle = timed[1][1].points
         panels.append(Panel(name, middle))
-        other = make(turned(poses, rotation), labels)
-        other.prepare()
-        away = apart(other.at(between(0.5)).points, middle)
+        away = apart(moved, middle)
         found[name]["turned"] = float(np.sqrt(np.mean(away**2))) / poses.diagonal
         say(f"{name}: {text(found[name]['at']['0.5']['lengths'])}, {text(found[name]['seconds'])} s")
     rows = [panels[:2], *(panels[k : k + 5] for k in range(2, len(panels), 5))]
-    gallery(folder / f"baselines-{poses.mesh}.png", poses, rows, f"{poses.title}, w = 0.5")
-    placed = np.mean([placement_noise(poses, NOISE, seed) for seed in SEEDS], axis=0).tolist()
-    return {"title": poses.title, "methods": found, "placed": placed}
+    gallery(picture, poses, rows, f"{poses.title}, w = 0.5")
+    return found
 
 
 def page(results: Results) -> list[str]:
     blocks = [
         "What the paper does not compare with, written from the papers in `scripts/paper_study/common/baselines.py`: "
         "*vertices* (registered), *ARAP* (Alexa, Cohen-Or and Levin 2000, for the faces of a surface), a *skin* fitted "
-        "to the animation whose bones are blended, *NRIC* (Sassen, Heeren, Hildebrandt and Rumpf 2020) and a "
-        "time-discrete *geodesic* in the space of shells (Heeren, "
-        "Rumpf, Wardetzky and Wirth 2012) of four segments. Shells of the last two are "
-        f"{THICKNESS:g} diagonals thick, which we chose.",
-        "Errors are against the blended lengths and angles, which *NRIC* and *DSO* minimise, each with weights of its "
-        "own, and the geodesic does not. Volume is that of the blend over the blended volume, minus one. Seconds are "
-        "of the processor, on one thread, for what is done once for two poses and for one blend; all shapes of the "
-        f"geodesic are found at once. Turned: how far the blend moves, in diagonals (rms, registered), if the second "
-        f"pose is turned by {np.degrees(np.linalg.norm(TURN)):.0f} degrees.",
+        "to the animation whose bones are blended, and *NRIC* (Sassen, Heeren, Hildebrandt and Rumpf 2020), whose "
+        f"shells are {THICKNESS:g} diagonals thick, which we chose. Geodesics of shells, which take "
+        "minutes, have a page of their own.",
+        *explained(),
     ]
     for mesh, result in results.items():
-        rows = [
-            (
-                name if w == "0.25" else "",
-                w,
-                text(at["lengths"]),
-                text(at["degrees"]),
-                f"{at['volume']:+.1%}",
-                *((text([s]) for s in found["seconds"]) if w == "0.25" else ("", "")),
-                text([found["turned"]]) if w == "0.25" else "",
-            )
-            for name, found in result["methods"].items()
-            for w, at in found["at"].items()
-        ]
-        columns = ("method", "w", "lengths, 99 / 99.9 / 100 %", "degrees", "volume", "once, s", "a blend, s", "turned")
         blocks += [
             f"## {mesh}: {result['title']}",
             f"![The middle by all methods, {mesh}](baselines-{mesh}.png)",
-            markdown_table(columns, rows),
+            table(result["methods"]),
         ]
     placed = [(mesh, *(text([each]) for each in result["placed"])) for mesh, result in results.items()]
     return [
@@ -111,6 +94,34 @@ def page(results: Results) -> list[str]:
         "## What it shows",
         *verdict(results),
     ]
+
+
+def explained() -> list[str]:
+    """Say what the columns are."""
+    return [
+        "Errors are against the blended lengths and angles, which *NRIC* and *DSO* minimise, each with weights of its "
+        "own. Volume is that of the blend over the blended volume, minus one. Seconds are of the processor, on one "
+        "thread, for what is done once for two poses and for one blend. Turned: how far the blend moves, in diagonals "
+        f"(rms, registered), if the second pose is turned by {np.degrees(np.linalg.norm(TURN)):.0f} degrees."
+    ]
+
+
+def table(methods: Json) -> str:
+    """Return what `compared` found, with a row for every weight."""
+    rows = [
+        (
+            name if w == "0.25" else "",
+            w,
+            text(at["lengths"]),
+            text(at["degrees"]),
+            f"{at['volume']:+.1%}",
+            *((text([s]) for s in [*found["seconds"], found["turned"]]) if w == "0.25" else ("", "", "")),
+        )
+        for name, found in methods.items()
+        for w, at in found["at"].items()
+    ]
+    columns = ("method", "w", "lengths, 99 / 99.9 / 100 %", "degrees", "volume", "once, s", "a blend, s", "turned")
+    return markdown_table(columns, rows)
 
 
 def verdict(results: Results) -> list[str]:

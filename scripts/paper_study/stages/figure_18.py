@@ -97,7 +97,8 @@ def resampled(sequence: MeshSequence, step: int) -> tuple[Index, Index, dict[str
     kept = sequence.header.with_times(sequence.times[keys])
     given = MeshSequence.from_header(kept, sequence.points[keys].astype(np.float64))
     models = {name: mixseq.fit(given, exact=True, **settings) for name, settings in SPACES.items()}
-    return keys, new, models, {name: model.sample(sequence.times[new]).points for name, model in models.items()}
+    rebuilt = {name: np.asarray(model.sample(sequence.times[new]).points, float) for name, model in models.items()}
+    return keys, new, models, rebuilt
 
 
 def rms(sequence: MeshSequence, points: Float, frames: Index) -> float:

@@ -1,6 +1,6 @@
 """Random starts: whether it matters where the search for a mesh starts, in S_e and in S_m.
 
-The paper (its Section 5) has not observed local minima in S_m. Here starts are shaken: every vertex is moved by
+The paper (Section 3.3) has not observed local minima in S_m. Here starts are shaken: every vertex is moved by
 Gaussian noise. What every method should find, the blended lengths and angles, stays what it is.
 """
 
@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from mixseq.mesh.measures import dihedral_angles, edge_lengths
 from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
-from mixseq.shells.kernels import lengths_and_angles
 from mixseq.spaces.edge import DiscreteShell, EdgeSettings
 from mixseq.spaces.mixed.construction import MAX_STEPS, MIN_STEPS
 from mixseq.types import Float, Index
@@ -105,7 +105,7 @@ def relaxed(poses: Poses, labels: Index) -> Search:
     vector = (between(0.5) @ method.vectors)[None]
     joints, shell, steps = space.joint_projection, space.joint_projection.shell, space.projection.steps
     blocks, x = space.split(vector), space.skin(vector)[0]
-    wanted = lengths_and_angles(x, poses.topology.edges, poses.topology.hinges)
+    wanted = edge_lengths(x, poses.topology.edges), dihedral_angles(x, poses.topology.hinges)
     wanted[0][space.edge_ids], wanted[1][space.hinge_ids] = blocks.lengths[0], blocks.angles[0]
 
     def search(size: float, rng: np.random.Generator) -> float:

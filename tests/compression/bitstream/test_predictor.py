@@ -25,14 +25,15 @@ from mixseq.compression.bitstream.predictor import (
     graph_stencils,
     group_nodes,
     level_steps,
+    new_gram,
 )
 from mixseq.compression.bitstream.predictor_kernels import UNITS_PER_STEP
 from mixseq.compression.bitstream.signal_graph import (
-    MAX_NEIGHBOURS,
     SignalGraph,
     coarser_levels,
     mesh_graph,
     mesh_neighbours,
+    new_neighbours,
     path_graph,
 )
 from mixseq.runtime.jit import compiled
@@ -208,11 +209,12 @@ def test_all_but_the_weights_is_exact(name: str) -> None:
 def test_gram_matrices_are_exact() -> None:
     """Learned in the opposite order they have the same bits."""
     graph, rng = GRAPHS["torus"], np.random.default_rng(3)
-    neighbours, counts = graph.neighbours.astype(np.int32), graph.counts.astype(np.int32)
+    neighbours, counts = graph.neighbours, graph.counts
     signals = [np.rint(UNITS_PER_STEP * scale * rng.normal(size=54)) for scale in 1e5 * 0.5 ** np.arange(24)]
     grams = []
     for order in (signals, signals[::-1]):
-        blocks, gram = group_nodes(counts)
+        blocks = group_nodes(counts)
+        gram = new_gram(blocks)
         for signal in order:
             trust = kernels.compute_trust(signal, ROUGHNESS_SCALE * UNITS_PER_STEP**2, neighbours, counts)
             some = signal[None], np.array([trust])
@@ -220,6 +222,25 @@ def test_gram_matrices_are_exact() -> None:
         grams.append(gram)
     np.testing.assert_array_equal(grams[0], grams[1])
     assert grams[0].any()
+
+
+def test_matrices_that_are_computed_again_give_the_same_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large graphs keep signals, some time, and then matrices."""
+    signals = 1e4 * np.random.default_rng(4).normal(size=(12, 54)) * 0.7 ** np.arange(12)[:, None]
+    monkeypatch.setattr(module, "MAX_REPLAYED_SIGNALS", 9)
+    monkeypatch.setattr(module, "BLOCKS_PER_REPLAY", 2)
+    weights: list[list[Float]] = []
+    for nodes in (100, 1):
+        monkeypatch.setattr(module, "MIN_REPLAYED_NODES", nodes)
+        predictor = Predictor(GRAPHS["torus"])
+        weights.append([])
+        for signal in signals:
+            predictor.values[:] = np.rint(signal)
+            predictor.finish()
+            weights[-1].append(predictor.weights.copy())
+    for kept, replayed in zip(*weights, strict=True):
+        np.testing.assert_array_equal(kept, replayed)
+    assert not np.array_equal(weights[0][9], weights[0][-1])
 
 
 def test_trust_is_a_power_of_two() -> None:
@@ -259,7 +280,8 @@ def test_weights_are_those_of_numpy(seed: int, nodes: int) -> None:
     neighbours = rng.integers(0, nodes, (nodes, most)).astype(np.int32)
     start = rng.dirichlet(np.ones(most), nodes) * (np.arange(most) < counts[:, None])
     start /= np.maximum(start.sum(axis=1), 1e-9)[:, None]
-    blocks, gram = group_nodes(counts)
+    blocks = group_nodes(counts)
+    gram = new_gram(blocks)
     products = np.zeros((nodes, most, most))
     signals = rng.normal(size=(int(rng.integers(1, 9)), nodes))
     trusts = rng.uniform(0.1, 1, len(signals))
@@ -282,7 +304,8 @@ def test_the_parallelogram_rule_is_a_case_of_it() -> None:
     """A vertex with three neighbours in a plane: the weights of the parallelogram are the only ones."""
     corner = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     neighbours = np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 1, 2]], dtype=np.int32)
-    blocks, gram = group_nodes(np.array([0, 0, 0, 3], dtype=np.int32))
+    blocks = group_nodes(np.array([0, 0, 0, 3], dtype=np.int32))
+    gram = new_gram(blocks)
     weights = np.zeros((4, 3))
     kernels.accumulate_gram(corner.T.copy(), np.ones(3), blocks, neighbours, gram)
     kernels.solve_weights(1e-9, blocks, gram, np.full((4, 3), 1 / 3), weights)
@@ -292,7 +315,7 @@ def test_the_parallelogram_rule_is_a_case_of_it() -> None:
 @pytest.mark.parametrize(("many", "lanes"), [(20, kernels.LANES_PER_SMALL_BLOCK), (2000, kernels.LANES_PER_BLOCK)])
 def test_blocks_are_of_nodes_with_equally_many_neighbours(many: int, lanes: int) -> None:
     counts = np.array([0, 1, *[3] * many, 2], dtype=np.int32)
-    (members, sizes, _), _ = group_nodes(counts)
+    members, sizes, _ = group_nodes(counts)
     assert members.shape[1] == lanes
     assert sizes.tolist() == [2] + [3] * -(-many // lanes)
     assert set(members[0].tolist()) == {many + 2}
@@ -317,7 +340,7 @@ def test_signals_of_very_many_steps_are_no_harm(size: float) -> None:
 def search(graph: SignalGraph, signals: Float, exhaustive: int) -> list[list[int]]:
     """Four nodes that are nearest to each."""
     similar, found = np.zeros((graph.size, 4), dtype=np.int32), np.zeros(graph.size, dtype=np.int32)
-    neighbours, counts = graph.neighbours.astype(np.int32), graph.counts.astype(np.int32)
+    neighbours, counts = graph.neighbours, graph.counts
     kernels.find_similar_nodes(signals, neighbours, counts, exhaustive, similar, found)
     return [row[:count].tolist() for row, count in zip(similar, found, strict=True)]
 
@@ -383,7 +406,7 @@ def test_nodes_before_a_node_with_weights_that_add_up_to_one(name: str) -> None:
         assert max(nodes) < node
         assert len(set(nodes)) == count
         assert set(graph.neighbours[node, : graph.counts[node]].tolist()) <= set(nodes)
-        assert found.weights[node, :count].sum() == pytest.approx(1, abs=1e-12)
+        assert found.weights[node, :count].sum() == pytest.approx(1, abs=MAX_STENCIL_NODES * 2.0**-25)
 
 
 def test_curved_surfaces_are_predicted_better_than_by_means() -> None:
@@ -415,8 +438,7 @@ def test_the_mesh_is_bent_least(monkeypatch: pytest.MonkeyPatch) -> None:
     count, graph = len(points), mesh_graph(faces, len(points))
     values = np.random.default_rng(0).normal(size=count)
     found = predicted(graph_stencils(graph), values[graph.order])
-    unused = np.zeros((count, MAX_NEIGHBOURS), dtype=np.int64), np.zeros(count, dtype=np.int64)
-    first = next(coarser_levels(*mesh_neighbours(faces, count), *unused))
+    first = next(coarser_levels(*mesh_neighbours(faces, count), *new_neighbours(count)))
     ring = [set(first.adjacent[a:b].tolist()) for a, b in pairwise(first.starts)]
     left = [set(first.new_adjacent[a:b].tolist()) for a, b in pairwise(first.new_starts)]
     for vertex in first.removed.tolist():
@@ -426,7 +448,7 @@ def test_the_mesh_is_bent_least(monkeypatch: pytest.MonkeyPatch) -> None:
             beside[one] = {vertex: 1} | {other: 1 if other in ring[one] else 2 for other in kept}
         below, at, above = (energy(value, vertex, values, beside) for value in (-1.0, 0.0, 1.0))
         lowest = (below - above) / (2 * (below + above - 2 * at))
-        assert found[graph.order == vertex] == pytest.approx(lowest)
+        assert found[graph.order == vertex] == pytest.approx(lowest, abs=60 * 2.0**-24)  # weights are rounded
 
 
 def test_on_a_line_levels_are_alike() -> None:
@@ -441,7 +463,7 @@ def test_on_a_line_levels_are_alike() -> None:
         offsets = (graph.order[beside] - graph.order[node] + count // 2) % count - count // 2
         order = np.argsort(offsets)
         if offsets[order].tolist() in [[-3 * k, -k, k, 3 * k] for k in (1, 2, 4, 8)]:
-            np.testing.assert_allclose(found.weights[node, order], [-1 / 12, 7 / 12, 7 / 12, -1 / 12])
+            np.testing.assert_allclose(found.weights[node, order], [-1 / 12, 7 / 12, 7 / 12, -1 / 12], atol=2.0**-24)
             regular += 1
     assert regular == 64 + 32 + 16 + 8
 
@@ -456,7 +478,7 @@ def test_hubs_cost_no_time_and_do_no_harm() -> None:
 
 def test_frames_keep_their_own_weights() -> None:
     graph = path_graph(50)
-    np.testing.assert_array_equal(graph_stencils(graph).weights[:, :6], graph.weights)
+    np.testing.assert_allclose(graph_stencils(graph).weights[:, :6], graph.weights, rtol=0, atol=2.0**-25)
     np.testing.assert_array_equal(graph_stencils(graph).counts, graph.counts)
 
 

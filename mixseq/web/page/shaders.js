@@ -7,7 +7,8 @@ var mixseqShaders = (function () {
     in vec3 p0, p1;
     uniform float share;
     uniform vec3 origin;  // relative to the camera's target
-    vec3 place() { return origin + mix(p0, p1, share); }`;
+    uniform mat3 model;
+    vec3 place() { return origin + model * mix(p0, p1, share); }`;
 
   // Orthographic projection: scale, and position of the camera's target on the screen.
   const SCREEN = `
@@ -22,6 +23,7 @@ var mixseqShaders = (function () {
   const meshVertex = POSE + SCREEN + `
     in vec3 n0, n1;
     in float c0, c1;
+    in vec3 paint;  // colour of the vertex, 1 without
     uniform sampler2D palette;
     uniform vec3 tint;
     centroid out vec3 normal, colour;
@@ -29,8 +31,8 @@ var mixseqShaders = (function () {
     vec3 entry(float number) { return texelFetch(palette, ivec2(int(number + 0.5), 0), 0).rgb; }
     void main() {
       gl_Position = screen(place());
-      normal = turn * mix(unitOf(n0), unitOf(n1), share);
-      colour = mix(entry(c0), entry(c1), share) * tint;
+      normal = turn * (model * mix(unitOf(n0), unitOf(n1), share));
+      colour = mix(entry(c0), entry(c1), share) * tint * paint;
     }`;
 
   const meshFragment = `#version 300 es
@@ -145,3 +147,11 @@ var mixseqShaders = (function () {
     ground: [groundVertex, groundFragment],
   };
 })();
+
+/** Colours of a renderer in the light and the dark scheme of the browser; the background is that of the page. */
+var mixseqTheme = function () {
+  const LIGHT = { line: [0.45, 0.44, 0.42, 0.38], shade: [0.25, 0.24, 0.28, 0.42], ink: [0.1, 0.1, 0.12, 0.45] };
+  const DARK = { line: [0.75, 0.75, 0.78, 0.26], shade: [0, 0, 0, 0.6], ink: [0.05, 0.05, 0.06, 0.5] };
+  const background = getComputedStyle(document.body).backgroundColor.match(/[\d.]+/g).slice(0, 3).map((value) => value / 255);
+  return { ...(window.matchMedia("(prefers-color-scheme: dark)").matches ? DARK : LIGHT), background };
+};

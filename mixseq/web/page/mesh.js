@@ -4,14 +4,15 @@
 /**
  * Make a renderer of a canvas; null without WebGL 2.
  *
- * `meshOf(item)` makes a mesh of {vertices, faces, centre, colourings: [{palette, top}]}; `warmUp(look)` draws a point before
+ * `meshOf(item)` makes a mesh of {vertices, faces, centre, colourings: [{palette, top}]}, or of one whose positions and normals are on the graphics
+ * card: {faces, card: {positions, normals}, paint: RGB of its vertices or null, model: rotation by rows}; `warmUp(look)` draws a point before
  * meshes are loaded; `draw(panels, look, quality)` draws panels, with a fraction of the pixels per side. A panel is {box: [left,
  * top, width, height] in CSS pixels, shown: [{mesh, now, next, share, colouring, tint, moved}], rows: rotation to the screen,
  * target of the camera, scale: pixels per unit, shift: pixels from the centre, ground: height, reach: half the side of the
  * shadow's square, size: of the meshes}. A look is {background, line, shade, ink, wires, grid}; colours are 0 to 1.
  */
 var mixseqRenderer = function (canvas) {
-  const ATTRIBUTES = ["p0", "p1", "n0", "n1", "c0", "c1"];
+  const ATTRIBUTES = ["p0", "p1", "n0", "n1", "c0", "c1", "paint"], IDENTITY = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
   const SHADOW_PIXELS = 256, HEAT_CONTRAST = 0.25;
   const gl = canvas.getContext("webgl2", { antialias: true, alpha: false });
   if (!gl) return null;
@@ -24,7 +25,8 @@ var mixseqRenderer = function (canvas) {
   // Meshes --------------------------------------------------------------------------------------------------------
 
   function meshOf(item) {
-    const mesh = { ...item, slots: [newSlot(item), newSlot(item)], edges: null, textures: item.colourings.map(newPalette) };
+    const mesh = { model: IDENTITY, ...item, slots: item.card ? [] : [newSlot(item), newSlot(item)], edges: null, textures: item.colourings.map(newPalette) };
+    if (item.paint) mesh.paint = newBuffer(gl.ARRAY_BUFFER, item.paint);
     mesh.triangles = newBuffer(gl.ELEMENT_ARRAY_BUFFER, item.faces);
     return mesh;
   }
@@ -83,21 +85,26 @@ var mixseqRenderer = function (canvas) {
 
   /** Bind the buffers of a mesh for drawing; returns its uniforms. */
   function bindPose({ mesh, now, next, share, colouring, moved }, target) {
-    const slots = [slotOf(mesh, now, next, colouring), slotOf(mesh, next, now, colouring)];
+    const card = mesh.card && { places: mesh.card.positions, stride: 16, normals: mesh.card.normals, colours: null };
+    const slots = card ? [card, card] : [slotOf(mesh, now, next, colouring), slotOf(mesh, next, now, colouring)];
     gl.bindVertexArray(arrays);
-    slots.forEach(({ places, normals, colours }, k) => {
-      attribute("p" + k, places, 3, gl.FLOAT);
+    slots.forEach(({ places, stride = 0, normals, colours }, k) => {
+      attribute("p" + k, places, 3, gl.FLOAT, stride);
       attribute("n" + k, normals, 3, gl.FLOAT);
       attribute("c" + k, colours, 1, gl.UNSIGNED_BYTE);
     });
-    return { share, origin: mesh.centre.map((value, k) => value - target[k] - moved[k]) };
+    attribute("paint", mesh.paint, 3, gl.FLOAT);
+    return { share, model: mesh.model, origin: mesh.centre.map((value, k) => value - target[k] - moved[k]) };
   }
 
-  function attribute(name, buffer, size, type) {
+  /** Bind an attribute; without a buffer, all vertices have the colour white, or the first of a palette. */
+  function attribute(name, buffer, size, type, stride = 0) {
     const place = ATTRIBUTES.indexOf(name);
+    gl.disableVertexAttribArray(place);
+    if (!buffer) return size > 1 ? gl.vertexAttrib3f(place, 1, 1, 1) : gl.vertexAttrib1f(place, 0);
     gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
     gl.enableVertexAttribArray(place);
-    gl.vertexAttribPointer(place, size, type, false, 0, 0);
+    gl.vertexAttribPointer(place, size, type, false, stride, 0);
   }
 
   function drawElements(kind, buffer, count) {
