@@ -14,6 +14,12 @@ LARGE_BLOCK_BYTES = 4 << 20
 
 _M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD, _THRESHOLD_VARIABLE = -3, -1, "MALLOC_MMAP_THRESHOLD_"
 
+_VARIABLES = {
+    _THRESHOLD_VARIABLE: str(LARGE_BLOCK_BYTES),
+    # rslab has an allocator of its own, which would keep the memory of factors.
+    **{"MIMALLOC_ABANDONED_PAGE_PURGE": "1", "MIMALLOC_ARENA_EAGER_COMMIT": "0"},
+}
+
 
 def _exit(number: int, frame: FrameType | None) -> NoReturn:
     """Exit at once, as no work has begun."""
@@ -30,15 +36,15 @@ def exit_on_signals() -> None:
 
 
 def return_large_blocks() -> None:
-    """Let glibc, here and in new processes, return freed blocks of `LARGE_BLOCK_BYTES` to the system at once.
+    """Let C libraries, here and in new processes, return freed blocks of `LARGE_BLOCK_BYTES` to the system at once.
 
-    It would keep blocks of up to 32 MB for arrays of the same size, so that large meshes take up to twice the memory.
+    glibc would keep blocks of up to 32 MB for new arrays, so that large meshes take up to twice the memory.
     """
     if sys.platform != "linux" or _THRESHOLD_VARIABLE in os.environ:
         return
     import ctypes  # slow to import
 
-    os.environ[_THRESHOLD_VARIABLE] = str(LARGE_BLOCK_BYTES)
+    os.environ.update(_VARIABLES | os.environ)
     with suppress(OSError, AttributeError):  # other C libraries have no such setting
         ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, LARGE_BLOCK_BYTES)
         ctypes.CDLL(None).mallopt(_M_TRIM_THRESHOLD, 4 * LARGE_BLOCK_BYTES)

@@ -303,27 +303,30 @@ def paired_blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Floa
 
 
 def _add_strains(strains: RunningStatistics, topology: Topology, x: Float, y: Float) -> None:
-    lengths = edge_lengths(x, topology.edges)
-    defined = lengths > 0
-    strains.add(np.abs(edge_lengths(y, topology.edges)[defined] / lengths[defined] - 1))
+    for block in element_blocks(len(topology.edges), len(x)):
+        edges = topology.edges[block]
+        lengths = edge_lengths(x, edges)
+        defined = lengths > 0
+        strains.add(np.abs(edge_lengths(y, edges)[defined] / lengths[defined] - 1))
 
 
 def _add_angles(angles: RunningStatistics, topology: Topology, x: Float, y: Float) -> None:
     degenerate = np.logical_or(*(degenerate_faces(z, topology.faces, MIN_NORMAL_HEIGHT_RATIO) for z in (x, y)))
     hinge_faces = topology.hinge_faces
-    errors = np.full((len(x), len(hinge_faces)), np.nan)
     for block in element_blocks(len(hinge_faces), len(x)):
         hinges, defined = topology.hinges_at(block), ~degenerate[:, hinge_faces[block]].any(axis=2)
         x_angles, y_angles = (dihedral_angles(z, hinges)[defined] for z in (x, y))
-        errors[:, block][defined] = np.degrees(np.abs(wrap_angles(y_angles - x_angles)))
-    angles.add(errors)
+        angles.add(np.degrees(np.abs(wrap_angles(y_angles - x_angles))))
 
 
 def _signed_volumes(points: Float, faces: NDArray[np.int32]) -> Float:
     """Return signed volumes ``(B,)``, summed over tetrahedra between each face and the centroid."""
     centred = points - points.mean(axis=1, keepdims=True)
-    p, q, r = (centred[:, faces[:, corner]] for corner in range(3))
-    return np.asarray(np.einsum("tfi,tfi->t", p, np.cross(q, r)) / 6)
+    volumes = np.zeros(len(points))
+    for block in element_blocks(len(faces), len(points)):
+        p, q, r = (centred[:, faces[block, corner]] for corner in range(3))
+        volumes += np.einsum("tfi,tfi->t", p, np.cross(q, r)) / 6
+    return volumes
 
 
 def _volume_error(volumes: Float, diagonal: float) -> VolumeError | None:

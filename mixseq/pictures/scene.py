@@ -347,7 +347,7 @@ MESH_GAP_RATIO = 0.15
 SCENE_SIZE = 2.0
 """Longest side of the bounding box of all meshes, in scene units."""
 
-FIELD_OF_VIEW_DEGREES = 12.0
+FIELD_OF_VIEW_DEGREES = 35.0
 """Vertical field of view of the camera."""
 
 FRAMING_RATIO = 1.15

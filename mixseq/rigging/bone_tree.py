@@ -115,7 +115,7 @@ def fit_motions(
         fitted_joints.pivots,
         fitted,
         residual.reshape(fitted.shape),
-        fit_pivots,
+        fit_pivots and not joints.sliding.all(),
         0.0 if fit_pivots else _PARENT_STIFFNESS,
     )
     return attach_joints(_follow_parents(fitted, joints, idle_bones), fitted_joints), fitted_joints
@@ -157,7 +157,7 @@ def _descend(
     """Fit pivots ``(B, 3)`` and motions ``(B, 4, 3T)`` in place by coordinate descent; the residual E is updated."""
     bone_count, columns = len(parents), motions.shape[2]
     origins, moments = np.empty((bone_count, 3)), np.empty((bone_count, 3, 3))
-    levers, changes = np.empty((bone_count, 4 * bone_count, 3)), np.empty((3, columns))
+    levers, changes = np.zeros((bone_count, 4 * bone_count, 3)), np.empty((3, columns))
     for sweep in range(SWEEPS_PER_ROUND):
         for bone in range(bone_count):
             if sweep == 0 or fit_pivots:
@@ -222,13 +222,17 @@ def _fill_lever(
                     offset = pivots[branches[bone, other], axis] - pivots[bone, axis]
                     centre += offset * subtree_products[bone, 4 * other + 3]
             origin += centre / max(weight, _ROTATION_STIFFNESS)
-        for i in range(4 * bone_count):
-            levers[bone, i, axis] = products[own + axis, i] - origin * products[own + 3, i]
+        for other in range(bone_count):
+            if subtree_products[bone, 4 * other + 3] != 0.0:  # other products stay zero
+                for i in range(4 * other, 4 * other + 4):
+                    levers[bone, i, axis] = products[own + axis, i] - origin * products[own + 3, i]
         for child in range(bone + 1, bone_count):
             if branches[bone, child] == child:
                 offset = pivots[child, axis] - origin
-                for i in range(4 * bone_count):
-                    levers[bone, i, axis] += offset * subtree_products[child, i]
+                for other in range(bone_count):
+                    if subtree_products[child, 4 * other + 3] != 0.0:
+                        for i in range(4 * other, 4 * other + 4):
+                            levers[bone, i, axis] += offset * subtree_products[child, i]
         origins[bone, axis] = origin
     for axis in range(3):
         for i in range(3):

@@ -15,8 +15,9 @@ only its bone of largest weight, and the targets compensate. Both values were ch
 principal shapes of :math:`\delta`, and the error is measured after skinning.
 
 *The number of bones* is predicted by rough fits of free bones, whose errors are calibrated by full fits. The predicted
-number is fitted in full, and then a number smaller by a tenth, which mostly misses the error. Free bones with a far too
-large error are not connected to a tree, since a tree hardly reduces the error.
+number is fitted in full, and then a number smaller by a tenth, which mostly misses the error. Numbers whose rough error
+is hopeless are not fitted in full. Free bones with a far too large error are not connected to a tree, since a tree
+hardly reduces the error; nor are free bones with a far smaller error, unless no fewer suffice.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, lru_cache, partial
+from functools import cache, partial
 from typing import cast
 
 import numpy as np
@@ -132,7 +133,9 @@ MAX_BONES = 128
 
 _FIRST_BONE_COUNT = 8
 _COUNT_PRECISION_DIVISOR = 10  # ratio of the number of bones to its tolerance
-_INITIAL_ERROR_RATIO = 0.8  # assumed error ratio, full to rough fit, before the first full fit
+_INITIAL_ERROR_RATIO = 0.6  # assumed error ratio, full to rough fit, before the first full fit
+_MIN_ERROR_RATIO = 0.25  # smallest error ratio, full to rough fit; 0.3 was observed
+_MAX_TREE_LOSS = 1.25  # ratio by which a tree is expected to increase the error of free bones at most
 _MAX_PREDICTED_FITS = 4  # number of fits of predicted numbers of bones before bisection
 _MAX_TREE_GAIN = 1.2  # ratio by which a tree may reduce the error of free bones; 1.13 was observed
 _TINY_NUMBER = 1e-300
@@ -147,27 +150,43 @@ def fit_fewest_bones(
 ) -> tuple[Skin, float]:
     """Fit a skin with the fewest bones (to within a tenth) for a target error; return the skin and its error."""
     too_few, enough, error_ratio, fit_count = 0, max_count + 1, _INITIAL_ERROR_RATIO, 0
-    best: tuple[Skin, float] | None = None
-    fit: tuple[Skin, float] | None = None
-    while too_few < max_count and (best is None or enough - too_few > _count_margin(enough)):
-        largest = enough - _count_margin(enough) if best else max_count
+    best: tuple[Skin, float] | None = None  # the fit of `enough` bones, if they have been connected
+    while too_few < max_count:
+        is_found = enough <= max_count
+        precision = max(1, enough // _COUNT_PRECISION_DIVISOR)
+        if is_found and enough - too_few <= precision:
+            best = best or fit_tree(enough)
+            if best[1] <= target_error:
+                return best
+            error_ratio = best[1] / max(rough_error(enough), _TINY_NUMBER)
+            too_few, enough = enough, max_count + 1
+            best = best if too_few == max_count else None
+            continue
+        largest = enough - precision if is_found else max_count
         rough_target = target_error / max(error_ratio, _TINY_NUMBER)
         predicted = _predict_count(rough_error, too_few, largest, rough_target)
-        count = min(largest, max(predicted, too_few + (1 if best else _count_margin(too_few))))
+        count = min(largest, max(predicted, too_few + (1 if is_found else _count_margin(too_few))))
         if fit_count >= _MAX_PREDICTED_FITS:
-            count = (too_few + enough) // 2 if best else min(2 * too_few, max_count)
+            count = (too_few + enough) // 2 if is_found else min(2 * too_few, max_count)
+        if _MIN_ERROR_RATIO * rough_error(count) > _MAX_TREE_GAIN * target_error:
+            too_few = count
+            continue
         fit_count += 1
-        free_bones_error = free_error(count)
-        fit = fit_tree(count) if free_bones_error <= _MAX_TREE_GAIN * target_error else None
-        error_ratio = (fit[1] if fit else free_bones_error) / max(rough_error(count), _TINY_NUMBER)
-        if fit and fit[1] <= target_error:
+        error, fit = free_error(count), None
+        # Far more bones than necessary are not connected, unless no fewer suffice.
+        if target_error < _MAX_TREE_LOSS * error and error <= _MAX_TREE_GAIN * target_error:
+            fit = fit_tree(count)
+            error = fit[1]
+        error_ratio = error / max(rough_error(count), _TINY_NUMBER)
+        if error <= target_error:
             best, enough = fit, count
         else:
-            too_few = count
-    return best or fit or fit_tree(max_count)
+            too_few, best = count, best if is_found else fit
+    return best or fit_tree(max_count)
 
 
 def _count_margin(count: int) -> int:
+    """Return the tolerance of predicted numbers of bones."""
     return 1 + count // _COUNT_PRECISION_DIVISOR
 
 
@@ -372,7 +391,7 @@ def _fit_to_error(
     def rough_error(count: int) -> float:
         return fit_free_bones(sequence, count, ROUGH_FIT_ROUNDS, partial(report, count, ROUGH_FIT_ROUNDS)).errors[index]
 
-    @lru_cache(1)
+    @cache
     def free_bones(count: int) -> FreeBones:
         return fit_free_bones(sequence, count, rounds, partial(report, count, 2 * rounds + 1))
 

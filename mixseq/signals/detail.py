@@ -267,6 +267,7 @@ def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
         for columns in element_blocks(len(steps), len(shapes)):
             block, step = shapes[:, columns], steps[columns]
             block[:] = _round(block[:1], step) + _round(block - block[:1], step)
+        del steps
     key_poses = shapes[:, encoded.pose_columns]
 
     def corrections(time: Curve, times: Float, targets: Float) -> Float:
@@ -400,12 +401,15 @@ def fit_within_tolerance(
     error; after values both too small and too large, it is bisected.
     """
     low, high, slack = 0.0, np.inf, tolerance / 4
-    best: Model | None = None
+    best: Detail | None = None
+    model: Model | None = None
     step = 2.0 ** np.floor(np.log2(tolerance / TOLERANCE_TO_STEP_RATIO))
     errors: dict[bytes, float] = {}  # by digest, because models of short sequences coincide
     for trial in range(MAX_TRIAL_MODELS):
         progress(trial, MAX_TRIAL_MODELS, "choosing modes and knots")
-        model = build_model(encoded, Detail(slack=slack, step=step))
+        model = None  # key shapes of two models may take as much memory as the frames
+        detail = Detail(slack=slack, step=step)
+        model = build_model(encoded, detail)
         digest = _digest(model)
         if digest not in errors:
             errors[digest] = largest_error(model, sequence, 2 * tolerance, workers)
@@ -413,17 +417,19 @@ def fit_within_tolerance(
             step /= 2
         error = errors[digest]
         if error <= tolerance:
-            low, best = slack, model
+            low, best = slack, detail
             is_sufficient = error > SUFFICIENT_ERROR_RATIO * tolerance
             if is_sufficient or len(model.shapes) == 1 or trial > MAX_TRIAL_MODELS // 2:
-                break
+                progress(MAX_TRIAL_MODELS, MAX_TRIAL_MODELS, "choosing modes and knots")
+                return model
         else:
             high = slack
         scaled = slack * float(np.clip(0.8 * tolerance / max(error, tolerance / 100), 0.1, 10.0))
         slack = scaled if low < scaled < high else float(np.sqrt(max(low, high / 100) * high))
     progress(MAX_TRIAL_MODELS, MAX_TRIAL_MODELS, "choosing modes and knots")
+    model = None
     if best is not None:
-        return best
+        return build_model(encoded, best)
     finest = build_model(encoded, Detail(step=min(step, EXACT_ROUNDING_STEP)))
     return verify_tolerance(finest, sequence, tolerance, workers)
 
@@ -500,4 +506,5 @@ def largest_error(
         largest, done = max(largest, error), done + len(block)
         if largest > stop:
             break
+        del block, deviations  # as large as the next block
     return largest

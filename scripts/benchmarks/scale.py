@@ -97,19 +97,19 @@ def tube() -> tuple[FloatArray, Index]:
     return points.astype(np.float32), faces
 
 
-def torus() -> tuple[FloatArray, Index]:
-    """Bend a torus, and let waves run over it."""
-    u, v = np.meshgrid(*[2 * np.pi * np.arange(TORUS_SIDE) / TORUS_SIDE] * 2, indexing="ij")
+def torus(side: int = TORUS_SIDE) -> tuple[FloatArray, Index]:
+    """Bend a torus of ``side * side`` vertices, and let waves run over it."""
+    u, v = np.meshgrid(*[2 * np.pi * np.arange(side) / side] * 2, indexing="ij")
     frames = []
     for frame in range(3):
         thickness = 0.3 + 0.02 * np.sin(5 * v + 2 * u + frame)
         turn, radius = u + 0.1 * frame * np.sin(u), 1 + thickness * np.cos(v)
         height = thickness * np.sin(v) + 0.1 * frame * np.cos(2 * u)
         frames.append(np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=-1).reshape(-1, 3))
-    i, j = (each.reshape(-1) for each in np.indices((TORUS_SIDE, TORUS_SIDE)))
-    after, beside = (i + 1) % TORUS_SIDE, (j + 1) % TORUS_SIDE
-    a, b = i * TORUS_SIDE + j, after * TORUS_SIDE + j
-    c, d = after * TORUS_SIDE + beside, i * TORUS_SIDE + beside
+    i, j = (each.reshape(-1) for each in np.indices((side, side)))
+    after, beside = (i + 1) % side, (j + 1) % side
+    a, b = i * side + j, after * side + j
+    c, d = after * side + beside, i * side + beside
     faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     return np.array(frames, dtype=np.float32), faces.astype(np.int32)
 

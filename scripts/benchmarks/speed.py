@@ -1,64 +1,175 @@
-"""Fitting a sequence, beside py-dem-bones with the same number of bones, and decoding all its frames.
+"""Rates and CPU seconds beside peers, all in one run: Draco, meshopt, PCA, py-dem-bones, SciPy's spline and pxr.
 
-A fit is timed from the points to the model; of py-dem-bones only the solver is. Decoded frames have the same bits on
-one thread and on two.
+Seconds are those of a processor, on as many threads as MIXSEQ_THREADS allows. Where mixseq and a peer take turns, they
+are medians. Coders take the coarsest of their settings that keeps the bound. Ratios above 1 are in favour of mixseq.
 
-Usage: scripts/bench speed [NAME ...]   (animations of $MIXSEQ_DATA/npz; nothing else should run on the machine)
+Usage: MIXSEQ_THREADS=1 scripts/bench speed [NAME ...]   (animations of $MIXSEQ_DATA/npz)
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from pxr import Usd, UsdGeom, Vt
+from scipy.interpolate import make_interp_spline
 
 import mixseq
-from mixseq.runtime.parallel import thread_executor
-from mixseq.types import Float
+from mixseq.types import Float, FloatArray, IntArray
 from scripts.benchmarks.common.dembones import fit_peer
-from scripts.benchmarks.common.harness import BROKEN, animation, format_runs, print_table, repeated
+from scripts.benchmarks.common.harness import animation, cpu_timed, print_table, run
+from scripts.benchmarks.peers.coders import Coder, Draco, Meshopt, Ours
+from scripts.benchmarks.peers.pca import Pca
 
-NAMES = ("horse_gallop", "q_man_run", "elephant_gallop")
-FITS: dict[str, dict[str, Any]] = {"rank=20": {"rank": 20}, "default": {}}
+NAMES = ("q_man_run", "horse_gallop", "elephant_gallop")
+COLUMNS = ("sequence", "V", "what", "mixseq", "peer", "its figure", "ratio")
 
-COLUMNS = (
-    "sequence", "V", "method", "parts or bones", "s", "KG %", "max error/diag", "decode ms/frame, 1 thread",
-    "2 threads", "same bits",
-)  # fmt: skip
+MAX_ERROR = 1e-3
+"""Bound in diagonals of the coders."""
+
+PEERS: tuple[Coder, ...] = (Pca("trajectory"), Meshopt(), Draco())
+RUNS = 5
+FRAMES_PER_FRAME = 4
+"""Number of sampled frames per frame of the animation."""
+
+WRITTEN_FRAMES = 60
+
+STARTS = {"first frame": "model(model.times[0])", "between frames, as players": "model.playback(between)",
+          "between frames, fitted": "model(between)"}  # fmt: skip
+PROGRAM = """
+import sys, mixseq
+model = mixseq.load(sys.argv[1])
+between = model.start + 0.4 * (model.times[1] - model.times[0])
+"""
+
+
+class Row(NamedTuple):
+    """A line of the table."""
+
+    what: str
+    ours: float
+    peer: str
+    its: float
+    is_rate: bool = False
 
 
 def rows(name: str) -> Iterator[tuple[str, ...]]:
-    """Fit an animation with either setting, and decode it."""
+    """Measure an animation."""
     sequence = animation(name)
-    size = str(sequence.vertex_count)
-    for settings, told in FITS.items():
-        seconds, model = repeated(partial(mixseq.fit, sequence, **told), 3, 40.0, warm=True)
-        error = mixseq.compare(sequence, model.sample())
-        parts = len(model.decomposition.parts)
-        played = [repeated(partial(play, model, threads), 7, 20.0, warm=True) for threads in (1, 2)]
-        same = all(map(np.array_equal, *(frames for _, frames in played)))
-        yield (
-            name,
-            size,
-            f"fit, {settings}",
-            str(parts),
-            format_runs(seconds),
-            f"{error.kg_percent:.3g}",
-            f"{error.max_error:.2g}",
-            *(format_runs(runs, 1e3 / len(sequence)) for runs, _ in played),
-            "yes" if same else BROKEN,
-        )
-    if peer := fit_peer(name, parts):
-        cells = (str(peer.bones), format_runs(peer.seconds), f"{peer.kg_percent:.3g}", f"{peer.max_error:.2g}")
-        yield name, size, "py-dem-bones", *cells, "", "", ""
+    with tempfile.TemporaryDirectory() as folder:
+        for measure in (code, start, fit, sample, write):
+            for row in measure(name, sequence, Path(folder)):
+                ratio = row.ours / row.its if row.is_rate else row.its / row.ours
+                figures = f"{row.ours:.3g}", row.peer, f"{row.its:.3g}", f"{ratio:.2f}"
+                yield name, str(sequence.vertex_count), row.what, *figures
 
 
-def play(model: mixseq.Model, threads: int) -> list[Float]:
-    """Decode all frames, in blocks."""
-    return list(model.blocks(model.times, workers=thread_executor(threads)))
+def code(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:
+    """Compress and decompress within the bound."""
+    _, ours = (coded(Ours(), sequence, ("max_error", MAX_ERROR)) for _ in range(2))  # loads compiled loops first
+    for coder in PEERS:
+        if coder.package and find_spec(coder.package) is None:
+            continue
+        found = (coded(coder, sequence, setting) for setting in coder.settings(sequence))
+        theirs = next(figures for figures in found if figures[-1] <= MAX_ERROR)
+        for what, *figures in zip(("bits a vertex and frame", "encode, s", "decode, s"), ours, theirs, strict=False):
+            yield Row(what, figures[0], coder.title, figures[1])
+
+
+def coded(coder: Coder, sequence: mixseq.MeshSequence, setting: Any) -> tuple[float, float, float, float]:
+    """Return bits per vertex and frame, seconds to encode and to decode, and the largest error in diagonals."""
+    mesh = mixseq.Topology(sequence.faces, sequence.vertex_count)
+    encoding, data = cpu_timed(partial(coder.encode, sequence, setting))
+    decoding, points = cpu_timed(partial(coder.decode, mesh, data))
+    away = np.sqrt(np.square(points - sequence.points.astype(np.float64)).sum(axis=2).max())
+    bits = 8 * coder.signals(mesh, data) / sequence.points[..., 0].size
+    return bits, encoding, decoding, float(away) / sequence.diagonal
+
+
+def start(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:
+    """Load a compressed file in a new process, with its reader; loops have been compiled before."""
+    path = folder / "coded.h5"
+    mixseq.save(path, mixseq.compress(sequence, max_error=MAX_ERROR))
+    programs = "import numpy, numba", *(PROGRAM + frame for frame in STARTS.values())
+    imports, *seconds = np.median(
+        [[run(sys.executable, "-c", each, path).cpu for each in programs] for _ in range(RUNS + 1)][1:], axis=0
+    )
+    for what, ours in zip(STARTS, seconds, strict=True):
+        yield Row(f"new process: {what}, s", ours, "import of numba alone", imports)
+
+
+def fit(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:
+    """Fit a default model, and as many bones as it has parts."""
+    mixseq.fit(sequence)
+    seconds, model = cpu_timed(partial(mixseq.fit, sequence))
+    if peer := fit_peer(name, len(model.decomposition.parts)):
+        yield Row("fit, s", seconds, "py-dem-bones", float(np.median(peer.seconds)))
+        error = mixseq.compare(sequence, model.sample()).kg_percent
+        yield Row("KG error of the fit, %", error, "py-dem-bones", peer.kg_percent)
+
+
+def sample(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:
+    """Sample a default model, and the cubic spline of the vertices."""
+    model, spline = mixseq.fit(sequence), spline_of(sequence)
+    times = np.linspace(model.start, model.end, FRAMES_PER_FRAME * (len(sequence) - 1) + 1)
+    ours, theirs = medians(lambda: [block[0] for block in model.blocks(times)], lambda: [spline(t) for t in times])
+    yield Row("sampling, frames/s", len(times) / ours, "SciPy's cubic spline", len(times) / theirs, is_rate=True)
+    yield Row("rms error at left-out frames, diagonals", *left_out_errors(sequence))
+
+
+def write(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:
+    """Write .usdc, from points in float32 and, rounded, in float64."""
+    points = np.resize(sequence.points, (WRITTEN_FRAMES, *sequence.points.shape[1:])).astype(np.float32)
+    single = mixseq.MeshSequence.from_header(sequence.header.with_times(np.arange(WRITTEN_FRAMES) / 24), points)
+    double = single.with_points(points.astype(np.float64) + 1e-9 * sequence.diagonal)
+    file = str(folder / "a.usdc")
+    for each, precision in ((single, "float32"), (double, "float64")):
+        writers = partial(mixseq.write, file, each), partial(write_plainly, file, each.points, sequence.faces)
+        rates = (points.nbytes / 1e6 / seconds for seconds in medians(*writers))
+        yield Row(f".usdc of {precision}, MB/s", next(rates), "pxr alone", next(rates), is_rate=True)
+
+
+def medians(*functions: Callable[[], object]) -> list[float]:
+    """Return the median CPU seconds of functions that take turns, after a run of each that is not counted."""
+    seconds = [[cpu_timed(function)[0] for function in functions] for _ in range(RUNS + 1)]
+    return [float(median) for median in np.median(seconds[1:], axis=0)]
+
+
+def spline_of(sequence: mixseq.MeshSequence) -> Callable[[Float], Float]:
+    spline: Callable[[Float], Float] = make_interp_spline(sequence.times, sequence.points.astype(np.float64))
+    return spline
+
+
+def left_out_errors(sequence: mixseq.MeshSequence) -> tuple[float, str, float]:
+    """Return the errors of a default model and of the spline of every second frame, at the frames between."""
+    kept = np.arange(0, len(sequence), 2)
+    header = sequence.header.with_times(sequence.times[kept])
+    keys = mixseq.MeshSequence.from_header(header, sequence.points[kept])
+    between = np.arange(1, kept[-1], 2)
+    times, expected = sequence.times[between], sequence.points[between]
+    found = (mixseq.fit(keys)(times), spline_of(keys)(times))
+    model, spline = (float(np.sqrt(np.square(x - expected).sum(axis=2).mean())) / sequence.diagonal for x in found)
+    return model, "SciPy's cubic spline", spline
+
+
+def write_plainly(file: str, points: FloatArray, faces: IntArray) -> None:
+    """Write points, rounded, and faces with pxr alone, with the extents that it computes."""
+    stage = Usd.Stage.CreateInMemory()
+    mesh = UsdGeom.Mesh.Define(stage, "/mesh")
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArrayFromBuffer(np.full(len(faces), 3, dtype=np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArrayFromBuffer(faces.astype(np.int32).reshape(-1)))
+    values, extents = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
+    for frame_code, frame in enumerate(points):
+        array = Vt.Vec3fArrayFromBuffer(frame.astype(np.float32, copy=False))
+        values.Set(array, frame_code)
+        extents.Set(UsdGeom.PointBased.ComputeExtent(array), frame_code)
+    stage.GetRootLayer().Export(file)
 
 
 if __name__ == "__main__":

@@ -297,9 +297,10 @@ class Predictor:
         self._learned.append((signals, trusts))
         self._pending = []
         if self._graph.size > MIN_REPLAYED_NODES and self._signal_count <= MAX_REPLAYED_SIGNALS:
-            for start in range(0, len(self._blocks.nodes), BLOCKS_PER_REPLAY):
-                blocks = kernels.Blocks(*(array[start : start + BLOCKS_PER_REPLAY] for array in self._blocks))
-                blocks = blocks._replace(places=blocks.places - blocks.places[0])
+            nodes, counts, places = self._blocks
+            for start in range(0, len(nodes), BLOCKS_PER_REPLAY):
+                ids = slice(start, start + BLOCKS_PER_REPLAY)
+                blocks = kernels.Blocks(nodes[ids], counts[ids], places[ids] - places[start])
                 self._learn(blocks, new_gram(blocks))
             return
         self._gram = new_gram(self._blocks) if self._gram is None else self._gram

@@ -213,7 +213,7 @@ def fine_size_level(size: int) -> int:
 
 
 @compiled
-def update_activity(numbers: Index, ring: Index, starts: Index, activity: Index) -> tuple[Index, Index]:
+def update_activity(numbers: Index, ring: Int32, starts: Index, activity: Index) -> tuple[Index, Index]:
     """Return the activity ``(N,)`` updated by a signal's numbers ``(N,)``, and its means over rings ``(N,)``."""
     updated, ring_activity = np.empty_like(activity), np.empty_like(activity)
     for node in range(len(numbers)):

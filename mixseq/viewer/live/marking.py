@@ -32,10 +32,10 @@ from mixseq.viewer.marking import SOURCE, TARGET, Marking, MarkingSession, Pair
 from mixseq.viewer.playback import Playback
 from mixseq.viewer.session import Drawn, Message
 
-BALL_RADIUS_RATIO = 0.0013
+BALL_RADIUS_RATIO = 0.004
 """Radius of a ball, relative to the distance of the camera from its target."""
 
-MAX_BALL_DISTANCE = 7.5 * SCENE_SIZE
+MAX_BALL_DISTANCE = 2.5 * SCENE_SIZE
 """Camera distance in scene units beyond which balls get smaller on the screen."""
 
 RADIUS_CHANGE_RATIO = 1.15

@@ -196,7 +196,6 @@ class LiveStage:
         scene = self._server.scene
         scene.set_up_direction("+y")
         scene.configure_default_lights(cast_shadow=False)
-        scene.configure_fog(0.0, 1.0, enabled=False)  # the camera is far away
         extent = float(np.abs([self._arrangement.low, self._arrangement.high]).max()) * 6
         self._ground = scene.add_grid(
             "/ground",
@@ -209,7 +208,7 @@ class LiveStage:
             section_color=GRID_COLOUR,
             plane_color=GROUND_COLOUR,
             plane_opacity=0.0,
-            fade_distance=18 * SCENE_SIZE,
+            fade_distance=6 * SCENE_SIZE,
             position=(0.0, -1e-3 * SCENE_SIZE, 0.0),
         )
         self._update_cameras()

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mixseq.types import Float
-from scripts.benchmarks.common.harness import animation, repeated, run
+from scripts.benchmarks.common.harness import animation, cpu_timed, run
 
 
 class Peer(NamedTuple):
-    """Number of bones, KG error in percent, largest error in diagonals, and seconds of the solver's runs."""
+    """Number of bones, KG error in percent, largest error in diagonals, and CPU seconds of the solver's runs."""
 
     bones: int
     kg_percent: float
@@ -62,7 +62,7 @@ def _solve(points: Float, faces: Any, bones: int, start: Float | None) -> tuple[
         solver = _prepare_solver(points[0], points, bones, faces=faces.tolist(), max_influences=4, iterations=30)
         if start is not None:
             solver.set_weights(start)
-        runs += repeated(solver.compute, 1)[0]
+        runs.append(cpu_timed(solver.compute)[0])
         result = _read_skinning_result(solver)
         if len(result.weights) < bones and start is None:
             break  # it stopped early and is started again

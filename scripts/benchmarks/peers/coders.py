@@ -1,6 +1,6 @@
-"""Coders of `scripts/bench compress`: `mixseq.compress`, Draco, and quantised differences. For PCA see `pca.py`.
+"""Coders of `scripts/bench compress` and `speed`: `mixseq.compress`, Draco, meshopt, and quantised differences.
 
-Connectivity is not part of the measured size: a decoder is given the mesh.
+For PCA see `pca.py`. Connectivity is not part of the measured size: a decoder is given the mesh.
 """
 
 from __future__ import annotations
@@ -143,6 +143,48 @@ class Differences:
         first = second.reshape(3, mesh.vertex_count, frames).transpose(2, 1, 0).copy()
         first[1:] = np.cumsum(first[1:], axis=0)
         return np.asarray(np.cumsum(first, axis=0) * step + np.array(origin))
+
+
+# meshopt ---
+
+
+class Meshopt:
+    """Differences in time of coordinates on one grid, by meshoptimizer's codec of vertices and zstd."""
+
+    name = "meshopt"
+    title = "meshopt and zstd"
+    package = "meshopt"
+
+    def settings(self, sequence: mixseq.MeshSequence) -> Iterable[int]:
+        """Return bits a coordinate; rows have two bytes a coordinate."""
+        return range(8, 16)
+
+    def encode(self, sequence: mixseq.MeshSequence, setting: int) -> bytes:
+        import meshopt
+
+        points = sequence.points.astype(np.float64)
+        origin = points.min(axis=(0, 1))
+        step = float((points.max(axis=(0, 1)) - origin).max()) / (2**setting - 1)
+        q = np.rint((points - origin) / step).astype(np.int16)
+        rows = np.pad(np.diff(q, axis=0, prepend=np.int16(0)), ((0, 0), (0, 0), (0, 1)))
+        frames = [meshopt.encode_vertex_buffer(np.ascontiguousarray(frame)) for frame in rows]
+        sizes = np.array([len(frame) for frame in frames], dtype="<u4")
+        head = _DIFFERENCES_HEAD.pack(len(q), 2, *origin, step)
+        return head + to_zstd(sizes.tobytes() + b"".join(frames))
+
+    def signals(self, mesh: mixseq.Topology, data: bytes) -> int:
+        return len(data)
+
+    def decode(self, mesh: mixseq.Topology, data: bytes) -> Float:
+        import meshopt
+
+        count, _, *origin, step = _DIFFERENCES_HEAD.unpack_from(data)
+        unpacked = from_zstd(data[_DIFFERENCES_HEAD.size :])
+        ends = 4 * count + np.cumsum(np.frombuffer(unpacked, "<u4", count))
+        buffers = (unpacked[start:end] for start, end in zip([4 * count, *ends[:-1]], ends, strict=True))
+        rows = [meshopt.decode_vertex_buffer(each, mesh.vertex_count, 8).view(np.int16) for each in buffers]
+        q = np.cumsum(np.stack(rows).reshape(count, mesh.vertex_count, 4)[..., :3], axis=0, dtype=np.int16)
+        return np.asarray(q * step + np.array(origin))
 
 
 # Draco ---
