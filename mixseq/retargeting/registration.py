@@ -127,7 +127,7 @@ class Energy:
                 for other in range(constraint.corners.shape[1]):
                     columns = constraint.corners[:, other]
                     if other == k:  # on the diagonal, the first entry of a column
-                        lower, places = np.arange(len(rows)), self._matrix.indptr[4 * rows]
+                        lower, places = np.arange(len(rows)), self._matrix.indptr[4 * rows].astype(np.int64)
                     else:
                         lower = np.flatnonzero(rows >= columns)
                         keys = 4 * columns[lower] * unknown_count + 4 * rows[lower]
