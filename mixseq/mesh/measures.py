@@ -153,11 +153,11 @@ def _measure(
     loop: Callable[..., None], points: FloatArray, elements: IntArray, *arguments: float, kind: type = np.float64
 ) -> NDArray[Any]:
     """Measure elements ``(n, k)`` of points ``(..., V, 3)`` by a compiled loop over a frame; return ``(..., n)``."""
-    elements = np.require(elements, np.int32, "CW")
+    elements = np.require(elements, np.int32, ["C", "W"])
     values = np.empty((*points.shape[:-2], len(elements)), kind)
     frames = points.reshape(-1, *points.shape[-2:])
     for frame, row in zip(frames, values.reshape(len(frames), len(elements)), strict=True):
-        loop(np.require(frame, np.float64, "CW"), elements, *arguments, row)
+        loop(np.require(frame, np.float64, ["C", "W"]), elements, *arguments, row)
     return values
 
 

@@ -46,7 +46,7 @@ from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.markers import Markers, Pairing, fit_similarity
 from mixseq.runtime.progress import Progress, log_progress
 from mixseq.shells.solvers import Analysis, analyse
-from mixseq.types import Float, Index
+from mixseq.types import Float, Index, IntArray
 
 BENDING_LENGTH = 0.1  # l: length over which affine maps are similar, in diagonals of the target
 SHEAR_WEIGHT = 0.1  # mu: weight that attracts affine maps to similarities
@@ -58,7 +58,7 @@ _MIN_VERTEX_AREA_RATIO = 1e-6  # lower bound of a_i, relative to the mean; deter
 class SoftConstraints:
     """Soft position constraints of points on a mesh."""
 
-    corners: Index  # (n, k) vertices of each point: one, or the corners of a triangle
+    corners: IntArray  # (n, k) vertices of each point: one, or the corners of a triangle
     barycentric: Float  # (n, k) barycentric weights of the corners, which add to one
     goals: Float  # (n, 3) goal positions
     weights: Float  # (n,) weights of the squared distances from the goals
@@ -119,15 +119,16 @@ class Energy:
         right_side[:, 1:] = stiffness * SHEAR_WEIGHT * self.areas[:, None, None] * similarities
         for constraint in constraints:
             weighted = constraint.barycentric * constraint.weights[:, None]
-            for k in range(constraint.corners.shape[1]):
-                rows = constraint.corners[:, k]
+            corners = constraint.corners.astype(np.int64)  # keys have more than 32 bits
+            for k in range(corners.shape[1]):
+                rows = corners[:, k]
                 for c in range(3):
                     moments = weighted[:, k] * constraint.goals[:, c]
                     right_side[:, 0, c] += np.bincount(rows, moments, minlength=vertex_count)
-                for other in range(constraint.corners.shape[1]):
-                    columns = constraint.corners[:, other]
+                for other in range(corners.shape[1]):
+                    columns = corners[:, other]
                     if other == k:  # on the diagonal, the first entry of a column
-                        lower, places = np.arange(len(rows)), self._matrix.indptr[4 * rows]
+                        lower, places = np.arange(len(rows)), self._matrix.indptr[4 * rows].astype(np.int64)
                     else:
                         lower = np.flatnonzero(rows >= columns)
                         keys = 4 * columns[lower] * unknown_count + 4 * rows[lower]

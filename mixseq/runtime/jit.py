@@ -26,7 +26,7 @@ from pickle import UnpicklingError
 from typing import Any, TypeVar, cast
 
 import numba
-from llvmlite.binding import parse_assembly, parse_bitcode
+from llvmlite.binding import parse_assembly, parse_bitcode  # type: ignore[import-untyped]
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys

@@ -231,5 +231,5 @@ def chain_rotations(weights: FrameWeights, rotations: Float) -> Float:
 
     exponents = np.ascontiguousarray(np.cumsum(weights.weights[:, ::-1], axis=1)[:, ::-1])
     result = np.empty((len(exponents), *rotations.shape[1:]))
-    multiply_powers(np.require(rotations, np.float64, "CW"), weights.frame_ids, exponents, result)
+    multiply_powers(np.require(rotations, np.float64, ["C", "W"]), weights.frame_ids, exponents, result)
     return align_quat_signs(normalise_quat(result))

@@ -103,7 +103,7 @@ def box_coordinates(character: Character, sequence: MeshSequence) -> Float:
     low, high = turned.min(axis=0), turned.max(axis=0)
     box = (turned - (low + high) / 2) / (high - low)
     is_upright = high[1] - low[1] > 1.5 * (high[2] - low[2])
-    return box * [1.0, 1.0, 0.0] if is_upright else box
+    return np.asarray(box * [1.0, 1.0, 0.0] if is_upright else box)
 
 
 def count_false(boxes: tuple[Float, Float], pairs: Index) -> int:
@@ -120,7 +120,7 @@ def find_truth(name: str, source: MeshSequence, target: MeshSequence, kept: Inde
     if name not in HAND_MARKERS:
         return None
     mapping = mixseq.correspond(source, target, read_markers(HAND_MARKERS[name]))
-    return mapping.interpolate(source.points[:1])[0]
+    return np.asarray(mapping.interpolate(source.points[:1])[0])
 
 
 def measure(name: str) -> tuple[str, ...]:

@@ -102,6 +102,18 @@ def test_a_pull_on_a_triangle_is_a_pull_on_its_point() -> None:
     np.testing.assert_allclose(points, moved, atol=1e-8)
 
 
+def test_keys_of_large_meshes_have_more_than_32_bits() -> None:
+    """All points of a mesh are pulled by one vector, as faces with 32-bit indices have it."""
+    energy = Energy(surface(torus(150, 80)))
+    corners, shift = energy.mesh.faces.astype(np.int32), np.array([0.1, 0.2, 0.3])
+    assert 16 * len(energy.mesh.points) ** 2 > 2**31
+    thirds, weights = np.full(corners.shape, 1 / 3), np.full(len(corners), 1 / len(corners))
+    goals = energy.mesh.points[corners].mean(axis=1) + shift
+    identity = np.broadcast_to(np.eye(3), (len(energy.mesh.points), 3, 3))
+    points, _ = energy.minimise(1.0, identity, [SoftConstraints(corners, thirds, goals, weights)])
+    np.testing.assert_allclose(points, energy.mesh.points + shift, atol=1e-9)
+
+
 def test_nearest_similarities_are_proper() -> None:
     maps = np.stack([np.diag([2.0, 2.0, 2.0]), np.diag([1.0, 2.0, 3.0]), np.diag([-1.0, 1.0, 1.0])])
     found = nearest_similarities(maps)

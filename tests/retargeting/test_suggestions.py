@@ -58,7 +58,7 @@ def _kept(points: np.ndarray, all_points: np.ndarray) -> Index:
     from scipy.spatial import cKDTree
 
     distances, vertex_ids = cKDTree(all_points).query(points)
-    assert distances.max() < 1e-4 * np.ptp(points)
+    assert np.max(distances) < 1e-4 * np.ptp(points)
     return np.asarray(vertex_ids)
 
 
@@ -92,7 +92,7 @@ def test_markers_of_moved_copies_are_exact() -> None:
     source, target = (poses[0][vertices] for vertices in (found.markers.source, found.markers.target))
     distances = np.linalg.norm(source - target, axis=1) / np.linalg.norm(np.ptp(poses[0], axis=0))
     assert np.median(distances) < 0.01
-    assert distances.max() < 0.06
+    assert np.max(distances) < 0.06
 
 
 @cache
@@ -126,7 +126,8 @@ def test_handedness_changes_its_sign_in_a_mirror_and_not_with_the_pose() -> None
     mirrored = poses * [1, 1, -1], Topology(reversed_faces, topology.vertex_count)
     whole = len(poses[0])  # not decimated, so that all have the same vertices
     body, mirror, other_pose = (
-        Body.from_poses(*each, whole, NOTHING) for each in (walking()[0], mirrored, (poses[2:], topology))
+        Body.from_poses(some, its_topology, whole, NOTHING)
+        for some, its_topology in ((poses, topology), mirrored, (poses[2:], topology))
     )
     tips = on_bones(short(), *TIP_BONES)
     values = body.handedness(tips).reshape(-1)

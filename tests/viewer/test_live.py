@@ -234,7 +234,9 @@ def test_a_session(
     eventually(fits)
     keep(page, "view_phone")
 
-    assert page.get_by_role("button", name="Play").bounding_box()["height"] >= 40
+    box = page.get_by_role("button", name="Play").bounding_box()
+    assert box is not None
+    assert box["height"] >= 40
     page.locator(".mixseq-sheet").get_by_text("Curves").click()
     eventually(page.locator("#mixseq-charts").is_visible)
     page.wait_for_timeout(500)  # then the fold is kept

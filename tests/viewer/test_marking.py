@@ -94,4 +94,4 @@ def test_labels_do_not_collide() -> None:
 
     points = np.array([[0.0, 0, 0], [0.2, 0.1, 5], [3.0, 0, 0]])
     placed = separate_labels(points, np.array([0.0, 0, 1]), 1.0)
-    np.testing.assert_allclose(placed, [[0, 0, 0], [0.2, 1, 5], [3, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(placed, np.array([[0, 0, 0], [0.2, 1, 5], [3, 0, 0]]), atol=1e-12)

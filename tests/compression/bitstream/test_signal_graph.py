@@ -20,7 +20,7 @@ from mixseq.compression.bitstream.signal_graph import (
     update_adjacency,
 )
 from mixseq.mesh.topology import Topology
-from mixseq.types import Index
+from mixseq.types import Index, IntArray
 from tests.meshes import SEQUENCES, joined, pages, tetrahedron, torus
 
 NONE = np.zeros((0, 3), dtype=np.int64)
@@ -186,5 +186,5 @@ def test_nodes_are_renumbered() -> None:
     assert rows(*renumber_adjacency(*other, place, order)) == rows(starts, beside)
 
 
-def rows(starts: Index, beside: Index) -> list[list[int]]:
+def rows(starts: IntArray, beside: IntArray) -> list[list[int]]:
     return [beside[a:b].tolist() for a, b in pairwise(starts)]
