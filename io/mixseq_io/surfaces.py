@@ -84,7 +84,8 @@ class RoundingMonitor:
         self._largest = max(self._largest, largest)
         self._largest_local = max(self._largest_local, float(np.abs(box - self._near).max()))
         is_rounded = written is points or written.dtype == np.float32
-        if is_rounded and rounding_margin(self._negligible, largest / (self._diagonal.length or 1.0)):
+        is_normal = self._negligible * self._diagonal.length > np.finfo(np.float32).smallest_subnormal
+        if is_rounded and is_normal and rounding_margin(self._negligible, largest / (self._diagonal.length or 1.0)):
             return
         with np.errstate(over="ignore", under="ignore"):
             written = written.astype(np.float32) if written is points else written

@@ -18,6 +18,7 @@ their polygons. A polygon, planar or not, has the vector area :math:`\frac12 \su
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -155,7 +156,7 @@ def _measure(
     """Measure elements ``(n, k)`` of points ``(..., V, 3)`` by a compiled loop over a frame; return ``(..., n)``."""
     elements = np.require(elements, np.int32, ["C", "W"])
     values = np.empty((*points.shape[:-2], len(elements)), kind)
-    frames = points.reshape(-1, *points.shape[-2:])
+    frames = points.reshape(math.prod(points.shape[:-2]), *points.shape[-2:])
     for frame, row in zip(frames, values.reshape(len(frames), len(elements)), strict=True):
         loop(np.require(frame, np.float64, ["C", "W"]), elements, *arguments, row)
     return values

@@ -209,7 +209,8 @@ def _check_rest_poses(source: SourceMotion, rest: Float, correspondence: Corresp
         number = source.header.frame_number(int(frames[best - 1]))
         warnings.warn(
             f"the source is not at rest in the target's pose: points are {100 * residuals[0]:.0f} % of the body's "
-            f"radius off, in frame {number} {100 * residuals[best]:.0f} %; --rest {number} takes that one",
+            f"radius off, in frame {number} {100 * residuals[best]:.0f} %; take that one with rest={number}, or "
+            f"--rest {number}",
             MixseqWarning,
             stacklevel=3,
         )

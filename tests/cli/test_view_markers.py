@@ -103,7 +103,7 @@ def test_a_file_is_continued(run: Run, room: Room) -> None:
     assert room.meshes.names == ("bar.npz", "thick.obj")
     assert room.meshes.file == "pairs.txt"
     assert room.meshes.markers.names == ("end", "")
-    assert room.meshes.source.frame_count == 1
+    assert room.meshes.source.frame_count == 4  # proposals compare motions
     assert room.settings.port == 9000
     sizes = [np.linalg.norm(np.ptp(item.pose(0.0), axis=0)) for item in room.meshes.scene.items]
     np.testing.assert_allclose(sizes, 1.0, rtol=1e-6)

@@ -320,7 +320,9 @@ def test_velocities_of_a_model(path: Path) -> None:
     [
         lambda source: mixseq.fit(source, exact=True, space="vertex"),
         lambda source: mixseq.compress(source, max_error=0.01, parts=1),
-        lambda source: mixseq.transfer(source, moving(1), method="gradients"),
+        lambda source: mixseq.transfer(
+            source, MeshSequence.from_arrays(moving().points[:1], FACES), method="gradients"
+        ),
         resample,
     ],
     ids=["fit", "compress", "transfer", "resample"],

@@ -59,6 +59,10 @@ def test_hinges_at_faces_without_area_have_no_angle(corner: int, end: int) -> No
         assert dihedral_angles(points, HINGE)[0] == 0
 
 
+def test_no_hinges_have_no_angles() -> None:
+    assert dihedral_angles(np.zeros((0, 3)), np.zeros((0, 4), np.int64)).shape == (0,)
+
+
 def test_convex_solids_have_positive_angles() -> None:
     points, _ = tetrahedron()
     angles = dihedral_angles(points, topology_of(tetrahedron()).hinges)

@@ -26,7 +26,7 @@ from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.signals.model import Model
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.types import Float, FloatArray, Index
-from tests.meshes import SEQUENCES, bar, rigid_motions, rotation
+from tests.meshes import SEQUENCES, bar, bent, rigid_motions, rotation, tube
 from tests.retargeting.pairs import from_subdivided, furthest, subdivided, to_subdivided
 
 both = pytest.mark.parametrize("method", TRANSFERS)
@@ -224,6 +224,16 @@ def test_threads_do_not_change_a_bit(method: TransferName) -> None:
         for count in (1, 2)
     ]
     assert np.array_equal(results[0].points, results[1].points)
+
+
+def test_a_frame_in_the_pose_of_the_target_is_named() -> None:
+    """The source begins bent and is straight in its second frame, as the target is, at twice the size."""
+    points, faces = tube(10, 25)
+    source = MeshSequence.from_arrays(np.stack([bent(points, 1.5), points]), faces)
+    target = MeshSequence.from_arrays(2 * points[None], faces)
+    with pytest.warns(MixseqWarning, match=r"in frame 1 0 %; take that one with rest=1, or --rest 1"):
+        mixseq.transfer(source, target, method="gradients")
+    mixseq.transfer(source, target, method="gradients", rest=1)  # no warning
 
 
 def test_a_prepared_source_is_reusable() -> None:

@@ -208,7 +208,7 @@ class SignalGraph:
         if self.time_weights is not None:
             return self.time_weights
         is_neighbour = np.arange(self.neighbours.shape[1]) < self.counts[:, None]
-        return np.asarray(is_neighbour / np.maximum(self.counts, 1)[:, None])
+        return read_only(is_neighbour / np.maximum(self.counts, 1)[:, None])
 
     def with_extra_neighbours(self, nodes: Int32, sizes: Int32) -> tuple[Int32, Int32, Float]:
         """Return neighbours, counts and weights with extra neighbours ``(N, k)`` of weight zero: ``sizes[i]`` of i."""
