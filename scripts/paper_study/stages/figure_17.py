@@ -72,7 +72,7 @@ def page(results: Results) -> list[str]:
     for mesh, result in results.items():
         blocks += [
             f"## {result['far']['title']}",
-            "Chosen for it: poses between which *DSO, from a pose* is trapped. The paper does not tell its poses.",
+            "Chosen for it: poses between which *DSO, from a pose* is trapped. The paper does not name its poses.",
             f"![Two far poses and blends, {mesh}](figure-17-{mesh}.png)",
             _table(result["far"]),
             "The paper shows one picture of DSO that got trapped, and of MixIT that did not. "

@@ -44,7 +44,7 @@ def page(results: Results) -> list[str]:
         table(rows),
         "## Differences",
         "- As in the paper, joints that touch are one, so there are fewer joints than parts.\n"
-        "- The paper tells times only. Errors show what they pay for: with few parts more of what bends is taken for "
+        "- The paper gives times only. Errors show what they pay for: with few parts more of what bends is taken for "
         f"rigid. With many, errors of lengths at 99.9 % are {ratio_range(gains)} of those with few.",
     ]
 
