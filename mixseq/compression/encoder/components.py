@@ -178,7 +178,8 @@ class PartComponents:
     def __init__(self, components: PrincipalComponents, part: Part, min_norm: float) -> None:
         self.part, self.norms = part, components.norms
         self._components = components
-        self._first, self._batch = 0, list(components.vectors)  # first number and vectors of the newest batch
+        self._first = 0  # number of the first vector of the newest batch
+        self._batch: list[Float] = list(components.vectors)
         if len(part.vertices) < components.vectors.shape[2]:
             self._directions, self._offsets, self.norms = _rotate_to_part(self._loadings, min_norm)
             self._batch = []
@@ -212,7 +213,7 @@ class PartComponents:
             batch = slice(self._first, self._first + _VECTORS_PER_BATCH)
             vectors = self._directions[batch] @ self._loadings - self._offsets[batch, None]
             self._batch = list(vectors[:, None])
-        return self._batch[number - self._first]
+        return np.asarray(self._batch[number - self._first])
 
     def rank(self, step: float) -> int:
         """Return the number of vectors, at least one, before the vanishing vectors at which coding stops."""
