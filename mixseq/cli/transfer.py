@@ -406,6 +406,8 @@ def command(
         source_parts = _parts_of_source(source_motion, parts, labels, reading)
         model: Any = source_motion
         if as_body is not None:
+            if as_body in model.body_names:
+                raise SettingsError(f"{source} has a body {as_body!r}; give another name")
             source_parts = model.parts
             if isinstance(rest_shape, int):
                 rest_shape = model.sample(frames=[rest_shape])

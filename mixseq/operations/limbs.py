@@ -307,7 +307,7 @@ def _limbs_of_bodies(model: Model, limb: Limb) -> Iterator[tuple[Body, tuple[Mod
     """Yield the further bodies of a model, with their own models and the same limb if they have it, else None."""
     for body in model.bodies:
         has_limb = body.part_turns is not None and as_mixed(body.space).articulation.parents[limb.part] == limb.parent
-        follower = body.follow(model)
+        follower = model.alone_as(body)
         yield body, (follower, find_limb(follower, limb.part)) if has_limb else None
 
 

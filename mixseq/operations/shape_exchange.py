@@ -134,7 +134,7 @@ def with_body(
         _make_body(model, key_poses(model), name, None, np.eye(3)),
         model.times[sample_frame_ids(len(model.times))],
     )
-    pairs = zip(own.follow(model).blocks(times), model.blocks(times), strict=True)
+    pairs = zip(model.alone_as(own).blocks(times), model.blocks(times), strict=True)
     gap = max(float(np.linalg.norm(a - b, axis=2).max()) for a, b in pairs) / model.space.scale
     if gap > VISUALLY_LOSSLESS_TOLERANCE:
         text = f"its own key poses give the motion back within {format_error(gap)} diagonals"

@@ -15,7 +15,6 @@ knots of the curves are shared, and any body can take the place of the model wit
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,10 +26,7 @@ from mixseq.sequence.provenance import as_edited
 from mixseq.signals.curve import Curve
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.temporal import Poses
-from mixseq.types import Float
-
-if TYPE_CHECKING:
-    from mixseq.signals.model import Model
+from mixseq.types import Float, Index
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,15 +71,6 @@ class Body:
         if tuple(None if array is None else array.shape for array in arrays) != expected:
             raise SettingsError(f"the body {self.header.name!r} does not fit its shape space")
 
-    @classmethod
-    def from_model(cls, model: Model) -> Body:
-        """Return the mesh, space and key shapes of a model as a body of that model."""
-        turn = np.array([1.0, 0.0, 0.0, 0.0])
-        rotations = np.tile(turn, (model.space.rotation_count, 1))
-        turns = np.tile(np.eye(3), (model.space.correction_dim // 6, 1, 1))
-        shifts = np.zeros((model.space.centre_count, 3))
-        return cls(model.header, model.space, model.shapes, turn, rotations, shifts, turns)
-
     def relative_to(self, other: Body) -> Body:
         """Return the body with its maps from another body of the same model."""
         turns = None
@@ -105,26 +92,12 @@ class Body:
         rotations = quat_multiply(quat_multiply(self.turn, poses.rotations), self.rotations)
         return Poses(rotations, rotate_vectors(quat_to_matrix(self.turn), poses.centres) + self.shifts)
 
-    def follow(self, model: Model) -> Model:
-        """Return the model of this body alone, with the motion of the model that it belongs to."""
-        poses = self.place(model.space.unpack_placements(model.placement.values))
-        header = replace(self.header, times=model.header.times, fps=model.header.fps, keys=None)
-        return replace(
-            model,
-            header=header,
-            space=self.space,
-            shapes=self.shapes,
-            placement=Curve(model.placement.times, self.space.pack_placements(poses)),
-            correction=self._turn_correction(model),
-            bodies=(),
-        )
-
-    def _turn_correction(self, model: Model) -> Curve:
-        """Return the correction of a model in the axes of this body; zero if parts do not correspond."""
+    def turn_correction(self, correction: Curve, body_of_part: Index) -> Curve:
+        """Return the correction of the model in the axes of this body; zero if parts do not correspond."""
         if self.part_turns is None:
-            ends = np.unique(model.correction.times[[0, -1]])
+            ends = np.unique(correction.times[[0, -1]])
             return Curve(ends, np.zeros((len(ends), self.space.correction_dim)))
-        bodies = quat_to_matrix(self.rotations)[model.mixed.articulation.body_of_part]
-        vectors = model.correction.values.reshape(-1, 2, len(self.part_turns), 3)
-        turned = np.einsum("rpij,mrpi->mrpj", np.stack([self.part_turns, bodies]), vectors)
-        return Curve(model.correction.times, turned.reshape(len(vectors), -1))
+        turns = np.stack([self.part_turns, quat_to_matrix(self.rotations)[body_of_part]])
+        vectors = correction.values.reshape(-1, 2, len(self.part_turns), 3)
+        turned = np.einsum("rpij,mrpi->mrpj", turns, vectors)
+        return Curve(correction.times, turned.reshape(len(vectors), -1))

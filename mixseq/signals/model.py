@@ -148,9 +148,25 @@ class Model(Decodable, PickledWithoutCaches):
         if name not in self.body_names:
             raise SettingsError(f"there is no body {name!r}; bodies are {', '.join(map(repr, self.body_names))}")
         chosen = self.bodies[self.body_names.index(name) - 1]
-        own = Body.from_model(self)
+        turns = np.tile(np.eye(3), (self.space.correction_dim // 6, 1, 1))
+        turn, shifts = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros((self.space.centre_count, 3))
+        rotations = np.tile(turn, (self.space.rotation_count, 1))
+        own = Body(self.header, self.space, self.shapes, turn, rotations, shifts, turns)
         others = tuple((own if body is chosen else body).relative_to(chosen) for body in self.bodies)
-        return replace(chosen.follow(self), bodies=others)
+        return replace(self.alone_as(chosen), bodies=others)
+
+    def alone_as(self, body: Body) -> Model:
+        """Return the model of another body alone, which moves by the signals of this model."""
+        poses = body.place(self.space.unpack_placements(self.placement.values))
+        return replace(
+            self,
+            header=replace(body.header, times=self.header.times, fps=self.header.fps, keys=None),
+            space=body.space,
+            shapes=body.shapes,
+            placement=Curve(self.placement.times, body.space.pack_placements(poses)),
+            correction=body.turn_correction(self.correction, self.mixed.articulation.body_of_part),
+            bodies=(),
+        )
 
     @property
     def curves(self) -> tuple[Curve, Curve, Curve]:

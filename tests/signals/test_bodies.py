@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -71,14 +72,14 @@ def test_a_turned_body_moves_as_the_turned_motion(herd: mixseq.Model) -> None:
 
 
 EDIT_TOLERANCE_DIAGONALS = 1e-5
-PART_TOLERANCE_DIAGONALS = 1e-3  # coordinates of joints depend on the axes of the body
+PART_TOLERANCE_DIAGONALS = 2e-3  # coordinates of joints depend on the axes of the body
 
 
 def part(model: mixseq.Model) -> int:
     return int(np.flatnonzero(model.mixed.articulation.parents >= 0)[0])
 
 
-EDITS = {
+EDITS: Mapping[str, Callable[[mixseq.Model], mixseq.Model]] = {
     "cut": lambda model: cut(model, model.times[1], model.times[4]),
     "speed": lambda model: speed(model, 2.0),
     "repeat": lambda model: repeat(model, model.times[1], model.times[4], 2),

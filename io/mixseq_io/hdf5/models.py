@@ -41,6 +41,7 @@ from mixseq_io.hdf5.datasets import (
     read_ragged,
     read_scale,
     read_settings,
+    write_array,
     write_compact,
     write_header,
     write_index_lists,
@@ -340,12 +341,12 @@ def write_body(file: h5py.Group, body: Body) -> None:
     space = _check_stored(body.space)
     _write_mesh(file, body.header)
     write_space(file, space)
-    _write_blocks(file, "shape", shape_blocks(space), body.shapes)
-    write_compact(file, "turn", body.turn)
-    write_compact(file, "rotations", body.rotations)
-    write_compact(file, "shifts", body.shifts)
+    _write_blocks(file, "signals/shape", shape_blocks(space), body.shapes)
+    write_array(file, "turn", body.turn)
+    write_array(file, "rotations", body.rotations)
+    write_array(file, "shifts", body.shifts)
     if body.part_turns is not None:
-        write_compact(file, "part_turns", body.part_turns)
+        write_array(file, "part_turns", body.part_turns)
 
 
 def read_body(file: Contents, model: Model) -> Body:
@@ -360,7 +361,7 @@ def read_body(file: Contents, model: Model) -> Body:
     turns = None
     if "part_turns" in file.arrays:
         turns = read_floats(file, "part_turns", (model.space.correction_dim // 6, 3, 3), _MAX_TURN)
-    shapes = _read_blocks(file, "shape", shape_blocks(space), len(model.shapes))
+    shapes = _read_blocks(file, "signals/shape", shape_blocks(space), len(model.shapes))
     shifts = read_floats(file, "shifts", (space.centre_count, 3), MAX_LENGTH_DIAGONALS)
     return Body(header, space, shapes, turn, rotations, shifts, turns)
 
