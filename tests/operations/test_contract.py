@@ -95,6 +95,13 @@ def sketched_frames(model: Source) -> Float:
     return np.asarray(sketch.sample(lengths / lengths[-1]).points, dtype=np.float64)
 
 
+def by_key_poses(model: Source) -> Source:
+    """The same body once more, by the key poses of the model."""
+    herd = operations.with_body(model, operations.key_poses(model), "again")
+    again = herd.body("again")
+    return replace(again, header=replace(again.header, name=herd.header.name), bodies=())
+
+
 def compressed(source: Source) -> MeshSequence:
     return CompressedModel.from_sequence(mixseq.compress(source, max_error=RECOMPRESSED)).sample()
 
@@ -155,7 +162,7 @@ TABLE: Mapping[str, Operation] = {
     "swap_key": Operation(lambda model: operations.swap_key(model, 0, moved(model, 0.0)).sample(frames=[0]), 2),
     "drag": Operation(lambda model: operations.drag(model, 0.3, place(model, TIMES[3:4])[0] + 0.01), 2),
     "sketch": Operation(sketched_frames, 2),
-    "with_body": Operation(lambda model: operations.with_body(model, operations.key_poses(model), "b").body("b"), 2),
+    "with_body": Operation(by_key_poses, 2),
     "transfer": Operation(
         lambda source: mixseq.transfer(source, replace(original(), velocities=None)), 2, "all", VELOCITIES
     ),
