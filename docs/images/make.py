@@ -118,7 +118,7 @@ def moving(path: Path) -> None:
     slow = model.sample(times)
     columns = {
         "animation, 12 frames per second": (cycle.points[(times * 12).astype(int)], CLAY_COLOUR),
-        "model, at any time": (slow.points, segmentation_colours(*labels_of(model))),
+        "model, at any time": (slow.points, segmentation_colours(*labels_of(model), slow.faces)),
         "on another body": (mixseq.transfer(slow, long_legs()).points, CLAY_COLOUR),
     }
     view, limits, ground = camera([points for points, _ in columns.values()])
@@ -159,7 +159,9 @@ def from_two_sides(path: Path, walk: mixseq.MeshSequence, columns: Mapping[str, 
     page = Sheet.from_grid(2, len(columns), views_aspect(sides), "")
     for number, (title, labels) in enumerate(columns.items()):
         for row, (view, limits) in zip(page.panels, sides[0], strict=True):
-            draw_mesh(row[number], walk.points[0], walk.faces, segmentation_colours(*labels), "Y", view, limits)
+            draw_mesh(
+                row[number], walk.points[0], walk.faces, segmentation_colours(*labels, walk.faces), "Y", view, limits
+            )
         page.panels[0][number].set_title(title, fontsize=10, color=INK_COLOUR, pad=2)
     stream = BytesIO()
     page.save(stream)

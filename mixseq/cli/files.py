@@ -325,19 +325,26 @@ def scene_items(
     against: Path | None,
     reading: Mapping[str, Any],
     stack: ExitStack,
+    scalar: Path | None = None,
 ) -> tuple[list[SceneItem], SequenceReader | None]:
-    """Open models, sequences (frames are read later) and the original for errors; `stack` closes the files."""
+    """Open models, sequences (frames are read later), the original for errors, and values; `stack` closes the files."""
+    from mixseq.pictures.colours import check_values
     from mixseq.pictures.scene import SceneItem
+    from mixseq_io.npz import read_values
 
+    values = None if scalar is None else read_values(scalar)
     check_options([*files, *([against] if against else [])], reading)
 
     def opened(file: Path) -> SequenceReader:
         return stack.enter_context(mixseq.open_sequence(file, **options_of(file, reading)))
 
     items = [
-        SceneItem(name, mixseq.load(file) if is_model(file) else opened(file))
+        SceneItem(name, mixseq.load(file) if is_model(file) else opened(file), values=values)
         for name, file in zip(names, files, strict=True)
     ]
+    if values is not None:
+        for item in items:
+            check_values(values, item.header)
     return items, None if against is None else opened(against)
 
 

@@ -382,6 +382,11 @@ camera = setting(
     help="Degrees from the body's front, to its left, and above the horizon.  [default: front and a side]",
 )
 
+scalar = option(
+    "--scalar FILE",
+    help="Numbers of the vertices to show as colours, constant or a row for every frame: .npy, .npz or text.",
+)
+
 SPACE_OPTIONS = (
     option(
         "--space",

@@ -156,8 +156,8 @@ class DisplayControls:
         gui, names = server.gui, [item.name for item in playback.scene.items]
         self._stage = stage
         with gui.add_folder("Show"):
-            self._colour = gui.add_dropdown("Colour", colours.names, initial_value="clay")
-            self._legend = gui.add_html("")
+            self._colour = gui.add_dropdown("Colour", colours.names)
+            self._legend = gui.add_html(_legend(stage.colours))
             wireframe = gui.add_checkbox("Wireframe", False)
             follow = gui.add_checkbox("Follow", stage.following, hint="Follow bodies that travel")
             if len(names) > 1:
@@ -199,7 +199,8 @@ def _legend(colourings: list[Colouring]) -> str:
     stops = ", ".join(f"rgb({r} {g} {b})" for r, g, b in measured.palette[::15])
     bar = f'<div style="height: 10px; border-radius: 3px; background: linear-gradient(to right, {stops})"></div>'
     ends = (
-        f'<div style="display: flex; justify-content: space-between"><span>0</span><span>{measured.top:.3g} '
+        f'<div style="display: flex; justify-content: space-between"><span>{measured.low:.3g}</span>'
+        f"<span>{measured.top:.3g} "
         f"{escape(measured.unit)}</span></div>"
     )
     return f'<div id="mixseq-legend" style="padding: 2px 12px; font-size: 12px">{bar}{ends}</div>'
