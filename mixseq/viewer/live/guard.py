@@ -118,7 +118,7 @@ Pixels = Annotated[float, msgspec.Meta(ge=1, le=1e6)]
 Text = Annotated[str, msgspec.Meta(max_length=200)]
 Pair = tuple[Number, Number]
 Triple = tuple[Number, Number, Number]
-Value = bool | Number | str | Annotated[list[Number], msgspec.Meta(max_length=16)]
+Value = bool | Number | str
 
 
 class ClientMessage(msgspec.Struct, tag_field="type", forbid_unknown_fields=True):
