@@ -271,6 +271,8 @@ def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
     key_poses = shapes[:, encoded.pose_columns]
 
     def corrections(time: Curve, times: Float, targets: Float) -> Float:
+        if len(encoded.header.times) <= 2:  # no inner frame to judge interpolation in time by: poses are blended
+            return np.zeros((len(times), encoded.space.correction_dim))
         return encoded.space.pose_corrections(pose.weights(time.on_both_sides(times)) @ key_poses, targets)
 
     if detail.knots is not None:
