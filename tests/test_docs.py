@@ -408,11 +408,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mixseq.save(path / "gradient.h5", mixseq.fit(small, rank=1, space="gradient"))
     mixseq.save(path / "lri.h5", mixseq.fit(small, rank=1, space="lri"))
     mixseq.save(path / "edge.h5", mixseq.fit(small, rank=1, space="edge", projection="dso", volume=1.0))
+    keyed = mixseq.fit(small, pose="keys", exact=True)
+    mixseq.save(path / "herd.h5", operations.with_body(keyed, operations.key_poses(keyed), "other"))
     mixseq.save(path / "compressed.h5", mixseq.compress(small, max_error=0.01))
     return path
 
 
-MODELS = ("walk.h5", "free.h5", "vertex.h5", "gradient.h5", "lri.h5", "edge.h5")
+MODELS = ("walk.h5", "free.h5", "vertex.h5", "gradient.h5", "lri.h5", "edge.h5", "herd.h5")
 
 
 @pytest.mark.parametrize("name", ["sequence.h5", *MODELS])
@@ -442,7 +444,7 @@ def contents(file: h5py.File) -> tuple[dict[str, Any], dict[str, h5py.Dataset]]:
     def visit(name: str, item: h5py.Group | h5py.Dataset) -> None:
         attributes.update(item.attrs)
         if isinstance(item, h5py.Dataset):
-            datasets[name] = item
+            datasets[name.removeprefix("bodies/0/")] = item
 
     file.visititems(visit)
     return attributes, datasets
