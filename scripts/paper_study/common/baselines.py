@@ -52,7 +52,7 @@ SEGMENTS = 4
 """Segments of the geodesic, whose inner shapes have the weights 1/4, 1/2 and 3/4."""
 
 MAX_STEPS, MAX_DAMPING = 60, 1e8
-TOLERANCE = 1e-4
+TOLERANCE = 1e-3
 """Predicted decrease of an energy, as a share of it, below which it is a minimum."""
 
 
@@ -139,7 +139,7 @@ def minimise(
             trial = x + step.reshape(x.shape)
             if value(trial) < found.value:
                 break
-            damping *= 10
+            damping = max(10 * damping, 0.01)
         x, damping = trial, max(damping / 5, 1e-10)
     return x, ShellReport(value(x), MAX_STEPS, False)
 
@@ -361,5 +361,6 @@ BASELINES: dict[str, Callable[[Poses, Index], Method]] = {
     "ARAP": lambda poses, _: Arap(poses),
     "skin": lambda poses, _: Skinned(poses),
     "NRIC": lambda poses, _: Nric(poses),
+    "geodesic": lambda poses, _: Geodesic(poses),
 }
-"""All but the geodesic, of two poses."""
+"""Methods of others, of two poses."""
