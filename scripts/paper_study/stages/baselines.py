@@ -83,7 +83,7 @@ def page(results: Results) -> list[str]:
         "to the animation whose bones are blended, and *NRIC* (Sassen, Heeren, Hildebrandt and Rumpf 2020), whose "
         f"shells are {THICKNESS:g} diagonals thick, which we chose; the search starts from *DSO*. A "
         "time-discrete *geodesic* in the space of such shells (Heeren, Rumpf, Wardetzky and Wirth 2012) has "
-        f" {SEGMENTS} segments. Their elastic energies are "
+        f"{SEGMENTS} segments. Their elastic energies are "
         "minimised over all shapes between them at once, from *DSO*, until a step predicts less than "
         f"{TOLERANCE:.1%} of the energy. It does not aim at the blended lengths and angles, and is left out for the "
         "elephant, whose systems are too large.",
