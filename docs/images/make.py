@@ -22,6 +22,7 @@ from mixseq.cli.transfer import command as transfer_command
 from mixseq.compression.bitstream.compressed_sequence import decode_basis
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.creature import part_of_vertex, walk_cycle
+from mixseq.mesh.decimation import decimate
 from mixseq.mesh.rotations import rotvec_to_matrix
 from mixseq.mesh.triangle_mesh import area_normals
 from mixseq.operations import (
@@ -32,6 +33,7 @@ from mixseq.operations import (
     exaggerate,
     exaggerate_part,
     hold,
+    key_poses,
     loop,
     pose,
     repeat,
@@ -43,9 +45,18 @@ from mixseq.operations import (
     speed,
     swap_key,
     transition,
+    with_body,
 )
-from mixseq.pictures.charts import FAINT_COLOUR, LINE_COLOURS, chart_style, draw_embedding, import_matplotlib, new_page
-from mixseq.pictures.colours import JOINT_RED, segmentation_colours
+from mixseq.pictures.charts import (
+    FAINT_COLOUR,
+    LINE_COLOURS,
+    chart_style,
+    draw_embedding,
+    error_map,
+    import_matplotlib,
+    new_page,
+)
+from mixseq.pictures.colours import JOINT_RED, part_colours, segmentation_colours
 from mixseq.pictures.models import plot_model
 from mixseq.pictures.raster import draw_mesh
 from mixseq.pictures.scene import CLAY_COLOUR, INK_COLOUR, three_quarter_view
@@ -60,6 +71,7 @@ from mixseq.pictures.sheets import (
 )
 from mixseq.retargeting.transfer import Transfer, TransferSettings, plan_transfer
 from mixseq.segmentation.methods import METHODS
+from mixseq.sequence.sequence import join_blocks
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index, evenly_spaced
@@ -123,7 +135,7 @@ def moving(path: Path) -> None:
         page = Sheet.from_grid(1, len(columns), (limits[3] - limits[2]) / (limits[1] - limits[0]), "")
         for ax, (title, (poses, colours)) in zip(page.panels[0], columns.items(), strict=True):
             draw_mesh(ax, poses[frame], cycle.faces, colours, "Y", view, limits, ground)
-            ax.set_title(title, fontsize=13, color=INK_COLOUR, pad=2)
+            ax.set_title(title, fontsize=17, color=INK_COLOUR, pad=2)
         stream = BytesIO()
         page.save(stream)
         picture = Image.open(stream).convert("RGB")
@@ -379,6 +391,35 @@ def sketched(path: Path) -> None:
     save(page, path, SHEET_WIDTH, 256)
 
 
+# Engines --------------------------------------------------------------------------------------------------
+
+
+def engines(path: Path) -> None:
+    """A skin of the walk: its bones in colours, and how far it is off."""
+    walk = walk_model().sample()
+    skin = mixseq.fit_skin(walk, bones=16)
+    bones = part_colours(skin.bone_count)
+    shares = np.einsum("vk,vkc->vc", skin.weights, bones[skin.influences])[walk.faces].mean(axis=1)
+    frames = evenly_spaced(FPS + 1, 5)[1:]
+    skinned = skin.points()[frames]
+    errors = np.linalg.norm(skinned - walk.points[frames], axis=2) / walk.diagonal
+    colour_map = error_map(errors.max())
+    view, limits, ground = camera([walk.points[frames], skinned])
+    page = Sheet.from_grid(3, len(frames), (limits[3] - limits[2]) / (limits[1] - limits[0]), "", left=1.4, right=1.0)
+    for row, label in enumerate(("cache", f"skin,\n{len(bones)} bones", "error of\nthe skin")):
+        page.label_row(row, label)
+        for column, frame in enumerate(frames):
+            heat = colour_map.to_rgba(errors[column][walk.faces].mean(axis=1))[:, :3]
+            points, colours = (
+                (walk.points[frame], CLAY_COLOUR) if row == 0 else (skinned[column], (shares, heat)[row - 1])
+            )
+            draw_mesh(page.panels[row][column], points, walk.faces, colours, "Y", view, limits, ground)
+    page.add_colour_bar(colour_map, "vertex error / diagonal")
+    stream = BytesIO()
+    page.save(stream)
+    save(stream, path, SHEET_WIDTH, 256)
+
+
 # Transfers ------------------------------------------------------------------------------------------------
 
 
@@ -452,6 +493,26 @@ def long_legs() -> mixseq.MeshSequence:
     return mixseq.MeshSequence.from_arrays(points[None], walk.polygons, name="long legs")
 
 
+def bodies(path: Path) -> None:
+    """A walk and its edit on three bodies, one of which has other triangles."""
+    fox = mixseq.fit(walk_cycle(frames=FPS, fps=FPS), pose="keys", exact=True)
+    plan = plan_transfer(key_poses(fox), long_legs())
+    herd = with_body(fox, join_blocks(plan.header, plan.blocks()), "long legs")
+    kept, faces = decimate(long_legs().points[0], fox.header.faces.astype(int), 700)
+    low = mixseq.MeshSequence.from_arrays(long_legs().points[:, kept] * [1.2, 0.6, 1.5], faces, name="low")
+    pairs = np.stack([kept, np.arange(len(kept))], axis=1)[::10]
+    plan = plan_transfer(key_poses(fox), low, TransferSettings(pairs))
+    labels = plan.method.parts.labels if plan.method.parts else None
+    herd = with_body(herd, join_blocks(plan.header, plan.blocks()), "low", labels)
+    edited = exaggerate(herd, 1.6)
+    rows = {
+        f"{name}{edit}": model.body(name)
+        for name in herd.body_names
+        for edit, model in (("", herd), (", edited", edited))
+    }
+    sheet(path, rows, np.arange(1, FPS, 4) / FPS)
+
+
 def of_data(*names: str) -> list[str]:
     """Return paths of files in the folder of animations of other makers."""
     return [str(Path(os.environ["MIXSEQ_DATA"], name)) for name in names]
@@ -487,7 +548,9 @@ PICTURES: Mapping[str, Callable[[Path], None]] = {
     "edit-pose": posed,
     "edit-swap": swapped,
     "edit-sketch": sketched,
+    "engines": engines,
     "transfer-fox": transfer_fox,
+    "bodies": bodies,
     "transfer-wolf": transfer_wolf,
     "transfer-man": transfer_man,
     "transfer-contacts": contacts,
@@ -511,11 +574,11 @@ def sheet(path: Path, rows: Mapping[str, Model], times: Float, against: Model | 
     view, limits, ground = camera([points[None] for points in poses.values()])
     aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
     page = Sheet.from_grid(len(rows), len(times), aspect, "", left=1.4)
-    faces = next(iter(rows.values())).header.faces
     for number, label in enumerate(rows):
         page.label_row(number, label)
     for (row, column), points in poses.items():
-        ax, colours = page.panels[row][column], np.tile(CLAY_COLOUR, (len(faces), 1))
+        ax, faces = page.panels[row][column], list(rows.values())[row].header.faces
+        colours = np.tile(CLAY_COLOUR, (len(faces), 1))
         if against is not None and row:
             off = np.linalg.norm(points - against(times[column]), axis=1)[faces].mean(axis=1)
             share = np.clip(off / 0.05, 0, 1)[:, None]
@@ -530,9 +593,8 @@ def sheet(path: Path, rows: Mapping[str, Model], times: Float, against: Model | 
 
 def camera(poses: list[Float]) -> tuple[object, tuple[float, float, float, float], float]:
     """Return a view, limits and a ground for all poses ``(T, V, 3)`` together."""
-    points = np.concatenate(poses)
-    view = three_quarter_view(points[0])
-    return view, limits_of(points, "Y", view), float(points[..., 1].min())
+    view, points = three_quarter_view(poses[0][0]), np.concatenate([each.reshape(-1, 3) for each in poses])
+    return view, limits_of(points, "Y", view), float(points[:, 1].min())
 
 
 def save(page: BytesIO, path: Path, width: int, colours: int) -> None:

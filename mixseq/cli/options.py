@@ -366,6 +366,7 @@ velocities = partial(
     default=False,
     help="Also write the velocities of all vertices, for motion blur.",
 )
+body = partial(option, "--body NAME")
 joint_width = setting(
     "--joint-width N",
     type=POSITIVE_INTEGER,
