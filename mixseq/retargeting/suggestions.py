@@ -339,8 +339,7 @@ class Examination:
 def examine_markers(source: MeshSequence, target: MeshSequence, markers: Markers) -> Examination:
     """Examine the markers of two meshes in their first frames; problems are returned, not raised as errors."""
     x, y = (np.asarray(sequence.points[0], np.float64) for sequence in (source, target))
-    diagonal = float(np.linalg.norm(np.ptp(y, axis=0)))
-    suspicions = tuple(find_suspicious_markers(markers, x[markers.source], y[markers.target], diagonal))
+    suspicions = tuple(find_suspicious_markers(markers, x[markers.source], y[markers.target]))
     if len(markers) < MIN_EXAMINED_MARKERS:
         return Examination(suspicions)
     source_ids, coarse_source = _decimate_mesh(x, source.faces, np.unique(markers.source))

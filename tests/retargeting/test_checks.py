@@ -15,12 +15,11 @@ from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.checks import (
-    BendingEnergy,
     check_facing,
     check_markers,
     check_orientation,
+    find_conflicts,
     find_orientation,
-    find_wrong_markers,
 )
 from mixseq.retargeting.markers import Markers
 from mixseq.types import Float, Index
@@ -82,30 +81,6 @@ def named(messages: list[str]) -> set[int]:
     return {int(number) for number in re.findall(r"<(\d+)>", " ".join(messages))}
 
 
-# Splines ---------------------------------------------------------------------------------------------------
-
-
-def test_affine_maps_do_not_bend() -> None:
-    points = creature()
-    affine = points @ np.random.default_rng(1).normal(size=(3, 3)) + [1, 2, 3]
-    bending = BendingEnergy.from_points(points)
-    assert np.abs(bending.matrix @ affine).max() < 1e-12
-    assert bending.leave_one_out(affine)[0].max() < 1e-10
-
-
-def test_leave_one_out_equals_fits_without_the_marker() -> None:
-    source, target = creature(), other(creature())
-    distances, _ = BendingEnergy.from_points(source).leave_one_out(target)
-    rest = np.arange(1, 28)
-    # The spline through the others, with the same slack, by its own equations.
-    kernel = -np.linalg.norm(source[rest][:, None] - source[rest], axis=2) + 0.05 * np.eye(27)
-    affine = np.column_stack([np.ones(27), source[rest]])
-    system = np.block([[kernel, affine], [affine.T, np.zeros((4, 4))]])
-    solved = np.linalg.solve(system, np.concatenate([target[rest], np.zeros((4, 3))]))
-    there = np.concatenate([-np.linalg.norm(source[rest] - source[0], axis=1), [1], source[0]]) @ solved
-    assert distances[0] == pytest.approx(np.linalg.norm(target[0] - there), rel=1e-9)
-
-
 # Markers that are right, exchanged, or wrong ------------------------------------------------------------------
 
 
@@ -151,24 +126,15 @@ def test_a_marker_far_away_is_named() -> None:
     messages = warned(markers(order), points, target)
     assert named(messages) == {17}
     assert "seems wrong" in messages[0]
-    assert "% of the diagonal" in messages[0]
 
 
-def test_wrong_markers_are_sorted_by_surprise() -> None:
-    """Removal of the first wrong marker sharpens the predictions of its neighbours, which then surprise more."""
-    source = creature()
-    target = other(source)
-    target[17] += [6.0, 0, 0]
-    target[18] += [0, 8.0, 0]
-    target[25] += [0, 0, 7.0]
-    source, target = (
-        (points - points.mean(axis=0)) / np.linalg.norm(points - points.mean(axis=0), axis=1).mean()
-        for points in (source, target)
-    )
-    found = find_wrong_markers(source, target)
-    surprises = [surprise for _, _, surprise in found]
-    assert {17, 18, 25} <= {marker for marker, _, _ in found}
-    assert surprises == sorted(surprises, reverse=True)
+def test_conflicts_are_reversed_directions_and_distances_that_differ() -> None:
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0.1]])
+    every = np.arange(4)
+    assert not find_conflicts(points, 3 * points, every).any()
+    exchanged = np.argwhere(find_conflicts(points, points[[1, 0, 2, 3]], every))
+    assert exchanged.tolist() == [[0, 1], [0, 3], [1, 0], [1, 3], [3, 0], [3, 1]]  # 3 is near 0, then near 1
+    assert not find_conflicts(points[[0, 3]], points[[3, 0]], every[:2]).any()  # too near each other for a direction
 
 
 # Markers that cannot be used ----------------------------------------------------------------------------------
