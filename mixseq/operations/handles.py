@@ -5,7 +5,7 @@ from key to key. Kept vertices stay on their paths: at every time, they are hand
 place of the pose before the edit. A model of a single frame has no motion to fade into: the result goes from pose to
 pose.
 
-What is still missing at *exact* handles is the smoothest displacement d that interpolates them, the minimum of
+*Exact* handles deform the mesh by the smoothest displacement d that moves them to their targets, the minimum of
 :math:`\int |d - l^2 \Delta d|^2`, stored as a key shape like that of a sculpted edit.
 """
 

@@ -13,7 +13,7 @@ inverse kinematics of Sumner and others 2005 (MeshIK), in a space whose vectors 
 not depend on the coordinates of pose space. Only vertices of handles are skinned; derivatives are exact, by a complex
 step.
 
-*Models of a single frame* know no poses but their own. Their parts are chains: a part j turns by a rotation vector
+*Models of a single frame* have no other poses. Their parts are chains: a part j turns by a rotation vector
 :math:`\theta_j` about its pivot, the middle of its boundary with its parent, and roots are placed by b. The solution
 minimises
 

@@ -34,7 +34,7 @@ MAX_LEVELS = 256
 
 
 def segment_still(x: Float, topology: Topology, areas: Float, parts: int) -> Index:
-    """Find parts ``(F,)`` of a frame ``(V, 3)`` with areas ``(F,)`` of faces: as many as asked for, if levels do."""
+    """Find parts ``(F,)`` of a frame ``(V, 3)`` with areas ``(F,)`` of faces; fewer if there are not enough pieces."""
     heights = mean_surface_distances(x, topology)[topology.faces].mean(axis=1)
     heights /= heights.max(initial=0.0) or 1.0
     levels, pieces = 0, topology.component_of_face.astype(np.int64)
