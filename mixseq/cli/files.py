@@ -11,7 +11,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -346,6 +346,8 @@ def scene_items(
         for name, file in zip(names, files, strict=True)
         for item in SceneItem(name, mixseq.load(file) if is_model(file) else opened(file), values=values).of_bodies()
     ]
+    if len(files) == 1 and len(items) > 1:
+        items = [replace(item, name=item.header.name) for item in items]
     if values is not None:
         for item in items:
             check_values(values, item.header)

@@ -94,5 +94,5 @@ def test_a_page_shows_all_bodies(run: Run, stored: Path, herd: Model) -> None:
     result = run("view", "herd.h5", "--export", "herd.html")
     assert result.exit_code == 0, result.stderr
     items = Opened(Path("herd.html")).items
-    assert [item.description["name"] for item in items] == ["herd.h5: bar", "herd.h5: large"]
+    assert [item.description["name"] for item in items] == ["bar", "large"]
     assert items[1].model.header.vertex_count == herd.bodies[0].header.vertex_count
