@@ -43,13 +43,15 @@ StillName = Literal["draco", "plain", "none"]
 STILLS: tuple[StillName, ...] = get_args(StillName)
 """Storage of the first frame in a .glb with a compressed model: compressed by Draco, as float32, or omitted."""
 
-PictureKind = Literal["embedding", "coefficients", "singular-values", "parts", "error-frames", "error-vertices"]
+PictureKind = Literal[
+    "embedding", "coefficients", "singular-values", "parts", "error-frames", "error-vertices", "values"
+]
 PICTURES: tuple[PictureKind, ...] = get_args(PictureKind)
 """Kinds of pictures of a model."""
 
 UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "km": 1000.0, "in": 0.0254, "ft": 0.3048, "yd": 0.9144}
 """Units of length by name, in metres."""
 
-Colour = Literal["clay", "own", "parts", "error", "strain", "curvature"]
+Colour = Literal["values", "clay", "own", "parts", "error", "strain", "curvature"]
 COLOURS: tuple[Colour, ...] = get_args(Colour)
 """Colourings of meshes in films."""

@@ -9,6 +9,7 @@ import shlex
 import shutil
 import tomllib
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import fields
 from functools import cache
 from importlib import import_module
@@ -43,7 +44,9 @@ from mixseq_io.registry import capability_table, motion_table
 from mixseq_io.surfaces import SURFACE_ARRAY_NAMES
 from scripts.paper_study.main import STAGES
 from tests import given
+from tests.cli.conftest import SerialPool
 from tests.meshes import COARSE_CELL_METRES, bar, coarse_walk
+from tests.pictures.conftest import LOW_RESOLUTION, set_resolution
 
 pytestmark = pytest.mark.slow
 
@@ -153,6 +156,8 @@ def test_code_and_commands_run_from_top_to_bottom(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MIXSEQ_DATA", str(tmp_path))
+    set_resolution(monkeypatch, LOW_RESOLUTION)
+    monkeypatch.setattr("mixseq.runtime.processes.process_pool", lambda *_: nullcontext(SerialPool()))
     monkeypatch.setattr(creature, "CELL_METRES", COARSE_CELL_METRES if name in PAGES_WITH_PAWS else PAGE_CELL_METRES)
     for file in BROUGHT.get(name, "").split():
         given.make(file)
@@ -403,11 +408,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mixseq.save(path / "gradient.h5", mixseq.fit(small, rank=1, space="gradient"))
     mixseq.save(path / "lri.h5", mixseq.fit(small, rank=1, space="lri"))
     mixseq.save(path / "edge.h5", mixseq.fit(small, rank=1, space="edge", projection="dso", volume=1.0))
+    keyed = mixseq.fit(small, pose="keys", exact=True)
+    mixseq.save(path / "herd.h5", operations.with_body(keyed, operations.key_poses(keyed), "other"))
     mixseq.save(path / "compressed.h5", mixseq.compress(small, max_error=0.01))
     return path
 
 
-MODELS = ("walk.h5", "free.h5", "vertex.h5", "gradient.h5", "lri.h5", "edge.h5")
+MODELS = ("walk.h5", "free.h5", "vertex.h5", "gradient.h5", "lri.h5", "edge.h5", "herd.h5")
 
 
 @pytest.mark.parametrize("name", ["sequence.h5", *MODELS])
@@ -437,7 +444,7 @@ def contents(file: h5py.File) -> tuple[dict[str, Any], dict[str, h5py.Dataset]]:
     def visit(name: str, item: h5py.Group | h5py.Dataset) -> None:
         attributes.update(item.attrs)
         if isinstance(item, h5py.Dataset):
-            datasets[name] = item
+            datasets[name.removeprefix("bodies/0/")] = item
 
     file.visititems(visit)
     return attributes, datasets

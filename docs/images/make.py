@@ -22,6 +22,7 @@ from mixseq.cli.transfer import command as transfer_command
 from mixseq.compression.bitstream.compressed_sequence import decode_basis
 from mixseq.compression.bitstream.signal_graph import mesh_graph
 from mixseq.creature import part_of_vertex, walk_cycle
+from mixseq.mesh.decimation import decimate
 from mixseq.mesh.rotations import rotvec_to_matrix
 from mixseq.mesh.triangle_mesh import area_normals
 from mixseq.operations import (
@@ -32,6 +33,7 @@ from mixseq.operations import (
     exaggerate,
     exaggerate_part,
     hold,
+    key_poses,
     loop,
     pose,
     repeat,
@@ -43,6 +45,7 @@ from mixseq.operations import (
     speed,
     swap_key,
     transition,
+    with_body,
 )
 from mixseq.pictures.charts import FAINT_COLOUR, LINE_COLOURS, chart_style, draw_embedding, import_matplotlib, new_page
 from mixseq.pictures.colours import JOINT_RED, segmentation_colours
@@ -61,6 +64,7 @@ from mixseq.pictures.sheets import (
 from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.transfer import Transfer, TransferSettings, plan_transfer
 from mixseq.segmentation.methods import METHODS
+from mixseq.sequence.sequence import join_blocks
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index, evenly_spaced
@@ -116,7 +120,7 @@ def moving(path: Path) -> None:
     slow = model.sample(times)
     columns = {
         "animation, 12 frames per second": (cycle.points[(times * 12).astype(int)], CLAY_COLOUR),
-        "model, at any time": (slow.points, segmentation_colours(*labels_of(model))),
+        "model, at any time": (slow.points, segmentation_colours(*labels_of(model), slow.faces)),
         "on another body": (mixseq.transfer(slow, long_legs()).points, CLAY_COLOUR),
     }
     view, limits, ground = camera([points for points, _ in columns.values()])
@@ -157,7 +161,9 @@ def from_two_sides(path: Path, walk: mixseq.MeshSequence, columns: Mapping[str, 
     page = Sheet.from_grid(2, len(columns), views_aspect(sides), "")
     for number, (title, labels) in enumerate(columns.items()):
         for row, (view, limits) in zip(page.panels, sides[0], strict=True):
-            draw_mesh(row[number], walk.points[0], walk.faces, segmentation_colours(*labels), "Y", view, limits)
+            draw_mesh(
+                row[number], walk.points[0], walk.faces, segmentation_colours(*labels, walk.faces), "Y", view, limits
+            )
         page.panels[0][number].set_title(title, fontsize=10, color=INK_COLOUR, pad=2)
     stream = BytesIO()
     page.save(stream)
@@ -466,6 +472,26 @@ def long_legs() -> mixseq.MeshSequence:
     return mixseq.MeshSequence.from_arrays(points[None], walk.polygons, name="long legs")
 
 
+def bodies(path: Path) -> None:
+    """A walk and its edit on three bodies, one of which has other triangles."""
+    fox = mixseq.fit(walk_cycle(frames=FPS, fps=FPS), pose="keys", exact=True)
+    plan = plan_transfer(key_poses(fox), long_legs())
+    herd = with_body(fox, join_blocks(plan.header, plan.blocks()), "long legs")
+    kept, faces = decimate(long_legs().points[0], fox.header.faces.astype(int), 700)
+    low = mixseq.MeshSequence.from_arrays(long_legs().points[:, kept] * [1.2, 0.6, 1.5], faces, name="low")
+    pairs = np.stack([kept, np.arange(len(kept))], axis=1)[::10]
+    plan = plan_transfer(key_poses(fox), low, TransferSettings(pairs))
+    labels = plan.method.parts.labels if plan.method.parts else None
+    herd = with_body(herd, join_blocks(plan.header, plan.blocks()), "low", labels)
+    edited = exaggerate(herd, 1.6)
+    rows = {
+        f"{name}{edit}": model.body(name)
+        for name in herd.body_names
+        for edit, model in (("", herd), (", edited", edited))
+    }
+    sheet(path, rows, np.arange(1, FPS, 4) / FPS)
+
+
 def of_data(*names: str) -> list[str]:
     """Return paths of files in the folder of animations of other makers."""
     return [str(Path(os.environ["MIXSEQ_DATA"], name)) for name in names]
@@ -502,6 +528,7 @@ PICTURES: Mapping[str, Callable[[Path], None]] = {
     "edit-swap": swapped,
     "edit-sketch": sketched,
     "transfer-fox": transfer_fox,
+    "bodies": bodies,
     "transfer-wolf": transfer_wolf,
     "transfer-exchanged": transfer_exchanged,
     "transfer-man": transfer_man,
@@ -526,11 +553,11 @@ def sheet(path: Path, rows: Mapping[str, Model], times: Float, against: Model | 
     view, limits, ground = camera([points[None] for points in poses.values()])
     aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
     page = Sheet.from_grid(len(rows), len(times), aspect, "", left=1.4)
-    faces = next(iter(rows.values())).header.faces
     for number, label in enumerate(rows):
         page.label_row(number, label)
     for (row, column), points in poses.items():
-        ax, colours = page.panels[row][column], np.tile(CLAY_COLOUR, (len(faces), 1))
+        ax, faces = page.panels[row][column], list(rows.values())[row].header.faces
+        colours = np.tile(CLAY_COLOUR, (len(faces), 1))
         if against is not None and row:
             off = np.linalg.norm(points - against(times[column]), axis=1)[faces].mean(axis=1)
             share = np.clip(off / 0.05, 0, 1)[:, None]
@@ -545,9 +572,8 @@ def sheet(path: Path, rows: Mapping[str, Model], times: Float, against: Model | 
 
 def camera(poses: list[Float]) -> tuple[object, tuple[float, float, float, float], float]:
     """Return a view, limits and a ground for all poses ``(T, V, 3)`` together."""
-    points = np.concatenate(poses)
-    view = three_quarter_view(points[0])
-    return view, limits_of(points, "Y", view), float(points[..., 1].min())
+    view, points = three_quarter_view(poses[0][0]), np.concatenate([each.reshape(-1, 3) for each in poses])
+    return view, limits_of(points, "Y", view), float(points[:, 1].min())
 
 
 def save(page: BytesIO, path: Path, width: int, colours: int) -> None:

@@ -30,11 +30,20 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
 from mixseq.mesh.polygons import Polygons
+from mixseq.runtime.text_files import decode_text
 from mixseq.sequence.frame_rates import snap_to_ntsc
 from mixseq.sequence.header import DEFAULT_FPS, SequenceHeader
-from mixseq.types import FloatArray
+from mixseq.types import Float, FloatArray
 from mixseq_io.files import atomic_file, check_memory, memory_limit
-from mixseq_io.reader import DamageError, SequenceReader, prefix_errors, translate_read_errors, validate_blocks, warn
+from mixseq_io.reader import (
+    DamageError,
+    SequenceReader,
+    prefix_errors,
+    read_bytes,
+    translate_read_errors,
+    validate_blocks,
+    warn,
+)
 from mixseq_io.surfaces import SURFACE_ARRAY_NAMES, surface_from_arrays, surface_to_arrays
 
 _DAMAGE_ERRORS = (
@@ -125,6 +134,22 @@ def open_archive(path: Path) -> Iterator[Archive]:
 def translate_archive_errors(path: Path) -> AbstractContextManager[None]:
     """Translate errors of zipfile and NumPy about damaged files into `FormatError`."""
     return translate_read_errors(path, "an npz file", *_DAMAGE_ERRORS)
+
+
+def read_values(path: Path) -> Float:
+    """Read numbers: the array ``values`` or the only one of an .npz file, an .npy file, or text with a row per line."""
+    suffix = path.suffix.lower()
+    with translate_read_errors(path, "numbers of vertices (.npy, .npz or text)", *_DAMAGE_ERRORS):
+        if suffix == ".npz":
+            with open_archive(path) as archive:
+                name = "values" if "values" in archive.names or len(archive.names) != 1 else next(iter(archive.names))
+                numbers = archive.read(name)
+        elif suffix == ".npy":
+            numbers = np.load(path, mmap_mode="r", allow_pickle=False)
+        else:
+            text = decode_text(path, read_bytes(path, text=True), "numbers of vertices")
+            numbers = np.array([line.split() for line in text.replace(",", " ").splitlines() if line.strip()], float)
+        return np.asarray(numbers, dtype=np.float64).squeeze()
 
 
 _MAX_SPOOLED_BYTES = 1 << 26

@@ -176,6 +176,7 @@ def _seconds(text: str) -> tuple[float, ...]:
     "mixseq decode walk.abc walk.glb --as skin --set skeleton=character.glb",
     "mixseq decode walk.abc walk.glb --as morph --max-error 0.001",
     "mixseq decode walk.h5 walk.vat --max-error 0.001",
+    "mixseq decode herd.h5 'out/{body}.usdc'",
 )
 @options.argument("source", metavar="MODEL")
 @options.argument("target")
@@ -195,6 +196,7 @@ def _seconds(text: str) -> tuple[float, ...]:
     default="auto",
     help="Motion between frames: the model's, or along splines of vertices, as players show compressed models.",
 )
+@options.body(help="Body to decode, of a model with several; {body} in TARGET decodes all, to files by their names.")
 @options.velocities()
 @options.option(
     "--as",
@@ -242,6 +244,7 @@ def command(
     target: Path,
     frame_options: dict[str, Any],
     between: BetweenName,
+    body: str | None,
     velocities: bool,
     kind: str | None,
     rig: dict[str, Any],
@@ -254,6 +257,8 @@ def command(
     """Turn a model back into a sequence, at any frame rate.
 
     TARGET's format follows from its extension, see "mixseq formats". Frames are written while later frames are decoded.
+
+    A model with several bodies, from "mixseq transfer --as-body", is the one that it was made of, or --body.
 
     If TARGET is a folder .vat, frames become textures for graphics cards: one texel for every vertex and frame, or with
     --max-error low-rank textures, which are much smaller.
@@ -271,7 +276,8 @@ def command(
     hold = rig.pop("between_frames", False)
     if "max_error" not in rig:
         options.refuse("between_frames", why="is about --max-error; give both")
-    claim(target)
+    targets = files.targets_of_bodies(source, target, body)
+    claim(*targets)
     if textures:
         from mixseq_io.vat.writer import check_vat_target
 
@@ -280,40 +286,50 @@ def command(
         from mixseq_io.rig_files import check_rig_target, write_measured_rig
 
         check_rig_target(target)
+    tables = []
     with workers as work, progress_bar(quiet) as progress, ExitStack() as opened:
-        if kind is None and not textures:
-            model = _load(source, between, progress)
-            header = _header_of_frames(model, **frame_options)
-            files.write_frames(target, model, header, velocities, writing, progress, work)
-            table = [] if quiet else files.time_rows(header) + files.between_rows(target, header, model.blocks, writing)
-        else:
-            sequence, frames = _frames_to_fit(source, frame_options, between, progress, work, opened)
-            files.check_origin(target, sequence)
-            rig = in_diagonals(rig, sequence, "max_error", "correctives")
+        for path, name in targets.items():
+            if kind is None and not textures:
+                model = _load(source, between, name, progress)
+                header = _header_of_frames(model, **frame_options)
+                files.write_frames(path, model, header, velocities, writing, progress, work)
+                tables.append([] if quiet else _rows_of_frames(path, header, model, writing))
+                continue
+            sequence, frames = _frames_to_fit(source, frame_options, between, name, progress, work, opened)
+            files.check_origin(path, sequence)
+            settings = in_diagonals(rig, sequence, "max_error", "correctives")
             motion = None if quiet and not hold else _motion_of(frames, progress, hold)
             if textures:
                 report = mixseq.write_vat(
-                    target, sequence, rig.get("max_error"), texture, progress, motion=motion, between_frames=hold
+                    path, sequence, settings.get("max_error"), texture, progress, motion=motion, between_frames=hold
                 )
-                table = texture_rows(report, sequence.diagonal * sequence.metres_per_unit)
+                tables.append(texture_rows(report, sequence.diagonal * sequence.metres_per_unit))
+                continue
+            if hold and motion is not None:
+                rig_model, sequence = _hold_rig_between(kind or "", sequence, motion, progress, **settings)
             else:
-                if hold and motion is not None:
-                    rig_model, sequence = _hold_rig_between(kind or "", sequence, motion, progress, **rig)
-                else:
-                    rig_model = _fit_rig(kind or "", sequence, progress, **rig)
-                bound = rig.get("correctives") or rig.get("max_error")
-                measured = write_measured_rig(target, rig_model, sequence, bound)
-                table = [] if quiet else rows(target, rig_model, sequence, measured, motion)
-    if not quiet:
-        print_table(table)
-    announce(target)
+                rig_model = _fit_rig(kind or "", sequence, progress, **settings)
+            bound = settings.get("correctives") or settings.get("max_error")
+            measured = write_measured_rig(path, rig_model, sequence, bound)
+            tables.append([] if quiet else rows(path, rig_model, sequence, measured, motion))
+    for path, table in zip(targets, tables, strict=True):
+        if not quiet:
+            print_table(table)
+        announce(path)
 
 
-def _load(source: Path, between: BetweenName, progress: Progress) -> Decodable:
-    """Load a model, or the motion of its vertices alone."""
+def _rows_of_frames(
+    path: Path, header: SequenceHeader, model: Decodable, writing: Mapping[str, Any]
+) -> list[tuple[str, str]]:
+    """Return table rows about the frames of a model in a file."""
+    return files.time_rows(header) + files.between_rows(path, header, model.blocks, writing)
+
+
+def _load(source: Path, between: BetweenName, body: str | None, progress: Progress) -> Decodable:
+    """Load a model with a body in front, by default its own, or the motion of its vertices alone."""
     from mixseq.operations.resampling import vertex_motion
 
-    model = mixseq.load(source)
+    model = files.load_body(source, body)
     return vertex_motion(model, progress) if between == "vertices" else model
 
 
@@ -321,6 +337,7 @@ def _frames_to_fit(
     source: Path,
     frame_options: Mapping[str, Any],
     between: BetweenName,
+    body: str | None,
     progress: Progress,
     workers: Executor,
     opened: ExitStack,
@@ -335,11 +352,11 @@ def _frames_to_fit(
                 f"{source} is a sequence, whose frames are fitted as they are; leave out --fps, --times, --frames, "
                 "--start and --end, or turn it into a model first, with mixseq encode"
             )
-        options.refuse("between", why=f"is for models, and {source} is a sequence; leave it out")
+        options.refuse("between", "body", why=f"is for models, and {source} is a sequence; leave it out")
         sequence = files.read_sequence(source, {}, progress)
         reader = opened.enter_context(mixseq.open_sequence(source))
         return sequence, reader if is_rig(reader) else sequence
-    model = _load(source, between, progress)
+    model = _load(source, between, body, progress)
     header = _header_of_frames(model, **frame_options)
     return join_blocks(header, model.blocks(header.times, progress=progress, workers=workers)), model
 

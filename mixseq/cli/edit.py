@@ -55,6 +55,7 @@ A script has a table for every edit:
     "--travel FILE",
     help="Also write what in_place takes away, for engines to move the character by: a CSV file of seconds,x,y,z.",
 )
+@options.body(help="Body of a model with several that edits see, and that OUT shows first.  [default: its first]")
 @options.fps(help="Frames per second, where OUT is a sequence.  [default: the frames of the model]")
 @options.velocities(help="Also write the velocities of all vertices, where OUT is a sequence.")
 @options.writing
@@ -67,6 +68,7 @@ def command(
     script: Path,
     folders: tuple[Path, ...],
     travel: Path | None,
+    body: str | None,
     fps: float | None,
     velocities: bool,
     writing: dict[str, Any],
@@ -78,6 +80,8 @@ def command(
 
     SOURCE is a model, or a sequence in any format, which is turned into an exact model first. OUT is a model if it ends
     in .h5 or .hdf5, and a sequence in any other format, see "mixseq formats".
+
+    A model with several bodies, from "mixseq transfer --as-body", is edited once: OUT has them all, if it is a model.
 
     The script is a TOML file; its edits are applied in order. Operations are cut, repeat, loop, shift, speed,
     reverse, retime, concatenate, transition, blend, in_place, exaggerate, exaggerate_part, hold, smooth, sculpt, pose,
@@ -105,7 +109,7 @@ def command(
     )
     rows = []
     with workers as work, progress_bar(quiet) as progress:
-        model = load_or_fit(source, progress, exact=True, workers=work)
+        model = load_or_fit(source, progress, body, exact=True, workers=work)
         edits = read_script(script, readers)
         in_place = [edit for edit in edits if edit.operation == "in_place"]
         if travel is not None and len(in_place) != 1:

@@ -59,10 +59,39 @@ def is_model(path: Path) -> bool:
     return is_model(path)
 
 
-def load_or_fit(path: Path, progress: Progress, **settings: Any) -> Model:
+BODY_FIELD = "{body}"
+"""What stands for the name of every body in the path of a target."""
+
+
+def load_body(path: Path, body: str | None) -> Model:
+    """Load a model with the given body in front; None for its own."""
+    model = mixseq.load(path)
+    try:
+        return model if body is None else model.body(body)
+    except SettingsError as error:
+        raise SettingsError(f"{path}: {error}") from None
+
+
+def targets_of_bodies(source: Path, target: Path, body: str | None) -> dict[Path, str | None]:
+    """Return the body to write by target: the given one, or all of a model if the target has the `BODY_FIELD`."""
+    if BODY_FIELD not in str(target):
+        return {target: body}
+    if body is not None:
+        raise SettingsError(f"{target}: {BODY_FIELD} stands for all bodies; leave it out, or --body")
+    targets: dict[Path, str | None] = {}
+    for name in mixseq.load(source).body_names:
+        if re.search(r"[/\\\0]|^\.", name):
+            raise OutputError(f"the body {name!r} has no name for a file; decode it with --body")
+        targets[Path(str(target).replace(BODY_FIELD, name))] = name
+    return targets
+
+
+def load_or_fit(path: Path, progress: Progress, body: str | None = None, **settings: Any) -> Model:
     """Load a model, or fit one to a sequence with settings of `mixseq.fit`."""
     if is_model(path):
-        return mixseq.load(path)
+        return load_body(path, body)
+    if body is not None:
+        raise SettingsError(f"{path} is a sequence, which has one body; leave out --body")
     with mixseq.open_sequence(path) as reader:
         return mixseq.fit(reader, progress=progress, **settings)
 
@@ -296,19 +325,26 @@ def scene_items(
     against: Path | None,
     reading: Mapping[str, Any],
     stack: ExitStack,
+    scalar: Path | None = None,
 ) -> tuple[list[SceneItem], SequenceReader | None]:
-    """Open models, sequences (frames are read later) and the original for errors; `stack` closes the files."""
+    """Open models, sequences (frames are read later), the original for errors, and values; `stack` closes the files."""
+    from mixseq.pictures.colours import check_values
     from mixseq.pictures.scene import SceneItem
+    from mixseq_io.npz import read_values
 
+    values = None if scalar is None else read_values(scalar)
     check_options([*files, *([against] if against else [])], reading)
 
     def opened(file: Path) -> SequenceReader:
         return stack.enter_context(mixseq.open_sequence(file, **options_of(file, reading)))
 
     items = [
-        SceneItem(name, mixseq.load(file) if is_model(file) else opened(file))
+        SceneItem(name, mixseq.load(file) if is_model(file) else opened(file), values=values)
         for name, file in zip(names, files, strict=True)
     ]
+    if values is not None:
+        for item in items:
+            check_values(values, item.header)
     return items, None if against is None else opened(against)
 
 

@@ -366,6 +366,7 @@ velocities = partial(
     default=False,
     help="Also write the velocities of all vertices, for motion blur.",
 )
+body = partial(option, "--body NAME")
 joint_width = setting(
     "--joint-width N",
     type=POSITIVE_INTEGER,
@@ -379,6 +380,11 @@ camera = setting(
     "--camera ANGLE,HEIGHT",
     type=_angles,
     help="Degrees from the body's front, to its left, and above the horizon.  [default: front and a side]",
+)
+
+scalar = option(
+    "--scalar FILE",
+    help="Numbers of the vertices to show as colours, constant or a row for every frame: .npy, .npz or text.",
 )
 
 SPACE_OPTIONS = (

@@ -48,6 +48,7 @@ _FILM_OPTIONS = ("size", "film_fps", "seconds", "turn", "follow", "colour", "sca
     metavar="N,N,...",
 )
 @options.length("--tolerance D", help="Draw a line at this error, a fraction of the bounding box's diagonal, or 0.5mm.")
+@options.scalar
 @options.option(
     "--video FILE",
     help="Make a film of FILES side by side, sequences or models: .webp, .gif, or .mp4, which needs ffmpeg.",
@@ -95,6 +96,7 @@ def command(
     against: Path | None,
     frames: options.FrameChoice | None,
     tolerance: float | str | None,
+    scalar: Path | None,
     video: Path | None,
     names: tuple[str, ...] | None,
     filming: dict[str, Any],
@@ -115,7 +117,9 @@ def command(
         options.refuse(*_PICTURE_OPTIONS, why="is about pictures; leave it out, or --video")
         if not files:
             raise click.UsageError("Missing argument 'FILES...'.", click.get_current_context())
-        _make_film(video, files, names, filming, against, reading, claim, quiet)
+        if scalar is not None:
+            filming.setdefault("colour", "values")
+        _make_film(video, files, names, filming, against, scalar, reading, claim, quiet)
         return
     options.refuse(*_FILM_OPTIONS, why="is about films; give --video as well, or leave it out")
     if len(files) < 2:
@@ -129,11 +133,12 @@ def command(
     from mixseq.pictures.charts import picture_format
     from mixseq.pictures.models import check_settings, plot_model
     from mixseq_io.files import atomic_file
+    from mixseq_io.npz import read_values
 
     picture_format(target)
     camera = filming.get("camera")
     numbers = None if frames is None else frames.ranges
-    check_settings(kind, against is not None, numbers, tolerance is not None, camera)
+    check_settings(kind, against is not None, numbers, tolerance is not None, camera, scalar is not None)
     if against is None and reading:
         raise SettingsError(
             "--prim, --animation, --input-fps, --mesh and --allow-gaps are for reading a sequence; give --against"
@@ -154,6 +159,7 @@ def command(
                 frames=None if frames is None else frames.indices(model.header),
                 tolerance=in_diagonals({"tolerance": tolerance}, poses, "tolerance")["tolerance"],
                 camera=camera,
+                values=None if scalar is None else read_values(scalar),
                 progress=progress,
             )
     announce(target)
@@ -165,6 +171,7 @@ def _make_film(
     names: tuple[str, ...] | None,
     filming: Mapping[str, Any],
     against: Path | None,
+    scalar: Path | None,
     reading: Mapping[str, Any],
     claim: Claim,
     quiet: bool,
@@ -182,7 +189,7 @@ def _make_film(
         raise SettingsError(f"--names has {len(names)} names for {len(files)} files; give one for each")
     captions = names or ([file.name for file in files] if len(files) > 1 else [""])
     with ExitStack() as stack, progress_bar(quiet) as progress:
-        shown, original = scene_items(files, captions, against, reading, stack)
+        shown, original = scene_items(files, captions, against, reading, stack, scalar)
         with atomic_file(target) as temporary:
             film(temporary, shown, settings, original, progress)
     announce(target)

@@ -217,7 +217,7 @@ def _frames_to_draw(transferred: Transfer, frame: int, rest_file: Path | None, v
     "mixseq transfer walk.usdc tall.obj tall_walk.usdc",
     "mixseq transfer horse.h5 camel.obj camel.usdc --markers pairs.txt --save-map map.npz",
     "mixseq transfer gallop.abc camel.obj camel.abc --map map.npz --rest horse.obj",
-    "mixseq transfer gallop.h5 camel.obj camel.h5 --markers pairs.txt --as-model",
+    "mixseq transfer gallop.h5 camel.obj herd.h5 --markers pairs.txt --as-body camel",
 )
 @options.argument("source")
 @options.argument("target")
@@ -245,9 +245,9 @@ def _frames_to_draw(transferred: Transfer, frame: int, rest_file: Path | None, v
     help='Vertices of TARGET that shall not slide while SOURCE rests there, as JSON: {"left foot": [12, 13], ...}.',
 )
 @options.option(
-    "--as-model",
-    is_flag=True,
-    help="OUT is a model with the time and pose signals of SOURCE, a model too; only its key poses are transferred.",
+    "--as-body NAME",
+    help="OUT is the model SOURCE with TARGET as another body, which moves by the same time and pose signals; only key "
+    "poses are transferred.",
 )
 @options.setting("--target-prim PATH", help="Mesh to read of TARGET, as --prim is of SOURCE.")
 @options.picture("OUT")
@@ -271,7 +271,7 @@ def command(
     joint_width: int,
     labels: files.LabelChoice,
     contacts: Path | None,
-    as_model: bool,
+    as_body: str | None,
     target_prim: str | None,
     picture: dict[str, Any],
     as_json: bool,
@@ -296,8 +296,8 @@ def command(
     The first line says whether OUT is good, or what to check in which frame; the table below it has the figures, and
     --json all of them. A picture of both is drawn next to OUT.
 
-    With --as-model only the key poses of SOURCE are transferred, and OUT moves by SOURCE's time and pose signals. Edits
-    of one model can then be played on the other (mixseq.operations.with_shapes).
+    With --as-body only the key poses of SOURCE are transferred, and OUT holds the bodies of SOURCE and one more.
+    "mixseq edit" edits all of them at once, "mixseq decode --body" makes sequences of them.
 
     --up-axis and --units apply to all files, other reading options only to SOURCE.
     """
@@ -309,9 +309,9 @@ def command(
     if method == "gradients":
         for name in options.given_options("parts", "joint_width", "labels", "label_source", "contacts"):
             raise SettingsError(f"the method gradients knows no parts; leave out {name}, or --method")
-    if as_model:
+    if as_body is not None:
         if not (files.is_model(source) and out.suffix.lower() == ".h5"):
-            raise SettingsError("--as-model makes a model of a model: SOURCE and OUT are .h5 files; see mixseq encode")
+            raise SettingsError("--as-body makes a model of a model: SOURCE and OUT are .h5 files; see mixseq encode")
         why = "are kept frame by frame, and only key poses are transferred; leave one out"
         options.refuse("contacts", why=why)
     frame, rest_file = _rest_frame_or_file(rest, source)
@@ -327,7 +327,7 @@ def command(
         forward_warnings(notes.append),
         _open_source(source, reading) as source_motion,
     ):
-        from mixseq.operations import key_poses, with_shapes
+        from mixseq.operations import key_poses, with_body
         from mixseq.retargeting.report import TransferMeter
         from mixseq.retargeting.sources import prepare_source
         from mixseq.retargeting.transfer import TransferSettings, plan_transfer
@@ -345,11 +345,13 @@ def command(
         rest_shape = frame if rest_file is None else _mesh_at_rest(rest_file, reading, source_motion, rest is None)
         source_parts = _parts_of_source(source_motion, parts, labels, reading)
         model: Any = source_motion
-        if as_model:
+        if as_body is not None:
+            if as_body in model.body_names:
+                raise SettingsError(f"{source} has a body {as_body!r}; give another name")
             source_parts = model.parts
             if isinstance(rest_shape, int):
                 rest_shape = model.sample(frames=[rest_shape])
-        moving = key_poses(model) if as_model else source_motion
+        moving = source_motion if as_body is None else key_poses(model)
         motion = prepare_source(moving, rest_shape, source_parts, progress)
         mapping = None
         if map_file is not None:
@@ -366,8 +368,10 @@ def command(
             )
         meter = TransferMeter(transferred)
         blocks = meter.measure_blocks(transferred.blocks(progress, work))
-        if as_model:
-            mixseq.save(out, with_shapes(model, join_blocks(transferred.header, blocks)))
+        if as_body is not None:
+            keys, found = join_blocks(transferred.header, blocks), transferred.method.parts
+            target_parts, turn = None if found is None else found.labels, transferred.method.alignment.rotation
+            mixseq.save(out, with_body(model, keys, as_body, target_parts, turn))
         else:
             files.write_sequence(out, transferred.header, blocks, None, writing)
         report = meter.report()

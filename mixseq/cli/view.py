@@ -56,6 +56,7 @@ if TYPE_CHECKING:
 )
 @options.argument("files", nargs=-1, required=True)
 @options.option("--against SEQUENCE", help="The original in any format, to colour errors.")
+@options.scalar
 @options.option(
     "--markers FILE",
     help="Set markers of two meshes, for mixseq transfer: click pairs of points. FILE is continued, if it is there.",
@@ -113,6 +114,7 @@ if TYPE_CHECKING:
 def command(
     files: tuple[Path, ...],
     against: Path | None,
+    scalar: Path | None,
     markers: Path | None,
     rate: float | None,
     live: dict[str, Any],
@@ -142,7 +144,7 @@ def command(
     """
     if markers is not None:
         options.refuse(
-            *("page", "against", "rate", "overlaid", "following", "read_only", "threads"),
+            *("page", "against", "scalar", "rate", "overlaid", "following", "read_only", "threads"),
             why="is not about setting markers; leave it out, or --markers",
         )
     if page is not None:
@@ -164,7 +166,7 @@ def command(
         return
     with options.thread_limit(threads) as work:
         with progress_bar(quiet) as progress:
-            colours = _opened(files, against, rate, reading, progress)
+            colours = _opened(files, against, scalar, rate, reading, progress)
             if page is not None:
                 _export(page, colours, files, {"fps": rate, **paging, **looks}, progress, work)
         if page is None:
@@ -174,6 +176,7 @@ def command(
 def _opened(
     files: Sequence[Path],
     against: Path | None,
+    scalar: Path | None,
     fps: float | None,
     reading: Mapping[str, Any],
     progress: Progress,
@@ -184,7 +187,7 @@ def _opened(
     from mixseq.sequence.sequence import load_frames
 
     with ExitStack() as stack:
-        items, original = scene_items(files, _names(files), against, reading, stack)
+        items, original = scene_items(files, _names(files), against, reading, stack, scalar)
         scene = Scene(tuple(item.with_random_access(progress) for item in items), fps).validated()
         stored = None if original is None else load_frames(original, progress)
     if stored is not None:

@@ -11,7 +11,7 @@ from mixseq.operations.limbs import exaggerate_part, hold
 from mixseq.operations.resampling import resample
 from mixseq.operations.retiming import Retiming, read_retiming, retime
 from mixseq.operations.sculpt import sculpt, swap_key
-from mixseq.operations.shape_exchange import key_poses, with_shapes
+from mixseq.operations.shape_exchange import key_poses, with_body
 from mixseq.operations.sketch import drag, sketch
 from mixseq.operations.timeline import cut, in_place, loop, repeat, reverse, shift, speed, travel_of
 from mixseq.operations.transitions import blend, concatenate, into, transition
@@ -44,5 +44,5 @@ __all__ = [
     "swap_key",
     "transition",
     "travel_of",
-    "with_shapes",
+    "with_body",
 ]

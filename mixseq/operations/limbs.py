@@ -25,7 +25,7 @@ formulas. The edited signals are approximated by cubic splines with adaptive sit
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -57,6 +57,7 @@ from mixseq.operations.sections import (
 )
 from mixseq.runtime.public import public
 from mixseq.sequence.frame_rates import Seconds
+from mixseq.signals.bodies import Body
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
@@ -226,7 +227,11 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     mean = limb.joint_pose(model, model.times).mean(axis=0)
     sites = model_sites(model, model.start, model.end)
     correction = _edit_joint(model, limb, sites, lambda _, joint_pose: mean + gain * (joint_pose - mean))
-    return model.edited(correction=correction, shapes=_scale_joint_shapes(model, limb, gain))
+    bodies = tuple(
+        body if follower is None else replace(body, shapes=_scale_joint_shapes(*follower, gain))
+        for body, follower in _limbs_of_bodies(model, limb)
+    )
+    return model.edited(correction=correction, shapes=_scale_joint_shapes(model, limb, gain), bodies=bodies)
 
 
 @public
@@ -298,6 +303,14 @@ def _edit_joint(model: Model, limb: Limb, sites: Float, edit: JointPoseEdit) -> 
     return interpolate_adaptively(correction, sites, SIGNAL_TOLERANCE, correction_norm(model))
 
 
+def _limbs_of_bodies(model: Model, limb: Limb) -> Iterator[tuple[Body, tuple[Model, Limb] | None]]:
+    """Yield the further bodies of a model, with their own models and the same limb if they have it, else None."""
+    for body in model.bodies:
+        has_limb = body.part_turns is not None and as_mixed(body.space).articulation.parents[limb.part] == limb.parent
+        follower = model.alone_as(body)
+        yield body, (follower, find_limb(follower, limb.part)) if has_limb else None
+
+
 def _scale_joint_shapes(model: Model, limb: Limb, gain: float) -> Float:
     """Return the key shapes ``(K, S)`` of a model with joint coordinates of the limb scaled about their mean."""
     weights = limb.joint_weights()
@@ -321,14 +334,21 @@ def _add_limb_modes(model: Model, limb: Limb) -> tuple[Model, Callable[[Float], 
     rank = len(directions)
     shapes = np.repeat(model.shapes[:1], rank, axis=0)
     shapes[:, columns] += directions / metric[columns]
+    to_modes = jacobian @ directions.T
+    bodies = []
+    for body, follower in _limbs_of_bodies(model, limb):
+        added = np.repeat(body.shapes[:1], rank, axis=0)
+        if follower is not None:
+            body_weights = (follower[1].joint_weights() + follower[1].part_weights()) * (body.space.shape_weights > 0)
+            added += np.linalg.pinv(to_modes) @ (model.pose.matrix @ (body.shapes - body.shapes[0])) * body_weights
+        bodies.append(replace(body, shapes=np.concatenate([body.shapes, added])))
     matrix = np.zeros((dim + rank, keys + rank))
     matrix[:dim, :keys] = model.pose.matrix
     matrix[dim:, 0], matrix[dim:, keys:] = -1.0, np.eye(rank)
-    extended = replace(
-        model,
+    extended = model.edited(
         time=Curve(model.time.times, np.pad(model.time.values, ((0, 0), (0, rank)))),
         pose=PoseMap(np.pad(model.pose.offset, (0, rank)), matrix),
         shapes=np.concatenate([model.shapes, shapes]),
+        bodies=tuple(bodies),
     )
-    to_modes = jacobian @ directions.T
     return extended, lambda steps: np.asarray(steps @ to_modes)

@@ -375,31 +375,42 @@ def align_part_quaternions(sections: Sequence[ModelSection]) -> Sequence[ModelSe
     coordinates for them. Both the given and the returned models share space, pose and shapes.
     """
     first = sections[0].model
-    pose_dim, width = first.space.pose_dim, 1 + first.time.dim
-    signs = [np.ones(pose_dim)]
-    for before, (model, start, _) in pairwise(sections):
-        poses, reference = blend_key_poses(model, [start])[0], blend_key_poses(before.model, [before.end])[0]
-        signs.append(model.space.quaternion_signs(poses, signs[-1] * reference))
+    width = 1 + first.time.dim
+    bodies = [(first.space, first.shapes), *((body.space, body.shapes) for body in first.bodies)]
+    signs = np.concatenate([_shape_signs(space, shapes, sections) for space, shapes in bodies], axis=1)
     variants: dict[bytes, int] = {}
     variant_ids = [variants.setdefault(sign.tobytes(), len(variants)) for sign in signs]
     if len(variants) == 1:
         return sections
-    shapes = np.tile(first.shapes, (len(variants), 1, 1))
-    columns = slice(shapes.shape[2] - pose_dim, None)
-    for variant, sign in zip(variant_ids, signs, strict=True):
-        shapes[variant, :, columns] = sign * first.shapes[:, columns]
+    columns = np.concatenate([shapes for _, shapes in bodies], axis=1)
+    shapes = np.stack([signs[variant_ids.index(variant)] * columns for variant in range(len(variants))])
     unique_shapes, shape_ids = _unique_rows(shapes.reshape(-1, shapes.shape[2]))
     selections = np.eye(len(unique_shapes))[shape_ids].reshape(len(variants), -1, len(unique_shapes))
     offsets, matrices = first.pose.offset @ selections, first.pose.matrix @ selections
     blocks = np.concatenate([(offsets - offsets[0])[:, None], matrices], axis=1)
     pose = PoseMap(offsets[0], blocks.reshape(-1, len(unique_shapes))[1:])
+    own, *others = np.split(unique_shapes, np.cumsum([shapes.shape[1] for _, shapes in bodies])[:-1], axis=1)
+    extended = tuple(replace(body, shapes=shapes) for body, shapes in zip(first.bodies, others, strict=True))
     result = []
     for variant, (model, start, end) in zip(variant_ids, sections, strict=True):
         values = np.zeros((len(model.time.times), len(variants) * width))
         values[:, variant * width : (variant + 1) * width] = np.insert(model.time.values, 0, 1.0, axis=1)
         time = Curve(model.time.times, values[:, 1:])
-        result.append(ModelSection(replace(model, pose=pose, shapes=unique_shapes, time=time), start, end))
+        joined = replace(model, pose=pose, shapes=own, time=time, bodies=extended)
+        result.append(ModelSection(joined, start, end))
     return result
+
+
+def _shape_signs(space: ShapeSpace, shapes: Float, sections: Sequence[ModelSection]) -> Float:
+    """Return factors ``(sections, S)`` of key shapes ``(K, S)`` that keep part quaternions continuous at seams."""
+    signs = np.ones((len(sections), space.shape_dim))
+    columns = shapes[:, space.shape_dim - space.pose_dim :]
+    for number, (before, (model, start, _)) in enumerate(pairwise(sections)):
+        ends = (before.model, before.end), (model, start)
+        reference, poses = (each.pose.weights(each.time([time]))[0] @ columns for each, time in ends)
+        before_sign = signs[number, space.shape_dim - space.pose_dim :]
+        signs[number + 1, space.shape_dim - space.pose_dim :] = space.quaternion_signs(poses, before_sign * reference)
+    return signs
 
 
 def blend_key_poses(model: Model, times: ArrayLike) -> Float:

@@ -1,14 +1,12 @@
 r"""Apply the motion of one body to another: combine its time and pose signals with key shapes of another mesh.
 
-.. math:: s(t) = \sum_j \varphi_j(c(t))\, P_j
+The key shapes of the second body (`mixseq.signals.bodies`) are the poses of `key_poses`, transferred or modelled by
+hand, encoded in its own shape space. It stands as the first, up to the mean rotation A and the mean shift d between
+their key poses. What is left of both in a key pose is a motion of the second body's parts in this frame,
 
-The weights :math:`\varphi_j(c(t))` are independent of the mesh. With key shapes :math:`P_j` of a second body, encoded
-in its own shape space, the same signals move the second body. Its key shapes are the poses of `key_poses`, transferred
-or modelled by hand. The second body follows the path of the first, scaled to its size:
+.. math:: Q_j A, \qquad C_j + d, \qquad \text{instead of} \quad Q'_j, \quad C'_j,
 
-.. math:: Q'(t) = Q(t)\, A, \qquad C'(t) = C(t) + \bar d,
-
-each in diagonals of its mesh, with the mean rotation A and the mean shift :math:`\bar d` between their key poses.
+and part of its key shape: two bodies with other proportions bob and pitch otherwise in the same pose.
 """
 
 from __future__ import annotations
@@ -17,6 +15,7 @@ from dataclasses import replace
 from typing import cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
 from mixseq.mesh.rigid import nearest_rotations
@@ -27,6 +26,7 @@ from mixseq.mesh.rotations import (
     quat_conjugate,
     quat_multiply,
     quat_to_matrix,
+    rotate_vectors,
 )
 from mixseq.operations.sections import correction_norm
 from mixseq.runtime.parallel import one_blas_thread
@@ -34,14 +34,14 @@ from mixseq.runtime.progress import log_progress
 from mixseq.runtime.public import FileOr, public
 from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.sequence.provenance import format_error, with_other_motion
-from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, load_frames, own_parts, warn_of_loss
-from mixseq.signals.curve import Curve
-from mixseq.signals.detail import VISUALLY_LOSSLESS_TOLERANCE, encode_sequence
+from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, load_frames, warn_of_loss
+from mixseq.signals.bodies import Body
+from mixseq.signals.detail import VISUALLY_LOSSLESS_TOLERANCE, encode_sequence, find_rounding_step, round_key_shapes
 from mixseq.signals.model import Model
 from mixseq.spaces.making import MixedSettings, make_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace, as_mixed
 from mixseq.spaces.temporal import Poses
-from mixseq.types import Float
+from mixseq.types import Float, IntArray
 
 AXIS_ITERATIONS = 100
 """Number of iterations by which body axes and part axes of two bodies are matched."""
@@ -52,7 +52,7 @@ def key_poses(model: Model) -> MeshSequence:
     """Return the key shapes of a model as a sequence of meshes, one frame each.
 
     A key shape that is a frame (``mixseq.fit(sequence, pose="keys")``) has the placement of that frame; any other has
-    the placement of the first frame. Transferred to another body, the key poses are the input of `with_shapes`.
+    the placement of the first frame. Transferred to another body, the key poses are the input of `with_body`.
 
     Parameters
     ----------
@@ -72,28 +72,43 @@ def key_poses(model: Model) -> MeshSequence:
 
 
 @public
-def with_shapes(model: Model, keys: FileOr[Frames | Model]) -> Model:
-    """Apply the motion of a model to another body, with the same time and pose signals and other key shapes.
+def with_body(
+    model: Model,
+    keys: FileOr[Frames],
+    name: str,
+    parts: ArrayLike | None = None,
+    turn: ArrayLike | None = None,
+) -> Model:
+    """Give a model another body, which moves by the same time and pose signals with its own key shapes.
 
-    A body with the same triangles gets the same parts, and the correction in its axes; for others it is left out.
+    Operations and files keep all bodies of a model: an edit is made once and plays on all. `Model.body` puts one in
+    front.
 
     Parameters
     ----------
     model : Model
         A model in the mixed shape space.
-    keys : MeshSequence, SequenceReader or Model
+    keys : MeshSequence or SequenceReader
         The poses of `key_poses` on the other body, in the same order: a sequence of any mesh, one frame per key shape.
-        Alternatively, a model of the other body that `with_shapes` made with the same pose signal.
+    name : str
+        Name of the body, unlike `Model.body_names`.
+    parts : (F',) int, optional
+        Part of the model that every triangle of the keys belongs to, all parts being used. Edits of parts then play on
+        the other body, too. By default, a body with the same triangles has the same parts; for others, parts are found,
+        and corrections of part poses are left out.
+    turn : (3, 3) array_like, optional
+        Rotation from the direction that the model looks in to that of the keys; by default they look in the same one.
 
     Returns
     -------
     Model
-        Model in a shape space of the other mesh, with the times of `model`.
+        The model with the body at the end of its `bodies`.
 
     Raises
     ------
     SettingsError
-        If there is not one frame per key shape, the other model has a different pose signal, or a space has no parts.
+        If there is not one frame per key shape, a body has this name, the meshes consist of another number of touching
+        components, the turn is no rotation, or the space of the model has no parts.
     InvalidSequenceError
         If the keys are not a sequence.
 
@@ -106,86 +121,75 @@ def with_shapes(model: Model, keys: FileOr[Frames | Model]) -> Model:
     --------
     >>> import mixseq
     >>> from mixseq.creature import walk_cycle
-    >>> from mixseq.operations import key_poses, with_shapes
-    >>> model = mixseq.fit(walk_cycle(frames=6), rank=5, pose="keys")
+    >>> from mixseq.operations import key_poses, with_body
+    >>> model = mixseq.fit(walk_cycle(frames=6), pose="keys", exact=True)
     >>> keys = key_poses(model)
     >>> tall = mixseq.MeshSequence.from_arrays(keys.points * [1.0, 1.5, 1.0], keys.faces, fps=1.0)
-    >>> with_shapes(model, tall).sample().frame_count
+    >>> herd = with_body(model, tall, "tall fox")
+    >>> herd.body("tall fox").sample().frame_count
     6
     """
-    keys = cast("Frames | Model", keys)
-    played = _exchange_shapes(model, keys)
-    if not isinstance(keys, Model):
-        own, times = _exchange_shapes(model, key_poses(model)), model.times[sample_frame_ids(len(model.times))]
-        pairs = zip(own.blocks(times), model.blocks(times), strict=True)
-        gap = max(float(np.linalg.norm(a - b, axis=2).max()) for a, b in pairs) / model.space.scale
-        if gap > VISUALLY_LOSSLESS_TOLERANCE:
-            text = f"its own key poses give the motion back within {format_error(gap)} diagonals"
-            warn_of_loss(model.header, text, "fit it with pose='keys' and a larger rank")
-    return played
+    body = _make_body(model, cast("Frames", keys), name, parts, np.eye(3) if turn is None else turn)
+    own, times = (
+        _make_body(model, key_poses(model), name, None, np.eye(3)),
+        model.times[sample_frame_ids(len(model.times))],
+    )
+    pairs = zip(model.alone_as(own).blocks(times), model.blocks(times), strict=True)
+    gap = max(float(np.linalg.norm(a - b, axis=2).max()) for a, b in pairs) / model.space.scale
+    if gap > VISUALLY_LOSSLESS_TOLERANCE:
+        text = f"its own key poses give the motion back within {format_error(gap)} diagonals"
+        warn_of_loss(model.header, text, "fit it with pose='keys' and a larger rank")
+    return replace(model, bodies=(*model.bodies, body))
 
 
-def _exchange_shapes(model: Model, keys: Frames | Model) -> Model:
-    """Do what `with_shapes` does, without a warning of inaccurate motion."""
-    first = as_mixed(model.space)
-    if isinstance(keys, Model):
-        if keys.pose.identity != model.pose.identity:
-            raise SettingsError(
-                f"{keys.header.name!r} has key shapes of another pose signal than {model.header.name!r}; give one that "
-                "with_shapes or mixseq transfer --as-model made of this model, or of one edited from it"
-            )
-        second, shapes, placements = as_mixed(keys.space), keys.shapes, keys.placement(_key_times(keys))
-        header = keys.header
-    else:
-        check_frames(keys)
-        count = keys.header.frame_count
-        if count != len(model.shapes):
-            raise SettingsError(
-                f"{keys.header.name!r} has {count} frames; {len(model.shapes)} are expected, one per key shape of "
-                f"{model.header.name!r}: transfer the poses that key_poses makes"
-            )
-        frames = load_frames(keys, log_progress)
-        parts = model.parts if np.array_equal(keys.header.faces, model.header.faces) else own_parts(keys)
-        second = as_mixed(make_space(frames, settings=MixedSettings(parts=parts)))
-        if _has_same_parts(first, second):
-            second = replace(
-                second,
-                steadiness=first.steadiness,
-                skinning_weights=first.skinning_weights,
-                joint_faces=first.joint_faces,
-            )
-        encoded = encode_sequence(frames, second)
-        shapes, placements, header = np.asarray(encoded.shapes[:]), encoded.placement, keys.header
-        if _has_same_parts(first, second):
-            shapes, placements = _match_body_axes(model, second, shapes, placements)
-    if first.rotation_count != second.rotation_count:
+def _make_body(model: Model, keys: Frames, name: str, parts: ArrayLike | None, turn: ArrayLike) -> Body:
+    """Return the body of `with_body`, without a warning of inaccurate motion."""
+    first, turn = as_mixed(model.space), np.asarray(turn, dtype=np.float64)
+    if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3)) or np.linalg.det(turn) < 0:
+        raise SettingsError("the turn is no rotation; a matrix (3, 3) with orthogonal columns of length 1 is expected")
+    check_frames(keys)
+    count = keys.header.frame_count
+    if count != len(model.shapes):
         raise SettingsError(
-            f"{model.header.name!r} has {first.rotation_count} bodies, {header.name!r} has {second.rotation_count}; "
+            f"{keys.header.name!r} has {count} frames; {len(model.shapes)} are expected, one per key shape of "
+            f"{model.header.name!r}: transfer the poses that key_poses makes"
+        )
+    frames = load_frames(keys, log_progress)
+    has_same_faces = np.array_equal(keys.header.faces, model.header.faces)
+    labels = model.parts if parts is None and has_same_faces else parts
+    space = as_mixed(make_space(frames, settings=MixedSettings(parts=labels)))
+    corresponds = labels is not None and _has_parts(space, np.asarray(labels), len(first.decomposition.parts))
+    if corresponds and has_same_faces:
+        shared = {name: getattr(first, name) for name in ("steadiness", "skinning_weights", "joint_faces")}
+        space = replace(space, **shared)
+    if first.rotation_count != space.rotation_count:
+        raise SettingsError(
+            f"{model.header.name!r} has {first.rotation_count} bodies, {name!r} has {space.rotation_count}; "
             "both need the same number"
         )
+    encoded = encode_sequence(frames, space)
+    shapes, placed = np.asarray(encoded.shapes[:]), space.unpack_placements(encoded.placement)
+    if corresponds:
+        shapes, placed = _match_body_axes(model, space, shapes, placed)
     before = first.unpack_placements(model.placement(_key_times(model)))
-    rotation, shift = _mean_motion(before, second.unpack_placements(placements))
-    poses = first.unpack_placements(model.placement.values)
-    rotations = quat_multiply(normalise_quat(poses.rotations), rotation)
-    moved_poses = Poses(align_quat_signs(rotations), poses.centres + shift)
-    provenance = with_other_motion(header.provenance)
-    played = Model(
-        replace(header, times=model.header.times, fps=model.header.fps, provenance=provenance, keys=None),
-        second,
-        model.time,
-        model.pose,
-        shapes,
-        Curve(model.placement.times, second.pack_placements(moved_poses)),
-    )
-    correction = _turn_correction(model, second, shapes, rotation)
-    return played if correction is None else replace(played, correction=correction)
+    before = Poses(normalise_quat(before.rotations), before.centres)
+    body = Body(keys.header, space, shapes, matrix_to_quat(turn), *_mean_motion(turn, before, placed))
+    shapes = _change_body_axes(space, shapes, _relative_poses(placed, body.place(before)))
+    round_key_shapes(shapes, space, find_rounding_step(model.shapes, first))
+    turns = _part_turns(model, space, shapes) if corresponds else None
+    if turns is None:
+        loss = float(correction_norm(model)(model.correction.values).max(initial=0.0))
+        if loss > VISUALLY_LOSSLESS_TOLERANCE:
+            text = f"corrections of part poses, up to {format_error(loss)} diagonals, are left out"
+            warn_of_loss(model.header, text, "a body with the same triangles, or parts, keeps them")
+    header = replace(keys.header, name=name, provenance=with_other_motion(keys.header.provenance), keys=None)
+    return replace(body, header=header, shapes=shapes, part_turns=turns)
 
 
-def _has_same_parts(first: MixedSpace, second: MixedSpace) -> bool:
-    """Return whether two spaces have the same triangles and parts."""
-    return np.array_equal(first.topology.faces, second.topology.faces) and np.array_equal(
-        first.segmentation.part_of_face, second.segmentation.part_of_face
-    )
+def _has_parts(space: MixedSpace, labels: IntArray, count: int) -> bool:
+    """Return whether a space has a number of parts, with the given labels ``(F,)`` of triangles."""
+    decomposition = space.decomposition
+    return len(decomposition.parts) == count and np.array_equal(decomposition.part_of_face, labels)
 
 
 def _part_rotations(space: MixedSpace, shapes: Float) -> Float:
@@ -194,8 +198,8 @@ def _part_rotations(space: MixedSpace, shapes: Float) -> Float:
     return quat_to_matrix(normalise_quat(poses.rotations))
 
 
-def _match_body_axes(model: Model, space: MixedSpace, shapes: Float, placements: Float) -> tuple[Float, Float]:
-    """Turn the body axes of key shapes ``(K, S)`` and their placements ``(K, P)`` to those of a model's key shapes.
+def _match_body_axes(model: Model, space: MixedSpace, shapes: Float, placed: Poses) -> tuple[Float, Poses]:
+    """Turn the body axes of key shapes ``(K, S)`` and their body poses ``(K, B)`` to those of a model's key shapes.
 
     Blends depend on body axes, which follow from the reference. Turns D of bodies, and C of the axes of parts, minimise
     the distances of D R' and R C, for part rotations R of the model and R' of the key shapes.
@@ -208,35 +212,30 @@ def _match_body_axes(model: Model, space: MixedSpace, shapes: Float, placements:
         body_turns = nearest_rotations(articulation.body_sums(before @ part_turns @ after.swapaxes(-1, -2)))
         turned = body_turns[:, articulation.body_of_part] @ after
     back = quat_conjugate(matrix_to_quat(body_turns))
-    poses = space.split_poses(shapes[:, space.shape_dim - space.pose_dim :])
     axes = Poses(back, np.zeros((*back.shape[:2], 3)))
-    rotations, centres = articulation.to_body_axes(Poses(poses.rotations, poses.centres), axes)
-    blocks = poses._replace(rotations=rotations, centres=centres)
-    columns = [shapes[:, : space.shape_dim - space.pose_dim], *(block.reshape(len(shapes), -1) for block in blocks)]
-    bodies = space.unpack_placements(placements)
-    return np.concatenate(columns, axis=1), space.pack_placements(
-        Poses(quat_multiply(bodies.rotations, back), bodies.centres)
-    )
+    return _change_body_axes(space, shapes, axes), Poses(quat_multiply(placed.rotations, back), placed.centres)
 
 
-def _turn_correction(model: Model, space: MixedSpace, shapes: Float, rotation: Float) -> Curve | None:
-    """Return the correction of a model for the same parts of another body, in its axes; None for other parts.
+def _relative_poses(bodies: Poses, others: Poses) -> Poses:
+    """Return other poses ``(K, B)`` in the axes of bodies ``(K, B)``."""
+    back = quat_conjugate(normalise_quat(bodies.rotations))
+    offsets = others.centres - bodies.centres
+    return Poses(quat_multiply(back, others.rotations), rotate_vectors(quat_to_matrix(back), offsets))
 
-    The second body has key shapes ``(K, S)``; its bodies are turned by rotations ``(B, 4)`` relative to the first.
-    """
-    first = as_mixed(model.space)
-    if not _has_same_parts(first, space):
-        loss = float(correction_norm(model)(model.correction.values).max(initial=0.0))
-        if loss > VISUALLY_LOSSLESS_TOLERANCE:
-            text = f"corrections of part poses, up to {format_error(loss)} diagonals, are left out"
-            warn_of_loss(model.header, text, "a body with the same triangles has the same parts and keeps them")
-        return None
-    before, after = _part_rotations(first, model.shapes), _part_rotations(space, shapes)
-    turns = nearest_rotations((before.swapaxes(-1, -2) @ after).sum(axis=0))
-    bodies = quat_to_matrix(rotation)[first.articulation.body_of_part]
-    vectors = model.correction.values.reshape(-1, 2, len(turns), 3)
-    turned = np.einsum("rpij,mrpi->mrpj", np.stack([turns, bodies]), vectors)
-    return Curve(model.correction.times, turned.reshape(len(vectors), -1))
+
+def _change_body_axes(space: MixedSpace, shapes: Float, axes: Poses) -> Float:
+    """Return key shapes ``(K, S)`` with part poses in other axes ``(K, B)`` of their bodies; only numbers change."""
+    start = space.shape_dim - space.pose_dim
+    poses = space.split_poses(shapes[:, start:])
+    rotations, centres = space.articulation.to_body_axes(Poses(poses.rotations, poses.centres), axes)
+    blocks = poses._replace(rotations=align_quat_signs(rotations), centres=centres)
+    return np.concatenate([shapes[:, :start], *(block.reshape(len(shapes), -1) for block in blocks)], axis=1)
+
+
+def _part_turns(model: Model, space: MixedSpace, shapes: Float) -> Float:
+    """Return the mean rotations ``(p, 3, 3)`` from axes of a model's parts to those of key shapes ``(K, S)``."""
+    before, after = _part_rotations(as_mixed(model.space), model.shapes), _part_rotations(space, shapes)
+    return nearest_rotations((before.swapaxes(-1, -2) @ after).sum(axis=0))
 
 
 def _key_times(model: Model) -> Float:
@@ -245,8 +244,8 @@ def _key_times(model: Model) -> Float:
     return np.where(frames >= 0, model.times[frames], model.times[0])
 
 
-def _mean_motion(before: Poses, after: Poses) -> tuple[Float, Float]:
-    """Return the mean rotations ``(B, 4)`` and shifts ``(B, 3)`` between two sets of body poses ``(K, B)``."""
-    a, b = (normalise_quat(poses.rotations) for poses in (before, after))
-    turns = quat_to_matrix(quat_multiply(quat_conjugate(a), b))
-    return matrix_to_quat(nearest_rotations(turns.sum(axis=0))), (after.centres - before.centres).mean(axis=0)
+def _mean_motion(turn: Float, before: Poses, after: Poses) -> tuple[Float, Float]:
+    """Return the mean rotations ``(B, 4)`` and shifts ``(B, 3)`` from body poses ``(K, B)``, once turned, to others."""
+    first, second = turn @ quat_to_matrix(before.rotations), quat_to_matrix(normalise_quat(after.rotations))
+    rotations = matrix_to_quat(nearest_rotations((first.swapaxes(-1, -2) @ second).sum(axis=0)))
+    return rotations, (after.centres - before.centres @ turn.T).mean(axis=0)

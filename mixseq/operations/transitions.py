@@ -75,11 +75,17 @@ def match_spaces(first: Model, second: Model) -> tuple[Model, Model]:
 
     The common space is the space of the first model, with its numbers of vertices if those of the second model differ,
     as in compressed files of another order. If key shapes differ, both models get all key shapes, with weights
-    as pose space.
+    as pose space. Further bodies of the first model stay if it has all key shapes.
     """
     second = _encode_like(second, first)
     if _same_shapes(first, second):
-        return first, replace(second, pose=first.pose, shapes=first.shapes)
+        return first, replace(second, pose=first.pose, shapes=first.shapes, bodies=first.bodies)
+    if first.bodies:
+        raise SettingsError(
+            f"{second.header.name!r} has other key shapes than {first.header.name!r}, and its bodies "
+            f"{', '.join(first.body_names[1:])} have none of these poses; join motions before they are transferred"
+        )
+    second = replace(second, bodies=())
     shapes = np.concatenate([first.shapes, second.shapes])
     pose = PoseMap.from_key_count(len(shapes))
     first, second = (

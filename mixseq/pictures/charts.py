@@ -131,9 +131,9 @@ def import_matplotlib(name: str) -> Any:
         raise MissingExtraError("pictures need matplotlib; get it with: pip install 'mixseq[plot]'") from error
 
 
-def error_map(top: float) -> Any:
-    """Return a matplotlib ScalarMappable that maps errors from 0 to `top` to colours."""
-    return import_matplotlib("cm").ScalarMappable(import_matplotlib("colors").Normalize(0, top), "viridis")
+def error_map(top: float, low: float = 0.0) -> Any:
+    """Return a matplotlib ScalarMappable that maps errors from 0, or values from `low`, to `top` to colours."""
+    return import_matplotlib("cm").ScalarMappable(import_matplotlib("colors").Normalize(low, top), "viridis")
 
 
 POINTS_PER_INCH = 72.0
@@ -284,7 +284,8 @@ def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) 
         ax.plot(*dots[frame], marker, ms=9, mfc="none", mec=INK_COLOUR, mew=1.2, zorder=4)
 
     left, right, bottom, top = limits = embedding_limits(model)
-    ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", anchor="N")
+    ax.update_datalim([(left, bottom), (right, top)])
+    ax.set(xmargin=0, ymargin=0, aspect="equal", adjustable="datalim")
 
     ends = {0: "start", count - 1: "end"} if count > 1 else {}
     texts = [f"{model.header.frame_number(frame)} {ends.get(frame, '')}".strip() for frame in labelled]

@@ -3,15 +3,17 @@ r"""Colour meshes. A colouring has a palette, and a palette entry at every verte
 - **clay**: one uniform colour.
 - **own**: the vertex colours of the mesh, as glTF viewers show them on a plain white material: linear colours, clipped
   to 0..1 and converted to opaque sRGB with 8 bits per channel.
-- **parts**: rigid parts in cool hues, joints in red. A vertex with a face in a joint has the colour of joints. Any
-  other vertex has the colour of the part that contains most of its faces.
+- **parts**: rigid parts in cool hues; in joints paler, and red where parts meet. A vertex has the colour of the part
+  that contains most of its faces; if a face is in a joint, it is paler, or red if its faces are in several parts.
 - **strain**: mean of :math:`|l / \bar l - 1|` over the edges of a vertex, with edge lengths :math:`\bar l` at rest.
 - **curvature** (its change): mean of :math:`|\theta - \bar\theta|` in degrees over the hinges of a vertex, with
   dihedral angles :math:`\bar\theta` at rest and the difference wrapped to :math:`(-\pi, \pi]`. A hinge belongs to the
   two vertices of its edge.
 - **error**: distance from the same vertex of an original, :math:`|a_v - b_v| / d`, in diagonals.
+- **values**: any numbers of the vertices, constant or for every frame.
 
-Strain, curvature and error are measured: values from 0 to `top` are mapped to the colour map viridis. Strain and
+Strain, curvature, error and values are measured: from `low`, which is 0 but for values, to `top` they are mapped to the
+colour map viridis. Strain and
 curvature are invariant to rigid motions; uniform scaling by s gives the strain :math:`|s - 1|` everywhere. Curvatures
 of different meshes are not comparable, as a bend spreads over more hinges of a finer mesh. Edges of length zero and
 hinges of degenerate faces count as unchanged; vertices without edges or hinges have the value 0.
@@ -38,13 +40,22 @@ from mixseq.mesh.measures import degenerate_faces, dihedral_angles, edge_lengths
 from mixseq.mesh.surface import DEFAULT_COLOUR
 from mixseq.mesh.topology import Topology
 from mixseq.metrics import MIN_NORMAL_HEIGHT_RATIO
-from mixseq.pictures.scene import CLAY_COLOUR, Scene, SceneItem, check_start_times
+from mixseq.pictures.scene import CLAY_COLOUR, Scene, SceneItem, check_start_times, nearest_frames
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import FrameStore, bounding_diagonal
-from mixseq.types import ByteArray, Float, FloatArray, Index, IntArray
+from mixseq.types import ByteArray, Float, FloatArray, Index, IntArray, Mask
 
 JOINT_RED = (0.85, 0.20, 0.13)
+
+JOINT_PALE, JOINT_PALENESS = (0.97, 0.88, 0.83), 0.45
+"""Colour that is mixed into the colours of parts in joints, and its share."""
+
+JOINT_ENTRY = 255
+"""Palette entry of joints where parts meet."""
+
+PALETTE_PARTS = 127
+"""Number of part colours in a palette, which further parts use again; joints have as many after them."""
 
 FIRST_HUE, LAST_HUE = 90.0, 330.0
 """Range of part hues in degrees of OKLCH, from straw to mauve; both ends are 60 degrees from the red of joints."""
@@ -90,10 +101,28 @@ def part_colours(count: int) -> Float:
     return _oklch(lightness, 0.085, hue)
 
 
-def segmentation_colours(part_of_face: IntArray, joint_of_face: IntArray) -> Float:
-    """Return face colours ``(F, 3)``: `JOINT_RED` in the joints of joint_of_face ``(F,)``, else part colours."""
-    palette = part_colours(int(np.max(part_of_face)) + 1)
-    return np.where(np.asarray(joint_of_face)[:, None] >= 0, JOINT_RED, palette[part_of_face])
+def segmentation_colours(part_of_face: IntArray, joint_of_face: IntArray, faces: IntArray) -> Float:
+    """Return colours of faces ``(F, 3)``: those of parts, paler in joints, and `JOINT_RED` where parts meet there."""
+    in_joint = np.asarray(joint_of_face) >= 0
+    entries = np.asarray(part_of_face) % PALETTE_PARTS + PALETTE_PARTS * in_joint
+    is_seam = _seam_vertices(part_of_face, faces)[faces].sum(axis=1) >= 2
+    return np.asarray(_parts_palette()[np.where(in_joint & is_seam, JOINT_ENTRY, entries)])
+
+
+def _parts_palette() -> Float:
+    """Return the palette ``(256, 3)`` of parts, of joints in the same order, and of joints where parts meet."""
+    parts = part_colours(PALETTE_PARTS)
+    joints = (1 - JOINT_PALENESS) * parts + JOINT_PALENESS * np.array(JOINT_PALE)
+    return np.concatenate([parts, joints, [JOINT_RED, JOINT_RED]])
+
+
+def _seam_vertices(part_of_face: IntArray, faces: IntArray) -> Mask:
+    """Return the mask ``(V,)`` of vertices whose faces are in several parts."""
+    part_of_vertex = np.zeros(int(faces.max()) + 1, dtype=np.int64)
+    part_of_vertex[faces] = part_of_face[:, None]
+    is_seam = np.zeros(len(part_of_vertex), dtype=bool)
+    is_seam[faces[part_of_vertex[faces] != part_of_face[:, None]]] = True
+    return is_seam
 
 
 def _oklch(lightness: Float, chroma: float, hue: Float) -> Float:
@@ -226,16 +255,13 @@ ReferencePose = Callable[[float], FloatArray]
 """Function from elapsed seconds to the points ``(V, 3)`` of the original."""
 
 
-JOINT_ENTRY = 255
-"""Palette entry of joints; parts use the smaller entries in a cycle."""
-
-UNITS = {"error": "diagonals", "strain": "%", "curvature": "degrees"}
+UNITS = {"error": "diagonals", "strain": "%", "curvature": "degrees", "values": ""}
 """Units of the measured values."""
 
 MIN_SCALE_ENDS = {"error": 1e-12, "strain": 0.01, "curvature": 0.01}
 """Smallest ends of the scales, in `UNITS`, above rounding errors of rigid motions in single precision."""
 
-SCALE_QUANTILES = {"error": 1.0, "strain": SCALE_QUANTILE, "curvature": SCALE_QUANTILE}
+SCALE_QUANTILES = {"error": 1.0, "strain": SCALE_QUANTILE, "curvature": SCALE_QUANTILE, "values": 1.0}
 """Quantiles of the measured values at which the scales end."""
 
 
@@ -247,14 +273,15 @@ class Colouring:
     palette: ByteArray  # (n, 3) sRGB, at most 256 colours; exactly 256 if measured
     constant_entries: ByteArray | None = None  # (V,) palette entries for every pose; None if measured
     measure: Measure | None = None  # function that computes the displayed values, in `unit`; None if constant
-    top: float = 1.0  # value shown in the last colour; the value 0 is shown in the first colour
+    top: float = 1.0  # value shown in the last colour
+    low: float = 0.0  # value shown in the first colour
     unit: str = ""  # unit of the displayed values
     face_colours: ArrayLike = CLAY_COLOUR  # RGB in 0..1 of the mesh (3,) or its faces (F, 3), if constant
 
     def __post_init__(self) -> None:
         if (self.constant_entries is None) == (self.measure is None):
             raise SettingsError(f"{self.name} needs either constant entries or a measure; give one of the two")
-        if not (np.isfinite(self.top) and self.top > 0):
+        if not (np.isfinite(self.top) and self.top > self.low):
             raise SettingsError(f"the colour scale ends at {self.top}; give a positive number")
 
     @property
@@ -267,7 +294,7 @@ class Colouring:
         if self.measure is None:
             assert self.constant_entries is not None  # ensured by `__post_init__`
             return self.constant_entries
-        fractions = np.clip(self.measure(points, elapsed) / self.top, 0.0, 1.0)
+        fractions = np.clip((self.measure(points, elapsed) - self.low) / (self.top - self.low), 0.0, 1.0)
         return np.rint(255 * fractions).astype(np.uint8)
 
     def scale_end(self, points: FloatArray, elapsed: float) -> float:
@@ -295,6 +322,7 @@ def available_colourings(
     original: ReferencePose | None = None,
     poses: Iterable[tuple[float, FloatArray]] = (),
     diagonal: float | None = None,
+    values: FloatArray | None = None,
 ) -> dict[str, Colouring]:
     """Return the available colourings of a mesh with rest points ``(V, 3)`` by name, with scales that cover `poses`.
 
@@ -304,9 +332,10 @@ def available_colourings(
         "own": header.surface.colours is not None,
         "parts": decomposition is not None,
         "error": original is not None,
+        "values": values is not None,
     }
     colourings: dict[str, Colouring] = {
-        name: make_colouring(name, header, rest, decomposition, original, diagonal)
+        name: make_colouring(name, header, rest, decomposition, original, diagonal, values)
         for name in COLOURS
         if is_available.get(name, True)
     }
@@ -324,6 +353,7 @@ def make_colouring(
     decomposition: Decomposition | None = None,
     original: ReferencePose | None = None,
     diagonal: float | None = None,
+    values: FloatArray | None = None,
 ) -> Colouring:
     """Make the colouring of the given name; measured colourings have the smallest scale."""
     faces, count = header.faces, header.vertex_count
@@ -337,11 +367,40 @@ def make_colouring(
     if name == "parts":
         assert decomposition is not None
         entries = _part_entries(faces, count, decomposition)
-        face_colours = segmentation_colours(decomposition.part_of_face, decomposition.joint_of_face)
-        palette = np.concatenate([_to_bytes(part_colours(JOINT_ENTRY)), _to_bytes(np.array([JOINT_RED]))])
-        return Colouring("parts", palette, _shared_entries(entries), face_colours=face_colours)
+        face_colours = segmentation_colours(decomposition.part_of_face, decomposition.joint_of_face, faces)
+        return Colouring("parts", _to_bytes(_parts_palette()), _shared_entries(entries), face_colours=face_colours)
+    if name == "values":
+        assert values is not None
+        rows = check_values(values, header)
+        low, top = value_range(rows)
+        return Colouring(
+            name,
+            _to_bytes(viridis()),
+            measure=lambda _, elapsed: rows[nearest_frames(header, np.array([elapsed]))[0]],
+            top=top,
+            low=low,
+        )
     measure = _make_measure(name, rest, faces, original, diagonal)
     return Colouring(name, _to_bytes(viridis()), measure=measure, top=MIN_SCALE_ENDS[name], unit=UNITS[name])
+
+
+def check_values(values: ArrayLike, header: SequenceHeader) -> Float:
+    """Return numbers of vertices ``(V,)`` or ``(T, V)`` as one row per frame of the mesh; refuse any other shape."""
+    rows, shape = np.asarray(values, dtype=np.float64), (header.frame_count, header.vertex_count)
+    if rows.shape not in (shape, shape[1:]):
+        raise SettingsError(
+            f"the values have the shape {rows.shape}; give {shape[1]} numbers, one for each vertex, or {shape[0]} "
+            "rows of them, one for each frame"
+        )
+    if not np.isfinite(rows).all():
+        raise SettingsError("the values are not all finite; give a number for every vertex")
+    return np.broadcast_to(rows, shape)
+
+
+def value_range(values: Float) -> tuple[float, float]:
+    """Return the ends of the colour scale of values, which differ."""
+    low, top = float(values.min()), float(values.max())
+    return low, top if top > low else low + 1.0
 
 
 def _make_measure(
@@ -379,8 +438,10 @@ def _part_entries(faces: IntArray, count: int, decomposition: Decomposition) -> 
     order = np.lexsort((part, -votes, vertex))
     winner_ids = order[np.unique(vertex[order], return_index=True)[1]]
     entries = np.zeros(count, dtype=np.int64)
-    entries[vertex[winner_ids]] = part[winner_ids] % JOINT_ENTRY
-    entries[faces[decomposition.joint_of_face >= 0]] = JOINT_ENTRY
+    entries[vertex[winner_ids]] = part[winner_ids] % PALETTE_PARTS
+    in_joint = np.unique(faces[decomposition.joint_of_face >= 0])
+    is_seam = _seam_vertices(part_of_face, faces)[in_joint]
+    entries[in_joint] = np.where(is_seam, JOINT_ENTRY, entries[in_joint] + PALETTE_PARTS)
     return entries
 
 
@@ -413,6 +474,7 @@ class SceneColours:
             "own": any(item.header.surface.colours is not None for item in self.scene.items),
             "parts": any(item.decomposition is not None for item in self.scene.items),
             "error": any(self._original_of(item) is not None for item in self.scene.items),
+            "values": any(item.values is not None for item in self.scene.items),
         }
         return tuple(name for name in COLOURS if is_available.get(name, True))
 
@@ -430,6 +492,7 @@ class SceneColours:
                 self._original_of(item),
                 poses,
                 None if self.original is None else self.original.diagonal,
+                item.values,
             )
         return self._colourings[index]
 

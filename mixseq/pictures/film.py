@@ -127,6 +127,8 @@ def check_shown(shown: Sequence[SceneItem], settings: FilmSettings, against: obj
         raise SettingsError("the colour error needs the original; give the sequence that errors are measured against")
     if settings.colour != "error" and against is not None:
         raise SettingsError("only the colour error needs the original; leave it out, or choose that colour")
+    if settings.colour == "values" and any(item.values is None for item in shown):
+        raise SettingsError("the colour values needs numbers of the vertices; give --scalar, or values of the items")
     if settings.colour == "parts":
         _parts(shown)
 
@@ -155,8 +157,8 @@ def _colourings(
     references = [None if original is None else _reference_pose(item, original) for item in items]
     diagonal = original.motion.diagonal if original and isinstance(original.motion, FrameStore) else None
     return [
-        make_colouring(colour, item.header, item.pose(0), item_parts, reference, diagonal)
-        for item, item_parts, reference in zip(decoded, parts, references, strict=True)
+        make_colouring(colour, item.header, pose.pose(0), item_parts, reference, diagonal, item.values)
+        for item, pose, item_parts, reference in zip(items, decoded, parts, references, strict=True)
     ]
 
 
@@ -197,15 +199,17 @@ def _make_layout(
 ) -> Layout:
     width, height = settings.size
     unit, unit_size = _SCALE_UNITS.get(settings.colour, ("", 1.0))
+    has_bar = not colourings[0].is_constant
     cameras = make_cameras(items, settings, fps)
     aspect = float(np.median([camera.aspect for camera in cameras]))
-    rectangles = divide_picture(len(items), width, height, aspect, any(names), bool(unit))
+    rectangles = divide_picture(len(items), width, height, aspect, any(names), has_bar)
     panels = []
     for item, colouring, camera, rectangle in zip(items, colourings, cameras, rectangles, strict=True):
         rows, columns = rectangle
         panel_camera = camera.with_aspect((rows.stop - rows.start) / (columns.stop - columns.start))
         panels.append(Panel(item, colouring, panel_camera, rectangle))
-    bar = (colourings[0].palette, colourings[0].top / unit_size, unit) if unit else ()
+    low, top = colourings[0].low / unit_size, colourings[0].top / unit_size
+    bar = (colourings[0].palette, low, top, unit) if has_bar else ()
     return Layout(panels, draw_backdrop(width, height, rectangles, names, *bar), times)
 
 
@@ -298,10 +302,11 @@ def draw_backdrop(
     panels: Sequence[Rectangle],
     names: Sequence[str],
     palette: ByteArray | None = None,
+    low: float = 0.0,
     top: float = 0.0,
     unit: str = "",
 ) -> Picture:
-    """Draw names above the panels, and below the panels a colour bar of a palette ``(n, 3)`` from 0 to `top`."""
+    """Draw names above the panels, and below the panels a colour bar of a palette ``(n, 3)`` from `low` to `top`."""
     image = import_pillow("Image").fromarray(blank_picture(width, height))
     draw = import_pillow("ImageDraw").Draw(image)
     font, line = _font(_font_size(height)), line_height(height)
@@ -311,23 +316,24 @@ def draw_backdrop(
             centre = (columns.start + columns.stop) / 2
             draw.text((centre, rows.start - line / 2), text, INK_COLOUR, font, "mm")
     if palette is not None:
-        _draw_colour_bar(image, draw, font, palette, top, unit)
+        _draw_colour_bar(image, draw, font, palette, (low, top), unit)
     return np.array(image)
 
 
 def _draw_colour_bar(
-    image: Any, draw: ImageDraw, font: FreeTypeFont, palette: ByteArray, top: float, unit: str
+    image: Any, draw: ImageDraw, font: FreeTypeFont, palette: ByteArray, ends: tuple[float, float], unit: str
 ) -> None:
     width, height = image.size
     line, font_size = line_height(height), _font_size(height)
+    low, top = map(format_two_digits, ends)
     bar_width, bar_height = width // 4, max(4, font_size // 2)
     centre, left = height - line / 2, (width - bar_width) // 2
     bar = palette[np.arange(bar_width) * len(palette) // bar_width]
     pixels = np.broadcast_to(bar, (bar_height, bar_width, 3))
     upper = round(centre - bar_height / 2)
     image.paste(import_pillow("Image").fromarray(np.ascontiguousarray(pixels)), (left, upper))
-    draw.text((left - font_size / 2, centre), "0", INK_COLOUR, font, "rm")
-    end, label = left + bar_width + font_size / 2, f"{format_two_digits(top)} {unit}"
+    draw.text((left - font_size / 2, centre), low, INK_COLOUR, font, "rm")
+    end, label = left + bar_width + font_size / 2, f"{top} {unit}"
     draw.text((end, centre), label, INK_COLOUR, font, "lm")
 
 

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
 
 from mixseq.choices import PICTURES, PictureKind
@@ -35,8 +37,10 @@ from mixseq.pictures.charts import (
 )
 from mixseq.pictures.colours import (
     JOINT_RED,
+    check_values,
     part_colours,
     segmentation_colours,
+    value_range,
     vertex_distances,
 )
 from mixseq.pictures.raster import draw_mesh, visible_labels
@@ -47,7 +51,7 @@ from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence.frame_rates import format_frame
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.model import Model
-from mixseq.types import Float, FloatArray, IntArray
+from mixseq.types import Float, FloatArray, IntArray, evenly_spaced
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -189,43 +193,47 @@ def _is_hidden(vertex: int, screen: Float, faces: IntArray) -> bool:
 
 def add_error_bar(page: FigureBase, panels: Sequence[Axes], colour_map: Any) -> None:
     """Add the colour bar of `draw_vertex_errors` to the right of the panels."""
-    label = "vertex error (diagonals)"
-    bar = page.colorbar(colour_map, ax=panels, shrink=0.6, aspect=30, pad=0.02, label=label)
+    bar = _add_colour_bar(page, panels, colour_map, "vertex error (diagonals)")
     bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.1e}" if value else "0")
+
+
+def _add_colour_bar(page: FigureBase, panels: Sequence[Axes], colour_map: Any, label: str) -> Any:
+    bar = page.colorbar(colour_map, ax=panels, shrink=0.6, aspect=30, pad=0.02, label=label)
     bar.outline.set_visible(False)
+    return bar
 
 
-MAX_LEGEND_PARTS = 60
-"""Largest number of parts listed in a legend."""
+MAX_LEGEND_PARTS = 9
+"""Largest number of parts listed in a legend, the largest ones; it has at most three more entries."""
 
 
 def draw_parts(panels: Sequence[Axes], model: Model, points: FloatArray, view: View | None = None) -> None:
-    """Draw a pose ``(V, 3)`` from two opposite sides, with coloured and numbered parts and red joints."""
+    """Draw a pose ``(V, 3)`` from two opposite sides, with coloured and numbered parts; see `segmentation_colours`."""
     parts, header = model.decomposition, model.header
-    colours = segmentation_colours(parts.part_of_face, parts.joint_of_face)
+    colours = segmentation_colours(parts.part_of_face, parts.joint_of_face, header.faces)
     path_effects = import_matplotlib("patheffects")
     halo = [path_effects.withStroke(linewidth=2, foreground="white")]
-    part_of_drawn_face = np.where(parts.joint_of_face >= 0, -1, parts.part_of_face)
     views = opposite_views(points[None], header.up_axis, view)[0]
     for ax, (side, limits) in zip(panels, views, strict=True):
         draw_mesh(ax, points, header.faces, colours, header.up_axis, side, limits)
         screen = to_y_up(points, header.up_axis) @ side.rotation.T
-        for part, (x, y) in _number_positions(screen, header.faces, part_of_drawn_face, limits).items():
+        for part, (x, y) in _number_positions(screen, header.faces, parts.part_of_face, limits).items():
             ax.text(x, y, f"{part}", fontsize=8, ha="center", va="center", path_effects=halo, zorder=4)
-    panels[0].set_title("Parts and joints")
+    panels[0].set_title("Parts; joints paler, red where parts meet")
 
 
 def draw_parts_legend(ax: Axes, parts: Decomposition, columns: int) -> None:
-    """Draw a legend with the colour and vertex count of each part, and one entry for all joints."""
+    """Draw a legend with the colours and vertex counts of the largest parts, and one entry for all joints."""
     patch = import_matplotlib("patches").Patch
     part_count = _part_count(parts)
+    sizes = np.array([len(part) for part in parts.parts[:part_count]])
+    largest, colours = np.sort(np.argsort(-sizes, kind="stable")[:MAX_LEGEND_PARTS]), part_colours(part_count)
     handles = [
-        patch(color=colour, label=f"part {number}: {_counted(len(part), 'vertex', 'vertices')}")
-        for number, (part, colour) in enumerate(zip(parts.parts, part_colours(part_count), strict=False))
+        patch(color=colours[number], label=f"part {number}: {_counted(sizes[number], 'vertex', 'vertices')}")
+        for number in largest.tolist()
     ]
-    if len(handles) > MAX_LEGEND_PARTS:
-        left_out = len(handles) - MAX_LEGEND_PARTS
-        handles = [*handles[:MAX_LEGEND_PARTS], patch(color="none", label=f"and {left_out} more parts")]
+    if part_count > MAX_LEGEND_PARTS:
+        handles.append(patch(color="none", label=f"and {_counted(part_count - MAX_LEGEND_PARTS, 'smaller part')}"))
     if len(parts.parts) > part_count:
         loose_vertices = _counted(len(parts.parts[part_count]), "vertex", "vertices")
         handles.append(patch(color="none", label=f"in no triangle: {loose_vertices}"))
@@ -270,9 +278,9 @@ def _number_positions(
 
 
 MAX_ERROR_FRAMES = 12
-"""Largest number of frames drawn with vertex errors on a page."""
+"""Largest number of frames drawn with vertex errors or values on a page."""
 
-_HEADING_HEIGHT = 0.4  # in inches, like all page lengths
+_HEADING_HEIGHT, _PAGE_WIDTH = 0.4, 13.5  # in inches, like all page lengths
 _LEGEND_COLUMN_WIDTH = 1.75
 
 
@@ -285,6 +293,7 @@ def plot_model(
     frames: Sequence[int] | None = None,
     tolerance: float | None = None,
     camera: tuple[float, float] | None = None,
+    values: ArrayLike | None = None,
     file_format: Format | None = None,
     progress: Progress = log_progress,
 ) -> None:
@@ -302,12 +311,14 @@ def plot_model(
         Original of the model, required for errors.
     frames : sequence of int, optional
         Frames to label in the embedding (by default round numbers), or to draw with vertex errors (by default the worst
-        frame).
+        frame) or values (by default the first, and if values change also the middle and the last).
     tolerance : float, optional
         Tolerance in diagonals, drawn as a line in the chart of errors.
     camera : (float, float), optional
         Azimuth from the front to the body's left, and elevation, in degrees; by default a view of the front and a side.
         Meshes are drawn in this view and the opposite view.
+    values : (V,) or (T, V) array, optional
+        Numbers of the vertices, constant or for every frame, to draw as colours.
     file_format : {"png", "svg"}, optional
         File format; by default the format of the target's extension, or PNG for files without a name.
     progress : callable, optional
@@ -316,19 +327,19 @@ def plot_model(
     Raises
     ------
     SettingsError
-        If the model has no parts to draw, the original is missing or a different mesh, a frame does not exist, or a
-        setting does not belong to the kind of picture.
+        If the model has no parts to draw, the original is missing or a different mesh, values are missing or not those
+        of its vertices, a frame does not exist, or a setting does not belong to the kind of picture.
     OutputError
         If the target is neither PNG nor SVG.
     MissingExtraError
         If matplotlib is not installed.
     """
     resolved_format = picture_format(target, file_format)
-    check_settings(kind, against is not None, frames, tolerance is not None, camera)
+    check_settings(kind, against is not None, frames, tolerance is not None, camera, values is not None)
     if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
         raise SettingsError(f"tolerance is {tolerance}; a positive number of diagonals is expected")
     with chart_style():
-        section = _page_section(model, kind, against, frames, tolerance, camera, progress)
+        section = _page_section(model, kind, against, frames, tolerance, camera, values, progress)
         title = model.header.name if kind else summary(model)
         page = new_page(section.width, section.height + _HEADING_HEIGHT, title)
         section.draw(page)
@@ -352,6 +363,7 @@ def check_settings(
     frames: Sequence[object] | None,
     tolerance: bool,
     camera: tuple[float, float] | None = None,
+    values: bool = False,
 ) -> None:
     """Raise SettingsError if settings of `plot_model` contradict each other."""
     if kind is not None and kind not in PICTURES:
@@ -362,18 +374,21 @@ def check_settings(
         )
     uses: list[tuple[str, bool, tuple[PictureKind, ...]]] = [
         ("against", against, ("error-frames", "error-vertices")),
-        ("frames", frames is not None, ("embedding", "error-vertices")),
+        ("frames", frames is not None, ("embedding", "error-vertices", "values")),
+        ("values", values, ("values",)),
         ("tolerance", tolerance, ("error-frames",)),
-        ("camera", camera is not None, ("parts", "error-vertices")),
+        ("camera", camera is not None, ("parts", "error-vertices", "values")),
     ]
     for name, is_given, kinds in uses:
         if is_given and kind is not None and kind not in kinds:
             raise SettingsError(f"{name} is for {' and '.join(kinds)}, not for {kind}; leave it out")
     if camera is not None and not np.all(np.isfinite(camera)):
         raise SettingsError(f"the camera is at {camera}; two numbers of degrees are expected")
-    if kind == "error-vertices" and frames is not None and not 0 < len(set(frames)) <= MAX_ERROR_FRAMES:
+    if kind == "values" and not values:
+        raise SettingsError("values needs numbers of the vertices; give values (--scalar)")
+    if kind in ("error-vertices", "values") and frames is not None and not 0 < len(set(frames)) <= MAX_ERROR_FRAMES:
         raise SettingsError(
-            f"the errors of {len(set(frames))} frames do not fit; choose 1 to {MAX_ERROR_FRAMES} frames"
+            f"the meshes of {len(set(frames))} frames do not fit; choose 1 to {MAX_ERROR_FRAMES} frames"
         )
 
 
@@ -384,24 +399,32 @@ def _page_section(
     frames: Sequence[int] | None,
     tolerance: float | None,
     camera: tuple[float, float] | None,
+    values: ArrayLike | None,
     progress: Progress,
 ) -> Section:
     match kind:
         case "embedding":
             return _embedding(model, frames)
         case "coefficients":
-            return _signal_chart(draw_coefficients, model)
+            return Section(7.5, 4.0, _on_one_chart(draw_coefficients, model))
         case "singular-values":
-            return _signal_chart(draw_singular_values, model)
+            return Section(7.5, 4.0, _on_one_chart(draw_singular_values, model))
     view = resolve_view(np.stack([model(model.start), model(model.end)]), model.header.up_axis, camera)
     if kind == "parts":
         return _parts(model, view)
     rows = []
     if kind is None:
-        charts = [_signal_chart(draw, model, 2.7) for draw in (draw_coefficients, draw_singular_values)]
-        rows.append(stack_sections(_embedding(model, frames), stack_sections(*charts), side_by_side=True))
-        if model.space.segmentation:
-            rows.append(_parts(model, view, 5.0))
+        parts = [_parts(model, view, 6.7)] if model.space.segmentation else []
+        beside = bool(parts) and parts[0].width < 0.6 * _PAGE_WIDTH
+        charts: list[Callable[[Axes, Model], None]] = [
+            draw_coefficients,
+            draw_singular_values,
+            partial(draw_embedding, frames=frames),
+        ]
+        height = parts[0].height / len(charts) if beside else 3.6
+        sections = [Section(4.5 + beside, height, _on_one_chart(draw, model)) for draw in charts]
+        row = stack_sections(*sections, side_by_side=not beside)
+        rows.append(stack_sections(*parts, row, side_by_side=beside))
     if against is not None:
         has_frames = kind == "error-vertices" and frames is not None
         chosen = check_frames(frames or (), against.frame_count) if has_frames else None
@@ -414,22 +437,25 @@ def _page_section(
             rows.append(by_frame)
         else:
             rows.append(_vertex_errors(errors, against, chosen, view, 4.5))
+    if values is not None:
+        chosen = check_frames(frames, model.header.frame_count) if kind and frames is not None else None
+        rows.append(_values(model, check_values(values, model.header), chosen, view, 4.5 if kind else 6.25))
     return stack_sections(*rows)
 
 
 def _embedding(model: Model, frames: Sequence[int] | None) -> Section:
     height = 4.6 * aspect_ratio(embedding_limits(model)) + 1.0
-    return Section(6.0, height, lambda page: draw_embedding(page.subplots(), model, frames))
+    return Section(6.0, height, _on_one_chart(partial(draw_embedding, frames=frames), model))
 
 
-def _signal_chart(draw: Callable[[Axes, Model], None], model: Model, height: float = 4.0) -> Section:
-    return Section(7.5, height, lambda page: draw(page.subplots(), model))
+def _on_one_chart(draw: Callable[[Axes, Model], None], model: Model) -> Callable[[FigureBase], None]:
+    return lambda page: draw(page.subplots(), model)
 
 
 def _parts(model: Model, view: View, width: float = 4.5) -> Section:
     parts, pose = model.decomposition, model(model.start)
+    width, mesh_height = _picture_size(pose[None], model.header.up_axis, view, width)
     columns = int(2 * width / _LEGEND_COLUMN_WIDTH)
-    mesh_height = _picture_height(pose[None], model.header.up_axis, view, width)
     legend_height = 0.2 * legend_rows(parts, columns)
 
     def draw(page: FigureBase) -> None:
@@ -458,13 +484,34 @@ def _vertex_errors(
         add_error_bar(page, panels.ravel().tolist(), colour_map)
 
     poses = against.points[drawn_frames(errors, frames)]
-    height = _picture_height(poses, against.up_axis, view, width)
+    width, height = _picture_size(poses, against.up_axis, view, width)
     return Section(2 * width + 1.0, len(poses) * (height + 0.4), draw)
 
 
-def _picture_height(poses: FloatArray, up_axis: str, view: View, width: float) -> float:
-    """Return the height of mesh pictures for a given width; tall meshes are drawn smaller."""
-    return width * float(np.clip(views_aspect(opposite_views(poses, up_axis, view)), 0.3, 0.9))
+def _values(model: Model, values: Float, frames: Sequence[int] | None, view: View, width: float) -> Section:
+    header, is_constant = model.header, (values == values[0]).all()
+    drawn = frames or evenly_spaced(1 if is_constant else len(values), 3).tolist()
+    poses, (low, top) = np.stack([model(header.times[frame]) for frame in drawn]), value_range(values)
+    width, height = _picture_size(poses, header.up_axis, view, width)
+
+    def draw(page: FigureBase) -> None:
+        panels = page.subplots(len(poses), 2, squeeze=False)
+        colour_map = error_map(top, low)
+        for axes, frame, pose in zip(panels, drawn, poses, strict=True):
+            colours = colour_map.to_rgba(values[frame][header.faces].mean(axis=1))[:, :3]
+            for ax, (side, limits) in zip(axes, opposite_views(pose[None], header.up_axis, view)[0], strict=True):
+                draw_mesh(ax, pose, header.faces, colours, header.up_axis, side, limits, contrast=0.25)
+            axes[0].set_title(f"Values, frame {header.frame_number(frame)} at {header.times[frame]:.3f} s", fontsize=10)
+        _add_colour_bar(page, panels.ravel().tolist(), colour_map, "value")
+
+    return Section(2 * width + 1.0, len(poses) * (height + 0.4), draw)
+
+
+def _picture_size(poses: FloatArray, up_axis: str, view: View, width: float) -> tuple[float, float]:
+    """Return the width and height of mesh pictures, which are narrower for tall meshes."""
+    aspect = max(views_aspect(opposite_views(poses, up_axis, view)), 0.3)
+    narrow = max(width * min(1, 0.9 / aspect), _LEGEND_COLUMN_WIDTH)
+    return narrow, narrow * aspect
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ period ends, when all meshes start again.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from math import remainder
@@ -194,6 +194,7 @@ class SceneItem:
     name: str  # may be empty
     # A model, which is decoded at any time, or a sequence, whose nearest frame is shown.
     motion: Model | Frames | FrameStore
+    values: Float | None = field(default=None, compare=False, kw_only=True)  # (V,) or (T, V) numbers to show as colours
 
     def __str__(self) -> str:
         return self.name or self.header.name

@@ -115,7 +115,7 @@ def draw_segmentation(
     title: str | None = None,
 ) -> None:
     """Write a PNG of a pose ``(V, 3)`` from two opposite sides, coloured by parts ``(F,)`` and joints ``(F,)``."""
-    colours = segmentation_colours(part_of_face, joint_of_face)
+    colours = segmentation_colours(part_of_face, joint_of_face, faces)
     views = opposite_views(points[None], up_axis)
     sheet = Sheet.from_grid(1, 2, views_aspect(views), title or "")
     for ax, (view, limits) in zip(sheet.panels[0], views[0], strict=True):
@@ -253,7 +253,7 @@ def contact_sheet(
     colour_map, error_colours = _error_colours(original, decoded, original_frames, decoded_frames)
     original_columns, decoded_columns = dict(enumerate(original_frames)), dict(enumerate(decoded_frames))
     clay = [CLAY_COLOUR] * len(original_frames)
-    parts = [segmentation_colours(part_of_face, joint_of_face)] * len(original_frames)
+    parts = [segmentation_colours(part_of_face, joint_of_face, original.faces)] * len(original_frames)
     rows = [
         _Row("original", original, original_columns, clay, show_times=True),
         _Row("parts and\njoints", original, original_columns, parts),

@@ -64,10 +64,15 @@ class MixedTransfer(PickledWithoutCaches):
         """Target at rest ``(V', 3)``, in the unit of its space."""
         return self.gradients.target.reference
 
+    @property
+    def alignment(self) -> Alignment:
+        """How the target stands to the source, in the units of their meshes."""
+        return self.gradients.alignment
+
     @cached_property
     def _alignment(self) -> Alignment:
         """Alignment from source to target, in the units of their spaces."""
-        alignment = self.gradients.alignment
+        alignment = self.alignment
         unit_ratio = self.gradients.source.scale / self.gradients.target.scale
         return Alignment(alignment.rotation, alignment.scale * unit_ratio)
 

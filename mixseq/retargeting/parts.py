@@ -89,6 +89,12 @@ class PartCorrespondence:
         """Source part of every source triangle ``(F,)`` and of every target triangle ``(F',)``."""
         return self.source.part_of_face, self.source_parts[self.target.part_of_face]
 
+    @property
+    def labels(self) -> Index | None:
+        """Source part of every target triangle ``(F',)``, if each source part is one part of the target; else None."""
+        is_one_to_one = np.array_equal(np.sort(self.source_parts), np.arange(len(self.source.parts)))
+        return self.part_of_face[1] if is_one_to_one else None
+
 
 def transfer_parts(
     source: Decomposition,

@@ -21,7 +21,7 @@ from mixseq.retargeting.markers import Correspondence, Markers, check_numbers
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.retargeting.parts import PartCorrespondence, PartPoses
 from mixseq.retargeting.proposals import MAX_POSES, Proposal, propose_markers, similarity_residuals
-from mixseq.retargeting.sources import SourceMotion, prepare_source
+from mixseq.retargeting.sources import Alignment, SourceMotion, prepare_source
 from mixseq.runtime.parallel import Executor, one_blas_thread, thread_executor
 from mixseq.runtime.progress import Progress, log_progress
 from mixseq.runtime.public import FileOr, HasFrames, public
@@ -39,6 +39,10 @@ class TransferMethod(Protocol):
     @property
     def parts(self) -> PartCorrespondence | None:
         """Parts and joints of both meshes; None for methods without parts."""
+
+    @property
+    def alignment(self) -> Alignment:
+        """How the target stands to the source."""
 
     def transfer_frame(self, points: FloatArray) -> Float:
         """Return the target ``(V', 3)`` for a frame ``(V, 3)`` of the source."""

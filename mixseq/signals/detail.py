@@ -262,15 +262,13 @@ def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
         frames = choose_key_frames(modes.scores)
         pose = key_pose_map(modes.scores[frames])
         shapes = encoded.shapes[frames]
-    if detail.step:  # weights add up to one, so that errors of the first key shape are not amplified
-        steps = detail.step * encoded.space.rounding_step_ratios
-        for columns in element_blocks(len(steps), len(shapes)):
-            block, step = shapes[:, columns], steps[columns]
-            block[:] = _round(block[:1], step) + _round(block - block[:1], step)
-        del steps
+    if detail.step:
+        round_key_shapes(shapes, encoded.space, detail.step)
     key_poses = shapes[:, encoded.pose_columns]
 
     def corrections(time: Curve, times: Float, targets: Float) -> Float:
+        if len(encoded.header.times) <= 2:  # no inner frame to judge interpolation in time by: poses are blended
+            return np.zeros((len(times), encoded.space.correction_dim))
         return encoded.space.pose_corrections(pose.weights(time.on_both_sides(times)) @ key_poses, targets)
 
     if detail.knots is not None:
@@ -278,6 +276,25 @@ def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
     else:
         curves = _fit_curves_within_slack(encoded, modes.scores, corrections, detail)
     return Model(encoded.header, encoded.space, curves[0], pose, shapes, *curves[1:])
+
+
+def round_key_shapes(shapes: Float, space: ShapeSpace, step: float) -> None:
+    """Round key shapes ``(K, S)`` in place, to a step in diagonals times the step ratios of the space.
+
+    Weights add up to one, so that errors of the first key shape are not amplified.
+    """
+    steps = step * space.rounding_step_ratios
+    for columns in element_blocks(len(steps), len(shapes)):
+        block, ratios = shapes[:, columns], steps[columns]
+        block[:] = _round(block[:1], ratios) + _round(block - block[:1], ratios)
+
+
+def find_rounding_step(shapes: Float, space: ShapeSpace) -> float:
+    """Return the largest power of two that key shapes ``(K, S)`` are rounded to, relative to the space's ratios."""
+    mantissas, exponents = np.frexp(shapes[:, shapes.any(axis=0)] / space.rounding_step_ratios[shapes.any(axis=0)])
+    digits = np.abs(mantissas * 2.0**53).astype(np.int64)
+    lowest = np.log2(np.maximum(digits & -digits, 1)) - 53 + exponents
+    return float(2.0 ** lowest[digits > 0].min(initial=0.0))
 
 
 Corrections = Callable[[Curve, Float, Float], Float]

@@ -179,7 +179,8 @@ def fit(
     more than 0.0005 of the diagonal, half a pixel where the mesh fills a picture of 1000 pixels.
 
     Without `rank` and `knots`, the anchored placement also relaxes the mesh between distant frames, such as a set of
-    poses. It is relaxed towards the interpolated lengths and angles, so that faces do not tear.
+    poses. It is relaxed towards the interpolated lengths and angles, so that faces do not tear. Two frames are always
+    blended like that, as `interpolate` does.
 
     Parameters
     ----------
@@ -277,6 +278,8 @@ def fit(
     match options:
         case MixedSettings() if is_reduced:
             options = replace(options, purpose="reduced")
+        case MixedSettings() if sequence.header.frame_count == 2:
+            options = replace(options, purpose="blends")
         case EdgeSettings(projection="dso", shell=None):
             options = replace(options, shell=ShellSettings(accuracy=max_error / _SHELL_ACCURACY_RATIO))
     search_stages = 1 if exact else 0 if is_reduced else MAX_TRIAL_MODELS

@@ -6,7 +6,8 @@ r"""A model: a shape space and three signals in it, continuous in time.
 - **pose**: the affine map :math:`\varphi` from pose space to weights of key shapes (`mixseq.signals.pose`),
 - **shape**: the key shapes :math:`P_j`, points of the shape space.
 
-The **placement** of bodies in the world is a separate curve.
+The **placement** of bodies in the world is a separate curve. Further bodies, other meshes, can move by the same signals
+(`mixseq.signals.bodies`).
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from mixseq.sequence.events import Events
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import LazyFrames
+from mixseq.signals.bodies import Body
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
 from mixseq.signals.pose import Plane, PoseMap, fit_plane
@@ -63,6 +65,8 @@ class Model(Decodable, PickledWithoutCaches):
     correction : Curve, optional
         Curve of `ShapeSpace.correction_dim` coordinates that corrects blended shapes between frames, and at frames in a
         model of few modes. By default, there is no correction.
+    bodies : tuple of Body
+        Further bodies that move by the same time and pose signals, see `body`; all edits play on them. By default none.
 
     Raises
     ------
@@ -77,6 +81,7 @@ class Model(Decodable, PickledWithoutCaches):
     shapes: Float
     placement: Curve
     correction: Curve = None  # type: ignore[assignment]  # set below by default
+    bodies: tuple[Body, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shapes", read_only(np.asarray(self.shapes, dtype=np.float64)))
@@ -97,6 +102,71 @@ class Model(Decodable, PickledWithoutCaches):
                     f"frames are from {first:g} to {last:g} s, the {name} signal only from {curve.start:g} to "
                     f"{curve.end:g} s"
                 )
+        if len(set(self.body_names)) <= len(self.bodies):
+            raise SettingsError(f"two bodies have the same name; names are {', '.join(map(repr, self.body_names))}")
+        for body in self.bodies:
+            counts = [(len(each.shapes), each.space.rotation_count) for each in (self, body)]
+            if counts[0] != counts[1]:
+                raise SettingsError(
+                    f"the body {body.header.name!r} has {counts[1][0]} key shapes and {counts[1][1]} placements; "
+                    f"{counts[0][0]} and {counts[0][1]} are expected"
+                )
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Names of all bodies: that of the model's own mesh, and those of its further `bodies`."""
+        return self.header.name, *(body.header.name for body in self.bodies)
+
+    def body(self, name: str) -> Model:
+        """Return the model with another of its bodies in front: what is decoded, shown and edited is that body.
+
+        All others remain its `bodies`, so that an edit of one body plays on all.
+
+        Parameters
+        ----------
+        name : str
+            One of `body_names`.
+
+        Raises
+        ------
+        SettingsError
+            If there is no such body.
+
+        Examples
+        --------
+        >>> import mixseq
+        >>> from mixseq.creature import walk_cycle
+        >>> from mixseq.operations import key_poses, speed, with_body
+        >>> fox = mixseq.fit(walk_cycle(frames=6), pose="keys", exact=True)
+        >>> keys = key_poses(fox)
+        >>> both = with_body(fox, keys.with_points(keys.points * [1.0, 1.5, 1.0]), "tall fox")
+        >>> speed(both, 2.0).body("tall fox").end < fox.end
+        True
+        """
+        if name == self.header.name:
+            return self
+        if name not in self.body_names:
+            raise SettingsError(f"there is no body {name!r}; bodies are {', '.join(map(repr, self.body_names))}")
+        chosen = self.bodies[self.body_names.index(name) - 1]
+        turns = np.tile(np.eye(3), (self.space.correction_dim // 6, 1, 1))
+        turn, shifts = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros((self.space.centre_count, 3))
+        rotations = np.tile(turn, (self.space.rotation_count, 1))
+        own = Body(self.header, self.space, self.shapes, turn, rotations, shifts, turns)
+        others = tuple((own if body is chosen else body).relative_to(chosen) for body in self.bodies)
+        return replace(self.alone_as(chosen), bodies=others)
+
+    def alone_as(self, body: Body) -> Model:
+        """Return the model of another body alone, which moves by the signals of this model."""
+        poses = body.place(self.space.unpack_placements(self.placement.values))
+        return replace(
+            self,
+            header=replace(body.header, times=self.header.times, fps=self.header.fps, keys=None),
+            space=body.space,
+            shapes=body.shapes,
+            placement=Curve(self.placement.times, body.space.pack_placements(poses)),
+            correction=body.turn_correction(self.correction, self.mixed.articulation.body_of_part),
+            bodies=(),
+        )
 
     @property
     def curves(self) -> tuple[Curve, Curve, Curve]:
@@ -118,9 +188,17 @@ class Model(Decodable, PickledWithoutCaches):
         return self.edited(header=header or self.header, time=time, placement=placement, correction=correction)
 
     def edited(self, **changes: Any) -> Model:
-        """Return the model with other fields, and mark it as edited: it is no longer within a bound of its source."""
+        """Return the model with other fields, and mark it as edited: it is no longer within a bound of its source.
+
+        Key shapes that are added after the others change this body alone; on its other `bodies` they equal the first.
+        """
         header = changes.pop("header", self.header)
-        return replace(self, header=replace(header, provenance=as_edited(header.provenance)), **changes)
+        bodies = changes.pop("bodies", self.bodies)
+        if bodies:
+            count = len(changes.get("shapes", self.shapes))
+            bodies = tuple(body.edited(count) for body in bodies)
+        header = replace(header, provenance=as_edited(header.provenance))
+        return replace(self, header=header, bodies=bodies, **changes)
 
     @property
     def start(self) -> float:
@@ -158,7 +236,8 @@ class Model(Decodable, PickledWithoutCaches):
         return (
             f"Model({self.header.name!r}: {self.start:g} to {self.end:g} s, {len(self.shapes)} key shapes, "
             f"{self.space.name} space of dim {self.space.dim}, "
-            f"{len(self.time.times)} + {len(self.placement.times)} knots)"
+            f"{len(self.time.times)} + {len(self.placement.times)} knots"
+            + (f", bodies {', '.join(self.body_names)})" if self.bodies else ")")
         )
 
     def curve(self, times: ArrayLike) -> Float:

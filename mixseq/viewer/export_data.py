@@ -312,7 +312,13 @@ def _describe_colouring(
     """Return the description of a colouring for a page, and its stored data, if any."""
     if not colouring.is_constant:
         palette = colouring.palette[::15]  # the page interpolates the others
-        measured = {"name": colouring.name, "palette": palette.tolist(), "top": top, "unit": colouring.unit}
+        measured = {
+            "name": colouring.name,
+            "palette": palette.tolist(),
+            "low": colouring.low,
+            "top": top,
+            "unit": colouring.unit,
+        }
         if colouring.name in MEASURES:
             return measured, None
         scaled = colouring.with_top(top)

@@ -30,6 +30,8 @@ class Clock:
     speed: float = 1.0  # playback speed
     frame: float = 0.0  # frame, possibly fractional, at the last start or stop
     started_at: float | None = None  # wall-clock time of the last start, or None if stopped
+    section: tuple[int, int] | None = None  # first and last frame that are played, by default all
+    loop: bool = True  # whether the section starts again at its end
 
     @property
     def is_running(self) -> bool:
@@ -38,7 +40,11 @@ class Clock:
 
     def frame_at(self, now: float) -> int:
         """Return the current frame ``0 .. count - 1``."""
-        return int(self._position(now) + 1e-6) % self.count
+        return int(self._position(now) + 1e-6)
+
+    def is_finished(self, now: float) -> bool:
+        """Whether the clock has played its section, which it does not start again."""
+        return self.is_running and not self.loop and self.frame_at(now) >= self._ends[1]
 
     def seconds_to_next_frame(self, now: float) -> float:
         """Return the seconds until the next frame."""
@@ -46,8 +52,9 @@ class Clock:
         return (int(position) + 1 - position) / (self.fps * self.speed)
 
     def start(self, now: float) -> Clock:
-        """Return a clock that runs from the current frame."""
-        return replace(self, frame=self._position(now) % self.count, started_at=now)
+        """Return a clock that runs from the current frame, or from the start of the section if that is not in it."""
+        position, (first, last) = self._position(now), self._ends
+        return replace(self, frame=position if first <= position < last + self.loop else first, started_at=now)
 
     def stop(self, now: float) -> Clock:
         """Return a clock that is stopped at the current frame."""
@@ -61,17 +68,32 @@ class Clock:
     def with_speed(self, speed: float, now: float) -> Clock:
         """Return a clock with another speed and the same current frame."""
         started_at = None if self.started_at is None else now
-        return replace(self, frame=self._position(now) % self.count, started_at=started_at, speed=speed)
+        return replace(self, frame=self._position(now), started_at=started_at, speed=speed)
+
+    def with_section(self, first: int, last: int) -> Clock:
+        """Return a clock that plays the frames from the first to the last, at the same frame."""
+        return replace(self, section=None if (first, last) == (0, self.count - 1) else (first, last))
 
     def with_period(self, count: int, fps: float, now: float) -> Clock:
         """Return a clock with another period and frame rate, at the same elapsed time if the new period contains it."""
-        elapsed = (self._position(now) % self.count) / self.fps
+        elapsed = self._position(now) / self.fps
         frame = elapsed * fps if self.is_running else round(min(elapsed * fps, count - 1))
-        return replace(self, count=count, fps=fps).seek(frame, now)
+        first, last = (min(round(end * fps / self.fps), count - 1) for end in self._ends)
+        section = (first, last) if self.section and first < last else None
+        return replace(self, count=count, fps=fps, section=section).seek(frame, now)
+
+    @property
+    def _ends(self) -> tuple[int, int]:
+        return self.section or (0, self.count - 1)
 
     def _position(self, now: float) -> float:
-        elapsed = 0.0 if self.started_at is None else now - self.started_at
-        return self.frame + elapsed * self.fps * self.speed
+        if self.started_at is None:
+            return self.frame
+        position, (first, last) = self.frame + (now - self.started_at) * self.fps * self.speed, self._ends
+        excess = position + 1e-6 - (last + 1)
+        if excess < 0:
+            return position
+        return first + excess % (last + 1 - first) if self.loop else float(last)
 
 
 Job = TypeVar("Job")
@@ -320,6 +342,24 @@ class Playback(BackgroundWorker):
         """Go to a frame."""
         self._update_clock(lambda clock, now: clock.seek(frame, now))
 
+    @property
+    def section(self) -> tuple[int, int]:
+        """First and last frame of the section that is played."""
+        return self._clock.section or (0, self._clock.count - 1)
+
+    def set_section(self, first: int, last: int) -> None:
+        """Play the frames from the first to the last."""
+        self._update_clock(lambda clock, _: clock.with_section(first, last))
+
+    @property
+    def is_looping(self) -> bool:
+        """Whether the section starts again at its end."""
+        return self._clock.loop
+
+    def set_loop(self, on: bool) -> None:
+        """Set whether the section starts again at its end."""
+        self._update_clock(lambda clock, now: replace(clock.seek(clock.frame_at(now), now), loop=on))
+
     def set_speed(self, speed: float) -> None:
         """Set the playback speed."""
         self._update_clock(lambda clock, now: clock.with_speed(speed, now))
@@ -366,6 +406,8 @@ class Playback(BackgroundWorker):
                 if self._closed:
                     return
                 now = monotonic()
+                if self._clock.is_finished(now):  # the last frame is sent again, as that of a stopped clock
+                    self._clock, self._shown = self._clock.stop(now), None
                 if self._stage.is_busy and now - self._sent_at < DRAW_TIMEOUT_SECONDS:
                     self._changed.wait(DRAW_TIMEOUT_SECONDS - (now - self._sent_at))
                     continue

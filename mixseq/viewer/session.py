@@ -50,6 +50,20 @@ class Seek(PageMessage, frozen=True):
     time: Number
 
 
+class Play(PageMessage, frozen=True):
+    """Request to play or pause, or to set whether the section starts again at its end."""
+
+    on: bool | None = None
+    loop: bool | None = None
+
+
+class Mark(PageMessage, frozen=True):
+    """Section that is played and edited: times of its first and last frame in seconds."""
+
+    start: Number
+    end: Number
+
+
 class Drag(PageMessage, frozen=True):
     """Drag of the time curve's point at a given time to a point of the embedding."""
 
@@ -71,7 +85,8 @@ class Retime(PageMessage, frozen=True):
     done: bool
 
 
-Message = Drawn | Seek | Drag | Sketch | Retime
+Transport = Seek | Play | Mark
+Message = Drawn | Transport | Drag | Sketch | Retime
 State = TypeVar("State")
 
 _MESSAGE_DECODER: Decoder[Message] = Decoder(Message)

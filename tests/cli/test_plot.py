@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
 import pytest
 from click.testing import Result
 
@@ -27,6 +28,9 @@ pytest.importorskip("matplotlib")
 @pytest.mark.parametrize("kind", PICTURES)
 def test_one_picture(run: Run, kind: str) -> None:
     against = ("--against", "bar.usdc") if kind.startswith("error") else ()
+    if kind == "values":
+        np.savetxt("values.txt", np.arange(77))
+        against = ("--scalar", "values.txt")
     result = run("plot", "model.h5", "new.svg", "--kind", kind, *against)
     assert (result.exit_code, result.stderr) == (0, "")
     assert re.fullmatch(r"wrote new\.svg \(.* kB\)\n", result.stdout)
@@ -75,7 +79,7 @@ def test_reader_options_are_for_the_original(run: Run) -> None:
         ("plot model.h5 new.png --frames 4", "there is no frame 4; frames are 0 to 3"),
         (
             "plot model.h5 new.png --frames 1 --kind parts",
-            "frames is for embedding and error-vertices, not for parts",
+            "frames is for embedding and error-vertices and values, not for parts",
         ),
         ("plot model.h5 new.png --input-fps 10", "are for reading a sequence; give --against"),
         ("plot model.h5 new.png --against bar.usdc --prim /none", "/none"),
@@ -85,6 +89,9 @@ def test_reader_options_are_for_the_original(run: Run) -> None:
         ("plot model.h5 new.png --turn 90", "--turn is about films; give --video"),
         ("plot model.h5 new.png --kind embedding --camera 0,0", "camera is for parts and error-vertices"),
         ("plot model.h5 new.png --camera 0,nan", "the camera is at"),
+        ("plot model.h5 new.png --kind values", "values needs numbers of the vertices; give values .--scalar"),
+        ("plot model.h5 new.png --scalar bar.npz", "bar.npz"),
+        ("plot --video new.gif bar.npz --colour values", "give --scalar"),
         ("plot model.h5 new.png --follow", "--follow is about films; give --video"),
         ("plot --video new.gif bar.npz --camera 30", "--camera.*'30' is no angle and height such as 30,15"),
         ("plot model.h5 new.png --fps 30", "--fps is about films; give --video"),
@@ -134,10 +141,12 @@ def test_a_source_is_not_overwritten(run: Run, contents: Contents, folder: Path)
         ("old.webp bar.usdc model.h5 --names=one,two --turn 90 --seconds 0.5 -q", b"RIFF"),
         ("new.gif model.h5 bar.npz --colour parts --fps 20", b"GIF89a"),
         ("new.gif model.h5 --colour error --against bar.usdc --scale 0.01", b"GIF89a"),
+        ("new.gif bar.npz --scalar numbers.npy", b"GIF89a"),
         ("new.gif bar_sequence.h5 --colour strain --up-axis Z --camera -30,10 --follow", b"GIF89a"),
     ],
 )
 def test_films(run: Run, line: str, start: bytes) -> None:
+    np.save("numbers.npy", np.arange(4 * 77).reshape(4, 77))
     result = run("plot", "--size", "96x64", "--video", *line.split())
     assert (result.exit_code, result.stderr) == (0, "")
     name = line.split()[0]

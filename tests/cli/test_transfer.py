@@ -229,22 +229,40 @@ def test_a_wolf_on_a_larger_wolf(run: Run, data: Path) -> None:
 
 def test_a_model_is_transferred_by_its_key_poses(run: Run, folder: Path, bar: MeshSequence) -> None:
     mixseq.save(folder / "bar.h5", mixseq.fit(bar, exact=True, pose="keys"))
-    succeed(run("transfer", "bar.h5", "large.npz", "large.h5", "--as-model", "--no-picture", "--quiet"))
-    model, made = mixseq.load(folder / "bar.h5"), mixseq.load(folder / "large.h5")
-    assert made.pose.identity == model.pose.identity
-    np.testing.assert_array_equal(made.time.values, model.time.values)
-    np.testing.assert_allclose(made.sample().points, 2 * bar.points, atol=1e-5 * made.space.scale)
+    succeed(run("transfer", "bar.h5", "large.npz", "two.h5", "--as-body", "large", "--no-picture", "--quiet"))
+    succeed(
+        run(
+            "transfer",
+            "two.h5",
+            "fine.npz",
+            "three.h5",
+            "--as-body",
+            "fine",
+            "--markers",
+            "markers.txt",
+            "--no-picture",
+            "--quiet",
+        )
+    )
+    model, herd = mixseq.load(folder / "bar.h5"), mixseq.load(folder / "three.h5")
+    assert herd.body_names == (model.header.name, "large", "fine")
+    np.testing.assert_array_equal(herd.time.values, model.time.values)
+    large = herd.body("large")
+    np.testing.assert_allclose(large.sample().points, 2 * bar.points, atol=1e-5 * large.space.scale)
+    whole = mixseq.transfer(model, folder / "fine.npz", folder / "markers.txt")
+    np.testing.assert_allclose(herd.body("fine").sample().points, whole.points, atol=5e-3 * large.space.scale)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("bar.npz", "large.npz", "out.h5", "--as-model"), "SOURCE and OUT are .h5 files"),
-        (("bar.h5", "large.npz", "out.npz", "--as-model"), "SOURCE and OUT are .h5 files"),
-        (("bar.h5", "large.npz", "out.h5", "--as-model", "--contacts", "feet.json"), "--contacts"),
+        (("bar.npz", "large.npz", "out.h5", "--as-body", "b"), "SOURCE and OUT are .h5 files"),
+        (("bar.h5", "large.npz", "out.npz", "--as-body", "b"), "SOURCE and OUT are .h5 files"),
+        (("bar.h5", "large.npz", "out.h5", "--as-body", "bar"), "bar.h5 has a body 'bar'; give another name"),
+        (("bar.h5", "large.npz", "out.h5", "--as-body", "b", "--contacts", "feet.json"), "--contacts"),
     ],
 )
-def test_as_model_makes_models_of_models(
+def test_as_body_makes_models_of_models(
     run: Run, folder: Path, bar: MeshSequence, arguments: tuple[str, ...], message: str
 ) -> None:
     mixseq.save(folder / "bar.h5", mixseq.fit(bar, exact=True))

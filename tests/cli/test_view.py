@@ -121,7 +121,8 @@ def test_without_viser(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("files", [["bar.npz"], ["model.h5"], ["bar.npz", "model.h5", "bar.usdc"]])
 def test_a_page(run: Run, monkeypatch: pytest.MonkeyPatch, files: list[str]) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)  # which pages do not need
-    result = run("view", *files, "--export", "new.html")
+    np.save("numbers.npy", np.arange(77) - 40)
+    result = run("view", *files, "--export", "new.html", "--scalar", "numbers.npy")
     assert (result.exit_code, result.stderr) == (0, "")
     between = r"between frames, \S+ of the diagonal from the model"
     said = rf"o vertex is off by more than 0\.001 of the diagonal, \S+ units; {between}: 1e-3 from \S+.*\n"
@@ -130,6 +131,8 @@ def test_a_page(run: Run, monkeypatch: pytest.MonkeyPatch, files: list[str]) -> 
     page = Opened(Path("new.html"))
     assert page.text.startswith("<!doctype html>")
     assert [item.description["name"] for item in page.items] == files
+    values = page.items[0].description["colourings"][0]
+    assert (values["name"], values["low"], values["top"]) == ("values", -40, 36)
 
 
 def test_a_page_of_a_compressed_model(run: Run) -> None:

@@ -12,6 +12,7 @@ import pytest
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io import open_sequence, read, write
+from mixseq_io.npz import read_values
 from tests.formats.conftest import CASES
 
 POINTS = np.arange(4 * 5 * 3, dtype=np.float32).reshape(4, 5, 3)
@@ -25,6 +26,32 @@ def path(tmp_path: Path) -> Path:
 
 def save(path: Path, **arrays: Any) -> None:
     np.savez_compressed(path, **{"points": POINTS, "faces": FACES, **arrays})
+
+
+@pytest.mark.parametrize("name", ["a.npy", "a.txt", "a.csv", "a.npz"])
+@pytest.mark.parametrize("shape", [(5,), (4, 5)])
+def test_values_of_vertices(tmp_path: Path, name: str, shape: tuple[int, ...]) -> None:
+    values, path = np.arange(np.prod(shape), dtype=float).reshape(shape), tmp_path / name
+    match path.suffix:
+        case ".npy":
+            np.save(path, values)
+        case ".npz":
+            np.savez(path, heat=values)
+        case _:
+            np.savetxt(path, values, delimiter="," if name == "a.csv" else " ")
+    assert np.array_equal(read_values(path), values)
+
+
+def test_values_are_found_by_name(path: Path) -> None:
+    save(path, values=np.arange(5))
+    assert read_values(path).tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(("name", "text"), [("a.txt", "1\nred"), ("b.txt", "1 2\n3"), ("c.npy", "1 2"), ("d.npz", "1")])
+def test_what_is_not_numbers(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(FormatError, match=name):
+        read_values(tmp_path / name)
 
 
 def test_points_and_faces_are_enough(path: Path) -> None:

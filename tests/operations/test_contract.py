@@ -95,6 +95,13 @@ def sketched_frames(model: Source) -> Float:
     return np.asarray(sketch.sample(lengths / lengths[-1]).points, dtype=np.float64)
 
 
+def by_key_poses(model: Source) -> Source:
+    """The same body once more, by the key poses of the model."""
+    herd = operations.with_body(model, operations.key_poses(model), "again")
+    again = herd.body("again")
+    return replace(again, header=replace(again.header, name=herd.header.name), bodies=())
+
+
 def compressed(source: Source) -> MeshSequence:
     return CompressedModel.from_sequence(mixseq.compress(source, max_error=RECOMPRESSED)).sample()
 
@@ -155,7 +162,7 @@ TABLE: Mapping[str, Operation] = {
     "swap_key": Operation(lambda model: operations.swap_key(model, 0, moved(model, 0.0)).sample(frames=[0]), 2),
     "drag": Operation(lambda model: operations.drag(model, 0.3, place(model, TIMES[3:4])[0] + 0.01), 2),
     "sketch": Operation(sketched_frames, 2),
-    "with_shapes": Operation(lambda model: operations.with_shapes(model, operations.key_poses(model)), 2),
+    "with_body": Operation(by_key_poses, 2),
     "transfer": Operation(
         lambda source: mixseq.transfer(source, replace(original(), velocities=None)), 2, "all", VELOCITIES
     ),
@@ -171,7 +178,7 @@ REFUSED = {
     ("swap_key", name): "no frame of the model; fit one with pose='keys'"
     for name in ("default", "h5", "h5 saved", "edited", "transferred")
 }
-LOST = {("with_shapes", name): "own key poses give the motion back within" for _, name in REFUSED}
+LOST = {("with_body", name): "own key poses give the motion back within" for _, name in REFUSED}
 
 
 class Motion(NamedTuple):
@@ -261,7 +268,7 @@ def check_header(result: Any, source: Any) -> None:
 
 
 def test_the_table_is_complete() -> None:
-    others = {"Handle", "Retiming", "read_retiming", "key_poses"}  # no motions; `with_shapes` has poses of `key_poses`
+    others = {"Handle", "Retiming", "read_retiming", "key_poses"}  # no motions; `with_body` has poses of `key_poses`
     assert OPERATIONS.keys() | set(operations.__all__) == (TABLE.keys() | others) - {
         "sample",
         "velocity",
@@ -353,7 +360,7 @@ def test_saving_twice_changes_nothing(motions: Mapping[str, Motion], tmp_path: P
 
 
 WITHOUT_PARTS = {
-    **dict.fromkeys(("exaggerate_part", "hold", "pose", "with_shapes"), r"space='mixed'|mixed space"),
+    **dict.fromkeys(("exaggerate_part", "hold", "pose", "with_body"), r"space='mixed'|mixed space"),
     "swap_key": "no frame of the model",
 }
 """Why spaces without parts, and models of modes, are refused."""

@@ -9,7 +9,7 @@ import pytest
 
 import mixseq
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.operations import drag, exaggerate_part, key_poses, sculpt, with_shapes
+from mixseq.operations import exaggerate_part, key_poses, with_body
 from mixseq.types import Float
 from tests.meshes import coarse_walk
 
@@ -41,14 +41,14 @@ def test_key_poses_that_are_frames_are_these_frames(model: mixseq.Model) -> None
 
 def test_own_key_poses_give_the_own_motion_back() -> None:
     exact = mixseq.fit(coarse_walk(frames=6), exact=True, pose="keys")
-    again = with_shapes(exact, key_poses(exact))
+    again = with_body(exact, key_poses(exact), "again").body("again")
     np.testing.assert_allclose(again.sample().points, exact.sample().points, atol=1e-6 * exact.space.scale)
 
 
 def test_a_body_with_the_same_triangles_keeps_parts_and_correction(model: mixseq.Model) -> None:
     """Also what edits of single parts have put into it."""
     raised = exaggerate_part(model, int(np.flatnonzero(model.mixed.articulation.parents >= 0)[0]), 1.5)
-    again = with_shapes(raised, key_poses(raised))
+    again = with_body(raised, key_poses(raised), "again").body("again")
     np.testing.assert_array_equal(again.parts, model.parts)
     np.testing.assert_allclose(again.sample().points, raised.sample().points, atol=5e-3 * model.space.scale)
 
@@ -56,53 +56,37 @@ def test_a_body_with_the_same_triangles_keeps_parts_and_correction(model: mixseq
 def test_losses_are_told(model: mixseq.Model) -> None:
     keys = key_poses(model)
     with pytest.warns(MixseqWarning, match="corrections of part poses, up to .* diagonals, are left out"):
-        with_shapes(model, on_other_body(keys))
+        with_body(model, on_other_body(keys), "tall")
     blended = mixseq.fit(coarse_walk(frames=8), rank=4)
     with pytest.warns(MixseqWarning, match="its own key poses give the motion back within"):
-        with_shapes(blended, key_poses(blended))
+        with_body(blended, key_poses(blended), "again")
 
 
-def test_another_body_moves_by_the_same_signals(model: mixseq.Model) -> None:
-    other = with_shapes(model, on_other_body(key_poses(model)))
+@pytest.mark.parametrize("has_parts", [False, True])
+def test_another_body_moves_by_the_same_signals(model: mixseq.Model, has_parts: bool) -> None:
+    """With parts given, it also has the correction; its key poses are those that were given, wherever its body is."""
+    wanted = on_other_body(key_poses(model))
+    other = with_body(model, wanted, "tall", model.parts if has_parts else None).body("tall")
     assert other.time is model.time
     assert other.pose is model.pose
-    assert other.header.vertex_count == model.header.vertex_count
-    keys = key_poses(other).points
-    np.testing.assert_allclose(keys, on_other_body(key_poses(model)).points, atol=0.05 * other.space.scale)
+    assert other.correction.values.any() == has_parts
+    np.testing.assert_allclose(key_poses(other).points, wanted.points, atol=1e-3 * other.space.scale)
 
 
-def test_edits_of_one_body_play_on_the_other(model: mixseq.Model) -> None:
-    other = with_shapes(model, on_other_body(key_poses(model)))
-    edited = drag(model, float(model.times[2]), model.embedding([model.times[5]])[0])
-    played = with_shapes(edited, other)
-    assert played.time is edited.time
-    np.testing.assert_array_equal(played.shapes, other.shapes)
-
-
-def test_bodies_of_another_pose_signal_are_refused(model: mixseq.Model) -> None:
-    other = mixseq.fit(coarse_walk(frames=9), rank=4, pose="keys")
-    assert len(other.shapes) == len(model.shapes)
-    with pytest.raises(SettingsError, match="another pose signal"):
-        with_shapes(model, other)
-    grown = sculpt(model, float(model.times[0]), model(float(model.times[0])))
-    with pytest.raises(SettingsError, match="another pose signal"):
-        with_shapes(model, grown)
+def test_names_are_unique(model: mixseq.Model) -> None:
+    with pytest.raises(SettingsError, match="two bodies have the same name"):
+        with_body(model, key_poses(model), model.header.name)
 
 
 def test_every_key_shape_needs_a_frame(model: mixseq.Model) -> None:
     with pytest.raises(SettingsError, match=r"has 4 frames; 5 are expected"):
-        with_shapes(model, coarse_walk(frames=4))
+        with_body(model, coarse_walk(frames=4), "other")
 
 
 def test_spaces_without_parts_are_refused() -> None:
     walk = coarse_walk(frames=4)
     with pytest.raises(SettingsError, match="has no parts"):
-        with_shapes(mixseq.fit(walk, exact=True, space="vertex"), walk)
-
-
-def test_identity_is_kept_in_files(model: mixseq.Model, tmp_path: Path) -> None:
-    mixseq.save(tmp_path / "model.h5", model)
-    assert mixseq.load(tmp_path / "model.h5").pose.identity == model.pose.identity
+        with_body(mixseq.fit(walk, exact=True, space="vertex"), walk, "other")
 
 
 @pytest.mark.realdata
@@ -112,7 +96,7 @@ def test_six_keys_of_the_elephant_gallop_as_the_horse(data: Path) -> None:
     model = mixseq.fit(horse, rank=5, pose="keys")
     frames = elephant.points[model.key_frames]
     keys = mixseq.MeshSequence.from_arrays(frames, elephant.faces, fps=1.0)
-    made = with_shapes(model, keys).sample().points.astype(np.float64)
+    made = with_body(model, keys, "elephant").body("elephant").sample().points.astype(np.float64)
     unit = np.linalg.norm(np.ptp(elephant.points[0], axis=0))
     assert _aligned_error(made, elephant.points.astype(np.float64)) <= 0.017 * unit
 

@@ -24,6 +24,7 @@ from mixseq.pictures.colours import (
     MAX_PALETTE_COLOURS,
     MEASURES,
     MIN_SCALE_ENDS,
+    PALETTE_PARTS,
     SCALE_QUANTILE,
     Colouring,
     Curvature,
@@ -88,6 +89,34 @@ def test_there_are_those_that_can_be_shown() -> None:
     assert [name for name, colouring in everything.items() if colouring.is_constant] == ["clay", "parts"]
 
 
+@pytest.mark.parametrize("shape", ["constant", "moving"])
+def test_values_are_from_the_smallest_to_the_largest(shape: str) -> None:
+    track, count = BAR, BAR.vertex_count
+    row = np.linspace(-3, 2, count)
+    values = row if shape == "constant" else row + 10 * np.arange(track.frame_count)[:, None]
+    found = available_colourings(track.header, REST, values=values)
+    assert next(iter(found)) == "values"
+    colouring, top = found["values"], values.max()
+    assert (colouring.low, colouring.top) == (-3, top)
+    last = np.broadcast_to(values, (track.frame_count, count))[-1]
+    expected = np.rint(255 * (last + 3) / (top + 3))
+    assert np.array_equal(colouring.entries(REST, float(track.times[-1] - track.times[0])), expected)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [(np.zeros(5), r"shape \(5,\); give 202 numbers"), (np.full(202, np.nan), "not all finite")],
+)
+def test_values_are_of_the_vertices(values: NDArray[np.float64], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        available_colourings(BAR.header, REST, values=values)
+
+
+def test_equal_values_have_a_scale() -> None:
+    colouring = available_colourings(BAR.header, REST, values=np.full(202, 4.0))["values"]
+    assert (colouring.low, colouring.top) == (4, 5)
+
+
 def test_clay_is_clay() -> None:
     clay = available_colourings(BAR.header, REST)["clay"]
     assert np.allclose(clay.palette[clay.entries(REST, 0)] / 255, CLAY_COLOUR, atol=0.5 / 255)
@@ -96,16 +125,20 @@ def test_clay_is_clay() -> None:
 # Parts
 
 
-def test_joints_are_red_and_parts_are_not() -> None:
+def test_joints_are_pale_and_red_where_parts_meet() -> None:
     parts = available_colourings(BAR.header, REST, halves())["parts"]
     entries = parts.entries(REST, 0.0)
     joint = np.zeros(BAR.vertex_count, dtype=bool)
     joint[BAR.faces[halves().joint_of_face >= 0]] = True
-    assert 0 < joint.sum() < BAR.vertex_count
-    assert np.array_equal(entries == JOINT_ENTRY, joint)
+    upper = np.array([halves().part_of_face[(BAR.faces == vertex).any(axis=1)] for vertex in range(202)], dtype=object)
+    meets = np.array([len(set(labels.tolist())) == 2 for labels in upper])
+    assert 0 < (joint & meets).sum() < joint.sum() < BAR.vertex_count
+    assert np.array_equal(entries == JOINT_ENTRY, joint & meets)
+    assert np.array_equal(entries >= PALETTE_PARTS, joint)
     assert np.array_equal(entries[~joint], REST[~joint][:, 2] > 2)
     colours = parts.palette[[0, 1, JOINT_ENTRY]] / 255
     assert np.allclose(colours, [*part_colours(2), JOINT_RED], atol=0.5 / 255)
+    assert (parts.palette[PALETTE_PARTS] > parts.palette[0]).all()
 
 
 def test_most_faces_of_a_vertex_tell_its_part() -> None:
@@ -117,10 +150,10 @@ def test_most_faces_of_a_vertex_tell_its_part() -> None:
 
 
 def test_numbers_of_parts_go_around_below_the_joints() -> None:
-    strip, decomposition = cut([254, 255, 254, 256])
+    strip, decomposition = cut([126, 127, 126, 128])
     parts = available_colourings(strip.header, strip.points[0], decomposition)["parts"]
     # ties are of the lowest part, not of the lowest entry
-    assert parts.entries(strip.points[0], 0).tolist() == [254, 254, 254, 0, 254, 254]
+    assert parts.entries(strip.points[0], 0).tolist() == [126, 126, 126, 0, 126, 126]
 
 
 def test_vertices_without_faces_are_survived() -> None:
@@ -350,11 +383,17 @@ def test_no_part_looks_like_a_joint_in_any_light() -> None:
 
 
 def test_segmentation_colours() -> None:
-    parts, joints = np.array([0, 0, 1, 1, 0, 0, 1, 1]), np.array([0, -1, -1, 0, -1, -1, -1, -1])
-    colours = segmentation_colours(parts, joints)
-    assert np.allclose(colours[joints >= 0], JOINT_RED)
-    assert np.allclose(colours[1], part_colours(2)[0])
-    assert np.allclose(colours[2], part_colours(2)[1])
+    strip, _ = grid(1, 4)
+    faces = grid(1, 4)[1]
+    parts = (strip[faces, 0].mean(axis=1) > 2).astype(int)
+    joints = np.where(abs(strip[faces, 0].mean(axis=1) - 2) < 1.5, 0, -1)
+    colours = segmentation_colours(parts, joints, faces)
+    touching = (strip[faces, 0] == 2).sum(axis=1)
+    assert (touching[joints >= 0] < 2).any()
+    assert np.allclose(colours[(joints >= 0) & (touching >= 2)], JOINT_RED)
+    assert np.allclose(colours[joints < 0], part_colours(2)[parts[joints < 0]])
+    pale = (joints >= 0) & (touching < 2)
+    assert (colours[pale] > part_colours(2)[parts[pale]]).all()
 
 
 def test_viridis_is_that_of_matplotlib() -> None:

@@ -55,7 +55,7 @@ def test_picture_of_the_parts(bar_model: Model, bent_bar: MeshSequence) -> None:
 
     panels = Figure(figsize=(8, 3)).subplots(1, 2)
     draw_parts(list(panels), bar_model, bent_bar.points[0])
-    assert panels[0].get_title(loc="center") == "Parts and joints"
+    assert panels[0].get_title(loc="center") == "Parts; joints paler, red where parts meet"
     numbers = {text.get_text() for panel in panels for text in panel.texts}
     assert numbers == {str(part) for part in range(len(bar_model.decomposition.parts))}
 
@@ -87,15 +87,20 @@ def test_legend_counts_vertices(bar_model: Model, ax: Any) -> None:
 def test_legend_of_very_many_parts(bar_model: Model, ax: Any) -> None:
     parts = bar_model.decomposition
     count = MAX_LEGEND_PARTS + 7
+    sizes = [1 + (number % 7 == 0) for number in range(count)]
     many = replace(
         parts,
         part_of_face=np.arange(len(parts.part_of_face)) % count,
-        parts=tuple(np.arange(1) for _ in range(count)),
+        parts=tuple(map(np.arange, sizes)),
         joints=(),
     )
     draw_parts_legend(ax, many, 5)
-    assert list(legend(ax))[-2:] == [f"part {MAX_LEGEND_PARTS - 1}: 1 vertex", "and 7 more parts"]
-    assert legend_rows(many, 5) == 13
+    entries = list(legend(ax))
+    assert len(entries) == MAX_LEGEND_PARTS + 1 <= 12 - 2  # others are of joints, and of vertices in no triangle
+    assert entries[0] == "part 0: 2 vertices"
+    assert "part 14: 2 vertices" in entries
+    assert entries[-1] == "and 7 smaller parts"
+    assert legend_rows(many, 5) == 3
 
 
 def test_legend_tells_of_unused_vertices(bar_model: Model, ax: Any) -> None:

@@ -15,7 +15,6 @@ from mixseq.errors import MissingExtraError, OutputError, SettingsError
 from mixseq.pictures.charts import Format
 from mixseq.pictures.models import (
     MAX_ERROR_FRAMES,
-    _embedding,
     _page_section,
     _parts,
     check_settings,
@@ -51,8 +50,9 @@ def test_every_kind_is_reproducible(
     kind: PictureKind, file_format: Format, bar_model: Model, bent_bar: MeshSequence
 ) -> None:
     against = bent_bar if kind.startswith("error") else None
-    first = picture(bar_model, kind, file_format, against=against)
-    assert first == picture(bar_model, kind, file_format, against=against)
+    settings = {"against": against, "values": np.arange(77.0) if kind == "values" else None}
+    first = picture(bar_model, kind, file_format, **settings)
+    assert first == picture(bar_model, kind, file_format, **settings)
     assert len(first) > 2000
     if file_format == "svg":
         assert b"<svg" in first
@@ -62,13 +62,12 @@ def test_every_kind_is_reproducible(
 
 def test_overview_has_a_row_for_what_there_is(bar_model: Model, vertex_model: Model, bent_bar: MeshSequence) -> None:
     def height(model: Model, against: MeshSequence | None = None) -> float:
-        return _page_section(model, None, against, None, None, None, log_progress).height
+        return _page_section(model, None, against, None, None, None, None, log_progress).height
 
-    signals = [max(_embedding(model, None).height, 5.4) for model in (vertex_model, bar_model)]
     ends = np.stack([bar_model(bar_model.start), bar_model(bar_model.end)])
     near = three_quarter_view(ends, bar_model.header.up_axis)
-    assert height(vertex_model) == pytest.approx(signals[0])
-    assert height(bar_model) == pytest.approx(signals[1] + _parts(bar_model, near, 5.0).height)
+    assert height(vertex_model) == pytest.approx(3.6)
+    assert height(bar_model) == pytest.approx(3.6 + _parts(bar_model, near, 6.7).height)
     for model in (vertex_model, bar_model):
         assert height(model, bent_bar) > height(model) + 3
 
@@ -83,6 +82,19 @@ def test_frames_are_rows_of_errors(vertex_model: Model, bent_bar: MeshSequence) 
         for frames in ([1], [1, 3, 1])
     )
     assert one < two < 2 * one
+
+
+def test_values_are_drawn_of_one_frame_or_of_three(vertex_model: Model) -> None:
+    constant = np.arange(77.0)
+    one, two, three = (
+        png_size(picture(vertex_model, "values", values=values, frames=frames))[1]
+        for values, frames in (
+            (constant, None),
+            (constant, [0, 2]),
+            (constant * np.arange(4)[:, None], None),
+        )
+    )
+    assert one < two < three
 
 
 def test_extension_decides(vertex_model: Model, tmp_path: Path) -> None:
@@ -122,11 +134,12 @@ def test_summary_counts(vertex_model: Model) -> None:
             False,
             [1],
             False,
-            "frames is for embedding and error-vertices, not for coefficients",
+            "frames is for embedding and error-vertices and values, not for coefficients",
         ),
         ("error-vertices", True, None, True, "tolerance is for error-frames, not for error-vertices"),
         ("error-vertices", True, range(MAX_ERROR_FRAMES + 1), False, "do not fit; choose 1 to 12 frames"),
         ("error-vertices", True, [], False, "do not fit; choose 1 to 12 frames"),
+        ("values", False, None, False, "values needs numbers of the vertices"),
     ],
 )
 def test_settings_that_contradict(kind: Any, against: bool, frames: Any, tolerance: bool, message: str) -> None:

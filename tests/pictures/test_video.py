@@ -357,7 +357,7 @@ def test_degenerate_meshes_are_survived(tmp_path: Path, colour: Any) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"colour": "pink"}, "'pink'; choose one of clay, own, parts, error, strain, curvature"),
+        ({"colour": "pink"}, "'pink'; choose one of values, clay, own, parts, error, strain, curvature"),
         ({"fps": 0}, "fps is 0; a positive number"),
         ({"seconds": float("inf")}, "the duration is inf"),
         ({"turn": float("nan")}, "the turn is nan"),

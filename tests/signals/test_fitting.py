@@ -11,8 +11,9 @@ import pytest
 
 from mixseq.choices import SPACES, SegmentationName, SpaceName
 from mixseq.errors import ReconstructionError, SegmentationError, SettingsError
+from mixseq.mesh.measures import edge_lengths
 from mixseq.mesh.topology import Topology
-from mixseq.operations.interpolation import segment
+from mixseq.operations.interpolation import interpolate, segment
 from mixseq.segmentation.methods import METHODS, segment_by_labels
 from mixseq.segmentation.motion import MotionSettings
 from mixseq.sequence.sequence import MeshSequence
@@ -227,6 +228,21 @@ def test_lengths_and_angles_do_not_count_where_they_are_noise(block: str) -> Non
     size = shapes[:, columns].mean() if block == "lengths" else 1.0
     shapes[:, columns] += 0.5 * size * rng.normal(size=shapes[:, columns].shape)
     assert share_of(select_share(replace(encoded, shapes=shapes), sequence.points)) == 0.0
+
+
+def test_two_frames_are_blended_as_poses() -> None:
+    """A tube that curls up by 160 degrees at once, whose parts would be torn apart on straight ways."""
+    frames = curling()
+    two = MeshSequence.from_arrays(frames.points[[0, 5]], frames.faces)
+    parts = np.repeat(np.arange(4), len(two.faces) // 4)
+    model = fit(two, parts=parts)
+    assert isinstance(model.space, MixedSpace) and model.space.projection.steps
+    (middle,) = model.sample([two.times.mean()]).points
+    blended = interpolate(two, [0.5, 0.5], parts=parts)
+    assert np.abs(middle - blended).max() < 1e-3 * two.diagonal
+    edges = model.space.topology.edges
+    expected = edge_lengths(two.points, edges).mean(axis=0)
+    assert np.abs(edge_lengths(middle, edges) / expected - 1).max() < 0.05
 
 
 def test_nothing_else_of_the_space_changes() -> None:

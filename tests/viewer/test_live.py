@@ -148,9 +148,16 @@ class Window:
 
 EDGES = """() => {
   const { left, top, right } = document.querySelector(".mixseq-sheet").getBoundingClientRect();
-  return [window.__viserMutable.canvas.getBoundingClientRect().bottom, left, top, right];
+  const line = document.getElementById("mixseq-timeline").getBoundingClientRect();
+  return [window.__viserMutable.canvas.getBoundingClientRect().bottom, line.top, line.bottom, left, top, right];
 }"""
-"""Where the picture ends, and the left, upper and right edge of the panel."""
+"""Where the picture ends, the edges of the time line, and the left, upper and right edge of the panel."""
+
+MARK = """(frame) => {
+  const { left, bottom, width } = document.querySelector("#mixseq-timeline canvas").getBoundingClientRect();
+  return [left + 18 + frame / 15 * (width - 36), bottom - 8];
+}"""
+"""Where a frame of 16 is on the time line."""
 
 
 # One test, as a page takes seconds to load.
@@ -174,12 +181,29 @@ def test_a_session(
     window.click("Pause")
     eventually(lambda: not playback.is_playing)
 
-    slider, camera = page.get_by_role("slider").first, window.camera()
+    slider, camera = page.get_by_role("slider", name="Frame", exact=True), window.camera()
     slider.press("Home")
     eventually(lambda: window.array("position") == first)
     window.changes("position", lambda: list(map(slider.press, 4 * ["ArrowRight"])))
     eventually(lambda: playback.frame == 4)
     assert window.camera() == camera, "keys for the slider turned the camera"
+
+    page.mouse.move(*page.evaluate(MARK, 15))  # the out mark
+    page.mouse.down()
+    page.mouse.move(*page.evaluate(MARK, 9), steps=3)
+    page.mouse.up()
+    eventually(lambda: playback.section == (0, 9))
+    page.keyboard.press("i")
+    eventually(lambda: playback.section == (4, 9))
+    page.keyboard.press("l")
+    eventually(lambda: not playback.is_looping)
+    page.keyboard.press("Space")
+    eventually(lambda: playback.frame == 9 and not playback.is_playing)
+    keep(page, "view_section")
+    slider.press("Home")
+    eventually(lambda: playback.frame == 0)
+    list(map(slider.press, 4 * ["ArrowRight"]))
+    eventually(lambda: playback.frame == 4)
 
     page.mouse.click(*window.middle())
     eventually(lambda: page.locator("#mixseq-picked").inner_text().startswith("vertex "))
@@ -219,13 +243,13 @@ def test_a_session(
     assert session.model is edited
 
     def meet() -> bool:
-        """Whether the sheet begins where the picture ends, and has the width of the window."""
-        end, left, top, right = page.evaluate(EDGES)
-        return abs(top - end) <= 1 and (left, right) == (0, 390)
+        """Whether picture, time line and sheet meet, and the sheet has the width of the window."""
+        end, begin, bottom, left, top, right = page.evaluate(EDGES)
+        return max(abs(begin - end), abs(top - bottom)) <= 1 and (left, right) == (0, 390)
 
     eventually(meet)
-    top = page.evaluate(EDGES)[2]
-    assert top > 444, "the picture has more than half of the window"
+    top = page.evaluate(EDGES)[1]
+    assert top > 422, "the picture has more than half of the window"
 
     def fits() -> bool:
         seen = np.array(page.evaluate(ON_SCREEN))

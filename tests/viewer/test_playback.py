@@ -156,6 +156,36 @@ def test_it_begins_again_at_the_end(make: Make) -> None:
     assert playback.frame == 0
 
 
+def test_a_section_is_played_again(make: Make, now: Standing) -> None:
+    playback = make(scene_of(watched()))
+    assert (playback.section, playback.is_looping) == ((0, 9), True)
+    playback.set_section(3, 5)
+    playback.play()  # from its start, as frame 0 is not in it
+    assert playback.frame == 3
+    now.pass_by(0.25, playback)
+    assert playback.frame == 5
+    now.pass_by(0.1, playback)
+    assert playback.frame == 3
+    playback.set_scene(scene_of(watched(), rate=20))
+    assert playback.section == (6, 10)
+    playback.set_section(0, 19)
+    playback.set_scene(scene_of(watched()))
+    assert playback.section == (0, 9)
+
+
+def test_without_a_loop_it_stops_at_the_end(make: Make, stage: Stage, now: Standing) -> None:
+    playback = make(scene_of(watched()))
+    playback.set_section(7, 8)
+    playback.set_loop(False)
+    playback.play()
+    now.pass_by(0.35, playback)
+    eventually(lambda: not playback.is_playing)
+    assert playback.frame == 8
+    eventually(lambda: stage.frames[-1] == 8)
+    playback.play()
+    assert playback.frame == 7
+
+
 def test_seek_while_it_plays(make: Make, stage: Stage, now: Standing) -> None:
     playback = make(scene_of(watched()))
     playback.play()

@@ -31,7 +31,9 @@ from mixseq.viewer.session import (
     MAX_MESSAGE_POINTS,
     Drag,
     Drawn,
+    Mark,
     Message,
+    Play,
     Retime,
     Seek,
     Session,
@@ -584,7 +586,7 @@ values = st.recursive(
 )
 names = ("time", "to", "done", "points", "keys", "frame", "from")
 nearly = st.fixed_dictionaries(
-    {"kind": st.sampled_from(["drawn", "seek", "drag", "sketch", "retime"]) | scalars},
+    {"kind": st.sampled_from(["drawn", "seek", "play", "mark", "drag", "sketch", "retime"]) | scalars},
     optional={name: values | pairs | st.lists(pairs, max_size=3) for name in names},
 )
 """Objects that may, or may not, be messages."""
@@ -631,6 +633,9 @@ def test_retime(keys: list[list[float]], done: bool) -> None:
 def test_drawn_and_what_else_the_page_adds() -> None:
     assert parse_message('{"kind": "drawn", "frame": 3}') == Drawn()
     assert parse_message('{"kind": "seek", "time": 2, "from": "ab12", "number": 7}') == Seek(2.0)
+    assert parse_message('{"kind": "play", "on": true, "loop": false}') == Play(on=True, loop=False)
+    assert parse_message('{"kind": "play"}') == Play()
+    assert parse_message('{"kind": "mark", "start": 1, "end": 2}') == Mark(1.0, 2.0)
 
 
 @pytest.mark.parametrize(

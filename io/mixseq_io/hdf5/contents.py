@@ -51,6 +51,15 @@ class Contents:
         text: str = self.attributes[group][name].decode("utf-8", "surrogateescape")
         return text
 
+    def group(self, name: str) -> Contents:
+        """Return the contents of a group, as of a file of its own."""
+        inside = f"{name}/"
+        attributes = {
+            each.removeprefix(inside): values for each, values in self.attributes.items() if each.startswith(inside)
+        }
+        arrays = {each.removeprefix(inside): array for each, array in self.arrays.items() if each.startswith(inside)}
+        return Contents(self.path, {**attributes, "": self.attributes[name]}, arrays)
+
 
 def read_attributes(path: Path) -> Contents:
     """Read the attributes of a file, without its arrays."""

@@ -46,14 +46,14 @@ def write_text(group: h5py.Group, name: str, text: str) -> None:
     group.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
 
 
-def write_array(file: h5py.File, name: str, array: NDArray[Any]) -> None:
+def write_array(file: h5py.Group, name: str, array: NDArray[Any]) -> None:
     """Store an array in chunks of at most 1 MiB, and flush the file, so that equal contents give equal files.
 
     Otherwise HDF5 allocates the data when the last reference to the dataset is dropped, which debuggers may delay.
     """
     options = STORAGE_OPTIONS | {"chunks": _chunk_shape(array.shape)} if array.size else {}
     file.create_dataset(name, data=array, **options)
-    file.flush()
+    file.file.flush()
 
 
 def _chunk_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
@@ -63,7 +63,7 @@ def _chunk_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
     return (min(count, _CHUNK_ROWS), min(columns, max(1, _CHUNK_COLUMNS // prod(rest))), *rest)
 
 
-def write_header(file: h5py.File, header: SequenceHeader) -> None:
+def write_header(file: h5py.Group, header: SequenceHeader) -> None:
     """Store all fields of a header except its times."""
     write_text(file, "name", header.name)
     file.attrs["fps"] = header.fps
@@ -154,7 +154,7 @@ MAX_LENGTH_DIAGONALS = 1e20
 _DTYPE_KINDS = {"integers": "iu", "floats": "f"}
 
 
-def write_compact(file: h5py.File, name: str, array: NDArray[Any]) -> None:
+def write_compact(file: h5py.Group, name: str, array: NDArray[Any]) -> None:
     """Store an array, in single precision if the conversion is lossless."""
     if array.dtype == np.float64 and array.size:
         with np.errstate(over="ignore"):
@@ -163,12 +163,12 @@ def write_compact(file: h5py.File, name: str, array: NDArray[Any]) -> None:
     write_array(file, name, array)
 
 
-def write_index_lists(file: h5py.File, group: str, name: str, lists: Sequence[NDArray[Any]]) -> None:
+def write_index_lists(file: h5py.Group, group: str, name: str, lists: Sequence[NDArray[Any]]) -> None:
     """Store several lists of indices as one ragged array."""
     write_ragged(file, group, name, np.array(list(map(len, lists))), np.concatenate([*lists, np.zeros(0)]))
 
 
-def write_ragged(file: h5py.File, group: str, name: str, sizes: NDArray[np.integer], items: NDArray[Any]) -> None:
+def write_ragged(file: h5py.Group, group: str, name: str, sizes: NDArray[np.integer], items: NDArray[Any]) -> None:
     """Store a ragged array of indices, given the sizes of its rows and the concatenated rows."""
     write_compact(file, f"{group}/sizes", sizes.astype(np.int32))
     write_compact(file, f"{group}/{name}", items.astype(np.int32))

@@ -23,8 +23,8 @@ from mixseq_io.files import check_memory
 from mixseq_io.hdf5.contents import Contents, translate_h5_errors
 from mixseq_io.isolation import limit_time
 
-MAX_OBJECTS_PER_FILE = 1000
-"""Largest number of groups and datasets; mixseq's files have about 30."""
+MAX_OBJECTS_PER_FILE = 6000
+"""Largest number of groups and datasets; mixseq's files have about 50 for each body, of which there are up to 101."""
 
 _MAX_GROUP_DEPTH = 8
 _MAX_ATTRIBUTES_PER_OBJECT = 100

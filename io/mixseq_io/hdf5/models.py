@@ -19,10 +19,11 @@ from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import Provenance
 from mixseq.shells.fitting import ShellSettings
+from mixseq.signals.bodies import Body
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
-from mixseq.spaces.base import VertexSpace
+from mixseq.spaces.base import ShapeSpace, VertexSpace
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
@@ -40,6 +41,7 @@ from mixseq_io.hdf5.datasets import (
     read_ragged,
     read_scale,
     read_settings,
+    write_array,
     write_compact,
     write_header,
     write_index_lists,
@@ -50,9 +52,13 @@ from mixseq_io.hdf5.datasets import (
 MODEL_VERSION = 1
 _WEIGHT_SUM_TOLERANCE = 1e-9
 _MIN_QUATERNION_NORM = 0.5
+_MAX_TURN = 2.0
+
+MAX_BODIES = 100
+"""Largest number of further bodies in a file."""
 
 
-def write_mixed_space(file: h5py.File, space: MixedSpace) -> None:
+def write_mixed_space(file: h5py.Group, space: MixedSpace) -> None:
     """Store a mixed space except for its scale and settings."""
     weights = space.skinning_weights
     write_compact(file, "space/shapes", space.shapes)
@@ -182,7 +188,7 @@ def correction_blocks(space: StoredSpace) -> Blocks:
     return {"rotations": (parts, 3), "translations": (parts, 3)} if parts else {}
 
 
-def write_space(file: h5py.File, space: StoredSpace) -> None:
+def write_space(file: h5py.Group, space: StoredSpace) -> None:
     """Store a shape space."""
     settings = {}
     if isinstance(space, MixedSpace):
@@ -193,7 +199,7 @@ def write_space(file: h5py.File, space: StoredSpace) -> None:
     write_text(file, "settings", json.dumps(settings, sort_keys=True))
     write_text(file, "space", space.name)
     file.require_group("space").attrs["scale"] = space.scale
-    file.flush()
+    file.file.flush()
     match space:
         case MixedSpace():
             write_mixed_space(file, space)
@@ -232,7 +238,7 @@ def _read_edge_space(file: Contents, topology: Topology, scale: float, reference
     return EdgeSpace(topology, scale, reference, lengths, settings)
 
 
-def write_signals(file: h5py.File, model: Model, space: StoredSpace) -> None:
+def write_signals(file: h5py.Group, model: Model, space: StoredSpace) -> None:
     """Store the signals of a model, whose shape vectors belong to the given space."""
     write_compact(file, "signals/time/frames", model.times)
     write_compact(file, "signals/time/times", model.time.times)
@@ -279,7 +285,7 @@ def _check_time_range(file: Contents, header: SequenceHeader, **curves: Curve) -
             )
 
 
-def _write_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) -> None:
+def _write_blocks(file: h5py.Group, group: str, blocks: Blocks, values: Float) -> None:
     """Store vectors ``(m, D)`` in one dataset ``(m, ...)`` per block."""
     ends = np.cumsum([int(np.prod(shape)) for shape in blocks.values()])
     columns = np.split(values, ends[:-1], axis=1)
@@ -311,30 +317,78 @@ def _read_pose(file: Contents) -> PoseMap:
         ) from error
 
 
-def write_model(file: h5py.File, model: Model) -> None:
-    """Store a model in a new file; raise `OutputError` if its shape space cannot be stored."""
-    space = model.space
+def _check_stored(space: ShapeSpace) -> StoredSpace:
     if not isinstance(space, StoredSpace):
         raise OutputError(f"files hold models in the spaces {', '.join(SPACES)}, not in {type(space).__name__}")
+    return space
+
+
+def _write_mesh(file: h5py.Group, header: SequenceHeader) -> None:
+    file.attrs["vertex_count"] = header.vertex_count
+    write_header(file, header)
+    provenance = replace(header.provenance or Provenance(""), name="")
+    write_text(file, "provenance", json.dumps(provenance.to_plain()))
+
+
+def _read_mesh(file: Contents, frames: Float) -> SequenceHeader:
+    header = read_header(file, int(file.attrs["vertex_count"]), frames)
+    provenance = Provenance.from_plain(json.loads(file.text("provenance") if "provenance" in file.attrs else "{}"))
+    return replace(header, provenance=replace(provenance, name=file.path.name))
+
+
+def write_body(file: h5py.Group, body: Body) -> None:
+    """Store a further body of a model."""
+    space = _check_stored(body.space)
+    _write_mesh(file, body.header)
+    write_space(file, space)
+    _write_blocks(file, "signals/shape", shape_blocks(space), body.shapes)
+    write_array(file, "turn", body.turn)
+    write_array(file, "rotations", body.rotations)
+    write_array(file, "shifts", body.shifts)
+    if body.part_turns is not None:
+        write_array(file, "part_turns", body.part_turns)
+
+
+def read_body(file: Contents, model: Model) -> Body:
+    """Read a further body of a model."""
+    header = _read_mesh(file, model.times)
+    space = read_space(file, header)
+    turn, rotations = (read_floats(file, "turn", (4,)), read_floats(file, "rotations", (space.rotation_count, 4)))
+    if (np.linalg.norm([turn, *rotations], axis=1) < _MIN_QUATERNION_NORM).any():
+        raise FormatError(
+            f"{file.path}: the rotations of the body {header.name!r} have quaternions that are nearly zero"
+        )
+    turns = None
+    if "part_turns" in file.arrays:
+        turns = read_floats(file, "part_turns", (model.space.correction_dim // 6, 3, 3), _MAX_TURN)
+    shapes = _read_blocks(file, "signals/shape", shape_blocks(space), len(model.shapes))
+    shifts = read_floats(file, "shifts", (space.centre_count, 3), MAX_LENGTH_DIAGONALS)
+    return Body(header, space, shapes, turn, rotations, shifts, turns)
+
+
+def write_model(file: h5py.File, model: Model) -> None:
+    """Store a model in a new file; raise `OutputError` if its shape space cannot be stored."""
+    space = _check_stored(model.space)
+    if len(model.bodies) > MAX_BODIES:
+        raise OutputError(f"the model has {len(model.bodies)} further bodies; a file holds {MAX_BODIES}")
     write_text(file, "format", MODEL_FORMAT)
     file.attrs["version"] = MODEL_VERSION
     write_text(file, "created_by", f"mixseq {__version__}")
-    file.attrs["vertex_count"] = model.header.vertex_count
-    write_header(file, model.header)
-    provenance = replace(model.header.provenance or Provenance(""), name="")
-    write_text(file, "provenance", json.dumps(provenance.to_plain()))
+    _write_mesh(file, model.header)
     write_space(file, space)
     write_signals(file, model, space)
+    for number, body in enumerate(model.bodies):
+        write_body(file.require_group(f"bodies/{number}"), body)
 
 
 def read_model(file: Contents) -> Model:
     """Construct a model from the contents of a file."""
     check_version(file, MODEL_VERSION)
     try:
-        frames = read_increasing_times(file, "signals/time/frames")
-        header = read_header(file, int(file.attrs["vertex_count"]), frames)
-        provenance = Provenance.from_plain(json.loads(file.text("provenance") if "provenance" in file.attrs else "{}"))
-        header = replace(header, provenance=replace(provenance, name=file.path.name))
-        return read_signals(file, header, read_space(file, header))
+        header = _read_mesh(file, read_increasing_times(file, "signals/time/frames"))
+        model = read_signals(file, header, read_space(file, header))
+        count = sum(name.startswith("bodies/") and name.count("/") == 1 for name in file.attributes)
+        bodies = tuple(read_body(file.group(f"bodies/{number}"), model) for number in range(count))
+        return replace(model, bodies=bodies) if bodies else model
     except (InvalidSequenceError, SettingsError, ReconstructionError, IndexError) as error:
         raise FormatError(f"{file.path}: {error}; it is damaged") from error

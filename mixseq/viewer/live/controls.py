@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from html import escape
-from math import ceil, floor
 from pathlib import Path
 from threading import Lock
-from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -22,121 +19,71 @@ from mixseq.operations.sketch import default_reach, drag, sketch
 from mixseq.operations.timeline import cut, loop, repeat, reverse
 from mixseq.pictures.charts import chart_data
 from mixseq.pictures.colours import Colouring, SceneColours
-from mixseq.pictures.scene import Scene
-from mixseq.sequence.frame_rates import format_frame, number_to_time, time_to_number
 from mixseq.signals.model import Model
 from mixseq.signals.pose import Plane
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.viewer.live.stage import LiveStage
 from mixseq.viewer.page import script_json
 from mixseq.viewer.playback import Moment, Playback
-from mixseq.viewer.session import Drag, Edit, Message, Retime, Seek, Session, Sketch
+from mixseq.viewer.session import Drag, Edit, Mark, Message, Play, Retime, Seek, Session, Sketch, Transport
 
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
-SLIDER_HOLD_SECONDS = 0.5
-"""Time in seconds for which a dragged slider keeps its value, because displayed frames lag behind the mouse."""
 
 SIDE_BY_SIDE, OVERLAID = "side by side", "in one place"
 
 
-@dataclass(frozen=True)
-class TimeBase:
-    """Conversion between elapsed seconds of a scene and frame numbers of one of its meshes."""
-
-    start: float  # time of the mesh's first frame, in seconds
-    fps: float  # frames per second of the mesh
-    last: float  # elapsed time of the scene's last frame, in seconds
-    rate: float  # frames per second of the scene
-
-    @classmethod
-    def from_scene(cls, scene: Scene, index: int) -> TimeBase:
-        """Return the time base of a mesh of a scene."""
-        header = scene.items[index].header
-        return cls(float(header.times[0]), header.fps, scene.elapsed(scene.count - 1), scene.fps)
-
-    def number(self, elapsed: float) -> float:
-        """Return the frame number at elapsed seconds."""
-        return time_to_number(self.start + elapsed, self.fps)
-
-    def elapsed(self, number: float) -> float:
-        """Return the elapsed seconds at a frame number."""
-        return number_to_time(number, self.fps) - self.start
-
-    @property
-    def slider(self) -> tuple[float, float, float, int]:
-        """Range of the frame slider: smallest and largest number, step, and number of decimals."""
-        low, high, step = self.number(0.0), self.number(self.last), self.fps / self.rate
-        digits = 0 if all(number == round(number) for number in (low, high, step)) else 3
-        scale = 10.0**digits  # for rounding inwards
-        return floor(low * scale + 1e-6) / scale, ceil(high * scale - 1e-6) / scale, step, digits
-
-    def text(self, elapsed: float) -> str:
-        """Format elapsed seconds as frame number and time, followed by number and time of the last frame."""
-        number, end = (
-            format_frame(self.start + elapsed, self.fps),
-            format_frame(self.start + self.last, self.fps),
-        )
-        return f"frame {number} of {end}, {self.start + elapsed:.3f} of {self.start + self.last:.3f} s"
-
-
 class PlayControls:
-    """Controls of playback, scrubbing and frame rate."""
+    """The time line of the page, speed and frame rate."""
 
     def __init__(self, server: Any, playback: Playback, index: int) -> None:
         gui = server.gui
         self._playback = playback
-        self._base = TimeBase.from_scene(playback.scene, index)
-        low, high, step, digits = self._base.slider
-        self._icons = _icon("PLAYER_PLAY"), _icon("PLAYER_PAUSE")
-        self._dragged_at = -SLIDER_HOLD_SECONDS
-        self._button = gui.add_button("Play", icon=self._icons[0], hint="Play or pause (P)")
-        self._slider = gui.add_slider("Frame", low, high, step, low)
-        self._slider.precision = digits
-        self._text = gui.add_html("")
-        speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1")
-        self._rate = gui.add_number("Frames/s", playback.scene.fps, min=1e-3, max=1e4, hint="Playback frame rate")
-        self._button.on_click(lambda _: self.toggle())
-        self._slider.on_update(self._scrub)
+        self._start = float(playback.scene.items[index].header.times[0])  # of the mesh whose times are shown
+        self._line = gui.add_html("")
+        with gui.add_folder("Play"):
+            speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1")
+            self._rate = gui.add_number("Frames/s", playback.scene.fps, min=1e-3, max=1e4, hint="Playback frame rate")
         speed.on_update(lambda _: playback.set_speed(SPEEDS[speed.value]))
         self._rate.on_update(self._set_rate)
         for label, key, step in (("Next frame", "]", 1), ("Previous frame", "[", -1)):
             gui.add_command(label, hotkey=key).on_trigger(lambda _, by=step: self._step(by))
-        gui.add_command("Play or pause", hotkey="P").on_trigger(lambda _: self.toggle())
+        gui.add_command("Play or pause", hotkey="P").on_trigger(lambda _: self.handle(Play(on=not playback.is_playing)))
 
-    def toggle(self) -> None:
-        """Play or pause."""
-        if self._playback.is_playing:
-            self._playback.pause()
-        else:
-            self._playback.play()
-        self.refresh()
+    def handle(self, message: Transport) -> None:
+        """Follow the time line of a page."""
+        playback, frame_at = self._playback, self._playback.scene.frame_at
+        match message:
+            case Seek(time):
+                playback.seek(frame_at(time - self._start))
+            case Mark(start, end):
+                playback.set_section(*sorted(frame_at(time - self._start) for time in (start, end)))
+            case Play(on, loop):
+                if loop is not None:
+                    playback.set_loop(loop)
+                if on is not None:
+                    (playback.play if on else playback.pause)()
+        playback.refresh()
 
-    def refresh(self) -> None:
-        """Update the play button to show whether the scene is playing."""
-        is_playing = self._playback.is_playing
-        self._button.label = "Pause" if is_playing else "Play"
-        self._button.icon = self._icons[is_playing]
-
-    def show(self, moment: Moment, index: int) -> None:
-        """Show the time of a moment in the time base of the mesh `index`."""
-        base, elapsed = TimeBase.from_scene(moment.scene, index), moment.scene.elapsed(moment.frame)
-        if base != self._base:
-            self._base = base
-            slider = self._slider
-            slider.min, slider.max, slider.step, slider.precision = base.slider
-        if monotonic() > self._dragged_at + SLIDER_HOLD_SECONDS:
-            self._slider.value = base.number(elapsed)
-        self._text.content = _text_line(base.text(elapsed), "mixseq-time")
+    def show(self, moment: Moment, index: int, pen: bool) -> None:
+        """Show the time of a moment in the times of the mesh `index`, and whether the mouse draws curves."""
+        scene, header = moment.scene, moment.scene.items[index].header
+        self._start = start = float(header.times[0])
+        state = {
+            "start": start,
+            "end": start + scene.elapsed(scene.count - 1),
+            "fps": header.fps,
+            "rate": scene.fps,
+            "time": start + scene.elapsed(moment.frame),
+            "section": [start + scene.elapsed(min(frame, scene.count - 1)) for frame in self._playback.section],
+            "playing": self._playback.is_playing,
+            "loop": self._playback.is_looping,
+            "pen": pen,
+        }
+        self._line.content = f'<span id="mixseq-now" data-state="{escape(script_json(state))}" hidden></span>'
 
     def _step(self, by: int) -> None:
         self._playback.pause()
         self._playback.seek((self._playback.frame + by) % self._playback.scene.count)
-        self.refresh()
-
-    def _scrub(self, event: Any) -> None:
-        if event.client is not None:  # dragged by the user, not set by `show`
-            self._dragged_at = monotonic()
-            self._playback.seek(self._playback.scene.frame_at(self._base.elapsed(self._slider.value)))
 
     def _set_rate(self, event: Any) -> None:
         if event.client is None:
@@ -144,9 +91,7 @@ class PlayControls:
         try:
             self._playback.set_frame_rate(float(self._rate.value))
         except SettingsError:  # also raised for incompletely typed numbers
-            self._text.content = _text_line(
-                f"{self._rate.value:g} frames/s is out of range; enter another frame rate", "mixseq-time"
-            )
+            notify(event.client, "Frames/s", f"{self._rate.value:g} is out of range; enter another frame rate")
 
 
 class DisplayControls:
@@ -156,8 +101,8 @@ class DisplayControls:
         gui, names = server.gui, [item.name for item in playback.scene.items]
         self._stage = stage
         with gui.add_folder("Show"):
-            self._colour = gui.add_dropdown("Colour", colours.names, initial_value="clay")
-            self._legend = gui.add_html("")
+            self._colour = gui.add_dropdown("Colour", colours.names)
+            self._legend = gui.add_html(_legend(stage.colours))
             wireframe = gui.add_checkbox("Wireframe", False)
             follow = gui.add_checkbox("Follow", stage.following, hint="Follow bodies that travel")
             if len(names) > 1:
@@ -199,7 +144,8 @@ def _legend(colourings: list[Colouring]) -> str:
     stops = ", ".join(f"rgb({r} {g} {b})" for r, g, b in measured.palette[::15])
     bar = f'<div style="height: 10px; border-radius: 3px; background: linear-gradient(to right, {stops})"></div>'
     ends = (
-        f'<div style="display: flex; justify-content: space-between"><span>0</span><span>{measured.top:.3g} '
+        f'<div style="display: flex; justify-content: space-between"><span>{measured.low:.3g}</span>'
+        f"<span>{measured.top:.3g} "
         f"{escape(measured.unit)}</span></div>"
     )
     return f'<div id="mixseq-legend" style="padding: 2px 12px; font-size: 12px">{bar}{ends}</div>'
@@ -274,12 +220,12 @@ class Charts:
         self._lock = Lock()
         self._planes: dict[int, Plane] = {}
         self._version = 0
-        self._is_drawing = False
+        self.is_drawing = False  # whether the mouse draws new curves
         self._reach = reach
         self._seconds = seconds
-        gui.add_html('<div id="mixseq-charts" style="height: calc(100vh - 88px); min-height: 420px"></div>')
+        height = "height: calc(100vh - 88px - var(--timeline, 0px)); min-height: 420px"
+        gui.add_html(f'<div id="mixseq-charts" style="{height}"></div>')
         self._signals = gui.add_html("")
-        self._now = gui.add_html("")
         self.draw()
 
     def draw(self) -> None:
@@ -296,16 +242,9 @@ class Charts:
                 f"{script_json(data)}</script>"
             )
 
-    def show(self, moment: Moment) -> None:
-        """Move the playhead to the time of a moment."""
-        model = self._session.model
-        time = min(model.start + moment.scene.elapsed(moment.frame), model.end)
-        pen = "true" if self._is_drawing else "false"
-        self._now.content = f'<span id="mixseq-now" data-time="{time:.6f}" data-pen="{pen}" hidden></span>'
-
     def set_pen(self, on: bool) -> None:
         """Set whether the mouse draws new curves (`on`) or drags existing curves."""
-        self._is_drawing = on
+        self.is_drawing = on
         self._playback.refresh()
 
     def set_reach(self, seconds: float) -> None:
@@ -321,8 +260,6 @@ class Charts:
         """Apply a user action that the charts sent as a message."""
         session, scene = self._session, self._playback.scene
         match message:
-            case Seek(time):
-                self._playback.seek(scene.frame_at(time - session.model.start))
             case Drag(time, to, done):
                 if not self._playback.is_playing:  # show the dragged frame
                     self._playback.seek(scene.frame_at(time - session.model.start))
@@ -385,9 +322,9 @@ class Editor:
                 step=0.01,
                 hint="Time before and after the point within which the curve follows it",
             )
-            self._section = gui.add_multi_slider("Section (s)", *span(model), MIN_DURATION, span(model))
-            self._frames = gui.add_html("")
-            self._times = gui.add_number("Times", 2, min=1, max=100, step=1, hint="Number of repetitions")
+            self._times = gui.add_number(
+                "Times", 2, min=1, max=100, step=1, hint="Repetitions of the section between the marks in and out"
+            )
             sections = gui.add_button_group("", ("Repeat", "Cut", "Loop", "Reverse"))
             self._part = gui.add_dropdown("Part", (WHOLE_BODY, *_parts(model)), hint="Or click a part of the mesh")
             self._gain = gui.add_number("Gain", 1.5, min=-10.0, max=10.0, step=0.1)
@@ -395,7 +332,6 @@ class Editor:
         self._show_steps()  # a line that is added later would move the controls below it
         self._save_controls = SaveControls(server, folder, self._default_name, session.save)
         self._undo.on_click(lambda _: session.undo() if self._undo.value == "Undo" else session.redo())
-        self._section.on_update(lambda _: self._show_section_frames())
         pen.on_update(lambda _: charts.set_pen(pen.value))
         self._seconds.on_update(lambda _: charts.set_duration(float(self._seconds.value)))
         self._reach.on_update(lambda _: charts.set_reach(float(self._reach.value)))
@@ -410,23 +346,14 @@ class Editor:
         self._show_steps()
 
     def _show_steps(self) -> None:
-        model, history = self._session.model, self._session.history
+        history = self._session.history
         position = f"{history.index} of {len(history.states) - 1} steps"
         last = f": {history.current.name}" if history.index else ""
         self._steps.content = f'<div id="mixseq-steps" style="padding: 0 12px; font-size: 12px">{position}{last}</div>'
-        before, after = (self._section.min, self._section.max), span(model)
-        if after != before:
-            start, end = (min(max(time, after[0]), after[1]) for time in self._section.value)
-            is_whole = self._section.value == before or start >= end
-            self._section.min, self._section.max = after
-            self._section.value = after if is_whole else (start, end)
-        self._show_section_frames()
 
     def show_selected(self) -> None:
         """Show the controls of another model."""
         model = self._session.model
-        self._section.min, self._section.max = span(model)
-        self._section.value = span(model)
         self._seconds.value = duration(model)
         self._reach.value = reach_of(model)
         self._part.value = WHOLE_BODY
@@ -474,15 +401,11 @@ class Editor:
 
     @property
     def _section_times(self) -> tuple[float, float]:
-        """Start and end of the section in seconds, clamped to the model, because the slider rounds them."""
-        model = self._session.model
-        first, last = (min(max(time, model.start), model.end) for time in self._section.value)
-        return first, last
-
-    def _show_section_frames(self) -> None:
-        fps = self._session.model.header.fps
-        first, last = (format_frame(time, fps) for time in self._section_times)
-        self._frames.content = _text_line(f"frames {first} to {last}", "mixseq-section")
+        """Start and end of the section in seconds of the model."""
+        model, playback = self._session.model, self._playback
+        scene, (first, last) = playback.scene, playback.section
+        end = model.end if last == scene.count - 1 else min(model.start + scene.elapsed(last), model.end)
+        return min(model.start + scene.elapsed(first), model.end), end
 
     @property
     def _current_time(self) -> float:
@@ -494,13 +417,6 @@ class Editor:
     def _default_name(self) -> str:
         """Default file name of the model."""
         return f"{Path(self._playback.scene.items[self._session.index].name).stem}-edited.h5"
-
-
-def span(model: Model) -> tuple[float, float]:
-    """Return start and end of a model in seconds, rounded outwards to slider steps, at least one frame apart."""
-    first = float(np.floor(model.start / MIN_DURATION + 1e-6) * MIN_DURATION)
-    last = float(np.ceil(model.end / MIN_DURATION - 1e-6) * MIN_DURATION)
-    return first, max(last, first + max(1 / model.header.fps, MIN_DURATION))
 
 
 def duration(model: Model) -> float:

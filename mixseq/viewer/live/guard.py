@@ -118,7 +118,7 @@ Pixels = Annotated[float, msgspec.Meta(ge=1, le=1e6)]
 Text = Annotated[str, msgspec.Meta(max_length=200)]
 Pair = tuple[Number, Number]
 Triple = tuple[Number, Number, Number]
-Value = bool | Number | str | Annotated[list[Number], msgspec.Meta(max_length=16)]
+Value = bool | Number | str
 
 
 class ClientMessage(msgspec.Struct, tag_field="type", forbid_unknown_fields=True):
@@ -198,8 +198,6 @@ def _check_type(value: Any, before: Any, options: Any) -> None:
         is_valid = isinstance(value, bool)
     elif isinstance(before, int | float):
         is_valid = isinstance(value, float)
-    elif isinstance(before, tuple):
-        is_valid = isinstance(value, list) and len(value) == len(before)
     else:
         is_valid = isinstance(before, str) and isinstance(value, str)
     if not is_valid:
@@ -213,12 +211,8 @@ def _is_in_range(value: Any, props: Any) -> bool:
     low, high = getattr(props, "min", None), getattr(props, "max", None)
     if isinstance(value, str | bool):
         return True
-    numbers = value if isinstance(value, list) else [value]
-    tolerance = 1e-9 * max(1.0, *map(abs, numbers)) if numbers else 0.0
-    return all(
-        (low is None or number >= low - tolerance) and (high is None or number <= high + tolerance)
-        for number in numbers
-    )
+    tolerance = 1e-9 * max(1.0, abs(value))
+    return (low is None or value >= low - tolerance) and (high is None or value <= high + tolerance)
 
 
 @dataclass

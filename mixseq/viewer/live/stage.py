@@ -43,7 +43,7 @@ class LiveStage:
         self.is_busy = False  # whether a page is still drawing the last moment
         self._moment: Moment | None = None
         self._client_views: dict[int, tuple[Float, float]] = {}
-        self._colour = "clay"
+        self._colour = colours.names[0]
         self._sent_colourings: list[Colouring | None] = [None] * len(colours.scene.items)
         self._camera = settings.camera
         self._arrangement = arrange_meshes(colours.scene, not settings.overlaid, settings.camera)

@@ -23,7 +23,7 @@ from mixseq.viewer.live.controls import DisplayControls, Editor, PlayControls, n
 from mixseq.viewer.live.stage import LiveStage
 from mixseq.viewer.page import chart_scripts, read_script, script_json
 from mixseq.viewer.playback import Moment, Playback
-from mixseq.viewer.session import Drawn, Message, Save, Session, parse_message
+from mixseq.viewer.session import Drawn, Message, Save, Session, Transport, parse_message
 
 
 def add_bridge(server: Any, on_message: Callable[[Message], None]) -> None:
@@ -36,7 +36,7 @@ def add_bridge(server: Any, on_message: Callable[[Message], None]) -> None:
         if message is not None:
             on_message(message)
 
-    source = "\n".join([chart_scripts(), read_script("live_window.js"), read_script("live.js")])
+    source = "\n".join([chart_scripts(), *map(read_script, ("timeline.js", "live_window.js", "live.js"))])
     document = f"""<script>
 const text = {script_json(source)};
 if (!parent.mixseqLive) {{
@@ -152,13 +152,9 @@ class Viewer:
 
     def _on_show(self, moment: Moment) -> None:
         if self._play is not None:
-            self._play.show(moment, self._index)
-        if self._editor is not None:
-            self._editor.charts.show(moment)
+            self._play.show(moment, self._index, self._editor is not None and self._editor.charts.is_drawing)
 
     def _on_playback_failure(self, error: Exception) -> None:
-        if self._play is not None:
-            self._play.refresh()
         notify_all(self._server, "This frame cannot be shown", str(error))
 
     # Callbacks of the page ------------------------------------------------------------------------------
@@ -175,6 +171,9 @@ class Viewer:
         if isinstance(message, Drawn):
             self._stage.is_busy = False
             self.playback.wake()
+        elif isinstance(message, Transport):
+            assert self._play is not None  # made before a page is connected
+            self._play.handle(message)
         elif self._editor is not None:
             self._editor.charts.handle(message)
 

@@ -8,7 +8,7 @@
 window.mixseqLive ??= (function () {
   const self = Math.random().toString(36).slice(2); // several pages may be connected to one server
   const drawn = new Map(); // positions and colours of each mesh that were drawn last
-  let inputId = "", connection = null, messageCount = 0, charts = null;
+  let inputId = "", connection = null, messageCount = 0, charts = null, shownState = "";
 
   function send(message) {
     const value = JSON.stringify({ ...message, from: self, number: ++messageCount });
@@ -46,8 +46,8 @@ window.mixseqLive ??= (function () {
   /** Update the charts from the elements that Python has written. */
   function updateCharts() {
     const root = document.getElementById("mixseq-charts");
-    const signals = document.getElementById("mixseq-signals"), now = document.getElementById("mixseq-now");
-    if (!root || !signals || !now) {
+    const signals = document.getElementById("mixseq-signals");
+    if (!root || !signals || !timeline.state()) {
       charts = null; // the panel is collapsed
       return;
     }
@@ -67,10 +67,22 @@ window.mixseqLive ??= (function () {
     }
     if (charts.version !== signals.dataset.version) {
       charts.version = signals.dataset.version;
-      charts.made.show(JSON.parse(signals.textContent));
+      const shown = JSON.parse(signals.textContent);
+      charts.end = shown.end;
+      charts.made.show(shown);
     }
-    charts.made.pen(now.dataset.pen === "true");
-    charts.made.at(Number(now.dataset.time));
+    const { time, pen } = timeline.state();
+    charts.made.pen(pen);
+    charts.made.at(Math.min(time, charts.end));
+  }
+
+  /** Show the state of the playback that Python has written; the time line appears with the first. */
+  function updateTimeline() {
+    const now = document.getElementById("mixseq-now")?.dataset.state ?? shownState;
+    if (now === shownState) return;
+    if (!shownState) document.body.append(timeline.element);
+    shownState = now;
+    timeline.show(JSON.parse(now));
   }
 
   function tick() {
@@ -83,8 +95,10 @@ window.mixseqLive ??= (function () {
       window.__viserMutable.requestRender?.();
       send({ kind: "drawn" });
     }
+    updateTimeline();
     updateCharts();
   }
+  const timeline = mixseqTimeline(send);
   tick();
 
   // the browser has a cookie now; the token is removed from the address and the history

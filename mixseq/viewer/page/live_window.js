@@ -4,7 +4,8 @@
 var mixseqWindow = (function () {
   const ENDED = "This viewer has ended, or the connection is lost: the page shows the last frame. It continues when the connection returns; " +
     "otherwise start mixseq view again and open the address that it prints.";
-  const KEYS = { "P": "play, pause", "[  ]": "frame by frame", "Ctrl Z": "undo", "Ctrl Shift Z": "redo" };
+  const KEYS = { "Ctrl Z": "undo", "Ctrl Shift Z": "redo" };
+  const TIME_KEYS = { "Space  P": "play, pause", "[  ]": "frame by frame", "I  O": "in and out: the section that is played and edited", "L": "loop" };
   const MARKER_KEYS = { "A": "accept a proposal", "S": "skip it", "D": "delete the selected pair", "O": "the same point of the other mesh" };
   const FOLDS = "mixseq-folds"; // which sections are open, in the storage of the browser
   // Notices are at the bottom, away from the meshes. In narrow windows, viser has a sheet at the bottom instead of docked panels.
@@ -13,15 +14,27 @@ var mixseqWindow = (function () {
   font: 14px/20px system-ui, sans-serif; color: #fff; background: rgb(150 20 20 / 94%); }
 #mixseq-keys { padding: 20px 24px; border: 1px solid #dcd9d3; border-radius: 10px; font: 14px/20px system-ui, sans-serif; color: #3a3a3a; background: #fff; }
 #mixseq-keys td { padding: 3px 16px 3px 0; }
-.mantine-Notifications-root { top: auto !important; bottom: 1em !important; justify-content: end; }
+#mixseq-timeline { position: fixed; inset: auto 0 0; z-index: 11; display: flex; flex-wrap: wrap; gap: 6px; align-items: center; padding: 6px 12px; box-sizing: border-box;
+  border-top: 1px solid #dcd9d3; background: #f5f4f1; color: #3a3a3a; font: 14px/20px system-ui, sans-serif; }
+#mixseq-timeline.dark { border-color: #3f4046; background: #2a2b2f; color: #e4e2de; }
+#mixseq-timeline button { width: 40px; height: 40px; display: grid; place-items: center; border: 1px solid #8884; border-radius: 6px; color: inherit; background: none; cursor: pointer; }
+#mixseq-timeline button:hover { border-color: currentColor; }
+#mixseq-timeline [aria-pressed=true] { border-color: #31688e; box-shadow: inset 0 -2px 0 #31688e; }
+#mixseq-timeline svg { width: 16px; height: 16px; fill: currentColor; }
+#mixseq-timeline canvas { flex: 1; min-width: 0; height: 44px; touch-action: none; cursor: ew-resize; }
+#mixseq-timeline output { min-width: 10.5em; text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+.mantine-Notifications-root { top: auto !important; bottom: calc(1em + var(--timeline, 0px)) !important; justify-content: end; }
 :focus-visible { outline: 2px solid #31688e !important; outline-offset: 1px; }
 @media (prefers-reduced-motion: reduce) { * { transition-duration: 0s !important; animation-duration: 0s !important; } }
 @media (max-width: 36em) {
-  .mixseq-sheet { width: 100% !important; max-height: 45% !important; }
+  .mixseq-sheet { width: 100% !important; max-height: 35% !important; }
   .mixseq-sheet .mantine-ScrollArea-content > div { width: 100% !important; }
-  .mixseq-sheet :is(.mantine-Button-root, .mantine-Input-input, .mantine-ActionIcon-root) { min-height: 40px; }
+  .mixseq-sheet :is(.mantine-Button-root, .mantine-ActionIcon-root, input:not([type=checkbox])) { min-height: 40px !important; }
+  .mixseq-sheet input[type=checkbox] { width: 28px; height: 28px; }
   .mixseq-sheet .mantine-Slider-thumb { width: 24px; height: 24px; }
   .mantine-Notifications-root { position: fixed !important; left: 8px !important; width: auto !important; max-width: calc(100% - 16px); }
+  #mixseq-timeline canvas { order: -1; flex: 1 0 100%; }
+  #mixseq-timeline output { margin-left: auto; }
   #mixseq-charts { height: 560px !important; }
   .mixseq-sheet div:has(> div > .mantine-Tabs-root) { display: flex; flex-direction: column; }
   .mixseq-sheet div:has(> .mantine-Tabs-root) { order: -1; } /* curves first, one tap away */
@@ -44,16 +57,21 @@ var mixseqWindow = (function () {
     notice.textContent = ended ? ENDED : "";
   }
 
-  /** On phones, end the viewport at the top of the sheet. */
+  const line = () => document.getElementById("mixseq-timeline");
+
+  /** End the viewport at the top of the time line, and that at the top of the sheet on phones. */
   function arrange() {
     if (!sheet?.isConnected) {
       sheet = [...document.querySelectorAll("#root .mantine-Paper-root")].find(({ style }) => style.position === "fixed" && style.bottom === "0px") ?? null;
       sheet?.classList.add("mixseq-sheet");
-      viewport = sheet?.previousElementSibling ?? viewport;
     }
+    if (!viewport?.isConnected) viewport = window.__viserMutable.canvas?.closest("[style*='background-color'][style*='flex-grow']");
     restoreFolds();
-    const height = sheet ? `calc(100% - ${sheet.offsetHeight}px)` : "100%";
-    if (viewport && viewport.style.height !== height) viewport.style.height = height;
+    const below = sheet?.offsetHeight ?? 0, height = `calc(100% - ${below + (line()?.offsetHeight ?? 0)}px)`;
+    if (!viewport || viewport.style.height === height) return;
+    viewport.style.height = height;
+    document.documentElement.style.setProperty("--timeline", `${line()?.offsetHeight ?? 0}px`);
+    if (line()) line().style.bottom = `${below}px`;
   }
 
   /** Sections of panels: folders, and on phones what is docked elsewhere, closed at first. */
@@ -84,8 +102,7 @@ var mixseqWindow = (function () {
 
   document.addEventListener("keydown", ({ key, target }) => {
     if (key !== "?" || target.closest?.("input:not([type=checkbox]), textarea")) return;
-    const shown = { ...KEYS, ...(document.getElementById("mixseq-hint") && MARKER_KEYS), "?": "this list" };
-    if (document.getElementById("mixseq-hint")) ["P", "[  ]"].forEach((name) => delete shown[name]);
+    const shown = { ...(line() && TIME_KEYS), ...KEYS, ...(document.getElementById("mixseq-hint") && MARKER_KEYS), "?": "this list" };
     keys.innerHTML = `<table>${Object.entries(shown).map(([name, what]) => `<tr><td><kbd>${name}</kbd></td><td>${what}</td></tr>`).join("")}</table><form method="dialog"><button>Close</button></form>`;
     keys.showModal();
   });

@@ -9,7 +9,7 @@ var mixseqStage = function (stage, names, legendElement) {
   const NAME_HEIGHT = 34, LEGEND_HEIGHT = 52, MARGIN = 0.05;
   const TINTS = [[1, 1, 1], [0.72, 0.92, 1.16], [0.8, 1.1, 0.8], [1.08, 0.86, 1.12], [1.12, 1.02, 0.7]];
 
-  const MEANINGS = { parts: "One colour per rigid part, joints in red", own: "Vertex colours" };
+  const MEANINGS = { parts: "One colour per rigid part, paler in joints, red where parts meet", own: "Vertex colours" };
 
   /** RGB factors that distinguish overlaid meshes of clay. */
   const tint = (number, overlaid) => (overlaid ? TINTS[number % TINTS.length] : TINTS[0]);
@@ -101,11 +101,12 @@ var mixseqStage = function (stage, names, legendElement) {
     const [name, scale] = legendElement.children, [bar, numbers] = scale.children;
     legendElement.hidden = !colouring || colouring.name === "clay";
     if (legendElement.hidden) return;
-    scale.hidden = !colouring.top;
-    name.textContent = colouring.top ? label(colouring) : MEANINGS[colouring.name] ?? colouring.name;
-    if (!colouring.top) return;
+    const { low, top } = colouring;
+    scale.hidden = top === undefined;
+    name.textContent = scale.hidden ? MEANINGS[colouring.name] ?? colouring.name : label(colouring);
+    if (scale.hidden) return;
     bar.style.background = `linear-gradient(90deg, ${colouring.palette.map((rgb) => "rgb(" + rgb.join(",") + ")").join(",")})`;
-    [0, colouring.top / 2, colouring.top].forEach((value, k) => (numbers.children[k].textContent = `${+value.toPrecision(3)}`));
+    [low, (low + top) / 2, top].forEach((value, k) => (numbers.children[k].textContent = `${+value.toPrecision(3)}`));
   }
 
   const label = ({ name, unit }) => mixseqCapital(name) + (unit ? ` (${unit})` : "");

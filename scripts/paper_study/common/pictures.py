@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.pictures.charts import LINE_COLOURS, chart_style, new_page
-from mixseq.pictures.colours import segmentation_colours
+from mixseq.pictures.colours import JOINT_RED, part_colours
 from mixseq.pictures.raster import draw_mesh
 from mixseq.pictures.scene import CLAY_COLOUR, Limits, View, shared_limits, three_quarter_view, to_y_up
 from mixseq.pictures.sheets import Sheet
@@ -34,12 +34,12 @@ class Panel(NamedTuple):
 
 def cut(decomposition: Decomposition) -> Float:
     """Return colours ``(F, 3)`` of parts, and of joints in red."""
-    return segmentation_colours(decomposition.part_of_face, decomposition.joint_of_face)
+    return held(decomposition.part_of_face, decomposition.joint_of_face < 0)
 
 
 def held(part_of_face: Index, rigid: NDArray[np.bool_]) -> Float:
     """Return colours ``(F, 3)`` of parts where they hold faces ``(F,)``, and of the others in red."""
-    return segmentation_colours(part_of_face, np.where(rigid, -1, 0))
+    return np.where(rigid[:, None], part_colours(int(part_of_face.max()) + 1)[part_of_face], JOINT_RED)
 
 
 def heat(poses: Poses, values: Float, most: float) -> Float:

@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mixseq
+from mixseq.operations import key_poses, with_body
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.detail import Detail, build_model, encode_sequence
 from mixseq.signals.model import Model
 from mixseq.spaces.base import VertexSpace
 from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
+from tests.meshes import bar
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 
@@ -144,6 +146,21 @@ def jointed(sequence: MeshSequence, detail: Detail) -> Model:
     joints = np.asarray((space.rigid_part_of_vertex[space.topology.faces] < 0).all(axis=1))
     space = replace_fields(space, joint_faces=joints, projection=Projection(share=0.5))
     return build_model(encode_sequence(sequence, space), detail)
+
+
+def herd() -> Model:
+    """Make a model of three bars: one has its vertices in another order and parts of its own, one looks elsewhere."""
+    model = jointed(bar(5, 13, 6), Detail(step=2.0**-38))
+    keys, turn = key_poses(model), np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    order = np.random.default_rng(0).permutation(keys.vertex_count)
+    shuffled = MeshSequence.from_arrays(1.5 * keys.points[:, order], np.argsort(order)[keys.faces], fps=1.0)
+    corners, middle = keys.faces[0], keys.points[:, keys.faces[0]].mean(axis=1, keepdims=True)
+    fan = [[*edge, keys.vertex_count] for edge in zip(corners, np.roll(corners, -1), strict=True)]
+    points, faces = np.concatenate([keys.points, middle], axis=1), np.concatenate([keys.faces[1:], fan])
+    labels = model.decomposition.part_of_face
+    parts = np.append(labels[1:], np.repeat(labels[:1], 3))
+    finer = MeshSequence.from_arrays(points @ turn.T, faces, fps=1.0)
+    return with_body(with_body(model, shuffled, "shuffled"), finer, "finer", parts, turn)
 
 
 def assert_equal(first: Model, second: Model) -> None:

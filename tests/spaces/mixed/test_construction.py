@@ -243,13 +243,29 @@ def test_the_walk_is_near_and_its_vectors_are_short() -> None:
 # Hinges that close are no joints: nothing says by how many turns their angles are apart
 
 
-@pytest.mark.parametrize(("turn", "winding"), [(80.0, False), (100.0, True)])
-def test_faces_at_hinges_that_turn_by_more_than_half_a_turn_are_marked(turn: float, winding: bool) -> None:
-    """A flap beside two faces that lie still."""
-    topology = Topology(np.array([[0, 1, 2], [1, 0, 3], [2, 1, 4]]), 5)
+FLAP = np.array([[0, 1, 2], [1, 0, 3], [2, 1, 4]])
+
+
+def _flapping(turn: float) -> Float:
+    """Turn the second face of `FLAP` by degrees to both sides."""
     frames = []
     for angle in np.radians([-turn, 0.0, turn]):
         flap = [0.5, -np.cos(angle), np.sin(angle)]
         frames.append([[0, 0, 0], [1, 0, 0], [0.5, 1, 0], flap, [1.5, 1, 0]])
-    marked = faces_at_winding_hinges(topology, np.array(frames, dtype=np.float32))
+    return np.array(frames, dtype=np.float64)
+
+
+@pytest.mark.parametrize(("turn", "winding"), [(80.0, False), (100.0, True)])
+def test_faces_at_hinges_that_turn_by_more_than_half_a_turn_are_marked(turn: float, winding: bool) -> None:
+    """A flap beside two faces that lie still."""
+    marked = faces_at_winding_hinges(Topology(FLAP, 5), _flapping(turn).astype(np.float32))
     np.testing.assert_array_equal(marked, [winding, winding, False])
+
+
+def test_blends_keep_lengths_at_hinges_that_wind() -> None:
+    """Every face is far off half-way, and those of the flap wind."""
+    frames = _flapping(100.0)
+    topology = Topology(FLAP, 5)
+    decomposition = decompose(topology, np.zeros(3, dtype=int), 3)
+    joint_faces = mixed_space(frames, topology, decomposition, purpose="blends").joint_faces
+    assert joint_faces[:2].all()

@@ -1,0 +1,89 @@
+"""Models of several bodies on the command line: one is edited or decoded, or all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import Result
+
+import mixseq
+from mixseq.operations import key_poses, reverse, with_body
+from mixseq.signals.model import Model
+from tests.meshes import bar
+
+Run = Callable[..., Result]
+
+
+@pytest.fixture(scope="module")
+def herd() -> Model:
+    thin = mixseq.fit(bar(5, 7, 4), pose="keys", exact=True)
+    keys = key_poses(thin)
+    return with_body(thin, keys.with_points(2 * keys.points), "large")
+
+
+@pytest.fixture
+def stored(folder: Path, herd: Model) -> Path:
+    mixseq.save(folder / "herd.h5", herd)
+    return folder
+
+
+def test_one_body_is_decoded(run: Run, stored: Path, herd: Model) -> None:
+    assert run("decode", "herd.h5", "one.npz", "--quiet").exit_code == 0
+    assert run("decode", "herd.h5", "large.npz", "--body", "large", "--fps", "20", "--quiet").exit_code == 0
+    np.testing.assert_allclose(mixseq.read("one.npz").points, herd.sample().points, atol=1e-9)
+    np.testing.assert_allclose(mixseq.read("large.npz").points, herd.body("large").sample(fps=20).points, atol=1e-9)
+
+
+def test_all_bodies_are_decoded(run: Run, stored: Path, herd: Model) -> None:
+    result = run("decode", "herd.h5", "all_{body}.npz")
+    assert result.exit_code == 0, result.stderr
+    assert [line.split()[1] for line in result.stdout.splitlines() if line.startswith("wrote")] == [
+        "all_bar.npz",
+        "all_large.npz",
+    ]
+    for name in herd.body_names:
+        points = mixseq.read(f"all_{name}.npz").points
+        np.testing.assert_allclose(points, herd.body(name).sample().points, atol=1e-9)
+
+
+def test_morphs_of_a_body(run: Run, stored: Path, herd: Model) -> None:
+    assert run("decode", "herd.h5", "large.glb", "--as", "morph", "--body", "large", "--quiet").exit_code == 0
+    np.testing.assert_allclose(mixseq.read("large.glb").points, herd.body("large").sample().points, atol=1e-4)
+
+
+def test_an_edit_is_of_all_bodies(run: Run, stored: Path, herd: Model) -> None:
+    (stored / "edits.toml").write_text('[[edit]]\noperation = "reverse"\n')
+    assert run("edit", "herd.h5", "back.h5", "--script", "edits.toml", "--body", "large", "--quiet").exit_code == 0
+    back = mixseq.load("back.h5")
+    assert back.body_names == ("large", "bar")
+    for name in back.body_names:
+        expected = reverse(herd).body(name).sample().points
+        np.testing.assert_allclose(back.body(name).sample().points, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("decode", "herd.h5", "out.npz", "--body", "camel"), "herd.h5: there is no body 'camel'; bodies are 'bar',"),
+        (("decode", "herd.h5", "{body}.npz", "--body", "bar"), "stands for all bodies; leave it out, or --body"),
+        (("decode", "bar.npz", "out.glb", "--as", "morph", "--body", "bar"), "--body is for models"),
+        (("edit", "bar.npz", "out.h5", "--script", "edits.toml", "--body", "bar"), "has one body; leave out --body"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    run: Run, stored: Path, herd: Model, arguments: tuple[str, ...], message: str
+) -> None:
+    mixseq.write("bar.npz", herd.sample())
+    (stored / "edits.toml").write_text('[[edit]]\noperation = "reverse"\n')
+    result = run(*arguments)
+    assert result.exit_code != 0
+    assert message in result.stderr
+
+
+def test_names_that_are_no_files_are_refused(run: Run, folder: Path, herd: Model) -> None:
+    mixseq.save("path.h5", with_body(herd, key_poses(herd), "a/b"))
+    result = run("decode", "path.h5", "{body}.npz")
+    assert "the body 'a/b' has no name for a file; decode it with --body" in result.stderr
