@@ -9,6 +9,7 @@ import shlex
 import shutil
 import tomllib
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import fields
 from functools import cache
 from importlib import import_module
@@ -43,7 +44,9 @@ from mixseq_io.registry import capability_table, motion_table
 from mixseq_io.surfaces import SURFACE_ARRAY_NAMES
 from scripts.paper_study.main import STAGES
 from tests import given
+from tests.cli.conftest import SerialPool
 from tests.meshes import COARSE_CELL_METRES, bar, coarse_walk
+from tests.pictures.conftest import LOW_RESOLUTION, set_resolution
 
 pytestmark = pytest.mark.slow
 
@@ -153,6 +156,8 @@ def test_code_and_commands_run_from_top_to_bottom(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MIXSEQ_DATA", str(tmp_path))
+    set_resolution(monkeypatch, LOW_RESOLUTION)
+    monkeypatch.setattr("mixseq.runtime.processes.process_pool", lambda *_: nullcontext(SerialPool()))
     monkeypatch.setattr(creature, "CELL_METRES", COARSE_CELL_METRES if name in PAGES_WITH_PAWS else PAGE_CELL_METRES)
     for file in BROUGHT.get(name, "").split():
         given.make(file)
