@@ -39,6 +39,7 @@ from mixseq.compression.encoder.components import (
 from mixseq.compression.encoder.parts import initial_parts, refine_parts
 from mixseq.compression.encoder.trial import Candidate, Trial, add_residuals, squared_error, try_step
 from mixseq.errors import SizeError
+from mixseq.runtime.low_memory import return_freed_memory
 from mixseq.runtime.progress import StagedProgress
 from mixseq.sequence.sequence import FrameStore, largest_coordinate, rounding_error
 from mixseq.types import Index
@@ -232,6 +233,7 @@ class Search:
     def _try_step(self, candidate: Candidate, step: float) -> Trial:
         self._stages.at(1 + min(self._rounds, MAX_ROUNDS - 1))(0, 1, "choosing the step")
         self._rounds += 1
+        return_freed_memory()
         return try_step(self._sequence, candidate, max(step, self._min_step), self._chunk)
 
     def _compare_candidates(self, error: float, runner_up_ratio: float = RUNNER_UP_RATIO) -> list[Trial]:
