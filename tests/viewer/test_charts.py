@@ -146,6 +146,13 @@ def apart(a: Any, b: Any) -> float:
     return float(np.abs(np.subtract(a, b)).max())
 
 
+def test_charts_have_texts(charts: Charts) -> None:
+    curve, lines, keys = charts.page.locator("canvas").evaluate_all("(all) => all.map((each) => each.ariaLabel)")
+    assert re.match(r"Time curve: 12 frames from 0 to 0.458 s on a path of \S+ by \S+ diagonals, whose ends are", curve)
+    assert re.match(r"Coefficients: coordinate 1 from -\S+ to \S+, coordinate 2 from .* diagonals$", lines)
+    assert keys.startswith("Retiming: output 0 s shows 0 s, output 0.115 s shows 0.115 s, ")
+
+
 def test_every_script_is_there() -> None:
     assert len(set(CHART_SCRIPTS)) == len(CHART_SCRIPTS)
     assert "https:" not in chart_scripts() and "</script" not in chart_scripts()
