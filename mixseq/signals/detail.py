@@ -269,7 +269,11 @@ def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
     def corrections(time: Curve, times: Float, targets: Float) -> Float:
         if len(encoded.header.times) <= 2:  # no inner frame to judge interpolation in time by: poses are blended
             return np.zeros((len(times), encoded.space.correction_dim))
-        return encoded.space.pose_corrections(pose.weights(time.on_both_sides(times)) @ key_poses, targets)
+        poses = np.empty((len(times), key_poses.shape[1]))
+        for rows in element_blocks(len(times), len(shapes)):  # with the next time, as a break's times are together
+            coordinates = time.on_both_sides(times[rows.start : rows.stop + 1])[: rows.stop - rows.start]
+            poses[rows] = pose.weights(coordinates) @ key_poses
+        return encoded.space.pose_corrections(poses, targets)
 
     if detail.knots is not None:
         curves = _fit_curves_with_knots(encoded, modes.scores, corrections, _inner_knots(detail.knots, times))
@@ -326,6 +330,7 @@ def _fit_curves_within_slack(
     scales = 2.0 ** np.floor(np.log2(np.maximum(np.abs(scores).max(axis=0), MIN_SCORE_SCALE)))
     score_norm = rms_over_vertices(encoded.header.vertex_count)
     time = _fit_rounded(times, values, slack, score_norm, step * scales)
+    del values
     pose_weights = np.split(space.weights[space.shape_dim :], [space.placement_dim])
     placement_norm, correction_norm = map(max_norm, pose_weights)
     placement = _fit_rounded(quarter_times, placements, slack, placement_norm, step)
@@ -342,7 +347,10 @@ def _fit_rounded(times: Float, values: Float, slack: float, norm: DeviationNorm,
 
 def _round(values: Float, step: float | Float) -> Float:
     """Round values to multiples of a step, or of one step per column."""
-    return np.asarray(np.round(values / step) * step)
+    rounded = values / step
+    np.round(rounded, out=rounded)
+    rounded *= step
+    return np.asarray(rounded)
 
 
 def _choose_rank(encoded: EncodedSequence, detail: Detail) -> int:
