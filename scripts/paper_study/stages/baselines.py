@@ -144,7 +144,7 @@ def verdict(results: Results) -> list[str]:
         meshes = named(mesh for mesh, r in results.items() if other in r["methods"])
         lines.append(
             f"Errors at 99 % of *{OURS}* over those of *{other}* on {meshes}: lengths {ratio_range(of['lengths'])}, "
-            f"angles {ratio_range(of['degrees'])}; volumes differ by up to {ours:.1%} ({theirs:.1%}); *{other}* takes "
+            f"angles {ratio_range(of['degrees'])}; volumes are off by up to {ours:.1%} ({theirs:.1%}); *{other}* takes "
             f"{ratio_range(times)} times the seconds for two poses and one blend."
         )
     return lines
