@@ -12,10 +12,12 @@ from typing import NoReturn
 LARGE_BLOCK_BYTES = 4 << 20
 """Size of arrays whose memory is returned at once; smaller sizes cost more time (docs/benchmarks.md)."""
 
-_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD, _THRESHOLD_VARIABLE = -3, -1, "MALLOC_MMAP_THRESHOLD_"
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
+_THRESHOLD_VARIABLE = "MALLOC_MMAP_THRESHOLD_"
 
 _VARIABLES = {
     _THRESHOLD_VARIABLE: str(LARGE_BLOCK_BYTES),
+    "MALLOC_ARENA_MAX": "1",  # heaps of threads are seldom returned
     # rslab has an allocator of its own, which would keep the memory of factors.
     **{"MIMALLOC_ABANDONED_PAGE_PURGE": "1", "MIMALLOC_ARENA_EAGER_COMMIT": "0"},
 }
@@ -48,6 +50,7 @@ def return_large_blocks() -> None:
     with suppress(OSError, AttributeError):  # other C libraries have no such setting
         ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, LARGE_BLOCK_BYTES)
         ctypes.CDLL(None).mallopt(_M_TRIM_THRESHOLD, 4 * LARGE_BLOCK_BYTES)
+        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 
 def main() -> None:

@@ -47,8 +47,16 @@ from mixseq.operations import (
     transition,
     with_body,
 )
-from mixseq.pictures.charts import FAINT_COLOUR, LINE_COLOURS, chart_style, draw_embedding, import_matplotlib, new_page
-from mixseq.pictures.colours import JOINT_RED, segmentation_colours
+from mixseq.pictures.charts import (
+    FAINT_COLOUR,
+    LINE_COLOURS,
+    chart_style,
+    draw_embedding,
+    error_map,
+    import_matplotlib,
+    new_page,
+)
+from mixseq.pictures.colours import JOINT_RED, part_colours, segmentation_colours
 from mixseq.pictures.models import plot_model
 from mixseq.pictures.raster import draw_mesh
 from mixseq.pictures.scene import CLAY_COLOUR, INK_COLOUR, three_quarter_view
@@ -61,12 +69,14 @@ from mixseq.pictures.sheets import (
     transfer_sheet,
     views_aspect,
 )
+from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.transfer import Transfer, TransferSettings, plan_transfer
 from mixseq.segmentation.methods import METHODS
 from mixseq.sequence.sequence import join_blocks
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index, evenly_spaced
+from mixseq_io.text.markers import read_markers, write_markers
 
 HERE = Path(__file__).parent
 MARKERS = HERE.parents[1] / "scripts" / "benchmarks" / "markers"
@@ -127,7 +137,7 @@ def moving(path: Path) -> None:
         page = Sheet.from_grid(1, len(columns), (limits[3] - limits[2]) / (limits[1] - limits[0]), "")
         for ax, (title, (poses, colours)) in zip(page.panels[0], columns.items(), strict=True):
             draw_mesh(ax, poses[frame], cycle.faces, colours, "Y", view, limits, ground)
-            ax.set_title(title, fontsize=13, color=INK_COLOUR, pad=2)
+            ax.set_title(title, fontsize=17, color=INK_COLOUR, pad=2)
         stream = BytesIO()
         page.save(stream)
         picture = Image.open(stream).convert("RGB")
@@ -338,6 +348,16 @@ def posed(path: Path) -> None:
     sheet(path, rows, np.linspace(0.2, 0.8, 7), against=walk)
 
 
+def posed_still(path: Path) -> None:
+    """A fox that stands, a single mesh, gives paw and looks up."""
+    still = mixseq.fit(walk_model().sample(times=[0.0]), exact=True, parts=20)
+    points, (paw, *others) = still(0.0), map(sole, ("forepaw.r", "forepaw.l", "hindpaw.r", "hindpaw.l"))
+    nose = int(points[:, 0].argmax())
+    paw_up = Handle(1.0, points[paw] + [0.15, 0.12, 0.0], paw)
+    look = Handle(1.0, points[nose] + [-0.05, 0.1, 0.1], nose)
+    sheet(path, {"a still,\nposed at 1 s": pose(still, [paw_up, look], keep=others)}, np.linspace(0.0, 1.0, 5))
+
+
 def sole(bone_name: str) -> int:
     """Return the lowest vertex of a bone of the fox at rest."""
     bone, names = part_of_vertex()
@@ -383,6 +403,35 @@ def sketched(path: Path) -> None:
     save(page, path, SHEET_WIDTH, 256)
 
 
+# Engines --------------------------------------------------------------------------------------------------
+
+
+def engines(path: Path) -> None:
+    """A skin of the walk: its bones in colours, and how far it is off."""
+    walk = walk_model().sample()
+    skin = mixseq.fit_skin(walk, bones=16)
+    bones = part_colours(skin.bone_count)
+    shares = np.einsum("vk,vkc->vc", skin.weights, bones[skin.influences])[walk.faces].mean(axis=1)
+    frames = evenly_spaced(FPS + 1, 5)[1:]
+    skinned = skin.points()[frames]
+    errors = np.linalg.norm(skinned - walk.points[frames], axis=2) / walk.diagonal
+    colour_map = error_map(errors.max())
+    view, limits, ground = camera([walk.points[frames], skinned])
+    page = Sheet.from_grid(3, len(frames), (limits[3] - limits[2]) / (limits[1] - limits[0]), "", left=1.4, right=1.0)
+    for row, label in enumerate(("cache", f"skin,\n{len(bones)} bones", "error of\nthe skin")):
+        page.label_row(row, label)
+        for column, frame in enumerate(frames):
+            heat = colour_map.to_rgba(errors[column][walk.faces].mean(axis=1))[:, :3]
+            points, colours = (
+                (walk.points[frame], CLAY_COLOUR) if row == 0 else (skinned[column], (shares, heat)[row - 1])
+            )
+            draw_mesh(page.panels[row][column], points, walk.faces, colours, "Y", view, limits, ground)
+    page.add_colour_bar(colour_map, "vertex error / diagonal")
+    stream = BytesIO()
+    page.save(stream)
+    save(stream, path, SHEET_WIDTH, 256)
+
+
 # Transfers ------------------------------------------------------------------------------------------------
 
 
@@ -400,6 +449,20 @@ def transfer_wolf(path: Path) -> None:
     wolf = "gltf/Wolf.glb"
     options = "--animation", "Gallop", "--rest", *of_data(wolf), "--markers", f"{MARKERS / 'wolf_horse.txt'}"
     transferred(path, *of_data(wolf, "gltf/Horse.glb"), *options)
+
+
+def transfer_exchanged(path: Path) -> None:
+    """The same with exchanged markers of the hind legs."""
+    markers = read_markers(MARKERS / "wolf_horse.txt")
+    legs = [
+        [markers.names.index(f"{side} hind toe"), markers.names.index(f"{side} hock")] for side in ("left", "right")
+    ]
+    target = markers.target.copy()
+    target[[*legs[0], *legs[1]]] = markers.target[[*legs[1], *legs[0]]]
+    with TemporaryDirectory() as folder:
+        write_markers(Path(folder) / "exchanged.txt", Markers(markers.source, target, markers.names))
+        options = "--animation", "Gallop", "--markers", f"{folder}/exchanged.txt"
+        transferred(path, *of_data("gltf/Wolf.glb", "gltf/Horse.glb"), *options)
 
 
 def transfer_man(path: Path) -> None:
@@ -491,7 +554,7 @@ def transferred(path: Path, source: str, target: str, *options: str) -> None:
     save(page, path, SHEET_WIDTH, 256)
 
 
-NEED_DATA = ("transfer-wolf", "transfer-man")
+NEED_DATA = ("transfer-wolf", "transfer-exchanged", "transfer-man")
 
 PICTURES: Mapping[str, Callable[[Path], None]] = {
     "demo": demo,
@@ -509,11 +572,14 @@ PICTURES: Mapping[str, Callable[[Path], None]] = {
     "edit-smooth": smoothed,
     "edit-sculpt": sculpted,
     "edit-pose": posed,
+    "pose-still": posed_still,
     "edit-swap": swapped,
     "edit-sketch": sketched,
+    "engines": engines,
     "transfer-fox": transfer_fox,
     "bodies": bodies,
     "transfer-wolf": transfer_wolf,
+    "transfer-exchanged": transfer_exchanged,
     "transfer-man": transfer_man,
     "transfer-contacts": contacts,
 }

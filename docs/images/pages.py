@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import shutil
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Thread
 
 import numpy as np
 from PIL import Image
@@ -19,6 +22,7 @@ from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.signals.model import Model
 from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.viewer import run_viewer
+from mixseq.web import package_files
 
 HERE = Path(__file__).parent
 SIZE = {"width": 1280, "height": 800}
@@ -27,7 +31,7 @@ COLOURS = 160
 
 
 def main() -> None:
-    """Take both pictures."""
+    """Take all pictures."""
     walk = walk_cycle(frames=24, fps=24)
     model = mixseq.fit(
         mixseq.MeshSequence.from_arrays(
@@ -48,6 +52,10 @@ def main() -> None:
         page.keyboard.press("Space")
         page.wait_for_timeout(3000)
         save(page, "page.png")
+        mixseq.save(Path(folder, "shot.glb"), mixseq.compress(model.sample(), max_error=1e-3), still="none")
+        for name, text in package_files().items():
+            Path(folder, name).write_text(text, encoding="utf-8")
+        take_player(browser.new_page(viewport=SIZE), folder)
         browser.close()
 
 
@@ -72,6 +80,18 @@ def take_viewer(page: Page, address: str) -> None:
     page.wait_for_timeout(8000)
     save(page, "viewer.png")
     page.mouse.up()
+
+
+def take_player(page: Page, folder: str) -> None:
+    """The player of the npm package."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=folder)) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        page.goto(f"http://127.0.0.1:{server.server_port}/player.html")
+        page.wait_for_timeout(5000)
+        page.keyboard.press("Space")
+        page.wait_for_timeout(2000)
+        save(page, "web.png")
+        server.shutdown()
 
 
 def save(page: Page, name: str) -> None:

@@ -13,6 +13,7 @@ memory. Large arrays are in tiles on disk, so that rows and columns are both rea
 
 from __future__ import annotations
 
+import ctypes
 import tempfile
 import threading
 import weakref
@@ -129,6 +130,12 @@ def _tiles(row_count: int, width: int) -> Iterator[slice]:
     step = min(_MAX_TILE_COLUMNS, max(_MAX_TILE_NUMBERS // max(row_count, 1), 64))
     for start in range(0, width, step):
         yield slice(start, min(start + step, width))
+
+
+def return_freed_memory() -> None:
+    """Return freed memory to the system; glibc keeps it where other memory is still in use behind it."""
+    with suppress(OSError, AttributeError, TypeError):  # other C libraries cannot be asked
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 P999_QUANTILE = 0.999

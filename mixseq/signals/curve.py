@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
+from mixseq.mesh.measures import element_blocks
 from mixseq.mesh.polygons import read_only
 from mixseq.types import Float
 
@@ -108,17 +109,21 @@ class Curve:
     @cached_property
     def slopes(self) -> Float:
         """Slopes ``(m, k)`` at the knots of a curve without breaks."""
-        h = np.diff(self.times)[:, None]
-        secants = np.diff(self.values, axis=0) / h
+        h, values = np.diff(self.times)[:, None], self.values
         if len(h) < 3:  # a line or a parabola
+            secants = np.diff(values, axis=0) / h
             bend = np.diff(secants, axis=0).sum(axis=0) / h.sum()
             starts = secants[:1] - bend * h[:1]
             return np.concatenate([starts, secants + bend * h])
         below, diagonal, above = np.zeros((3, len(self.times)))
-        right = np.empty(self.values.shape)
+        right = np.empty(values.shape)
         below[1:-1], diagonal[1:-1], above[1:-1] = h[1:, 0], 2 * (h[:-1, 0] + h[1:, 0]), h[:-1, 0]
-        right[1:-1] = 3 * (h[1:] * secants[:-1] + h[:-1] * secants[1:])
+        for rows in element_blocks(len(h) - 1, self.dim):
+            secants = np.diff(values[rows.start : rows.stop + 2], axis=0) / h[rows.start : rows.stop + 1]
+            right[1:-1][rows] = 3 * (h[1:][rows] * secants[:-1] + h[:-1][rows] * secants[1:])
         for end, beside, next_to in ((0, 1, above), (-1, -2, below)):
+            three = slice(None, 3) if end == 0 else slice(-3, None)
+            secants = np.diff(values[three], axis=0) / np.diff(self.times[three])[:, None]
             both = h[end, 0] + h[beside, 0]
             diagonal[end], next_to[end] = h[beside, 0], both
             right[end] = (h[end] + 2 * both) * h[beside] / both * secants[end] + h[end] ** 2 / both * secants[beside]

@@ -269,7 +269,11 @@ def build_model(encoded: EncodedSequence, detail: Detail) -> Model:
     def corrections(time: Curve, times: Float, targets: Float) -> Float:
         if len(encoded.header.times) <= 2:  # no inner frame to judge interpolation in time by: poses are blended
             return np.zeros((len(times), encoded.space.correction_dim))
-        return encoded.space.pose_corrections(pose.weights(time.on_both_sides(times)) @ key_poses, targets)
+        poses = np.empty((len(times), key_poses.shape[1]))
+        for rows in element_blocks(len(times), len(shapes)):  # with the next time, as a break's times are together
+            coordinates = time.on_both_sides(times[rows.start : rows.stop + 1])[: rows.stop - rows.start]
+            poses[rows] = pose.weights(coordinates) @ key_poses
+        return encoded.space.pose_corrections(poses, targets)
 
     if detail.knots is not None:
         curves = _fit_curves_with_knots(encoded, modes.scores, corrections, _inner_knots(detail.knots, times))
@@ -326,6 +330,7 @@ def _fit_curves_within_slack(
     scales = 2.0 ** np.floor(np.log2(np.maximum(np.abs(scores).max(axis=0), MIN_SCORE_SCALE)))
     score_norm = rms_over_vertices(encoded.header.vertex_count)
     time = _fit_rounded(times, values, slack, score_norm, step * scales)
+    del values
     pose_weights = np.split(space.weights[space.shape_dim :], [space.placement_dim])
     placement_norm, correction_norm = map(max_norm, pose_weights)
     placement = _fit_rounded(quarter_times, placements, slack, placement_norm, step)
@@ -342,7 +347,10 @@ def _fit_rounded(times: Float, values: Float, slack: float, norm: DeviationNorm,
 
 def _round(values: Float, step: float | Float) -> Float:
     """Round values to multiples of a step, or of one step per column."""
-    return np.asarray(np.round(values / step) * step)
+    rounded = values / step
+    np.round(rounded, out=rounded)
+    rounded *= step
+    return np.asarray(rounded)
 
 
 def _choose_rank(encoded: EncodedSequence, detail: Detail) -> int:
@@ -422,8 +430,9 @@ def fit_within_tolerance(
     model: Model | None = None
     step = 2.0 ** np.floor(np.log2(tolerance / TOLERANCE_TO_STEP_RATIO))
     errors: dict[bytes, float] = {}  # by digest, because models of short sequences coincide
+    tried = ""
     for trial in range(MAX_TRIAL_MODELS):
-        progress(trial, MAX_TRIAL_MODELS, "choosing modes and knots")
+        progress(trial, MAX_TRIAL_MODELS, f"choosing modes and knots{tried}")
         model = None  # key shapes of two models may take as much memory as the frames
         detail = Detail(slack=slack, step=step)
         model = build_model(encoded, detail)
@@ -433,6 +442,7 @@ def fit_within_tolerance(
         elif errors[digest] > tolerance:  # the model has all modes and knots already
             step /= 2
         error = errors[digest]
+        tried = f", after {len(model.shapes)} key shapes at {error / tolerance:.2g} of the tolerance"
         if error <= tolerance:
             low, best = slack, detail
             is_sufficient = error > SUFFICIENT_ERROR_RATIO * tolerance

@@ -178,9 +178,8 @@ def fit(
     Without `exact`, `tolerance`, `rank` or `knots` the model is visually lossless: no vertex of any frame is off by
     more than 0.0005 of the diagonal, half a pixel where the mesh fills a picture of 1000 pixels.
 
-    Without `rank` and `knots`, the anchored placement also relaxes the mesh between distant frames, such as a set of
-    poses. It is relaxed towards the interpolated lengths and angles, so that faces do not tear. Two frames are always
-    blended like that, as `interpolate` does.
+    Without `rank` and `knots`, the anchored placement also relaxes the mesh between two frames, or between the distant
+    frames of a set of poses. It is relaxed towards the interpolated lengths and angles, so that faces do not tear.
 
     Parameters
     ----------
@@ -276,10 +275,8 @@ def fit(
     max_error = VISUALLY_LOSSLESS_TOLERANCE if tolerance is None else float(tolerance)
     is_reduced = rank is not None or knots is not None
     match options:
-        case MixedSettings() if is_reduced:
-            options = replace(options, purpose="reduced")
-        case MixedSettings() if sequence.header.frame_count == 2:
-            options = replace(options, purpose="blends")
+        case MixedSettings() if is_reduced or sequence.header.frame_count == 2:
+            options = replace(options, purpose="reduced" if is_reduced else "blends")
         case EdgeSettings(projection="dso", shell=None):
             options = replace(options, shell=ShellSettings(accuracy=max_error / _SHELL_ACCURACY_RATIO))
     search_stages = 1 if exact else 0 if is_reduced else MAX_TRIAL_MODELS

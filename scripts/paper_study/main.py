@@ -31,7 +31,6 @@ STAGES = {
     "figure-9": "six poses",
     "figures-10-12": "errors over the weight",
     "baselines": "methods of others",
-    "geodesic": "geodesics in the space of shells",
     "figure-14": "a segmentation with too few parts",
     "figure-15": "segmentation methods",
     "figure-16": "vertex noise, local self-intersections",

@@ -30,6 +30,8 @@ IFRAME_WORKER = MODULES / "iframe-worker" / "shim" / "index.js"  # lets search w
 COPIED = {"changelog.md": "CHANGELOG.md"}  # pages made of files outside docs, with paths in the project
 NOTEBOOKS = {f"notebooks/{path.stem}.md": path for path in sorted(FOLDER.glob("*.ipynb"))}
 
+CODE = re.compile(r"<code>[^<]*</code>")
+OPTION = re.compile(r"(?<![\w-])--?[a-z][\w-]*")
 LINK = re.compile(r"(?<=\]\()[^)\s:#]+")
 
 
@@ -67,6 +69,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name, path in foreign.items():
         files.append(File.generated(config, f"assets/{name}", abs_src_path=str(path)))
     return files
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Keep options such as --max-error whole: browsers break lines at hyphens."""
+    return CODE.sub(lambda code: OPTION.sub(r'<span class="word">\g<0></span>', code[0]), html)
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:

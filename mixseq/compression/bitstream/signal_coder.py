@@ -240,7 +240,7 @@ _MIN_NUMBERS_TO_QUEUE = 512
 
 
 class Signal(NamedTuple):
-    """A rounded signal before coding; immutable, with 20 bytes per node if its numbers fit 32 bits."""
+    """A rounded signal before coding; immutable, with 5 to 20 bytes per node unless its numbers exceed 32 bits."""
 
     age: int  # number of earlier signals
     neighbours: Int32  # (N, n) earlier nodes that predict every node
@@ -252,8 +252,8 @@ class Signal(NamedTuple):
 
 
 def _compact(numbers: Index) -> IntArray:
-    """Return a copy of integers, as int32 if they fit 32 bits."""
-    return numbers.astype(np.int32 if np.abs(numbers).max(initial=0) < 2**31 else np.int64)
+    """Return a copy of integers in the smallest type."""
+    return numbers.astype(np.min_scalar_type(-int(np.abs(numbers).max(initial=0)) - 1))
 
 
 def new_number_models() -> BitModels:

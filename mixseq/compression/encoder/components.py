@@ -178,18 +178,23 @@ class PartComponents:
     def __init__(self, components: PrincipalComponents, part: Part, min_norm: float) -> None:
         self.part, self.norms = part, components.norms
         self._components = components
-        vectors = components.vectors
-        if len(part.vertices) < vectors.shape[2]:
-            vectors = vectors[..., part.vertices]
-            self._directions, self._offsets, self.norms = _rotate_to_part(vectors[:, 0], min_norm)
-            self._computed: list[Float] = []
-        elif components.kind == "trajectories":
-            self._computed = list(vectors)
-        else:
+        self._first = 0  # number of the first vector of the newest batch
+        self._batch: list[Float] = list(components.vectors)
+        if len(part.vertices) < components.vectors.shape[2]:
+            self._directions, self._offsets, self.norms = _rotate_to_part(self._loadings, min_norm)
+            self._batch = []
+        elif components.kind == "shapes":
             root = np.sqrt(components.curves.shape[1])
-            self._computed = [root * components.mean, *vectors]
+            self._batch = [root * components.mean, *components.vectors]
             self.norms = np.append(root * np.linalg.norm(components.mean), self.norms)
-        self._loadings = vectors.reshape(len(vectors), -1)
+
+    @property
+    def _loadings(self) -> Float:
+        """Vectors ``(R, c n)`` of the whole mesh at the vertices of the part."""
+        vectors = self._components.vectors
+        if len(self.part.vertices) < vectors.shape[2]:
+            vectors = vectors[..., self.part.vertices]
+        return vectors.reshape(len(vectors), -1)
 
     @property
     def coordinates(self) -> int:
@@ -199,15 +204,16 @@ class PartComponents:
     @property
     def width(self) -> int:
         """Number of entries of a vector."""
-        return int(self._loadings.shape[1])
+        return self.coordinates * len(self.part.vertices)
 
     def vector(self, number: int) -> Float:
         """Return a basis vector ``(c, n)``, in the units of the sequence."""
-        while number >= len(self._computed):
-            batch = slice(len(self._computed), len(self._computed) + _VECTORS_PER_BATCH)
+        if not self._first <= number < self._first + len(self._batch):
+            self._first = number - number % _VECTORS_PER_BATCH
+            batch = slice(self._first, self._first + _VECTORS_PER_BATCH)
             vectors = self._directions[batch] @ self._loadings - self._offsets[batch, None]
-            self._computed.extend(vectors[:, None])
-        return self._computed[number]
+            self._batch = list(vectors[:, None])
+        return np.asarray(self._batch[number - self._first])
 
     def rank(self, step: float) -> int:
         """Return the number of vectors, at least one, before the vanishing vectors at which coding stops."""
@@ -224,7 +230,7 @@ class PartComponents:
         count, vectors = self._components.curves.shape[1], basis.vectors.reshape(len(basis.vectors), -1)
         has_mean_shape = self._components.kind == "shapes"
         if has_mean_shape:  # the rounding error of the mean is one more component
-            loadings = np.append(loadings, self._computed[0].reshape(1, -1) - vectors[:1], axis=0)
+            loadings = np.append(loadings, self.vector(0).reshape(1, -1) - vectors[:1], axis=0)
             curves = np.append(curves, np.full((1, count), count**-0.5), axis=0)
             vectors = vectors[1:]
         unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

@@ -139,7 +139,7 @@ LATE_VERTEX_SIZE = 0.35
 """Bytes per vertex outside the coarse mesh, relative to the coarse mesh: finer levels are predicted better."""
 
 MAX_PENDING_NUMBERS = 1 << 22
-"""Number of rounded numbers above which signals are coded at once: uncoded numbers take 20 bytes each."""
+"""Number of rounded numbers above which signals are coded at once: uncoded numbers take up to 20 bytes each."""
 
 MIN_ALGEBRAIC_ERROR = 1e-10
 """Ratio of squared error to squared motion below which errors are measured on frames: computed errors lose digits."""
@@ -304,12 +304,13 @@ def quantise_residuals(errors: Float, bound: float) -> Index:
 
 
 def add_residuals(sequence: FrameStore, trial: Trial, bound: float) -> Trial:
-    """Add the residual layer that keeps a bound, in the units of the sequence, to a trial."""
+    """Add the residual layer that keeps a bound, in the units of the sequence, to a trial; its vectors are freed."""
 
     def frame_residuals(frame: int) -> Index:
         frames = slice(frame, frame + 1)
         errors = np.asarray(sequence.points[frames] - trial.basis.frames(trial.coefficients[frames]))
         return np.asarray(quantise_residuals(errors, bound)[0])
 
-    layers = (write_residuals(frame_residuals, frames, trial.candidate.graph) for frames in trial.spans)
-    return replace(trial, residuals=tuple(layers), bound=bound)
+    layers = tuple(write_residuals(frame_residuals, frames, trial.candidate.graph) for frames in trial.spans)
+    used = replace(trial.basis, part_bases=())  # its vectors are larger than the sequence
+    return replace(trial, residuals=layers, bound=bound, basis=used)

@@ -37,9 +37,9 @@ from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.mesh.rigid import kabsch, transform_points
 from mixseq.mesh.topology import Topology
 from mixseq.runtime.parallel import one_blas_thread
-from mixseq.shells.fitting import ShellReport, ShellSettings
+from mixseq.shells.fitting import ShellReport
 from mixseq.shells.solvers import factorise
-from mixseq.spaces.edge import DiscreteShell, EdgeSettings
+from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.types import Float, Index, IntArray
 from scripts.paper_study.common.methods import Blended, Edge, Method
@@ -52,7 +52,7 @@ SEGMENTS = 4
 """Segments of the geodesic, whose inner shapes have the weights 1/4, 1/2 and 3/4."""
 
 MAX_STEPS, MAX_DAMPING = 60, 1e8
-TOLERANCE = 1e-4
+TOLERANCE = 1e-3
 """Predicted decrease of an energy, as a share of it, below which it is a minimum."""
 
 
@@ -139,7 +139,7 @@ def minimise(
             trial = x + step.reshape(x.shape)
             if value(trial) < found.value:
                 break
-            damping *= 10
+            damping = max(10 * damping, 0.01)
         x, damping = trial, max(damping / 5, 1e-10)
     return x, ShellReport(value(x), MAX_STEPS, False)
 
@@ -211,20 +211,12 @@ class Nric(Registered):
         return Elastic(self.poses.topology, self.pair)
 
     @cached_property
-    def linear(self) -> Edge:
-        """S_e, for a first mesh."""
+    def shells(self) -> Edge:
+        """Discrete shells, from which the search starts: they collapse no faces."""
         return Edge(self.poses, EdgeSettings("dso"))
 
     def prepare(self) -> None:
-        _ = self.elastic.weights, self.linear.vectors
-
-    def first(self, weights: Float) -> Float:
-        """Return the linear start ``(V, 3)``, in diagonals."""
-        space = self.linear.space
-        shapes, turns, centres = space.split((weights @ self.linear.vectors)[None])
-        shell = DiscreteShell(space.discrete_shell.topology, space.discrete_shell.pieces)
-        rows = shell.fit(space.targets(shapes[0]), ShellSettings(iterations=0))[0]
-        return np.asarray(space.place_pieces(rows, turns[0], centres[0]) / space.scale)
+        _ = self.elastic.weights, self.shells.vectors
 
     def at(self, weights: Float) -> Blended:
         topology, (of_length, of_angle) = self.poses.topology, self.elastic.weights
@@ -248,7 +240,7 @@ class Nric(Registered):
             return Quadratic(float(away @ away), jacobian.T @ away, sparse.csr_array(jacobian.T @ jacobian))
 
         with one_blas_thread():
-            x, report = minimise(value, model, self.first(weights))
+            x, report = minimise(value, model, self.shells.at(weights).points / self.poses.diagonal)
         return Blended(x * self.poses.diagonal, [report])
 
 
@@ -283,8 +275,8 @@ class Geodesic(Nric):
 
     @cached_property
     def path(self) -> tuple[Float, ShellReport]:
-        """The inner shapes ``(K - 1, V, 3)``, found from discrete shells, which collapse no faces."""
-        starts = [self.linear.at(np.array([1 - w, w])).points for w in np.arange(1, SEGMENTS) / SEGMENTS]
+        """The inner shapes ``(K - 1, V, 3)``, found from discrete shells."""
+        starts = [self.shells.at(np.array([1 - w, w])).points for w in np.arange(1, SEGMENTS) / SEGMENTS]
         with one_blas_thread():
             return minimise(self.value, self.model, np.stack(starts) / self.poses.diagonal)
 
@@ -361,5 +353,6 @@ BASELINES: dict[str, Callable[[Poses, Index], Method]] = {
     "ARAP": lambda poses, _: Arap(poses),
     "skin": lambda poses, _: Skinned(poses),
     "NRIC": lambda poses, _: Nric(poses),
+    "geodesic": lambda poses, _: Geodesic(poses),
 }
-"""All but the geodesic, of two poses."""
+"""Methods of others, of two poses."""
