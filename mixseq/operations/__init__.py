@@ -1,8 +1,8 @@
 """Make new models and sequences from models. Operations are pure functions that return a model, so they compose.
 
-`timeline`, `retiming` and `resampling` change times; `transitions` joins motions. `filters`, `handles`, `limbs`,
-`sculpt` and `sketch` change poses; `shape_exchange` changes bodies. `interpolation` blends poses. `script` reads edits
-from files.
+`timeline`, `retiming` and `resampling` change times; `transitions` joins motions. `filters`, `handles` with
+`pose_solvers`, `limbs`, `sculpt` and `sketch` change poses; `shape_exchange` changes bodies. `interpolation` blends
+poses. `script` reads edits from files.
 """
 
 from mixseq.operations.filters import exaggerate, smooth
