@@ -69,12 +69,14 @@ from mixseq.pictures.sheets import (
     transfer_sheet,
     views_aspect,
 )
+from mixseq.retargeting.markers import Markers
 from mixseq.retargeting.transfer import Transfer, TransferSettings, plan_transfer
 from mixseq.segmentation.methods import METHODS
 from mixseq.sequence.sequence import join_blocks
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.types import Float, Index, evenly_spaced
+from mixseq_io.text.markers import read_markers, write_markers
 
 HERE = Path(__file__).parent
 MARKERS = HERE.parents[1] / "scripts" / "benchmarks" / "markers"
@@ -346,6 +348,16 @@ def posed(path: Path) -> None:
     sheet(path, rows, np.linspace(0.2, 0.8, 7), against=walk)
 
 
+def posed_still(path: Path) -> None:
+    """A fox that stands, a single mesh, gives paw and looks up."""
+    still = mixseq.fit(walk_model().sample(times=[0.0]), exact=True, parts=20)
+    points, (paw, *others) = still(0.0), map(sole, ("forepaw.r", "forepaw.l", "hindpaw.r", "hindpaw.l"))
+    nose = int(points[:, 0].argmax())
+    paw_up = Handle(1.0, points[paw] + [0.15, 0.12, 0.0], paw)
+    look = Handle(1.0, points[nose] + [-0.05, 0.1, 0.1], nose)
+    sheet(path, {"a still,\nposed at 1 s": pose(still, [paw_up, look], keep=others)}, np.linspace(0.0, 1.0, 5))
+
+
 def sole(bone_name: str) -> int:
     """Return the lowest vertex of a bone of the fox at rest."""
     bone, names = part_of_vertex()
@@ -439,6 +451,20 @@ def transfer_wolf(path: Path) -> None:
     transferred(path, *of_data(wolf, "gltf/Horse.glb"), *options)
 
 
+def transfer_exchanged(path: Path) -> None:
+    """The same with exchanged markers of the hind legs."""
+    markers = read_markers(MARKERS / "wolf_horse.txt")
+    legs = [
+        [markers.names.index(f"{side} hind toe"), markers.names.index(f"{side} hock")] for side in ("left", "right")
+    ]
+    target = markers.target.copy()
+    target[[*legs[0], *legs[1]]] = markers.target[[*legs[1], *legs[0]]]
+    with TemporaryDirectory() as folder:
+        write_markers(Path(folder) / "exchanged.txt", Markers(markers.source, target, markers.names))
+        options = "--animation", "Gallop", "--markers", f"{folder}/exchanged.txt"
+        transferred(path, *of_data("gltf/Wolf.glb", "gltf/Horse.glb"), *options)
+
+
 def transfer_man(path: Path) -> None:
     """The man's run on the woman."""
     options = "--up-axis", "Z", "--markers", f"{MARKERS / 'man_woman.txt'}"
@@ -528,7 +554,7 @@ def transferred(path: Path, source: str, target: str, *options: str) -> None:
     save(page, path, SHEET_WIDTH, 256)
 
 
-NEED_DATA = ("transfer-wolf", "transfer-man")
+NEED_DATA = ("transfer-wolf", "transfer-exchanged", "transfer-man")
 
 PICTURES: Mapping[str, Callable[[Path], None]] = {
     "demo": demo,
@@ -546,12 +572,14 @@ PICTURES: Mapping[str, Callable[[Path], None]] = {
     "edit-smooth": smoothed,
     "edit-sculpt": sculpted,
     "edit-pose": posed,
+    "pose-still": posed_still,
     "edit-swap": swapped,
     "edit-sketch": sketched,
     "engines": engines,
     "transfer-fox": transfer_fox,
     "bodies": bodies,
     "transfer-wolf": transfer_wolf,
+    "transfer-exchanged": transfer_exchanged,
     "transfer-man": transfer_man,
     "transfer-contacts": contacts,
 }

@@ -11,7 +11,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -327,7 +327,10 @@ def scene_items(
     stack: ExitStack,
     scalar: Path | None = None,
 ) -> tuple[list[SceneItem], SequenceReader | None]:
-    """Open models, sequences (frames are read later), the original for errors, and values; `stack` closes the files."""
+    """Open models, sequences (frames are read later), the original for errors, and values; `stack` closes the files.
+
+    A model of several bodies is an item for each.
+    """
     from mixseq.pictures.colours import check_values
     from mixseq.pictures.scene import SceneItem
     from mixseq_io.npz import read_values
@@ -339,9 +342,12 @@ def scene_items(
         return stack.enter_context(mixseq.open_sequence(file, **options_of(file, reading)))
 
     items = [
-        SceneItem(name, mixseq.load(file) if is_model(file) else opened(file), values=values)
+        item
         for name, file in zip(names, files, strict=True)
+        for item in SceneItem(name, mixseq.load(file) if is_model(file) else opened(file), values=values).of_bodies()
     ]
+    if len(files) == 1 and len(items) > 1:
+        items = [replace(item, name=item.header.name) for item in items]
     if values is not None:
         for item in items:
             check_values(values, item.header)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -27,32 +27,20 @@ if TYPE_CHECKING:
     from mixseq.retargeting.proposals import Proposal
     from mixseq.retargeting.report import Coverage, FrameCounts, TransferReport
     from mixseq.retargeting.transfer import Transfer
+    from mixseq.retargeting.verdict import Verdict
     from mixseq.runtime.parallel import Executor
     from mixseq.sequence.header import SequenceHeader
     from mixseq.sequence.sequence import MeshSequence
     from mixseq.signals.model import Model
-    from mixseq.types import FloatArray
     from mixseq_io.reader import SequenceReader
 
 
 _SHARED_READ_OPTIONS = ("up_axis", "metres_per_unit")  # reader options that apply to all files
 
-MAX_LISTED_NAMES = 4
-"""Largest number of followers in the table, and of problems in the verdict."""
-
-# Limits of a good transfer, as docs/transfer.md explains them.
-MIN_AREA_SHARE = 0.95
-MAX_MEAN_DISTANCE_DIAGONALS = 0.01
-MAX_MARKER_DISTANCE_DIAGONALS = 0.02
-MAX_STRAIN_RATIO = 1.25
-MIN_RMS_STRAIN = 0.01
-MAX_POP_RATIO = 2.0
-MAX_CROSSING_RATIO, MAX_CROSSING_COUNT = 2.0, 10
-MAX_TURNED_OVER_SHARE, MAX_TURNED_OVER_COUNT = 0.001, 5
-MAX_LIMB_STRETCH = 0.01
+MAX_LISTED_NAMES = 4  # largest number of followers in the table
 
 
-def facts(transferred: Transfer, method: str, report: TransferReport) -> dict[str, Any]:
+def facts(transferred: Transfer, method: str, report: TransferReport, verdict: Verdict) -> dict[str, Any]:
     """Return the report of a transfer as plain values for JSON."""
     quality = transferred.quality
     reported = {
@@ -67,52 +55,11 @@ def facts(transferred: Transfer, method: str, report: TransferReport) -> dict[st
         | {"proposal": None if transferred.proposal is None else _proposal_facts(transferred.proposal)}
         | report.as_dict()
         | {"contacts": asdict(transferred.contacts)}
+        | {"verdict": asdict(verdict)}
     )
 
 
-def verdict(transferred: Transfer, report: TransferReport) -> str:
-    """Return one line: whether a transfer is good, or what to check."""
-    problems = list(_problems(transferred, report))
-    if not problems:
-        return "good: corresponds everywhere, and is as smooth as the source; nothing to check"
-    return f"check: {_first_names(problems, '; ')}"
-
-
-def _problems(transferred: Transfer, report: TransferReport) -> Iterator[str]:
-    """Yield what is outside the limits of a good transfer, with the frame to look at."""
-    header, covered, quality = transferred.header, report.coverage, transferred.quality
-    if covered.area < MIN_AREA_SHARE and not covered.followers:
-        yield f"{_percent(1 - covered.area)} of the target has no counterpart; set markers there"
-    if quality is not None:
-        if quality.target_coverage < MIN_AREA_SHARE or not quality.mean_distance <= MAX_MEAN_DISTANCE_DIAGONALS:
-            yield f"only {_percent(quality.target_coverage)} of the target fits the source; set more markers"
-        for name, distance in quality.worst_markers(1):
-            if distance > MAX_MARKER_DISTANCE_DIAGONALS:
-                yield f"marker {name} is missed by {distance:.2g} diagonals; set it anew"
-    stretching = report.strain.rms / max(report.source_strain.rms, MIN_RMS_STRAIN)
-    if stretching > MAX_STRAIN_RATIO:
-        yield f"stretches {stretching:.2g} times as much as the source"
-    smooth = report.smoothness
-    if smooth is not None and smooth.ratio is not None:
-        pop = smooth.max / smooth.source_max
-        if pop > MAX_POP_RATIO * max(smooth.ratio, 1.0):
-            yield f"pops in frame {header.frame_number(smooth.worst_frame)}"
-    crossings = report.intersections
-    density = math.sqrt(len(header.faces) / len(transferred.source.header.faces))
-    expected = max(crossings.rest, density * report.source_intersections.worst, MAX_CROSSING_COUNT)
-    if crossings.worst > MAX_CROSSING_RATIO * expected:
-        yield f"goes through itself in frame {header.frame_number(crossings.worst_frame)} ({crossings.worst:,} pairs)"
-    turned = report.turned_over
-    if turned.worst > max(MAX_TURNED_OVER_COUNT, MAX_TURNED_OVER_SHARE * len(header.faces)):
-        yield f"{turned.worst:,} triangles are turned over in frame {header.frame_number(turned.worst_frame)}"
-    if report.flat.worst:
-        yield f"{report.flat.worst:,} triangles are flat in frame {header.frame_number(report.flat.worst_frame)}"
-    for group in transferred.contacts.groups:
-        if group.residual > MAX_LIMB_STRETCH:
-            yield f"the limb of {group.name} gets {100 * group.residual:.2g} % longer"
-
-
-def rows(transferred: Transfer, method: str, report: TransferReport) -> list[tuple[str, str]]:
+def rows(transferred: Transfer, report: TransferReport, verdict: Verdict) -> list[tuple[str, str]]:
     """Return the report of a transfer as table rows."""
     from mixseq.sequence.sequence import bounding_diagonal
 
@@ -122,7 +69,7 @@ def rows(transferred: Transfer, method: str, report: TransferReport) -> list[tup
     frames = _number(header.frame_count, "frame")
     strains = (100 * each.rms for each in (report.strain, report.source_strain, report.excess))
     return [
-        ("verdict", verdict(transferred, report)),
+        ("verdict", verdict.text),
         ("transferred", f"{frames} to {header.vertex_count:,} vertices, by {by}"),
         *_coverage_rows(report.coverage),
         *([] if transferred.quality is None else _quality_rows(transferred.quality, diagonal)),
@@ -251,24 +198,18 @@ def _percent(share: float) -> str:
 # Picture ---------------------------------------------------------------------------------------------------
 
 
-def _frames_to_draw(transferred: Transfer, frame: int, rest_file: Path | None) -> list[int]:
-    """Choose up to 5 frames for the picture, without the rest frame, which is always drawn."""
+def _frames_to_draw(transferred: Transfer, frame: int, rest_file: Path | None, verdict: Verdict) -> list[int]:
+    """Choose up to 5 frames for the picture, with the worst ones and without the rest frame, which is always drawn."""
     from mixseq.types import evenly_spaced
 
     count = transferred.header.frame_count
     chosen = [int(each) for each in evenly_spaced(count, 5)]
-    return [each for each in chosen if rest_file is not None or each != frame % count] or chosen
-
-
-def _record_frames(
-    blocks: Iterable[FloatArray], frames: Sequence[int], points: list[FloatArray]
-) -> Iterator[FloatArray]:
-    """Yield the given blocks, and append the points ``(V', 3)`` of the chosen frames to a list."""
-    first = 0
-    for block in blocks:
-        points += [block[each - first].copy() for each in frames if 0 <= each - first < len(block)]
-        first += len(block)
-        yield block
+    chosen = [each for each in chosen if rest_file is not None or each != frame % count] or chosen
+    for worst in (finding.frame for finding in verdict.findings if finding.vertex is not None):
+        if worst is not None and worst not in chosen:
+            nearest = min(chosen, key=lambda each: abs(each - worst))
+            chosen[chosen.index(nearest)] = worst
+    return chosen
 
 
 @options.command(
@@ -386,12 +327,11 @@ def command(
         forward_warnings(notes.append),
         _open_source(source, reading) as source_motion,
     ):
-        import numpy as np
-
         from mixseq.operations import key_poses, with_body
         from mixseq.retargeting.report import TransferMeter
         from mixseq.retargeting.sources import prepare_source
         from mixseq.retargeting.transfer import TransferSettings, plan_transfer
+        from mixseq.retargeting.verdict import judge_transfer
         from mixseq.sequence.sequence import join_blocks
         from mixseq_io.files import atomic_file
         from mixseq_io.text.maps import read_map, to_correspondence, write_map
@@ -426,9 +366,8 @@ def command(
                 transferred.source.header.faces,
                 transferred.header.faces,
             )
-        meter, shown = TransferMeter(transferred), _frames_to_draw(transferred, frame, rest_file)
-        points: list[FloatArray] = []
-        blocks = _record_frames(meter.measure_blocks(transferred.blocks(progress, work)), shown, points)
+        meter = TransferMeter(transferred)
+        blocks = meter.measure_blocks(transferred.blocks(progress, work))
         if as_body is not None:
             keys, found = join_blocks(transferred.header, blocks), transferred.method.parts
             target_parts, turn = None if found is None else found.labels, transferred.method.alignment.rotation
@@ -436,17 +375,19 @@ def command(
         else:
             files.write_sequence(out, transferred.header, blocks, None, writing)
         report = meter.report()
+        verdict = judge_transfer(transferred, report)
         if picture_file is not None:
             from mixseq.pictures.sheets import transfer_sheet
 
+            shown = _frames_to_draw(transferred, frame, rest_file, verdict)
             with atomic_file(picture_file) as temporary:
-                transfer_sheet(temporary, transferred, shown, np.stack(points))
+                transfer_sheet(temporary, transferred, shown, transferred.pose_frames(shown), verdict=verdict)
     if as_json:
         named = {"source": str(source), "target": str(target), "out": str(out)}
-        print_json(named | facts(transferred, method, report) | {"warnings": notes})
+        print_json(named | facts(transferred, method, report, verdict) | {"warnings": notes})
         return
     if not quiet:
-        print_table(rows(transferred, method, report))
+        print_table(rows(transferred, report, verdict))
     announce(save_map, out, picture_file)
 
 

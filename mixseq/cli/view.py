@@ -131,7 +131,8 @@ def command(
     """Look at models and sequences in a browser, and edit models in place.
 
     FILES are models or sequences in any format, shown side by side or overlaid. They play and can be scrubbed; colours
-    show parts and joints, the error against the original, strain, or the change of curvature. A model also has its time
+    show parts and joints, the error against the original, strain, or the change of curvature. All bodies of a model are
+    shown, and what is edited of one plays on all. A model also has its time
     curve, which can be dragged or redrawn, its coefficients, and keys to retime it; buttons repeat, cut, hold and
     exaggerate. All edits can be undone. Results are saved as a model or a sequence in the folder where the command was
     started.
@@ -377,6 +378,7 @@ def _export(
     workers: Executor,
 ) -> None:
     """Write a web page that shows all meshes."""
+    from mixseq.compression.compressed_model import CompressedModel
     from mixseq.viewer.export import ExportSettings, export_page
     from mixseq.viewer.export_data import page_items
     from mixseq_io.files import atomic_file
@@ -385,9 +387,9 @@ def _export(
     # A length is a different fraction of the diagonal of every mesh; use the smallest fraction for all meshes.
     bounds = [in_diagonals(settings, _poses(item), "max_error") for item in colours.scene.items]
     bound = min(bounds, key=lambda converted: converted.get("max_error", 0.0))
-    items = page_items(
-        colours, [read_compressed(file) if is_model(file) and is_compressed(file) else None for file in files]
-    )
+    coded = (read_compressed(file) for file in files if is_model(file) and is_compressed(file))
+    is_coded = [isinstance(item.motion, CompressedModel) for item in colours.scene.items]
+    items = page_items(colours, [next(coded) if each else None for each in is_coded])
     with atomic_file(page) as temporary:
         reports = export_page(temporary, items, ExportSettings(**bound), progress, workers)
     announce(page)

@@ -51,8 +51,8 @@ AXIS_ITERATIONS = 100
 def key_poses(model: Model) -> MeshSequence:
     """Return the key shapes of a model as a sequence of meshes, one frame each.
 
-    A key shape that is a frame (``mixseq.fit(sequence, pose="keys")``) has the placement of that frame; any other has
-    the placement of the first frame. Transferred to another body, the key poses are the input of `with_body`.
+    A key shape has the placement of the frame that is most like it; with ``mixseq.fit(sequence, pose="keys")`` it is
+    that frame. Transferred to another body, the key poses are the input of `with_body`.
 
     Parameters
     ----------
@@ -239,9 +239,10 @@ def _part_turns(model: Model, space: MixedSpace, shapes: Float) -> Float:
 
 
 def _key_times(model: Model) -> Float:
-    """Return the times ``(K,)`` of key shapes; a key shape that is not a frame gets the time of the first frame."""
-    frames = model.key_frames
-    return np.where(frames >= 0, model.times[frames], model.times[0])
+    """Return the times ``(K,)`` of the frames whose weights are nearest to those of key shapes."""
+    weights = model.pose.weights(model.time(model.times))
+    frames = (np.square(weights).sum(axis=1, keepdims=True) - 2.0 * weights).argmin(axis=0)
+    return np.asarray(model.times[frames])
 
 
 def _mean_motion(turn: Float, before: Poses, after: Poses) -> tuple[Float, Float]:

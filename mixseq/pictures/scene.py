@@ -219,6 +219,14 @@ class SceneItem:
         """Parts and joints of the model; None without a model or without parts."""
         return self.model.space.segmentation if self.model is not None else None
 
+    def of_bodies(self) -> Sequence[SceneItem]:
+        """Return an item for each body of the model; the item itself without a model of several bodies."""
+        model = self.model
+        if model is None or not model.bodies:
+            return [self]
+        names = {body: f"{self.name}: {body}" if self.name else body for body in model.body_names}
+        return [replace(self, name=name, motion=model.body(body)) for body, name in names.items()]
+
     def with_random_access(self, progress: Progress = log_progress) -> SceneItem:
         """Return the item with a streamed sequence copied to a frame store."""
         return self if self.model is not None else replace(self, motion=self._frame_store(progress))

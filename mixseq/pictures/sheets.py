@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,11 +35,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from mixseq.retargeting.transfer import Transfer
+    from mixseq.retargeting.verdict import Verdict
 
 
 PAGE_WIDTH = 12.0  # in inches, like all page lengths
 ROW_GAP = 0.15
 BOTTOM_MARGIN = 0.1
+MAX_VERDICT_LETTERS = 115  # largest length of a verdict below a title
+WARNING_COLOUR = "#c92a2a"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +57,7 @@ class Sheet:
         cls, rows: int, columns: int, aspect: float, title: str, left: float = 0.1, right: float = 0.1
     ) -> Sheet:
         """Lay out panels with an aspect ratio clamped to 0.3..2.5; `left` and `right` are margins in inches."""
-        top = 0.65 if title else 0.3
+        top = 0.4 + 0.25 * len(title.splitlines()) if title else 0.3
         width = (PAGE_WIDTH - left - right) / columns
         height = width * float(np.clip(aspect, 0.3, 2.5))
         page_height = top + rows * (height + ROW_GAP) - ROW_GAP + BOTTOM_MARGIN
@@ -143,10 +147,12 @@ def transfer_sheet(
     frames: Sequence[int],
     points: FloatArray,
     title: str | None = None,
+    verdict: Verdict | None = None,
 ) -> None:
     """Write a PNG with frames of the source above frames of the target ``(n, V', 3)``, and rest poses on the left.
 
-    Source and target are drawn from the same side with the same part colours, at different scales.
+    Source and target are drawn from the same side with the same part colours, at different scales. Places that the
+    verdict names are circled, in the drawn frame or at rest.
     """
     headers = source_header, target_header = transfer.source.header, transfer.header
     if points.shape != (expected := (len(frames), target_header.vertex_count, 3)):
@@ -164,6 +170,8 @@ def transfer_sheet(
     limits = [shared_limits(x, header.up_axis, side) for x, header, side in zip(poses, headers, views, strict=True)]
     aspect = max(map(aspect_ratio, limits))
     names = title or f"{source_header.name}: its motion on {target_header.name}"
+    if verdict is not None:
+        names += "\n" + shorten(verdict.text, MAX_VERDICT_LETTERS, placeholder=" ...")
     sheet = Sheet.from_grid(2, 1 + len(frames), aspect, names, left=1.25)
     for row, (label, header) in enumerate(zip(("source", "target"), headers, strict=True)):
         sheet.label_row(row, f"{label}\n{header.vertex_count:,}\nvertices")
@@ -174,6 +182,11 @@ def transfer_sheet(
     titles = [f"frame {source_header.frame_number(k)}, {source_header.times[k]:.3f} s" for k in frames]
     for ax, text in zip(sheet.panels[0], ["at rest", *titles], strict=True):
         ax.set_title(text, fontsize=9, color=INK_COLOUR, pad=2)
+    for finding in () if verdict is None else verdict.findings:
+        if finding.vertex is not None and (finding.frame is None or finding.frame in frames):
+            column = 0 if finding.frame is None else 1 + list(frames).index(finding.frame)
+            place = to_y_up(poses[1][column][finding.vertex], target_header.up_axis) @ views[1].rotation.T
+            sheet.panels[1][column].plot(*place[:2], "o", ms=22, mfc="none", mec=WARNING_COLOUR, mew=2, zorder=5)
     sheet.save(target)
 
 

@@ -118,7 +118,7 @@ MAX_COMPARED_MARKERS = 1000  # largest number of markers that are compared with 
 MIN_COMPARED_MARKERS = 8  # smallest number of markers that are compared with each other
 MAX_REPORTED_MARKERS = 20  # largest number of reported exchanges and wrong markers
 MIN_DIRECTION_DISTANCE = 0.16  # smallest distance of markers with a direction, in root mean square distances
-MAX_DISTANCE_RATIO, MIN_RATIO_DISTANCE = 6.0, 0.5  # largest ratio of distances, if the larger one is above the second
+MAX_DISTANCE_RATIO, MIN_RATIO_DISTANCE = 6.0, 0.3  # largest ratio of distances, if the larger one is above the second
 MAX_REMAINING_CONFLICTS = 1 / 3  # largest share of the conflicts of two markers that an exchange leaves
 MIN_PARTNER_CONFLICTS = 0.4  # smallest number of conflicts of its partner, relative to those of the worst marker
 MIN_RESOLVED_CONFLICTS = 0.8  # smallest number of conflicts that an exchange resolves, relative to those of the worst
@@ -159,7 +159,7 @@ def check_markers(
     target = np.asarray(target_points[markers.target], np.float64)
     _check_spread("source", source, _used_points(source_points, source_topology))
     _check_spread("target", target, _used_points(target_points, target_topology))
-    _check_hand(_normalise_points(source), _normalise_points(target))
+    _check_hand(normalise_points(source), normalise_points(target))
     for suspicion in find_suspicious_markers(markers, source, target):
         _warn(suspicion.message)
 
@@ -185,8 +185,8 @@ def find_suspicious_markers(markers: Markers, source: Float, target: Float) -> l
     wrong: list[int] = []
     exchanges: list[list[int]] = []
     for _ in range(MAX_REPORTED_MARKERS):
-        x, y = _normalise_points(x), _normalise_points(y)
-        turned = x @ _fit_most_points(x, y).T
+        x, y = normalise_points(x), normalise_points(y)
+        turned = x @ fit_most_points(x, y).T
         is_conflict = find_conflicts(turned, y, np.arange(len(x)))
         counts = is_conflict.sum(axis=1)
         worst = int(counts.argmax())
@@ -200,13 +200,13 @@ def find_suspicious_markers(markers: Markers, source: Float, target: Float) -> l
         is_single = counts[worst] >= max(2, MIN_CONFLICT_SHARE * len(x))
         rows = [worst] if is_single else [worst, int(is_conflict[worst].argmax())]
         wrong += ids[rows].tolist()
-        ids, x, y = (np.delete(values, rows, axis=0) for values in (ids, x, y))
+        ids, x, y = np.delete(ids, rows), np.delete(x, rows, axis=0), np.delete(y, rows, axis=0)
     suspicions = []
     if exchanges:
-        first, second = np.array(exchanges).T
+        first, second = (np.array(list(dict.fromkeys(column))) for column in zip(*exchanges, strict=True))
         names = f"{_marker_list(markers, first)} and {_marker_list(markers, second)}"
         message = f"{names} seem exchanged: directions between them are reversed on the target; exchange their targets"
-        suspicions.append(Suspicion(np.unique(exchanges), f"{message}, or give rest poses that are alike"))
+        suspicions.append(Suspicion(np.array(exchanges).reshape(-1), f"{message}, or give rest poses that are alike"))
     if wrong:
         message = f"{_marker_list(markers, np.array(wrong))} seem{'s' * (len(wrong) == 1)} wrong: other markers lie"
         suspicions.append(
@@ -224,7 +224,7 @@ def find_conflicts(source: Float, target: Float, rows: Index) -> Mask:
     return np.asarray(is_reversed | ((longer > MIN_RATIO_DISTANCE) & (longer > MAX_DISTANCE_RATIO * shorter)))
 
 
-def _fit_most_points(source: Float, target: Float) -> Float:
+def fit_most_points(source: Float, target: Float) -> Float:
     """Return a rotation ``(3, 3)`` of source points ``(n, 3)`` to target points, robust against outliers."""
     rotation, weights = np.eye(3), np.ones(len(source))
     for _ in range(ROTATION_STEPS):
@@ -322,7 +322,8 @@ def _used_points(points: FloatArray, topology: Topology | None) -> Float:
     return np.asarray(used_points, np.float64)
 
 
-def _normalise_points(points: Float) -> Float:
+def normalise_points(points: Float) -> Float:
+    """Centre points ``(n, 3)``, and scale them to a root mean square distance of 1."""
     centred = points - points.mean(axis=0)
     return np.asarray(centred / max(float(np.sqrt((centred**2).sum(axis=1).mean())), np.finfo(float).tiny))
 

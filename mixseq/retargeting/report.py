@@ -1,4 +1,4 @@
-r"""Measure a transfer: coverage, strain, smoothness, flipped triangles and self-intersections.
+r"""Measure a transfer: coverage, strain, smoothness, flipped triangles, self-intersections, volume and contact.
 
 In a frame, a side s of a target triangle at rest becomes the expected side :math:`s' = G J G^T s`. J is the gradient of
 the source triangle, and G the rotation between the meshes (`mixseq.retargeting.gradient_transfer`). The expected
@@ -11,6 +11,10 @@ stretch is :math:`\lambda = |s'| / |s|`, and the expected normal is :math:`s'_1 
 - The *acceleration* of a vertex is :math:`|x_{t+1} - 2 x_t + x_{t-1}| / d`, with the target's diagonal d at rest. For
   the source d / s replaces d, with the scale s between the meshes (`mixseq.retargeting.sources`). The source is
   measured at the source points of the target's vertices, independent of the mesh densities.
+
+- The *volume change* is :math:`\log (V' / V'_\mathrm{rest}) - \log (V / V_\mathrm{rest})`, if both are positive.
+- The *lift* of a frame is a height, above the lowest vertex of the target, over the ground on which the source stands:
+  nine tenths of the vertices are lower whose source points are on that ground, within `GROUND_DIAGONALS`.
 
 Self-intersections are counted in sampled frames; other measures use all frames. Frames are measured block by block, and
 only the largest thousandth of the strains is kept in memory.
@@ -33,7 +37,7 @@ from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.retargeting.gradient_transfer import GradientTransfer, gradient_transfer
 from mixseq.retargeting.transfer import Transfer
 from mixseq.runtime.low_memory import RunningStatistics, Statistics
-from mixseq.sequence.header import SequenceHeader
+from mixseq.sequence.header import UP_AXES, SequenceHeader
 from mixseq.sequence.sequence import bounding_diagonal, check_block
 from mixseq.types import Float, FloatArray, Index, Mask, evenly_spaced, index_mask
 
@@ -198,7 +202,7 @@ class Acceleration:
     def __init__(self) -> None:
         self._last_frames: Float | None = None
         self._square_sum, self._sample_count, self._max_square, self._frame_count = 0.0, 0, 0.0, 0
-        self.worst_frame = 0
+        self.worst_frame = self.worst_vertex = 0
 
     def add(self, block: Float) -> None:
         """Add the next frames ``(B, V, 3)``."""
@@ -211,6 +215,7 @@ class Acceleration:
             self._frame_count += 1  # the first difference is centred at frame 1
             if squares.max() > self._max_square:
                 self._max_square, self.worst_frame = float(squares.max()), self._frame_count
+                self.worst_vertex = int(squares.argmax())
         self._last_frames = frames[-2:]
 
     @property
@@ -233,6 +238,7 @@ class Smoothness:
     source_rms: float  # root mean square of the source, scaled to the target
     source_max: float  # largest acceleration of a source point, scaled to the target
     worst_frame: int  # frame of the target's largest acceleration
+    worst_vertex: int  # vertex with that acceleration
 
     @property
     def ratio(self) -> float | None:
@@ -250,6 +256,7 @@ class FrameCounts:
     rest: int  # count at rest
     frames: tuple[int, ...]  # ids of the measured frames
     values: tuple[int, ...]  # counts in the measured frames
+    vertices: tuple[int, ...] = ()  # a vertex to look at in each measured frame
 
     @property
     def mean(self) -> float:
@@ -266,10 +273,24 @@ class FrameCounts:
         """First frame with the largest count."""
         return self.frames[self.values.index(self.worst)]
 
+    @property
+    def worst_vertex(self) -> int | None:
+        """Vertex to look at in the first frame with the largest count, if it is known."""
+        return self.vertices[self.values.index(self.worst)] if self.vertices else None
+
     def as_dict(self, per_frame: bool = False) -> dict[str, Any]:
         """Return plain values for JSON, optionally with counts per frame."""
         summary = {"rest": self.rest, "mean": self.mean, "worst": self.worst, "worst_frame": self.worst_frame}
         return summary | ({"frames": list(self.frames), "values": list(self.values)} if per_frame else {})
+
+
+@dataclass(frozen=True)
+class FrameExtreme:
+    """Largest value of all frames."""
+
+    value: float  # value of the worst frame
+    frame: int  # worst frame
+    vertex: int | None = None  # vertex with that value, if it is one of a vertex
 
 
 @dataclass(frozen=True)
@@ -285,6 +306,8 @@ class TransferReport:
     source_intersections: FrameCounts  # intersecting pairs of triangles of the source
     turned_over: FrameCounts  # turned-over triangles of the target, in all frames
     flat: FrameCounts  # triangles of the target that become flat, in all frames
+    volume: FrameExtreme  # volume change
+    lift: FrameExtreme  # height of the target over the ground where the source stands on it, in diagonals
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -299,6 +322,8 @@ class TransferReport:
             "source_self_intersections": self.source_intersections.as_dict(per_frame=True),
             "turned_over": self.turned_over.as_dict(),
             "flat": self.flat.as_dict(),
+            "volume_change": asdict(self.volume),
+            "lift": asdict(self.lift),
         }
 
 
@@ -308,6 +333,10 @@ def measure_transfer(transfer: Transfer, blocks: Iterable[FloatArray] | None = N
     for block in transfer.blocks() if blocks is None else blocks:
         meter.add(block)
     return meter.report()
+
+
+MIN_VOLUME_RATIO = 1e-3  # smallest ratio of volumes in logarithms
+GROUND_DIAGONALS = 0.02  # largest height of source points on the ground, in diagonals of the source
 
 
 class TransferMeter:
@@ -322,9 +351,11 @@ class TransferMeter:
         self._source_strain = RunningStatistics(self._frame_count * source_edges)
         self._accelerations = Acceleration(), Acceleration()
         self._intersection_frames = tuple(evenly_spaced(self._frame_count, MAX_INTERSECTION_FRAMES).tolist())
-        self._intersections: list[tuple[int, int]] = []
-        self._turned_over: list[int] = []
-        self._flat: list[int] = []
+        self._intersections: list[tuple[int, int, int]] = []
+        self._turned_over: list[tuple[int, int]] = []
+        self._flat: list[tuple[int, int]] = []
+        self._rest_volumes = self._volumes(transfer.source.rest, transfer.target)
+        self._volume, self._lift = FrameExtreme(0.0, 0), FrameExtreme(0.0, 0)
 
     def measure_blocks(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
         """Yield given blocks of the target's points, and measure each."""
@@ -349,18 +380,47 @@ class TransferMeter:
             self._strain.add(np.abs(stretches - 1.0))
             self._excess.add(np.abs(stretches - expected.stretches(sides)))
             self._source_strain.add(np.abs(source_stretches - 1.0))
-            self._turned_over.append(int(expected.turned_over(target, sides).sum()))
-            self._flat.append(int(expected.newly_flat(target).sum()))
+            is_turned = np.zeros(len(expected.topology.faces), dtype=bool)
+            is_turned[expected.matched] = expected.turned_over(target, sides)
+            for counts, mask in ((self._turned_over, is_turned), (self._flat, expected.newly_flat(target))):
+                counts.append((int(mask.sum()), int(expected.topology.faces[mask.argmax(), 0])))
             if frame in self._intersection_frames:
-                counts = (
-                    _count_intersections(target, expected.topology),
-                    _count_intersections(source, expected.source),
-                )
-                self._intersections.append(counts)
+                crossing = _find_intersections(target, expected.topology)
+                face = int(np.bincount(crossing.reshape(-1), minlength=1).argmax())
+                source_count = len(_find_intersections(source, expected.source))
+                self._intersections.append((len(crossing), source_count, int(expected.topology.faces[face, 0])))
+            if self._rest_volumes.min() > 0:
+                change = np.log(np.maximum(self._volumes(source, target) / self._rest_volumes, MIN_VOLUME_RATIO))
+                difference = FrameExtreme(float(change[1] - change[0]), frame)
+                self._volume = max(self._volume, difference, key=lambda each: abs(each.value))
+        carried = self._transfer.correspondence.interpolate(source_block)
         target_acceleration, source_acceleration = self._accelerations
         target_acceleration.add(target_block)
-        source_acceleration.add(self._transfer.correspondence.interpolate(source_block))
+        source_acceleration.add(carried)
+        self._measure_lift(carried, target_block)
         self._measured_count = stop
+
+    def _volumes(self, source: Float, target: Float) -> Float:
+        """Return the volumes ``(2,)`` of source and target; those of open components depend on where they are."""
+        meshes = (source, self._expected.source.faces), (target, self._expected.topology.faces)
+        corners = [(points - points.mean(axis=0))[faces] for points, faces in meshes]
+        return np.array([np.linalg.det(each).sum() / 6 for each in corners])
+
+    def _measure_lift(self, carried: Float, target_block: Float) -> None:
+        """Measure the lift in frames ``(B, V', 3)``, with the source points of all vertices."""
+        up = UP_AXES.index(self._transfer.header.up_axis)
+        toward = np.eye(3)[up]
+        source_up = self._expected.gradients.alignment.rotation.T @ toward
+        size, source_size = (bounding_diagonal(x) for x in (self._transfer.target, self._transfer.source.rest))
+        is_matched = self._transfer.correspondence.matched
+        for frame, x, y in zip(range(self._measured_count, self._frame_count), carried, target_block, strict=False):
+            heights, source_heights = y @ toward, x @ source_up
+            is_low = is_matched & (source_heights <= source_heights[is_matched].min() + GROUND_DIAGONALS * source_size)
+            vertex_ids = np.flatnonzero(is_low)[np.argsort(heights[is_low], kind="stable")]
+            vertex = int(vertex_ids[int(0.9 * (len(vertex_ids) - 1))])
+            lift = float(heights[vertex] - heights.min()) / (size or 1.0)
+            if lift > self._lift.value:
+                self._lift = FrameExtreme(lift, frame, vertex)
 
     def report(self) -> TransferReport:
         """Return the report; all frames must have been added."""
@@ -370,9 +430,9 @@ class TransferMeter:
                 "each of them"
             )
         transfer, expected = self._transfer, self._expected
-        target, source = zip(*self._intersections, strict=True)
-        rest_count = _count_intersections(transfer.target, expected.topology)
-        source_rest_count = _count_intersections(transfer.source.rest, expected.source)
+        target, source, crossing_vertices = zip(*self._intersections, strict=True)
+        rest_count = len(_find_intersections(transfer.target, expected.topology))
+        source_rest_count = len(_find_intersections(transfer.source.rest, expected.source))
         all_frames = tuple(range(self._frame_count))
         diagonal = bounding_diagonal(transfer.target) or 1.0
         source_diagonal = diagonal / expected.gradients.alignment.scale
@@ -385,6 +445,7 @@ class TransferMeter:
                 source_acceleration.rms / source_diagonal,
                 source_acceleration.max / source_diagonal,
                 target_acceleration.worst_frame,
+                target_acceleration.worst_vertex,
             )
         return TransferReport(
             coverage=measure_coverage(transfer),
@@ -392,14 +453,16 @@ class TransferMeter:
             source_strain=self._source_strain.result(),
             excess=self._excess.result(),
             smoothness=smoothness,
-            intersections=FrameCounts(rest_count, self._intersection_frames, target),
+            intersections=FrameCounts(rest_count, self._intersection_frames, target, crossing_vertices),
             source_intersections=FrameCounts(source_rest_count, self._intersection_frames, source),
-            turned_over=FrameCounts(0, all_frames, tuple(self._turned_over)),
-            flat=FrameCounts(int(expected.flat.sum()), all_frames, tuple(self._flat)),
+            turned_over=FrameCounts(0, all_frames, *zip(*self._turned_over, strict=True)),
+            flat=FrameCounts(int(expected.flat.sum()), all_frames, *zip(*self._flat, strict=True)),
+            volume=self._volume,
+            lift=self._lift,
         )
 
 
-def _count_intersections(points: Float, topology: Topology) -> int:
+def _find_intersections(points: Float, topology: Topology) -> Index:
     from mixseq.mesh.nearest import self_intersections
 
-    return len(self_intersections(points, topology.faces))
+    return self_intersections(points, topology.faces)

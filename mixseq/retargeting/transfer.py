@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, cast
 
@@ -89,6 +89,12 @@ class Transfer:
     def contacts(self) -> ContactReport:
         """Report on the contacts; empty without contacts."""
         return ContactReport() if self.planted is None else self.planted.report
+
+    def pose_frames(self, frames: Sequence[int]) -> Float:
+        """Return the target ``(n, V', 3)`` in some frames ``(n,)`` of the source."""
+        planted = self.planted
+        poses = None if planted is None else PartPoses(planted.rotations[frames], planted.centres[frames])
+        return _transfer_block(self.method, (self.source.points[np.asarray(frames, dtype=np.int64)], poses))
 
     def blocks(self, progress: Progress = log_progress, workers: Executor | None = None) -> Iterator[Float]:
         """Yield the target's points in blocks ``(B, V', 3)`` of successive frames."""
@@ -199,8 +205,22 @@ MAX_POSE_RATIO = 0.7  # largest ratio of a frame's residual to that of a rest po
 POSE_SAMPLES = 500  # number of vertices by which poses are compared
 
 
-def _check_rest_poses(source: SourceMotion, rest: Float, correspondence: Correspondence) -> None:
-    """Warn if a frame of the source is much more like the target at rest ``(V', 3)`` than the source at rest."""
+@dataclass(frozen=True)
+class PoseComparison:
+    """How unlike the poses of source and target at rest are: residuals relative to the body's radius."""
+
+    residual: float  # residual of the rest poses
+    frame: int  # frame of the source that is most like the target at rest
+    frame_residual: float  # residual of that frame
+
+    @property
+    def is_better(self) -> bool:
+        """Whether the frame is much more like the target at rest than the source at rest."""
+        return self.residual > MIN_POSE_DIFFERENCE and self.frame_residual < MAX_POSE_RATIO * self.residual
+
+
+def compare_rest_poses(source: SourceMotion, rest: Float, correspondence: Correspondence) -> PoseComparison:
+    """Compare the target at rest ``(V', 3)`` with the source at rest and in some frames."""
     vertex_ids = np.flatnonzero(correspondence.matched)
     vertex_ids = vertex_ids[evenly_spaced(len(vertex_ids), POSE_SAMPLES)]
     frames = evenly_spaced(len(source.points), MAX_POSES)
@@ -208,12 +228,18 @@ def _check_rest_poses(source: SourceMotion, rest: Float, correspondence: Corresp
     poses = np.concatenate([source.rest[None], source.points[frames]])
     points = np.einsum("vk,tvkc->tvc", weights, poses[:, corners])
     residuals = similarity_residuals(points, rest[vertex_ids])
-    best = int(residuals.argmin())
-    if residuals[0] > MIN_POSE_DIFFERENCE and residuals[best] < MAX_POSE_RATIO * residuals[0]:
-        number = source.header.frame_number(int(frames[best - 1]))
+    best = int(residuals[1:].argmin())
+    return PoseComparison(float(residuals[0]), int(frames[best]), float(residuals[1 + best]))
+
+
+def _check_rest_poses(source: SourceMotion, rest: Float, correspondence: Correspondence) -> None:
+    """Warn if a frame of the source is much more like the target at rest ``(V', 3)`` than the source at rest."""
+    poses = compare_rest_poses(source, rest, correspondence)
+    if poses.is_better:
+        number = source.header.frame_number(poses.frame)
         warnings.warn(
-            f"the source is not at rest in the target's pose: points are {100 * residuals[0]:.0f} % of the body's "
-            f"radius off, in frame {number} {100 * residuals[best]:.0f} %; take that one with rest={number}, or "
+            f"the source is not at rest in the target's pose: points are {100 * poses.residual:.0f} % of the body's "
+            f"radius off, in frame {number} {100 * poses.frame_residual:.0f} %; take that one with rest={number}, or "
             f"--rest {number}",
             MixseqWarning,
             stacklevel=3,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -27,12 +27,17 @@ COINCIDENCE_DISTANCE = 0.03
 """Distance in diagonals on either mesh below which a proposal duplicates a pair."""
 
 
+Certainty = Literal["sure", "between", "unsure"]
+"""Certainty of a proposal: a tip or a mirrored pair, a point between sure tips, or a best guess in spite of a doubt."""
+
+
 @dataclass(frozen=True)
 class Pair:
     """A vertex of the source mesh and a corresponding vertex of the target mesh."""
 
     vertices: tuple[int, int]  # source and target vertex
     name: str = ""  # name in the marker file, or an empty text
+    certainty: Certainty = "sure"  # how sure a proposal is; pairs that are set are sure
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,7 @@ class Marking:
 
     def with_pair(self, pair: Pair) -> Marking:
         """Return the state with one pair appended."""
-        return replace(self, pairs=(*self.pairs, pair))
+        return replace(self, pairs=(*self.pairs, replace(pair, certainty="sure")))
 
     def toggle(self, number: int) -> Marking:
         """Return the state with a pair selected, or without a selection if this pair was selected."""
@@ -205,8 +210,9 @@ class MarkingSession(JobQueue[Callable[[], None]]):
         self._apply(lambda marking: marking.with_pair(self.proposals[0]) if self.proposals else marking)
 
     def accept_all(self) -> None:
-        """Accept all proposals."""
-        self._apply(lambda marking: replace(marking, pairs=(*marking.pairs, *self.proposals)))
+        """Accept all proposals that are not unsure."""
+        sure = [replace(pair, certainty="sure") for pair in self.proposals if pair.certainty != "unsure"]
+        self._apply(lambda marking: replace(marking, pairs=(*marking.pairs, *sure)))
 
     def skip(self) -> None:
         """Reject the next proposal."""
@@ -259,7 +265,12 @@ class MarkingSession(JobQueue[Callable[[], None]]):
         self._set_work("looking for markers to suggest")
         source, target = (sample_poses(mesh) for mesh in self._meshes)
         proposal = propose_markers(source, target, self.marking.markers)
-        self._suggestions, self.doubt = Marking.from_markers(proposal.markers).pairs, proposal.doubt
+        markers = Markers.from_pairs(proposal.tips) if proposal.doubt else proposal.markers
+        certainties: list[Certainty] = ["unsure" if proposal.doubt else "sure"] * proposal.tip_count
+        certainties += ["unsure" if proposal.doubt else "between"] * (len(markers) - proposal.tip_count)
+        pairs = zip(Marking.from_markers(markers).pairs, certainties, strict=False)
+        self._suggestions = tuple(replace(pair, certainty=certainty) for pair, certainty in pairs)
+        self.doubt = proposal.doubt
 
     def _find_mirrors(self) -> None:
         self._set_work("looking for left and right")

@@ -10,7 +10,7 @@ Picking intersects a ray from the pointer with all triangles (Möller & Trumbore
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Thread
 from typing import Annotated, Generic, Protocol, TypeVar
@@ -107,6 +107,11 @@ class Step:
     name: str  # name of the edit, such as "repeat"; empty for the opened model
     model: Model  # model after the edit
     keys: tuple[Point, ...] = ()  # keys of a retiming: output and source times in seconds
+    _fronts: dict[str, Model] = field(default_factory=dict)  # the model with each body in front that was shown
+
+    def of_body(self, name: str) -> Model:
+        """Return the model with a body in front, the same object every time."""
+        return self._fronts.setdefault(name, self.model.body(name))
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,14 +190,18 @@ class Session(JobQueue[_Job]):
         self._playback = playback
         self._listener = listener
         self._save = save
-        self._histories = {
-            index: UndoHistory((Step("", item.motion),))
-            for index, item in enumerate(playback.scene.items)
-            if isinstance(item.motion, Model)
-        }
+        self._histories: dict[int, EditHistory] = {}  # by the first item of every model
+        self._bodies: dict[int, tuple[int, str]] = {}  # the first item of an item's model, and the body that is shown
         self._saved: dict[int, Model] = {}
+        first_items: dict[int, int] = {}
+        for index, item in enumerate(playback.scene.items):
+            if isinstance(item.motion, Model):
+                model = item.motion
+                first = first_items.setdefault(id(model.time), index) if model.bodies else index
+                self._bodies[index] = first, model.header.name
+                self._histories.setdefault(first, UndoHistory((Step("", model),)))
         self._save_threads: list[Thread] = []
-        self._index = min(self._histories, default=-1)
+        self._index = min(self._bodies, default=-1)
         super().__init__(listener.on_failure)
 
     def close(self) -> None:
@@ -204,7 +213,7 @@ class Session(JobQueue[_Job]):
     @property
     def editable_ids(self) -> list[int]:
         """Indices of the scene's items that are models."""
-        return list(self._histories)
+        return list(self._bodies)
 
     @property
     def index(self) -> int:
@@ -213,13 +222,13 @@ class Session(JobQueue[_Job]):
 
     @property
     def history(self) -> EditHistory:
-        """Undo history of the edited model."""
-        return self._histories[self._index]
+        """Undo history of the edited model, whose bodies share it."""
+        return self._histories[self._bodies[self._index][0]]
 
     @property
     def model(self) -> Model:
-        """Current state of the edited model."""
-        return self.history.current.model
+        """Current state of the edited model, with the edited body in front."""
+        return self.history.current.of_body(self._bodies[self._index][1])
 
     @property
     def unsaved(self) -> dict[str, Model]:
@@ -232,15 +241,16 @@ class Session(JobQueue[_Job]):
 
     def select(self, index: int) -> None:
         """Select another item for editing."""
-        if index in self._histories:
+        if index in self._bodies:
             self._index = index
             self._listener.on_select(self)
 
     def edit(self, name: str, edit: Edit, preview: bool = False) -> None:
         """Edit the model on the background thread; a preview is shown but not stored, and dropped if a job follows."""
+        body = self._bodies[self._index][1]
 
         def change(history: EditHistory) -> EditHistory:
-            return history.push(Step(name, edit(history.current.model)))
+            return history.push(Step(name, edit(history.current.of_body(body))))
 
         self._enqueue_change(name, change, preview)
 
@@ -268,7 +278,9 @@ class Session(JobQueue[_Job]):
 
     def save(self, path: Path, replace: bool = False) -> None:
         """Save the model on a new thread, unless the session is closed; `replace` permits overwriting a file."""
-        thread = Thread(target=self._write, args=(path, self._index, self.model, replace), daemon=True)
+        thread = Thread(
+            target=self._write, args=(path, self._bodies[self._index], self.history.current, replace), daemon=True
+        )
         with self._changed:
             if self._closed:  # a process may hang if it ends while HDF5 writes
                 return
@@ -281,30 +293,38 @@ class Session(JobQueue[_Job]):
             text = f"{MAX_CONCURRENT_SAVES} files are still being saved; try again when one is done"
             self._report_failure("save", OutputError(text))
 
-    def _write(self, path: Path, index: int, model: Model, replace: bool) -> None:
+    def _write(self, path: Path, shown: tuple[int, str], step: Step, replace: bool) -> None:
+        first, body = shown
         try:
-            message = self._save(path, model, replace)
+            message = self._save(path, step.of_body(body), replace)
         except Exception as error:
             self._report_failure("save", error)
         else:
-            self._saved[index] = model
+            self._saved[first] = step.model
             self._listener.on_save(message)
 
     def _enqueue_change(self, name: str, change: HistoryChange, preview: bool = False) -> None:
-        job = _Job(name, self._index, change, preview)
+        job = _Job(name, self._bodies[self._index][0], change, preview)
         self._enqueue(job, is_obsolete=lambda waiting: waiting.is_preview)
 
     def _run_job(self, job: _Job) -> None:
         try:
             history = job.change(self._histories[job.index])
-            scene = self._playback.scene.with_item(job.index, history.current.model).validated()
+            scene = self._scene_of(job.index, history.current).validated()
         except Exception as error:
-            model = self._histories[job.index].current.model
-            self._playback.set_scene(self._playback.scene.with_item(job.index, model))
+            self._playback.set_scene(self._scene_of(job.index, self._histories[job.index].current))
             if not job.is_preview:  # the edit that follows the previews reports the error
                 self._report_failure(job.name, error)
         else:
             self._show(job, history, scene)
+
+    def _scene_of(self, first: int, step: Step) -> Scene:
+        """Return the scene with all bodies of a model, which is edited from its `first` item on, as after a step."""
+        scene = self._playback.scene
+        for index, (other, body) in self._bodies.items():
+            if other == first:
+                scene = scene.with_item(index, step.of_body(body))
+        return scene
 
     def _show(self, job: _Job, history: EditHistory, scene: Scene) -> None:
         if job.is_preview:

@@ -13,6 +13,7 @@ import mixseq
 from mixseq.operations import key_poses, reverse, with_body
 from mixseq.signals.model import Model
 from tests.meshes import bar
+from tests.viewer.pages import Opened
 
 Run = Callable[..., Result]
 
@@ -87,3 +88,11 @@ def test_names_that_are_no_files_are_refused(run: Run, folder: Path, herd: Model
     mixseq.save("path.h5", with_body(herd, key_poses(herd), "a/b"))
     result = run("decode", "path.h5", "{body}.npz")
     assert "the body 'a/b' has no name for a file; decode it with --body" in result.stderr
+
+
+def test_a_page_shows_all_bodies(run: Run, stored: Path, herd: Model) -> None:
+    result = run("view", "herd.h5", "--export", "herd.html")
+    assert result.exit_code == 0, result.stderr
+    items = Opened(Path("herd.html")).items
+    assert [item.description["name"] for item in items] == ["bar", "large"]
+    assert items[1].model.header.vertex_count == herd.bodies[0].header.vertex_count

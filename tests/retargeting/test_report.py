@@ -53,7 +53,9 @@ def test_a_sequence_as_its_own_transfer_has_no_excess(body: MeshSequence) -> Non
     assert report.strain == report.source_strain
     assert report.smoothness is not None
     assert report.smoothness.ratio == 1.0
-    assert report.intersections == report.source_intersections
+    assert report.intersections.values == report.source_intersections.values
+    assert report.volume.value == pytest.approx(0)
+    assert report.lift.value < 0.1
     assert report.turned_over.worst == 0
 
 
@@ -109,7 +111,27 @@ def test_flat_triangles_count_if_they_were_not_flat_at_rest() -> None:
     flat = still.points.copy()
     flat[1, 3] = (points[0] + points[1]) / 2
     report = reported(still, flat)
-    assert report.flat == FrameCounts(1, (0, 1), (0, 1))
+    assert report.flat == FrameCounts(1, (0, 1), (0, 1), (report.flat.vertices[0], 0))
+    assert report.flat.worst_vertex in (0, 1, 2, 3)
+
+
+def test_volume_changes_beyond_those_of_the_source() -> None:
+    points, faces = tetrahedron()
+    growing = MeshSequence.from_arrays(points * np.array([1.0, 1.2, 1.1])[:, None, None], faces)
+    report = reported(growing, growing.points * np.array([1.0, 1.0, 0.5])[:, None, None])
+    assert report.volume.value == pytest.approx(np.log(0.125))
+    assert report.volume.frame == 2
+
+
+def test_lift_is_the_height_over_the_ground_where_the_source_stands() -> None:
+    points, faces = grid(3, 3)
+    flat = MeshSequence.from_arrays(np.repeat(points[:, [0, 2, 1]][None], 3, axis=0), faces[:, ::-1])
+    raised = flat.points.copy()
+    raised[1, 4:] += [0, 0.1, 0]
+    report = reported(flat, raised)
+    assert report.lift.value == pytest.approx(0.1 / flat.diagonal, rel=1e-6)
+    assert report.lift.frame == 1
+    assert report.lift.vertex is not None and report.lift.vertex >= 4
 
 
 def test_self_intersections_at_rest_and_after() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mixseq.retargeting.markers import Markers
+from mixseq.retargeting.proposals import Proposal
 from mixseq.viewer.marking import SOURCE, TARGET, MarkingSession
 from tests.retargeting.foxes import on_bones, short, tall
 from tests.retargeting.test_examination import MARKED, set_markers
@@ -42,7 +43,9 @@ def listener() -> Iterator[Listener]:
 def test_suggestions_are_accepted_and_skipped(listener: Listener) -> None:
     with MarkingSession(short().mesh, tall().mesh, NOTHING, listener) as session:
         eventually(lambda: len(session.proposals) >= 8, seconds=240.0)
-        first, second, *_ = session.proposals
+        first, second, *others = session.proposals
+        assert first.certainty == "sure"
+        assert others[-1].certainty == "between"
         session.accept()
         assert session.marking.pairs == (first,)
         session.skip()
@@ -60,6 +63,22 @@ def test_suggestions_are_accepted_and_skipped(listener: Listener) -> None:
         assert session.marking.pairs == (first,)
         session.mark_saved(session.marking.pairs)
         assert not session.has_changes
+
+
+def test_unsure_suggestions_are_shown_apart_and_accepted_one_by_one(
+    listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tips = np.array([[3, 5], [9, 2], [100, 700], [900, 400]])
+    unsure = Proposal(NOTHING, 0, tips, (0, 0), 1.0, 0.0, "left and right could be exchanged")
+    monkeypatch.setattr("mixseq.viewer.marking.propose_markers", lambda *_: unsure)
+    with MarkingSession(short().mesh, tall().mesh, NOTHING, listener) as session:
+        eventually(lambda: bool(session.proposals))
+        assert {pair.certainty for pair in session.proposals} == {"unsure"}
+        session.accept_all()
+        assert not session.marking.pairs
+        session.accept()
+        assert [pair.certainty for pair in session.marking.pairs] == ["sure"]
+        assert session.doubt
 
 
 def test_the_other_side_of_a_pair_is_proposed(listener: Listener) -> None:

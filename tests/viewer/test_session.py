@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from msgspec.structs import asdict
 
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
-from mixseq.operations import repeat
+from mixseq.operations import key_poses, repeat, with_body
 from mixseq.pictures.charts import HANDLE_COUNT, MAX_CHART_FRAMES, MAX_CHART_POINTS, chart_data
 from mixseq.pictures.scene import Scene, SceneItem
 from mixseq.sequence.sequence import MeshSequence
@@ -701,3 +701,34 @@ def test_whatever_is_said(text: str) -> None:
     for numbers in arrays(said) if said is not None else []:
         assert numbers.dtype.kind in "fb"
         assert np.isfinite(numbers).all()
+
+
+@pytest.mark.filterwarnings("ignore:.*own key poses give the motion back within")
+def test_an_edit_of_one_body_is_shown_on_all(bar_model: Model) -> None:
+    """They share the history; each is edited as it is, and the file that is saved has the edited one in front."""
+    keys = key_poses(bar_model)
+    herd = with_body(bar_model, keys.with_points(2 * keys.points), "large")
+    items = SceneItem("herd.h5", herd).of_bodies()
+    assert [item.name for item in items] == [f"herd.h5: {herd.header.name}", "herd.h5: large"]
+    room = Room(*(item.motion for item in items if isinstance(item.motion, Model)))
+    session, start = room.session, bar_model.start
+    assert session.editable_ids == [1, 2]
+    session.select(2)
+    assert session.model.header.name == "large"
+    session.edit("repeat", lambda model: repeat(model, model.start, model.end))
+    room.done(2)
+    shown = [room.shown(1), room.shown(2)]
+    assert [each.header.name for each in shown if isinstance(each, Model)] == [herd.header.name, "large"]
+    assert room.shown(2) is session.model
+    assert all(isinstance(each, Model) and each.end > herd.end and each.start == start for each in shown)
+    assert list(session.unsaved) == ["0.h5"]
+    session.save(Path("herd.h5"))
+    eventually(lambda: room.told.files == ["herd.h5"])
+    assert room.written[0][1].body_names == ("large", herd.header.name)
+    assert not session.unsaved
+    session.select(1)
+    session.undo()
+    room.done(4)
+    assert session.history.index == 0
+    assert room.shown(1) is session.model
+    room.close()

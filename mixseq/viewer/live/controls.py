@@ -233,7 +233,7 @@ class Charts:
         with self._lock:  # so that the newest model is sent last
             self._version += 1
             history = self._session.history
-            data = chart_data(history.current.model, self._plane) | {"reach": self._reach}
+            data = chart_data(self._session.model, self._plane) | {"reach": self._reach}
             if keys := history.current.keys:  # the keys can still be moved
                 source = history.undo().current.model
                 data |= {"keys": keys, "source": [source.start, source.end]}

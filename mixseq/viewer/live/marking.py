@@ -1,6 +1,7 @@
 """Viewer for markers: the user clicks pairs of vertices on two meshes at rest, shown side by side.
 
-Each vertex of a pair is drawn as a ball with the number of the pair; balls of proposals are dark. A panel has buttons
+Each vertex of a pair is drawn as a ball with the number of the pair; balls of proposals are dark, grey between them,
+or orange if they are unsure. A panel has buttons
 for undo and proposals, and shows the examination of the map.
 """
 
@@ -28,7 +29,7 @@ from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.controls import notify_all
 from mixseq.viewer.live.stage import LiveStage
 from mixseq.viewer.live.viewer import add_bridge, run_server
-from mixseq.viewer.marking import SOURCE, TARGET, Marking, MarkingSession, Pair
+from mixseq.viewer.marking import SOURCE, TARGET, Certainty, Marking, MarkingSession, Pair
 from mixseq.viewer.playback import Playback
 from mixseq.viewer.session import Drawn, Message
 
@@ -44,7 +45,11 @@ RADIUS_CHANGE_RATIO = 1.15
 SELECTED_SCALE = 1.6
 """Size of the ball of a selected or incomplete pair, relative to other balls."""
 
-PROPOSAL_COLOUR = (40, 40, 40)
+PROPOSAL_COLOURS: dict[Certainty, tuple[int, int, int]] = {
+    "sure": (40, 40, 40),
+    "between": (150, 150, 150),
+    "unsure": (230, 120, 0),
+}
 
 LABEL_SIZE_RATIO = 6.0
 """Width and height of the room of a label, in radii of a ball."""
@@ -98,7 +103,8 @@ def make_balls(marking: Marking, proposals: Sequence[Pair], suspects: frozenset[
         number = len(marking.pairs)
         yield Ball(marking.started[1], f"{number + 1} ...", pair_colour(number), SELECTED_SCALE)
     for place, pair in enumerate(proposals):
-        yield Ball(pair.vertices[side], "" if place else "?", PROPOSAL_COLOUR, 0.7 if place else 1.2)
+        colour = PROPOSAL_COLOURS[pair.certainty]
+        yield Ball(pair.vertices[side], "" if place else "?", colour, 0.7 if place else 1.2)
 
 
 class MarkingStage:
@@ -276,7 +282,7 @@ class MarkingControls:
         marking, proposals, examination = session.marking, session.proposals, session.examination
         self._hint_line.content = _lines("mixseq-hint", [_hint_text(marking, self._names)])
         self._proposal_line.content = _lines(
-            "mixseq-proposed", [_proposal_text(len(proposals), session.work, session.doubt)]
+            "mixseq-proposed", [_proposal_text(proposals, session.work, session.doubt)]
         )
         self._map.content = _lines("mixseq-map", _map_lines(marking, examination, session.work))
         state = "changed since it was saved" if session.has_changes else "as in the file"
@@ -296,14 +302,17 @@ def _hint_text(marking: Marking, names: tuple[str, str]) -> str:
     return pair_count + text
 
 
-def _proposal_text(count: int, work: str, doubt: str) -> str:
-    if count:
-        return f"{count} to confirm, as dark balls: the next one has a ?. Click a ball to accept it"
+def _proposal_text(proposals: Sequence[Pair], work: str, doubt: str) -> str:
+    hint = f"Not sure: {doubt}. Set two or three pairs (a hand, a foot, the nose), then Suggest" if doubt else ""
+    if proposals:
+        count = sum(pair.certainty == "unsure" for pair in proposals)
+        sure = f"{len(proposals) - count} to confirm: dark balls, and grey ones between them"
+        unsure = f"{count} to look at, orange" if count else ""
+        texts = [sure] * (count < len(proposals)) + [unsure] * bool(count)
+        return escape(f"{'; '.join(texts)}. The next one has a ?. Click a ball to accept it. {hint}")
     if "look" in work:
         return escape(f"{work} ...")
-    if doubt:
-        return escape(f"Not sure: {doubt}. Set two or three pairs (a hand, a foot, the nose), then Suggest")
-    return "None: mirrored markers are proposed here"
+    return escape(hint or "None: mirrored markers are proposed here")
 
 
 def _map_lines(marking: Marking, examination: Examination | None, work: str) -> list[str]:
