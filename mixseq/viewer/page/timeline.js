@@ -36,7 +36,7 @@ var mixseqTimeline = function (send) {
     Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     Object.assign(context, { font: parts.font, textAlign: "center", textBaseline: "top", lineWidth: 1 });
-    const [first, last] = state.section.map(x), line = (place, top, colour) => {
+    const [first, last] = state.section.map(x), now = x(state.time), line = (place, top, colour) => {
       context.fillStyle = colour;
       context.fillRect(Math.round(place), top, 1, height - top);
     };
@@ -50,7 +50,7 @@ var mixseqTimeline = function (send) {
       const place = x(k / state.fps);
       line(place, k % step ? height - 5 : height - 10, look.faint);
       context.fillStyle = look.quiet;
-      if (k % step === 0) context.fillText(`${k}`, place, 3);
+      if (k % step === 0 && Math.abs(place - now) > LABEL_PIXELS - 4) context.fillText(`${k}`, place, 3);
     }
     for (const [place, turn] of [[first, 1], [last, -1]]) { // in and out
       context.fillStyle = look.hand;
@@ -58,7 +58,7 @@ var mixseqTimeline = function (send) {
       context.fillRect(Math.min(place, place + 7 * turn), 18, 7, 3);
       context.fillRect(Math.min(place, place + 7 * turn), height - 3, 7, 3);
     }
-    const now = x(state.time), text = number(state.time), half = context.measureText(text).width / 2 + 5;
+    const text = number(state.time), half = context.measureText(text).width / 2 + 5;
     context.fillStyle = look.now;
     context.fillRect(now - 1, 16, 2, height - 16);
     context.beginPath();
