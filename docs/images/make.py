@@ -348,6 +348,16 @@ def posed(path: Path) -> None:
     sheet(path, rows, np.linspace(0.2, 0.8, 7), against=walk)
 
 
+def posed_still(path: Path) -> None:
+    """A fox that stands, a single mesh, gives paw and looks up."""
+    still = mixseq.fit(walk_model().sample(times=[0.0]), exact=True, parts=20)
+    points, (paw, *others) = still(0.0), map(sole, ("forepaw.r", "forepaw.l", "hindpaw.r", "hindpaw.l"))
+    nose = int(points[:, 0].argmax())
+    paw_up = Handle(1.0, points[paw] + [0.15, 0.12, 0.0], paw)
+    look = Handle(1.0, points[nose] + [-0.05, 0.1, 0.1], nose)
+    sheet(path, {"a still,\nposed at 1 s": pose(still, [paw_up, look], keep=others)}, np.linspace(0.0, 1.0, 5))
+
+
 def sole(bone_name: str) -> int:
     """Return the lowest vertex of a bone of the fox at rest."""
     bone, names = part_of_vertex()
@@ -562,6 +572,7 @@ PICTURES: Mapping[str, Callable[[Path], None]] = {
     "edit-smooth": smoothed,
     "edit-sculpt": sculpted,
     "edit-pose": posed,
+    "pose-still": posed_still,
     "edit-swap": swapped,
     "edit-sketch": sketched,
     "engines": engines,

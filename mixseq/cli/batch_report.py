@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from hashlib import sha256
 from html import escape
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Literal
 
@@ -69,8 +70,10 @@ class Entry:
     @property
     def verdict(self) -> str:
         """Judgement of the result by the command, the first row of its table; empty for commands that do not judge."""
-        label, _, text = (self.output or ("",))[0].partition("  ")
-        return text.strip() if label == "verdict" else ""
+        first, *rest = self.output or ("",)
+        label, _, text = first.partition("  ")
+        wrapped = takewhile(lambda line: line.startswith("  "), rest)
+        return " ".join(map(str.strip, [text, *wrapped])) if label == "verdict" else ""
 
     def arguments(self) -> list[str]:
         """Return the arguments of the command for this asset."""

@@ -18,7 +18,12 @@ def command(markdown: bool) -> None:
     """List the file formats, with the data that each can hold, the motion that is read from it, and its options."""
     from mixseq_io.registry import capability_table, motion_table
 
-    for number, (titles, *rows) in enumerate((capability_table(), motion_table())):
+    capabilities = capability_table()
+    tables = [capabilities, motion_table()]
+    if not markdown:  # in two tables, which fit a terminal
+        split = capabilities[0].index("uvs")
+        tables[:1] = [[row[:split] for row in capabilities], [(row[0], *row[split:]) for row in capabilities]]
+    for number, (titles, *rows) in enumerate(tables):
         if number:
             click.echo()
         if markdown:

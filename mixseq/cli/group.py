@@ -23,11 +23,13 @@ import json
 import os
 import re
 import sys
+import textwrap
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +46,13 @@ _CONTROL_CHARACTERS = re.compile(
     "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"  # controls of bidirectional text
     "\u2028\u2029\ud800-\udfff]"  # line and paragraph separators; surrogates
 )
+
+
+MAX_TABLE_WIDTH = 100
+"""Largest width of a table outside a terminal, in characters, if words are not longer."""
+
+MIN_COLUMN_WIDTH = 10
+"""Width in characters below which no column is narrowed."""
 
 
 def printable(text: str) -> str:
@@ -65,9 +74,19 @@ def print_table(rows: Iterable[Sequence[str]], heading: Sequence[str] | None = N
     if heading:
         lines.insert(0, list(heading))
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    while sum(widths) + 2 * len(widths) - 2 > MAX_TABLE_WIDTH and max(widths) > MIN_COLUMN_WIDTH:
+        widths[widths.index(max(widths))] -= 1
     for line in lines:
-        cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
-        say("  ".join(cells).rstrip())
+        wrapped = [_wrap(cell, width) for cell, width in zip(line, widths, strict=True)]
+        for cells in zip_longest(*wrapped, fillvalue=""):
+            say("  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)).rstrip())
+
+
+def _wrap(cell: str, width: int) -> list[str]:
+    """Divide a cell into lines between its words; paths stay whole."""
+    if len(cell) <= width:
+        return [cell]
+    return textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False)
 
 
 def _print_rich(rows: list[list[str]], heading: Sequence[str] | None) -> None:

@@ -48,7 +48,8 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
             model = mixseq.load(path)
             header = model.header
             facts |= {"kind": "model", **_mesh(header, model.space.scale), **_dimensions(model)}
-            facts["bytes"]["frames"] = bytes_of_frames(header)
+            headers = [model.body(name).header for name in model.body_names]
+            facts["bytes"]["frames"] = sum(map(bytes_of_frames, headers))
     else:
         with mixseq.open_sequence(path, **reading) as reader:
             from mixseq.sequence.sequence import reference_diagonal
@@ -188,6 +189,7 @@ def _dimensions(model: Model) -> dict[str, Any]:
         "key_shapes": len(model.shapes),
         "time_knots": len(model.time.times),
         "placement_knots": len(model.placement.times),
+        "further_bodies": list(model.body_names[1:]),
     }
     if model.space.segmentation is None:
         return signals
@@ -219,6 +221,7 @@ def _rows(facts: dict[str, Any]) -> Rows:
         ("diagonal", f"{facts['diagonal']:.6g}"),
         *_topology_rows(facts["topology"]),
         *_surface_rows(facts["surface"]),
+        *([("further bodies", _list(facts["further_bodies"]))] if facts.get("further_bodies") else []),
     ]
     if "coding" in facts:
         rows += coding_rows(facts, facts["metres_per_unit"])

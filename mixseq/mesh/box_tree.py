@@ -107,11 +107,12 @@ def closest(
     queries: Float,
     directions: Float,
     min_cosine: float,
+    max_distance: float,
     faces: Index,
     weights: Float,
-    squares: Float,
+    distances: Float,
 ) -> None:
-    """Write the triangle, weights and squared distance of the closest point to every query.
+    """Write the triangle, weights and distance of the closest point to every query, up to `max_distance`.
 
     Corners and normals are in the order of the tree; boxes and bounds of normals are per node. If `directions` are
     given, only triangles whose normal has a cosine of at least `min_cosine` with the query's direction are searched.
@@ -120,9 +121,10 @@ def closest(
     nodes = np.empty(64, dtype=np.int64)
     node_squares = np.empty(64)
     has_directions = len(directions) > 0
+    first_best = max_distance * max_distance / PRUNING_FACTOR  # above all squares whose root is `max_distance`
     for k in range(len(queries)):
         q0, q1, q2 = queries[k, 0], queries[k, 1], queries[k, 2]
-        best, face, second, third = np.inf, -1, 0.0, 0.0
+        best, face, second, third = first_best, -1, 0.0, 0.0
         nodes[0], node_squares[0] = 1, 0.0
         height = 1
         while height > 0:
@@ -156,7 +158,10 @@ def closest(
                 square, s, t = _closest_on_triangle(corners[position], q0, q1, q2)
                 if square < best or (square == best and (face < 0 or order[position] < face)):
                     best, face, second, third = square, order[position], s, t
-        faces[k], squares[k] = face, best
+        distances[k] = np.sqrt(best)
+        if face < 0 or distances[k] > max_distance:
+            face, distances[k] = -1, np.inf
+        faces[k] = face
         weights[k, 0], weights[k, 1], weights[k, 2] = 1.0 - second - third, second, third
 
 

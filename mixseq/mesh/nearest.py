@@ -99,9 +99,13 @@ class ClosestPointQuery:
         return cls(tree, sorted_corners, corner_order, normals[tree.order], tree.node_bounds(normals), face_ids)
 
     def query(
-        self, queries: FloatArray, normals: FloatArray | None = None, largest_angle: float = 90.0
+        self,
+        queries: FloatArray,
+        normals: FloatArray | None = None,
+        largest_angle: float = 90.0,
+        max_distance: float = np.inf,
     ) -> ClosestPoints:
-        """Find closest points to queries ``(n, 3)``, within an angle (degrees) of optional normals ``(n, 3)``."""
+        """Find closest points to queries ``(n, 3)``, within an angle (degrees) of optional normals, and a distance."""
         queries = _check_vectors(queries, "queries")
         directions = np.empty((0, 3))
         if normals is not None:
@@ -114,15 +118,15 @@ class ClosestPointQuery:
             raise SettingsError(f"the largest angle is {largest_angle}; give degrees from 0 to 180")
         min_cosine = float(np.cos(np.radians(largest_angle))) - COSINE_TOLERANCE
         count, tree = len(queries), self.tree
-        faces, sorted_weights, squares = np.empty(count, np.int64), np.empty((count, 3)), np.empty(count)
+        faces, sorted_weights, distances = np.empty(count, np.int64), np.empty((count, 3)), np.empty(count)
         arrays = self.corners, self.normals, tree.order, tree.leaf_starts, tree.boxes, self.normal_bounds
-        closest(*arrays, queries, directions, min_cosine, faces, sorted_weights, squares)
+        closest(*arrays, queries, directions, min_cosine, float(max_distance), faces, sorted_weights, distances)
         weights = np.zeros((count, 3))
         hits = np.flatnonzero(faces >= 0)
         weights[hits[:, None], self.corner_order[faces[hits]]] = np.maximum(sorted_weights[hits], 0.0)
         if self.face_ids is not None:
             faces[hits] = self.face_ids[faces[hits]]
-        return ClosestPoints(faces, weights, np.sqrt(squares))
+        return ClosestPoints(faces, weights, distances)
 
 
 def _check_vectors(vectors: FloatArray, what: str) -> Float:

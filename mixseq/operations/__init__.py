@@ -1,8 +1,8 @@
 """Make new models and sequences from models. Operations are pure functions that return a model, so they compose.
 
-`timeline`, `retiming` and `resampling` change times; `transitions` joins motions. `filters`, `handles`, `limbs`,
-`sculpt` and `sketch` change poses; `shape_exchange` changes bodies. `interpolation` blends poses. `script` reads edits
-from files.
+`timeline`, `retiming` and `resampling` change times; `transitions` joins motions, at the moments that `shots` finds.
+`filters`, `handles` with `pose_solvers`, `limbs`, `sculpt` and `sketch` change poses; `shape_exchange` changes bodies.
+`interpolation` blends poses. `script` reads edits from files.
 """
 
 from mixseq.operations.filters import exaggerate, smooth
@@ -12,12 +12,14 @@ from mixseq.operations.resampling import resample
 from mixseq.operations.retiming import Retiming, read_retiming, retime
 from mixseq.operations.sculpt import sculpt, swap_key
 from mixseq.operations.shape_exchange import key_poses, with_body
+from mixseq.operations.shots import Moment, find_moments, fit_shots
 from mixseq.operations.sketch import drag, sketch
 from mixseq.operations.timeline import cut, in_place, loop, repeat, reverse, shift, speed, travel_of
 from mixseq.operations.transitions import blend, concatenate, into, transition
 
 __all__ = [
     "Handle",
+    "Moment",
     "Retiming",
     "blend",
     "concatenate",
@@ -25,6 +27,8 @@ __all__ = [
     "drag",
     "exaggerate",
     "exaggerate_part",
+    "find_moments",
+    "fit_shots",
     "hold",
     "in_place",
     "into",

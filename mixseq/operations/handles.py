@@ -1,31 +1,19 @@
 r"""Pose a character by handles: vertices or parts that are given positions at some times.
 
-The pose is a point c of the model's pose space, where the frames have the covariance :math:`\Sigma`. With the positions
-:math:`x_i(c, b)` of handles in the placement b, their targets :math:`y_i`, and the pose :math:`c_0` and placement
-:math:`b_0` before the edit, it minimises
+Poses at the times of handles are those of `mixseq.operations.pose_solvers`. Over time, the change fades in and out, and
+from key to key. Kept vertices stay on their paths: at every time, they are handles, and the faded change takes the
+place of the pose before the edit. A model of a single frame has no motion to fade into: the result goes from pose to
+pose.
 
-.. math::
-
-    \sum_i |x_i(c, b) - y_i|^2 / s^2 + (c - c_0)^T \Sigma^{-1} (c - c_0) + |b - b_0|^2 ,
-
-with the softness s in diagonals, and rotations of bodies weighted by their radii of gyration. This is the example-based
-inverse kinematics of Sumner and others 2005 (MeshIK), in a space whose vectors rotate with the parts. The energy does
-not depend on the coordinates of pose space. It is minimised by Levenberg-Marquardt steps. Only vertices of handles are
-skinned; derivatives are exact, by a complex step. The distance between skinned and projected vertices of joints is
-constant in a round, and updated by decoding the mesh once.
-
-Over time, the change fades in and out, and from key to key. Kept vertices stay on their paths: at every time, they are
-handles, and the faded change takes the place of :math:`c_0`. What is still missing at *exact* handles is the smoothest
-displacement d that interpolates them, the minimum of :math:`\int |d - l^2 \Delta d|^2`, stored as a key shape like that
-of a sculpted edit.
+*Exact* handles deform the mesh by the smoothest displacement d that moves them to their targets, the minimum of
+:math:`\int |d - l^2 \Delta d|^2`, stored as a key shape like that of a sculpted edit.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +22,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.mesh.rotations import matrix_to_rotvec, quat_multiply, quat_to_matrix, rotvec_to_quat
+from mixseq.operations.pose_solvers import PoseChange, PoseSolver, StillSolver
 from mixseq.operations.sculpt import add_key_shape, weight_sites
 from mixseq.operations.sections import (
     breakpoints,
@@ -50,28 +38,18 @@ from mixseq.operations.sketch import check_reach
 from mixseq.runtime.public import public
 from mixseq.segmentation.silhouettes import Diffusion
 from mixseq.sequence.frame_rates import Seconds
+from mixseq.sequence.provenance import as_edited
+from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.curve import Curve
+from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
-from mixseq.spaces.mixed.joint_projection import from_complex_step, to_complex_step
 from mixseq.types import Float, Index
 
 DEFAULT_SOFTNESS = 5e-3
 """Default softness: distance from a target whose energy is that of one standard deviation of the pose, in diagonals."""
 
-MIN_DEVIATION_RATIO = 1e-6
-"""Standard deviation below which a direction of pose space is a rounding error, as a fraction of the largest."""
-
 MIN_HANDLES_OF_FREE_BODY = 3
 """Number of handles, the kept vertices included, from which on bodies move: three points determine a rigid motion."""
-
-MAX_STEPS, STEP_TOLERANCE, ENERGY_TOLERANCE = 30, 1e-4, 1e-5
-"""Largest number of Levenberg-Marquardt steps; they stop at a step in standard deviations, or a relative decrease."""
-
-START_DAMPING, MAX_DAMPING = 1e-3, 1e8
-"""First damping of steps, and the damping at which no step is left that lowers the energy."""
-
-MAX_PROJECTION_ROUNDS, PROJECTION_TOLERANCE = 3, 1e-5
-"""Largest number of rounds for handles at joints, and the change of their offsets at which they stop, in diagonals."""
 
 SIGNAL_TOLERANCE = 1e-4
 """Largest error of signals between sites, in diagonals."""
@@ -81,6 +59,10 @@ MAX_SILENT_MISS = 0.01
 
 RESIDUAL_RADIUS = 0.05
 """Radius l of the displacement at exact handles, in diagonals."""
+
+
+Keys = dict[float, tuple[list[Index], Float]]
+"""Vertices ``(n,)`` of all handles, and their targets ``(n, 3)``, by time in seconds."""
 
 
 @dataclass(frozen=True)
@@ -122,166 +104,6 @@ def _check_vertices(model: Model, vertex_ids: Sequence[int | None], name: str) -
     return np.array(vertex_ids, dtype=np.int64)
 
 
-class PoseChange(NamedTuple):
-    """A change of pose and placement, in the units of its prior."""
-
-    scores: Float  # (r,) standard deviations along the directions of pose space
-    moves: Float  # (B, 6) rotation vectors of bodies in world axes in radians, shifts of their centres in diagonals
-
-
-class PoseSolver:
-    """Solver for poses of a model from positions of handles, means of groups of vertices."""
-
-    def __init__(self, model: Model, groups: Sequence[Index], softness: float, is_free: bool) -> None:
-        """Take the vertices ``(n,)`` of every handle, the softness in diagonals, and whether bodies move, too."""
-        self.model, self.groups, self.softness, self.is_free = model, groups, softness, is_free
-        self.space = model.mixed
-        if self.space.placement == "free":
-            raise SettingsError("the free placement ignores poses of parts; fit with placement='anchored'")
-        if not len(self.directions):
-            raise SettingsError("the model has a single pose, so that there are no others to find by handles")
-        sizes = np.array([len(vertex_ids) for vertex_ids in groups])
-        table = np.repeat(1.0 / sizes, sizes), np.concatenate(groups), np.append(0, np.cumsum(sizes))
-        self.means = sparse.csr_array(table, shape=(len(groups), model.header.vertex_count))
-        self._vertex_ids = np.unique(np.concatenate(groups))
-        self._means = self.means[:, self._vertex_ids].toarray()
-        self._skinned, self._columns = self.space.at_vertices(self._vertex_ids)
-        shapes = model.shapes[:, self._columns[self._columns < self.space.shape_dim]]
-        self._shape_steps = self.directions @ model.pose.matrix @ (shapes - shapes[0])  # (r, S')
-        move_weights = np.ones((self.space.rotation_count if is_free else 0, 6))
-        move_weights[:, :3] = self.space.articulation.body_radii[: len(move_weights), None]
-        self._weights = np.append(np.ones(len(self.directions)), move_weights)
-        self._decoded: tuple[PoseChange | None, float, Float] = (None, 0.0, np.empty((0, 3)))
-
-    @cached_property
-    def directions(self) -> Float:
-        """Standard deviations ``(r, k)`` of the frames along the principal directions of pose space."""
-        points = self.model.time(self.model.times)
-        _, sizes, axes = np.linalg.svd((points - points.mean(axis=0)) / np.sqrt(len(points)), full_matrices=False)
-        kept = sizes > MIN_DEVIATION_RATIO * sizes.max(initial=0.0)
-        return np.asarray(sizes[kept, None] * axes[kept])
-
-    def unchanged(self) -> PoseChange:
-        """Return the change that leaves pose and placement as they are."""
-        return PoseChange(np.zeros(len(self.directions)), np.zeros((self.space.rotation_count, 6)))
-
-    def placement(self, placement: Float, moves: Float) -> Float:
-        """Return a placement ``(P,)`` after moves ``(B, 6)`` of its bodies."""
-        poses = self.space.unpack_placements(placement[None])
-        rotations = quat_multiply(rotvec_to_quat(moves[:, :3]), poses.rotations[0])
-        return np.append(rotations, poses.centres[0] + moves[:, 3:])
-
-    def vectors(self, time: float, change: PoseChange) -> Float:
-        """Return the vector ``(1, D)`` of the model at a time, with a change."""
-        point = self.model.time([time]) + change.scores @ self.directions
-        placement = self.placement(self.model.placement([time])[0], change.moves)
-        weights = self.model.pose.weights(point)
-        return np.concatenate([weights @ self.model.shapes, placement[None], self.model.correction([time])], axis=1)
-
-    def positions(self, points: Float) -> Float:
-        """Return the positions ``(..., n, 3)`` of handles in meshes ``(..., V, 3)``."""
-        return np.asarray(self._means @ points[..., self._vertex_ids, :])
-
-    def points(self, time: float, change: PoseChange) -> Float:
-        """Return the decoded points ``(V, 3)`` of a change at a time; those of the last change are kept."""
-        if self._decoded[0] is not change or self._decoded[1] != time:
-            self._decoded = change, time, self.space.decode(self.vectors(time, change))[0]
-        return self._decoded[2]
-
-    def solve(
-        self,
-        time: float,
-        targets: Float,
-        prior: PoseChange | None = None,
-        start: PoseChange | None = None,
-        rounds: int = MAX_PROJECTION_ROUNDS,
-    ) -> PoseChange:
-        """Solve for the change at a time that moves handles to targets ``(n, 3)``, in the units of the sequence.
-
-        The prior is the likeliest change, by default none. Iterations start from it, or from another change. One round
-        is enough while handles are dragged, from the change before.
-        """
-        prior = self.unchanged() if prior is None else prior
-        change, targets = start or prior, targets / self.space.scale
-        offsets = self._joint_offsets(time, change)
-        for _ in range(rounds):
-            change = self._minimise(time, targets - offsets, prior, change)
-            previous, offsets = offsets, self._joint_offsets(time, change)
-            if np.abs(offsets - previous).max() <= PROJECTION_TOLERANCE:
-                break
-        return change
-
-    def _joint_offsets(self, time: float, change: PoseChange) -> Float:
-        """Return the displacements ``(n, 3)`` of handles by the projection of joints, in diagonals."""
-        projection = self.space.projection
-        if not (projection.steps or (projection.share and self.space.joint_faces.any())):
-            return np.zeros((len(self.groups), 3))
-        skinned = self._means @ self._skinned.skin(self.vectors(time, change)[:, self._columns])[0]
-        return np.asarray(self.positions(self.points(time, change)) / self.space.scale - skinned)
-
-    def _minimise(self, time: float, targets: Float, prior: PoseChange, change: PoseChange) -> PoseChange:
-        """Minimise the energy of skinned handles with targets ``(n, 3)`` in diagonals, starting from a change."""
-        base = self.vectors(time, self.unchanged())[0, self._columns]
-        weights, (pose_count, shape_dim) = self._weights, self._shape_steps.shape
-        placement = slice(shape_dim, shape_dim + self.space.placement_dim)
-        rates = np.zeros((len(weights), len(base)))
-        rates[:pose_count, :shape_dim] = self._shape_steps
-
-        def vector(change: PoseChange) -> Float:
-            result: Float = base.copy()
-            result[:shape_dim] += change.scores @ self._shape_steps
-            result[placement] = self.placement(base[placement], change.moves)
-            return result
-
-        def residuals(change: PoseChange, points: Float) -> tuple[Float, Float]:
-            steps = np.append(change.scores - prior.scores, change.moves - prior.moves)[: len(weights)]
-            return (self._means @ points - targets).reshape(-1) / self.softness, weights * steps
-
-        def energy(change: PoseChange) -> float:
-            points = self._skinned.skin(vector(change)[None])[0]
-            return float(np.square(np.concatenate(residuals(change, points))).sum())
-
-        damping, current = START_DAMPING, energy(change)
-        for _ in range(MAX_STEPS):
-            at = vector(change)
-            rates[pose_count:, placement] = self._move_rates(at[placement])[: len(weights) - pose_count]
-            points, slopes = from_complex_step(self._skinned.skin(to_complex_step(at, rates)))
-            slopes = (self._means @ slopes).reshape(len(weights), -1) / self.softness
-            misses, departures = residuals(change, points[0])
-            gradient, hessian = slopes @ misses + weights * departures, slopes @ slopes.T + np.diag(np.square(weights))
-            lowered, step = np.inf, np.zeros(len(weights))
-            while lowered > current and damping <= MAX_DAMPING:
-                step = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
-                candidate = self._after_step(change, step)
-                lowered = energy(candidate)
-                damping *= 0.1 if lowered <= current else 10.0
-            if lowered > current:
-                break
-            decrease, change, current = current - lowered, candidate, lowered
-            if decrease <= ENERGY_TOLERANCE * current or np.abs(weights * step).max() <= STEP_TOLERANCE:
-                break
-        return change
-
-    def _move_rates(self, placement: Float) -> Float:
-        """Return the rates ``(6 B, P)`` of a placement for rotations and shifts of all bodies."""
-        count = self.space.rotation_count
-        rates = np.zeros((count, 6, len(placement)))
-        for body, quaternion in enumerate(placement[: 4 * count].reshape(-1, 4)):
-            rates[body, :3, 4 * body : 4 * body + 4] = 0.5 * quat_multiply(np.eye(4)[1:], quaternion)
-            rates[body, 3:, 4 * count + 3 * body :][:, :3] = np.eye(3)
-        return rates.reshape(-1, len(placement))
-
-    def _after_step(self, change: PoseChange, step: Float) -> PoseChange:
-        """Return the change after a step ``(n,)``, whose rotations follow those of the change."""
-        scores, steps = np.split(step, [len(change.scores)])
-        moves = change.moves.copy()
-        if self.is_free:
-            turns = (rotvec_to_quat(each[:, :3]) for each in (steps.reshape(-1, 6), moves))
-            moves[:, 3:] += steps.reshape(-1, 6)[:, 3:]
-            moves[:, :3] = matrix_to_rotvec(quat_to_matrix(quat_multiply(*turns)))
-        return PoseChange(change.scores + scores, moves)
-
-
 @public
 def pose(
     model: Model,
@@ -299,10 +121,13 @@ def pose(
     The change of the pose is the likeliest one by which the handles reach their targets. It fades in before the first
     time of the handles and out after the last one, and blends from each time to the next.
 
+    The parts of a still, a model of a single frame, turn about their joints, which keep their lengths and angles. The
+    result goes from the still, at its own time, to its poses at the times of the handles.
+
     Parameters
     ----------
     model : Model
-        A model in the mixed space with anchored parts.
+        A model in the mixed space with anchored parts; that of a single frame needs two parts or more.
     handles : sequence of Handle
         Target positions of vertices or parts, at one or several times.
     keep : sequence of int
@@ -311,7 +136,7 @@ def pose(
         Interval of the full change in seconds; by default from the first to the last time of the handles.
     fade : float, optional
         Seconds before `start` and after `end` in which the change fades; by default 1/8 of the motion, at least 2
-        frames.
+        frames. A still has none of the three.
     exact : bool
         Whether to deform the mesh around handles that the poses of the model do not reach, so that all reach their
         targets.
@@ -325,7 +150,7 @@ def pose(
     ------
     SettingsError
         If a vertex, part or time does not exist, a position is not finite, a vertex or part has two targets at a time,
-        or the model has no parts or only one pose.
+        or the model has no parts, or is a still of one part.
 
     Warns
     -----
@@ -336,39 +161,62 @@ def pose(
         raise SettingsError(f"softness is {softness}; a positive number of diagonals is expected")
     kept = [ids[None] for ids in _check_vertices(model, keep, "keep")]
     keys = _sort_by_time(model, handles, kept)
+    is_free = {time: len(groups) >= MIN_HANDLES_OF_FREE_BODY for time, (groups, _) in keys.items()}
+    if move_bodies is not None:
+        is_free = dict.fromkeys(keys, move_bodies)
+    if len(model.times) == 1:
+        if not (start is end is fade is None):
+            raise SettingsError("the model is a still, with no motion to fade into; leave out start, end and fade")
+        stills = [StillSolver(model, groups, softness, is_free[time]) for time, (groups, _) in keys.items()]
+        return _pose_still(model, keys, stills, exact)
     weights = _KeyWeights.from_times(model, np.array(list(keys)), start, end, fade)
-    solvers, changes = [], []
-    for time, (groups, targets) in keys.items():
-        is_free = len(groups) >= MIN_HANDLES_OF_FREE_BODY if move_bodies is None else move_bodies
-        solvers.append(PoseSolver(model, groups, softness, is_free))
-        changes.append(solvers[-1].solve(time, targets))
+    solvers = [PoseSolver(model, groups, softness, is_free[time]) for time, (groups, _) in keys.items()]
+    changes = [solver.solve(time, targets) for solver, (time, (_, targets)) in zip(solvers, keys.items(), strict=True)]
     posed = _fade_changes(model, weights, solvers, changes, kept)
     for number, (time, (_, targets)) in enumerate(keys.items()):
         points = posed(time)
-        misses = targets - solvers[number].positions(points)
+        edited = _reach(model, solvers[number], time, points, targets, exact)
         if exact:
-            edited = points + interpolate_displacements(model, solvers[number], points, misses)
             difference = posed.space.shape_difference(posed.curve([time])[0], points, edited)
             posed = add_key_shape(posed, difference, weights.curve(posed, number))
-        elif (miss := float(np.linalg.norm(misses, axis=1).max()) / model.space.scale) > MAX_SILENT_MISS:
-            warnings.warn(
-                f"at {time:g} s a handle misses its target by {miss:.2g} diagonals, where the poses of the model do "
-                "not reach; give a nearer target, or exact=True to deform the mesh around it",
-                MixseqWarning,
-                stacklevel=3,
-            )
     return posed
 
 
-def _sort_by_time(
-    model: Model, handles: Sequence[Handle], kept: Sequence[Index]
-) -> dict[float, tuple[list[Index], Float]]:
+def _reach(
+    model: Model, solver: PoseSolver | StillSolver, time: float, points: Float, targets: Float, exact: bool
+) -> Float:
+    """Return the points ``(V, 3)`` deformed so that handles are exact, if asked for; otherwise warn of misses."""
+    misses = targets - solver.positions(points)
+    if exact:
+        return points + interpolate_displacements(model, solver.groups, points, misses)
+    if (miss := float(np.linalg.norm(misses, axis=1).max()) / model.space.scale) > MAX_SILENT_MISS:
+        warnings.warn(
+            f"at {time:g} s a handle misses its target by {miss:.2g} diagonals, where the poses of the model do "
+            "not reach; give a nearer target, or exact=True to deform the mesh around it",
+            MixseqWarning,
+            stacklevel=4,
+        )
+    return points
+
+
+def _pose_still(model: Model, keys: Keys, solvers: Sequence[StillSolver], exact: bool) -> Model:
+    """Fit a model to a still at its time and to its poses with handles at targets."""
+    poses = {float(model.times[0]): model(model.start)}
+    for solver, (time, (_, targets)) in zip(solvers, keys.items(), strict=True):
+        poses[time] = _reach(model, solver, time, solver.solve(targets), targets, exact)
+    times = np.array(sorted(poses))
+    header = replace(model.header, times=times, provenance=as_edited(model.header.provenance))
+    frames = MeshSequence.from_header(header, np.stack([poses[time] for time in times.tolist()]))
+    return fit(frames, exact=True, parts=model.parts)
+
+
+def _sort_by_time(model: Model, handles: Sequence[Handle], kept: Sequence[Index]) -> Keys:
     """Return vertices and targets ``(n, 3)`` of the handles and kept vertices, by increasing time."""
     if not handles:
         raise SettingsError("there are no handles; give one or more")
     by_time: dict[float, list[Handle]] = {}
     for handle in handles:
-        by_time.setdefault(snap_time(model, handle.time), []).append(handle)
+        by_time.setdefault(_key_time(model, handle.time), []).append(handle)
     result = {}
     for time, at_time in sorted(by_time.items()):
         names = [("part", handle.part) if handle.vertex is None else ("vertex", handle.vertex) for handle in at_time]
@@ -376,10 +224,19 @@ def _sort_by_time(
         for name, number in names:
             if names.count((name, number)) > 1:
                 raise SettingsError(f"{name} {number} has two targets at {time:g} s; leave one out")
-        points = model(time)
+        points = model(np.clip(time, model.start, model.end))
         targets = [handle.target() for handle in at_time] + [points[ids[0]] for ids in kept]
         result[time] = [handle.vertices(model) for handle in at_time] + list(kept), np.array(targets)
     return result
+
+
+def _key_time(model: Model, time: float) -> float:
+    """Return the time of a handle: that of a model's motion, or any if the model has a single frame."""
+    if len(model.times) > 1:
+        return snap_time(model, time)
+    if not np.isfinite(time):
+        raise SettingsError(f"the time of a handle is {time}; a finite number of seconds is expected")
+    return float(time)
 
 
 class _KeyWeights(NamedTuple):
@@ -470,10 +327,13 @@ def _fade_changes(
     return model.edited(time=time, placement=splice(model, model.placement, Curve(curve.times, curve.values[:, dim:])))
 
 
-def interpolate_displacements(model: Model, solver: PoseSolver, points: Float, moves: Float) -> Float:
-    """Return the smoothest displacements ``(V, 3)`` of points ``(V, 3)`` that move the handles by moves ``(n, 3)``."""
+def interpolate_displacements(model: Model, groups: Sequence[Index], points: Float, moves: Float) -> Float:
+    """Return the smoothest displacements ``(V, 3)`` of points ``(V, 3)`` that move handles by ``(n, 3)``."""
     diffusion = Diffusion(points / model.space.scale, model.mixed.topology)
     factor = splu(sparse.csc_array(sparse.diags_array(diffusion.areas) + RESIDUAL_RADIUS**2 * diffusion.laplacian))
-    spread = factor.solve(solver.means.T.toarray())
+    means = np.zeros((len(points), len(groups)))
+    for column, vertex_ids in zip(means.T, groups, strict=True):
+        column[vertex_ids] = 1.0 / len(vertex_ids)
+    spread = factor.solve(means)
     loads = diffusion.areas[:, None] * spread
     return np.asarray(factor.solve(loads @ np.linalg.solve(spread.T @ loads, moves)))

@@ -80,7 +80,7 @@ def match(registered: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairin
     queries = np.concatenate([target.points, target.centroids])
     normals = np.concatenate([target.vertex_normals, target.face_normals])
     faces, weights = np.full(len(queries), -1), np.zeros((len(queries), 3))
-    distances = np.full(len(queries), np.inf)
+    distances, max_distance = np.full(len(queries), np.inf), MAX_MATCH_DISTANCE_DIAGONALS * target.diagonal
     searches = [
         (
             ClosestPointQuery.from_mesh(registered.points, registered.faces, pairing.source_faces),
@@ -89,8 +89,8 @@ def match(registered: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairin
         for pairing in pairings
     ]
     for search, query_ids in searches:
-        closest = search.query(queries[query_ids], normals[query_ids], MAX_NORMAL_ANGLE_DEGREES)
-        is_near = closest.distances <= MAX_MATCH_DISTANCE_DIAGONALS * target.diagonal
+        closest = search.query(queries[query_ids], normals[query_ids], MAX_NORMAL_ANGLE_DEGREES, max_distance)
+        is_near = closest.faces >= 0
         matched_ids = query_ids[is_near]
         faces[matched_ids], weights[matched_ids] = closest.faces[is_near], closest.weights[is_near]
         distances[matched_ids] = closest.distances[is_near]
@@ -133,9 +133,9 @@ def assess(
         face_ids = pairing.source_faces
         search = ClosestPointQuery.from_mesh(target.points, target.faces, pairing.target_faces)
         centroids, normals = registered.centroids[face_ids], registered.face_normals[face_ids]
-        closest = search.query(centroids, normals, MAX_NORMAL_ANGLE_DEGREES)
-        is_near = closest.distances <= MAX_MATCH_DISTANCE_DIAGONALS * diagonal
-        covered_area += float(registered.face_areas[face_ids[is_near]].sum())
+        max_distance = MAX_MATCH_DISTANCE_DIAGONALS * diagonal
+        closest = search.query(centroids, normals, MAX_NORMAL_ANGLE_DEGREES, max_distance)
+        covered_area += float(registered.face_areas[face_ids[closest.faces >= 0]].sum())
     distances = matches.distances[matches.has_vertex_match] / diagonal
     mean, p99, largest = (
         (float(distances.mean()), float(np.percentile(distances, 99)), float(distances.max()))

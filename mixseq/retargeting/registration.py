@@ -110,13 +110,16 @@ class Energy:
         columns = np.repeat(np.arange(size), np.diff(self._matrix.indptr))
         return np.asarray(columns * size + self._matrix.indices)
 
-    def minimise(self, stiffness: float, maps: Float, constraints: list[SoftConstraints]) -> tuple[Float, Float]:
-        """Return the positions ``(V, 3)`` and maps ``(V, 3, 3)`` of least energy near the similarities `maps`."""
+    def minimise(
+        self, stiffness: float, maps: Float, constraints: list[SoftConstraints], rounds: int = 1
+    ) -> tuple[Float, Float]:
+        """Return the positions ``(V, 3)`` and maps ``(V, 3, 3)`` of least energy near the similarities of `maps`.
+
+        Each further round, with the same matrix, is near the similarities of the maps before.
+        """
         vertex_count, unknown_count = len(maps), 4 * len(maps)
         values = stiffness * self._matrix.data
         right_side = np.zeros((vertex_count, 4, 3))
-        similarities = nearest_similarities(maps).transpose(0, 2, 1)
-        right_side[:, 1:] = stiffness * SHEAR_WEIGHT * self.areas[:, None, None] * similarities
         for constraint in constraints:
             weighted = constraint.barycentric * constraint.weights[:, None]
             corners = constraint.corners.astype(np.int64)  # keys have more than 32 bits
@@ -135,9 +138,12 @@ class Energy:
                         places = np.searchsorted(self._keys, keys)
                     products = weighted[lower, k] * constraint.barycentric[lower, other]
                     values += np.bincount(places, products, minlength=len(values))
-        solution = self._analysis.factor(values).solve(right_side.reshape(unknown_count, 3))
-        solution = solution.reshape(vertex_count, 4, 3)
-        return solution[:, 0].copy(), solution[:, 1:].transpose(0, 2, 1).copy()
+        factor, similarity_weights = self._analysis.factor(values), stiffness * SHEAR_WEIGHT * self.areas
+        for _ in range(rounds):
+            right_side[:, 1:] = similarity_weights[:, None, None] * nearest_similarities(maps).transpose(0, 2, 1)
+            solution = factor.solve(right_side.reshape(unknown_count, 3)).reshape(vertex_count, 4, 3)
+            maps = solution[:, 1:].transpose(0, 2, 1).copy()
+        return solution[:, 0].copy(), maps
 
 
 def nearest_similarities(maps: Float) -> Float:
@@ -185,14 +191,11 @@ def register(
     maps = np.broadcast_to(np.eye(3), (len(data_term.vertices), 3, 3))
     stiffnesses = np.repeat(np.geomspace(FIRST_STIFFNESS, last_stiffness, steps), ROUNDS_PER_STEP).tolist()
     radii = np.repeat(np.linspace(FIRST_SEARCH_DIAGONALS, LAST_SEARCH_DIAGONALS, steps), ROUNDS_PER_STEP).tolist()
-    round_count = MARKER_ONLY_ROUNDS + len(radii)
-    for round_id in range(MARKER_ONLY_ROUNDS):
-        progress(round_id, round_count, "registering")
-        points, maps = energy.minimise(FIRST_STIFFNESS, maps, [data_term.markers])
-    for round_id, (stiffness, radius) in enumerate(zip(stiffnesses, radii, strict=True), start=MARKER_ONLY_ROUNDS):
-        progress(round_id, round_count, "registering")
+    points, maps = energy.minimise(FIRST_STIFFNESS, maps, [data_term.markers], MARKER_ONLY_ROUNDS)
+    for round_id, (stiffness, radius) in enumerate(zip(stiffnesses, radii, strict=True)):
+        progress(round_id, len(radii), "registering")
         points, maps = energy.minimise(stiffness, maps, data_term.constraints(points, radius))
-    progress(round_count, round_count, "registering")
+    progress(len(radii), len(radii), "registering")
     return np.asarray(_move_unfitted_vertices(aligned, data_term.vertices, points, maps) * diagonal + centre)
 
 
@@ -273,8 +276,10 @@ class DataTerm:
         searches = zip(self.pairings, self._target_searches, self._source_orders, strict=True)
         for pairing, target_search, order in searches:
             vertices = pairing.source_vertices
-            closest = target_search.query(points[vertices], deformed.vertex_normals[vertices], MAX_NORMAL_ANGLE_DEGREES)
-            near = np.flatnonzero(closest.distances <= radius)
+            closest = target_search.query(
+                points[vertices], deformed.vertex_normals[vertices], MAX_NORMAL_ANGLE_DEGREES, radius
+            )
+            near = np.flatnonzero(closest.faces >= 0)
             goals = target.points_on(closest.faces[near], closest.weights[near])
             corners, weights = vertices[near][:, None], source_areas[vertices[near]]
             constraints.append(SoftConstraints(corners, np.ones((len(near), 1)), goals, weights))
@@ -282,8 +287,8 @@ class DataTerm:
             vertices = pairing.target_vertices
             source_search = ClosestPointQuery.from_mesh(deformed.points, deformed.faces, pairing.source_faces, order)
             normals = target.vertex_normals[vertices]
-            closest = source_search.query(target.points[vertices], normals, MAX_NORMAL_ANGLE_DEGREES)
-            near = np.flatnonzero(closest.distances <= radius)
+            closest = source_search.query(target.points[vertices], normals, MAX_NORMAL_ANGLE_DEGREES, radius)
+            near = np.flatnonzero(closest.faces >= 0)
             corners, goals = deformed.faces[closest.faces[near]], target.points[vertices[near]]
             weights = target_areas[vertices[near]]
             constraints.append(SoftConstraints(corners, closest.weights[near], goals, weights))

@@ -1,7 +1,7 @@
 """Cut a mesh into near-rigid parts and the joints between them.
 
-`methods` finds parts on the `elements` of a mesh: by rigid `motion`, or by `silhouettes` or a spanning tree. `joints`
-adds the joints between parts.
+`methods` finds parts on the `elements` of a mesh: by rigid `motion`, by `silhouettes` or a
+spanning tree; a single frame is cut by its shape (`still`). `joints` adds the joints between parts.
 """
 
 from __future__ import annotations

@@ -40,6 +40,7 @@ from mixseq.segmentation.elements import (
     renumber_by_area,
     sample_frames,
 )
+from mixseq.segmentation.still import segment_still
 from mixseq.types import Float, FloatArray, Index, Int32, Mask, Single
 
 
@@ -355,8 +356,9 @@ def segment_by_motion(
     settings = settings or MotionSettings()
     check_part_count(parts, topology)
     x = sample_frames(points, settings.frames)
-    if parts is None and len(x) == 1:  # nothing moves
-        return renumber_by_area(topology.component_of_face, face_areas(x[0], topology) / 3.0)
+    if len(x) == 1:  # nothing moves
+        areas = face_areas(x[0], topology)
+        return renumber_by_area(segment_still(x[0], topology, areas, parts or 1), areas)
     faces = Elements.from_faces(topology, x)
     clusters = max(settings.clusters, round(1.5 * (parts or 1)))
     labels = _cluster(topology, faces, min(clusters, len(topology.faces)), settings)

@@ -430,8 +430,9 @@ def fit_within_tolerance(
     model: Model | None = None
     step = 2.0 ** np.floor(np.log2(tolerance / TOLERANCE_TO_STEP_RATIO))
     errors: dict[bytes, float] = {}  # by digest, because models of short sequences coincide
+    tried = ""
     for trial in range(MAX_TRIAL_MODELS):
-        progress(trial, MAX_TRIAL_MODELS, "choosing modes and knots")
+        progress(trial, MAX_TRIAL_MODELS, f"choosing modes and knots{tried}")
         model = None  # key shapes of two models may take as much memory as the frames
         detail = Detail(slack=slack, step=step)
         model = build_model(encoded, detail)
@@ -441,6 +442,7 @@ def fit_within_tolerance(
         elif errors[digest] > tolerance:  # the model has all modes and knots already
             step /= 2
         error = errors[digest]
+        tried = f", after {len(model.shapes)} key shapes at {error / tolerance:.2g} of the tolerance"
         if error <= tolerance:
             low, best = slack, detail
             is_sufficient = error > SUFFICIENT_ERROR_RATIO * tolerance

@@ -108,11 +108,13 @@ COPIED_FILES = (
     "mesh_sequence.js",
     "mesh_sequence.d.ts",
     "mixseq.d.ts",
-    "example.html",
-    "player.html",
     "MIXSEQ_mesh_sequence.schema.json",
     "README.md",
 )
+
+
+PAGES = ("example.html", "player.html")
+"""Pages that begin with ``three/head.html``."""
 
 
 def package_files() -> Mapping[str, str]:
@@ -136,4 +138,11 @@ def package_files() -> Mapping[str, str]:
         "page.css": read_module("page/page.css"),
         "package.json": json.dumps(package, indent=2) + "\n",
         **{name: read_module(f"three/{name}") for name in COPIED_FILES},
+        **{name: _page(name) for name in PAGES},
     }
+
+
+def _page(name: str) -> str:
+    """Return a page of the package: the head that all have, with the page's title, and the rest of the page."""
+    title, rest = read_module(f"three/{name}").split("\n", 1)
+    return read_module("three/head.html").replace("<title></title>", title) + rest

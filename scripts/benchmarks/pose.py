@@ -4,7 +4,8 @@ Usage: scripts/bench pose [NAME[:STEP] ...]   (animations of $MIXSEQ_DATA/npz, o
 
 Every method starts from the frame whose handles are nearest, with the same prior and softness: `operations.pose`,
 principal components of vertices, and MeshIK (Sumner and others 2005): deformation gradients of all faces, as polar
-decompositions, with handles as constraints of their Poisson system.
+decompositions, with handles as constraints of their Poisson system. The last two know only the first frame: with the
+parts that the motion has, and with as many parts by the shape of the frame.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from mixseq.errors import MixseqWarning
 from mixseq.mesh.measures import edge_lengths
 from mixseq.mesh.rotations import rotvec_to_matrix
 from mixseq.operations import Handle, pose
-from mixseq.operations.handles import DEFAULT_SOFTNESS, MIN_DEVIATION_RATIO, MIN_HANDLES_OF_FREE_BODY, PoseSolver
+from mixseq.operations.handles import DEFAULT_SOFTNESS, MIN_HANDLES_OF_FREE_BODY
+from mixseq.operations.pose_solvers import MIN_DEVIATION_RATIO, PoseSolver, StillSolver
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.spaces.gradient import SYMMETRIC_ENTRY_IDS, GradientSpace
 from mixseq.types import Float, Index
@@ -42,7 +44,10 @@ GRADIENT_HANDLE_COUNTS = (8,)
 MAX_POSES = 3
 """Largest number of poses of an animation that are left out, one at a time."""
 
-COLUMNS = ("sequence", "handles", "mixseq: rms / strain", "vertices", "MeshIK", "poses per second", "while dragging")
+COLUMNS = (
+    *("sequence", "handles", "mixseq: rms / strain", "vertices", "MeshIK"),
+    *("a still, parts of the motion", "a still", "poses per second", "while dragging"),
+)
 
 Solver = Callable[[Index, Float, int], Float]
 """Function of handle vertices ``(n,)``, targets ``(n, 3)`` and a frame to start from; returns points ``(V, 3)``."""
@@ -168,6 +173,8 @@ def rows(case: str) -> Iterator[tuple[str, ...]]:
         vertices = vertex_solver(frames / scale)
         gradients = gradient_solver(frames / scale, GradientSpace(model.mixed.topology, scale, frames[0] / scale))
         lengths = edge_lengths(expected, edges)
+        parts = model.parts, len(model.decomposition.parts)
+        stills = [mixseq.fit(known[0:1], parts=each) for each in parts]
         for count in HANDLE_COUNTS:
             ids = farthest_vertices(points[0], count)
             targets, places = expected[ids], frames[:, ids]
@@ -182,6 +189,8 @@ def rows(case: str) -> Iterator[tuple[str, ...]]:
                 found = [pose(model, handles)(when)]
             solvers = (vertices, gradients) if count in GRADIENT_HANDLE_COUNTS else (vertices,)
             found += [solve(ids, targets / scale, start) * scale for solve in solvers]
+            groups, is_free = [ids[[i]] for i in range(count)], count >= MIN_HANDLES_OF_FREE_BODY
+            found += [StillSolver(still, groups, DEFAULT_SOFTNESS, is_free).solve(targets) for still in stills]
             errors = [
                 (
                     float(np.sqrt(np.square(x - expected).sum(axis=1).mean()) / scale),
@@ -193,7 +202,8 @@ def rows(case: str) -> Iterator[tuple[str, ...]]:
     for count, measured in results.items():
         *errors, once, dragging = np.median(measured, axis=0)
         cells = [f"{rms:.4f} / {strain:.3f}" for rms, strain in np.reshape(errors, (-1, 2))]
-        yield case, str(count), *cells, *["-"] * (3 - len(cells)), f"{once:.0f}", f"{dragging:.0f}"
+        cells[-2:-2] = ["-"] * (5 - len(cells))
+        yield case, str(count), *cells, f"{once:.0f}", f"{dragging:.0f}"
 
 
 if __name__ == "__main__":

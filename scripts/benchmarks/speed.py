@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pxr import Usd, UsdGeom, Vt
@@ -23,7 +23,7 @@ from scipy.interpolate import make_interp_spline
 import mixseq
 from mixseq.types import Float, FloatArray, IntArray
 from scripts.benchmarks.common.dembones import fit_peer
-from scripts.benchmarks.common.harness import animation, cpu_timed, print_table, run
+from scripts.benchmarks.common.harness import MIXSEQ, Child, animation, cpu_timed, print_table, run
 from scripts.benchmarks.peers.coders import Coder, Draco, Meshopt, Ours
 from scripts.benchmarks.peers.pca import Pca
 
@@ -39,6 +39,12 @@ FRAMES_PER_FRAME = 4
 """Number of sampled frames per frame of the animation."""
 
 WRITTEN_FRAMES = 60
+SKIN_ERROR = 5e-3
+"""Bound in diagonals of skins."""
+
+TALLER = 1.0, 1.2, 1.0
+BATCH_SIZE = 4
+BATCHES = ("--threads", 2), ("--cluster", "local:2")
 
 STARTS = {"first frame": "model(model.times[0])", "between frames, as players": "model.playback(between)",
           "between frames, fitted": "model(between)"}  # fmt: skip
@@ -63,7 +69,7 @@ def rows(name: str) -> Iterator[tuple[str, ...]]:
     """Measure an animation."""
     sequence = animation(name)
     with tempfile.TemporaryDirectory() as folder:
-        for measure in (code, start, fit, sample, write):
+        for measure in (code, start, load, fit, skin, sample, resample, transfer, write, batch):
             for row in measure(name, sequence, Path(folder)):
                 ratio = row.ours / row.its if row.is_rate else row.its / row.ours
                 figures = f"{row.ours:.3g}", row.peer, f"{row.its:.3g}", f"{ratio:.2f}"
@@ -104,6 +110,14 @@ def start(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Ro
         yield Row(f"new process: {what}, s", ours, "import of numba alone", imports)
 
 
+def load(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:
+    """Load a compressed file in this process, and all its frames, beside the points as they are."""
+    coded, plain = str(folder / "coded.h5"), str(folder / "plain.npz")
+    mixseq.write(plain, sequence)
+    ours, theirs = medians(lambda: mixseq.load(coded).sample(), lambda: mixseq.read(plain))
+    yield Row("load and all frames, s", ours, "points in .npz", theirs)
+
+
 def fit(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:
     """Fit a default model, and as many bones as it has parts."""
     mixseq.fit(sequence)
@@ -114,6 +128,14 @@ def fit(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]
         yield Row("KG error of the fit, %", error, "py-dem-bones", peer.kg_percent)
 
 
+def skin(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:
+    """Find the fewest bones for an error, beside as many bones that are known."""
+    seconds, found = cpu_timed(partial(mixseq.fit_skin, sequence, max_error=SKIN_ERROR))
+    if peer := fit_peer(name, found.bone_count):
+        theirs = float(np.median(peer.seconds))
+        yield Row("fewest bones of a skin for an error, s", seconds, "py-dem-bones, with as many", theirs)
+
+
 def sample(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:
     """Sample a default model, and the cubic spline of the vertices."""
     model, spline = mixseq.fit(sequence), spline_of(sequence)
@@ -121,6 +143,37 @@ def sample(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[R
     ours, theirs = medians(lambda: [block[0] for block in model.blocks(times)], lambda: [spline(t) for t in times])
     yield Row("sampling, frames/s", len(times) / ours, "SciPy's cubic spline", len(times) / theirs, is_rate=True)
     yield Row("rms error at left-out frames, diagonals", *left_out_errors(sequence))
+
+
+def resample(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:
+    """Resample a file at another rate, beside reading and writing it."""
+    source, target = folder / "source.usdc", folder / "target.usdc"
+    mixseq.write(source, sequence)
+    jobs = ("resample", "--fps", "60"), ("convert",)
+    ours, theirs = median_runs(*((*MIXSEQ, job, source, target, *more) for job, *more in jobs))
+    yield Row("resample a .usdc, s", ours.cpu, "convert alone", theirs.cpu)
+
+
+def transfer(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:
+    """Transfer to a taller body with the same triangles, by both methods."""
+    tall = sequence[:1].with_points(sequence.points[:1] * TALLER)
+    methods: tuple[Literal["mixed", "gradients"], ...] = "mixed", "gradients"
+    ours, theirs = medians(*(partial(mixseq.transfer, sequence, tall, method=method) for method in methods))
+    yield Row("transfer, ms a frame", 1e3 * ours / len(sequence), "by gradients", 1e3 * theirs / len(sequence))
+
+
+def batch(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:
+    """Encode copies in a batch: seconds of a clock on one process, on two, and on two of a cluster."""
+    shots = folder / "shots"
+    shots.mkdir()
+    for number in range(BATCH_SIZE):
+        mixseq.write(shots / f"{number}.npz", sequence)
+    words = *MIXSEQ, "batch", "encode", shots, "--force", "--out"
+    one, two, cluster = median_runs(
+        *((*words, folder / f"out{n}", *more) for n, more in enumerate((("--threads", 1), *BATCHES)))
+    )
+    yield Row(f"batch of {BATCH_SIZE} on 2 processes, s of a clock", two.seconds, "one process", one.seconds)
+    yield Row("batch on --cluster local:2, s of a clock", cluster.seconds, "2 processes", two.seconds)
 
 
 def write(name: str, sequence: mixseq.MeshSequence, folder: Path) -> Iterator[Row]:
@@ -139,6 +192,12 @@ def medians(*functions: Callable[[], object]) -> list[float]:
     """Return the median CPU seconds of functions that take turns, after a run of each that is not counted."""
     seconds = [[cpu_timed(function)[0] for function in functions] for _ in range(RUNS + 1)]
     return [float(median) for median in np.median(seconds[1:], axis=0)]
+
+
+def median_runs(*commands: Sequence[object]) -> list[Child]:
+    """Return the run of median CPU seconds of programs that take turns, after a run of each that is not counted."""
+    runs = [[run(*command) for command in commands] for _ in range(RUNS + 1)][1:]
+    return [sorted(each, key=lambda child: child.cpu)[RUNS // 2] for each in zip(*runs, strict=True)]
 
 
 def spline_of(sequence: mixseq.MeshSequence) -> Callable[[Float], Float]:

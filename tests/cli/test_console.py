@@ -40,6 +40,17 @@ def test_tables(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.splitlines()[1] == f"{SHOWN}  \\n"
 
 
+def test_tables_fit_100_columns(capsys: pytest.CaptureFixture[str]) -> None:
+    path = 110 * "p"
+    print_table([("one", 30 * "word " + "end"), ("two", path)], None)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines[:-1])) <= 100
+    assert lines[0].startswith("one  word")
+    assert lines[1].startswith("     word")
+    assert lines[1].endswith("end")
+    assert lines[-1] == f"two  {path}"
+
+
 def test_tables_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("NO_COLOR", "1")

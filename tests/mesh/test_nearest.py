@@ -132,6 +132,11 @@ def test_only_triangles_that_face_the_same_way(angle: float) -> None:
     np.testing.assert_array_equal(found.distances, distances)
     assert (found.faces[:20] >= 0).all()
     assert (found.faces < 0).any() == (angle < 90)
+    limit = float(np.median(distances))  # a distance itself is within it
+    near = ClosestPointQuery.from_mesh(*mesh).query(queries, normals, angle, limit)
+    np.testing.assert_array_equal(near.faces, np.where(distances <= limit, faces, -1))
+    np.testing.assert_array_equal(near.distances, np.where(distances <= limit, distances, np.inf))
+    np.testing.assert_array_equal(near.weights[near.faces >= 0], found.weights[near.faces >= 0])
 
 
 def test_both_sides_of_a_thin_sheet() -> None:

@@ -268,7 +268,15 @@ def check_header(result: Any, source: Any) -> None:
 
 
 def test_the_table_is_complete() -> None:
-    others = {"Handle", "Retiming", "read_retiming", "key_poses"}  # no motions; `with_body` has poses of `key_poses`
+    others = {
+        "Handle",
+        "Moment",
+        "Retiming",
+        "read_retiming",
+        "key_poses",
+        "find_moments",
+        "fit_shots",
+    }  # no operations
     assert OPERATIONS.keys() | set(operations.__all__) == (TABLE.keys() | others) - {
         "sample",
         "velocity",

@@ -13,7 +13,7 @@ import pytest
 import mixseq
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.operations import Handle, pose
-from mixseq.operations.handles import PoseSolver
+from mixseq.operations.pose_solvers import PoseSolver
 from mixseq.operations.script import Readers, read_script
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit

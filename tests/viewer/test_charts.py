@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -144,6 +145,13 @@ def charts(small: Page, signals: dict[str, Any]) -> Iterator[Charts]:
 
 def apart(a: Any, b: Any) -> float:
     return float(np.abs(np.subtract(a, b)).max())
+
+
+def test_charts_have_texts(charts: Charts) -> None:
+    curve, lines, keys = charts.page.locator("canvas").evaluate_all("(all) => all.map((each) => each.ariaLabel)")
+    assert re.match(r"Time curve: 12 frames from 0 to 0.458 s on a path of \S+ by \S+ diagonals, whose ends are", curve)
+    assert re.match(r"Coefficients: coordinate 1 from -\S+ to \S+, coordinate 2 from .* diagonals$", lines)
+    assert keys.startswith("Retiming: output 0 s shows 0 s, output 0.115 s shows 0.115 s, ")
 
 
 def test_every_script_is_there() -> None:

@@ -160,6 +160,24 @@ MARK = """(frame) => {
 """Where a frame of 16 is on the time line."""
 
 
+FAINT = """() => {
+  const light = (colour) => colour.match(/[0-9.]+/g).slice(0, 3).map((value) => value / 255)
+    .map((share) => (share <= 0.04045 ? share / 12.92 : ((share + 0.055) / 1.055) ** 2.4))
+    .reduce((sum, share, k) => sum + share * [0.2126, 0.7152, 0.0722][k], 0);
+  const clear = (element) => /rgba[(]0, 0, 0, 0[)]/.test(getComputedStyle(element).backgroundColor);
+  const isText = (element) => element.offsetWidth
+    && [...element.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
+  return [...document.querySelectorAll("#root *, #mixseq-timeline *")].filter(isText).filter((element) => {
+    let ground = element;
+    while (ground && clear(ground)) ground = ground.parentElement;
+    const under = ground ? getComputedStyle(ground).backgroundColor : "rgb(255, 255, 255)";
+    const [a, b] = [getComputedStyle(element).color, under].map(light);
+    return (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05) < 4.5;
+  }).map((element) => element.textContent);
+}"""
+"""Texts with a contrast below 4.5."""
+
+
 # One test, as a page takes seconds to load.
 def test_a_session(
     watched: Watched, started: tuple[Viewer, Callable[[], None]], keep: Keep, model: Model, tmp_path: Path
@@ -168,6 +186,7 @@ def test_a_session(
     window = Window(watched.open(), running.address)
     page, session, playback = window.page, running.session, running.playback
     keep(page, "view")
+    assert page.evaluate(FAINT) == []
 
     assert window.part() == "whole body"
     window.click("Hold")

@@ -228,13 +228,16 @@ class Search:
         self._point_count = len(sequence.points) * sequence.points.shape[1]
         self._min_step = rounding_error(largest_coordinate(sequence.points)) * sequence.points.shape[1] ** 0.5
         self._rounds = 0
+        self._tried = ""  # size of the last trial, for progress
         self._error_ratio = INITIAL_ERROR_RATIO  # actual to expected error
 
     def _try_step(self, candidate: Candidate, step: float) -> Trial:
-        self._stages.at(1 + min(self._rounds, MAX_ROUNDS - 1))(0, 1, "choosing the step")
+        self._stages.at(1 + min(self._rounds, MAX_ROUNDS - 1))(0, 1, f"choosing the step{self._tried}")
         self._rounds += 1
         return_freed_memory()
-        return try_step(self._sequence, candidate, max(step, self._min_step), self._chunk)
+        trial = try_step(self._sequence, candidate, max(step, self._min_step), self._chunk)
+        self._tried = f", after {trial.size / 1000:,.3g} kB"
+        return trial
 
     def _compare_candidates(self, error: float, runner_up_ratio: float = RUNNER_UP_RATIO) -> list[Trial]:
         """Try candidates, each with the step for an expected error; return one or two whole-mesh trials, best first."""

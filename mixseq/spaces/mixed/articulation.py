@@ -119,7 +119,7 @@ class Articulation:
         return result
 
     @cached_property
-    def _tree(self) -> tuple[Index, Index]:
+    def links(self) -> tuple[Index, Index]:
         """Parts ``(m,)`` with a parent, parents first, and their parents ``(m,)``."""
         order: list[int] = []
         level = np.flatnonzero(self.parents < 0)
@@ -130,9 +130,9 @@ class Articulation:
         return parts, self.parents[parts]
 
     @cached_property
-    def _tree_relations(self) -> Index:
+    def link_relations(self) -> Index:
         """Relation ``(m,)`` of each part of the tree to its parent."""
-        parts, parents = self._tree
+        parts, parents = self.links
         number = {(i, j): k for k, (i, j) in enumerate(self.pairs.tolist())}
         pairs = zip(parents.tolist(), parts.tolist(), strict=True)
         return np.array([number[pair] for pair in pairs], dtype=np.int64)
@@ -207,7 +207,7 @@ class Articulation:
 
     def _reconcile_frame(self, poses: PartPoses) -> tuple[RealOrComplex, RealOrComplex]:
         """Return the part poses ``(p, 4)``, ``(p, 3)`` that best fit the poses and relations of one frame."""
-        graph = self.pairs, self.pivots, *self._tree, self._tree_relations
+        graph = self.pairs, self.pivots, *self.links, self.link_relations
         arrays = *map(np.ascontiguousarray, poses), *graph, *self._systems
         return kernels.reconcile_poses(*arrays)
 
@@ -243,7 +243,7 @@ class Articulation:
         rotation_vectors, shifts = correction.reshape(2, -1, 3)
         rotations, centres = kernels.correct_poses(rotations, centres, rotation_vectors, shifts)
         rest = self.body_of_part, self.rest_centres
-        return kernels.part_motions(rotations, centres, *bodies, *rest, *self._tree)
+        return kernels.part_motions(rotations, centres, *bodies, *rest, *self.links)
 
 
 def find_articulation(

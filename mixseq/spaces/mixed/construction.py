@@ -48,6 +48,9 @@ REFERENCE_STEP = 2.0**-20
 SIZE_REDUCTION = 1.3
 """Least ratio of the number of all lengths and angles to the length of a vector."""
 
+STILL_HOLD = 0.01
+"""`Projection.hold` of a single frame, whose joints have lengths and angles for poses by handles."""
+
 FAR_RELATIONS = 3.0
 """`Projection.relations` where frames are far apart, since relations vary less than poses."""
 
@@ -110,13 +113,14 @@ def mixed_space(
         base = base.with_weights(projection=Projection(relations=FAR_RELATIONS))
     base = base.with_weights(steadiness=base.articulation.measure_steadiness(_encode_poses(base, frames)))
     progress(2, 2, "registering parts")
+    if len(points) == 1 and placement == "anchored":
+        faces = _blended_faces(base) & ~faces_without_area(topology, frames)
+        return base.with_weights(joint_faces=faces, projection=Projection(share=1.0, hold=STILL_HOLD))
     pairs = _all_pairs(frames) if purpose == "blends" else _neighbour_pairs(points)
     errors = midpoint_errors(base, pairs, *ERROR_LIMITS["free" if placement == "free" else purpose])
     if placement == "free":
-        corners = base.rigid_part_of_vertex[topology.faces]
-        is_blended = (corners < 0).any(axis=1) | (corners != corners[:, :1]).any(axis=1)
         return base.with_weights(
-            joint_faces=is_blended | (errors > 1.0),
+            joint_faces=_blended_faces(base) | (errors > 1.0),
             projection=Projection("free", 1.0, FAR_HOLD, FREE_STEPS, FAR_RELATIONS),
         )
     if (errors > 1.0).any():
@@ -131,6 +135,12 @@ def mixed_space(
         steps = MIN_STEPS + round((MAX_STEPS - MIN_STEPS) * float(joint_faces.mean()))
         return space.with_weights(projection=Projection("anchored", 1.0, FAR_HOLD, steps, FAR_RELATIONS))
     return space
+
+
+def _blended_faces(space: MixedSpace) -> Mask:
+    """Mark the faces ``(F,)`` that are not rigid with a single part."""
+    corners = space.rigid_part_of_vertex[space.topology.faces]
+    return np.asarray((corners < 0).any(axis=1) | (corners != corners[:, :1]).any(axis=1))
 
 
 def _round_positions(x: Float) -> Float:

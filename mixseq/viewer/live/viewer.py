@@ -63,7 +63,7 @@ def run_server(host: str, requested_port: int | None) -> Iterator[tuple[Any, str
             server = viser.ViserServer(host, port, label="mixseq", verbose=False)
             stack.callback(_stop, server)
         guard.attach(server)
-        server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(70, 95, 120))
+        server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(40, 82, 112))
         server.gui.set_panel_label("mixseq")
         yield server, guard.access.address
 

@@ -55,6 +55,8 @@
         const names = shared.signals.coefficients.map((each) => each.name);
         pane.legend(names, look.lines);
         pane.hint(names.length ? "diagonals" : "");
+        const ranges = shared.signals.coefficients.map(({ name, values }) => `${name} from ${parts.short(Math.min(...values))} to ${parts.short(Math.max(...values))}`);
+        pane.describe(ranges.length ? `${ranges.join(", ")} diagonals` : "the model has no shape modes");
       },
       timePixel: (time) => (axes ? pane.outside([axes.x(time), (axes.top + axes.bottom) / 2]) : null),
     };

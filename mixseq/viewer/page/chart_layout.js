@@ -239,6 +239,9 @@
         if (drag === null || drag.kind === "seek") fit(first);
         hovered = Math.min(hovered, shared.signals.handles.length - 1);
         hint();
+        const { path, frames, start, end } = shared.signals, [x0, x1, y0, y1] = boundsOf(path), short = parts.short;
+        pane.describe(`${frames.length} frames from ${short(start)} to ${short(end)} s on a path of ${short(x1 - x0)} by ${short(y1 - y0)} diagonals, ` +
+          `whose ends are ${short(distance(path[0], path[path.length - 1]))} apart`);
       },
       hint,
       handlePixels: () => (map && shared.editable ? handles().map((h) => pane.outside(map.to(h.at))) : []),

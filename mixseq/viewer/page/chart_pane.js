@@ -9,8 +9,8 @@ var mixseqChartParts = {};
 
   // Orange is the current time, blue is a drag; red is reserved for joints.
   parts.LIGHT = {
-    background: "#ffffff", ink: "#3a3a3a", quiet: "#76736e", faint: "#b9b6b0", grid: "#e9e7e3", dotEdge: "#ffffff",
-    curve: "#a5a29c", now: "#e8590c", hand: "#1c7ed6", lines: ["#31688e", "#d08c2c", "#4a9d6e", "#8d5fa8", "#8a8a8a"],
+    background: "#ffffff", ink: "#3a3a3a", quiet: "#6d6a65", faint: "#b9b6b0", grid: "#e9e7e3", dotEdge: "#ffffff",
+    curve: "#a5a29c", now: "#c2410c", hand: "#1c7ed6", lines: ["#31688e", "#d08c2c", "#4a9d6e", "#8d5fa8", "#8a8a8a"],
   };
   parts.DARK = {
     background: "#1f2023", ink: "#e4e2de", quiet: "#a09d97", faint: "#65625d", grid: "#34353a", dotEdge: "#e4e2de",
@@ -27,6 +27,9 @@ var mixseqChartParts = {};
     const mixed = STOPS[first].map((low, k) => Math.round(low + (place - first) * (STOPS[first + 1][k] - low)));
     return `rgb(${mixed.join(",")})`;
   };
+
+  /** A number with three digits, in texts about charts. */
+  parts.short = (number) => String(Number(number.toPrecision(3)));
 
   /** Pixels that a pointer may move without a drag. */
   parts.DRAG_THRESHOLD = 3;
@@ -101,6 +104,8 @@ var mixseqChartParts = {};
     pane.hint = function (text) {
       if (hint.textContent !== text) hint.textContent = hint.title = text;
     };
+    /** Set what screen readers say instead of the chart. */
+    pane.describe = (text) => canvas.setAttribute("aria-label", `${title}: ${text}`);
     pane.legend = function (names, colours) {
       header.querySelectorAll("span").forEach((old) => old.remove());
       names.forEach((name, k) => {

@@ -177,6 +177,7 @@
         source = signals.source ?? [signals.start, signals.end]; // of the model before a retiming
         if (keys.length > 1) fit();
         pane.hint(keys.length > 1 ? HINT : "");
+        pane.describe(keys.map(([output, time]) => `output ${parts.short(output)} s shows ${parts.short(time)} s`).join(", "));
       },
       keyPixels: () => (axes ? places().map(pane.outside) : []),
       keys: copy,

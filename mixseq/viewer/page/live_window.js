@@ -13,6 +13,7 @@ var mixseqWindow = (function () {
 #mixseq-ended { position: fixed; inset: 0 0 auto; z-index: 1000; padding: 10px 16px; text-align: center;
   font: 14px/20px system-ui, sans-serif; color: #fff; background: rgb(150 20 20 / 94%); }
 #mixseq-keys { padding: 20px 24px; border: 1px solid #dcd9d3; border-radius: 10px; font: 14px/20px system-ui, sans-serif; color: #3a3a3a; background: #fff; }
+#mixseq-keys button { margin-top: 12px; height: 40px; padding: 0 16px; font: inherit; color: inherit; background: none; border: 1px solid #6d6a65; border-radius: 6px; cursor: pointer; }
 #mixseq-keys td { padding: 3px 16px 3px 0; }
 #mixseq-timeline { position: fixed; inset: auto 0 0; z-index: 11; display: flex; flex-wrap: wrap; gap: 6px; align-items: center; padding: 6px 12px; box-sizing: border-box;
   border-top: 1px solid #dcd9d3; background: #f5f4f1; color: #3a3a3a; font: 14px/20px system-ui, sans-serif; }
@@ -24,13 +25,14 @@ var mixseqWindow = (function () {
 #mixseq-timeline canvas { flex: 1; min-width: 0; height: 44px; touch-action: none; cursor: ew-resize; }
 #mixseq-timeline output { min-width: 10.5em; text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
 .mantine-Notifications-root { top: auto !important; bottom: calc(1em + var(--timeline, 0px)) !important; justify-content: end; }
+#root .mantine-Text-root label, #root .mantine-Notification-description { color: #5c6066 !important; } /* contrast 4.5; viser's is 3.3 */
 :focus-visible { outline: 2px solid #31688e !important; outline-offset: 1px; }
 @media (prefers-reduced-motion: reduce) { * { transition-duration: 0s !important; animation-duration: 0s !important; } }
 @media (max-width: 36em) {
   .mixseq-sheet { width: 100% !important; max-height: 35% !important; }
   .mixseq-sheet .mantine-ScrollArea-content > div { width: 100% !important; }
   .mixseq-sheet :is(.mantine-Button-root, .mantine-ActionIcon-root, input:not([type=checkbox])) { min-height: 40px !important; }
-  .mixseq-sheet input[type=checkbox] { width: 28px; height: 28px; }
+  .mixseq-sheet input[type=checkbox] { width: 24px; height: 24px; }
   .mixseq-sheet .mantine-Slider-thumb { width: 24px; height: 24px; }
   .mantine-Notifications-root { position: fixed !important; left: 8px !important; width: auto !important; max-width: calc(100% - 16px); }
   #mixseq-timeline canvas { order: -1; flex: 1 0 100%; }

@@ -1,0 +1,377 @@
+r"""Poses from positions of handles: points of pose space, or of a still mesh, whose parts turn about their joints.
+
+*Models of several frames.* Positions :math:`x_i` of handles depend on a point c of pose space, where the frames have
+the covariance :math:`\Sigma`, and on the placement b. With targets :math:`y_i`, and the pose :math:`c_0` and placement
+:math:`b_0` before the edit, the solution minimises
+
+.. math::
+
+    \sum_i |x_i(c, b) - y_i|^2 / s^2 + (c - c_0)^T \Sigma^{-1} (c - c_0) + |b - b_0|^2 ,
+
+with the softness s in diagonals, and rotations of bodies weighted by their radii of gyration. This is the example-based
+inverse kinematics of Sumner and others 2005 (MeshIK), in a space whose vectors rotate with the parts. The energy does
+not depend on the coordinates of pose space. Only vertices of handles are skinned; derivatives are exact, by a complex
+step.
+
+*Models of a single frame* have no other poses. Their parts are chains: a part j turns by a rotation vector
+:math:`\theta_j` about its pivot, the middle of its boundary with its parent, and roots are placed by b. The solution
+minimises
+
+.. math::
+
+    \sum_i |x_i(\theta, b) - y_i|^2 / s^2 + \sum_j |\theta_j|^2 / \beta^2 + |b - b_0|^2 .
+
+Derivatives are those of kinematic chains: a part below the pivot :math:`q_j` that turns by :math:`\omega` moves by
+:math:`\omega \times (x - q_j)`. P_m of the vector of the still mesh with these part poses makes the mesh: parts are
+rigid, joints keep the lengths and angles of the still mesh.
+
+Both energies are minimised by Levenberg-Marquardt steps. The distance between skinned and projected vertices of joints
+is constant in a round, and updated by decoding the mesh once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from mixseq.errors import SettingsError
+from mixseq.mesh.rotations import (
+    matrix_to_quat,
+    matrix_to_rotvec,
+    quat_multiply,
+    quat_to_matrix,
+    rotate_vectors,
+    rotvec_to_matrix,
+    rotvec_to_quat,
+)
+from mixseq.signals.model import Model
+from mixseq.spaces.mixed.joint_projection import from_complex_step, to_complex_step
+from mixseq.spaces.mixed.mixed_space import MixedBlocks, MixedSpace
+from mixseq.spaces.temporal import Poses
+from mixseq.types import Float, Index
+
+MIN_DEVIATION_RATIO = 1e-6
+"""Standard deviation below which a direction of pose space is a rounding error, as a fraction of the largest."""
+
+JOINT_DEVIATION = 0.5
+"""Rotation of a joint of a still mesh whose energy is 1, in radians."""
+
+MAX_STEPS, STEP_TOLERANCE, ENERGY_TOLERANCE = 30, 1e-4, 1e-5
+"""Largest number of Levenberg-Marquardt steps; they stop at a step in standard deviations, or a relative decrease."""
+
+START_DAMPING, MAX_DAMPING = 1e-3, 1e8
+"""First damping of steps, and the damping at which no step is left that lowers the energy."""
+
+MAX_PROJECTION_ROUNDS, PROJECTION_TOLERANCE = 3, 1e-5
+"""Largest number of rounds for handles at joints, and the change of their offsets at which they stop, in diagonals."""
+
+State = TypeVar("State")
+
+
+def _anchored_space(model: Model) -> MixedSpace:
+    if model.mixed.placement == "free":
+        raise SettingsError("the free placement ignores poses of parts; fit with placement='anchored'")
+    return model.mixed
+
+
+def minimise(
+    state: State,
+    residuals: Callable[[State], Float],
+    jacobian: Callable[[State], Float],
+    after_step: Callable[[State, Float], State],
+) -> State:
+    """Minimise the squares of residuals ``(m,)`` with derivatives ``(m, n)``, by Levenberg-Marquardt steps ``(n,)``."""
+    damping, errors = START_DAMPING, residuals(state)
+    energy = float(errors @ errors)
+    for _ in range(MAX_STEPS):
+        slopes = jacobian(state)
+        gradient, hessian = slopes.T @ errors, slopes.T @ slopes
+        lowered, step = np.inf, gradient
+        while lowered > energy and damping <= MAX_DAMPING:
+            step = np.asarray(-np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient))
+            candidate = after_step(state, step)
+            errors = residuals(candidate)
+            lowered = float(errors @ errors)
+            damping *= 0.1 if lowered <= energy else 10.0
+        if lowered > energy:
+            break
+        decrease, state, energy = energy - lowered, candidate, lowered
+        if decrease <= ENERGY_TOLERANCE * energy or np.abs(step).max() <= STEP_TOLERANCE:
+            break
+    return state
+
+
+class PoseChange(NamedTuple):
+    """A change of pose and placement, in the units of its prior."""
+
+    scores: Float  # (r,) standard deviations along the directions of pose space
+    moves: Float  # (B, 6) rotation vectors of bodies in world axes in radians, shifts of their centres in diagonals
+
+
+class PoseSolver:
+    """Solver for poses of a model from positions of handles, means of groups of vertices."""
+
+    def __init__(self, model: Model, groups: Sequence[Index], softness: float, is_free: bool) -> None:
+        """Take the vertices ``(n,)`` of every handle, the softness in diagonals, and whether bodies move, too."""
+        self.model, self.groups, self.softness, self.is_free = model, groups, softness, is_free
+        self.space = _anchored_space(model)
+        if not len(self.directions):
+            raise SettingsError("the model has a single pose, so that there are no others to find by handles")
+        self._vertex_ids = np.unique(np.concatenate(groups))
+        self._means = np.stack([np.isin(self._vertex_ids, ids) / len(ids) for ids in groups])
+        self._skinned, self._columns = self.space.at_vertices(self._vertex_ids)
+        shapes = model.shapes[:, self._columns[self._columns < self.space.shape_dim]]
+        self._shape_steps = self.directions @ model.pose.matrix @ (shapes - shapes[0])  # (r, S')
+        move_weights = np.ones((self.space.rotation_count if is_free else 0, 6))
+        move_weights[:, :3] = self.space.articulation.body_radii[: len(move_weights), None]
+        self._weights = np.append(np.ones(len(self.directions)), move_weights)
+        self._decoded: tuple[PoseChange | None, float, Float] = (None, 0.0, np.empty((0, 3)))
+
+    @cached_property
+    def directions(self) -> Float:
+        """Standard deviations ``(r, k)`` of the frames along the principal directions of pose space."""
+        points = self.model.time(self.model.times)
+        _, sizes, axes = np.linalg.svd((points - points.mean(axis=0)) / np.sqrt(len(points)), full_matrices=False)
+        kept = sizes > MIN_DEVIATION_RATIO * sizes.max(initial=0.0)
+        return np.asarray(sizes[kept, None] * axes[kept])
+
+    def unchanged(self) -> PoseChange:
+        """Return the change that leaves pose and placement as they are."""
+        return PoseChange(np.zeros(len(self.directions)), np.zeros((self.space.rotation_count, 6)))
+
+    def placement(self, placement: Float, moves: Float) -> Float:
+        """Return a placement ``(P,)`` after moves ``(B, 6)`` of its bodies."""
+        poses = self.space.unpack_placements(placement[None])
+        rotations = quat_multiply(rotvec_to_quat(moves[:, :3]), poses.rotations[0])
+        return np.append(rotations, poses.centres[0] + moves[:, 3:])
+
+    def vectors(self, time: float, change: PoseChange) -> Float:
+        """Return the vector ``(1, D)`` of the model at a time, with a change."""
+        point = self.model.time([time]) + change.scores @ self.directions
+        placement = self.placement(self.model.placement([time])[0], change.moves)
+        weights = self.model.pose.weights(point)
+        return np.concatenate([weights @ self.model.shapes, placement[None], self.model.correction([time])], axis=1)
+
+    def positions(self, points: Float) -> Float:
+        """Return the positions ``(..., n, 3)`` of handles in meshes ``(..., V, 3)``."""
+        return np.asarray(self._means @ points[..., self._vertex_ids, :])
+
+    def points(self, time: float, change: PoseChange) -> Float:
+        """Return the decoded points ``(V, 3)`` of a change at a time; those of the last change are kept."""
+        if self._decoded[0] is not change or self._decoded[1] != time:
+            self._decoded = change, time, self.space.decode(self.vectors(time, change))[0]
+        return self._decoded[2]
+
+    def solve(
+        self,
+        time: float,
+        targets: Float,
+        prior: PoseChange | None = None,
+        start: PoseChange | None = None,
+        rounds: int = MAX_PROJECTION_ROUNDS,
+    ) -> PoseChange:
+        """Solve for the change at a time that moves handles to targets ``(n, 3)``, in the units of the sequence.
+
+        The prior is the likeliest change, by default none. Iterations start from it, or from another change. One round
+        is enough while handles are dragged, from the change before.
+        """
+        prior = self.unchanged() if prior is None else prior
+        change, targets = start or prior, targets / self.space.scale
+        offsets = self._joint_offsets(time, change)
+        for _ in range(rounds):
+            change = self._minimise(time, targets - offsets, prior, change)
+            previous, offsets = offsets, self._joint_offsets(time, change)
+            if np.abs(offsets - previous).max() <= PROJECTION_TOLERANCE:
+                break
+        return change
+
+    def _joint_offsets(self, time: float, change: PoseChange) -> Float:
+        """Return the displacements ``(n, 3)`` of handles by the projection of joints, in diagonals."""
+        projection = self.space.projection
+        if not (projection.steps or (projection.share and self.space.joint_faces.any())):
+            return np.zeros((len(self.groups), 3))
+        skinned = self._means @ self._skinned.skin(self.vectors(time, change)[:, self._columns])[0]
+        return np.asarray(self.positions(self.points(time, change)) / self.space.scale - skinned)
+
+    def _minimise(self, time: float, targets: Float, prior: PoseChange, change: PoseChange) -> PoseChange:
+        """Minimise the energy of skinned handles with targets ``(n, 3)`` in diagonals, starting from a change."""
+        base = self.vectors(time, self.unchanged())[0, self._columns]
+        weights, (pose_count, shape_dim) = self._weights, self._shape_steps.shape
+        placement = slice(shape_dim, shape_dim + self.space.placement_dim)
+        rates = np.zeros((len(weights), len(base)))
+        rates[:pose_count, :shape_dim] = self._shape_steps
+
+        def vector(change: PoseChange) -> Float:
+            result: Float = base.copy()
+            result[:shape_dim] += change.scores @ self._shape_steps
+            result[placement] = self.placement(base[placement], change.moves)
+            return result
+
+        def residuals(change: PoseChange) -> Float:
+            points = self._skinned.skin(vector(change)[None])[0]
+            misses = (self._means @ points - targets).reshape(-1) / self.softness
+            steps = np.append(change.scores - prior.scores, change.moves - prior.moves)[: len(weights)]
+            return np.append(misses, weights * steps)
+
+        def jacobian(change: PoseChange) -> Float:
+            at = vector(change)
+            rates[pose_count:, placement] = self._move_rates(at[placement])[: len(weights) - pose_count]
+            slopes = from_complex_step(self._skinned.skin(to_complex_step(at, rates)))[1]
+            slopes = (self._means @ slopes).reshape(len(weights), -1) / self.softness
+            return np.concatenate([slopes.T, np.diag(weights)])
+
+        return minimise(change, residuals, jacobian, self._after_step)
+
+    def _move_rates(self, placement: Float) -> Float:
+        """Return the rates ``(6 B, P)`` of a placement for rotations and shifts of all bodies."""
+        count = self.space.rotation_count
+        rates = np.zeros((count, 6, len(placement)))
+        for body, quaternion in enumerate(placement[: 4 * count].reshape(-1, 4)):
+            rates[body, :3, 4 * body : 4 * body + 4] = 0.5 * quat_multiply(np.eye(4)[1:], quaternion)
+            rates[body, 3:, 4 * count + 3 * body :][:, :3] = np.eye(3)
+        return rates.reshape(-1, len(placement))
+
+    def _after_step(self, change: PoseChange, step: Float) -> PoseChange:
+        """Return the change after a step ``(n,)``, whose rotations follow those of the change."""
+        scores, steps = np.split(step, [len(change.scores)])
+        moves = change.moves.copy()
+        if self.is_free:
+            turns = (rotvec_to_quat(each[:, :3]) for each in (steps.reshape(-1, 6), moves))
+            moves[:, 3:] += steps.reshape(-1, 6)[:, 3:]
+            moves[:, :3] = matrix_to_rotvec(quat_to_matrix(quat_multiply(*turns)))
+        return PoseChange(change.scores + scores, moves)
+
+
+class JointRotations(NamedTuple):
+    """A pose of a still mesh of p parts."""
+
+    rotations: Float  # (p, 3, 3) of parts about their pivots, in the axes of their parents
+    shifts: Float  # (p, 3) of roots, in diagonals; zero for other parts
+
+
+class StillSolver:
+    """Solver for poses of a model of a single frame from positions of handles, means of groups of vertices."""
+
+    def __init__(self, model: Model, groups: Sequence[Index], softness: float, is_free: bool) -> None:
+        """Take the vertices ``(n,)`` of every handle, the softness in diagonals, and whether bodies move, too."""
+        self.model, self.groups, self.softness, self.space = model, groups, softness, _anchored_space(model)
+        self.tree = self.space.articulation
+        if len(self.space.decomposition.parts) == 1:
+            raise SettingsError(
+                "the model is a still of one part, which cannot bend; fit it with parts=, a number or labels of faces"
+            )
+        count, (parts, parents) = len(self.tree.parents), self.tree.links
+        self.is_root = self.tree.parents < 0
+        self._order = np.append(np.flatnonzero(self.is_root), parts)  # parents first
+        self.pivots = self.tree.rest_centres.copy()
+        self.pivots[parts] += self.tree.pivots[self.tree.link_relations]
+        self._is_below = np.eye(count, dtype=bool)  # (p, p) whether a part moves with the rotation of another
+        for part, parent in zip(parts[::-1], parents[::-1], strict=True):
+            self._is_below[parent] |= self._is_below[part]
+        self._is_variable = np.repeat(np.append(~self.is_root | is_free, np.full(self.is_root.sum(), is_free)), 3)
+        radii = self.tree.body_radii[self.tree.body_of_part]
+        self._weights = np.where(self.is_root, radii, 1.0 / JOINT_DEVIATION)
+        points = model(model.start) / self.space.scale
+        weights = [self.space.skinning_weights[ids].toarray() / len(ids) for ids in groups]
+        self._loads = np.stack([each.sum(axis=0) for each in weights])  # (n, p) weights of parts at handles
+        moments = [each.T @ points[ids] for each, ids in zip(weights, groups, strict=True)]
+        self._moments = np.stack(moments)  # (n, p, 3) weighted sums of positions
+
+    def positions(self, points: Float) -> Float:
+        """Return the positions ``(n, 3)`` of handles in a mesh ``(V, 3)``."""
+        return np.stack([points[ids].mean(axis=0) for ids in self.groups])
+
+    def solve(self, targets: Float) -> Float:
+        """Solve for the points ``(V, 3)`` whose handles are at targets ``(n, 3)``, in the units of the sequence."""
+        count, scale = len(self.is_root), self.space.scale
+        pose = JointRotations(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)))
+        points, offsets = self.points(pose), np.zeros((len(targets), 3))
+        for _ in range(MAX_PROJECTION_ROUNDS):
+            pose = self._minimise(targets / scale - offsets, pose)
+            points = self.points(pose)
+            previous, offsets = offsets, self.positions(points) / scale - self.skin(pose).sum(axis=1)
+            if np.abs(offsets - previous).max() <= PROJECTION_TOLERANCE:
+                break
+        return points
+
+    def points(self, pose: JointRotations) -> Float:
+        """Return the projected points ``(V, 3)`` of a pose, in the units of the sequence."""
+        rotations, shifts = self.motions(pose)
+        centres = rotate_vectors(rotations, self.tree.rest_centres) + shifts
+        world = Poses(matrix_to_quat(rotations)[None], centres[None])
+        bodies = self.tree.fit_bodies(world)
+        parts = self.tree.add_relations(self.tree.to_body_axes(world, bodies))
+        still = self.space.split(self.model.vectors[:1])
+        vector = self.space.join(MixedBlocks(*still[:3], *parts, *bodies, still.corrections))
+        return np.asarray(self.space.decode(vector)[0])
+
+    def motions(self, pose: JointRotations) -> tuple[Float, Float]:
+        """Return the motions ``x -> R x + t`` of parts: rotations ``(p, 3, 3)`` and shifts ``(p, 3)`` in diagonals."""
+        rotations, shifts = (
+            pose.rotations.copy(),
+            pose.shifts + self.pivots - rotate_vectors(pose.rotations, self.pivots),
+        )
+        for part in self._order[self.is_root.sum() :]:
+            parent = self.tree.parents[part]
+            shifts[part] = rotations[parent] @ shifts[part] + shifts[parent]
+            rotations[part] = rotations[parent] @ rotations[part]
+        return rotations, shifts
+
+    def skin(self, pose: JointRotations) -> Float:
+        """Return the weighted positions ``(n, p, 3)`` of handles that move with every part; their sums are skinned."""
+        rotations, shifts = self.motions(pose)
+        return np.asarray(rotate_vectors(rotations, self._moments) + self._loads[..., None] * shifts)
+
+    def _parent_rotations(self, pose: JointRotations) -> Float:
+        """Return the axes ``(p, 3, 3)`` in which parts rotate."""
+        return np.where(self.is_root[:, None, None], np.eye(3), self.motions(pose)[0][self.tree.parents])
+
+    def _minimise(self, targets: Float, pose: JointRotations) -> JointRotations:
+        """Minimise the energy of skinned handles with targets ``(n, 3)`` in diagonals, starting from a pose.
+
+        Variables are rotation vectors about pivots, in world axes, and shifts of roots.
+        """
+        count, root_count = len(self.is_root), int(self.is_root.sum())
+
+        def residuals(pose: JointRotations) -> Float:
+            misses = (self.skin(pose).sum(axis=1) - targets) / self.softness
+            turns = self._weights[:, None] * matrix_to_rotvec(pose.rotations)
+            return np.concatenate([misses, turns, pose.shifts[self.is_root]]).reshape(-1)
+
+        def jacobian(pose: JointRotations) -> Float:
+            rotations, shifts = self.motions(pose)
+            pivots = rotate_vectors(rotations, self.pivots) + shifts
+            sums, loads = np.einsum("jp,npa->nja", self._is_below, self.skin(pose)), self._loads @ self._is_below.T
+            result = np.zeros((len(targets) + count + root_count, 3, count + root_count, 3))
+            by_handle, own = result[: len(targets)], result[len(targets) :]
+            by_handle[:, :, :count] = -_cross_matrices(sums - loads[..., None] * pivots).swapaxes(1, 2) / self.softness
+            by_handle[:, :, count:] = np.einsum("nb,ac->nabc", loads[:, self.is_root], np.eye(3)) / self.softness
+            axes = np.append(
+                self._weights[:, None, None] * self._parent_rotations(pose),
+                np.tile(np.eye(3), (root_count, 1, 1)),
+                axis=0,
+            )
+            own[np.arange(len(axes)), :, np.arange(len(axes))] = axes.swapaxes(1, 2)
+            return result.reshape(-1, 3 * (count + root_count))[:, self._is_variable]
+
+        def after_step(pose: JointRotations, step: Float) -> JointRotations:
+            steps = np.zeros(len(self._is_variable))
+            steps[self._is_variable] = step
+            turns, root_shifts = np.split(steps.reshape(-1, 3), [count])
+            in_axes = np.einsum("pba,pb->pa", self._parent_rotations(pose), turns)
+            shifts = pose.shifts.copy()
+            shifts[self.is_root] += root_shifts
+            return JointRotations(rotvec_to_matrix(in_axes) @ pose.rotations, shifts)
+
+        return minimise(pose, residuals, jacobian, after_step)
+
+
+def _cross_matrices(vectors: Float) -> Float:
+    """Return the matrices ``(..., 3, 3)`` of products ``vector x w``."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    rows = (zero, -z, y), (z, zero, -x), (-y, x, zero)
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
