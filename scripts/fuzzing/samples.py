@@ -16,6 +16,7 @@ import mixseq
 from mixseq.cli import main
 from mixseq.mesh.polygons import Polygons
 from mixseq.mesh.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq.operations import key_poses, with_body
 from mixseq.sequence.sequence import MeshSequence
 from mixseq_io.verification import read_compressed
 
@@ -74,6 +75,16 @@ def written(name: str, damaged: str = "*", velocities: bool = False, **options: 
 def model(**settings: Any) -> Sample:
     """Return a sample of a fitted model."""
     return Sample("model.h5", lambda folder: mixseq.save(folder / "model.h5", mixseq.fit(arm(), **settings)))
+
+
+def herd() -> Sample:
+    """Return a sample of a model of two bodies."""
+
+    def save(folder: Path) -> None:
+        fitted = mixseq.fit(arm(), pose="keys", exact=True)
+        mixseq.save(folder / "model.h5", with_body(fitted, key_poses(fitted), "another"))
+
+    return Sample("model.h5", save)
 
 
 def compressed(name: str, **options: Any) -> Sample:

@@ -8,6 +8,7 @@
 var mixseqTimeline = function (send) {
   const MARGIN = 18; // pixels beside the first and the last frame
   const LABEL_PIXELS = 44; // least distance of frame numbers
+  const PATIENCE = 2000; // milliseconds in which what was asked of Python stays shown, while older frames arrive
   const parts = mixseqChartParts, element = document.createElement("section");
   const icon = (path) => `<svg viewBox="0 0 16 16" aria-hidden="true"><path d="${path}"/></svg>`;
   const button = (name, title, path) => `<button type="button" data-name="${name}" aria-label="${title}" title="${title}">${icon(path)}</button>`;
@@ -21,6 +22,7 @@ var mixseqTimeline = function (send) {
   const look = document.querySelector("[data-mantine-color-scheme=dark]") ? parts.DARK : parts.LIGHT;
   element.classList.toggle("dark", look === parts.DARK);
   let state = null, held = null, width = 0; // held: "time", "in" or "out" while a pointer is down
+  let asked = {}, askedUntil = 0; // time and section that were asked for
 
   const x = (time) => MARGIN + ((time - state.start) / (state.end - state.start || 1)) * (width - 2 * MARGIN);
   /** Time of the frame that is nearest to a place. */
@@ -69,17 +71,30 @@ var mixseqTimeline = function (send) {
   }
 
   function seek(time) {
-    state.time = snap(time);
-    show(state);
+    ask({ time: snap(time) });
     send({ kind: "seek", time: state.time });
   }
 
   /** Set the section to start and end, if it has at least two frames. */
   function mark(start, end) {
     if (end - start < 0.5 / state.rate) return;
-    state.section = [start, end];
-    draw();
+    ask({ section: [start, end] });
     send({ kind: "mark", start, end });
+  }
+
+  function ask(change) {
+    asked = { ...asked, ...change };
+    askedUntil = performance.now() + PATIENCE;
+    show(state);
+  }
+
+  /** Forget what was asked for when it has come, or does not come. */
+  function settle({ rate, time, section, playing }) {
+    const near = (a, b) => Math.abs(a - b) < 0.4 / rate;
+    if (held) return;
+    if (performance.now() > askedUntil || playing) asked = {};
+    if (asked.time !== undefined && near(asked.time, time)) delete asked.time;
+    if (asked.section?.every((end, k) => near(end, section[k]))) delete asked.section;
   }
 
   const actions = {
@@ -125,7 +140,8 @@ var mixseqTimeline = function (send) {
   new ResizeObserver(draw).observe(canvas);
 
   function show(next) {
-    state = held ? { ...next, time: held === "time" && state ? state.time : next.time, section: state.section } : next; // frames lag behind the pointer
+    if (next !== state) settle(next);
+    state = { ...next, ...asked };
     play.querySelector("path").setAttribute("d", state.playing ? PAUSE : PLAY);
     play.setAttribute("aria-label", state.playing ? "Pause" : "Play");
     play.title = `${state.playing ? "Pause" : "Play"} (space)`;
