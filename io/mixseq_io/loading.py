@@ -106,23 +106,19 @@ class ModelReader(SequenceReader):
     """Reader that decodes the frames of a model on demand."""
 
     def __init__(self, path: Path) -> None:
-        from mixseq.sequence.sequence import warn_of_loss
         from mixseq.signals.decoding import FRAMES_PER_BLOCK
 
-        self._model = load(path)
-        if self._model.bodies:
-            text = f"further bodies, {', '.join(self._model.body_names[1:])}, are left out"
-            warn_of_loss(self._model.header, text, "write them by mixseq decode --body, or take Model.body")
+        self._frames = load(path).frames
         self._max_block_frames = FRAMES_PER_BLOCK
-        super().__init__(path, self._model.header)
+        super().__init__(path, self._frames.header)
 
     @property
     def parts(self) -> IntArray | None:
         """Part ``(F,)`` of every triangle; None if the model has none."""
-        return self._model.parts
+        return self._frames.parts
 
     def _read(self, quantity: str, size: int) -> Iterator[FloatArray]:
-        return self._model.blocks(self._model.times, min(size, self._max_block_frames))
+        return self._frames.blocks(min(size, self._max_block_frames))
 
 
 def open_h5(path: Path) -> SequenceReader:

@@ -88,6 +88,7 @@ def _rows(result: Comparison, header: SequenceHeader) -> list[tuple[str, str]]:
     difference = result.max_time_difference
     times = [("times", f"differ by up to {difference:.2g} s ({difference * header.fps:.2g} frames)")]
     return [
+        ("verdict", _verdict(result, header)),
         ("compared", f"{result.frames:,} frames of {result.vertices:,} vertices"),
         *(times if difference * header.fps > FRAME_ROUNDING else []),
         ("KG error", f"{result.kg_percent:.4g} %"),
@@ -98,6 +99,17 @@ def _rows(result: Comparison, header: SequenceHeader) -> list[tuple[str, str]]:
         ("dihedral error", _statistics(result.dihedral_degrees, " degrees")),
         ("volume error", f"{volume.mean:.4g} mean, {volume.max:.4g} max" if volume else "no volume"),
     ]
+
+
+def _verdict(result: Comparison, header: SequenceHeader) -> str:
+    """Say whether two sequences are equal but for rounding, or differ less than can be seen."""
+    from mixseq.signals.detail import EXACT_TOLERANCE, VISUALLY_LOSSLESS_TOLERANCE
+
+    if result.max_error <= EXACT_TOLERANCE:
+        return "equal, but for rounding"
+    if result.max_error <= VISUALLY_LOSSLESS_TOLERANCE:
+        return "no visible difference: less than half a pixel where the mesh fills 1000"
+    return f"visibly different, most in frame {format_frame(result.worst_time, header.fps)}"
 
 
 def _statistics(values: Statistics, unit: str, factor: float = 1) -> str:

@@ -20,7 +20,7 @@ the score of the best map with other partners of the tips, minus the score.
 A proposal is sure if a second run on other coarse surfaces, the other way round, has the same tips, and both runs have
 a low score, a margin and maps that preserve orientation. Sure maps are sampled at points far apart. A point is held out
 of one of two registrations, which have the tips and half of the other points as markers, and kept if the registration
-maps it to about the same point.
+maps it to about the same point. A tip is left out if a registration by the points between tips maps it elsewhere.
 """
 
 from __future__ import annotations
@@ -400,13 +400,15 @@ def _symmetric_maps(body: Body, pairs: Index) -> Iterator[Index]:
             yield np.stack([pairs[:, 0], [symmetry[tip] for tip in pairs[:, 1].tolist()]], axis=1)
 
 
-MAX_SURE_SCORE = 0.6  # largest score of a sure map
-MIN_SURE_MARGIN = 0.015  # smallest margin of a sure map, mean of both runs
+MAX_SURE_SCORE = 0.65  # largest score of a sure map
+MAX_CLEAR_SCORE, MIN_CLEAR_MARGIN = 0.72, 0.08  # largest score of a sure map with a margin, and that margin
+MIN_SURE_MARGIN = 0.025  # smallest margin of a sure map, mean of both runs
 MIN_SURE_ORIENTATION = 0.7  # smallest share of the area on which a sure map preserves orientation
 MIN_MARKERS = 12  # smallest number of proposed markers, with tips
 MARKER_SAMPLES = 40  # number of sample vertices that may become markers
 MAX_ROUND_TRIP = 0.05  # largest distance of a marker from its image there and back, in roots of the area
 MAX_HELD_OUT_DISTANCE = 0.05  # largest distance of a marker from where a registration without it maps it
+MAX_TIP_DISTANCE = 0.15  # largest distance of a tip from where a registration without tips maps it
 HELD_OUT_STIFFNESS, HELD_OUT_STEPS = 1e-3, 6  # last stiffness, and number of stiffnesses, of these registrations
 
 
@@ -472,7 +474,7 @@ def _find_doubt(best: DenseMap, check: DenseMap, margin: float, agreement: tuple
     agreeing, contradicting = agreement
     if contradicting or agreeing < MIN_MATCHED_TIPS:
         return "limbs could correspond in more than one way"
-    if max(best.score, check.score) > MAX_SURE_SCORE:
+    if max(best.score, check.score) > (MAX_SURE_SCORE if margin < MIN_CLEAR_MARGIN else MAX_CLEAR_SCORE):
         return "the bodies differ too much in shape or in their poses"
     if margin < MIN_SURE_MARGIN:
         return "left and right, or front and back, could be exchanged"
@@ -523,6 +525,13 @@ def sample_markers(first: Body, second: Body, best: DenseMap) -> tuple[Index, Ma
         held_out = np.where(images >= 0, first.distances[pairs[:, 0], images], np.inf)
         distances = np.where(is_given & ~is_tip, distances, np.minimum(distances, held_out))
     is_kept = distances < MAX_HELD_OUT_DISTANCE
+    between = pairs[is_kept & ~is_tip]
+    if len(between) >= MIN_MARKERS:  # tips of a head may be its nose on one body, and an ear on the other one
+        registered = _register_surfaces(first, second, best.poses.poses, between)
+        if registered is not None:
+            images = registered[pairs[:, 1]]
+            is_far = (images >= 0) & (first.distances[pairs[:, 0], images] > MAX_TIP_DISTANCE)
+            is_kept &= ~(is_tip & is_far)
     is_kept[: len(first.known)] = True
     return pairs[is_kept], is_tip[is_kept]
 

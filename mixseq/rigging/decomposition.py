@@ -263,7 +263,8 @@ def fit_to_skeleton(
     origin = bind_shape.mean(axis=0)
     rest = (bind_shape - origin) / sequence.diagonal
     pivots = (skeleton.pivots - origin) / sequence.diagonal
-    joints = Joints(skeleton.parents, pivots, skeleton.parents < 0)
+    parents = skeleton.parents.copy()  # numba would compile another version for read-only arrays
+    joints = Joints(parents, pivots, parents < 0)
     tracks = sequence.tracks
     distances = bone_distances(rest, joints.pivots, joints.parents)
     binding, motions = _initial_fit(tracks, rest, joints, distances.argmin(axis=1))

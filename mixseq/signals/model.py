@@ -26,7 +26,7 @@ from mixseq.runtime.parallel import one_blas_thread
 from mixseq.sequence.events import Events
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import as_edited
-from mixseq.sequence.sequence import LazyFrames
+from mixseq.sequence.sequence import LazyFrames, warn_of_loss
 from mixseq.signals.bodies import Body
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
@@ -222,7 +222,10 @@ class Model(Decodable, PickledWithoutCaches):
 
     @property
     def frames(self) -> LazyFrames:
-        """The frames, decoded on demand, with their parts."""
+        """The frames of the body in front, decoded on demand, with their parts; warns of further bodies."""
+        if self.bodies:
+            text = f"further bodies, {', '.join(self.body_names[1:])}, are left out"
+            warn_of_loss(self.header, text, "take them by Model.body, or write them by mixseq decode --body")
         return LazyFrames(self.header, lambda size: self.blocks(self.times, size), self.parts)
 
     @property

@@ -297,6 +297,11 @@ def test_quiet_decode(run: Run) -> None:
 def test_compare(run: Run) -> None:
     table = rows(succeed(run("compare", "bar.npz", "model.h5")))
     assert table["compared"].strip() == "4 frames of 77 vertices"
+    assert table["verdict"].strip() == "equal, but for rounding"
+    for offset, verdict in ((1e-4, "no visible difference"), (1e-2, "visibly different, most in frame")):
+        bar = mixseq.read("bar.npz")
+        mixseq.write("moved.npz", bar.with_points(bar.points + offset * bar.diagonal))
+        assert rows(succeed(run("compare", "bar.npz", "moved.npz")))["verdict"].strip().startswith(verdict)
     assert float(table["max error"].split()[0]) < 1e-10
     assert {"KG error", "rms error", "worst frame", "edge strain", "dihedral error", "volume error"} <= set(table)
     facts = json.loads(succeed(run("compare", "bar.npz", "bar.usdc", "--json")))

@@ -161,11 +161,12 @@ def test_frames_are_predicted_from_both_sides() -> None:
 
 
 def test_neighbours_are_sorted() -> None:
-    edges = np.array([[3, 5], [1, 0], [1, 2], [3, 1], [1, 3], [4, 4], [0, 3], [0, 1]])
+    edges = np.array([[3, 5], [1, 0], [1, 2], [3, 1], [1, 3], [4, 4], [0, 3], [0, 1]], np.int32)
     starts, beside = edge_neighbours(edges, 6)
     assert rows(starts, beside) == [[1, 3], [0, 2, 3], [1], [0, 1, 5], [], [3]]
     left = np.array([True, False, True, True, True, True])
-    assert rows(*update_adjacency(starts, beside, left, np.array([[2, 0], [3, 2], [0, 3]]))) == [
+    added = np.array([[2, 0], [3, 2], [0, 3]], np.int32)
+    assert rows(*update_adjacency(starts, beside, left, added)) == [
         [2, 3],
         [],
         [0, 3],
@@ -173,14 +174,14 @@ def test_neighbours_are_sorted() -> None:
         [],
         [3],
     ]
-    starts, beside = edge_neighbours(np.zeros((0, 2), dtype=np.int64), 2)
+    starts, beside = edge_neighbours(np.zeros((0, 2), np.int32), 2)
     assert starts.tolist() == [0, 0, 0]
     assert beside.size == 0
 
 
 def test_nodes_are_renumbered() -> None:
     order, place = np.array([2, 0, 3, 1]), np.array([1, 3, 0, 2])
-    starts, beside = edge_neighbours(np.array([[0, 1], [1, 2], [2, 3]]), 4)
+    starts, beside = edge_neighbours(np.array([[0, 1], [1, 2], [2, 3]], np.int32), 4)
     other = renumber_adjacency(starts, beside, order, place)
     assert rows(*other) == [[3, 2], [3], [0], [1, 0]]
     assert rows(*renumber_adjacency(*other, place, order)) == rows(starts, beside)

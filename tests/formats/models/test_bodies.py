@@ -60,6 +60,8 @@ def test_frames_are_those_of_the_first_body(model: Model) -> None:
     with pytest.warns(MixseqWarning, match="'bar': further bodies, shuffled, finer, are left out"):
         frames = mixseq.read(HERD)
     np.testing.assert_array_equal(frames.points, model.sample().points)
+    with pytest.warns(MixseqWarning, match="take them by Model.body"):
+        mixseq.compress(model, kg=1.0)
 
 
 @pytest.mark.parametrize(

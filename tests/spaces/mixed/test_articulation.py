@@ -447,13 +447,11 @@ def test_rates_of_motions_are_difference_quotients(seed: int) -> None:
 def test_small_corrections_have_the_rates_of_large_ones() -> None:
     """Their exponential is a power series below an angle, and both sides of it agree."""
     small = np.sqrt(kernels.SERIES_SQUARED_ANGLE)
-    turns, none = np.eye(4)[:1], np.zeros((1, 3))
+    turns, none = np.eye(4)[:1].astype(complex), np.zeros((1, 3), complex)
     found = []
     for size in (0.999999 * small, 1.000001 * small):
         spins = to_complex_step(size * AXIS[None], AXIS[None])
-        value, rate = from_complex_step(
-            kernels.correct_poses(turns.astype(complex), none, spins, none.astype(complex))[0]
-        )
+        value, rate = from_complex_step(kernels.correct_poses(turns, none, spins, none)[0])
         np.testing.assert_allclose(value[0], [np.cos(size / 2), *np.sin(size / 2) * AXIS], atol=1e-15)
         found.append(rate)
     np.testing.assert_allclose(found[0], found[1], atol=1e-8)

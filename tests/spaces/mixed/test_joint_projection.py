@@ -319,7 +319,7 @@ def test_distances_to_neighbours_that_follow_the_same_are_kept(seed: int) -> Non
     first = slice(starts[0], starts[1])
     count = starts[1]
     alike = (
-        np.arange(len(POINTS) + 1) * count,
+        np.arange(len(POINTS) + 1, dtype=np.int32) * count,
         np.tile(parts[first], len(POINTS)),
         np.tile(shares[first], len(POINTS)),
     )
