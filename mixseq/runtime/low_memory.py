@@ -13,7 +13,6 @@ memory. Large arrays are in tiles on disk, so that rows and columns are both rea
 
 from __future__ import annotations
 
-import ctypes
 import tempfile
 import threading
 import weakref
@@ -134,6 +133,8 @@ def _tiles(row_count: int, width: int) -> Iterator[slice]:
 
 def return_freed_memory() -> None:
     """Return freed memory to the system; glibc keeps it where other memory is still in use behind it."""
+    import ctypes  # slow to import
+
     with suppress(OSError, AttributeError, TypeError):  # other C libraries cannot be asked
         ctypes.CDLL(None).malloc_trim(0)
 

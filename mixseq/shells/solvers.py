@@ -72,7 +72,7 @@ def analyse(starts: Index, rows: Index) -> Analysis:
 
 def factorise(matrix: sparse.sparray) -> Factor:
     """Factor a symmetric positive definite matrix ``(n, n)``, with both triangles stored."""
-    lower = sparse.csc_array(sparse.tril(sparse.csc_array(matrix)))
+    lower = sparse.csc_array(sparse.tril(matrix, format="csc"))
     lower.sort_indices()
     return analyse(lower.indptr.astype(np.int64), lower.indices.astype(np.int64)).factor(lower.data)
 

@@ -42,7 +42,6 @@ The constants were chosen empirically. Frozen: changing them breaks files.
 from __future__ import annotations
 
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -74,16 +73,11 @@ class Stencils(NamedTuple):
     weights: Float  # (N, MAX_STENCIL_NODES) multiples of 2^-24; rows add up to one
 
 
-_stencil_cache: WeakKeyDictionary[SignalGraph, Stencils] = WeakKeyDictionary()
-
-
 def graph_stencils(graph: SignalGraph) -> Stencils:
     """Return the stencils of a graph; graphs over time, and nodes without edges, keep the weights of the graph."""
-    if graph not in _stencil_cache:
-        stencils = _compute_stencils(graph)
-        kernels.round_weights(stencils.weights)
-        _stencil_cache[graph] = stencils
-    return _stencil_cache[graph]
+    stencils = _compute_stencils(graph)
+    kernels.round_weights(stencils.weights)
+    return stencils
 
 
 def _compute_stencils(graph: SignalGraph) -> Stencils:

@@ -144,12 +144,13 @@ def compress(
     parts = own_parts(sequence) if parts is None else parts
     if not (parts is None or isinstance(parts, int | np.integer)):
         parts = numbering.renumber_labels(np.asarray(parts), sequence.header.polygons)
-    sequence = numbering.renumber_frames(sequence)
+    sequence, order = numbering.renumber_frames(sequence), numbering.order
     header, uv_steps = with_quantised_uvs(sequence.header, uv_error, uvs)
     inbetweens &= sequence.header.frame_count > 1
     stages = StagedProgress(progress, 2 + inbetweens + MAX_ROUNDS, sequence.header.frame_count)
     with one_blas_thread():
         frames = load_frames(sequence, stages.at(0))
+        del sequence, numbering  # large
         unit = frames.diagonal or 1.0
         labels = _segment(frames, parts)
         if size is not None and labels is not None:
@@ -160,7 +161,7 @@ def compress(
         whole = events.with_cuts(cuts, header).whole
         playback = decode(coded, tuple(k + 1 for k in sorted({*whole.cuts, *whole.pops})))
         parameters = _measure_errors(frames, playback, coded.parameters, max_error, kg)
-        coded = replace(coded, parameters=parameters, between=playback.between, order=numbering.order, parts=labels)
+        coded = replace(coded, parameters=parameters, between=playback.between, order=order, parts=labels)
         if inbetweens:
             coded = add_inbetweens(coded, playback, size, between_frames, stages.at(2 + MAX_ROUNDS))
     parameters = coded.parameters

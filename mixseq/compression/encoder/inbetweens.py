@@ -32,7 +32,7 @@ from mixseq.compression.compressed_model import CompressedModel
 from mixseq.compression.encoder.components import solve_damped
 from mixseq.compression.encoder.trial import code_coefficients, round_coefficients
 from mixseq.errors import MixseqError, MixseqWarning, SettingsError
-from mixseq.runtime.low_memory import LargeArray, new_large_array, return_freed_memory
+from mixseq.runtime.low_memory import LargeArray, new_large_array
 from mixseq.runtime.progress import Progress
 from mixseq.signals.decoding import largest_distance, quarter_times
 from mixseq.signals.model import Model
@@ -76,7 +76,6 @@ def add_inbetweens(
     bytes_at_frames = sum(map(len, coded.basis)) + sum(len(c.coefficients) + len(c.residuals) for c in coded.chunks)
     max_bytes = MAX_SIZE_RATIO * bytes_at_frames if size is None else size - bytes_at_frames
     max_bytes, max_error_ratio = (np.inf, np.inf) if between else (max_bytes, MAX_ERROR_RATIO)
-    return_freed_memory()
     try:
         model = CompressedModel.from_playback(playback, coded.parts).fit(progress)
     except MixseqError as error:

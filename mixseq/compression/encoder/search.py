@@ -39,7 +39,6 @@ from mixseq.compression.encoder.components import (
 from mixseq.compression.encoder.parts import initial_parts, refine_parts
 from mixseq.compression.encoder.trial import Candidate, Trial, add_residuals, squared_error, try_step
 from mixseq.errors import SizeError
-from mixseq.runtime.low_memory import return_freed_memory
 from mixseq.runtime.progress import StagedProgress
 from mixseq.sequence.sequence import FrameStore, largest_coordinate, rounding_error
 from mixseq.types import Index
@@ -234,7 +233,6 @@ class Search:
     def _try_step(self, candidate: Candidate, step: float) -> Trial:
         self._stages.at(1 + min(self._rounds, MAX_ROUNDS - 1))(0, 1, f"choosing the step{self._tried}")
         self._rounds += 1
-        return_freed_memory()
         trial = try_step(self._sequence, candidate, max(step, self._min_step), self._chunk)
         self._tried = f", after {trial.size / 1000:,.3g} kB"
         return trial

@@ -73,16 +73,17 @@ def _round_vectors(
     return values, signals
 
 
-def code_basis(rounded: Sequence[RoundedPart], labels: Index, graph: SignalGraph) -> tuple[bytes, ...]:
-    """Code a basis and the part labels ``(V,)`` of vertices; return the streams of all groups for `read_basis`."""
+def code_basis(
+    signals: Sequence[list[Signal]], coordinates: int, labels: Index, graph: SignalGraph
+) -> tuple[bytes, ...]:
+    """Code the signals of every part, and the labels ``(V,)`` of vertices; return all groups for `read_basis`."""
     models, streams = new_number_models(), []
-    for number, group in enumerate(part_groups([len(part.vectors) for part in rounded])):
+    for number, group in enumerate(part_groups([len(of_part) // coordinates for of_part in signals])):
         writer = Writer()
-        if number == 0 and len(rounded) > 1:
+        if number == 0 and len(signals) > 1:
             write_labels(writer, labels, graph)
         for part, vectors in group:
-            coordinates = rounded[part].vectors.shape[1]
-            for signal in rounded[part].signals[coordinates * vectors.start : coordinates * vectors.stop]:
+            for signal in signals[part][coordinates * vectors.start : coordinates * vectors.stop]:
                 writer.write(signal, models)
         streams.append(writer.finish())
     return tuple(streams)
@@ -176,11 +177,11 @@ Streams = tuple[tuple[bytes, ...], list[bytes]]
 
 
 def streams_on_demand(
-    candidate: Candidate, basis: list[RoundedPart], chunks: list[list[Signal]]
+    candidate: Candidate, basis: list[list[Signal]], chunks: list[list[Signal]]
 ) -> Callable[[], Streams]:
     """Return a function that codes rounded signals in parallel, at its first call."""
     work: list[Callable[[], Any]] = [
-        partial(code_basis, basis, candidate.labels, candidate.graph),
+        partial(code_basis, basis, candidate.parts[0].coordinates, candidate.labels, candidate.graph),
         *(partial(code_coefficients, signals) for signals in chunks),
     ]
 
@@ -236,9 +237,12 @@ class Trial:
 def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int = DEFAULT_CHUNK_FRAMES) -> Trial:
     """Round a sequence with one step."""
     rounded = round_basis(candidate.parts, step)
-    vectors = [part.vectors for part in rounded]
+    vectors, basis_signals = [part.vectors for part in rounded], [part.signals for part in rounded]
+    del rounded
+    number_count, ranks = sum(part.size for part in vectors), tuple(map(len, vectors))
     vertices = [components.part.vertices for components in candidate.parts]
     basis = assemble_basis(candidate.components.kind, vectors, vertices, len(sequence.points))
+    del vectors  # as large as the basis
     if not basis.norms.max(initial=0.0) < MAX_NORM:
         raise InvalidSequenceError(
             f"{sequence.header.name!r}: the mesh is {sequence.diagonal:.3g} units across, and players of compressed "
@@ -258,10 +262,9 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int
     motion = np.square(candidate.components.norms).sum()
     if squares <= MIN_ALGEBRAIC_ERROR * motion and candidate.share == 1:
         squares = squared_error(sequence, basis, decoded)
-    ranks = tuple(map(len, vectors))
     error = float(np.sqrt(max(squares, 0.0)))
-    streams = streams_on_demand(candidate, rounded, signals)
-    if sum(part.size for part in vectors) + decoded.size > MAX_PENDING_NUMBERS:
+    streams = streams_on_demand(candidate, basis_signals, signals)
+    if number_count + decoded.size > MAX_PENDING_NUMBERS:
         streams()
     return Trial(candidate, step, ranks, basis, decoded, spans, streams, error)
 

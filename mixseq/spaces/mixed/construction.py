@@ -104,7 +104,7 @@ def mixed_space(
         scale=scale,
         shapes=shapes,
         reference=reference,
-        skinning_weights=fit_skinning_weights(topology, decomposition, shapes, frames / scale, reference),
+        skinning_weights=fit_skinning_weights(topology, decomposition, shapes, frames, scale, reference),
         steadiness=None,
         joint_faces=np.zeros(len(topology.faces), dtype=bool),
         projection=Projection(),

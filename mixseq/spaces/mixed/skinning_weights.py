@@ -148,9 +148,9 @@ _PARTS_PER_BLOCK = 16  # parts that are diffused together
 
 
 def fit_skinning_weights(
-    topology: Topology, decomposition: Decomposition, shapes: Float, frames: FloatArray, reference: Float
+    topology: Topology, decomposition: Decomposition, shapes: Float, frames: FloatArray, scale: float, reference: Float
 ) -> sparse.csr_array:
-    """Fit skinning weights ``(V, p)``, rows adding up to one, to frames ``(S, V, 3)``; shapes ``(N, 3)``."""
+    """Fit skinning weights ``(V, p)``, rows adding up to one, to frames ``(S, V, 3)`` / scale; shapes ``(N, 3)``."""
     fitted, part_of_vertex = _split_vertices(topology, decomposition)
     graph = topology.vertex_adjacency[fitted][:, fitted]
     parts, weights = _diffuse(graph, _parts_near(topology, decomposition, fitted))
@@ -160,7 +160,7 @@ def fit_skinning_weights(
         size = len(blended), MAX_PARTS_PER_VERTEX, MAX_PARTS_PER_VERTEX
         products, variances = np.zeros(size), np.zeros(len(blended))
         for frame in frames:
-            x = frame.astype(np.float64)
+            x = (frame / scale).astype(np.float64)
             rotations, centres = register_parts(shapes, decomposition.parts, x)
             turns = rotations @ np.swapaxes(rest_rotations, 1, 2)
             shifts = centres - rotate_vectors(turns, rest_centres)
@@ -219,9 +219,10 @@ def _diffuse(graph: sparse.csr_array, fractions: sparse.csr_array) -> tuple[Inde
     """Diffuse fractions ``(n, p)``: return nearby parts ``(n, k)``, -1 for none, and their weights, decreasing."""
     vertex_count, part_count = fractions.shape
     degrees = np.asarray(graph.sum(axis=1), dtype=np.float64).reshape(-1)
-    laplacian = sparse.diags_array(degrees) - graph
-    diffusion = sparse.eye_array(vertex_count) + INFLUENCE_RINGS**2 / 4.0 * laplacian
-    factor = factorise(sparse.csr_array(diffusion))
+    diffusion = INFLUENCE_RINGS**2 / 4.0 * (sparse.diags_array(degrees) - graph)
+    diffusion = sparse.eye_array(vertex_count) + diffusion
+    factor = factorise(diffusion)
+    del diffusion
     parts: Index = np.full((vertex_count, MAX_PARTS_PER_VERTEX), -1, dtype=np.int64)
     weights: Float = np.zeros(parts.shape)
     for start in range(0, part_count, _PARTS_PER_BLOCK):

@@ -480,8 +480,3 @@ def test_frames_keep_their_own_weights() -> None:
     graph = path_graph(50)
     np.testing.assert_allclose(graph_stencils(graph).weights[:, :6], graph.weights, rtol=0, atol=2.0**-25)
     np.testing.assert_array_equal(graph_stencils(graph).counts, graph.counts)
-
-
-def test_stencils_are_made_once() -> None:
-    graph = graph_of(grid(3, 3))
-    assert graph_stencils(graph) is graph_stencils(graph)

@@ -37,7 +37,7 @@ from tests.spaces.mixed.made import MESHES, chain, sequence_of, sliced, space_of
 def shares_of(mesh: Mesh, decomposition: Decomposition, frames: Float) -> sparse.csr_array:
     """Shares of frames as they are, whose first one is the reference."""
     shapes = np.concatenate([mean_shape(frames[:, part]) for part in decomposition.parts])
-    return fit_skinning_weights(topology_of(mesh), decomposition, shapes, frames, frames[0])
+    return fit_skinning_weights(topology_of(mesh), decomposition, shapes, frames, 1.0, frames[0])
 
 
 def upper(mesh: Mesh, decomposition: Decomposition) -> int:
