@@ -293,8 +293,8 @@ def command(
     onto TARGET, which takes a while; --save-map saves them for the next time. Components of TARGET without markers
     follow adjacent components.
 
-    The first line says whether OUT is good, or what to check in which frame; the table below it has the figures, and
-    --json all of them. A picture of both is drawn next to OUT.
+    The first line says whether OUT is good, or where and in which frame to look; the table below it has the figures,
+    and --json all of them. A picture of both is drawn next to OUT, with rings at the places to look at.
 
     With --as-body only the key poses of SOURCE are transferred, and OUT holds the bodies of SOURCE and one more.
     "mixseq edit" edits all of them at once, "mixseq decode --body" makes sequences of them.
