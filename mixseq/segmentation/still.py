@@ -18,7 +18,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from mixseq.mesh.measures import edge_lengths, scatter_add
+from mixseq.mesh.measures import edge_lengths, element_blocks, scatter_add
 from mixseq.mesh.topology import Topology, split_labels
 from mixseq.segmentation.elements import Boundaries
 from mixseq.types import Float, Index
@@ -43,7 +43,10 @@ def segment_still(x: Float, topology: Topology, areas: Float, parts: int) -> Ind
         if levels > MAX_LEVELS:
             break
         pieces = split_labels(topology, np.floor(levels * heights).astype(np.int64))
-    return merge_pieces(x[topology.faces].mean(axis=1), topology, areas, pieces, parts)
+    centres = np.empty((len(topology.faces), 3))
+    for rows in element_blocks(len(centres)):
+        centres[rows] = x[topology.faces[rows]].mean(axis=1)
+    return merge_pieces(centres, topology, areas, pieces, parts)
 
 
 def mean_surface_distances(x: Float, topology: Topology) -> Float:
