@@ -88,10 +88,19 @@ def test_proposals_are_new() -> None:
 
 
 def test_labels_do_not_collide() -> None:
-    """Seen along z, with squares of size 1: two at one place stand on each other, the third one stays."""
+    """Seen along z: off the surface, else above the ball; of two at one place, the one behind is below on the left."""
     pytest.importorskip("viser", reason="the extra viewer is not installed")
-    from mixseq.viewer.live.marking import separate_labels
+    from mixseq.viewer.live.marking import LABEL_DISTANCE_RATIO, LABEL_SIZE_RATIO, place_labels
 
-    points = np.array([[0.0, 0, 0], [0.2, 0.1, 5], [3.0, 0, 0]])
-    placed = separate_labels(points, np.array([0.0, 0, 1]), 1.0)
-    np.testing.assert_allclose(placed, np.array([[0, 0, 0], [0.2, 1, 5], [3, 0, 0]]), atol=1e-12)
+    towards = np.array([0.0, 0, 1])
+    points = np.array([[0.0, 0, 0], [0, 0, 5], [30, 0, 0]])
+    normals = np.array([[0.0, 0, 1], [0, 0, 1], [4, -0.3, 0]])
+    placed = place_labels(points, normals, towards, 1.0)
+    np.testing.assert_allclose(placed[1:] - points[1:], LABEL_DISTANCE_RATIO * np.eye(3)[[1, 0]], atol=1e-12)
+    np.testing.assert_allclose(placed[0], LABEL_DISTANCE_RATIO * np.array([-1, -1, 0]) / np.sqrt(2), atol=1e-12)
+    crowd = np.random.default_rng(0).uniform(-5, 5, (30, 3))
+    flat = place_labels(crowd, crowd, towards, 1.0)[:, :2]
+    distances = np.abs(flat[:, None] - flat).max(axis=2)
+    assert distances[np.triu_indices(30, 1)].min() >= LABEL_SIZE_RATIO
+    above = place_labels(crowd, crowd, np.array([0.0, 1, 0]), 1.0)
+    np.testing.assert_allclose(above[:, 1], crowd[:, 1], atol=1e-12)

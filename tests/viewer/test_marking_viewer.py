@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -126,21 +127,29 @@ def hand(opened: Hand, watched: Watched) -> Iterator[Hand]:
     watched.check()
 
 
+def says(hand: Hand, text: str) -> bool:
+    return text in hand.text("proposed")
+
+
 def has_more_than(session: MarkingSession, count: int) -> bool:
     return len(session.marking.pairs) > count
 
 
 def test_from_nothing_to_a_file(hand: Hand, keep: Keep, target: Path) -> None:
     page, session = hand.page, hand.session
-    eventually(lambda: f"{len(session.proposals)} to confirm" in hand.text("proposed"))
+    for certainty, count in Counter(pair.certainty for pair in session.proposals).items():
+        eventually(partial(says, hand, f"{count} {certainty}"))
     keep(page, "markers_proposed")
 
     hand.button("Accept")
     eventually(lambda: len(session.marking.pairs) == 1)
+    before = page.evaluate(PLACE, [0, 0])
     while len(session.marking.pairs) < 8:
         count = len(session.marking.pairs)
-        page.keyboard.press("a")
+        page.keyboard.press("y")
         eventually(partial(has_more_than, session, count))
+    hand.wait_until_still()
+    np.testing.assert_allclose(page.evaluate(PLACE, [0, 0]), before, atol=0.5)  # the camera stays
     sides = {(one[-2:], other[-2:]) for one, other in hand.bones()}
     assert not sides & {(".l", ".r"), (".r", ".l")}
 
@@ -150,11 +159,12 @@ def test_from_nothing_to_a_file(hand: Hand, keep: Keep, target: Path) -> None:
     hand.click(1, "thigh.l")
     eventually(lambda: "9 pairs" in hand.text("hint"))
     assert hand.bones()[8] == ("thigh.l", "thigh.l")
-    page.keyboard.press("a")  # the right thigh is proposed first
+    page.keyboard.press("y")  # the right thigh is proposed first
     eventually(lambda: len(session.marking.pairs) == 10)
     assert hand.bones()[9] == ("thigh.r", "thigh.r")
 
     eventually(lambda: "(median)" in hand.text("map"))
+    assert "No pair seems wrong" in hand.text("map")
     assert "100 % of the target covered" in hand.text("map")
     keep(page, "markers_set")
 
@@ -163,10 +173,10 @@ def test_from_nothing_to_a_file(hand: Hand, keep: Keep, target: Path) -> None:
     hand.button("Redo")
     eventually(lambda: len(session.marking.pairs) == 10)
 
-    assert "changed since it was saved" in hand.text("saved")
+    assert ": unsaved changes" in hand.text("saved")
     hand.button("Save")
     eventually(target.exists)
-    eventually(lambda: "as in the file" in hand.text("saved"))
+    eventually(lambda: "no unsaved changes" in hand.text("saved"))
     saved = mixseq.read_markers(target)
     assert np.array_equal(saved.source, session.marking.markers.source)
     assert np.array_equal(saved.target, session.marking.markers.target)

@@ -1,8 +1,7 @@
 """Viewer for markers: the user clicks pairs of vertices on two meshes at rest, shown side by side.
 
-Each vertex of a pair is drawn as a ball with the number of the pair; balls of proposals are dark, grey between them,
-or orange if they are unsure. A panel has buttons
-for undo and proposals, and shows the examination of the map.
+Each vertex of a pair is drawn as a ball with the number of the pair; balls of proposals have the colour of their
+certainty. A panel has buttons for undo and proposals, explains the colours, and shows the examination of the map.
 """
 
 from __future__ import annotations
@@ -27,13 +26,13 @@ from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.types import Float, Index
 from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.live.controls import notify_all
-from mixseq.viewer.live.stage import LiveStage
+from mixseq.viewer.live.stage import LiveStage, srgb_to_linear
 from mixseq.viewer.live.viewer import add_bridge, run_server
 from mixseq.viewer.marking import SOURCE, TARGET, Certainty, Marking, MarkingSession, Pair
 from mixseq.viewer.playback import Playback
 from mixseq.viewer.session import Drawn, Message
 
-BALL_RADIUS_RATIO = 0.004
+BALL_RADIUS_RATIO = 0.006
 """Radius of a ball, relative to the distance of the camera from its target."""
 
 MAX_BALL_DISTANCE = 2.5 * SCENE_SIZE
@@ -47,33 +46,44 @@ SELECTED_SCALE = 1.6
 
 PROPOSAL_COLOURS: dict[Certainty, tuple[int, int, int]] = {
     "sure": (40, 40, 40),
-    "between": (150, 150, 150),
+    "between": (49, 104, 142),
     "unsure": (230, 120, 0),
 }
 
-LABEL_SIZE_RATIO = 6.0
+LABEL_SIZE_RATIO = 4.0
 """Width and height of the room of a label, in radii of a ball."""
+
+LABEL_DISTANCE_RATIO = 2.6
+"""Distance of a label from its ball, in radii of a ball; multiples of it where that place is taken."""
+
+MIN_LABEL_COSINE = -0.6
+"""Cosine of the angle from the normal to the camera below which a ball has no label, as it is behind its mesh."""
 
 MAX_LABEL_TURN_DEGREES = 10.0
 """Rotation of the camera beyond which labels are placed again."""
 
 
-def separate_labels(points: Float, towards: Float, size: float) -> Float:
-    """Move label positions ``(n, 3)`` up the screen apart, as seen from a direction ``(3,)``."""
+def place_labels(points: Float, normals: Float, towards: Float, radius: float) -> Float:
+    """Return label positions ``(n, 3)`` beside balls at points ``(n, 3)``, apart as seen from a direction ``(3,)``.
+
+    A label is off the surface, or at the next free place around its ball; the balls nearest to the camera come first.
+    """
     right = np.cross([0.0, 1.0, 0.0], towards)
     if np.linalg.norm(right) < 1e-3:  # from straight above
         right = np.array([1.0, 0.0, 0.0])
     right = right / np.linalg.norm(right)
-    up = np.cross(towards, right)
-    across, heights = points @ right, points @ up
-    placed: list[int] = []
-    for row in np.lexsort((across, heights)):
-        while below := [
-            k for k in placed if max(abs(across[k] - across[row]), abs(heights[k] - heights[row])) < 0.999 * size
-        ]:
-            heights[row] = heights[below].max() + size
-        placed.append(int(row))
-    return np.asarray(points + (heights - points @ up)[:, None] * up)
+    axes = np.stack([right, np.cross(towards, right)])
+    balls, leans = points @ axes.T, normals @ axes.T + [0.0, 0.3]  # above the ball where the surface faces the camera
+    turns = np.radians([0, 45, -45, 90, -90, 135, -135, 180])
+    labels = np.full_like(balls, np.inf)
+    for row in np.argsort(-points @ towards, kind="stable"):
+        angles = np.arctan2(leans[row, 1], leans[row, 0]) + turns
+        around = LABEL_DISTANCE_RATIO * radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        places = np.concatenate([balls[row] + step * around for step in range(1, len(balls) + 2)])
+        to_balls, to_labels = (np.abs(places[:, None] - taken).max(axis=2) for taken in (balls, labels))
+        is_free = (to_balls > 1.7 * radius).all(axis=1) & (to_labels >= LABEL_SIZE_RATIO * radius).all(axis=1)
+        labels[row] = places[is_free.argmax()]
+    return np.asarray(points + (labels - balls) @ axes)
 
 
 def pair_colour(number: int) -> tuple[int, int, int]:
@@ -104,7 +114,7 @@ def make_balls(marking: Marking, proposals: Sequence[Pair], suspects: frozenset[
         yield Ball(marking.started[1], f"{number + 1} ...", pair_colour(number), SELECTED_SCALE)
     for place, pair in enumerate(proposals):
         colour = PROPOSAL_COLOURS[pair.certainty]
-        yield Ball(pair.vertices[side], "" if place else "?", colour, 0.7 if place else 1.2)
+        yield Ball(pair.vertices[side], "" if place else "?", colour, 0.8 if place else 1.2)
 
 
 class MarkingStage:
@@ -154,7 +164,7 @@ class MarkingStage:
         vertices = np.array([ball.vertex for ball in balls], np.int64)
         with self._server.atomic():
             self._draw_balls(side, balls, points[vertices])
-            self._draw_labels(side, balls, points[vertices] + 3 * self._radius * normals[vertices])
+            self._draw_labels(side, balls, points[vertices], normals[vertices])
 
     def _draw_balls(self, side: int, balls: Sequence[Ball], points: Float) -> None:
         """Move the balls of a mesh to points ``(n, 3)``; keep unused balls below the ground, as new balls flicker."""
@@ -162,8 +172,9 @@ class MarkingStage:
         positions = np.tile(np.array([0.0, -1e4, 0.0], np.float32), (count, 1))
         scales = np.full(count, self._radius, np.float32)
         colours = np.zeros((count, 3), np.uint8)
+        linear = srgb_to_linear(np.array([ball.colour for ball in balls], np.uint8).reshape(-1, 3))
         for row, ball in enumerate(balls):
-            positions[row], scales[row], colours[row] = points[row], self._radius * ball.scale, ball.colour
+            positions[row], scales[row], colours[row] = points[row], self._radius * ball.scale, linear[row]
         node = self._nodes.get(side)
         if node is not None and len(node.batched_positions) == count:
             node.batched_positions, node.batched_scales, node.batched_colors = positions, scales, colours
@@ -185,14 +196,10 @@ class MarkingStage:
             if event.instance_index is not None:
                 self._on_click(side, event.instance_index)
 
-    def _draw_labels(self, side: int, balls: Sequence[Ball], points: Float) -> None:
-        texts = {
-            f"/markers/{side}/{row}": (ball.text, point)
-            for row, (ball, point) in enumerate(
-                zip(balls, separate_labels(points, self._towards, LABEL_SIZE_RATIO * self._radius), strict=True)
-            )
-            if ball.text
-        }
+    def _draw_labels(self, side: int, balls: Sequence[Ball], points: Float, normals: Float) -> None:
+        rows = [row for row, ball in enumerate(balls) if ball.text and normals[row] @ self._towards > MIN_LABEL_COSINE]
+        places = place_labels(points[rows], normals[rows], self._towards, self._radius)
+        texts = {f"/markers/{side}/{row}": (balls[row].text, place) for row, place in zip(rows, places, strict=True)}
         for name in list(self._labels):
             if name.startswith(f"/markers/{side}/") and name not in texts:
                 self._labels.pop(name).remove()
@@ -205,7 +212,7 @@ class MarkingStage:
                     position=point,
                     anchor="center-center",
                     font_screen_scale=1.1,
-                    depth_test=True,
+                    depth_test=False,
                 )
                 continue
             label.position = point
@@ -244,12 +251,11 @@ class MarkingControls:
         with gui.add_folder("Markers"):
             self._hint_line = gui.add_html("")
             steps = gui.add_button_group("Steps", ("Undo", "Redo", "Delete"))
+            self._proposal_line = gui.add_html("")
+            proposals = gui.add_button_group("Proposed", ("Accept", "Skip", "Accept all", "Suggest"))
+        with gui.add_folder("View"):
             views = gui.add_button_group("See from", tuple(VIEWS))
             across = gui.add_button("Other mesh", hint="View the same point of the other mesh (key O)")
-        with gui.add_folder("Proposed"):
-            self._proposal_line = gui.add_html("")
-            proposals = gui.add_button_group("", ("Accept", "Skip", "Accept all"))
-            again = gui.add_button("Suggest", hint="Suggest markers that fit the pairs that are set")
         with gui.add_folder("Map"):
             self._map = gui.add_html("")
         with gui.add_folder("Save"):
@@ -260,14 +266,13 @@ class MarkingControls:
         gui.add_command("Other mesh", hotkey="O").on_trigger(lambda event: show_other_mesh(event.client.camera))
         for group in (steps, proposals):
             group.on_click(lambda _, by=group: self._do(by.value))
-        again.on_click(lambda _: session.suggest())
         button.on_click(lambda _: save())
-        for label, key, modifier in (
+        for label, key, modifier in (  # viser moves the camera with W, A, S, D, Q and E
             ("Undo", "Z", "cmd/ctrl"),
             ("Redo", "Z", "cmd/ctrl+shift"),
-            ("Accept", "A", None),
-            ("Skip", "S", None),
-            ("Delete", "D", None),
+            ("Accept", "Y", None),
+            ("Skip", "N", None),
+            ("Delete", "X", None),
         ):
             command = gui.add_command(label, hotkey=key, modifier=modifier)
             command.on_trigger(lambda _, by=label: self._do(by))
@@ -285,7 +290,7 @@ class MarkingControls:
             "mixseq-proposed", [_proposal_text(proposals, session.work, session.doubt)]
         )
         self._map.content = _lines("mixseq-map", _map_lines(marking, examination, session.work))
-        state = "changed since it was saved" if session.has_changes else "as in the file"
+        state = "unsaved changes" if session.has_changes else "no unsaved changes"
         self._saved.content = _lines("mixseq-saved", [escape(f"{self._file}: {state}")])
 
 
@@ -295,7 +300,8 @@ def _hint_text(marking: Marking, names: tuple[str, str]) -> str:
     if marking.selected is not None:
         text = f"{_format_number(marking.selected)} is selected: click its new place, or Delete"
     elif marking.started is None:
-        text = f"Click a point of {escape(names[0])} or {escape(names[1])}; click a number to move or delete it"
+        text = f"Click a point of {escape(names[0])} or {escape(names[1])}"
+        text += "; click a ball to move or delete its pair" if count else ""
     else:
         other = names[1 - marking.started[0]]
         text = f"{_format_number(count)}: now click the same point of {escape(other)}"
@@ -305,11 +311,12 @@ def _hint_text(marking: Marking, names: tuple[str, str]) -> str:
 def _proposal_text(proposals: Sequence[Pair], work: str, doubt: str) -> str:
     hint = f"Not sure: {doubt}. Set two or three pairs (a hand, a foot, the nose), then Suggest" if doubt else ""
     if proposals:
-        count = sum(pair.certainty == "unsure" for pair in proposals)
-        sure = f"{len(proposals) - count} to confirm: dark balls, and grey ones between them"
-        unsure = f"{count} to look at, orange" if count else ""
-        texts = [sure] * (count < len(proposals)) + [unsure] * bool(count)
-        return escape(f"{'; '.join(texts)}. The next one has a ?. Click a ball to accept it. {hint}")
+        legend = "".join(
+            f'<span style="margin-right: 14px; white-space: nowrap">{_dot(colour)} {count} {certainty}</span>'
+            for certainty, colour in PROPOSAL_COLOURS.items()
+            if (count := sum(pair.certainty == certainty for pair in proposals))
+        )
+        return f"{legend}<br>The next one has a ?. Click a ball to accept it. {escape(hint)}"
     if "look" in work:
         return escape(f"{work} ...")
     return escape(hint or "None: mirrored markers are proposed here")
@@ -317,8 +324,9 @@ def _proposal_text(proposals: Sequence[Pair], work: str, doubt: str) -> str:
 
 def _map_lines(marking: Marking, examination: Examination | None, work: str) -> list[str]:
     count = len(marking.pairs)
+    too_few = f"Shows how well pairs fit, from {MIN_EXAMINED_MARKERS} pairs on"
     if examination is None:
-        return [escape(f"{work} ...") if work else ""]
+        return [escape(f"{work} ...") if work else too_few]
     lines = []
     if examination.residuals is not None:
         percent = 100 * examination.residuals
@@ -333,14 +341,19 @@ def _map_lines(marking: Marking, examination: Examination | None, work: str) -> 
     elif examination.refusal:
         lines = [escape(examination.refusal)]
     elif count < MIN_EXAMINED_MARKERS:
-        lines = [f"Shows how well pairs fit, from {MIN_EXAMINED_MARKERS} pairs on"]
-    warnings = (escape(suspicion.message) for suspicion in examination.suspicions)
-    return [*lines, *(f'<span style="color: #c92a2a">{warning}</span>' for warning in warnings)]
+        lines = [too_few]
+    warnings = [f'<b style="color: #c92a2a">{escape(each.message)}</b>' for each in examination.suspicions]
+    verdict = warnings or ["<b>No pair seems wrong</b>"] * (examination.residuals is not None)
+    return [*verdict, *lines]
 
 
 def _format_number(number: int) -> str:
-    red, green, blue = pair_colour(number)
-    return f'<b style="color: rgb({red} {green} {blue})">{number + 1}</b>'
+    return f"{_dot(pair_colour(number))}<b>{number + 1}</b>"
+
+
+def _dot(colour: tuple[int, int, int]) -> str:
+    """Return a disc in a colour of balls; text in it would often be too pale."""
+    return f'<span aria-hidden="true" style="color: rgb{colour}">&#9679;</span>'
 
 
 def _lines(name: str, lines: list[str]) -> str:

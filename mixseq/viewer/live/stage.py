@@ -196,7 +196,7 @@ class LiveStage:
         scene = self._server.scene
         scene.set_up_direction("+y")
         scene.configure_default_lights(cast_shadow=False)
-        extent = float(np.abs([self._arrangement.low, self._arrangement.high]).max()) * 6
+        extent = 12 * SCENE_SIZE  # up to where it fades, in front and behind
         self._ground = scene.add_grid(
             "/ground",
             extent,

@@ -6,7 +6,7 @@ var mixseqWindow = (function () {
     "otherwise start mixseq view again and open the address that it prints.";
   const KEYS = { "Ctrl Z": "undo", "Ctrl Shift Z": "redo" };
   const TIME_KEYS = { "Space  P": "play, pause", "[  ]": "frame by frame", "I  O": "in and out: the section that is played and edited", "L": "loop" };
-  const MARKER_KEYS = { "A": "accept a proposal", "S": "skip it", "D": "delete the selected pair", "O": "the same point of the other mesh" };
+  const MARKER_KEYS = { "Y": "accept a proposal", "N": "skip it", "X": "delete the selected pair", "O": "the same point of the other mesh" };
   const FOLDS = "mixseq-folds"; // which sections are open, in the storage of the browser
   // Notices are at the bottom, away from the meshes. In narrow windows, viser has a sheet at the bottom instead of docked panels.
   const STYLE = `
