@@ -38,7 +38,7 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
 
 
 def once(make: Callable[[Poses, Index], Method], poses: Poses, labels: Index) -> tuple[list[float], int]:
-    """Return seconds of the steps, and iterations."""
+    """Return seconds of the steps, and iterations; preparing ends with the same blend, which is taken off."""
     fresh = poses.moved(poses.points)  # nothing is known of them yet
     method = make(fresh, labels)
     clock = Clock()
@@ -53,7 +53,7 @@ def once(make: Callable[[Poses, Index], Method], poses: Poses, labels: Index) ->
     else:
         blend = method.at(between(0.5))
         steps = (clock.lap(), 0.0, 0.0)
-    return [align, init, *steps], sum(report.iterations for report in blend.reports)
+    return [align, max(init - sum(steps), 0.0), *steps], sum(report.iterations for report in blend.reports)
 
 
 def timed(make: Callable[[Poses, Index], Method], poses: Poses, labels: Index) -> Json:
