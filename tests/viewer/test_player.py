@@ -386,7 +386,7 @@ def test_colours_can_be_chosen(two: Player) -> None:
     colours = ["Clay", "Strain", "Curvature", "Parts", "Error"]
     assert page.locator("#colour option").all_inner_texts() == colours
     for name, words in (
-        ("parts", "joints in red"),
+        ("parts", "red where parts meet"),
         ("strain", "Strain (%)"),
         ("error", "Error (diagonals)"),
     ):

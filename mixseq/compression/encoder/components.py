@@ -68,7 +68,7 @@ def trajectory_components(sequence: FrameStore, min_norm: float) -> PrincipalCom
         vectors = _multiply(curves, table)
         rotation = _leading_eigenvectors(vectors @ vectors.T, 0.0)
         curves, vectors = rotation @ curves, rotation @ vectors
-    energy = sum(float(np.square(block).sum()) for _, block in column_blocks(table))
+    energy = sum(float(np.einsum("ij,ij->", block, block)) for _, block in column_blocks(table))
     left_out = max(energy - float(np.square(vectors).sum()), 0.0)
     curves = curves.reshape(-1, count, 3)
     return PrincipalComponents("trajectories", means, curves, vectors[:, None], left_out)
