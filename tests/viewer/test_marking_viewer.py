@@ -193,6 +193,7 @@ def test_a_marker_is_chosen_moved_and_deleted(hand: Hand) -> None:
     eventually(lambda: f"{number + 1} is selected" in hand.text("hint"))
     hand.click(0, "thigh.l")
     assert hand.bones()[number] == ("thigh.l", "nose")
+    hand.page.wait_for_timeout(500)  # until the page has drawn the moved ball
     hand.click_vertex(0, hand.session.marking.pairs[number].vertices[0])
     assert hand.session.marking.selected == number
     hand.button("Delete")
