@@ -170,9 +170,14 @@ def page(results: Results) -> list[str]:
         f"- The paper's DSO starts from a pose, with {both(results, 'DSO, from a pose', 'DSO')} times the errors of "
         f"DSO; with the same errors on {named(same_as_linear(results))}.\n"
         "- *MixIT, printed* gives the strip where joints and parts overlap to the parts, *MixIT, whole joints* to the "
-        "joints, as the paper counts it. Their parts, and joints that only are where parts meet, cost "
-        + "; and ".join(both(results, name, "DSO") for name in MINE[1:] if having(results, name))
-        + " times the errors of DSO.\n"
+        "joints, as the paper counts it. Their joints only are where parts meet. Errors over "
+        "those of DSO: "
+        + "; ".join(
+            f"*{name}* on {named(known)} {both(known, name, 'DSO')}"
+            for name in MINE[1:]
+            if (known := having(results, name))
+        )
+        + ".\n"
         f"- MSGI merges patches without an optimisation of the whole: {both(results, 'MSGI', 'DSO')} times the errors "
         "of DSO.",
     ]
