@@ -110,15 +110,14 @@ class WorkerProcess:
 
     def _explain_death(self, path: Path) -> str:
         signal_number = -self._wait()
+        cause = "the library that reads it crashed; the file is damaged, export it again"
         if signal_number in (getattr(signal, name, None) for name in ("SIGPROF", "SIGALRM")):
-            return (
-                f"{path}: reading takes too long; the file is damaged, or the time limit, the environment variable "
+            cause = (
+                "reading takes too long; the file is damaged, or the time limit, the environment variable "
                 "MIXSEQ_READER_SECONDS, must be raised"
             )
-        return (
-            f"{path}: the library that reads it crashed; the file is damaged, export it again (or it needs more than "
-            f"{format_gigabytes(max_memory())} of memory: --max-memory)"
-        )
+        # Libraries that are short of memory can also wait forever for a thread that could not be started.
+        return f"{path}: {cause} (or it needs more than {format_gigabytes(max_memory())} of memory: --max-memory)"
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

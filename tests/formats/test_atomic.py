@@ -280,6 +280,7 @@ def test_the_error_tells_what_would_help() -> None:
 def new_workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """End the workers of this test, which have been short of memory."""
     monkeypatch.setattr(isolation, "idle_workers", [])
+    monkeypatch.setenv("MIXSEQ_READER_SECONDS", "20")  # some wait forever
     yield
     isolation.close_idle_workers()
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import fsum
 from typing import NamedTuple
 
 import numpy as np
@@ -68,7 +69,7 @@ def trajectory_components(sequence: FrameStore, min_norm: float) -> PrincipalCom
         vectors = _multiply(curves, table)
         rotation = _leading_eigenvectors(vectors @ vectors.T, 0.0)
         curves, vectors = rotation @ curves, rotation @ vectors
-    energy = sum(float(np.einsum("ij,ij->", block, block)) for _, block in column_blocks(table))
+    energy = fsum(float(np.square(row).sum()) for _, block in column_blocks(table) for row in block)
     left_out = max(energy - float(np.square(vectors).sum()), 0.0)
     curves = curves.reshape(-1, count, 3)
     return PrincipalComponents("trajectories", means, curves, vectors[:, None], left_out)
