@@ -79,7 +79,7 @@ def place_labels(points: Float, normals: Float, towards: Float, radius: float) -
     for row in np.argsort(-points @ towards, kind="stable"):
         angles = np.arctan2(leans[row, 1], leans[row, 0]) + turns
         around = LABEL_DISTANCE_RATIO * radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        places = np.concatenate([balls[row] + step * around for step in range(1, len(balls) + 2)])
+        places = np.concatenate([balls[row] + step * around for step in range(1, 13)])
         to_balls, to_labels = (np.abs(places[:, None] - taken).max(axis=2) for taken in (balls, labels))
         is_free = (to_balls > 1.7 * radius).all(axis=1) & (to_labels >= LABEL_SIZE_RATIO * radius).all(axis=1)
         labels[row] = places[is_free.argmax()]
