@@ -201,6 +201,8 @@ def _reach(
 
 def _pose_still(model: Model, keys: Keys, solvers: Sequence[StillSolver], exact: bool) -> Model:
     """Fit a model to a still at its time and to its poses with handles at targets."""
+    if model.bodies:
+        raise SettingsError("the model is a still of several bodies; pose one of them, and then give it the others")
     poses = {float(model.times[0]): model(model.start)}
     for solver, (time, (_, targets)) in zip(solvers, keys.items(), strict=True):
         poses[time] = _reach(model, solver, time, solver.solve(targets), targets, exact)

@@ -11,7 +11,7 @@ import pytest
 
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.mesh.measures import edge_lengths
-from mixseq.operations import Handle, pose
+from mixseq.operations import Handle, key_poses, pose, with_body
 from mixseq.operations.pose_solvers import JointRotations, StillSolver, minimise
 from mixseq.sequence.sequence import MeshSequence
 from mixseq.signals.fitting import fit
@@ -143,5 +143,8 @@ def test_stills_that_cannot_bend_are_refused() -> None:
         pose(fit(sequence, parts=1), [handle])
     with pytest.raises(SettingsError, match="placement='anchored'"):
         pose(fit(sequence, parts=2, placement="free"), [handle])
+    herd = with_body(still(), key_poses(still()), "other")
+    with pytest.raises(SettingsError, match="a still of several bodies"):
+        pose(herd, [handle])
     with pytest.raises(SettingsError, match="a finite number of seconds"):
         pose(still(), [replace(handle, time=np.nan)])
