@@ -13,10 +13,10 @@ r"""Colour meshes. A colouring has a palette, and a palette entry at every verte
 - **values**: any numbers of the vertices, constant or for every frame.
 
 Strain, curvature, error and values are measured: from `low`, which is 0 but for values, to `top` they are mapped to the
-colour map viridis. Strain and
-curvature are invariant to rigid motions; uniform scaling by s gives the strain :math:`|s - 1|` everywhere. Curvatures
-of different meshes are not comparable, as a bend spreads over more hinges of a finer mesh. Edges of length zero and
-hinges of degenerate faces count as unchanged; vertices without edges or hinges have the value 0.
+colour map viridis. Strain and curvature are invariant to rigid motions; uniform scaling by s gives the strain
+:math:`|s - 1|` everywhere. Curvatures of different meshes are not comparable, as a bend spreads over more hinges of a
+finer mesh. Edges of length zero and hinges of degenerate faces count as unchanged; vertices without edges or hinges
+have the value 0.
 
 More than 256 own colours are quantized (as in Wu 1991, without a search for the best cuts). The first box contains all
 colours. The box with the largest sum of squared distances from its mean is cut at the mean, along the axis with the

@@ -51,7 +51,7 @@ MAX_LIMB_STRETCH = 0.01  # largest lengthening of a limb by contacts
 class Finding:
     """A measure outside its limit, with the place to look at."""
 
-    message: str  # what is wrong, with the cure where there is one
+    message: str  # the problem, and its cure if there is one
     vertex: int | None = None  # vertex of the target
     frame: int | None = None  # index of the frame; None for a problem at rest
     is_rest_pose: bool = False  # whether the rest poses are too different
@@ -61,13 +61,8 @@ class Finding:
 class Verdict:
     """Whether a transfer is good, and what to look at if it is not."""
 
-    findings: tuple[Finding, ...]  # what is outside the limits, the causes before their effects
+    findings: tuple[Finding, ...]  # measures outside their limits, causes before effects; empty if the transfer is good
     text: str  # one line
-
-    @property
-    def is_good(self) -> bool:
-        """Whether there is nothing to look at."""
-        return not self.findings
 
 
 def judge_transfer(transfer: Transfer, report: TransferReport) -> Verdict:
@@ -88,7 +83,7 @@ def judge_transfer(transfer: Transfer, report: TransferReport) -> Verdict:
 
 
 def _find_at_rest(transfer: Transfer, report: TransferReport) -> Iterator[Finding]:
-    """Yield what is wrong with the meshes at rest and their correspondence."""
+    """Yield the problems of the meshes at rest and of their correspondence."""
     source, rest, quality, covered = transfer.source, transfer.target, transfer.quality, report.coverage
     sizes = [
         header.metres_per_unit * bounding_diagonal(points)
@@ -140,7 +135,7 @@ def _rest_finding(transfer: Transfer, poses: PoseComparison) -> Finding:
 
 
 def _find_in_motion(transfer: Transfer, report: TransferReport) -> Iterator[Finding]:
-    """Yield what is wrong with the frames of the target."""
+    """Yield the problems of the frames of the target."""
     header, smooth, crossings = transfer.header, report.smoothness, report.intersections
     face_count = len(header.faces)
     stretching = report.strain.rms / max(report.source_strain.rms, MIN_RMS_STRAIN)

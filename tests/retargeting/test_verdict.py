@@ -45,7 +45,7 @@ def test_a_transfer_to_a_copy_is_good(transfer: Transfer, report: TransferReport
     assert report.volume.value == pytest.approx(0, abs=1e-6)
     assert report.lift.value < 0.1
     verdict = judge_transfer(transfer, report)
-    assert verdict.is_good
+    assert not verdict.findings
     assert verdict.text.startswith("good: ")
 
 
@@ -66,7 +66,7 @@ def test_measures_outside_their_limits(
     transfer: Transfer, report: TransferReport, name: str, value: Any, start: str, message: str
 ) -> None:
     verdict = judge_transfer(transfer, replace(report, **{name: value}))
-    assert not verdict.is_good
+    assert verdict.findings
     assert re.match(start + message, verdict.text)
 
 

@@ -222,8 +222,8 @@ def least(results: Results, name: str) -> str:
 def verdict(results: Results) -> list[str]:
     noise, local = ("; ".join(f"{mesh} {moves(result, kind)}" for mesh, result in results.items()) for kind in KINDS)
     return [
-        f"Noise of {NOISE:.0%} of an edge moves the blend by so many edge lengths (rms): {noise}.",
-        f"A patch that is pushed through the surface moves the rest by so many edge lengths (rms): {local}.",
+        f"Noise of {NOISE:.0%} of an edge moves the blend, in edge lengths (rms): {noise}.",
+        f"A patch that is pushed through the surface moves the rest, in edge lengths (rms): {local}.",
     ]
 
 
