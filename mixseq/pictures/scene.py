@@ -399,6 +399,11 @@ class Arrangement:
         points_in_scene = self.scale * to_y_up(points, self.up_axes[index]) + self.offsets[index]
         return np.asarray(points_in_scene, dtype=np.float32)
 
+    def to_mesh(self, index: int, point: Float) -> Float:
+        """Transform a point ``(3,)`` in scene coordinates to those of a mesh, the inverse of `to_scene`."""
+        y_up, up = (point - self.offsets[index]) / self.scale, UP_AXES.index(self.up_axes[index])
+        return np.asarray(np.roll(y_up, up - 1))
+
     def camera(self, aspect: float) -> tuple[Float, Float]:
         """Return position ``(3,)`` and target ``(3,)`` of a camera that shows all meshes; `aspect` is height/width."""
         centre = (self.low + self.high) / 2

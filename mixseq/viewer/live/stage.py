@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from threading import Lock
 from typing import Any
 
@@ -18,9 +18,13 @@ from mixseq.viewer.playback import Moment
 GROUND_COLOUR = (243, 243, 240)
 GRID_COLOUR = (222, 222, 218)
 PICK_COLOUR = (20, 20, 20)
+Colour = tuple[int, int, int]
 
 ROW_STEP_DEGREES = 2.0
 """Rotation of the camera beyond which meshes are moved to stay side by side."""
+
+GRAB_RADIUS = 0.06 * SCENE_SIZE
+"""Distance from a ball within which a drag of the mesh moves the ball, in scene units."""
 
 GRID_CELL = SCENE_SIZE / 2
 """Cell size of the ground's grid, in scene units."""
@@ -50,14 +54,11 @@ class LiveStage:
         self._add_ground()
         self._meshes, self._colour_clouds, self._labels = [], [], []
         self._picked: tuple[int, int] | None = None  # indices of mesh and vertex
-        self._pick_ball = server.scene.add_icosphere(
-            "/picked",
-            radius=0.012 * SCENE_SIZE,
-            color=PICK_COLOUR,
-            visible=False,
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        self._pick_ball = self._add_ball("/picked", 0.012)
+        self._handles: tuple[int, Mapping[int, Colour]] = (0, {})  # index of a mesh, and colours by vertex
+        self._handle_balls: list[Any] = []
+        self._grabs: dict[int, tuple[int, Float]] = {}  # by page: dragged vertex, and its offset from the pointer
+        self._on_drag: Callable[[int, int, Float], None] | None = None
         for index, item in enumerate(colours.scene.items):
             offset = self._arrangement.offsets[index]
             points = self._arrangement.to_scene(index, item.pose(0.0)) - offset.astype(np.float32)
@@ -102,6 +103,8 @@ class LiveStage:
                 self._meshes[index].vertices = placed - self._arrangement.offsets[index].astype(np.float32)
                 if self._picked is not None and self._picked[0] == index:
                     self._pick_ball.position = placed[self._picked[1]]
+                if self._handles[0] == index:
+                    self._place_handles(placed)
                 if not colours.is_constant or self._sent_colourings[index] is not colours:
                     entries = colours.entries(points, elapsed)
                     self._colour_clouds[index].colors = srgb_to_linear(colours.palette)[entries]
@@ -171,7 +174,10 @@ class LiveStage:
             mesh.wireframe = on
 
     def on_click(self, callback: Callable[[int, RayHit], None], mark: bool = True) -> None:
-        """Set the function called with a clicked mesh and the hit; if `mark` is true, mark the vertex with a ball."""
+        """Set the function called with a clicked mesh and the hit; if `mark` is true, mark the vertex with a ball.
+
+        While the mesh is dragged, only its handles are marked.
+        """
         for number, mesh in enumerate(self._meshes):
 
             @mesh.on_click  # type: ignore[untyped-decorator]
@@ -185,12 +191,77 @@ class LiveStage:
                     points, moment.scene.items[index].header.faces, event.ray_origin, event.ray_direction
                 )
                 if hit is not None:
-                    if mark:
+                    if mark and self._on_drag is None:
                         with self._lock:
                             self._picked = index, hit.vertex
                             self._pick_ball.position = points[hit.vertex]
                             self._pick_ball.visible = True
                     callback(index, hit)
+
+    def _add_ball(self, name: str, radius: float) -> Any:
+        return self._server.scene.add_icosphere(
+            name,
+            radius=radius * SCENE_SIZE,
+            color=PICK_COLOUR,
+            visible=False,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def set_handles(self, index: int, colours: Mapping[int, Colour], on_click: Callable[[int], None]) -> None:
+        """Mark vertices of a mesh with balls, in colours by vertex, and set the function called with a clicked one."""
+        with self._lock, self._server.atomic():
+            self._handles = index, dict(colours)
+            while len(self._handle_balls) < len(colours):
+                number = len(self._handle_balls)
+                ball = self._add_ball(f"/handle/{number}", 0.018)
+                ball.on_click(lambda _, number=number: on_click(list(self._handles[1])[number]))
+                ball.on_drag(self._drag_callback(None, number))
+                self._handle_balls.append(ball)
+            for ball in self._handle_balls[len(colours) :]:
+                ball.visible = False
+            if self._moment is not None:
+                self._place_handles(self._world_points(self._arrangement, index, self._moment.poses[index])[0])
+
+    def _place_handles(self, points: Single) -> None:
+        """Move the balls of handles to points ``(V, 3)`` in the scene."""
+        for ball, (vertex, colour) in zip(self._handle_balls, self._handles[1].items(), strict=False):
+            ball.position, ball.color, ball.visible = points[vertex], colour, True
+
+    def set_dragging(self, callback: Callable[[int, int, Float], None] | None) -> None:
+        """Set the function called with a dragged mesh, a vertex and its target ``(3,)``; None to turn the camera."""
+        self._on_drag, self._picked, self._pick_ball.visible = callback, None, False
+        for index, mesh in enumerate(self._meshes):
+            mesh.remove_drag_callback()
+            if callback is not None:
+                mesh.on_drag(self._drag_callback(index, None))
+
+    def _drag_callback(self, mesh: int | None, number: int | None) -> Callable[[Any], Any]:
+        """Return the callback of a mesh, whose vertex nearest to the pointer is dragged, or of a ball."""
+
+        async def drag(event: Any) -> None:  # in order: on the event loop
+            index = self._handles[0] if mesh is None else mesh
+            with self._lock:
+                moment, arrangement = self._moment, self._arrangement
+                handles = list(self._handles[1]) if index == self._handles[0] else []
+            if moment is None or self._on_drag is None:
+                return
+            if event.phase == "start":
+                points, shift = self._world_points(arrangement, index, moment.poses[index])
+                place = np.array(event.start_position)
+                distances = np.linalg.norm(points - place, axis=1)
+                vertex = int(distances.argmin()) if number is None else handles[number]
+                nearest = min(handles, key=lambda each: distances[each], default=vertex)
+                if number is None and distances[nearest] < GRAB_RADIUS:
+                    vertex = nearest
+                self._grabs[event.client_id] = vertex, points[vertex] - place + shift
+            if event.client_id in self._grabs:
+                vertex, offset = self._grabs[event.client_id]
+                self._on_drag(index, vertex, arrangement.to_mesh(index, np.array(event.end_position) + offset))
+            if event.phase == "end":
+                self._grabs.pop(event.client_id, None)
+
+        return drag
 
     def _add_ground(self) -> None:
         scene = self._server.scene
