@@ -34,7 +34,6 @@ from mixseq.mesh.rotations import (
     quat_to_matrix,
     rotate_vectors,
 )
-from mixseq.operations.sections import correction_norm
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import log_progress
 from mixseq.runtime.public import FileOr, public
@@ -42,7 +41,13 @@ from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.sequence.provenance import format_error, with_other_motion
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, load_frames, warn_of_loss
 from mixseq.signals.bodies import Body
-from mixseq.signals.detail import VISUALLY_LOSSLESS_TOLERANCE, encode_sequence, find_rounding_step, round_key_shapes
+from mixseq.signals.detail import (
+    VISUALLY_LOSSLESS_TOLERANCE,
+    encode_sequence,
+    find_rounding_step,
+    max_norm,
+    round_key_shapes,
+)
 from mixseq.signals.model import Model
 from mixseq.spaces.making import MixedSettings, make_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace, as_mixed
@@ -73,7 +78,7 @@ def key_poses(model: Model) -> MeshSequence:
     MeshSequence
         At most one frame per key shape, at its time, without the correction of part poses.
     """
-    times = _key_times(model)
+    times = key_times(model)
     vectors = np.array(model.curve(times))
     vectors[:, model.space.dim - model.space.correction_dim :] = 0.0
     with one_blas_thread():
@@ -139,9 +144,9 @@ def with_body(
     >>> herd.body("tall fox").sample().frame_count
     6
     """
-    body = _make_body(model, cast("Frames", keys), name, parts, np.eye(3) if turn is None else turn)
+    body = make_body(model, cast("Frames", keys), name, parts, np.eye(3) if turn is None else turn)
     own, times = (
-        _make_body(model, key_poses(model), name, None, np.eye(3)),
+        make_body(model, key_poses(model), name, None, np.eye(3)),
         model.times[sample_frame_ids(len(model.times))],
     )
     pairs = zip(model.alone_as(own).blocks(times), model.blocks(times), strict=True)
@@ -152,14 +157,14 @@ def with_body(
     return replace(model, bodies=(*model.bodies, body))
 
 
-def _make_body(model: Model, keys: Frames, name: str, parts: ArrayLike | None, turn: ArrayLike) -> Body:
-    """Return the body of `with_body`, without a warning of inaccurate motion."""
+def make_body(model: Model, keys: Frames, name: str, parts: ArrayLike | None, turn: ArrayLike) -> Body:
+    """Return the body of `with_body` without a warning of inaccurate motion, as its keys may be all frames."""
     first, turn = as_mixed(model.space), np.asarray(turn, dtype=np.float64)
     if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3)) or np.linalg.det(turn) < 0:
         raise SettingsError("the turn is no rotation; a matrix (3, 3) with orthogonal columns of length 1 is expected")
     check_frames(keys)
     count = keys.header.frame_count
-    times = _key_times(model)
+    times = key_times(model)
     if count != len(times):
         raise SettingsError(
             f"{keys.header.name!r} has {count} frames; {len(times)} are expected, one per key pose of "
@@ -192,7 +197,8 @@ def _make_body(model: Model, keys: Frames, name: str, parts: ArrayLike | None, t
     shapes = np.asarray(np.linalg.lstsq(weights, shapes)[0], dtype=np.float64)
     round_key_shapes(shapes, space, find_rounding_step(model.shapes, first))
     if turns is None:
-        loss = float(correction_norm(model)(model.correction.values).max(initial=0.0))
+        correction_weights = first.weights[first.shape_dim + first.placement_dim :]
+        loss = float(max_norm(correction_weights)(model.correction.values).max(initial=0.0))
         if loss > VISUALLY_LOSSLESS_TOLERANCE:
             text = f"corrections of part poses, up to {format_error(loss)} diagonals, are left out"
             warn_of_loss(model.header, text, "a body with the same triangles, or parts, keeps them")
@@ -250,7 +256,7 @@ def _part_turns(before: Float, space: MixedSpace, shapes: Float) -> Float:
     return nearest_rotations((before.swapaxes(-1, -2) @ _part_rotations(space, shapes)).sum(axis=0))
 
 
-def _key_times(model: Model) -> Float:
+def key_times(model: Model) -> Float:
     """Return the times of the key poses: frames, or knots of the time signal if frames lack some of its poses."""
     chosen = []
     for times in (model.times, model.time.times):
