@@ -222,7 +222,7 @@ class SceneItem:
     def of_bodies(self) -> Sequence[SceneItem]:
         """Return an item for each body of the model; the item itself without a model of several bodies."""
         model = self.model
-        if model is None or not model.bodies:
+        if model is None or not model.body_names[1:]:
             return [self]
         names = {body: f"{self.name}: {body}" if self.name else body for body in model.body_names}
         return [replace(self, name=name, motion=model.body(body)) for body, name in names.items()]
