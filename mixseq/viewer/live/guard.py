@@ -162,7 +162,7 @@ class Drag(ClientMessage, tag="SceneNodeDragMessage"):
     end_position: Triple
     end_screen_pos: Pair
     button: Literal["left"]
-    modifier: None = None
+    modifier: Text | None = None
     owner: Text = ""
 
 

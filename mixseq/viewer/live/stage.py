@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from itertools import zip_longest
+from math import remainder
 from threading import Lock
 from typing import Any
 
@@ -10,7 +13,7 @@ import numpy as np
 
 from mixseq.mesh.nearest import RayHit, intersect_ray
 from mixseq.pictures.colours import Colouring, SceneColours
-from mixseq.pictures.scene import FIELD_OF_VIEW_DEGREES, SCENE_SIZE, Arrangement, Scene, arrange_meshes
+from mixseq.pictures.scene import FIELD_OF_VIEW_DEGREES, SCENE_SIZE, Arrangement, Scene, View, arrange_meshes
 from mixseq.types import ByteArray, Float, Single
 from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.playback import Moment
@@ -50,6 +53,7 @@ class LiveStage:
         self._colour = colours.names[0]
         self._sent_colourings: list[Colouring | None] = [None] * len(colours.scene.items)
         self._camera = settings.camera
+        self.on_rearrange: Callable[[Arrangement], None] = lambda _: None  # called when meshes have moved
         self._arrangement = arrange_meshes(colours.scene, not settings.overlaid, settings.camera)
         self._add_ground()
         self._meshes, self._colour_clouds, self._labels = [], [], []
@@ -59,9 +63,10 @@ class LiveStage:
         self._handle_balls: list[Any] = []
         self._grabs: dict[int, tuple[int, Float]] = {}  # by page: dragged vertex, and its offset from the pointer
         self._on_drag: Callable[[int, int, Float], None] | None = None
+        self._drags = [self._drag_callback(index, None) for index in range(len(colours.scene.items))]
         for index, item in enumerate(colours.scene.items):
             offset = self._arrangement.offsets[index]
-            points = self._arrangement.to_scene(index, item.pose(0.0)) - offset.astype(np.float32)
+            points = self._arrangement.to_local(index, item.pose(0.0))
             zeros = np.zeros_like(points)
             mesh = server.scene.add_mesh_simple(
                 f"/mesh/{index}",
@@ -76,6 +81,8 @@ class LiveStage:
             )
             cloud = server.scene.add_point_cloud(f"/paint/{index}", zeros, colors=zeros.astype(np.uint8), visible=False)
             self._meshes.append(mesh)
+            if len(colours.scene.items) > 1:
+                self._turn_by_drags(index, mesh)
             self._colour_clouds.append(cloud)
         if len(self._meshes) > 1:
             self._labels = [
@@ -97,48 +104,77 @@ class LiveStage:
             self._moment = moment
             elapsed = moment.scene.elapsed(moment.frame)
             for index, (points, colours) in enumerate(zip(moment.poses, self.colours, strict=True)):
-                placed, shift = self._world_points(self._arrangement, index, points)
+                local, shift = self._local_points(self._arrangement, index, points)
                 if index == 0:
-                    self._ground.position = (-shift[0] % GRID_CELL, -1e-3 * SCENE_SIZE, -shift[2] % GRID_CELL)
-                self._meshes[index].vertices = placed - self._arrangement.offsets[index].astype(np.float32)
-                if self._picked is not None and self._picked[0] == index:
-                    self._pick_ball.position = placed[self._picked[1]]
-                if self._handles[0] == index:
-                    self._place_handles(placed)
+                    x, _, z = -self._arrangement.rotations[0] @ shift % GRID_CELL
+                    self._ground.position = (x, -1e-3 * SCENE_SIZE, z)
+                self._meshes[index].vertices = local
                 if not colours.is_constant or self._sent_colourings[index] is not colours:
                     entries = colours.entries(points, elapsed)
                     self._colour_clouds[index].colors = srgb_to_linear(colours.palette)[entries]
                     self._sent_colourings[index] = colours
+            self._place_balls()
             self._on_show(moment)
 
-    def _world_points(self, arrangement: Arrangement, index: int, points: Single) -> tuple[Single, Float]:
-        """Return a mesh ``(V, 3)`` in scene coordinates, and the displacement ``(3,)`` removed to follow the mesh."""
-        placed = arrangement.to_scene(index, points)
+    def _local_points(self, arrangement: Arrangement, index: int, points: Single) -> tuple[Single, Float]:
+        """Return local points ``(V, 3)`` of a mesh, and the displacement ``(3,)`` removed to follow the mesh."""
+        local = arrangement.to_local(index, points)
         if not self.following:
-            return placed, np.zeros(3)
-        shift = (placed.mean(axis=0, dtype=np.float64) - arrangement.label_positions[index]) * [1, 0, 1]
-        return np.asarray(placed - shift, dtype=np.float32), shift
+            return local, np.zeros(3)
+        shift = (local.mean(axis=0, dtype=np.float64) - arrangement.boxes[index].mean(axis=0)) * [1, 0, 1]
+        return np.asarray(local - shift, dtype=np.float32), shift
+
+    def _place_balls(self) -> None:
+        """Move the balls to the picked vertex and to those of handles."""
+        index, colours = self._handles
+        balls = [(index, vertex, ball) for vertex, ball in zip(colours, self._handle_balls, strict=False)]
+        balls += [(*self._picked, self._pick_ball)] if self._picked is not None else []
+        if self._moment is None or not balls:
+            return
+        placed = {index: self._placed_points(self._arrangement, index, self._moment)[0] for index, _, _ in balls}
+        for index, vertex, ball in balls:
+            ball.position = placed[index][vertex]
+
+    def _placed_points(self, arrangement: Arrangement, index: int, moment: Moment) -> tuple[Single, Float]:
+        """Return a mesh ``(V, 3)`` in the scene, and the displacement ``(3,)`` removed there to follow the mesh."""
+        local, shift = self._local_points(arrangement, index, moment.poses[index])
+        return arrangement.place(index, local), arrangement.rotations[index] @ shift
 
     def set_colour(self, name: str) -> None:
         """Set the colouring of the moments shown from now on."""
         self._colour = name
 
-    def set_view(self, scene: Scene, camera: tuple[float, float]) -> None:
-        """Set the view as in `mixseq.pictures.scene.resolve_view`, and align meshes across the view."""
-        self._camera = camera
-        self.arrange(scene, side_by_side=True)
+    def set_view(self, view: View, turns: tuple[float, ...]) -> None:
+        """Set the view of the camera, and the turn of each mesh."""
+        self._rearrange(lambda arrangement: replace(arrangement, view=view, turns=turns).side_by_side())
+        self._update_cameras()
 
     def _follow_camera(self, camera: Any) -> None:
-        """Keep meshes side by side while the camera turns; see `Arrangement.with_azimuth`."""
+        """Keep meshes side by side while the camera turns; see `Arrangement.seen_from`."""
         x, y, z = offset = camera.position - camera.look_at
-        azimuth = float(np.degrees(np.arctan2(x, z)))
-        rotation = abs((azimuth - self.arrangement.view.azimuth + 180) % 360 - 180)
-        is_defined = np.hypot(x, z) > 0.05 * abs(y)  # from straight above, there is no azimuth
-        if len(self._meshes) > 1 and is_defined and rotation > ROW_STEP_DEGREES:
-            with self._lock:
-                distance = float(np.linalg.norm(offset))
-                self._arrangement = self._arrangement.with_azimuth(azimuth, camera.look_at, distance)
-            self._update_positions()
+        across = float(np.hypot(x, z))
+        before, view = self.arrangement.view, View(*np.degrees([np.arctan2(x, z), np.arctan2(y, across)]).tolist())
+        rotation = abs(remainder(view.azimuth - before.azimuth, 360)), abs(view.elevation - before.elevation)
+        is_defined = across > 0.05 * abs(y)  # from straight above, there is no azimuth
+        if len(self._meshes) > 1 and is_defined and max(rotation) > ROW_STEP_DEGREES:
+            distance = float(np.linalg.norm(offset))
+            self._rearrange(lambda arrangement: arrangement.seen_from(view, camera.look_at, distance))
+
+    def turn(self, index: int, degrees: float) -> None:
+        """Turn one mesh: it is seen from an azimuth of its own, in degrees from that of the camera."""
+        self._rearrange(lambda arrangement: arrangement.turned(index, degrees))
+
+    def _rearrange(self, change: Callable[[Arrangement], Arrangement]) -> None:
+        """Change the arrangement, and move the meshes."""
+        with self._lock, self._server.atomic():
+            self._arrangement = arrangement = change(self._arrangement)
+            self._ground.visible = not arrangement.is_stacked
+            for index, mesh in enumerate(self._meshes):
+                mesh.position, mesh.wxyz = arrangement.offsets[index], quaternion(arrangement.turns[index])
+            for label, position in zip(self._labels, arrangement.label_positions, strict=False):
+                label.position = position
+            self._place_balls()
+        self.on_rearrange(arrangement)
 
     @property
     def arrangement(self) -> Arrangement:
@@ -150,17 +186,8 @@ class LiveStage:
         """Arrange the meshes side by side or overlaid."""
         arrangement = arrange_meshes(scene, side_by_side, self._camera)
         self.overlaid = not side_by_side
-        with self._lock:
-            self._arrangement = arrangement
-        self._update_positions()
+        self._rearrange(lambda _: arrangement)
         self._update_cameras()
-
-    def _update_positions(self) -> None:
-        with self._lock, self._server.atomic():
-            for mesh, offset in zip(self._meshes, self._arrangement.offsets, strict=True):
-                mesh.position = offset
-            for label, position in zip(self._labels, self._arrangement.label_positions, strict=False):
-                label.position = position
 
     def set_visible(self, index: int, is_visible: bool) -> None:
         """Show or hide a mesh."""
@@ -186,7 +213,7 @@ class LiveStage:
                     moment, arrangement = self._moment, self._arrangement
                 if moment is None:
                     return
-                points, _ = self._world_points(arrangement, index, moment.poses[index])
+                points, _ = self._placed_points(arrangement, index, moment)
                 hit = intersect_ray(
                     points, moment.scene.items[index].header.faces, event.ray_origin, event.ray_direction
                 )
@@ -194,9 +221,22 @@ class LiveStage:
                     if mark and self._on_drag is None:
                         with self._lock:
                             self._picked = index, hit.vertex
-                            self._pick_ball.position = points[hit.vertex]
+                            self._place_balls()
                             self._pick_ball.visible = True
                     callback(index, hit)
+
+    def _turn_by_drags(self, index: int, mesh: Any) -> None:
+        """Turn a mesh on its own while it is dragged with shift."""
+        start = 0.0, 0.0  # turn, and place of the pointer as a share of the width
+
+        @mesh.on_drag("left", modifier="shift")  # type: ignore[untyped-decorator]
+        async def _(event: Any) -> None:
+            nonlocal start
+            place = event.end_screen_pos[0]
+            if event.phase == "start":
+                start = self.arrangement.turns[index], place
+            elif not self.overlaid:
+                self.turn(index, start[0] - 360 * (place - start[1]))
 
     def _add_ball(self, name: str, radius: float) -> Any:
         return self._server.scene.add_icosphere(
@@ -218,23 +258,17 @@ class LiveStage:
                 ball.on_click(lambda _, number=number: on_click(list(self._handles[1])[number]))
                 ball.on_drag(self._drag_callback(None, number))
                 self._handle_balls.append(ball)
-            for ball in self._handle_balls[len(colours) :]:
-                ball.visible = False
-            if self._moment is not None:
-                self._place_handles(self._world_points(self._arrangement, index, self._moment.poses[index])[0])
-
-    def _place_handles(self, points: Single) -> None:
-        """Move the balls of handles to points ``(V, 3)`` in the scene."""
-        for ball, (vertex, colour) in zip(self._handle_balls, self._handles[1].items(), strict=False):
-            ball.position, ball.color, ball.visible = points[vertex], colour, True
+            for ball, colour in zip_longest(self._handle_balls, colours.values()):
+                ball.visible, ball.color = colour is not None, colour or PICK_COLOUR
+            self._place_balls()
 
     def set_dragging(self, callback: Callable[[int, int, Float], None] | None) -> None:
         """Set the function called with a dragged mesh, a vertex and its target ``(3,)``; None to turn the camera."""
         self._on_drag, self._picked, self._pick_ball.visible = callback, None, False
-        for index, mesh in enumerate(self._meshes):
-            mesh.remove_drag_callback()
+        for mesh, drag in zip(self._meshes, self._drags, strict=True):
+            mesh.remove_drag_callback(drag)
             if callback is not None:
-                mesh.on_drag(self._drag_callback(index, None))
+                mesh.on_drag(drag)
 
     def _drag_callback(self, mesh: int | None, number: int | None) -> Callable[[Any], Any]:
         """Return the callback of a mesh, whose vertex nearest to the pointer is dragged, or of a ball."""
@@ -247,7 +281,7 @@ class LiveStage:
             if moment is None or self._on_drag is None:
                 return
             if event.phase == "start":
-                points, shift = self._world_points(arrangement, index, moment.poses[index])
+                points, shift = self._placed_points(arrangement, index, moment)
                 place = np.array(event.start_position)
                 distances = np.linalg.norm(points - place, axis=1)
                 vertex = int(distances.argmin()) if number is None else handles[number]
@@ -308,7 +342,9 @@ class LiveStage:
 
     def _update_camera(self, client: Any) -> None:
         aspect = client.camera.aspect  # width/height
-        position, centre = self._arrangement.camera(1 / aspect)
+        if len(self._meshes) > 1 and not self.overlaid:
+            self._rearrange(lambda arrangement: arrangement.fitted(1 / aspect))
+        position, centre = self.arrangement.camera(1 / aspect)
         self._client_views[client.client_id] = position, aspect
         with client.atomic():
             client.camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
@@ -316,12 +352,18 @@ class LiveStage:
             client.camera.look_at = centre
 
     def _update_cameras(self) -> None:
-        position, centre = self._arrangement.camera(aspect=1.0)
+        position, centre = self.arrangement.camera(aspect=1.0)
         camera = self._server.initial_camera
         camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
         camera.look_at, camera.position = centre, position
         for client in self._server.get_clients().values():
             self._update_camera(client)
+
+
+def quaternion(turn: float) -> tuple[float, float, float, float]:
+    """Return the quaternion of a turn of `Arrangement.turns`, in degrees."""
+    half = np.radians(turn) / 2
+    return float(np.cos(half)), 0.0, float(-np.sin(half)), 0.0
 
 
 def srgb_to_linear(colours: ByteArray) -> ByteArray:
