@@ -33,7 +33,7 @@ from mixseq.spaces.mixed.assembly import FreeFrame
 from mixseq.spaces.mixed.construction import mixed_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.types import Float, Index
-from scripts.paper_study.common.poses import Poses
+from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.registered import PaperSpace
 from scripts.paper_study.msgi.multiscale import MultiScale
 
@@ -281,6 +281,25 @@ class Printed(Mixed):
             first = clock.lap()
             mesh = self.space.assembled(frame, joints)
         return Blended(mesh * self.poses.diagonal, reports), (first, clock.lap(), 0.0)
+
+
+STEPS = ("align", "init", "interpolation", "stitching", "settling")
+
+
+def steps_of(method: Method) -> tuple[list[float], Blended]:
+    """Blend two poses half-way; return seconds of `STEPS`, and the blend. Preparing ends with one more, taken off."""
+    clock, align = Clock(), 0.0
+    if isinstance(method, Mixed):
+        method.align()
+        align = clock.lap()
+    method.prepare()
+    init = clock.lap()
+    if isinstance(method, Mixed):
+        blend, steps = method.timed(between(0.5))
+    else:
+        blend = method.at(between(0.5))
+        steps = (clock.lap(), 0.0, 0.0)
+    return [align, max(init - sum(steps), 0.0), *steps], blend
 
 
 def strips(poses: Poses, labels: Index, width: int = WIDTH, full: bool = False) -> Decomposition:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.errors import errors, text
-from scripts.paper_study.common.methods import Clock, Mixed
+from scripts.paper_study.common.methods import Mixed, steps_of
 from scripts.paper_study.common.poses import between
 from scripts.paper_study.common.printed import Variant
 from scripts.paper_study.common.record import Json
@@ -21,17 +21,8 @@ COLUMNS = (
 def row_of(method: Mixed, runs: int = 3) -> Json:
     """Return milliseconds (the fastest run), dimension as defined, errors at w = 0.5."""
     poses, cut = method.poses, method.decomposition
-    best: list[float] = []
-    for _ in range(runs):
-        fresh = replace(method, poses=poses.moved(poses.points))
-        clock = Clock()
-        fresh.align()
-        align = clock.lap()
-        fresh.prepare()
-        init = clock.lap()
-        blend, steps = fresh.timed(between(0.5))
-        seconds = [align, init, *steps]
-        best = min(best or seconds, seconds, key=lambda each: sum(each[1:]))
+    fresh = [replace(method, poses=poses.moved(poses.points)) for _ in range(runs)]
+    best, blend = min(map(steps_of, fresh), key=lambda each: sum(each[0][1:]))
     return {
         "parts": len(cut.parts),
         "joints": len(cut.joints),

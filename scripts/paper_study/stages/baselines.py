@@ -31,7 +31,7 @@ OTHERS = ("ARAP", "skin", "NRIC", "geodesic")
 BESIDE = ("MSGI", "DSO", "MixIT, whole joints", "MixIT, free", OURS)
 """Methods of the other pages."""
 
-GEODESIC_VERTICES = 6_000
+GEODESIC_VERTICES = 10_000
 """Largest number of vertices for geodesics, whose systems have nine times as many unknowns."""
 
 

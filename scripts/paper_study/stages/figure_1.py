@@ -8,7 +8,7 @@ from pathlib import Path
 from mixseq.choices import SpaceName
 from mixseq.operations.interpolation import PoseInterpolator
 from mixseq.types import Float
-from scripts.paper_study.common.errors import error_table, errors
+from scripts.paper_study.common.errors import error_table, errors, folded
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import Poses, between
@@ -52,7 +52,7 @@ def page(results: Results) -> list[str]:
             f"![Blends in four shape spaces, {mesh}](figure-1-{mesh}.png)",
             error_table("space", result["methods"]),
         ]
-    return blocks
+    return [*blocks, folded(results)]
 
 
 def verdict(results: Results) -> list[str]:

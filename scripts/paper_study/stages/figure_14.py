@@ -9,7 +9,7 @@ import numpy as np
 
 from mixseq.types import Float
 from scripts.benchmarks.common.harness import markdown_table
-from scripts.paper_study.common.errors import errors, text
+from scripts.paper_study.common.errors import errors, folded, text
 from scripts.paper_study.common.methods import Free, Strips, strips
 from scripts.paper_study.common.pictures import Panel, gallery, heat, held
 from scripts.paper_study.common.poses import MESHES as ALL
@@ -88,6 +88,7 @@ def page(results: Results) -> list[str]:
         f"faces are joints that are wrong half-way, they are {ratio_range(growth[1])} times: a missed joint is "
         "inside a "
         "part, and found there.",
+        folded(results),
     ]
 
 

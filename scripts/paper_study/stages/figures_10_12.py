@@ -10,7 +10,7 @@ import numpy as np
 from mixseq.spaces.mixed.construction import MAX_STEPS, MIN_STEPS
 from mixseq.types import Float
 from scripts.benchmarks.common.harness import markdown_table
-from scripts.paper_study.common.errors import errors, text
+from scripts.paper_study.common.errors import errors, folded, text
 from scripts.paper_study.common.methods import METHODS, Method, Mixed, Printed
 from scripts.paper_study.common.pictures import Panel, envelopes, gallery, held
 from scripts.paper_study.common.poses import MESHES as ALL
@@ -67,7 +67,7 @@ def along(poses: Poses, method: Method, weights: list[float]) -> tuple[Float, Js
     summaries, half = [each.summary() for each in away], len(weights) // 2
     found = {
         "middle": summaries[half],
-        "worst": {kind: np.max([s[kind] for s in summaries], axis=0).tolist() for kind in summaries[0]},
+        "worst": {kind: np.max([s[kind] for s in summaries], axis=0).tolist() for kind in ("lengths", "degrees")},
         "unconverged": sum(not report.converged for blend in blends for report in blend.reports),
     }
     return blends[half].points, {"lengths": lengths, "degrees": degrees}, found
@@ -150,6 +150,8 @@ def page(results: Results) -> list[str]:
     ]
     return [
         *blocks,
+        "## Folds",
+        "Half-way: " + folded(results, lambda found: found["middle"]),
         "## The paper's claim",
         "The paper says that MSGI is slightly better on the standing elephant (Figure 10), MixIT on the "
         "horse (11), DSO on the galloping elephant (12), and prints the curves without numbers. Ratios of "

@@ -9,25 +9,24 @@ import numpy as np
 
 from mixseq.types import Index
 from scripts.benchmarks.common.harness import markdown_table
-from scripts.paper_study.common.methods import METHODS, Clock, Method, Mixed
-from scripts.paper_study.common.poses import ALL, Poses, between
+from scripts.paper_study.common.methods import METHODS, STEPS, Clock, Method, steps_of
+from scripts.paper_study.common.poses import ALL, Poses
 from scripts.paper_study.common.printed import TABLE_1
 from scripts.paper_study.common.record import Json, Results, ratio_range
 
 MESHES = tuple(ALL)
 RUNS, BUDGET = 5, 25.0
-"""Times are medians of so many runs, or fewer where the seconds are spent."""
+"""Largest number of runs, of which times are medians, and seconds after which no other one is started."""
 
 EDGE = ("MSGI", "DSO, from a pose", "DSO", "S_e, steps")
 MIXED = ("MixIT, printed", "MixIT, whole joints", "MixIT, free", "MixIT")
-STEPS = ("align", "init", "interpolation", "stitching", "settling")
 
 
 def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     warm = Poses.of("lion")  # compiles
     parts = warm.segmented()
     for make in METHODS.values():
-        once(make, warm, parts)
+        steps_of(make(warm, parts))
     clock = Clock()
     labels = poses.segmented()
     result: Json = {"segmentation": 1e3 * clock.lap(), "faces": len(poses.sequence.faces)}
@@ -37,36 +36,17 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     return result
 
 
-def once(make: Callable[[Poses, Index], Method], poses: Poses, labels: Index) -> tuple[list[float], int]:
-    """Return seconds of the steps, and iterations; preparing ends with the same blend, which is taken off."""
-    fresh = poses.moved(poses.points)  # nothing is known of them yet
-    method = make(fresh, labels)
-    clock = Clock()
-    align = 0.0
-    if isinstance(method, Mixed):
-        method.align()
-        align = clock.lap()
-    method.prepare()
-    init = clock.lap()
-    if isinstance(method, Mixed):
-        blend, steps = method.timed(between(0.5))
-    else:
-        blend = method.at(between(0.5))
-        steps = (clock.lap(), 0.0, 0.0)
-    return [align, max(init - sum(steps), 0.0), *steps], sum(report.iterations for report in blend.reports)
-
-
 def timed(make: Callable[[Poses, Index], Method], poses: Poses, labels: Index) -> Json:
     """Return medians in milliseconds; the total is without the alignment, which the initialisation does too."""
     rows: list[list[float]] = []
     while not rows or (len(rows) < RUNS and sum(map(sum, rows)) < BUDGET):
-        seconds, iterations = once(make, poses, labels)
+        seconds, blend = steps_of(make(poses.moved(poses.points), labels))  # nothing is known of them yet
         rows.append(seconds)
     medians = 1e3 * np.median(rows, axis=0)
     return {
         **dict(zip(STEPS, medians.tolist(), strict=True)),
         "total": float(medians[1:].sum()),
-        "iterations": iterations,
+        "iterations": sum(report.iterations for report in blend.reports),
         "runs": len(rows),
     }
 
