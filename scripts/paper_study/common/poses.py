@@ -50,6 +50,9 @@ FINE = {"elephant_fine": Source("elephant_gallop", (0, 5), (0, 4, 8, 12, 16, 20)
 
 ALL = MESHES | FINE
 
+PAPER = tuple(mesh for mesh in MESHES if mesh != "horse_gallop")
+"""The meshes of the paper."""
+
 RANK_STRIDE = 3
 """Stride of the vertices by whose distances pairs of frames are ranked."""
 

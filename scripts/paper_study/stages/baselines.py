@@ -17,10 +17,10 @@ from scripts.paper_study.common.damage import apart, placement_noise
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import METHODS, Method
 from scripts.paper_study.common.pictures import Panel, gallery
-from scripts.paper_study.common.poses import Poses, between
+from scripts.paper_study.common.poses import PAPER, Poses, between
 from scripts.paper_study.common.record import Json, Results, named, ratio_range
 
-MESHES = ("lion", "cat", "horse", "elephant_gallop")
+MESHES = PAPER
 WEIGHTS = (0.25, 0.5, 0.75)
 TURN = np.radians(150) * np.array([2.0, -1.0, 2.0]) / 3
 """Rotation vector that turns the second pose."""

@@ -11,10 +11,10 @@ from mixseq.types import Float
 from scripts.paper_study.common.errors import error_table, errors, folded
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
-from scripts.paper_study.common.poses import Poses, between
+from scripts.paper_study.common.poses import PAPER, Poses, between
 from scripts.paper_study.common.record import Json, Results
 
-MESHES = ("lion", "cat", "horse", "elephant_gallop")
+MESHES = PAPER
 
 SPACES: dict[str, SpaceName] = {"vertices, S_v": "vertex", "gradients, S_f": "gradient"}
 """Spaces that need no optimisation."""
@@ -28,10 +28,8 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     for name, space in SPACES.items():
         blends[name] = PoseInterpolator.from_poses(poses.sequence, space, pose_ids=poses.frames).blend(weights)
     labels = poses.segmented()
-    for name in ("DSO", "MixIT"):
-        method = METHODS[name](poses, labels)
-        method.prepare()
-        blends[OURS if name == "MixIT" else "lengths and angles, S_e"] = method.at(weights).points
+    for name, space_name in (("DSO", "lengths and angles, S_e"), ("MixIT", OURS)):
+        blends[space_name] = METHODS[name](poses, labels).at(weights).points
     found = {name: errors(poses, weights, points).summary() for name, points in blends.items()}
     given = [Panel("first pose", poses.points[0]), Panel("second pose", poses.points[1])]
     shown = [Panel(f"{name}, w = 0.5", points) for name, points in blends.items()]

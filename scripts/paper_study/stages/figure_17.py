@@ -13,10 +13,9 @@ from mixseq.types import Float
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import METHODS
-from scripts.paper_study.common.pictures import Panel, gallery, heat
+from scripts.paper_study.common.pictures import BRIGHTEST, Panel, gallery, length_errors
 from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.record import Json, Results
-from scripts.paper_study.stages.figure_14 import MOST, at_vertices
 
 MESHES = ("cat",)
 FAR = (3, 5)
@@ -40,9 +39,7 @@ def blends_of(far: Poses, say: Callable[[str], None]) -> tuple[Json, list[list[P
     found: Json = {}
     rows = [[Panel("first pose", far.points[0]), Panel("second pose", far.points[1])], [], []]
     for name, make in METHODS.items():
-        method = make(far, labels)
-        method.prepare()
-        blend = method.at(between(0.5))
+        blend = make(far, labels).at(between(0.5))
         found[name] = {
             **errors(far, between(0.5), blend.points).summary(),
             "energy": energy(far, blend.points),
@@ -51,7 +48,7 @@ def blends_of(far: Poses, say: Callable[[str], None]) -> tuple[Json, list[list[P
         say(f"{far.title}, {name}: energy {found[name]['energy']:.3g}")
         if name in SHOWN:
             rows[1].append(Panel(f"{name}, w = 0.5", blend.points))
-            rows[2].append(Panel("length errors", blend.points, heat(far, at_vertices(far, blend.points), MOST)))
+            rows[2].append(Panel("length errors", blend.points, length_errors(far, blend.points)))
     return {"title": far.title, "methods": found}, rows
 
 
@@ -67,7 +64,7 @@ def energy(poses: Poses, points: Float) -> float:
 def page(results: Results) -> list[str]:
     blocks = [
         "Half way between two poses. The energy is what discrete shells lower, here of the whole mesh for every "
-        f"method. In the lowest row errors of lengths, from violet (0) to yellow ({MOST:.0%} and more)."
+        f"method. In the lowest row errors of lengths, from violet (0) to yellow ({BRIGHTEST:.0%} and more)."
     ]
     for mesh, result in results.items():
         blocks += [

@@ -17,10 +17,9 @@ from mixseq.sequence.sequence import MeshSequence
 from mixseq.types import Float, Index
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.errors import errors, text
-from scripts.paper_study.common.pictures import CLOSE, DPI, Panel, gallery, heat
+from scripts.paper_study.common.pictures import BRIGHTEST, CLOSE, DPI, Panel, gallery, length_errors
 from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.record import Json, Results
-from scripts.paper_study.stages.figure_14 import MOST, at_vertices
 
 MESHES = ("lion", "cat", "horse", "horse_gallop")
 MOVING = ("horse_gallop",)
@@ -56,7 +55,7 @@ def _pair(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     vertex = int(edges[np.abs(edge_lengths(shapes["LRI"], edges) - lengths).argmax(), 0])
     for name, points in shapes.items():
         found[name] = errors(poses, between(0.5), points).summary()
-        row.append(Panel(name, points, heat(poses, at_vertices(poses, points), MOST)))
+        row.append(Panel(name, points, length_errors(poses, points)))
         close.append(Panel("close-up", points, close=vertex))
         say(f"{name}: {text(found[name]['lengths'])}")
     gallery(folder / f"figure-18-{poses.mesh}.png", poses, [row, close], f"{poses.title}, half way")
@@ -171,7 +170,7 @@ def page(results: Results) -> list[str]:
                 ),
                 "Two poses as a sequence of two frames, modelled as `fit` does by default, with parts from these two; "
                 "the frame half way; errors against the mean lengths "
-                f"and angles. In the upper row length errors, from violet (0) to yellow ({MOST:.0%} and "
+                f"and angles. In the upper row length errors, from violet (0) to yellow ({BRIGHTEST:.0%} and "
                 "more); below a close-up of where an edge is worst with LRI.",
                 picture,
             ]

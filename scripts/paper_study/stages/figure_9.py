@@ -10,11 +10,10 @@ import numpy as np
 from scripts.paper_study.common.errors import error_table, errors, text
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
-from scripts.paper_study.common.poses import MESHES as ALL
-from scripts.paper_study.common.poses import Poses
+from scripts.paper_study.common.poses import ALL, PAPER, Poses
 from scripts.paper_study.common.record import Json, Results
 
-MESHES = tuple(mesh for mesh in ALL if mesh != "horse_gallop")
+MESHES = PAPER
 
 
 def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
@@ -24,11 +23,9 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     found: Json = {}
     blends = []
     for name, make in METHODS.items():
-        method = make(six, labels)
-        method.prepare()
-        blend = method.at(weights)
-        found[name] = errors(six, weights, blend.points).summary()
-        blends.append(Panel(name, blend.points))
+        blend = make(six, labels).at(weights).points
+        found[name] = errors(six, weights, blend).summary()
+        blends.append(Panel(name, blend))
         say(f"{name}: {text(found[name]['lengths'])}")
     given = [Panel(f"frame {frame}", x) for frame, x in zip(six.frames, six.points, strict=True)]
     rows = [given[:3], given[3:], blends[:4], blends[4:]]
@@ -62,7 +59,6 @@ def verdict(results: Results) -> list[str]:
     readings = [
         f"{mesh} {found['MixIT, whole joints']['lengths'][1] / found['MixIT, printed']['lengths'][1]:.2f}"
         for mesh, found in ((mesh, result["methods"]) for mesh, result in results.items())
-        if "MixIT, whole joints" in found
     ]
     return [
         f"Errors of a blend of six poses by MixIT (by DSO): {'; '.join(lines)}.",

@@ -6,13 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from scripts.paper_study.common.methods import Strips, strips
-from scripts.paper_study.common.poses import MESHES as ALL
-from scripts.paper_study.common.poses import Poses, between
+from scripts.paper_study.common.poses import ALL, PAPER, Poses, between
 from scripts.paper_study.common.printed import TABLE_1, TABLE_2, TABLE_3, Variant
 from scripts.paper_study.common.record import Json, Results, ratio_range
 from scripts.paper_study.common.variants import ours, row_of, table, theirs
 
-MESHES = tuple(mesh for mesh in ALL if mesh != "horse_gallop")
+MESHES = PAPER
 WIDTHS = (3, 5, 9)
 
 
