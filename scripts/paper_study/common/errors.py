@@ -8,7 +8,7 @@ quantile of that share.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -106,7 +106,11 @@ def text(values: list[float] | tuple[float, ...]) -> str:
     return " / ".join(map(one, values))
 
 
-def error_table(head: str, summaries: Mapping[str, Any]) -> str:
-    """Return summaries of errors as a table, with a row for each name; the head of the names comes first."""
-    rows = [(name, text(found["lengths"]), text(found["degrees"])) for name, found in summaries.items()]
-    return markdown_table((head, "lengths, 99 / 99.9 / 100 %", "degrees"), rows)
+def error_table(head: str, summaries: Json, columns: Mapping[str, Callable[[Json], object]] | None = None) -> str:
+    """Return summaries of errors as a table, with a row for each name, and further columns before the errors."""
+    more = columns or {}
+    rows = [
+        (name, *(str(show(found)) for show in more.values()), text(found["lengths"]), text(found["degrees"]))
+        for name, found in summaries.items()
+    ]
+    return markdown_table((head, *more, "lengths, 99 / 99.9 / 100 %", "degrees"), rows)

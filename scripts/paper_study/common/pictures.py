@@ -15,7 +15,6 @@ from mixseq.pictures.colours import JOINT_RED, part_colours
 from mixseq.pictures.raster import draw_mesh
 from mixseq.pictures.scene import CLAY_COLOUR, Limits, View, shared_limits, three_quarter_view, to_y_up
 from mixseq.pictures.sheets import Sheet
-from mixseq.segmentation.joints import Decomposition
 from mixseq.types import Float, Index
 from scripts.paper_study.common.poses import Poses, between
 
@@ -34,11 +33,6 @@ class Panel(NamedTuple):
     points: Float
     colours: ArrayLike = CLAY_COLOUR
     close: int | None = None
-
-
-def cut(decomposition: Decomposition) -> Float:
-    """Return colours ``(F, 3)`` of parts, and of joints in red."""
-    return held(decomposition.part_of_face, decomposition.joint_of_face < 0)
 
 
 def held(part_of_face: Index, rigid: NDArray[np.bool_]) -> Float:
@@ -93,14 +87,8 @@ def _window(panel: Panel, poses: Poses, view: View, size: Float) -> Limits:
     return float(x - width), float(x + width), float(y - height), float(y + height)
 
 
-def _root(values: Float) -> Float:
-    """Return signed square roots: with straight axes the inner bands could not be seen."""
-    return np.sign(values) * np.sqrt(np.abs(values))
-
-
-def _square(values: Float) -> Float:
-    return np.sign(values) * np.square(values)
-
+SIGNED_ROOT = (lambda x: np.sign(x) * np.sqrt(np.abs(x)), lambda x: np.sign(x) * np.square(x))
+"""Scale of axes, and its inverse: on straight axes the inner bands could not be seen."""
 
 Bands = Mapping[str, Any]
 """Bands of lengths and of angles, by method: ``{"lengths": (W, shares, 2), "degrees": (W, shares, 2)}``."""
@@ -127,7 +115,7 @@ def envelopes(target: Path, title: str, weights: Sequence[float], bands: Bands) 
                 values = np.asarray(bands[name][kind])
                 for number, (share, colour) in enumerate(zip(shares, colours, strict=True)):
                     ax.fill_between(weights, *values[:, number].T, color=colour, linewidth=0, label=share)
-                ax.set_yscale("function", functions=(_root, _square))
+                ax.set_yscale("function", functions=SIGNED_ROOT)
                 ax.set_ylim(-most, most)
                 ax.set_xlim(0, 1)
             axes[0].set_ylabel(label)

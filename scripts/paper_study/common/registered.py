@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.mesh.measures import clamp_lengths, dihedral_angles, edge_lengths
+from mixseq.mesh.measures import clamp_lengths, dihedral_angles, edge_lengths, length_weights
 from mixseq.mesh.rigid import mean_shape, transform_points
 from mixseq.mesh.rotations import align_quat_signs, matrix_to_quat, quat_to_matrix
 from mixseq.segmentation.joints import Decomposition
@@ -103,8 +103,7 @@ class PaperSpace:
     @cached_property
     def length_weights(self) -> Float:
         """One over the mean lengths ``(E,)`` of edges."""
-        typical = self.poses.lengths.mean(axis=0) / self.poses.diagonal
-        return np.asarray(np.divide(1.0, typical, out=np.zeros_like(typical), where=typical > 0))
+        return length_weights(self.poses.lengths.mean(axis=0) / self.poses.diagonal)
 
     def frame(self, weights: Float) -> PaperFrame:
         """Blend poses with weights ``(T,)``."""

@@ -18,6 +18,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.mesh.measures import scatter_add
 from mixseq.mesh.topology import Topology
 from mixseq.shells.solvers import Factor, factorise
 from mixseq.types import Float, Index
@@ -106,6 +107,4 @@ def stitch(seams: Seams, points: Float, lengths: Float) -> Float:
 
 def _average(values: Float, group: Index, count: int = 0) -> Float:
     """Return the mean of the rows of each group."""
-    size = np.bincount(group, minlength=count)
-    sums = [np.bincount(group, column, minlength=count) for column in values.T]
-    return np.stack(sums, axis=1) / np.maximum(size, 1)[:, None]
+    return scatter_add(values, group, count) / np.maximum(np.bincount(group, minlength=count), 1)[:, None]

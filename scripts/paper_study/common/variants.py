@@ -33,7 +33,7 @@ def row_of(method: Mixed, runs: int = 3) -> Json:
     }
 
 
-def ours(mesh: str, what: str, row: Json) -> tuple[str, ...]:
+def measured_row(mesh: str, what: str, row: Json) -> tuple[str, ...]:
     """Return a row of the table."""
     return (
         mesh, what, str(row["parts"]), str(row["joints"]), *(f"{ms:.0f}" for ms in row["ms"]), f"{row['total']:.0f}",
@@ -41,7 +41,7 @@ def ours(mesh: str, what: str, row: Json) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def theirs(mesh: str, what: str, parts: str, joints: str, row: Variant) -> tuple[str, ...]:
+def printed_row(mesh: str, what: str, parts: str, joints: str, row: Variant) -> tuple[str, ...]:
     """Return a row that the paper prints."""
     steps = (row.align, row.init, row.interpolation, row.stitching)
     return (

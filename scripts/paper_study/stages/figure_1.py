@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from mixseq.choices import SpaceName
@@ -12,7 +11,7 @@ from scripts.paper_study.common.errors import error_table, errors, folded
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import PAPER, Poses, between
-from scripts.paper_study.common.record import Json, Results
+from scripts.paper_study.common.record import Json, Results, Say
 
 MESHES = PAPER
 
@@ -22,7 +21,7 @@ SPACES: dict[str, SpaceName] = {"vertices, S_v": "vertex", "gradients, S_f": "gr
 OURS = "MixIT, S_m"
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     weights = between(0.5)
     blends: dict[str, Float] = {}
     for name, space in SPACES.items():

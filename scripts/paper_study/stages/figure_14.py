@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from operator import itemgetter
 from pathlib import Path
 
-from scripts.benchmarks.common.harness import markdown_table
-from scripts.paper_study.common.errors import errors, folded, text
+from scripts.paper_study.common.errors import error_table, errors, folded
 from scripts.paper_study.common.methods import Free, Strips, strips
 from scripts.paper_study.common.pictures import BRIGHTEST, Panel, gallery, held, length_errors
 from scripts.paper_study.common.poses import PAPER, Poses, between
-from scripts.paper_study.common.record import Json, Results, ratio_range
+from scripts.paper_study.common.record import Json, Results, Say, ratio_range
 
 MESHES = PAPER
 FEW = 3
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     few, usual = poses.segmented(FEW), poses.segmented()
     methods = {
         f"strips, {FEW} parts": Strips(poses, strips(poses, few)),
@@ -48,14 +47,10 @@ def page(results: Results) -> list[str]:
         "paper shows the armadillo."
     ]
     for mesh, result in results.items():
-        rows = [
-            (name, str(f["parts"]), str(f["joints"]), text(f["lengths"]), text(f["degrees"]))
-            for name, f in result["methods"].items()
-        ]
         blocks += [
             f"## {mesh}: {result['title']}",
             f"![Segmentations and blends, {mesh}](figure-14-{mesh}.png)",
-            markdown_table(("", "p", "q", "lengths, 99 / 99.9 / 100 %", "degrees"), rows),
+            error_table("", result["methods"], {"p": itemgetter("parts"), "q": itemgetter("joints")}),
         ]
     growth: list[list[float]] = [[], []]
     for result in results.values():

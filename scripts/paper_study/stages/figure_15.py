@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from scripts.paper_study.common.methods import Free, Strips, strips
 from scripts.paper_study.common.pictures import Panel, gallery, held
 from scripts.paper_study.common.poses import PAPER, Poses, between
 from scripts.paper_study.common.printed import FIGURE_15
-from scripts.paper_study.common.record import Json, Results, named, ratio_range
+from scripts.paper_study.common.record import Json, Results, Say, named, ratio_range
 from scripts.paper_study.common.variants import row_of
 
 MESHES = PAPER
@@ -38,7 +37,7 @@ SMALL = 50
 """Number of faces of fragments."""
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     found: Json = {}
     rows: list[list[Panel]] = [[], [], []]
     by_motion: Index | None = None
@@ -50,10 +49,7 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
         methods = {"strips": Strips(poses, cut), "free": Free(poses, cut)}
         colours = held(cut.part_of_face, methods["free"].rigid)
         rows[0].append(Panel(f"{name}, {labels.max() + 1} parts", poses.points[0], colours))
-        found[name] = {
-            "segmentation": seconds,
-            "agreement": adjusted_rand_index(labels, by_motion),
-        }
+        found[name] = {"segmentation": seconds, "agreement": adjusted_rand_index(labels, by_motion)}
         for number, (kind, method) in enumerate(methods.items(), start=1):
             blend = method.at(between(0.5)).points
             found[name][kind] = row_of(method, runs=2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +10,12 @@ from scripts.paper_study.common.errors import error_table, errors, text
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import ALL, PAPER, Poses
-from scripts.paper_study.common.record import Json, Results
+from scripts.paper_study.common.record import Json, Results, Say
 
 MESHES = PAPER
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     six = poses.only(*ALL[poses.mesh].six)
     weights = np.full(6, 1 / 6)
     labels = six.segmented()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from scripts.paper_study.common.errors import errors, folded, text
 from scripts.paper_study.common.methods import METHODS, Method, Mixed, Printed
 from scripts.paper_study.common.pictures import Panel, envelopes, gallery, held
 from scripts.paper_study.common.poses import MESHES, PAPER, Poses, between
-from scripts.paper_study.common.record import Json, Results, named, ratio_range
+from scripts.paper_study.common.record import Json, Results, Say, named, ratio_range
 
 EDGE = ("MSGI", "DSO, from a pose", "DSO", "S_e, steps")
 MINE = ("MixIT", "MixIT, printed", "MixIT, whole joints")
@@ -23,7 +22,7 @@ SAME = 0.005
 """Errors whose ratio is nearer to 1 than this are the same."""
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     labels = poses.segmented()
     weights: list[float] = np.linspace(0, 1, MESHES[poses.mesh].steps + 1).tolist()
     bands: dict[str, Json] = {}

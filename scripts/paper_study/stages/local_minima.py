@@ -18,7 +18,7 @@ from mixseq.types import Float, Index
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.methods import Anchored, FromPose, Printed, strips
 from scripts.paper_study.common.poses import Poses, between
-from scripts.paper_study.common.record import Json, Results, named, ratio_range
+from scripts.paper_study.common.record import Json, Results, Say, named, ratio_range
 
 MESHES = ("lion", "cat", "horse")
 NOISE = (0.05, 0.15, 0.5)
@@ -34,7 +34,7 @@ Search = Callable[[float, np.random.Generator], float]
 """Returns the energy that is found from a start with noise of a size in edges."""
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     labels = poses.segmented()
     searches = {
         "DSO, from a pose": whole(poses, from_pose=True),
@@ -126,8 +126,8 @@ def page(results: Results) -> list[str]:
     grown = growth(results)
     ranges = [
         f"*{name}* "
-        + ", ".join(f"{ratio_range(found)} with {size:g} edges" for size, found in zip(NOISE, each, strict=True))
-        for name, each in ((name, zip(*found.values(), strict=True)) for name, found in grown.items())
+        + ", ".join(f"{ratio_range(of[k] for of in found.values())} with {NOISE[k]:g} edges" for k in range(3))
+        for name, found in grown.items()
     ]
     lower = [
         f"*{name}* on {named(mesh for mesh, r in results.items() if found_lower(r['methods'][name]))}" for name in grown
@@ -142,13 +142,12 @@ def page(results: Results) -> list[str]:
 
 def growth(results: Results) -> dict[str, dict[str, list[float]]]:
     """Return the largest energy by noise over that without, by method and mesh."""
-    return {
-        name: {
-            mesh: [max(found[f"{size:g}"]) / found["0"][0] for size in NOISE]
-            for mesh, found in ((mesh, result["methods"][name]) for mesh, result in results.items())
-        }
-        for name in next(iter(results.values()))["methods"]
-    }
+    found: dict[str, dict[str, list[float]]] = {}
+    for mesh, result in results.items():
+        for name, energies in result["methods"].items():
+            of = [max(energies[f"{size:g}"]) / energies["0"][0] for size in NOISE]
+            found.setdefault(name, {})[mesh] = of
+    return found
 
 
 def found_lower(energies: Json) -> bool:

@@ -12,7 +12,7 @@ from scripts.benchmarks.common.harness import cpu_timed, markdown_table
 from scripts.paper_study.common.methods import METHODS, STEPS, Method, steps_of
 from scripts.paper_study.common.poses import ALL, Poses
 from scripts.paper_study.common.printed import TABLE_1
-from scripts.paper_study.common.record import Json, Results, ratio_range
+from scripts.paper_study.common.record import Json, Results, Say, ratio_range
 
 MESHES = tuple(ALL)
 RUNS, BUDGET = 5, 25.0
@@ -22,7 +22,7 @@ EDGE = ("MSGI", "DSO, from a pose", "DSO", "S_e, steps")
 MIXED = ("MixIT, printed", "MixIT, whole joints", "MixIT, free", "MixIT")
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     warm = Poses.of("lion")  # compiles
     parts = warm.segmented()
     for make in METHODS.values():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import mixseq
@@ -12,14 +11,14 @@ from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.methods import METHODS, Anchored, Edge, strips
 from scripts.paper_study.common.poses import ALL, PAPER, Poses
 from scripts.paper_study.common.printed import TABLE_2, edge_dimension
-from scripts.paper_study.common.record import Json, Results
+from scripts.paper_study.common.record import Json, Results, Say
 
 MESHES = PAPER
 STRIPS, DEFAULT = "the paper's strips", "default of `fit`"
 MIXED = (STRIPS, "MixIT, free", "MixIT", DEFAULT)
 
 
-def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+def measure(poses: Poses, folder: Path, say: Say) -> Json:
     edges, vertices = len(poses.topology.edges), poses.sequence.vertex_count
     labels = poses.segmented()
     edge = METHODS["DSO"](poses, labels)
