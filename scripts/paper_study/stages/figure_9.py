@@ -56,8 +56,8 @@ def verdict(results: Results) -> list[str]:
         ]
         lines.append(f"{kind} at {('99 %', '99.9 %')[share]} {', '.join(found)}")
     readings = [
-        f"{mesh} {found['MixIT, whole joints']['lengths'][1] / found['MixIT, printed']['lengths'][1]:.2f}"
-        for mesh, found in ((mesh, result["methods"]) for mesh, result in results.items())
+        f"{mesh} {r['methods']['MixIT, whole joints']['lengths'][1] / r['methods']['MixIT, printed']['lengths'][1]:.2f}"
+        for mesh, r in results.items()
     ]
     return [
         f"Errors of a blend of six poses by MixIT (by DSO): {'; '.join(lines)}.",
