@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from mixseq.metrics import Comparison
     from mixseq.runtime.parallel import Executor
     from mixseq.runtime.progress import Progress
-    from mixseq.sequence.sequence import Frames
     from mixseq.signals.model import Model
+    from mixseq_io.reader import SequenceReader
 
 
 _OF_FITTING = (
@@ -93,12 +93,21 @@ aiming = options.group(
 
 
 def compressed(
-    frames: Frames, aim: Mapping[str, Any], progress: Progress, still: StillName | None = None
+    frames: SequenceReader, aim: Mapping[str, Any], progress: Progress, still: StillName | None = None
 ) -> CompressedSequence:
-    """Compress a sequence to a target; a target size is the size of the file, a .glb if `still` is given."""
-    aim = in_diagonals(aim, frames, "max_error")
-    if "size" not in aim:
-        return mixseq.compress(frames, **aim, progress=progress)
+    """Compress a sequence to a target; a target size is the size of the file, a .glb if `still` is given.
+
+    A length is a different fraction of the diagonal of every body; all are compressed to the smallest fraction.
+    """
+    from mixseq.signals.model import Model
+    from mixseq_io.loading import model_or_reader
+
+    source = model_or_reader(frames)
+    bodies = list(source.frames_of_bodies()) if isinstance(source, Model) else [frames]
+    aims = [in_diagonals(aim, each, "max_error") for each in bodies]
+    aim = min(aims, key=lambda each: each.get("max_error", 0.0))
+    if "size" not in aim or len(bodies) > 1:
+        return mixseq.compress(source, **aim, progress=progress)
     from mixseq_io.coded.sizes import compress_to_size
 
     return compress_to_size(frames, still=still, progress=progress, **aim)

@@ -12,8 +12,9 @@ The **placement** of bodies in the world is a separate curve. Further bodies, ot
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from mixseq.sequence.events import Events
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.provenance import as_edited
 from mixseq.sequence.sequence import LazyFrames, warn_of_loss
-from mixseq.signals.bodies import Body
+from mixseq.signals.bodies import SAME_BODY, Body, Relation
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
 from mixseq.signals.pose import Plane, PoseMap, fit_plane
@@ -223,10 +224,25 @@ class Model(Decodable, PickledWithoutCaches):
     @property
     def frames(self) -> LazyFrames:
         """The frames of the body in front, decoded on demand, with their parts; warns of further bodies."""
-        if self.bodies:
+        if self.body_names[1:]:
             text = f"further bodies, {', '.join(self.body_names[1:])}, are left out"
             warn_of_loss(self.header, text, "take them by Model.body, or write them by mixseq decode --body")
-        return LazyFrames(self.header, lambda size: self.blocks(self.times, size), self.parts)
+        return next(self.frames_of_bodies())
+
+    def frames_of_bodies(self) -> Iterator[LazyFrames]:
+        """Yield the frames of every body, decoded on demand, with their parts."""
+        for model in map(self.body, self.body_names):
+            yield LazyFrames(model.header, partial(model.blocks, model.times), model.parts)
+
+    @property
+    def relations(self) -> tuple[Relation, ...]:
+        """The relations of all bodies to the one in front."""
+        return SAME_BODY, *(body.relation for body in self.bodies)
+
+    @property
+    def signals_id(self) -> int:
+        """A number that a model has in common with `body`, and no other model has."""
+        return id(self.time)
 
     @property
     def mixed(self) -> MixedSpace:

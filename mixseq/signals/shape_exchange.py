@@ -28,7 +28,6 @@ from mixseq.mesh.rotations import (
     quat_to_matrix,
     rotate_vectors,
 )
-from mixseq.operations.sections import correction_norm
 from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import log_progress
 from mixseq.runtime.public import FileOr, public
@@ -36,7 +35,13 @@ from mixseq.segmentation.joints import sample_frame_ids
 from mixseq.sequence.provenance import format_error, with_other_motion
 from mixseq.sequence.sequence import Frames, MeshSequence, check_frames, load_frames, warn_of_loss
 from mixseq.signals.bodies import Body
-from mixseq.signals.detail import VISUALLY_LOSSLESS_TOLERANCE, encode_sequence, find_rounding_step, round_key_shapes
+from mixseq.signals.detail import (
+    VISUALLY_LOSSLESS_TOLERANCE,
+    encode_sequence,
+    find_rounding_step,
+    max_norm,
+    round_key_shapes,
+)
 from mixseq.signals.model import Model
 from mixseq.spaces.making import MixedSettings, make_space
 from mixseq.spaces.mixed.mixed_space import MixedSpace, as_mixed
@@ -66,7 +71,7 @@ def key_poses(model: Model) -> MeshSequence:
     """
     times = np.arange(len(model.shapes), dtype=np.float64)
     corrections = np.zeros((len(times), model.space.correction_dim))
-    vectors = np.concatenate([model.shapes, model.placement(_key_times(model)), corrections], axis=1)
+    vectors = np.concatenate([model.shapes, model.placement(key_times(model)), corrections], axis=1)
     with one_blas_thread():
         return MeshSequence.from_header(model.header.with_times(times, 1.0), model.space.decode(vectors))
 
@@ -129,9 +134,9 @@ def with_body(
     >>> herd.body("tall fox").sample().frame_count
     6
     """
-    body = _make_body(model, cast("Frames", keys), name, parts, np.eye(3) if turn is None else turn)
+    body = make_body(model, cast("Frames", keys), name, parts, np.eye(3) if turn is None else turn)
     own, times = (
-        _make_body(model, key_poses(model), name, None, np.eye(3)),
+        make_body(model, key_poses(model), name, None, np.eye(3)),
         model.times[sample_frame_ids(len(model.times))],
     )
     pairs = zip(model.alone_as(own).blocks(times), model.blocks(times), strict=True)
@@ -142,8 +147,8 @@ def with_body(
     return replace(model, bodies=(*model.bodies, body))
 
 
-def _make_body(model: Model, keys: Frames, name: str, parts: ArrayLike | None, turn: ArrayLike) -> Body:
-    """Return the body of `with_body`, without a warning of inaccurate motion."""
+def make_body(model: Model, keys: Frames, name: str, parts: ArrayLike | None, turn: ArrayLike) -> Body:
+    """Return the body of `with_body` without a warning of inaccurate motion, as its keys may be all frames."""
     first, turn = as_mixed(model.space), np.asarray(turn, dtype=np.float64)
     if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3)) or np.linalg.det(turn) < 0:
         raise SettingsError("the turn is no rotation; a matrix (3, 3) with orthogonal columns of length 1 is expected")
@@ -171,14 +176,15 @@ def _make_body(model: Model, keys: Frames, name: str, parts: ArrayLike | None, t
     shapes, placed = np.asarray(encoded.shapes[:]), space.unpack_placements(encoded.placement)
     if corresponds:
         shapes, placed = _match_body_axes(model, space, shapes, placed)
-    before = first.unpack_placements(model.placement(_key_times(model)))
+    before = first.unpack_placements(model.placement(key_times(model)))
     before = Poses(normalise_quat(before.rotations), before.centres)
     body = Body(keys.header, space, shapes, matrix_to_quat(turn), *_mean_motion(turn, before, placed))
     shapes = _change_body_axes(space, shapes, _relative_poses(placed, body.place(before)))
     round_key_shapes(shapes, space, find_rounding_step(model.shapes, first))
     turns = _part_turns(model, space, shapes) if corresponds else None
     if turns is None:
-        loss = float(correction_norm(model)(model.correction.values).max(initial=0.0))
+        weights = first.weights[first.shape_dim + first.placement_dim :]
+        loss = float(max_norm(weights)(model.correction.values).max(initial=0.0))
         if loss > VISUALLY_LOSSLESS_TOLERANCE:
             text = f"corrections of part poses, up to {format_error(loss)} diagonals, are left out"
             warn_of_loss(model.header, text, "a body with the same triangles, or parts, keeps them")
@@ -238,7 +244,7 @@ def _part_turns(model: Model, space: MixedSpace, shapes: Float) -> Float:
     return nearest_rotations((before.swapaxes(-1, -2) @ after).sum(axis=0))
 
 
-def _key_times(model: Model) -> Float:
+def key_times(model: Model) -> Float:
     """Return the times ``(K,)`` of the frames whose weights are nearest to those of key shapes."""
     weights = model.pose.weights(model.time(model.times))
     frames = (np.square(weights).sum(axis=1, keepdims=True) - 2.0 * weights).argmin(axis=0)
