@@ -16,7 +16,7 @@ from mixseq.mesh.measures import dihedral_angles, edge_lengths, wrap_angles
 from mixseq.types import Float
 from scripts.benchmarks.common.harness import markdown_table
 from scripts.paper_study.common.poses import APART, PATH, Poses
-from scripts.paper_study.common.record import Json, Results
+from scripts.paper_study.common.record import Json
 
 LENGTH_SHARES = (1.0, 0.999, 0.99)
 ANGLE_SHARES = (1.0, 0.9999, 0.999, 0.99)
@@ -65,13 +65,9 @@ def errors(poses: Poses, weights: Float, points: Float) -> Errors:
     return Errors(strain, degrees, float((distances / shortest).min(initial=1.0)))
 
 
-def folded(results: Results, kind: Callable[[Json], Json] = lambda found: found) -> str:
-    """Say which methods fold which mesh; `kind` returns the summary of what was found of a method."""
-    ratios = {
-        f"*{name}* on {mesh}": kind(found)["nearest"]
-        for mesh, result in results.items()
-        for name, found in result["methods"].items()
-    }
+def folded(summaries: Mapping[str, Json]) -> str:
+    """Say which blends are folded, of summaries of errors by what they are of."""
+    ratios = {name: found["nearest"] for name, found in summaries.items()}
     said = "; ".join(f"{name} ({ratio:.2g})" for name, ratio in ratios.items() if ratio < FOLDED)
     rest = min((ratio for ratio in ratios.values() if ratio >= FOLDED), default=1.0)
     return (

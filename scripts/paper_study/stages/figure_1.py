@@ -49,7 +49,10 @@ def page(results: Results) -> list[str]:
             f"![Blends in four shape spaces, {mesh}](figure-1-{mesh}.png)",
             error_table("space", result["methods"]),
         ]
-    return [*blocks, folded(results)]
+    return [
+        *blocks,
+        folded({f"*{name}* on {mesh}": f for mesh, r in results.items() for name, f in r["methods"].items()}),
+    ]
 
 
 def verdict(results: Results) -> list[str]:

@@ -63,7 +63,7 @@ def page(results: Results) -> list[str]:
         "where only strips are joints: as in the paper, a segmentation that misses joints leads to artefacts. Where "
         f"all faces are joints that are wrong half-way, they are {ratio_range(growth[1])} times: a missed joint is "
         "inside a part, and found there.",
-        folded(results),
+        folded({f"*{name}* on {mesh}": f for mesh, r in results.items() for name, f in r["methods"].items()}),
     ]
 
 

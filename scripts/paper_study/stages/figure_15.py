@@ -120,7 +120,14 @@ def page(results: Results) -> list[str]:
         f"{ratio_range(slowest)} times the time of the fastest, and the largest error of lengths at 99.9 % is "
         f"{ratio_range(worst['free'])} times the smallest. With strips as joints the segmentation matters more: "
         f"{ratio_range(worst['strips'])} times.",
-        "*MixIT, free*, by the parts of each method: " + folded(results, lambda found: found["free"]),
+        folded(
+            {
+                f"{name}, {kind}, on {mesh}": f[kind]
+                for mesh, r in results.items()
+                for name, f in r["methods"].items()
+                for kind in worst
+            }
+        ),
     ]
 
 

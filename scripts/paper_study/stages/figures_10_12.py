@@ -115,7 +115,10 @@ def page(results: Results) -> list[str]:
     return [
         *blocks,
         "## Folds",
-        "Half-way: " + folded(results, lambda found: found["middle"]),
+        "Half-way: "
+        + folded(
+            {f"*{name}* on {mesh}": f["middle"] for mesh, r in results.items() for name, f in r["methods"].items()}
+        ),
         "## The paper's claim",
         "The paper says that MSGI is slightly better on the standing elephant (Figure 10), MixIT on the "
         "horse (11), DSO on the galloping elephant (12), and prints the curves without numbers. Ratios of "

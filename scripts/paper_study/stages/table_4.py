@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from scripts.paper_study.common.errors import folded
 from scripts.paper_study.common.methods import Strips, strips
 from scripts.paper_study.common.poses import ALL, PAPER, Poses, between
 from scripts.paper_study.common.printed import TABLE_4
@@ -43,7 +44,8 @@ def page(results: Results) -> list[str]:
         "## Differences",
         "- As in the paper, joints that touch are one, so there are fewer joints than parts.\n"
         "- The paper gives times only. Errors show what they pay for: with few parts more of what bends is taken for "
-        f"rigid. With many, errors of lengths at 99.9 % are {ratio_range(gains)} of those with few.",
+        f"rigid. With many, errors of lengths at 99.9 % are {ratio_range(gains)} of those with few.\n"
+        "- " + folded({f"{p} parts on {mesh}": r[str(p)] for mesh, r in results.items() for p in PARTS[mesh]}),
     ]
 
 
