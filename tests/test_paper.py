@@ -84,8 +84,8 @@ def test_a_strip_that_is_bent_onto_itself_is_folded() -> None:
     assert found[0] == 1.0 and found[1] == pytest.approx(np.cos(1.0), abs=0.01) and found[2] < 0.25
     ends = bent.along_limbs[0].tolist()
     assert [0, 10] in ends and [0, 20] not in ends  # nor is what passes another limb
-    assert folded({"A": {"nearest": 0.8}, "B": {"nearest": 0.3}}).startswith("Limbs are folded by B (0.3). ")
-    assert folded({"A": {"nearest": 0.8}}).startswith("Limbs are folded by none. ")
+    assert folded({"A": {"nearest": 0.8}, "B": {"nearest": 0.3}}).startswith("Folded or shrunk limbs: B (0.3). ")
+    assert folded({"A": {"nearest": 0.8}}).startswith("Folded or shrunk limbs: none. ")
 
 
 def test_numbers_have_two_digits_and_no_exponents() -> None:

@@ -66,15 +66,14 @@ def errors(poses: Poses, weights: Float, points: Float) -> Errors:
 
 
 def folded(summaries: Mapping[str, Json]) -> str:
-    """Say which blends are folded, of summaries of errors by what they are of."""
+    """Say which blends fold or shrink limbs, of summaries of errors by what they are of."""
     ratios = {name: found["nearest"] for name, found in summaries.items()}
     said = "; ".join(f"{name} ({ratio:.2g})" for name, ratio in ratios.items() if ratio < FOLDED)
     rest = min((ratio for ratio in ratios.values() if ratio >= FOLDED), default=1.0)
     return (
-        f"Limbs are folded by {said or 'none'}. In brackets is the smallest distance of two vertices along a limb "
+        f"Folded or shrunk limbs: {said or 'none'}. In brackets is the smallest distance of two vertices along a limb "
         f"(more than {APART:g} diagonals apart in all poses, by a path at most {PATH:g} times as long) over their "
-        f"smallest distance in the poses. Below {FOLDED:g} a limb counts as folded; of all other blends it is at least "
-        f"{rest:.2g}."
+        f"smallest distance in the poses, where it is below {FOLDED:g}; of all other blends it is at least {rest:.2g}."
     )
 
 
