@@ -43,7 +43,6 @@ class CompressedModel(Model):
     """
 
     playback: Playback
-    _parts: Index | None
     _fitted: Model | None
     _lock: threading.Lock
 
@@ -61,18 +60,17 @@ class CompressedModel(Model):
     @classmethod
     def from_sequence(cls, coded: CompressedSequence) -> CompressedModel:
         """Decode the streams of a compressed sequence."""
-        return cls.from_playback(decode(coded), coded.parts)
+        return cls.from_playback(decode(coded))
 
     @classmethod
-    def from_playback(cls, playback: Playback, parts: Index | None, fitted: Model | None = None) -> CompressedModel:
-        """Make the model of decoded streams; `parts` ``(F,)`` are those of triangles, None if they are to be found."""
+    def from_playback(cls, playback: Playback, fitted: Model | None = None) -> CompressedModel:
+        """Make the model of decoded streams."""
         model: CompressedModel = object.__new__(cls)
-        signals = {"header": playback.header, "playback": playback, "_parts": parts, "_fitted": fitted}
-        model.__dict__.update(signals, _lock=threading.Lock())
+        model.__dict__.update(header=playback.header, playback=playback, _fitted=fitted, _lock=threading.Lock())
         return model
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return CompressedModel.from_playback, (self.playback, self.parts, self._fitted)
+        return CompressedModel.from_playback, (self.playback, self._fitted)
 
     def __repr__(self) -> str:
         return f"CompressedModel({self.header.name!r}: {self.start:g} to {self.end:g} s, {len(self.times)} frames)"
@@ -98,7 +96,7 @@ class CompressedModel(Model):
     @property
     def parts(self) -> Index | None:
         """Part ``(F,)`` of every triangle, stored in the file; None if they are found when the model is fitted."""
-        return self._parts
+        return self.playback.parts
 
     start = Decodable.start
     end = Decodable.end
