@@ -86,7 +86,8 @@ def read_labels(reader: Reader, part_count: int, graph: SignalGraph) -> Index:
     return labels
 
 
-class FaceLabels(NamedTuple):
+@dataclass(frozen=True)
+class FaceLabels:
     """The coded labels of triangles in `count` parts."""
 
     count: int

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -148,7 +150,7 @@ def test_labels_of_triangles_come_back(shape: Mesh) -> None:
         assert coded.count == count
         np.testing.assert_array_equal(decode_face_labels(coded, faces), labels)
         with pytest.raises(FormatError, match=f"{count + 1} parts are expected"):
-            decode_face_labels(coded._replace(count=count + 1), faces)
+            decode_face_labels(replace(coded, count=count + 1), faces)
 
 
 def test_labels_of_triangles_at_an_edge_of_three() -> None:
