@@ -44,6 +44,7 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
             coded = read_compressed(path)
             header = coded.header
             facts |= {"kind": "model", **_mesh(header, coded.parameters.diagonal), **coding_facts(path, coded)}
+            facts["further_bodies"] = [body.header.name for body in coded.bodies]
         else:
             model = mixseq.load(path)
             header = model.header
@@ -66,23 +67,21 @@ def coding_facts(path: Path, coded: CompressedSequence) -> dict[str, Any]:
     """Return the size in bytes, bit rates and errors of a compressed model in a file."""
     from mixseq_io.verification import compressed_sizes
 
-    sizes = compressed_sizes(path)
+    sizes, bodies = compressed_sizes(path), [asdict(body.parameters) for body in coded.all_bodies]
+    rate = 8 / (coded.header.frame_count * sum(body.header.vertex_count for body in coded.all_bodies))
+    largest = {name: max(body[name] for body in bodies) for name in ("max_error", "kg_percent")}
     return {
         "bytes": sizes,
         "coding": {
-            **asdict(coded.parameters),
+            **bodies[0],
+            **largest,
             "order": coded.order,
             "groups": len(coded.basis),
             "chunks": len(coded.chunks),
-            "bits": {name: bits(sizes[name], coded.header) for name in ("signals", "total")},
-            "bits_of_motion": bits(sizes["signals"] - sizes["surface"] - sizes["uvs"], coded.header),
+            "bits": {name: rate * sizes[name] for name in ("signals", "total")},
+            "bits_of_motion": rate * (sizes["signals"] - sizes["surface"] - sizes["uvs"]),
         },
     }
-
-
-def bits(size: int, header: SequenceHeader) -> float:
-    """Convert a size in bytes to bits per vertex and frame."""
-    return 8 * size / (header.vertex_count * header.frame_count)
 
 
 def coding_rows(facts: dict[str, Any], metres_per_unit: float) -> Rows:

@@ -15,11 +15,12 @@ from mixseq.compression.bitstream.corner_values import to_grid
 from mixseq.compression.encoder.uvs import encode_uvs
 from mixseq.errors import InvalidSequenceError
 from mixseq.sequence.header import SequenceHeader
+from mixseq.signals.bodies import SAME_BODY
 from mixseq_io.coded.streams import INDEX_HEAD, LABEL_COUNT, MAGIC, Container, pack_leb128, pack_surface, pack_times
 
 
 def pack(coded: CompressedSequence) -> Container:
-    """Return the text of a compressed sequence, and its index and streams concatenated."""
+    """Return the text of a compressed sequence, and its index and streams concatenated, and those of its bodies."""
     text = facts_json(coded)
     has_inbetweens = coded.parameters.inbetween_levels is not None
     chunk_streams = [
@@ -36,7 +37,8 @@ def pack(coded: CompressedSequence) -> Container:
     crcs = [crc32(text), *(crc32(stream) for stream in streams if stream)]
     checksums = np.array(crcs, dtype="<u4").tobytes()
     head = INDEX_HEAD.pack(MAGIC, len(lengths), len(checksums), crc32(lengths + checksums))
-    return Container(text, b"".join([head, lengths, checksums, *streams]))
+    bodies = tuple(map(pack, coded.bodies))
+    return Container(text, b"".join([head, lengths, checksums, *streams]), bodies=bodies)
 
 
 def header_streams(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
@@ -74,6 +76,8 @@ def facts_json(coded: CompressedSequence) -> bytes:
     }
     if header.provenance is not None and header.provenance.source is not None:
         facts["source"] = header.provenance.source.to_plain()
+    if coded.relation != SAME_BODY:
+        facts["relation"] = coded.relation._asdict()
     if coded.order != "keep":
         facts["order"] = coded.order
     if coded.between is not None:

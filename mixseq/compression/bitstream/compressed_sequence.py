@@ -40,6 +40,7 @@ from mixseq.runtime.parallel import one_blas_thread
 from mixseq.runtime.progress import Progress
 from mixseq.sequence.header import SequenceHeader
 from mixseq.sequence.sequence import MeshSequence
+from mixseq.signals.bodies import SAME_BODY, Relation
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
 from mixseq.spaces.temporal import TemporalOperator, insert_midpoints, select_operator
@@ -203,16 +204,31 @@ class CompressedSequence(PickledWithoutCaches):
     between: TemporalInterpolation | None = None
     # Parts of triangles, used by `CompressedModel` between frames. None if found from the decoded frames.
     labels: FaceLabels | None = None
+    # Further bodies, other meshes at the same times, each with its own streams and none of these.
+    bodies: tuple[CompressedSequence, ...] = ()
+    relation: Relation = SAME_BODY  # of a further body to the first
+
+    def __post_init__(self) -> None:
+        if len({each.header.name for each in self.all_bodies}) <= len(self.bodies):
+            raise SettingsError(f"two bodies have the same name, {self.header.name!r}")
+        for body in self.bodies:
+            if body.bodies or not np.array_equal(body.header.times, self.header.times):
+                raise SettingsError(f"the body {body.header.name!r} has other times than {self.header.name!r}")
 
     def __repr__(self) -> str:
         bound = f"{'within' if self.parameters.promised else 'error'} {self.parameters.max_error:.3g} diagonals"
         return f"CompressedSequence({self.header!r}, {self.nbytes} bytes of signals, {bound})"
 
     @property
+    def all_bodies(self) -> tuple[CompressedSequence, ...]:
+        """The sequence itself, and its further bodies."""
+        return self, *self.bodies
+
+    @property
     def nbytes(self) -> int:
-        """Number of bytes of the signals; a file also holds the mesh."""
+        """Number of bytes of the signals of all bodies; a file also holds their meshes."""
         chunks = (part for each in self.chunks for part in (each.coefficients, each.residuals, each.inbetweens))
-        return sum(map(len, (*self.basis, *chunks)))
+        return sum(map(len, (*self.basis, *chunks))) + sum(each.nbytes for each in self.bodies)
 
     @cached_property
     def parts(self) -> Index | None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from math import remainder
 from threading import Lock
 from typing import Any
 
@@ -10,7 +12,7 @@ import numpy as np
 
 from mixseq.mesh.nearest import RayHit, intersect_ray
 from mixseq.pictures.colours import Colouring, SceneColours
-from mixseq.pictures.scene import FIELD_OF_VIEW_DEGREES, SCENE_SIZE, Arrangement, Scene, arrange_meshes
+from mixseq.pictures.scene import FIELD_OF_VIEW_DEGREES, SCENE_SIZE, Arrangement, Scene, View, arrange_meshes
 from mixseq.types import ByteArray, Float, Single
 from mixseq.viewer.live import ViewSettings
 from mixseq.viewer.playback import Moment
@@ -46,6 +48,7 @@ class LiveStage:
         self._colour = colours.names[0]
         self._sent_colourings: list[Colouring | None] = [None] * len(colours.scene.items)
         self._camera = settings.camera
+        self.on_rearrange: Callable[[Arrangement], None] = lambda _: None  # called when meshes have moved
         self._arrangement = arrange_meshes(colours.scene, not settings.overlaid, settings.camera)
         self._add_ground()
         self._meshes, self._colour_clouds, self._labels = [], [], []
@@ -60,7 +63,7 @@ class LiveStage:
         )
         for index, item in enumerate(colours.scene.items):
             offset = self._arrangement.offsets[index]
-            points = self._arrangement.to_scene(index, item.pose(0.0)) - offset.astype(np.float32)
+            points = self._arrangement.to_local(index, item.pose(0.0))
             zeros = np.zeros_like(points)
             mesh = server.scene.add_mesh_simple(
                 f"/mesh/{index}",
@@ -75,6 +78,8 @@ class LiveStage:
             )
             cloud = server.scene.add_point_cloud(f"/paint/{index}", zeros, colors=zeros.astype(np.uint8), visible=False)
             self._meshes.append(mesh)
+            if len(colours.scene.items) > 1:
+                self._turn_by_drags(index, mesh)
             self._colour_clouds.append(cloud)
         if len(self._meshes) > 1:
             self._labels = [
@@ -96,46 +101,68 @@ class LiveStage:
             self._moment = moment
             elapsed = moment.scene.elapsed(moment.frame)
             for index, (points, colours) in enumerate(zip(moment.poses, self.colours, strict=True)):
-                placed, shift = self._world_points(self._arrangement, index, points)
+                local, shift = self._local_points(self._arrangement, index, points)
                 if index == 0:
-                    self._ground.position = (-shift[0] % GRID_CELL, -1e-3 * SCENE_SIZE, -shift[2] % GRID_CELL)
-                self._meshes[index].vertices = placed - self._arrangement.offsets[index].astype(np.float32)
-                if self._picked is not None and self._picked[0] == index:
-                    self._pick_ball.position = placed[self._picked[1]]
+                    x, _, z = -self._arrangement.rotations[0] @ shift % GRID_CELL
+                    self._ground.position = (x, -1e-3 * SCENE_SIZE, z)
+                self._meshes[index].vertices = local
                 if not colours.is_constant or self._sent_colourings[index] is not colours:
                     entries = colours.entries(points, elapsed)
                     self._colour_clouds[index].colors = srgb_to_linear(colours.palette)[entries]
                     self._sent_colourings[index] = colours
+            self._place_pick_ball()
             self._on_show(moment)
 
-    def _world_points(self, arrangement: Arrangement, index: int, points: Single) -> tuple[Single, Float]:
-        """Return a mesh ``(V, 3)`` in scene coordinates, and the displacement ``(3,)`` removed to follow the mesh."""
-        placed = arrangement.to_scene(index, points)
+    def _local_points(self, arrangement: Arrangement, index: int, points: Single) -> tuple[Single, Float]:
+        """Return local points ``(V, 3)`` of a mesh, and the displacement ``(3,)`` removed to follow the mesh."""
+        local = arrangement.to_local(index, points)
         if not self.following:
-            return placed, np.zeros(3)
-        shift = (placed.mean(axis=0, dtype=np.float64) - arrangement.label_positions[index]) * [1, 0, 1]
-        return np.asarray(placed - shift, dtype=np.float32), shift
+            return local, np.zeros(3)
+        shift = (local.mean(axis=0, dtype=np.float64) - arrangement.boxes[index].mean(axis=0)) * [1, 0, 1]
+        return np.asarray(local - shift, dtype=np.float32), shift
+
+    def _place_pick_ball(self) -> None:
+        """Move the ball to the picked vertex."""
+        if self._picked is not None and self._moment is not None:
+            index, vertex = self._picked
+            local, _ = self._local_points(self._arrangement, index, self._moment.poses[index])
+            self._pick_ball.position = self._arrangement.place(index, local[[vertex]])[0]
 
     def set_colour(self, name: str) -> None:
         """Set the colouring of the moments shown from now on."""
         self._colour = name
 
-    def set_view(self, scene: Scene, camera: tuple[float, float]) -> None:
-        """Set the view as in `mixseq.pictures.scene.resolve_view`, and align meshes across the view."""
-        self._camera = camera
-        self.arrange(scene, side_by_side=True)
+    def set_view(self, view: View, turns: tuple[float, ...]) -> None:
+        """Set the view of the camera, and the turn of each mesh."""
+        self._rearrange(lambda arrangement: replace(arrangement, view=view, turns=turns).side_by_side())
+        self._update_cameras()
 
     def _follow_camera(self, camera: Any) -> None:
-        """Keep meshes side by side while the camera turns; see `Arrangement.with_azimuth`."""
+        """Keep meshes side by side while the camera turns; see `Arrangement.seen_from`."""
         x, y, z = offset = camera.position - camera.look_at
-        azimuth = float(np.degrees(np.arctan2(x, z)))
-        rotation = abs((azimuth - self.arrangement.view.azimuth + 180) % 360 - 180)
-        is_defined = np.hypot(x, z) > 0.05 * abs(y)  # from straight above, there is no azimuth
-        if len(self._meshes) > 1 and is_defined and rotation > ROW_STEP_DEGREES:
-            with self._lock:
-                distance = float(np.linalg.norm(offset))
-                self._arrangement = self._arrangement.with_azimuth(azimuth, camera.look_at, distance)
-            self._update_positions()
+        across = float(np.hypot(x, z))
+        before, view = self.arrangement.view, View(*np.degrees([np.arctan2(x, z), np.arctan2(y, across)]).tolist())
+        rotation = abs(remainder(view.azimuth - before.azimuth, 360)), abs(view.elevation - before.elevation)
+        is_defined = across > 0.05 * abs(y)  # from straight above, there is no azimuth
+        if len(self._meshes) > 1 and is_defined and max(rotation) > ROW_STEP_DEGREES:
+            distance = float(np.linalg.norm(offset))
+            self._rearrange(lambda arrangement: arrangement.seen_from(view, camera.look_at, distance))
+
+    def turn(self, index: int, degrees: float) -> None:
+        """Turn one mesh: it is seen from an azimuth of its own, in degrees from that of the camera."""
+        self._rearrange(lambda arrangement: arrangement.turned(index, degrees))
+
+    def _rearrange(self, change: Callable[[Arrangement], Arrangement]) -> None:
+        """Change the arrangement, and move the meshes."""
+        with self._lock, self._server.atomic():
+            self._arrangement = arrangement = change(self._arrangement)
+            self._ground.visible = not arrangement.is_stacked
+            for index, mesh in enumerate(self._meshes):
+                mesh.position, mesh.wxyz = arrangement.offsets[index], quaternion(arrangement.turns[index])
+            for label, position in zip(self._labels, arrangement.label_positions, strict=False):
+                label.position = position
+            self._place_pick_ball()
+        self.on_rearrange(arrangement)
 
     @property
     def arrangement(self) -> Arrangement:
@@ -147,17 +174,8 @@ class LiveStage:
         """Arrange the meshes side by side or overlaid."""
         arrangement = arrange_meshes(scene, side_by_side, self._camera)
         self.overlaid = not side_by_side
-        with self._lock:
-            self._arrangement = arrangement
-        self._update_positions()
+        self._rearrange(lambda _: arrangement)
         self._update_cameras()
-
-    def _update_positions(self) -> None:
-        with self._lock, self._server.atomic():
-            for mesh, offset in zip(self._meshes, self._arrangement.offsets, strict=True):
-                mesh.position = offset
-            for label, position in zip(self._labels, self._arrangement.label_positions, strict=False):
-                label.position = position
 
     def set_visible(self, index: int, is_visible: bool) -> None:
         """Show or hide a mesh."""
@@ -180,7 +198,7 @@ class LiveStage:
                     moment, arrangement = self._moment, self._arrangement
                 if moment is None:
                     return
-                points, _ = self._world_points(arrangement, index, moment.poses[index])
+                points = arrangement.place(index, self._local_points(arrangement, index, moment.poses[index])[0])
                 hit = intersect_ray(
                     points, moment.scene.items[index].header.faces, event.ray_origin, event.ray_direction
                 )
@@ -188,9 +206,22 @@ class LiveStage:
                     if mark:
                         with self._lock:
                             self._picked = index, hit.vertex
-                            self._pick_ball.position = points[hit.vertex]
+                            self._place_pick_ball()
                             self._pick_ball.visible = True
                     callback(index, hit)
+
+    def _turn_by_drags(self, index: int, mesh: Any) -> None:
+        """Turn a mesh on its own while it is dragged with shift."""
+        start = 0.0, 0.0  # turn, and place of the pointer as a share of the width
+
+        @mesh.on_drag("left", modifier="shift")  # type: ignore[untyped-decorator]
+        async def _(event: Any) -> None:
+            nonlocal start
+            place = event.end_screen_pos[0]
+            if event.phase == "start":
+                start = self.arrangement.turns[index], place
+            elif not self.overlaid:
+                self.turn(index, start[0] - 360 * (place - start[1]))
 
     def _add_ground(self) -> None:
         scene = self._server.scene
@@ -237,7 +268,9 @@ class LiveStage:
 
     def _update_camera(self, client: Any) -> None:
         aspect = client.camera.aspect  # width/height
-        position, centre = self._arrangement.camera(1 / aspect)
+        if len(self._meshes) > 1 and not self.overlaid:
+            self._rearrange(lambda arrangement: arrangement.fitted(1 / aspect))
+        position, centre = self.arrangement.camera(1 / aspect)
         self._client_views[client.client_id] = position, aspect
         with client.atomic():
             client.camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
@@ -245,12 +278,18 @@ class LiveStage:
             client.camera.look_at = centre
 
     def _update_cameras(self) -> None:
-        position, centre = self._arrangement.camera(aspect=1.0)
+        position, centre = self.arrangement.camera(aspect=1.0)
         camera = self._server.initial_camera
         camera.fov = float(np.radians(FIELD_OF_VIEW_DEGREES))
         camera.look_at, camera.position = centre, position
         for client in self._server.get_clients().values():
             self._update_camera(client)
+
+
+def quaternion(turn: float) -> tuple[float, float, float, float]:
+    """Return the quaternion of a turn of `Arrangement.turns`, in degrees."""
+    half = np.radians(turn) / 2
+    return float(np.cos(half)), 0.0, float(-np.sin(half)), 0.0
 
 
 def srgb_to_linear(colours: ByteArray) -> ByteArray:

@@ -6,6 +6,7 @@ var mixseqWindow = (function () {
     "otherwise start mixseq view again and open the address that it prints.";
   const KEYS = { "Ctrl Z": "undo", "Ctrl Shift Z": "redo" };
   const TIME_KEYS = { "Space  P": "play, pause", "[  ]": "frame by frame", "I  O": "in and out: the section that is played and edited", "L": "loop" };
+  const MESH_KEYS = { "Shift drag": "turn one mesh by itself" };
   const MARKER_KEYS = { "Y": "accept a proposal", "N": "skip it", "X": "delete the selected pair", "O": "the same point of the other mesh" };
   const FOLDS = "mixseq-folds"; // which sections are open, in the storage of the browser
   // Notices are at the bottom, away from the meshes. In narrow windows, viser has a sheet at the bottom instead of docked panels.
@@ -104,7 +105,7 @@ var mixseqWindow = (function () {
 
   document.addEventListener("keydown", ({ key, target }) => {
     if (key !== "?" || target.closest?.("input:not([type=checkbox]), textarea")) return;
-    const shown = { ...(line() && TIME_KEYS), ...KEYS, ...(document.getElementById("mixseq-hint") && MARKER_KEYS), "?": "this list" };
+    const shown = { ...(line() && TIME_KEYS), ...KEYS, ...(window.__viserMutable.nodeRefFromName["/mesh/1"] && MESH_KEYS), ...(document.getElementById("mixseq-hint") && MARKER_KEYS), "?": "this list" };
     keys.innerHTML = `<table>${Object.entries(shown).map(([name, what]) => `<tr><td><kbd>${name}</kbd></td><td>${what}</td></tr>`).join("")}</table><form method="dialog"><button>Close</button></form>`;
     keys.showModal();
   });
