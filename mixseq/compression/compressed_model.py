@@ -133,10 +133,7 @@ class CompressedModel(Model):
                 for (playback, _), relation in zip(self._others, self.relations[1:], strict=True):
                     header = playback.header.with_times(np.arange(len(times)), 1.0)
                     keys = MeshSequence.from_header(header, playback.decode_points(times))
-                    parts, turn = (
-                        playback.parts if relation.same_parts else None,
-                        quat_to_matrix(np.array(relation.turn)),
-                    )
+                    parts, turn = playback.parts if relation.same_parts else None, np.array(relation.turn)
                     bodies.append(make_body(fitted, keys, header.name, parts, quat_to_matrix(turn)))
                 self.__dict__["_bodies"] = tuple(bodies)
             made: tuple[Body, ...] = self.__dict__["_bodies"]
