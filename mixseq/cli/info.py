@@ -77,18 +77,17 @@ def _find_moments(path: Path, other: Path, quiet: bool) -> list[dict[str, float]
 
     with progress_bar(quiet) as progress:
         if path.samefile(other):
-            models = [load_or_fit(path, progress)]
+            a = b = load_or_fit(path, progress)
         elif is_model(path) or is_model(other):
-            models = [load_or_fit(each, progress) for each in (path, other)]
+            a, b = (load_or_fit(each, progress) for each in (path, other))
         else:
-            models = list(fit_shots([mixseq.read(each) for each in (path, other)], progress=progress))
-        moments = find_moments(*models)
-    rates = [model.header.fps for model in models]
+            a, b = fit_shots([mixseq.read(each) for each in (path, other)], progress=progress)
+        moments = find_moments(a, None if a is b else b)
     return [
         moment._asdict()
         | {
-            "leave_frame": time_to_number(moment.leave, rates[0]),
-            "enter_frame": time_to_number(moment.enter, rates[-1]),
+            "leave_frame": time_to_number(moment.leave, a.header.fps),
+            "enter_frame": time_to_number(moment.enter, b.header.fps),
         }
         for moment in moments
     ]

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mixseq.choices import PoseForm
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, Playback, decode
 from mixseq.errors import SettingsError
 from mixseq.mesh.rotations import quat_to_matrix
@@ -36,7 +35,6 @@ class Streams(NamedTuple):
     """The decoded streams of a body."""
 
     playback: Playback
-    parts: Index | None  # part (F,) of every triangle; None if parts are to be found
     relation: Relation = SAME_BODY  # to the first body
 
 
@@ -76,7 +74,7 @@ class CompressedModel(Model):
     @classmethod
     def from_sequence(cls, coded: CompressedSequence) -> CompressedModel:
         """Decode the streams of a compressed sequence."""
-        return cls.from_streams([Streams(decode(each), each.parts, each.relation) for each in coded.all_bodies])
+        return cls.from_streams([Streams(decode(each), each.relation) for each in coded.all_bodies])
 
     @classmethod
     def from_streams(cls, streams: Sequence[Streams], index: int = 0, fitted: Model | None = None) -> CompressedModel:
@@ -132,11 +130,11 @@ class CompressedModel(Model):
                 from mixseq.signals.shape_exchange import key_times, make_body
 
                 times, bodies = key_times(fitted), []
-                for (playback, labels, _), relation in zip(self._others, self.relations[1:], strict=True):
+                for (playback, _), relation in zip(self._others, self.relations[1:], strict=True):
                     header = playback.header.with_times(np.arange(len(times)), 1.0)
                     keys = MeshSequence.from_header(header, playback.decode_points(times))
-                    parts, turn = labels if relation.same_parts else None, quat_to_matrix(np.array(relation.turn))
-                    bodies.append(make_body(fitted, keys, header.name, parts, turn))
+                    parts, turn = playback.parts if relation.same_parts else None, np.array(relation.turn)
+                    bodies.append(make_body(fitted, keys, header.name, parts, quat_to_matrix(turn)))
                 self.__dict__["_bodies"] = tuple(bodies)
             made: tuple[Body, ...] = self.__dict__["_bodies"]
             return made
@@ -155,15 +153,14 @@ class CompressedModel(Model):
             if fitted is None:
                 frames = LazyFrames(self.header, lambda size: self.playback.blocks(self.times, size))
                 cuts: CutChoice = self.playback.between.cuts or "auto"
-                form: PoseForm = "keys" if self._others else "modes"
-                fitted = fit(frames, exact=True, parts=self.parts, cuts=cuts, pose=form, progress=progress)
+                fitted = fit(frames, exact=True, parts=self.parts, cuts=cuts, progress=progress)
                 self.__dict__["_fitted"] = fitted
             return fitted
 
     @property
     def parts(self) -> Index | None:
         """Part ``(F,)`` of every triangle, stored in the file; None if they are found when the model is fitted."""
-        return self._streams[self._index].parts
+        return self.playback.parts
 
     start = Decodable.start
     end = Decodable.end

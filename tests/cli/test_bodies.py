@@ -23,7 +23,7 @@ Run = Callable[..., Result]
 
 @pytest.fixture(scope="module")
 def herd() -> Model:
-    thin = mixseq.fit(bar(5, 7, 4), pose="keys", exact=True)
+    thin = mixseq.fit(bar(5, 7, 4), exact=True)
     keys = key_poses(thin)
     return with_body(thin, keys.with_points(2 * keys.points), "large")
 

@@ -63,12 +63,12 @@ def test_moments_have_the_pose_and_its_velocity() -> None:
 def test_strain_is_what_a_blend_half_way_shortens() -> None:
     """Blends of vertices in the plane of a rotation are shorter by the cosine of half the angle between them."""
     corners, faces = np.array([[0.0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0]]), [[0, 1, 2], [0, 2, 3]]
-    models = []
+    models: list[mixseq.Model] = []
     for first in (0.0, 2.0):
         turned = np.stack([corners @ rotation((0.0, 0.0, first + 0.3 * k)).T for k in range(5)])
         sequence = MeshSequence.from_arrays(turned, faces, fps=10)
         models.append(mixseq.fit(sequence, exact=True, space="vertex", cuts="none"))
-    moments = find_moments(*models, duration=0.2)
+    moments = find_moments(models[0], models[1], duration=0.2)
     assert moments[0][:2] == pytest.approx((0.2, 0.0))
     for leave, enter, _, strain in moments:
         assert strain == pytest.approx(1.0 - np.cos((2.0 + 3.0 * (enter - leave)) / 2), abs=1e-6)
