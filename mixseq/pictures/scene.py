@@ -424,6 +424,11 @@ class Arrangement:
         """Transform points ``(V, 3)`` of a mesh to scene coordinates."""
         return self.place(index, self.to_local(index, points))
 
+    def to_mesh(self, index: int, point: Float) -> Float:
+        """Transform a point ``(3,)`` in scene coordinates to those of a mesh, the inverse of `to_scene`."""
+        local = (point - self.offsets[index]) @ self.rotations[index]
+        return np.asarray(np.roll(local / self.scale, UP_AXES.index(self.up_axes[index]) - 1))
+
     def camera(self, aspect: float) -> tuple[Float, Float]:
         """Return position ``(3,)`` and target ``(3,)`` of a camera that shows all meshes; `aspect` is height/width."""
         centre = (self.low + self.high) / 2
