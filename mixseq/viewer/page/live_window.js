@@ -105,7 +105,7 @@ var mixseqWindow = (function () {
       canvas.setAttribute("role", "img");
       name(canvas, "Meshes. Drag to orbit, right-drag to pan, wheel to zoom, ? for keys.");
     }
-    for (const [icon, text] of [[".tabler-icon-list-search", "Commands"], [".tabler-icon-adjustments", "Settings of the page"], [".mantine-Notification-closeButton", "Close"]]) {
+    for (const [icon, text] of [[".tabler-icon-list-search", "Commands"], [".tabler-icon-adjustments", "Settings of the page"], [".mantine-Notification-closeButton", "Dismiss"]]) {
       document.querySelectorAll(icon).forEach((each) => name(each.closest("button"), text));
     }
     for (const label of document.querySelectorAll("#root label[for]")) {
