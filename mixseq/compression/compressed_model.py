@@ -2,28 +2,40 @@
 
 A compressed sequence stores vertex positions at frames. Interpolated in time, they shrink parts that rotate. So between
 frames, and for every edit, the frames are fitted exactly in S_m, as those of any other file, when this is first needed.
+Of several bodies, each is what its own streams decode to, and is fitted to its own frames. In edits, the others move by
+the signals of the body in front, and their frames are their key shapes.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from operator import attrgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mixseq.compression.bitstream.compressed_sequence import CompressedSequence, Playback, decode
+from mixseq.errors import SettingsError
+from mixseq.mesh.rotations import quat_to_matrix
 from mixseq.runtime.progress import Progress, log_progress
 from mixseq.sequence.events import CutChoice
 from mixseq.sequence.frame_rates import FRAME_ROUNDING
-from mixseq.sequence.sequence import LazyFrames
+from mixseq.sequence.sequence import LazyFrames, MeshSequence
+from mixseq.signals.bodies import SAME_BODY, Body, Relation
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
 from mixseq.types import Float, Index
+
+
+class Streams(NamedTuple):
+    """The decoded streams of a body."""
+
+    playback: Playback
+    relation: Relation = SAME_BODY  # to the first body
 
 
 def _signal(name: str) -> Any:
@@ -43,7 +55,8 @@ class CompressedModel(Model):
     """
 
     playback: Playback
-    _parts: Index | None
+    _streams: Sequence[Streams]  # of all bodies, the same object for each of them in front
+    _index: int  # the body in front
     _fitted: Model | None
     _lock: threading.Lock
 
@@ -61,21 +74,70 @@ class CompressedModel(Model):
     @classmethod
     def from_sequence(cls, coded: CompressedSequence) -> CompressedModel:
         """Decode the streams of a compressed sequence."""
-        return cls.from_playback(decode(coded), coded.parts)
+        return cls.from_streams([Streams(decode(each), each.relation) for each in coded.all_bodies])
 
     @classmethod
-    def from_playback(cls, playback: Playback, parts: Index | None, fitted: Model | None = None) -> CompressedModel:
-        """Make the model of decoded streams; `parts` ``(F,)`` are those of triangles, None if they are to be found."""
+    def from_streams(cls, streams: Sequence[Streams], index: int = 0, fitted: Model | None = None) -> CompressedModel:
+        """Make the model of the decoded streams of all bodies, with one of them in front."""
         model: CompressedModel = object.__new__(cls)
-        signals = {"header": playback.header, "playback": playback, "_parts": parts, "_fitted": fitted}
-        model.__dict__.update(signals, _lock=threading.Lock())
+        playback = streams[index].playback
+        facts = {"header": playback.header, "playback": playback, "_streams": streams, "_index": index}
+        model.__dict__.update(facts, _fitted=fitted, _lock=threading.Lock())
         return model
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return CompressedModel.from_playback, (self.playback, self.parts, self._fitted)
+        return CompressedModel.from_streams, (self._streams, self._index, self._fitted)
 
     def __repr__(self) -> str:
-        return f"CompressedModel({self.header.name!r}: {self.start:g} to {self.end:g} s, {len(self.times)} frames)"
+        bodies = f", bodies {', '.join(self.body_names)}" if self._others else ""
+        frames = f"{self.start:g} to {self.end:g} s, {len(self.times)} frames{bodies}"
+        return f"CompressedModel({self.header.name!r}: {frames})"
+
+    @property
+    def _others(self) -> list[Streams]:
+        return [each for index, each in enumerate(self._streams) if index != self._index]
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """`Model.body_names`."""
+        return self.header.name, *(each.playback.header.name for each in self._others)
+
+    def body(self, name: str) -> CompressedModel:
+        """Implement `Model.body` without a fit."""
+        names = [each.playback.header.name for each in self._streams]
+        if name not in names:
+            raise SettingsError(f"there is no body {name!r}; bodies are {', '.join(map(repr, self.body_names))}")
+        index = names.index(name)
+        return self if index == self._index else self.from_streams(self._streams, index)
+
+    @property
+    def relations(self) -> tuple[Relation, ...]:
+        """`Model.relations`."""
+        front = self._streams[self._index].relation
+        return SAME_BODY, *(each.relation.relative_to(front) for each in self._others)
+
+    @property
+    def signals_id(self) -> int:
+        """`Model.signals_id`."""
+        return id(self._streams)
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """`Model.bodies`, made at first use: the frames of the others are their key shapes."""
+        fitted = self.fitted
+        with self._lock:
+            if "_bodies" not in self.__dict__:
+                from mixseq.signals.shape_exchange import key_times, make_body
+
+                times, bodies = key_times(fitted), []
+                for (playback, _), relation in zip(self._others, self.relations[1:], strict=True):
+                    header = playback.header.with_times(np.arange(len(times)), 1.0)
+                    keys = MeshSequence.from_header(header, playback.decode_points(times))
+                    parts, turn = playback.parts if relation.same_parts else None, np.array(relation.turn)
+                    bodies.append(make_body(fitted, keys, header.name, parts, quat_to_matrix(turn)))
+                self.__dict__["_bodies"] = tuple(bodies)
+            made: tuple[Body, ...] = self.__dict__["_bodies"]
+            return made
 
     @property
     def fitted(self) -> Model:
@@ -98,7 +160,7 @@ class CompressedModel(Model):
     @property
     def parts(self) -> Index | None:
         """Part ``(F,)`` of every triangle, stored in the file; None if they are found when the model is fitted."""
-        return self._parts
+        return self.playback.parts
 
     start = Decodable.start
     end = Decodable.end

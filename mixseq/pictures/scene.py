@@ -229,7 +229,7 @@ class SceneItem:
     def of_bodies(self) -> Sequence[SceneItem]:
         """Return an item for each body of the model; the item itself without a model of several bodies."""
         model = self.model
-        if model is None or not model.bodies:
+        if model is None or not model.body_names[1:]:
             return [self]
         names = {body: f"{self.name}: {body}" if self.name else body for body in model.body_names}
         return [replace(self, name=name, motion=model.body(body)) for body, name in names.items()]
@@ -426,6 +426,11 @@ class Arrangement:
     def place(self, index: int, local: FloatArray) -> NDArray[np.float32]:
         """Turn and move local points ``(V, 3)`` of a mesh to scene coordinates."""
         return np.asarray(local @ self.rotations[index].T + self.offsets[index], dtype=np.float32)
+
+    def to_mesh(self, index: int, point: Float) -> Float:
+        """Transform a point ``(3,)`` in scene coordinates to those of a mesh, the inverse of `to_local` and `place`."""
+        local = (point - self.offsets[index]) @ self.rotations[index]
+        return np.asarray(np.roll(local / self.scale, UP_AXES.index(self.up_axes[index]) - 1))
 
     def camera(self, aspect: float) -> tuple[Float, Float]:
         """Return position ``(3,)`` and target ``(3,)`` of a camera that shows all meshes; `aspect` is height/width."""

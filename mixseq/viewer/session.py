@@ -193,7 +193,7 @@ class Session(JobQueue[_Job]):
         for index, item in enumerate(playback.scene.items):
             if isinstance(item.motion, Model):
                 model = item.motion
-                first = first_items.setdefault(id(model.time), index) if model.bodies else index
+                first = first_items.setdefault(model.signals_id, index) if model.body_names[1:] else index
                 self._bodies[index] = first, model.header.name
                 self._histories.setdefault(first, UndoHistory((Step("", model),)))
         self._save_threads: list[Thread] = []

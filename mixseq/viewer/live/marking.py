@@ -20,8 +20,8 @@ from mixseq.mesh.topology import Topology
 from mixseq.mesh.triangle_mesh import TriangleMesh
 from mixseq.pictures.colours import SceneColours
 from mixseq.pictures.scene import SCENE_SIZE, Arrangement, Scene, SceneItem, heading_between, resolve_view
+from mixseq.retargeting.correspond import MIN_EXAMINED_MARKERS, Examination
 from mixseq.retargeting.markers import Markers
-from mixseq.retargeting.suggestions import MIN_EXAMINED_MARKERS, Examination
 from mixseq.sequence.sequence import MeshSequence, load_frames
 from mixseq.types import Float, Index
 from mixseq.viewer.live import ViewSettings

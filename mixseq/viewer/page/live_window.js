@@ -5,6 +5,7 @@ var mixseqWindow = (function () {
   const ENDED = "This viewer has ended, or the connection is lost: the page shows the last frame. It continues when the connection returns; " +
     "otherwise start mixseq view again and open the address that it prints.";
   const KEYS = { "Ctrl Z": "undo", "Ctrl Shift Z": "redo" };
+  const POSE_KEYS = { "Enter": "apply a pose", "Esc": "cancel it" };
   const TIME_KEYS = { "Space  P": "play, pause", "[  ]": "frame by frame", "I  O": "in and out: the section that is played and edited", "L": "loop" };
   const MESH_KEYS = { "Shift drag": "turn one mesh by itself" };
   const MARKER_KEYS = { "Y": "accept a proposal", "N": "skip it", "X": "delete the selected pair", "O": "the same point of the other mesh" };
@@ -120,7 +121,11 @@ var mixseqWindow = (function () {
 
   document.addEventListener("keydown", ({ key, target }) => {
     if (key !== "?" || target.closest?.("input:not([type=checkbox]), textarea")) return;
-    const shown = { ...(line() && TIME_KEYS), ...KEYS, ...(window.__viserMutable.nodeRefFromName["/mesh/1"] && MESH_KEYS), ...(document.getElementById("mixseq-hint") && MARKER_KEYS), "?": "this list" };
+    const is = (id) => document.getElementById(id);
+    const shown = {
+      ...(line() && TIME_KEYS), ...KEYS, ...(is("mixseq-steps") && POSE_KEYS), ...(window.__viserMutable.nodeRefFromName["/mesh/1"] && MESH_KEYS),
+      ...(is("mixseq-hint") && MARKER_KEYS), "?": "this list",
+    };
     keys.innerHTML = `<table>${Object.entries(shown).map(([name, what]) => `<tr><td><kbd>${name}</kbd></td><td>${what}</td></tr>`).join("")}</table><form method="dialog"><button>Close</button></form>`;
     keys.showModal();
   });
