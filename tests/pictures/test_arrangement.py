@@ -47,9 +47,9 @@ def scene_of(*sequences: MeshSequence) -> Scene:
 def placed(scene: Scene, found: Arrangement) -> list[Float]:
     """Points (T, V, 3) of all meshes over the scene."""
     return [
-        np.stack(
-            [found.place(index, found.to_local(index, item.pose(scene.elapsed(frame)))) for frame in range(scene.count)]
-        ).astype(np.float64)
+        np.stack([found.to_scene(index, item.pose(scene.elapsed(frame))) for frame in range(scene.count)]).astype(
+            np.float64
+        )
         for index, item in enumerate(scene.items)
     ]
 
@@ -122,9 +122,9 @@ def test_any_axis_may_point_up(axis: str, order: list[int]) -> None:
     scene = scene_of(sequence)
     found = arrange_meshes(scene, side_by_side=True)
     turned = points[:, order]
-    moved = found.place(0, found.to_local(0, sequence.points[0]))
+    moved = found.to_scene(0, sequence.points[0])
     spun = found.turned(0, 40.0)
-    np.testing.assert_allclose(spun.to_mesh(0, spun.place(0, spun.to_local(0, points))[1]), points[1], atol=1e-5)
+    np.testing.assert_allclose(spun.to_mesh(0, spun.to_scene(0, points)[1]), points[1], atol=1e-5)
     assert moved.dtype == np.float32
     shift = moved - found.scale * turned
     np.testing.assert_allclose(shift - shift[0], 0, atol=1e-5)
