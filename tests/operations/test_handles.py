@@ -13,7 +13,7 @@ import pytest
 import mixseq
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.operations import Handle, pose
-from mixseq.operations.handles import weight_row
+from mixseq.operations.handles import DraggedPose, weight_row
 from mixseq.operations.pose_solvers import PoseSolver
 from mixseq.operations.script import Readers, read_script
 from mixseq.sequence.sequence import MeshSequence
@@ -173,6 +173,19 @@ def test_a_change_fades_and_kept_vertices_stay_on_their_paths() -> None:
     assert kept.max() < 2e-3 * model.space.scale
     loose = pose(model, [Handle(TIME, lifted_target(), TIP)], fade=0.2, move_bodies=True)
     assert np.linalg.norm(loose(TIME)[0] - model(TIME)[0]) > 3 * kept.max()
+
+
+@pytest.mark.parametrize(("keep", "exact", "slack"), [([], False, 1e-4), ([], True, 5e-3), ([0, 5], False, 1e-2)])
+def test_a_dragged_pose_is_that_of_its_last_target(keep: list[int], exact: bool, slack: float) -> None:
+    """But for smooth displacements of the pose before, and for kept vertices, which `pose` solves for once more."""
+    model, before = chain(), chain()(TIME)
+    dragged = DraggedPose(model, [Handle(TIME, before[TIP], TIP)], keep, exact)
+    for share in np.linspace(0.1, 1.0, 10):
+        points = dragged.points((before[TIP] + share * (lifted_target() - before[TIP]))[None])
+    expected = pose(model, [Handle(TIME, lifted_target(), TIP)], keep=keep, fade=0.2, exact=exact)(TIME)
+    assert np.linalg.norm(points - expected, axis=1).max() < slack * model.space.scale
+    if not exact:
+        np.testing.assert_allclose(dragged.moved_model()(TIME), points, atol=1e-9)
 
 
 def test_exact_handles_arrive_at_all_times() -> None:
