@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 
 
 Rows = list[tuple[str, str]]
+
+MAX_LIST_LENGTH = 240
+"""Largest length of the text of a list, three lines of a table, in characters."""
 
 
 @options.command(
@@ -320,6 +324,5 @@ def _dimension_rows(facts: dict[str, Any], triangles: int) -> Rows:
     ]
 
 
-def _list(counts: Sequence[object], longest: int = 20) -> str:
-    shown = ", ".join(map(str, counts[:longest]))
-    return shown if len(counts) <= longest else f"{shown}, ..."
+def _list(items: Sequence[object]) -> str:
+    return textwrap.shorten(", ".join(map(str, items)), MAX_LIST_LENGTH, placeholder=" ...")
