@@ -51,6 +51,7 @@ def facts(transferred: Transfer, method: str, report: TransferReport, verdict: V
     return (
         reported
         | _part_counts(transferred)
+        | {"turned_limbs_degrees": transferred.turned}
         | {"correspondence": None if quality is None else _quality_facts(quality)}
         | {"proposal": None if transferred.proposal is None else _proposal_facts(transferred.proposal)}
         | report.as_dict()
@@ -71,6 +72,7 @@ def rows(transferred: Transfer, report: TransferReport, verdict: Verdict) -> lis
     return [
         ("verdict", verdict.text),
         ("transferred", f"{frames} to {header.vertex_count:,} vertices, by {by}"),
+        *([("rest pose", _turned(transferred.turned))] if transferred.turned else []),
         *_coverage_rows(report.coverage),
         *([] if transferred.quality is None else _quality_rows(transferred.quality, diagonal)),
         *([] if transferred.proposal is None else [("proposed", _proposed(transferred.proposal))]),
@@ -81,6 +83,10 @@ def rows(transferred: Transfer, report: TransferReport, verdict: Verdict) -> lis
         *([("flat", _triangles(report.flat, header))] if report.flat.worst else []),
         *_contact_rows(transferred.contacts, diagonal),
     ]
+
+
+def _turned(degrees: float) -> str:
+    return f"limbs of the target are turned by up to {degrees:.0f} degrees into the source's"
 
 
 def _part_counts(transferred: Transfer) -> dict[str, int]:
